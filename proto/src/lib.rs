@@ -1,1 +1,7 @@
-//! TODO
+//! temporary
+pub mod config;
+pub mod digest;
+mod error;
+pub mod rng;
+pub use digest::{Digest, DigestBuilder};
+pub use error::{ChannelError, ConfigError, ExitCode, ExitError};

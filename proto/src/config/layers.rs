@@ -1,0 +1,243 @@
+//! Layered merging: every layer is checked against the preset before it overrides anything.
+
+use std::path::Path;
+
+use toml::{Table, Value};
+
+use super::{Config, TaskName};
+use crate::ConfigError;
+
+/// The built-in configurations, in `deploy/presets`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Preset {
+    /// The paper's robot, tasks and measures with whatever learns them fastest.
+    Tuned,
+    /// The paper's text; where it is silent, the released code.
+    Paper,
+    /// The authors' released code.
+    Release,
+}
+
+impl Preset {
+    fn text(self) -> &'static str {
+        match self {
+            Self::Tuned => include_str!("../../../deploy/presets/tuned.toml"),
+            Self::Paper => include_str!("../../../deploy/presets/paper.toml"),
+            Self::Release => include_str!("../../../deploy/presets/release.toml"),
+        }
+    }
+
+    /// The name as it is written on the command line.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Tuned => "tuned",
+            Self::Paper => "paper",
+            Self::Release => "release",
+        }
+    }
+}
+
+/// A configuration in the making. Later layers win.
+#[derive(Debug, Clone)]
+pub struct Layers {
+    preset: Preset,
+    task: Option<TaskName>,
+    overlays: Vec<(String, Table)>,
+}
+
+impl Layers {
+    /// Starts from `preset`; a `task` given here wins over any layer's `task.name`.
+    pub fn new(preset: Preset, task: Option<TaskName>) -> Self {
+        Self { preset, task, overlays: Vec::new() }
+    }
+
+    /// Adds a file.
+    pub fn file(self, path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        self.text(&text, &path.display().to_string())
+    }
+
+    /// Adds TOML text that came from `origin`.
+    pub fn text(mut self, text: &str, origin: &str) -> Result<Self, ConfigError> {
+        let table = parse(text, origin)?;
+        self.overlays.push((origin.to_owned(), table));
+        Ok(self)
+    }
+
+    /// Adds one `key=value`; the value is TOML, and a bare word is taken as a string.
+    pub fn set(mut self, assignment: &str) -> Result<Self, ConfigError> {
+        let origin = format!("--set {assignment}");
+        let Some((key, value)) = assignment.split_once('=') else {
+            return Err(ConfigError::Syntax {
+                origin,
+                message: "wants key=value, such as algorithm.gamma=0.97".to_owned(),
+            });
+        };
+        let (key, value) = (key.trim(), value.trim());
+        let wrapped = format!("value = {value}");
+        let parsed = match wrapped.parse::<Table>() {
+            Ok(table) => table["value"].clone(),
+            Err(_) if value.chars().all(|c| c.is_alphanumeric() || "_-./:".contains(c)) => {
+                Value::String(value.to_owned())
+            }
+            Err(error) => {
+                return Err(ConfigError::Syntax { origin, message: error.to_string() });
+            }
+        };
+        let nested = key.rsplit('.').fold(parsed, |inner, part| {
+            Value::Table(Table::from_iter([(part.to_owned(), inner)]))
+        });
+        let Value::Table(table) = nested else {
+            unreachable!("a dotted key has at least one part, so the fold made a table");
+        };
+        self.overlays.push((origin, table));
+        Ok(self)
+    }
+
+    /// Merges all layers and checks the result.
+    pub fn resolve(&self) -> Result<Config, ConfigError> {
+        let origin = format!("preset {}", self.preset.as_str());
+        let mut base = parse(self.preset.text(), &origin)?;
+        let per_task = match base.remove("for") {
+            Some(Value::Table(per_task)) => per_task,
+            _ => Table::new(),
+        };
+        let task = self.chosen_task(&base)?;
+        set_task(&mut base, &task);
+
+        let mut layers = Vec::new();
+        if let Some(Value::Table(changes)) = per_task.get(&task) {
+            layers.push((origin, changes.clone()));
+        }
+        for (origin, overlay) in &self.overlays {
+            let mut overlay = overlay.clone();
+            let for_tasks = overlay.remove("for");
+            layers.push((origin.clone(), overlay));
+            if let Some(Value::Table(mut for_tasks)) = for_tasks
+                && let Some(Value::Table(changes)) = for_tasks.remove(&task)
+            {
+                layers.push((origin.clone(), changes));
+            }
+        }
+        for (origin, layer) in &layers {
+            merge(&mut base, layer, origin, "")?;
+        }
+        set_task(&mut base, &task);
+
+        let origin =
+            layers.iter().map(|(origin, _)| origin.as_str()).collect::<Vec<_>>().join(" + ");
+        let config: Config = Value::Table(base).try_into().map_err(|error: toml::de::Error| {
+            ConfigError::Syntax { origin, message: error.to_string().trim().replace('\n', " ") }
+        })?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The command line's task, else the last layer's that names one, else the preset's.
+    fn chosen_task(&self, base: &Table) -> Result<String, ConfigError> {
+        if let Some(task) = self.task {
+            return Ok(task.as_str().to_owned());
+        }
+        let preset = (String::new(), base.clone());
+        let (origin, value) = std::iter::once(&preset)
+            .chain(&self.overlays)
+            .filter_map(|(origin, layer)| Some((origin, layer.get("task")?.get("name")?)))
+            .next_back()
+            .expect("a preset names its task");
+        match value.as_str() {
+            Some(name @ ("trajectory" | "reorientation")) => Ok(name.to_owned()),
+            _ => Err(ConfigError::WrongType {
+                origin: origin.clone(),
+                key: "task.name".to_owned(),
+                expected: "`trajectory` or `reorientation`".to_owned(),
+                found: value.to_string(),
+            }),
+        }
+    }
+}
+
+fn set_task(base: &mut Table, task: &str) {
+    if let Some(Value::Table(group)) = base.get_mut("task") {
+        group.insert("name".to_owned(), Value::String(task.to_owned()));
+    }
+}
+
+fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
+    text.parse::<Table>().map_err(|error| ConfigError::Syntax {
+        origin: origin.to_owned(),
+        message: error.to_string().trim_end().to_owned(),
+    })
+}
+
+/// Overrides `base` by `overlay`; `base` holds every key that exists, with a value of its type.
+fn merge(
+    base: &mut Table,
+    overlay: &Table,
+    origin: &str,
+    prefix: &str,
+) -> Result<(), ConfigError> {
+    for (name, value) in overlay {
+        let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+        let Some(slot) = base.get_mut(name) else {
+            return Err(ConfigError::UnknownKey {
+                origin: origin.to_owned(),
+                hint: hint(name, base),
+                key,
+            });
+        };
+        match (slot, value) {
+            (Value::Table(slot), Value::Table(value)) => merge(slot, value, origin, &key)?,
+            // TOML writes 1 where a person means 1.0.
+            (slot @ Value::Float(_), Value::Integer(value)) => *slot = Value::Float(*value as f64),
+            // Large budgets are written as 2e6.
+            (slot @ Value::Integer(_), Value::Float(value))
+                if value.fract() == 0.0 && value.abs() < 9e15 =>
+            {
+                *slot = Value::Integer(*value as i64);
+            }
+            (slot, value) if slot.same_type(value) => *slot = value.clone(),
+            (slot, value) => {
+                return Err(ConfigError::WrongType {
+                    origin: origin.to_owned(),
+                    key,
+                    expected: format!("a {} such as {slot}", slot.type_str()),
+                    found: format!("the {} {value}", value.type_str()),
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The nearest existing name, or all of them.
+fn hint(name: &str, group: &Table) -> String {
+    let near = group
+        .keys()
+        .map(|key| (edit_distance(name, key), key))
+        .filter(|(distance, _)| *distance <= 2.max(name.len() / 3))
+        .min();
+    match near {
+        Some((_, key)) => format!("; did you mean `{key}`?"),
+        None => {
+            let keys: Vec<_> = group.keys().map(String::as_str).collect();
+            format!("; known here: {}", keys.join(", "))
+        }
+    }
+}
+
+/// Levenshtein's distance, for hints only.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, y) in b.iter().enumerate() {
+            let substitute = diagonal + usize::from(x != *y);
+            diagonal = row[j + 1];
+            row[j + 1] = substitute.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}

@@ -1,0 +1,497 @@
+//! The groups of a configuration, one struct each, and the rules that values must meet.
+
+use serde::{Deserialize, Serialize};
+
+use crate::ConfigError;
+
+/// Everything that determines a run. Two runs with equal configurations on the same build and
+/// processor type end with the same bits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// What is to be learned.
+    pub task: Task,
+    /// Who learns it.
+    pub robot: RobotSection,
+    /// How it is simulated.
+    pub env: Env,
+    /// The networks.
+    pub network: Network,
+    /// The learning algorithm.
+    pub algorithm: Algorithm,
+    /// Adam and its schedule.
+    pub optimizer: Optimizer,
+    /// Seeds, budgets, processes.
+    pub run: Run,
+}
+
+/// The two tasks of the paper.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TaskName {
+    /// Every hand to a target pose.
+    Trajectory,
+    /// The base to a target attitude.
+    Reorientation,
+}
+
+impl TaskName {
+    /// The name as it is written in configurations and on the command line.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Trajectory => "trajectory",
+            Self::Reorientation => "reorientation",
+        }
+    }
+}
+
+/// Which numbers an agent sees; the layouts stand in `sim-worker`'s `task::observation`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Observation {
+    /// The paper's text: 28 numbers (25 for reorientation).
+    Paper,
+    /// The released code: 31 numbers (25 for reorientation).
+    Release,
+    /// The whole arm, pose errors at three scales, the last action.
+    Tuned,
+}
+
+/// The box that trajectory goals are drawn from, as offsets to the hand's home position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum GoalBox {
+    /// A cube of 0.3 m, as the paper says.
+    Paper,
+    /// The released code: 0.25 m.
+    Release,
+    /// The authors' working repository: 0.20 m.
+    Narrow,
+}
+
+/// Weights of one agent kind's reward,
+/// r = −(`quadratic`·e² + `log`·log₁₀(e² + ε) + `smoothness`·‖u − u⁻‖² + `effort`·‖u‖² + `collision`·co),
+/// with e = `scale` × the norm of the task error and u the clipped action before scaling.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RewardWeights {
+    /// Factor on the error norm before it enters the reward.
+    pub scale: f64,
+    /// Weight of the squared error.
+    pub quadratic: f64,
+    /// Weight of the logarithm of the squared error.
+    pub log: f64,
+    /// Weight of the squared change of the action.
+    pub smoothness: f64,
+    /// Weight of the squared action.
+    pub effort: f64,
+    /// Weight of the collision term.
+    pub collision: f64,
+}
+
+/// The reward of a task.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reward {
+    /// ε inside the logarithm.
+    pub epsilon: f64,
+    /// Whether the collision term counts touching pairs (`true`) or only says whether any touch.
+    pub count_collisions: bool,
+    /// Agents of shoulder joints, who care for the hand's position (trajectory).
+    pub position: RewardWeights,
+    /// Agents of wrist joints, who care for the hand's orientation (trajectory).
+    pub orientation: RewardWeights,
+    /// The one reward that all agents share (reorientation).
+    pub base: RewardWeights,
+}
+
+/// Group `task`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Task {
+    /// Which task.
+    pub name: TaskName,
+    /// What the agents see.
+    pub observation: Observation,
+    /// Control steps of an episode; its end is a truncation, never a termination.
+    pub episode_steps: usize,
+    /// Factor from a clipped action to a joint velocity command in rad/s.
+    pub action_scale: f64,
+    /// Where hand goals are drawn from.
+    pub goal_box: GoalBox,
+    /// Base goals are Euler angles uniform in ± this, per axis (rad).
+    pub base_goal_range: f64,
+    /// The reward.
+    pub reward: Reward,
+}
+
+/// Group `robot`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotSection {
+    /// `paper`, `release`, or the path of a robot file.
+    pub description: String,
+}
+
+/// How the equations of motion are integrated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Integrator {
+    /// Classical Runge and Kutta, fourth order.
+    Rk4,
+    /// Semi-implicit Euler, the scheme of the authors' simulator.
+    Euler,
+}
+
+/// Group `env`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Env {
+    /// Environments of the whole run; every one plays one episode an iteration.
+    pub n_envs: usize,
+    /// Shards that the environments are split into; the unit of work and of accounting.
+    pub n_shards: usize,
+    /// Duration of a control step (s).
+    pub control_period: f64,
+    /// Duration of an integration step (s); divides the control period.
+    pub substep: f64,
+    /// Integration scheme.
+    pub integrator: Integrator,
+    /// Whether touching bodies push each other.
+    pub contacts: bool,
+}
+
+/// The non-linearity of hidden layers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Activation {
+    /// max(0, x).
+    Relu,
+    /// x for x > 0, eˣ − 1 otherwise.
+    Elu,
+    /// Hyperbolic tangent.
+    Tanh,
+}
+
+/// What happens to observations before the first layer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputNorm {
+    /// Nothing.
+    None,
+    /// LayerNorm with learned gain and bias over the features of a sample.
+    LayerNorm,
+    /// Running mean and variance per feature, clipped at ± `input_clip`.
+    Running,
+}
+
+/// What critics see.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CriticState {
+    /// All agents' observations, one after the other.
+    Concatenated,
+    /// Every quantity of the environment once.
+    Compact,
+    /// The agent's own observation only (independent learners).
+    Own,
+}
+
+/// Group `network`. Actors and critics are multi-layer perceptrons of the same hidden sizes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Network {
+    /// Width of each hidden layer.
+    pub hidden: Vec<usize>,
+    /// Non-linearity.
+    pub activation: Activation,
+    /// LayerNorm after each hidden activation.
+    pub layer_norm: bool,
+    /// Treatment of the input.
+    pub input_norm: InputNorm,
+    /// Limit of running-normalised inputs, in standard deviations.
+    pub input_clip: f64,
+    /// What critics see.
+    pub critic_state: CriticState,
+    /// One actor and one critic for all agents, told apart by a learned first-layer bias an agent.
+    pub shared_parameters: bool,
+    /// Squashes the mean action with tanh.
+    pub squash_mean: bool,
+    /// Initial logarithm of the action's standard deviation.
+    pub initial_log_std: f64,
+    /// Floor of the logarithm of the action's standard deviation.
+    pub min_log_std: f64,
+    /// Gain of the orthogonal initialisation of the action head.
+    pub head_gain: f64,
+}
+
+/// The learning algorithm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AlgorithmName {
+    /// Multi-agent PPO with centralised critics (Yu et al. 2022).
+    Mappo,
+    /// Independent PPO: each critic sees its own agent's observation only.
+    Ippo,
+}
+
+/// Group `algorithm`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Algorithm {
+    /// Which algorithm.
+    pub name: AlgorithmName,
+    /// Discount γ per control step.
+    pub gamma: f64,
+    /// λ of generalised advantage estimation (Schulman et al. 2016).
+    pub gae_lambda: f64,
+    /// Clip range of the probability ratio.
+    pub clip: f64,
+    /// Clip range of the value prediction around the old one; 0 turns value clipping off.
+    pub value_clip: f64,
+    /// Passes over the samples of an iteration.
+    pub epochs: usize,
+    /// Parts that each pass is split into, one optimiser step each.
+    pub mini_batches: usize,
+    /// Weight of the entropy bonus.
+    pub entropy_coefficient: f64,
+    /// Weight of the value loss.
+    pub value_coefficient: f64,
+    /// δ of the Huber value loss; 0 means the plain squared error.
+    pub huber_delta: f64,
+    /// Normalises value targets by running moments (ValueNorm of Yu et al. 2022).
+    pub value_norm: bool,
+    /// Decay β of the moments of the value normaliser.
+    pub value_norm_beta: f64,
+    /// Standardises advantages, per agent, over the samples of an iteration.
+    pub normalize_advantage: bool,
+    /// Factor on the surrogate; the released code's broadcasting makes it 3.
+    pub surrogate_multiplier: f64,
+    /// Bootstraps with the value of the last observation where an episode was cut by time.
+    pub bootstrap_truncated: bool,
+    /// Limit of the gradient's global norm, actor and critic apart, per agent; 0 turns it off.
+    pub max_grad_norm: f64,
+    /// Ends an iteration's epochs for an agent when its KL divergence passes this; 0 turns it off.
+    pub max_kl: f64,
+}
+
+/// How the learning rate moves over the planned env-steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// Stays.
+    Constant,
+    /// Falls linearly to zero at the last planned env-step.
+    Linear,
+}
+
+/// Group `optimizer`: Adam (Kingma and Ba 2015).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Optimizer {
+    /// Initial learning rate of actors.
+    pub actor_lr: f64,
+    /// Initial learning rate of critics.
+    pub critic_lr: f64,
+    /// Its course.
+    pub schedule: Schedule,
+    /// Decay of the first moment.
+    pub beta1: f64,
+    /// Decay of the second moment.
+    pub beta2: f64,
+    /// ε of the denominator.
+    pub epsilon: f64,
+}
+
+/// Arithmetic of the learner's matrix products.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// `bf16` where the processor multiplies it natively, `f32` elsewhere.
+    Auto,
+    /// Single precision throughout.
+    F32,
+    /// Products of bfloat16 with single-precision parameters, sums and moments.
+    Bf16,
+}
+
+/// Group `run`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Run {
+    /// Seed of every random number of the run.
+    pub seed: u64,
+    /// Budget in env-steps (control steps × environments); schedules run over it.
+    pub env_steps: u64,
+    /// Wall-clock limit in seconds; only stops, never changes what is learned. 0 means none.
+    pub time_limit_s: f64,
+    /// Simulator processes.
+    pub workers: usize,
+    /// 1 lets workers roll out the next iteration while the learner trains on this one.
+    pub overlap: usize,
+    /// `cpu` or `cuda:N`, of the learner.
+    pub device: String,
+    /// Arithmetic of the learner's products.
+    pub precision: Precision,
+    /// Threads of libtorch; part of the configuration because they change sums.
+    pub learner_threads: usize,
+    /// Commits a checkpoint every so many iterations; 0 means only at the end.
+    pub checkpoint_every: u64,
+    /// Newest checkpoints kept.
+    pub checkpoints_kept: usize,
+    /// A worker that is silent this long is replaced and its shards are ordered again (s).
+    pub order_deadline_s: f64,
+}
+
+impl Run {
+    /// The wall-clock limit, if there is one.
+    pub fn time_limit(&self) -> Option<std::time::Duration> {
+        (self.time_limit_s > 0.0).then(|| std::time::Duration::from_secs_f64(self.time_limit_s))
+    }
+}
+
+impl Config {
+    /// Env-steps that one iteration collects.
+    pub fn steps_per_iteration(&self) -> u64 {
+        (self.env.n_envs * self.task.episode_steps) as u64
+    }
+
+    /// Iterations that the budget plans, rounded up.
+    pub fn planned_iterations(&self) -> u64 {
+        self.run.env_steps.div_ceil(self.steps_per_iteration())
+    }
+
+    /// Environments of one shard.
+    pub fn envs_per_shard(&self) -> usize {
+        self.env.n_envs / self.env.n_shards
+    }
+
+    /// Reads a resolved configuration, as `config.toml` of a run directory holds it.
+    pub fn from_resolved_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        let config: Self = toml::from_str(text).map_err(|error| ConfigError::Syntax {
+            origin: origin.to_owned(),
+            message: error.to_string(),
+        })?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The resolved configuration as TOML.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a typed configuration has a TOML form")
+    }
+
+    /// Checks ranges and what must fit together.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let Self { task, env, network, algorithm, optimizer, run, robot } = self;
+
+        within("task.episode_steps", task.episode_steps as f64, 1.0, 10_000.0)?;
+        within("task.action_scale", task.action_scale, 1e-6, 100.0)?;
+        within("task.base_goal_range", task.base_goal_range, 0.0, 1.5)?;
+        within("task.reward.epsilon", task.reward.epsilon, 1e-30, 1.0)?;
+        let Reward { position, orientation, base, .. } = &task.reward;
+        for (key, weights) in [
+            ("task.reward.position", position),
+            ("task.reward.orientation", orientation),
+            ("task.reward.base", base),
+        ] {
+            let RewardWeights { scale, quadratic, log, smoothness, effort, collision } = *weights;
+            for weight in [scale, quadratic, log, smoothness, effort, collision] {
+                within(key, weight, 0.0, 1e6)?;
+            }
+        }
+
+        if robot.description.is_empty() {
+            return Err(ConfigError::Invalid {
+                key: "robot.description",
+                problem: "is empty".to_owned(),
+                cure: "write `paper`, `release`, or the path of a robot file".to_owned(),
+            });
+        }
+
+        within("env.n_envs", env.n_envs as f64, 1.0, 1e6)?;
+        within("env.n_shards", env.n_shards as f64, 1.0, 4096.0)?;
+        if env.n_shards > env.n_envs || env.n_envs % env.n_shards != 0 {
+            return Err(ConfigError::Invalid {
+                key: "env.n_shards",
+                problem: format!(
+                    "{} environments cannot be split into {} equal shards",
+                    env.n_envs, env.n_shards
+                ),
+                cure: "choose a number of shards that divides env.n_envs".to_owned(),
+            });
+        }
+        within("env.control_period", env.control_period, 1e-4, 10.0)?;
+        within("env.substep", env.substep, 1e-5, env.control_period)?;
+        let substeps = env.control_period / env.substep;
+        if (substeps - substeps.round()).abs() > 1e-6 * substeps {
+            return Err(ConfigError::Invalid {
+                key: "env.substep",
+                problem: format!(
+                    "{} s does not divide the control period of {} s",
+                    env.substep, env.control_period
+                ),
+                cure: "choose a whole fraction of the control period".to_owned(),
+            });
+        }
+
+        within("network.hidden", network.hidden.len() as f64, 1.0, 16.0)?;
+        for &width in &network.hidden {
+            within("network.hidden", width as f64, 1.0, 16_384.0)?;
+        }
+        within("network.input_clip", network.input_clip, 0.1, 1e6)?;
+        within("network.initial_log_std", network.initial_log_std, -10.0, 5.0)?;
+        within("network.min_log_std", network.min_log_std, -20.0, network.initial_log_std)?;
+        within("network.head_gain", network.head_gain, 0.0, 100.0)?;
+
+        within("algorithm.gamma", algorithm.gamma, 0.0, 1.0)?;
+        within("algorithm.gae_lambda", algorithm.gae_lambda, 0.0, 1.0)?;
+        within("algorithm.clip", algorithm.clip, 1e-6, 10.0)?;
+        within("algorithm.value_clip", algorithm.value_clip, 0.0, 1e6)?;
+        within("algorithm.epochs", algorithm.epochs as f64, 1.0, 1000.0)?;
+        let samples = self.steps_per_iteration() as f64;
+        within("algorithm.mini_batches", algorithm.mini_batches as f64, 1.0, samples)?;
+        within("algorithm.entropy_coefficient", algorithm.entropy_coefficient, 0.0, 100.0)?;
+        within("algorithm.value_coefficient", algorithm.value_coefficient, 0.0, 1e6)?;
+        within("algorithm.huber_delta", algorithm.huber_delta, 0.0, 1e9)?;
+        within("algorithm.value_norm_beta", algorithm.value_norm_beta, 0.0, 1.0)?;
+        within("algorithm.surrogate_multiplier", algorithm.surrogate_multiplier, 0.0, 1e6)?;
+        within("algorithm.max_grad_norm", algorithm.max_grad_norm, 0.0, 1e9)?;
+        within("algorithm.max_kl", algorithm.max_kl, 0.0, 1e9)?;
+
+        within("optimizer.actor_lr", optimizer.actor_lr, 0.0, 10.0)?;
+        within("optimizer.critic_lr", optimizer.critic_lr, 0.0, 10.0)?;
+        within("optimizer.beta1", optimizer.beta1, 0.0, 0.999_999)?;
+        within("optimizer.beta2", optimizer.beta2, 0.0, 0.999_999_9)?;
+        within("optimizer.epsilon", optimizer.epsilon, 1e-30, 1.0)?;
+
+        within("run.env_steps", run.env_steps as f64, 1.0, 1e15)?;
+        within("run.time_limit_s", run.time_limit_s, 0.0, 1e9)?;
+        within("run.workers", run.workers as f64, 1.0, 256.0)?;
+        within("run.overlap", run.overlap as f64, 0.0, 1.0)?;
+        within("run.learner_threads", run.learner_threads as f64, 1.0, 1024.0)?;
+        within("run.checkpoints_kept", run.checkpoints_kept as f64, 1.0, 1e6)?;
+        within("run.order_deadline_s", run.order_deadline_s, 0.1, 1e6)?;
+        let device_index = run.device.strip_prefix("cuda:").map(str::parse::<u8>);
+        if run.device != "cpu" && !matches!(device_index, Some(Ok(_))) {
+            return Err(ConfigError::Invalid {
+                key: "run.device",
+                problem: format!("`{}` is no device", run.device),
+                cure: "write `cpu` or `cuda:0`".to_owned(),
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Refuses NaN and what lies outside `[low, high]`.
+fn within(key: &'static str, value: f64, low: f64, high: f64) -> Result<(), ConfigError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(ConfigError::Invalid {
+        key,
+        problem: format!("{value} is out of range"),
+        cure: format!("choose a value from {low} to {high}"),
+    })
+}

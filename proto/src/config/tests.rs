@@ -1,0 +1,98 @@
+use super::*;
+use crate::ConfigError;
+
+fn resolve(assignments: &[&str]) -> Result<Config, ConfigError> {
+    assignments
+        .iter()
+        .try_fold(Layers::new(Preset::Tuned, None), |layers, assignment| layers.set(assignment))?
+        .resolve()
+}
+
+fn message(assignments: &[&str]) -> String {
+    resolve(assignments).expect_err("the assignment is wrong").to_string()
+}
+
+#[test]
+fn every_preset_resolves_for_both_tasks_and_survives_its_own_text() {
+    for preset in [Preset::Tuned, Preset::Paper, Preset::Release] {
+        for task in [TaskName::Trajectory, TaskName::Reorientation] {
+            let config = Layers::new(preset, Some(task)).resolve().expect("presets are valid");
+            assert_eq!(config.task.name, task);
+            let again = Config::from_resolved_toml(&config.to_toml(), "text");
+            assert_eq!(again.expect("resolved text is complete"), config);
+        }
+    }
+}
+
+#[test]
+fn a_task_brings_its_own_changes_and_a_flag_overrides_them() {
+    let scale = |task, assignments: &[&str]| {
+        assignments
+            .iter()
+            .fold(Layers::new(Preset::Release, Some(task)), |layers, a| {
+                layers.set(a).expect("well formed")
+            })
+            .resolve()
+            .expect("valid")
+            .task
+            .action_scale
+    };
+    assert_eq!(scale(TaskName::Trajectory, &[]), 0.8);
+    assert_eq!(scale(TaskName::Reorientation, &[]), 0.5);
+    assert_eq!(scale(TaskName::Reorientation, &["task.action_scale=0.7"]), 0.7);
+}
+
+#[test]
+fn values_are_toml_and_bare_words_are_strings() {
+    let config = resolve(&[
+        "network.hidden=[64,64]",
+        "run.device=cuda:1",
+        "run.env_steps=2e6",
+        "algorithm.gamma=1",
+        "network.activation=tanh",
+    ])
+    .expect("valid");
+    assert_eq!(config.network.hidden, [64, 64]);
+    assert_eq!(config.run.device, "cuda:1");
+    assert_eq!(config.run.env_steps, 2_000_000);
+    assert_eq!(config.algorithm.gamma, 1.0);
+    assert_eq!(config.network.activation, Activation::Tanh);
+}
+
+#[test]
+fn errors_name_the_layer_the_key_and_the_cure() {
+    let unknown = message(&["algorithm.gama=0.9"]);
+    assert!(unknown.contains("--set algorithm.gama=0.9"), "{unknown}");
+    assert!(unknown.contains("did you mean `gamma`"), "{unknown}");
+
+    let wrong = message(&["algorithm.gamma=\"high\""]);
+    assert!(wrong.contains("wants a float") && wrong.contains("the string"), "{wrong}");
+
+    let shards = message(&["env.n_envs=10", "env.n_shards=4"]);
+    assert!(shards.contains("divides env.n_envs"), "{shards}");
+
+    let range = message(&["run.workers=0"]);
+    assert!(range.contains("run.workers") && range.contains("1 to 256"), "{range}");
+
+    let word = message(&["network.activation=sigmoid"]);
+    assert!(word.contains("relu") && word.contains("sigmoid"), "{word}");
+
+    let nan = message(&["algorithm.gamma=nan"]);
+    assert!(nan.contains("algorithm.gamma"), "{nan}");
+}
+
+#[test]
+fn a_file_is_named_in_its_errors() {
+    let layers = Layers::new(Preset::Paper, None);
+    let error = layers.clone().file("no/such.toml".as_ref()).expect_err("missing").to_string();
+    assert!(error.contains("no/such.toml"), "{error}");
+    let error = layers.text("[task\n", "my.toml").expect_err("broken").to_string();
+    assert!(error.contains("my.toml") && error.contains("line 1"), "{error}");
+}
+
+proptest::proptest! {
+    #[test]
+    fn any_assignment_resolves_or_is_refused(key in "[a-z.]{0,20}", value in ".{0,30}") {
+        let _ = Layers::new(Preset::Tuned, None).set(&format!("{key}={value}")).map(|l| l.resolve());
+    }
+}

@@ -1,0 +1,89 @@
+//! The 128-bit fingerprint of a training state.
+
+use std::fmt;
+
+/// BLAKE3 truncated to 128 bits, written as 32 hexadecimal digits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct Digest(pub [u8; 16]);
+
+/// Hashes named tensors and counters into a [`Digest`].
+#[derive(Debug, Default)]
+pub struct DigestBuilder(blake3::Hasher);
+
+impl DigestBuilder {
+    /// An empty hash.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a named field; name and length are part of the hash, so no two states collide by
+    /// moving a byte from one field to the next.
+    pub fn field(&mut self, name: &str, bytes: &[u8]) -> &mut Self {
+        self.0.update(&(name.len() as u64).to_le_bytes());
+        self.0.update(name.as_bytes());
+        self.0.update(&(bytes.len() as u64).to_le_bytes());
+        self.0.update(bytes);
+        self
+    }
+
+    /// The digest of everything added.
+    pub fn finish(&self) -> Digest {
+        let mut short = [0; 16];
+        short.copy_from_slice(&self.0.finalize().as_bytes()[..16]);
+        Digest(short)
+    }
+}
+
+impl fmt::Display for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl serde::Serialize for Digest {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> serde::Deserialize<'de> for Digest {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = <String as serde::Deserialize>::deserialize(deserializer)?;
+        text.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+impl std::str::FromStr for Digest {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text.len() != 32 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+            return Err(format!("a digest has 32 hexadecimal digits, got `{text}`"));
+        }
+        let mut bytes = [0; 16];
+        for (byte, pair) in bytes.iter_mut().zip(text.as_bytes().chunks(2)) {
+            let pair = std::str::from_utf8(pair).expect("checked to be ASCII");
+            *byte = u8::from_str_radix(pair, 16).expect("checked to be hexadecimal");
+        }
+        Ok(Self(bytes))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_and_bytes_round_trip() {
+        let digest = DigestBuilder::new().field("a", b"bytes").finish();
+        assert_eq!(digest.to_string().parse(), Ok(digest));
+        assert!("zz".parse::<Digest>().is_err());
+    }
+
+    #[test]
+    fn a_byte_that_moves_to_the_next_field_changes_the_digest() {
+        let left = DigestBuilder::new().field("a", b"xy").field("b", b"z").finish();
+        let right = DigestBuilder::new().field("a", b"x").field("b", b"yz").finish();
+        assert_ne!(left, right);
+    }
+}

@@ -1,0 +1,153 @@
+//! Errors of this crate and the exit codes that every program of a run shares.
+
+use std::path::PathBuf;
+
+/// What can be wrong with a configuration.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// A file cannot be read.
+    #[error("{path}: cannot be read: {source}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The text is no TOML.
+    #[error("{origin}: not valid TOML: {message}")]
+    Syntax {
+        /// The file, or the flag as it was written.
+        origin: String,
+        /// The parser's words, with line and column.
+        message: String,
+    },
+    /// A key that does not exist.
+    #[error("{origin}: unknown key `{key}`{hint}")]
+    UnknownKey {
+        /// The file, or the flag as it was written.
+        origin: String,
+        /// The dotted key.
+        key: String,
+        /// A near name or the list of the group's keys.
+        hint: String,
+    },
+    /// A value of another type than the key has.
+    #[error("{origin}: key `{key}` wants {expected}, got {found}")]
+    WrongType {
+        /// The file, or the flag as it was written.
+        origin: String,
+        /// The dotted key.
+        key: String,
+        /// The type that the key has.
+        expected: String,
+        /// What was written.
+        found: String,
+    },
+    /// A value out of its range, or two that do not fit each other.
+    #[error("key `{key}`: {problem}; {cure}")]
+    Invalid {
+        /// The dotted key.
+        key: &'static str,
+        /// What is wrong, with the numbers.
+        problem: String,
+        /// What to do about it.
+        cure: String,
+    },
+}
+
+/// What can go wrong between the processes of a run.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ChannelError {
+    /// The service does not exist or has another layout.
+    #[error(
+        "channel `{service}` cannot be opened: {reason}; \
+         all programs of a run must come from the same build (layout {layout})"
+    )]
+    Open {
+        /// Name of the service.
+        service: String,
+        /// The transport's reason.
+        reason: String,
+        /// Layout hash of this program.
+        layout: String,
+    },
+    /// A port could not be made.
+    #[error("channel `{service}`: cannot create a {port}: {reason}")]
+    Port {
+        /// Name of the service.
+        service: String,
+        /// `publisher`, `subscriber`, `listener` or `notifier`.
+        port: &'static str,
+        /// The transport's reason.
+        reason: String,
+    },
+    /// Nobody took the data before the deadline.
+    #[error("channel `{service}`: not delivered within {waited_ms} ms; is the receiver alive?")]
+    Backpressure {
+        /// Name of the service.
+        service: String,
+        /// How long the sender waited.
+        waited_ms: u128,
+    },
+    /// Sending or receiving failed.
+    #[error("channel `{service}`: {action} failed: {reason}")]
+    Transfer {
+        /// Name of the service.
+        service: String,
+        /// `loan`, `send` or `receive`.
+        action: &'static str,
+        /// The transport's reason.
+        reason: String,
+    },
+    /// A message that cannot be decoded.
+    #[error("channel `{service}`: a message of {len} bytes cannot be decoded: {reason}")]
+    Decode {
+        /// Name of the service.
+        service: String,
+        /// Length of the message.
+        len: usize,
+        /// The decoder's reason.
+        reason: String,
+    },
+}
+
+/// Exit codes of `octopus`, `learner` and `sim-worker`, documented in the README.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ExitCode {
+    /// All went well.
+    Success = 0,
+    /// Something failed while running; the message says what.
+    Failure = 1,
+    /// The command line is wrong (clap's own code).
+    Usage = 2,
+    /// A configuration, robot, actions or other input file is wrong.
+    BadInput = 3,
+    /// The machine lacks something: shared memory, descriptors, libtorch, a device.
+    Environment = 4,
+    /// A run directory or checkpoint exists already, is in use, or is damaged.
+    RunDirectory = 5,
+    /// A child process failed for good.
+    Child = 6,
+    /// Stopped at once by a second signal.
+    Interrupted = 130,
+}
+
+/// An error with the exit code that it ends the program with.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct ExitError {
+    /// The code.
+    pub code: ExitCode,
+    /// One clear message.
+    pub message: String,
+}
+
+impl ExitError {
+    /// Couples `message` with `code`.
+    pub fn new(code: ExitCode, message: impl Into<String>) -> Self {
+        Self { code, message: message.into() }
+    }
+}
