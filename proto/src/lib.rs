@@ -1,6 +1,7 @@
 //! temporary
 pub mod config;
 pub mod digest;
+pub mod layout;
 mod error;
 pub mod rng;
 pub use digest::{Digest, DigestBuilder};

@@ -1,0 +1,390 @@
+//! Sizes and memory layouts that worker and learner share.
+//!
+//! Two kinds of memory cross a process border, both as flat `f32`:
+//!
+//! * a **block**, one shard's rollout of one iteration ([`BlockLayout`], described by a
+//!   [`BlockHeader`]);
+//! * the **actor parameters** of one policy version ([`ActorLayout`], described by a
+//!   [`PolicyHeader`]).
+//!
+//! Letters: `A` agents, `T` steps, `N` environments of a shard, `O` observation, `S` critic state,
+//! `U` actions of an agent (3), `K` episode metrics. All arrays are row-major.
+
+use std::ops::Range;
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::config::{Config, CriticState, InputNorm, Observation, TaskName};
+
+/// Joints that one agent moves.
+pub const JOINTS_PER_AGENT: usize = 3;
+/// Agents of one arm: shoulder joints, wrist joints.
+pub const AGENTS_PER_ARM: usize = 2;
+
+/// The sizes of a run's arrays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Dimensions {
+    /// Arms of the robot.
+    pub n_arms: usize,
+    /// A: agents, two an arm.
+    pub n_agents: usize,
+    /// T: control steps of an episode.
+    pub n_steps: usize,
+    /// N: environments of a shard.
+    pub n_envs: usize,
+    /// Shards of an iteration.
+    pub n_shards: usize,
+    /// O: numbers that an agent sees.
+    pub observation: usize,
+    /// S: numbers of the critic state that a block holds; 0 if critics see what actors see.
+    pub state: usize,
+    /// K: metrics of an episode.
+    pub n_metrics: usize,
+}
+
+impl Dimensions {
+    /// The sizes that follow from a configuration and the robot's number of arms.
+    pub fn new(config: &Config, n_arms: usize) -> Self {
+        let n_agents = n_arms * AGENTS_PER_ARM;
+        let observation = match (config.task.observation, config.task.name) {
+            (Observation::Paper, TaskName::Trajectory) => 28,
+            (Observation::Release, TaskName::Trajectory) => 31,
+            (Observation::Paper | Observation::Release, TaskName::Reorientation) => 25,
+            // Base 13, own arm's q and q̇ 12, errors 6 plain and 12 squashed, last action 6.
+            (Observation::Tuned, TaskName::Trajectory) => 13 + 12 + 6 + 12 + 6,
+            // Base 13, own arm's q and q̇ 12, errors 3 plain and 6 squashed, last action 6.
+            (Observation::Tuned, TaskName::Reorientation) => 13 + 12 + 3 + 6 + 6,
+        };
+        let state = match (config.network.critic_state, config.task.name) {
+            (CriticState::Own, _) => 0,
+            (CriticState::Concatenated, _) => n_agents * observation,
+            // Base 13; each arm's q, q̇ and last action 18 and errors 18.
+            (CriticState::Compact, TaskName::Trajectory) => 13 + n_arms * (18 + 18),
+            // Base 13, errors 9; each arm's q, q̇ and last action 18.
+            (CriticState::Compact, TaskName::Reorientation) => 13 + 9 + n_arms * 18,
+        };
+        Self {
+            n_arms,
+            n_agents,
+            n_steps: config.task.episode_steps,
+            n_envs: config.envs_per_shard(),
+            n_shards: config.env.n_shards,
+            observation,
+            state,
+            n_metrics: EpisodeMetrics::count(n_arms),
+        }
+    }
+
+    /// Numbers that a critic's first layer takes.
+    pub fn critic_input(&self) -> usize {
+        if self.state == 0 { self.observation } else { self.state }
+    }
+}
+
+/// Where the metrics of an episode stand in its row of K numbers.
+///
+/// Errors are norms, in m and rad (of the Euler-angle difference), after a control step.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EpisodeMetrics {
+    /// Position error of each hand after the last step.
+    pub final_position: Range<usize>,
+    /// Orientation error of each hand after the last step.
+    pub final_orientation: Range<usize>,
+    /// Smallest position error of each hand over the episode.
+    pub min_position: Range<usize>,
+    /// Smallest orientation error of each hand over the episode.
+    pub min_orientation: Range<usize>,
+    /// Attitude error of the base after the last step.
+    pub final_base: usize,
+    /// Smallest attitude error of the base over the episode.
+    pub min_base: usize,
+    /// Control steps at whose end any two bodies touched.
+    pub contact_steps: usize,
+    /// Touching pairs, summed over the steps.
+    pub contact_pairs: usize,
+}
+
+impl EpisodeMetrics {
+    /// The layout for a robot with `n_arms` arms. For the task that does not have an error (hands
+    /// in `reorientation`, base in `trajectory`) its entries hold the distance from home.
+    pub fn new(n_arms: usize) -> Self {
+        let group = |i: usize| i * n_arms..(i + 1) * n_arms;
+        let after = 4 * n_arms;
+        Self {
+            final_position: group(0),
+            final_orientation: group(1),
+            min_position: group(2),
+            min_orientation: group(3),
+            final_base: after,
+            min_base: after + 1,
+            contact_steps: after + 2,
+            contact_pairs: after + 3,
+        }
+    }
+
+    /// K for `n_arms` arms.
+    pub fn count(n_arms: usize) -> usize {
+        4 * n_arms + 4
+    }
+}
+
+/// Where the arrays of a block stand, in `f32` elements from its start.
+///
+/// Each array starts on a 64-byte boundary, so a vector load never straddles two cache lines.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BlockLayout {
+    /// `[A, T + 1, N, O]`: what each agent saw before each step, and after the last.
+    pub observation: Range<usize>,
+    /// `[T + 1, N, S]`: what critics see.
+    pub state: Range<usize>,
+    /// `[A, T, N, U]`: sampled actions, before clipping and scaling.
+    pub action: Range<usize>,
+    /// `[A, T, N]`: logarithm of the probability density of the action, summed over U.
+    pub log_prob: Range<usize>,
+    /// `[A, T, N]`: reward of the step.
+    pub reward: Range<usize>,
+    /// `[T, N]`: 1 where the step ended the episode for good (no value afterwards).
+    pub terminated: Range<usize>,
+    /// `[T, N]`: 1 where a time limit cut the episode (the state afterwards has a value).
+    pub truncated: Range<usize>,
+    /// `[N, K]`: see [`EpisodeMetrics`].
+    pub metrics: Range<usize>,
+    /// Length of the whole block.
+    pub len: usize,
+}
+
+impl BlockLayout {
+    /// The layout for `dimensions`.
+    pub fn new(dimensions: &Dimensions) -> Self {
+        let Dimensions { n_agents: a, n_steps: t, n_envs: n, observation: o, state: s, .. } =
+            *dimensions;
+        let mut end = 0;
+        let mut array = |len: usize| {
+            let start = end;
+            end = (start + len).next_multiple_of(16);
+            start..start + len
+        };
+        let observation = array(a * (t + 1) * n * o);
+        let state = array((t + 1) * n * s);
+        let action = array(a * t * n * JOINTS_PER_AGENT);
+        let log_prob = array(a * t * n);
+        let reward = array(a * t * n);
+        let terminated = array(t * n);
+        let truncated = array(t * n);
+        let metrics = array(n * dimensions.n_metrics);
+        Self {
+            observation,
+            state,
+            action,
+            log_prob,
+            reward,
+            terminated,
+            truncated,
+            metrics,
+            len: end,
+        }
+    }
+}
+
+/// Name, shape and place of one stacked parameter tensor.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TensorSpec {
+    /// Name, as checkpoints write it: `hidden.0.weight`.
+    pub name: String,
+    /// Shape; the first dimension is A.
+    pub shape: Vec<usize>,
+    /// First element.
+    pub offset: usize,
+}
+
+impl TensorSpec {
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// Whether the tensor has no elements.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The elements' place in the flat parameters.
+    pub fn range(&self) -> Range<usize> {
+        self.offset..self.offset + self.len()
+    }
+}
+
+/// Where the tensors of all actors stand in the flat parameters of a policy version.
+///
+/// Always one row an agent: a shared network is published once for each agent, with the agent's
+/// own first-layer bias. Weights are `[A, in, out]`, so a batch of row vectors multiplies from the
+/// left. In order: the input's normalisation (`input.mean` and `input.inverse_std`, or
+/// `input.gain` and `input.bias`), each hidden layer (`hidden.i.weight`, `.bias`, and with
+/// LayerNorm `.gain`, `.shift`), `head.weight`, `head.bias`, `log_std` (already floored).
+///
+/// LayerNorm has ε = 1e-5. A running normalisation is clip((x − mean)·inverse_std, ±input_clip).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ActorLayout {
+    /// The tensors in order.
+    pub tensors: Vec<TensorSpec>,
+    /// Length of the whole, in elements.
+    pub len: usize,
+}
+
+impl ActorLayout {
+    /// The layout for a configuration.
+    pub fn new(config: &Config, dimensions: &Dimensions) -> Self {
+        let network = &config.network;
+        let a = dimensions.n_agents;
+        let mut tensors = Vec::new();
+        let mut len = 0;
+        let mut tensor = |name: String, shape: Vec<usize>| {
+            let spec = TensorSpec { name, shape, offset: len };
+            len = spec.range().end.next_multiple_of(16);
+            tensors.push(spec);
+        };
+        let mut width = dimensions.observation;
+        let input_names = match network.input_norm {
+            InputNorm::None => None,
+            InputNorm::LayerNorm => Some(["input.gain", "input.bias"]),
+            InputNorm::Running => Some(["input.mean", "input.inverse_std"]),
+        };
+        for name in input_names.into_iter().flatten() {
+            tensor(name.to_owned(), vec![a, width]);
+        }
+        for (layer, &hidden) in network.hidden.iter().enumerate() {
+            tensor(format!("hidden.{layer}.weight"), vec![a, width, hidden]);
+            tensor(format!("hidden.{layer}.bias"), vec![a, hidden]);
+            if network.layer_norm {
+                tensor(format!("hidden.{layer}.gain"), vec![a, hidden]);
+                tensor(format!("hidden.{layer}.shift"), vec![a, hidden]);
+            }
+            width = hidden;
+        }
+        tensor("head.weight".to_owned(), vec![a, width, JOINTS_PER_AGENT]);
+        tensor("head.bias".to_owned(), vec![a, JOINTS_PER_AGENT]);
+        tensor("log_std".to_owned(), vec![a, JOINTS_PER_AGENT]);
+        Self { tensors, len }
+    }
+
+    /// The tensor called `name`, if the configuration has it.
+    pub fn get(&self, name: &str) -> Option<&TensorSpec> {
+        self.tensors.iter().find(|tensor| tensor.name == name)
+    }
+}
+
+/// Describes a block; travels as the user header of its sample.
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[repr(C)]
+pub struct BlockHeader {
+    /// The iteration that the block belongs to.
+    pub iteration: u64,
+    /// The policy version that chose its actions.
+    pub policy_version: u64,
+    /// The shard.
+    pub shard: u32,
+    /// Who rolled it out.
+    pub worker: u32,
+    /// How often that worker had been started before.
+    pub incarnation: u32,
+    /// N, as a check against a worker of another configuration.
+    pub n_envs: u32,
+    /// T, likewise.
+    pub n_steps: u32,
+    /// Keeps the following 64-bit field aligned without padding.
+    pub reserved: u32,
+    /// Time that the rollout took (ns).
+    pub rollout_ns: u64,
+}
+
+/// Describes the parameters of a policy version; travels as the user header of its sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[repr(C)]
+pub struct PolicyHeader {
+    /// The version: 0 is the initial policy, k the one after iteration k − 1 was trained on.
+    pub version: u64,
+}
+
+/// Describes a piece of a snapshot; travels as the user header of its sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[repr(C)]
+pub struct SnapshotHeader {
+    /// Iterations trained on when the snapshot was taken.
+    pub iteration: u64,
+    /// Where the piece belongs in the snapshot (bytes).
+    pub offset: u64,
+    /// Length of the whole snapshot (bytes).
+    pub total: u64,
+    /// [`Digest`](crate::Digest) of the training state.
+    pub digest: [u8; 16],
+}
+
+/// Hash of every layout in this module, part of each channel's name: programs of different
+/// layouts do not find each other's channels, instead of reading garbage.
+pub fn layout_hash() -> String {
+    let description = format!(
+        "v1 block {} {} policy {} snapshot {} bincode-standard {}",
+        size_of::<BlockHeader>(),
+        std::any::type_name::<BlockHeader>(),
+        size_of::<PolicyHeader>(),
+        size_of::<SnapshotHeader>(),
+        env!("CARGO_PKG_VERSION"),
+    );
+    blake3::hash(description.as_bytes()).to_hex()[..8].to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Layers, Preset};
+
+    fn dimensions(preset: Preset, task: TaskName) -> Dimensions {
+        Dimensions::new(&Layers::new(preset, Some(task)).resolve().expect("valid"), 4)
+    }
+
+    #[test]
+    fn observation_and_state_sizes_are_the_papers_and_the_releases() {
+        let size = |preset, task| {
+            let d = dimensions(preset, task);
+            (d.observation, d.state)
+        };
+        assert_eq!(size(Preset::Paper, TaskName::Trajectory), (28, 224));
+        assert_eq!(size(Preset::Paper, TaskName::Reorientation), (25, 200));
+        assert_eq!(size(Preset::Release, TaskName::Trajectory), (31, 248));
+        assert_eq!(size(Preset::Release, TaskName::Reorientation), (25, 200));
+    }
+
+    #[test]
+    fn arrays_of_a_block_are_aligned_and_do_not_overlap() {
+        let layout = BlockLayout::new(&dimensions(Preset::Tuned, TaskName::Trajectory));
+        let arrays = [
+            &layout.observation,
+            &layout.state,
+            &layout.action,
+            &layout.log_prob,
+            &layout.reward,
+            &layout.terminated,
+            &layout.truncated,
+            &layout.metrics,
+        ];
+        let mut end = 0;
+        for array in arrays {
+            assert!(array.start >= end && array.start % 16 == 0, "{array:?} after {end}");
+            assert!(!array.is_empty());
+            end = array.end;
+        }
+        assert!(layout.len >= end && layout.len < end + 16);
+    }
+
+    #[test]
+    fn actor_of_the_released_preset_has_the_known_number_of_parameters() {
+        let config =
+            Layers::new(Preset::Release, Some(TaskName::Trajectory)).resolve().expect("valid");
+        let layout = ActorLayout::new(&config, &Dimensions::new(&config, 4));
+        let per_agent: usize = layout.tensors.iter().map(|t| t.len() / 8).sum();
+        // LN(31), three blocks of Linear and LN, head and log σ: about 0.54 M.
+        let blocks = (31 * 512 + 512 + 1024) + 2 * (512 * 512 + 512 + 1024);
+        assert_eq!(per_agent, 62 + blocks + 512 * 3 + 3 + 3);
+        assert!(layout.get("hidden.2.gain").is_some() && layout.get("input.mean").is_none());
+    }
+}
