@@ -85,9 +85,9 @@ impl Layers {
                 return Err(ConfigError::Syntax { origin, message: error.to_string() });
             }
         };
-        let nested = key.rsplit('.').fold(parsed, |inner, part| {
-            Value::Table(Table::from_iter([(part.to_owned(), inner)]))
-        });
+        let nested = key
+            .rsplit('.')
+            .fold(parsed, |inner, part| Value::Table(Table::from_iter([(part.to_owned(), inner)])));
         let Value::Table(table) = nested else {
             unreachable!("a dotted key has at least one part, so the fold made a table");
         };
@@ -171,12 +171,7 @@ fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
 }
 
 /// Overrides `base` by `overlay`; `base` holds every key that exists, with a value of its type.
-fn merge(
-    base: &mut Table,
-    overlay: &Table,
-    origin: &str,
-    prefix: &str,
-) -> Result<(), ConfigError> {
+fn merge(base: &mut Table, overlay: &Table, origin: &str, prefix: &str) -> Result<(), ConfigError> {
     for (name, value) in overlay {
         let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
         let Some(slot) = base.get_mut(name) else {

@@ -1,0 +1,650 @@
+//! The services of a run and the ports of each process.
+
+use std::fmt::Debug;
+use std::marker::PhantomData;
+use std::time::Duration;
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::port::{BackpressureAction, SendError};
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use iceoryx2::sample_mut::SampleMut;
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+use serde::{Deserialize, Serialize};
+
+use super::sizes::{
+    MESSAGE_BUFFER, ORDER_LEN, PIECE_BUFFER, POLICY_BORROWED, POLICY_BUFFER, PROGRESS_LEN,
+    STATUS_LEN,
+};
+use super::{ChannelSizes, Domain, PIECE_LEN};
+use crate::ChannelError;
+use crate::layout::{BlockHeader, PolicyHeader, SnapshotHeader, layout_hash};
+use crate::message::{self, Order, Progress, Status};
+
+type Ipc = ipc::Service;
+type Bytes<H> = publish_subscribe::PortFactory<Ipc, [u8], H>;
+type Floats<H> = publish_subscribe::PortFactory<Ipc, [f32], H>;
+
+/// Who can be woken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    /// The coordinator.
+    Coordinator,
+    /// The learner.
+    Learner,
+    /// All workers.
+    Workers,
+}
+
+impl Role {
+    fn service(self) -> &'static str {
+        match self {
+            Self::Coordinator => "wake/coordinator",
+            Self::Learner => "wake/learner",
+            Self::Workers => "wake/workers",
+        }
+    }
+}
+
+/// All services of a run, as one process sees them.
+#[derive(Debug)]
+pub struct Channels {
+    orders: Bytes<()>,
+    progress: Bytes<()>,
+    status: Bytes<()>,
+    policy: Floats<PolicyHeader>,
+    rollouts: Floats<BlockHeader>,
+    snapshot: Bytes<SnapshotHeader>,
+    wake_coordinator: event::PortFactory<Ipc>,
+    wake_learner: event::PortFactory<Ipc>,
+    wake_workers: event::PortFactory<Ipc>,
+    sizes: ChannelSizes,
+    // Dropped last: services must not outlive their node.
+    node: Node<Ipc>,
+}
+
+/// Whether services are made or found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Access {
+    Create,
+    Open,
+}
+
+/// A publish-subscribe service's limits.
+#[derive(Clone, Copy)]
+struct Limits {
+    publishers: usize,
+    subscribers: usize,
+    buffer: usize,
+    borrowed: usize,
+    history: usize,
+    overflow: bool,
+}
+
+impl Channels {
+    /// Creates every service of a run: the coordinator's part.
+    pub fn create(domain: &Domain, sizes: ChannelSizes) -> Result<Self, ChannelError> {
+        Self::new(domain, sizes, Access::Create)
+    }
+
+    /// Opens the services that the coordinator made.
+    pub fn open(domain: &Domain, sizes: ChannelSizes) -> Result<Self, ChannelError> {
+        Self::new(domain, sizes, Access::Open)
+    }
+
+    fn new(domain: &Domain, sizes: ChannelSizes, access: Access) -> Result<Self, ChannelError> {
+        set_log_level(LogLevel::Fatal);
+        let node = NodeBuilder::new()
+            .config(&domain.config(access == Access::Create))
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(|error| open_error(domain.as_str(), &error))?;
+        let max_workers = sizes.max_workers;
+        // The coordinator, the learner and its replacement beside the workers.
+        let max_nodes = max_workers + 4;
+        let messages = Limits {
+            publishers: 2,
+            subscribers: 2,
+            buffer: MESSAGE_BUFFER,
+            borrowed: 1,
+            history: 0,
+            overflow: false,
+        };
+
+        macro_rules! service {
+            ($name:expr, $payload:ty, $header:ty, $limits:expr) => {{
+                let limits: Limits = $limits;
+                let builder = node
+                    .service_builder(&service_name($name)?)
+                    .publish_subscribe::<[$payload]>()
+                    .user_header::<$header>()
+                    .payload_alignment(Alignment::new(64).expect("64 is a power of two"))
+                    .max_publishers(limits.publishers)
+                    .max_subscribers(limits.subscribers)
+                    .max_nodes(max_nodes)
+                    .subscriber_max_buffer_size(limits.buffer)
+                    .subscriber_max_borrowed_samples(limits.borrowed)
+                    .history_size(limits.history)
+                    .enable_safe_overflow(limits.overflow);
+                match access {
+                    Access::Create => builder.create().map_err(|e| open_error($name, &e))?,
+                    Access::Open => builder.open().map_err(|e| open_error($name, &e))?,
+                }
+            }};
+        }
+        let wake = |role: Role| {
+            let builder = node
+                .service_builder(&service_name(role.service())?)
+                .event()
+                .max_listeners(max_nodes)
+                .max_notifiers(2 * max_nodes)
+                .max_nodes(max_nodes);
+            match access {
+                Access::Create => builder.create().map_err(|e| open_error(role.service(), &e)),
+                Access::Open => builder.open().map_err(|e| open_error(role.service(), &e)),
+            }
+        };
+
+        Ok(Self {
+            orders: service!("orders", u8, (), Limits { subscribers: max_workers + 2, ..messages }),
+            progress: service!("progress", u8, (), messages),
+            status: service!(
+                "status",
+                u8,
+                (),
+                Limits { publishers: max_workers, overflow: true, ..messages }
+            ),
+            policy: service!(
+                "policy",
+                f32,
+                PolicyHeader,
+                Limits {
+                    publishers: 2,
+                    subscribers: max_workers,
+                    buffer: POLICY_BUFFER,
+                    borrowed: POLICY_BORROWED,
+                    history: POLICY_BUFFER,
+                    overflow: true,
+                }
+            ),
+            rollouts: service!(
+                "rollouts",
+                f32,
+                BlockHeader,
+                Limits {
+                    publishers: max_workers,
+                    subscribers: 1,
+                    buffer: sizes.block_buffer,
+                    borrowed: sizes.block_borrowed,
+                    history: 0,
+                    overflow: false,
+                }
+            ),
+            snapshot: service!(
+                "snapshot",
+                u8,
+                SnapshotHeader,
+                Limits {
+                    publishers: 2,
+                    subscribers: 1,
+                    buffer: PIECE_BUFFER,
+                    borrowed: 1,
+                    history: 0,
+                    overflow: false,
+                }
+            ),
+            wake_coordinator: wake(Role::Coordinator)?,
+            wake_learner: wake(Role::Learner)?,
+            wake_workers: wake(Role::Workers)?,
+            sizes,
+            node,
+        })
+    }
+
+    /// The fixed sizes.
+    pub fn sizes(&self) -> &ChannelSizes {
+        &self.sizes
+    }
+
+    /// Frees what processes that died without a goodbye still hold. The coordinator calls it after
+    /// it has reaped a child; a zombie still looks alive.
+    pub fn clean_up_after_the_dead(&self) {
+        let _ = self.node.blocking_cleanup_dead_nodes(Duration::from_secs(2));
+    }
+
+    /// A bell at the door of `role`.
+    pub fn bell(&self, role: Role) -> Result<Bell, ChannelError> {
+        let notifier = self.wake(role).notifier_builder().create();
+        Ok(Bell(notifier.map_err(|e| port_error(role.service(), "notifier", &e))?))
+    }
+
+    /// Hears the bell of `role`.
+    pub fn listener(&self, role: Role) -> Result<BellListener, ChannelError> {
+        let listener = self.wake(role).listener_builder().create();
+        Ok(BellListener(listener.map_err(|e| port_error(role.service(), "listener", &e))?))
+    }
+
+    fn wake(&self, role: Role) -> &event::PortFactory<Ipc> {
+        match role {
+            Role::Coordinator => &self.wake_coordinator,
+            Role::Learner => &self.wake_learner,
+            Role::Workers => &self.wake_workers,
+        }
+    }
+
+    /// The coordinator's end of `orders`. A full receiver misses an order; deadlines re-send it.
+    pub fn order_sender(&self) -> Result<MessageSender<Order>, ChannelError> {
+        let bells = vec![self.bell(Role::Workers)?, self.bell(Role::Learner)?];
+        MessageSender::new(&self.orders, "orders", bells, ORDER_LEN, Duration::ZERO)
+    }
+
+    /// A worker's or the learner's end of `orders`.
+    pub fn order_receiver(&self) -> Result<MessageReceiver<Order>, ChannelError> {
+        MessageReceiver::new(&self.orders, "orders")
+    }
+
+    /// The learner's end of `progress`.
+    pub fn progress_sender(
+        &self,
+        deadline: Duration,
+    ) -> Result<MessageSender<Progress>, ChannelError> {
+        let bells = vec![self.bell(Role::Coordinator)?];
+        MessageSender::new(&self.progress, "progress", bells, PROGRESS_LEN, deadline)
+    }
+
+    /// The coordinator's end of `progress`.
+    pub fn progress_receiver(&self) -> Result<MessageReceiver<Progress>, ChannelError> {
+        MessageReceiver::new(&self.progress, "progress")
+    }
+
+    /// A worker's end of `status`.
+    pub fn status_sender(&self) -> Result<MessageSender<Status>, ChannelError> {
+        let bells = vec![self.bell(Role::Coordinator)?];
+        MessageSender::new(&self.status, "status", bells, STATUS_LEN, Duration::ZERO)
+    }
+
+    /// The coordinator's end of `status`.
+    pub fn status_receiver(&self) -> Result<MessageReceiver<Status>, ChannelError> {
+        MessageReceiver::new(&self.status, "status")
+    }
+
+    /// The learner's end of `policy`.
+    pub fn policy_sender(&self) -> Result<ArraySender<PolicyHeader>, ChannelError> {
+        let bell = self.bell(Role::Workers)?;
+        ArraySender::new(&self.policy, "policy", bell, self.sizes.policy_len, Duration::ZERO)
+    }
+
+    /// A worker's end of `policy`.
+    pub fn policy_receiver(&self) -> Result<ArrayReceiver<PolicyHeader>, ChannelError> {
+        ArrayReceiver::new(&self.policy, "policy")
+    }
+
+    /// A worker's end of `rollouts`.
+    pub fn block_sender(
+        &self,
+        deadline: Duration,
+    ) -> Result<ArraySender<BlockHeader>, ChannelError> {
+        let bell = self.bell(Role::Learner)?;
+        ArraySender::new(&self.rollouts, "rollouts", bell, self.sizes.block_len, deadline)
+    }
+
+    /// The learner's end of `rollouts`.
+    pub fn block_receiver(&self) -> Result<ArrayReceiver<BlockHeader>, ChannelError> {
+        ArrayReceiver::new(&self.rollouts, "rollouts")
+    }
+
+    /// The learner's end of `snapshot`.
+    pub fn snapshot_sender(&self, deadline: Duration) -> Result<PieceSender, ChannelError> {
+        let bell = self.bell(Role::Coordinator)?;
+        let publisher = self
+            .snapshot
+            .publisher_builder()
+            .initial_max_slice_len(PIECE_LEN)
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+            .set_backpressure_handler(give_up_after(deadline))
+            .create()
+            .map_err(|e| port_error("snapshot", "publisher", &e))?;
+        Ok(PieceSender { publisher, bell, deadline })
+    }
+
+    /// The coordinator's end of `snapshot`.
+    pub fn snapshot_receiver(&self) -> Result<PieceReceiver, ChannelError> {
+        let subscriber = self.snapshot.subscriber_builder().create();
+        Ok(PieceReceiver(subscriber.map_err(|e| port_error("snapshot", "subscriber", &e))?))
+    }
+}
+
+/// Wakes the processes of a role.
+#[derive(Debug)]
+pub struct Bell(Notifier<Ipc>);
+
+impl Bell {
+    /// Rings. That nobody listens yet is no error: a receiver looks into its queue before it waits.
+    pub fn ring(&self) {
+        let _ = self.0.notify();
+    }
+}
+
+/// Waits for a bell.
+#[derive(Debug)]
+pub struct BellListener(Listener<Ipc>);
+
+impl BellListener {
+    /// Waits until the bell rings or `timeout` is over. One ring may stand for many messages, so
+    /// drain all queues afterwards.
+    pub fn wait(&self, timeout: Duration) {
+        if self.0.timed_wait(|_| {}, timeout).is_err() {
+            // A broken listener must not turn its owner's loop into a busy one.
+            std::thread::sleep(timeout.min(Duration::from_millis(10)));
+        }
+    }
+}
+
+/// Sends control messages.
+#[derive(Debug)]
+pub struct MessageSender<M> {
+    publisher: Publisher<Ipc, [u8], ()>,
+    service: &'static str,
+    bells: Vec<Bell>,
+    deadline: Duration,
+    message: PhantomData<fn(M)>,
+}
+
+impl<M: Serialize> MessageSender<M> {
+    fn new(
+        factory: &Bytes<()>,
+        service: &'static str,
+        bells: Vec<Bell>,
+        max_len: usize,
+        deadline: Duration,
+    ) -> Result<Self, ChannelError> {
+        let publisher = factory
+            .publisher_builder()
+            .initial_max_slice_len(max_len)
+            .max_loaned_samples(1)
+            .backpressure_strategy(strategy(deadline))
+            .set_backpressure_handler(give_up_after(deadline))
+            .create()
+            .map_err(|error| port_error(service, "publisher", &error))?;
+        Ok(Self { publisher, service, bells, deadline, message: PhantomData })
+    }
+
+    /// Sends `message` and wakes the receivers.
+    pub fn send(&self, message: &M) -> Result<(), ChannelError> {
+        let bytes = message::encode(message);
+        let sample = self
+            .publisher
+            .loan_slice_uninit(bytes.len())
+            .map_err(|error| transfer_error(self.service, "loan", &error))?
+            .write_from_slice(&bytes);
+        sample.send().map_err(|error| send_error(self.service, self.deadline, &error))?;
+        self.bells.iter().for_each(Bell::ring);
+        Ok(())
+    }
+
+    /// Connects to receivers that appeared since the last send.
+    pub fn update_connections(&self) {
+        let _ = self.publisher.update_connections();
+    }
+}
+
+/// Receives control messages.
+#[derive(Debug)]
+pub struct MessageReceiver<M> {
+    subscriber: Subscriber<Ipc, [u8], ()>,
+    service: &'static str,
+    message: PhantomData<fn() -> M>,
+}
+
+impl<M: for<'de> Deserialize<'de>> MessageReceiver<M> {
+    fn new(factory: &Bytes<()>, service: &'static str) -> Result<Self, ChannelError> {
+        let subscriber = factory
+            .subscriber_builder()
+            .create()
+            .map_err(|error| port_error(service, "subscriber", &error))?;
+        Ok(Self { subscriber, service, message: PhantomData })
+    }
+
+    /// The next message, if one is there.
+    pub fn try_receive(&self) -> Result<Option<M>, ChannelError> {
+        let sample = self
+            .subscriber
+            .receive()
+            .map_err(|error| transfer_error(self.service, "receive", &error))?;
+        sample
+            .map(|sample| {
+                message::decode(sample.payload()).map_err(|reason| ChannelError::Decode {
+                    service: self.service.to_owned(),
+                    len: sample.payload().len(),
+                    reason,
+                })
+            })
+            .transpose()
+    }
+}
+
+/// Sends arrays of `f32` that are filled in place.
+#[derive(Debug)]
+pub struct ArraySender<H: Debug + ZeroCopySend + Default> {
+    publisher: Publisher<Ipc, [f32], H>,
+    service: &'static str,
+    bell: Bell,
+    len: usize,
+    deadline: Duration,
+}
+
+impl<H: Debug + ZeroCopySend + Default + Copy> ArraySender<H> {
+    fn new(
+        factory: &Floats<H>,
+        service: &'static str,
+        bell: Bell,
+        len: usize,
+        deadline: Duration,
+    ) -> Result<Self, ChannelError> {
+        let publisher = factory
+            .publisher_builder()
+            .initial_max_slice_len(len)
+            .max_loaned_samples(1)
+            .backpressure_strategy(strategy(deadline))
+            .set_backpressure_handler(give_up_after(deadline))
+            .create()
+            .map_err(|error| port_error(service, "publisher", &error))?;
+        Ok(Self { publisher, service, bell, len, deadline })
+    }
+
+    /// Borrows a zeroed array of the channel's length from shared memory, to be filled and sent.
+    pub fn loan(&self) -> Result<ArraySampleMut<H>, ChannelError> {
+        let sample = self
+            .publisher
+            .loan_slice(self.len)
+            .map_err(|error| transfer_error(self.service, "loan", &error))?;
+        Ok(ArraySampleMut(sample))
+    }
+
+    /// Sends a filled array and wakes the receivers. Returns how many receivers got it.
+    pub fn send(&self, sample: ArraySampleMut<H>) -> Result<usize, ChannelError> {
+        let receivers =
+            sample.0.send().map_err(|error| send_error(self.service, self.deadline, &error))?;
+        self.bell.ring();
+        Ok(receivers)
+    }
+
+    /// Connects to receivers that appeared since the last send and gives them the history.
+    pub fn update_connections(&self) {
+        let _ = self.publisher.update_connections();
+    }
+}
+
+/// An array in shared memory that is being filled.
+#[derive(Debug)]
+pub struct ArraySampleMut<H: Debug + ZeroCopySend>(SampleMut<Ipc, [f32], H>);
+
+impl<H: Debug + ZeroCopySend> ArraySampleMut<H> {
+    /// The elements, 64-byte aligned.
+    pub fn payload_mut(&mut self) -> &mut [f32] {
+        self.0.payload_mut()
+    }
+
+    /// The header.
+    pub fn header_mut(&mut self) -> &mut H {
+        self.0.user_header_mut()
+    }
+}
+
+/// Receives arrays of `f32` as views of shared memory.
+#[derive(Debug)]
+pub struct ArrayReceiver<H: Debug + ZeroCopySend> {
+    subscriber: Subscriber<Ipc, [f32], H>,
+    service: &'static str,
+}
+
+impl<H: Debug + ZeroCopySend> ArrayReceiver<H> {
+    fn new(factory: &Floats<H>, service: &'static str) -> Result<Self, ChannelError> {
+        let subscriber = factory
+            .subscriber_builder()
+            .create()
+            .map_err(|error| port_error(service, "subscriber", &error))?;
+        Ok(Self { subscriber, service })
+    }
+
+    /// The next array, if one is there. Its memory stays the sender's until the sample is dropped.
+    pub fn try_receive(&self) -> Result<Option<ArraySample<H>>, ChannelError> {
+        let sample = self.subscriber.receive();
+        Ok(sample.map_err(|e| transfer_error(self.service, "receive", &e))?.map(ArraySample))
+    }
+}
+
+/// An array in shared memory, read-only.
+#[derive(Debug)]
+pub struct ArraySample<H: Debug + ZeroCopySend>(Sample<Ipc, [f32], H>);
+
+impl<H: Debug + ZeroCopySend> ArraySample<H> {
+    /// The elements, 64-byte aligned.
+    pub fn payload(&self) -> &[f32] {
+        self.0.payload()
+    }
+
+    /// The header.
+    pub fn header(&self) -> &H {
+        self.0.user_header()
+    }
+}
+
+/// Sends a snapshot, piece by piece.
+#[derive(Debug)]
+pub struct PieceSender {
+    publisher: Publisher<Ipc, [u8], SnapshotHeader>,
+    bell: Bell,
+    deadline: Duration,
+}
+
+impl PieceSender {
+    /// Sends all of `bytes` in pieces of at most [`PIECE_LEN`].
+    pub fn send(&self, header: SnapshotHeader, bytes: &[u8]) -> Result<(), ChannelError> {
+        for (index, piece) in bytes.chunks(PIECE_LEN).enumerate() {
+            let mut sample = self
+                .publisher
+                .loan_slice_uninit(piece.len())
+                .map_err(|error| transfer_error("snapshot", "loan", &error))?
+                .write_from_slice(piece);
+            *sample.user_header_mut() = SnapshotHeader {
+                offset: (index * PIECE_LEN) as u64,
+                total: bytes.len() as u64,
+                ..header
+            };
+            // Rung first: a full queue is emptied by a receiver who is awake.
+            self.bell.ring();
+            sample.send().map_err(|error| send_error("snapshot", self.deadline, &error))?;
+            self.bell.ring();
+        }
+        Ok(())
+    }
+}
+
+/// Receives the pieces of snapshots.
+#[derive(Debug)]
+pub struct PieceReceiver(Subscriber<Ipc, [u8], SnapshotHeader>);
+
+impl PieceReceiver {
+    /// The next piece, if one is there.
+    pub fn try_receive(&self) -> Result<Option<PieceSample>, ChannelError> {
+        let sample = self.0.receive().map_err(|e| transfer_error("snapshot", "receive", &e))?;
+        Ok(sample.map(PieceSample))
+    }
+}
+
+/// A piece of a snapshot in shared memory.
+#[derive(Debug)]
+pub struct PieceSample(Sample<Ipc, [u8], SnapshotHeader>);
+
+impl PieceSample {
+    /// The bytes.
+    pub fn payload(&self) -> &[u8] {
+        self.0.payload()
+    }
+
+    /// Where they belong.
+    pub fn header(&self) -> &SnapshotHeader {
+        self.0.user_header()
+    }
+}
+
+fn strategy(deadline: Duration) -> BackpressureStrategy {
+    if deadline.is_zero() {
+        BackpressureStrategy::DiscardData
+    } else {
+        BackpressureStrategy::RetryUntilDelivered
+    }
+}
+
+/// Retries until `deadline`, then fails the send; a zero deadline drops the sample instead.
+fn give_up_after(
+    deadline: Duration,
+) -> impl Fn(&iceoryx2::port::BackpressureInfo) -> BackpressureAction {
+    move |info| {
+        if deadline.is_zero() {
+            BackpressureAction::DiscardData
+        } else if info.elapsed_time < deadline {
+            std::thread::sleep(Duration::from_micros(50));
+            BackpressureAction::Retry
+        } else {
+            BackpressureAction::DiscardDataAndFail
+        }
+    }
+}
+
+fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
+    let full = format!("spaceoctopus/{}/{name}", layout_hash());
+    ServiceName::new(&full).map_err(|error| open_error(name, &error))
+}
+
+fn open_error(service: &str, error: &dyn Debug) -> ChannelError {
+    ChannelError::Open {
+        service: service.to_owned(),
+        reason: format!("{error:?}"),
+        layout: layout_hash(),
+    }
+}
+
+fn port_error(service: &str, port: &'static str, error: &dyn Debug) -> ChannelError {
+    ChannelError::Port { service: service.to_owned(), port, reason: format!("{error:?}") }
+}
+
+fn transfer_error(service: &str, action: &'static str, error: &dyn Debug) -> ChannelError {
+    ChannelError::Transfer { service: service.to_owned(), action, reason: format!("{error:?}") }
+}
+
+fn send_error(service: &str, deadline: Duration, error: &SendError) -> ChannelError {
+    if matches!(error, SendError::UnableToDeliver) {
+        return ChannelError::Backpressure {
+            service: service.to_owned(),
+            waited_ms: deadline.as_millis(),
+        };
+    }
+    transfer_error(service, "send", error)
+}

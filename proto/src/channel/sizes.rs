@@ -1,0 +1,70 @@
+//! How large the channels are, and how much shared memory they take.
+
+use crate::config::Config;
+use crate::layout::{ActorLayout, BlockLayout, Dimensions};
+
+/// Longest piece of a snapshot (bytes).
+pub const PIECE_LEN: usize = 4 << 20;
+
+/// Fixed sizes of a run's channels. Created once, equal in every process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ChannelSizes {
+    /// Workers that may be connected at once: twice those wanted, because a replacement may
+    /// connect before its predecessor is cleaned up, and a live run may be scaled up.
+    pub max_workers: usize,
+    /// Length of a block (`f32`).
+    pub block_len: usize,
+    /// Length of a policy (`f32`).
+    pub policy_len: usize,
+    /// Blocks of one worker that may wait in the learner's queue.
+    pub block_buffer: usize,
+    /// Blocks that the learner may hold: two iterations, one trained on, one arriving.
+    pub block_borrowed: usize,
+}
+
+/// Messages that may wait in a receiver's queue.
+pub(super) const MESSAGE_BUFFER: usize = 64;
+/// Longest encoded order (bytes).
+pub(super) const ORDER_LEN: usize = 4 << 10;
+/// Longest encoded status (bytes).
+pub(super) const STATUS_LEN: usize = 4 << 10;
+/// Longest encoded progress (bytes).
+pub(super) const PROGRESS_LEN: usize = 16 << 10;
+/// Policies that may wait, and that a late worker still gets.
+pub(super) const POLICY_BUFFER: usize = 2;
+/// Policies that a worker may hold.
+pub(super) const POLICY_BORROWED: usize = 3;
+/// Pieces of a snapshot that may wait.
+pub(super) const PIECE_BUFFER: usize = 4;
+
+impl ChannelSizes {
+    /// The sizes for a configuration on a robot with `dimensions`.
+    pub fn new(config: &Config, dimensions: &Dimensions) -> Self {
+        Self {
+            max_workers: (2 * config.run.workers).max(16),
+            block_len: BlockLayout::new(dimensions).len,
+            policy_len: ActorLayout::new(config, dimensions).len,
+            block_buffer: dimensions.n_shards,
+            block_borrowed: 2 * dimensions.n_shards + 1,
+        }
+    }
+
+    /// Shared memory that `workers` workers, the learner and the coordinator reserve, by channel
+    /// (bytes). iceoryx2 reserves, for each sender, as many slots as all receivers can queue and
+    /// hold, plus its history and the ones it fills.
+    pub fn shared_memory(&self, workers: usize) -> [(&'static str, u64); 4] {
+        let bytes = |slots: usize, len: usize| (slots * (len + 256)) as u64;
+        let blocks = bytes(self.block_buffer + self.block_borrowed + 1, 4 * self.block_len);
+        let policies = self.max_workers * (POLICY_BUFFER + POLICY_BORROWED) + POLICY_BUFFER + 1;
+        let messages =
+            |receivers: usize, len: usize| bytes(receivers * (MESSAGE_BUFFER + 1) + 1, len);
+        let orders = messages(self.max_workers + 2, ORDER_LEN);
+        let reports = messages(2, PROGRESS_LEN) + workers as u64 * messages(2, STATUS_LEN);
+        [
+            ("rollouts", blocks * workers as u64),
+            ("policy", bytes(policies, 4 * self.policy_len)),
+            ("snapshot", bytes(PIECE_BUFFER + 2, PIECE_LEN)),
+            ("messages", orders + reports),
+        ]
+    }
+}

@@ -1,0 +1,178 @@
+use std::time::Duration;
+
+use super::*;
+use crate::layout::{BlockHeader, PolicyHeader, SnapshotHeader};
+use crate::message::{Order, Status};
+
+/// A domain that leaves nothing, also when a test fails.
+struct TestDomain(Domain);
+
+impl TestDomain {
+    fn new() -> Self {
+        Self(Domain::fresh())
+    }
+}
+
+impl Drop for TestDomain {
+    fn drop(&mut self) {
+        let _ = self.0.remove_leftovers();
+    }
+}
+
+const SIZES: ChannelSizes = ChannelSizes {
+    max_workers: 4,
+    block_len: 1000,
+    policy_len: 100,
+    block_buffer: 2,
+    block_borrowed: 4,
+};
+const DEADLINE: Duration = Duration::from_millis(100);
+
+#[test]
+fn orders_reach_every_receiver_and_ring_the_bell() {
+    let domain = TestDomain::new();
+    let coordinator = Channels::create(&domain.0, SIZES).expect("create");
+    let worker = Channels::open(&domain.0, SIZES).expect("open");
+    let orders = coordinator.order_sender().expect("sender");
+    let receivers = [worker.order_receiver().expect("a"), worker.order_receiver().expect("b")];
+    let bell = worker.listener(Role::Workers).expect("listener");
+    orders.send(&Order::Stop).expect("send");
+    bell.wait(Duration::from_secs(5));
+    for receiver in &receivers {
+        assert_eq!(receiver.try_receive().expect("receive"), Some(Order::Stop));
+        assert_eq!(receiver.try_receive().expect("receive"), None);
+    }
+}
+
+#[test]
+fn a_block_is_written_and_read_in_the_same_memory() {
+    let domain = TestDomain::new();
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    let sender = channels.block_sender(DEADLINE).expect("sender");
+    let receiver = channels.block_receiver().expect("receiver");
+    let mut block = sender.loan().expect("loan");
+    assert_eq!(block.payload_mut().as_ptr() as usize % 64, 0, "aligned for vector loads");
+    block.payload_mut()[999] = 42.0;
+    *block.header_mut() = BlockHeader { iteration: 3, shard: 1, ..BlockHeader::default() };
+    assert_eq!(sender.send(block).expect("send"), 1);
+    let block = receiver.try_receive().expect("receive").expect("one block");
+    assert_eq!((block.header().iteration, block.header().shard), (3, 1));
+    assert_eq!((block.payload().len(), block.payload()[999]), (1000, 42.0));
+}
+
+#[test]
+fn a_full_learner_makes_the_worker_wait_and_then_fail() {
+    let domain = TestDomain::new();
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    let sender = channels.block_sender(DEADLINE).expect("sender");
+    let _receiver = channels.block_receiver().expect("receiver");
+    for _ in 0..SIZES.block_buffer {
+        sender.send(sender.loan().expect("loan")).expect("there is room");
+    }
+    let error = sender.send(sender.loan().expect("loan")).expect_err("the queue is full");
+    assert!(error.to_string().contains("not delivered within 100 ms"), "{error}");
+}
+
+#[test]
+fn the_learner_can_hold_two_iterations_of_one_worker() {
+    let domain = TestDomain::new();
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    let sender = channels.block_sender(DEADLINE).expect("sender");
+    let receiver = channels.block_receiver().expect("receiver");
+    let mut held = Vec::new();
+    for index in 0..SIZES.block_borrowed {
+        let mut block = sender.loan().expect("loan");
+        block.payload_mut()[0] = index as f32;
+        sender.send(block).expect("send");
+        held.push(receiver.try_receive().expect("receive").expect("a block"));
+    }
+    let values: Vec<f32> = held.iter().map(|block| block.payload()[0]).collect();
+    assert_eq!(values, [0.0, 1.0, 2.0, 3.0]);
+}
+
+#[test]
+fn a_late_worker_gets_the_newest_policies() {
+    let domain = TestDomain::new();
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    let sender = channels.policy_sender().expect("sender");
+    for version in 0..5 {
+        let mut policy = sender.loan().expect("loan");
+        *policy.header_mut() = PolicyHeader { version };
+        sender.send(policy).expect("send");
+    }
+    let receiver = channels.policy_receiver().expect("receiver");
+    sender.update_connections();
+    let mut versions = Vec::new();
+    while let Some(policy) = receiver.try_receive().expect("receive") {
+        versions.push(policy.header().version);
+    }
+    assert_eq!(versions, [3, 4]);
+}
+
+#[test]
+fn a_snapshot_larger_than_the_queue_arrives_whole() {
+    let domain = TestDomain::new();
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    let receiver = channels.snapshot_receiver().expect("receiver");
+    let bytes: Vec<u8> = (0..7 * PIECE_LEN + 123).map(|index| (index % 251) as u8).collect();
+    let expected = bytes.clone();
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            let learner = Channels::open(&domain.0, SIZES).expect("open");
+            let sender = learner.snapshot_sender(Duration::from_secs(20)).expect("sender");
+            let header = SnapshotHeader { iteration: 9, ..SnapshotHeader::default() };
+            sender.send(header, &bytes).expect("send");
+            // Pieces live in the sender's memory: it stays until the receiver has them.
+            std::thread::sleep(Duration::from_millis(300));
+        });
+        let mut received = Vec::new();
+        while received.len() < expected.len() {
+            match receiver.try_receive().expect("receive") {
+                Some(piece) => {
+                    assert_eq!(piece.header().offset, received.len() as u64);
+                    assert_eq!(piece.header().total, expected.len() as u64);
+                    received.extend_from_slice(piece.payload());
+                }
+                None => std::thread::sleep(Duration::from_millis(1)),
+            }
+        }
+        assert!(received == expected, "the bytes differ");
+    });
+}
+
+#[test]
+fn status_of_a_crowd_overflows_instead_of_blocking() {
+    let domain = TestDomain::new();
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    let sender = channels.status_sender().expect("sender");
+    let receiver = channels.status_receiver().expect("receiver");
+    for worker in 0..200 {
+        sender.send(&Status::Heartbeat { worker, incarnation: 0 }).expect("never blocks");
+    }
+    let mut last = None;
+    while let Some(status) = receiver.try_receive().expect("receive") {
+        last = Some(status);
+    }
+    assert_eq!(last, Some(Status::Heartbeat { worker: 199, incarnation: 0 }));
+}
+
+#[test]
+fn nothing_is_left_behind() {
+    let domain = TestDomain::new();
+    {
+        let channels = Channels::create(&domain.0, SIZES).expect("create");
+        let _sender = channels.block_sender(DEADLINE).expect("sender");
+        assert!(Domain::list().expect("list").contains(&domain.0), "a live domain is seen");
+    }
+    domain.0.remove_leftovers().expect("remove");
+    assert!(!Domain::list().expect("list").contains(&domain.0));
+}
+
+#[test]
+fn opening_what_nobody_made_says_so() {
+    let domain = TestDomain::new();
+    let error = Channels::open(&domain.0, SIZES).expect_err("nobody created it").to_string();
+    assert!(error.contains("same build"), "{error}");
+    assert!(Domain::parse("octopus-0-../../etc").is_err());
+    assert_eq!(Domain::parse(domain.0.as_str()).expect("own name"), domain.0);
+}

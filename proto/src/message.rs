@@ -1,0 +1,297 @@
+//! Control messages: small, rare, encoded with bincode. Bulk data travels as flat arrays instead,
+//! see [`crate::layout`].
+//!
+//! An iteration k, message by message:
+//!
+//! 1. The coordinator sends [`Order::Rollout`] for every shard of k, to workers that have room.
+//! 2. A worker rolls the shard out, sends the block to the learner and [`Status::BlockDone`] to
+//!    the coordinator. It keeps nothing: the same order again gives the same block.
+//! 3. The learner answers each block with [`Progress::BlockReceived`].
+//! 4. With all shards in, the learner trains, publishes policy k + 1 and sends
+//!    [`Progress::IterationDone`].
+//!
+//! With overlap the orders of k + 1 go out as soon as all blocks of k are received; they name the
+//! policy version that [`policy_version_for`] says.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Digest;
+
+/// Numbers a worker process; stays the same when the process is replaced.
+pub type WorkerId = u32;
+
+/// The policy version that iteration `iteration` is rolled out with.
+///
+/// Without overlap it is the newest one, `iteration`. With overlap the workers roll out while the
+/// learner still trains on the iteration before, so they use the one before: 0, 0, 1, 2, …
+pub fn policy_version_for(iteration: u64, overlap: usize) -> u64 {
+    iteration.saturating_sub(overlap as u64)
+}
+
+/// Coordinator → workers and learner. Each receiver takes what is addressed to it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Order {
+    /// Worker `worker` shall roll out `shards` of `iteration`, in this order.
+    Rollout {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation: an order to a predecessor is not for its successor.
+        incarnation: u32,
+        /// The iteration.
+        iteration: u64,
+        /// The policy version to act with.
+        policy_version: u64,
+        /// The shards.
+        shards: Vec<u32>,
+    },
+    /// The learner shall send a snapshot of its state: at once if it is between iterations,
+    /// otherwise after the iteration that it trains on.
+    Snapshot,
+    /// Everybody shall finish what is at hand and exit.
+    Stop,
+}
+
+/// Learner → coordinator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Progress {
+    /// The learner is up and has published policy `iteration`.
+    Ready {
+        /// Iterations trained on so far: 0, or what the resumed state says.
+        iteration: u64,
+        /// Env-steps trained on so far.
+        env_steps: u64,
+        /// Digest of its state.
+        digest: Digest,
+        /// The arithmetic in use: `f32` or `bf16`.
+        precision: String,
+    },
+    /// A block has arrived.
+    BlockReceived {
+        /// Its iteration.
+        iteration: u64,
+        /// Its shard.
+        shard: u32,
+        /// Whether it was there already.
+        duplicate: bool,
+    },
+    /// An iteration is trained on, and policy `iteration + 1` is published.
+    IterationDone(Box<IterationReport>),
+    /// The learner cannot go on.
+    Failed {
+        /// Why.
+        message: String,
+    },
+}
+
+/// Worker → coordinator.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Status {
+    /// The worker is up.
+    Ready {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+    },
+    /// The worker is alive, sent at least once a second.
+    Heartbeat {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+    },
+    /// A block has been sent.
+    BlockDone {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+        /// The iteration.
+        iteration: u64,
+        /// The shard.
+        shard: u32,
+        /// Env-steps in the block.
+        env_steps: u64,
+        /// Time that the rollout took (ns).
+        rollout_ns: u64,
+    },
+    /// The worker cannot make a block.
+    Failed {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+        /// Why, with seed, iteration, shard, environment and step where they are known.
+        message: String,
+    },
+}
+
+/// What an iteration did. Becomes a line of `metrics.jsonl`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct IterationReport {
+    /// The iteration, from 0.
+    pub iteration: u64,
+    /// Env-steps trained on, this iteration included.
+    pub env_steps: u64,
+    /// Digest of the training state after the iteration.
+    pub digest: Digest,
+    /// Policy version that collected the samples.
+    pub policy_version: u64,
+    /// Mean return of an episode, for each agent (undiscounted).
+    pub returns: Vec<f32>,
+    /// Losses and diagnostics.
+    pub losses: Losses,
+    /// Errors over the iteration's episodes, with exploration noise.
+    pub errors: Errors,
+    /// Learning rates in force.
+    pub actor_lr: f64,
+    /// Learning rate of critics in force.
+    pub critic_lr: f64,
+    /// Mean standard deviation of the actions.
+    pub action_std: f32,
+    /// What became of every step, law 8.
+    pub accounting: Accounting,
+    /// Where the learner's time went.
+    pub timing: Timing,
+}
+
+/// Losses and diagnostics, means over agents and optimiser steps.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Losses {
+    /// Clipped surrogate, negated.
+    pub policy: f32,
+    /// Value loss.
+    pub value: f32,
+    /// Entropy of the action distribution (nats).
+    pub entropy: f32,
+    /// KL divergence from the sampling policy, estimator k3 of Schulman (nats).
+    pub kl: f32,
+    /// Share of samples whose ratio was clipped.
+    pub clip_fraction: f32,
+    /// 1 − Var(return − value) / Var(return), before the update.
+    pub explained_variance: f32,
+    /// Global gradient norm of the actors before clipping.
+    pub actor_grad_norm: f32,
+    /// Global gradient norm of the critics before clipping.
+    pub critic_grad_norm: f32,
+}
+
+/// Means over hands and episodes of an iteration.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Errors {
+    /// Position error after the last step (m).
+    pub position: f32,
+    /// Orientation error after the last step (rad).
+    pub orientation: f32,
+    /// Attitude error of the base after the last step (rad).
+    pub base: f32,
+    /// Share of steps that end with any bodies touching.
+    pub contact_rate: f32,
+}
+
+/// Env-steps of an iteration, by fate: `received = trained + duplicate`, and with what the
+/// coordinator knows, `produced = received + lost`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Accounting {
+    /// Sent by workers, as far as the coordinator was told; filled in by the coordinator.
+    pub produced: u64,
+    /// Arrived at the learner.
+    pub received: u64,
+    /// Trained on.
+    pub trained: u64,
+    /// Arrived twice, identical, dropped.
+    pub duplicate: u64,
+    /// Died with a worker, or belonged to an iteration that was over; filled in by the coordinator.
+    pub lost: u64,
+}
+
+/// Seconds of the learner's time, by stage.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Timing {
+    /// Waiting for blocks.
+    pub wait_s: f64,
+    /// Updating.
+    pub update_s: f64,
+    /// Publishing the policy.
+    pub publish_s: f64,
+    /// Computing the digest.
+    pub digest_s: f64,
+    /// Sum of the workers' rollout times of the blocks trained on.
+    pub rollout_s: f64,
+}
+
+/// Encodes a message.
+pub fn encode<M: Serialize>(message: &M) -> Vec<u8> {
+    bincode::serde::encode_to_vec(message, bincode::config::standard())
+        .expect("messages hold only types that bincode can encode")
+}
+
+/// Decodes a message; every byte must belong to it.
+pub fn decode<M: for<'de> Deserialize<'de>>(bytes: &[u8]) -> Result<M, String> {
+    let limit = bincode::config::standard().with_limit::<{ MAX_MESSAGE_LEN }>();
+    match bincode::serde::decode_from_slice(bytes, limit) {
+        Ok((message, used)) if used == bytes.len() => Ok(message),
+        Ok((_, used)) => Err(format!("{} bytes left over", bytes.len() - used)),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+/// What a decoder is willing to read (bytes): more than any channel carries.
+const MAX_MESSAGE_LEN: usize = 64 * 1024;
+
+/// Cuts a text that came from anywhere to what fits in a status message.
+pub fn clip(text: &str) -> String {
+    const LIMIT: usize = 2000;
+    match text.char_indices().nth(LIMIT) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn with_overlap_workers_act_with_the_policy_before() {
+        assert_eq!([0, 1, 2, 3].map(|k| policy_version_for(k, 0)), [0, 1, 2, 3]);
+        assert_eq!([0, 1, 2, 3].map(|k| policy_version_for(k, 1)), [0, 0, 1, 2]);
+    }
+
+    #[test]
+    fn a_report_round_trips() {
+        let report = IterationReport {
+            iteration: 7,
+            returns: vec![1.5, -2.0],
+            digest: Digest([3; 16]),
+            ..IterationReport::default()
+        };
+        let message = Progress::IterationDone(Box::new(report));
+        assert_eq!(decode::<Progress>(&encode(&message)), Ok(message));
+    }
+
+    proptest! {
+        #[test]
+        fn orders_round_trip(
+            worker in 0u32..9, iteration: u64, shards in prop::collection::vec(any::<u32>(), 0..20)
+        ) {
+            let order =
+                Order::Rollout { worker, incarnation: 1, iteration, policy_version: 3, shards };
+            prop_assert_eq!(decode::<Order>(&encode(&order)), Ok(order));
+        }
+
+        #[test]
+        fn hostile_bytes_are_refused_or_decoded_but_never_panic(
+            bytes in prop::collection::vec(any::<u8>(), 0..200)
+        ) {
+            let _ = decode::<Order>(&bytes);
+            let _ = decode::<Progress>(&bytes);
+            let _ = decode::<Status>(&bytes);
+        }
+    }
+}
