@@ -1,0 +1,182 @@
+//! Evaluation of a packed policy with environments in lanes.
+
+use proto::config::{Activation, InputNorm};
+use proto::layout::JOINTS_PER_AGENT;
+
+use super::dense::tile_groups;
+use super::pack::{Affine, Policy};
+use crate::scalar::Real;
+
+/// ε of LayerNorm (Ba, Kiros and Hinton 2016), PyTorch's default.
+const LAYER_NORM_EPSILON: f64 = 1e-5;
+
+/// Activations of one agent's network for all lane groups: two buffers that layers alternate.
+#[derive(Debug, Clone)]
+pub struct Scratch<S> {
+    stride: usize,
+    ping: Vec<S>,
+    pong: Vec<S>,
+}
+
+impl<S: Real> Scratch<S> {
+    /// Room for `policy` on `groups` lane groups.
+    pub fn new(policy: &Policy, groups: usize) -> Self {
+        let stride = policy.stride();
+        let buffer = vec![S::zero(); stride * groups];
+        Self { stride, ping: buffer.clone(), pong: buffer }
+    }
+}
+
+impl Policy {
+    /// Mean actions of `agent`.
+    ///
+    /// Shape: `observations` is `[group][O]`, `means` is `[group][U]`.
+    #[inline(always)]
+    pub fn mean<S: Real>(
+        &self,
+        agent: usize,
+        observations: &[S],
+        scratch: &mut Scratch<S>,
+        means: &mut [S],
+    ) {
+        let groups = means.len() / JOINTS_PER_AGENT;
+        assert_eq!(observations.len(), groups * self.observation, "one row of O a lane group");
+        assert!(scratch.ping.len() >= groups * scratch.stride, "scratch is made for fewer groups");
+        let actor = &self.actors[agent];
+        let Scratch { stride, ping, pong } = scratch;
+        let stride = *stride;
+        let mut group = 0;
+        while group < groups {
+            let width = tile_groups(group, groups);
+            for g in 0..width {
+                let from = &observations[(group + g) * self.observation..][..self.observation];
+                let to = &mut ping[group * stride..];
+                for (o, &value) in from.iter().enumerate() {
+                    to[o * width + g] = value;
+                }
+            }
+            group += width;
+        }
+        if let Some(affine) = &actor.input {
+            match self.input_norm {
+                InputNorm::Running => {
+                    for_tiles(ping, groups, stride, |x, width| {
+                        standardise(x, width, affine, self.input_clip);
+                    });
+                }
+                _ => for_tiles(ping, groups, stride, |x, width| layer_norm(x, width, affine)),
+            }
+        }
+        for hidden in &actor.hidden {
+            hidden.dense.apply(ping, pong, groups, stride);
+            let units = hidden.dense.outputs;
+            for_tiles(pong, groups, stride, |x, width| {
+                activate(&mut x[..units * width], self.activation);
+                if let Some(affine) = &hidden.norm {
+                    layer_norm(x, width, affine);
+                }
+            });
+            std::mem::swap(ping, pong);
+        }
+        actor.head.apply(ping, pong, groups, stride);
+        let mut group = 0;
+        while group < groups {
+            let width = tile_groups(group, groups);
+            for g in 0..width {
+                for u in 0..JOINTS_PER_AGENT {
+                    let y = pong[group * stride + u * width + g];
+                    means[(group + g) * JOINTS_PER_AGENT + u] =
+                        if self.squash_mean { y.tanh() } else { y };
+                }
+            }
+            group += width;
+        }
+    }
+}
+
+/// Calls `f` with the activations of each tile (`[feature][group of the tile]`) and its width.
+#[inline(always)]
+fn for_tiles<S: Real>(
+    x: &mut [S],
+    groups: usize,
+    stride: usize,
+    mut f: impl FnMut(&mut [S], usize),
+) {
+    let mut group = 0;
+    while group < groups {
+        let width = tile_groups(group, groups);
+        f(&mut x[group * stride..(group + width) * stride], width);
+        group += width;
+    }
+}
+
+/// clip((x − mean) · inverse_std, ± clip).
+#[inline(always)]
+fn standardise<S: Real>(x: &mut [S], width: usize, affine: &Affine, clip: f32) {
+    let clip = S::splat(f64::from(clip));
+    let rows = x.chunks_exact_mut(width).zip(affine.first.iter().zip(&affine.second));
+    for (row, (&mean, &inverse_std)) in rows {
+        let (mean, scale) = (S::splat(f64::from(mean)), S::splat(f64::from(inverse_std)));
+        for value in row {
+            *value = ((*value - mean) * scale).clamp(-clip, clip);
+        }
+    }
+}
+
+/// LayerNorm over the features of each environment, in two passes, with gain and shift.
+#[inline(always)]
+fn layer_norm<S: Real>(x: &mut [S], width: usize, affine: &Affine) {
+    let n = affine.first.len();
+    let scale = S::splat(1.0 / n as f64);
+    for g in 0..width {
+        let mean = sum(n, |i| x[i * width + g]) * scale;
+        let variance = sum(n, |i| {
+            let d = x[i * width + g] - mean;
+            d * d
+        }) * scale;
+        let inverse = (variance + S::splat(LAYER_NORM_EPSILON)).sqrt().recip();
+        for i in 0..n {
+            let gain = S::splat(f64::from(affine.first[i])) * inverse;
+            let shift = S::splat(f64::from(affine.second[i]));
+            let value = &mut x[i * width + g];
+            *value = (*value - mean).mul_add(gain, shift);
+        }
+    }
+}
+
+/// Σ f(i), as four interleaved chains to hide the latency of additions, in an order fixed by `n`.
+#[inline(always)]
+fn sum<S: Real>(n: usize, f: impl Fn(usize) -> S) -> S {
+    let mut sums = [S::zero(); 4];
+    for i in 0..n / 4 {
+        for (j, sum) in sums.iter_mut().enumerate() {
+            *sum += f(4 * i + j);
+        }
+    }
+    for i in n / 4 * 4..n {
+        sums[0] += f(i);
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
+}
+
+#[inline(always)]
+fn activate<S: Real>(x: &mut [S], activation: Activation) {
+    match activation {
+        Activation::Relu => {
+            for value in x {
+                *value = value.max(S::zero());
+            }
+        }
+        Activation::Elu => {
+            for value in x {
+                let negative = value.min(S::zero()).exp() - S::one();
+                *value = S::select(value.gt(S::zero()), *value, negative);
+            }
+        }
+        Activation::Tanh => {
+            for value in x {
+                *value = value.tanh();
+            }
+        }
+    }
+}

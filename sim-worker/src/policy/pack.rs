@@ -1,0 +1,174 @@
+//! A policy version, checked and packed for inference.
+
+use proto::config::{Activation, Config, InputNorm};
+use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
+
+use super::dense::Dense;
+use crate::scalar::elementary;
+
+/// Why flat parameters are no policy of this run.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PolicyError {
+    /// Another number of parameters than the configuration's networks have.
+    #[error("policy has {found} parameters, the configuration's networks have {expected}")]
+    Length {
+        /// Parameters that arrived.
+        found: usize,
+        /// Parameters of the layout.
+        expected: usize,
+    },
+    /// NaN or infinity.
+    #[error("policy parameter `{tensor}` of agent {agent} holds {value}; the training has diverged")]
+    NotFinite {
+        /// Name of the tensor.
+        tensor: String,
+        /// The agent.
+        agent: usize,
+        /// The value found.
+        value: f32,
+    },
+}
+
+/// LayerNorm's gain and shift, or a running normalisation's mean and inverse deviation.
+#[derive(Debug, Clone)]
+pub(super) struct Affine {
+    pub(super) first: Vec<f32>,
+    pub(super) second: Vec<f32>,
+}
+
+/// A hidden layer.
+#[derive(Debug, Clone)]
+pub(super) struct Hidden {
+    pub(super) dense: Dense,
+    pub(super) norm: Option<Affine>,
+}
+
+/// One agent's network.
+#[derive(Debug, Clone)]
+pub(super) struct Actor {
+    pub(super) input: Option<Affine>,
+    pub(super) hidden: Vec<Hidden>,
+    pub(super) head: Dense,
+    pub(super) log_std: [f32; JOINTS_PER_AGENT],
+    pub(super) std: [f32; JOINTS_PER_AGENT],
+}
+
+/// All agents' networks of one policy version, packed for inference.
+///
+/// Does not depend on the processor's back end, so one packed policy serves every thread.
+#[derive(Debug, Clone)]
+pub struct Policy {
+    pub(super) observation: usize,
+    pub(super) activation: Activation,
+    pub(super) input_norm: InputNorm,
+    pub(super) input_clip: f32,
+    pub(super) squash_mean: bool,
+    pub(super) actors: Vec<Actor>,
+}
+
+impl Policy {
+    /// Checks and packs `parameters`, which [`ActorLayout`] lays out for `config`.
+    pub fn new(
+        config: &Config,
+        dimensions: &Dimensions,
+        parameters: &[f32],
+    ) -> Result<Self, PolicyError> {
+        let layout = ActorLayout::new(config, dimensions);
+        if parameters.len() != layout.len {
+            return Err(PolicyError::Length { found: parameters.len(), expected: layout.len });
+        }
+        let agents = dimensions.n_agents;
+        for tensor in &layout.tensors {
+            let values = &parameters[tensor.range()];
+            if let Some(i) = values.iter().position(|value| !value.is_finite()) {
+                return Err(PolicyError::NotFinite {
+                    tensor: tensor.name.clone(),
+                    agent: i / (tensor.len() / agents),
+                    value: values[i],
+                });
+            }
+        }
+        // The rows of one agent in a stacked tensor.
+        let row = |name: &str, agent: usize| -> &[f32] {
+            let tensor = layout.get(name).expect("the layout names its own tensors");
+            let length = tensor.len() / agents;
+            &parameters[tensor.offset + agent * length..][..length]
+        };
+        let affine = |first: &str, second: &str, agent: usize| Affine {
+            first: row(first, agent).to_vec(),
+            second: row(second, agent).to_vec(),
+        };
+        let network = &config.network;
+        let actors = (0..agents)
+            .map(|agent| {
+                let log_std: [f32; JOINTS_PER_AGENT] =
+                    std::array::from_fn(|u| row("log_std", agent)[u]);
+                Actor {
+                    input: match network.input_norm {
+                        InputNorm::None => None,
+                        InputNorm::LayerNorm => Some(affine("input.gain", "input.bias", agent)),
+                        InputNorm::Running => {
+                            Some(affine("input.mean", "input.inverse_std", agent))
+                        }
+                    },
+                    hidden: (0..network.hidden.len())
+                        .map(|i| Hidden {
+                            dense: Dense::pack(
+                                row(&format!("hidden.{i}.weight"), agent),
+                                row(&format!("hidden.{i}.bias"), agent),
+                            ),
+                            norm: network.layer_norm.then(|| {
+                                affine(
+                                    &format!("hidden.{i}.gain"),
+                                    &format!("hidden.{i}.shift"),
+                                    agent,
+                                )
+                            }),
+                        })
+                        .collect(),
+                    head: Dense::pack(row("head.weight", agent), row("head.bias", agent)),
+                    log_std,
+                    std: log_std.map(elementary::exp),
+                }
+            })
+            .collect();
+        Ok(Self {
+            observation: dimensions.observation,
+            activation: network.activation,
+            input_norm: network.input_norm,
+            input_clip: network.input_clip as f32,
+            squash_mean: network.squash_mean,
+            actors,
+        })
+    }
+
+    /// A: agents of the policy.
+    pub fn n_agents(&self) -> usize {
+        self.actors.len()
+    }
+
+    /// O: numbers that each agent's network takes.
+    pub fn observation(&self) -> usize {
+        self.observation
+    }
+
+    /// Standard deviation of each action of `agent`.
+    pub fn std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
+        self.actors[agent].std
+    }
+
+    /// Logarithm of the standard deviation of each action of `agent`.
+    pub fn log_std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
+        self.actors[agent].log_std
+    }
+
+    /// Numbers that one lane group needs between two layers: the widest layer, in whole panels.
+    pub(super) fn stride(&self) -> usize {
+        let widths = self.actors.iter().flat_map(|actor| {
+            let hidden = actor.hidden.iter().map(|hidden| hidden.dense.padded_outputs());
+            hidden.chain([actor.head.padded_outputs()])
+        });
+        widths.max().unwrap_or(0).max(self.observation)
+    }
+}

@@ -1,0 +1,213 @@
+use proto::config::{Activation, Config, InputNorm, Layers, Preset};
+use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::rng::{Address, Purpose};
+
+use super::*;
+use crate::scalar::{LANES, LaneFn, Real, dispatch};
+
+/// Normal numbers from an address, for parameters and inputs.
+pub(crate) fn normals(seed: u64, n: usize) -> Vec<f32> {
+    let address = |env| Address {
+        seed,
+        purpose: Purpose::Initialisation,
+        iteration: 0,
+        env,
+        step: 0,
+        index: 0,
+    };
+    (0..n.div_ceil(4) as u32).flat_map(|env| address(env).normals()).take(n).collect()
+}
+
+/// Parameters of a plausible network: weights of variance 1/inputs, gains near one.
+pub(crate) fn parameters(config: &Config, dimensions: &Dimensions, seed: u64) -> Vec<f32> {
+    let layout = ActorLayout::new(config, dimensions);
+    let mut flat = vec![0.0; layout.len];
+    for (i, tensor) in layout.tensors.iter().enumerate() {
+        let values = normals(seed + i as u64, tensor.len());
+        let (scale, offset) = match tensor.name.rsplit('.').next().expect("a name") {
+            "weight" => (1.0 / (tensor.shape[1] as f32).sqrt(), 0.0),
+            "gain" => (0.1, 1.0),
+            "inverse_std" => (0.2, 1.0),
+            "log_std" => (0.1, -0.7),
+            _ => (0.1, 0.0),
+        };
+        for (slot, value) in flat[tensor.range()].iter_mut().zip(values) {
+            *slot = scale * value + offset;
+        }
+    }
+    flat
+}
+
+struct Means<'a> {
+    policy: &'a Policy,
+    agent: usize,
+    /// `[environment][O]`
+    observations: &'a [f32],
+}
+
+impl LaneFn for Means<'_> {
+    type Output = Vec<[f32; JOINTS_PER_AGENT]>;
+    #[inline(always)]
+    fn call<S: Real>(self) -> Self::Output {
+        let o = self.policy.observation();
+        let n = self.observations.len() / o;
+        let groups = n.div_ceil(S::LANES);
+        let mut x = vec![S::zero(); groups * o];
+        for (i, &value) in self.observations.iter().enumerate() {
+            let (env, o_idx) = (i / o, i % o);
+            x[env / S::LANES * o + o_idx].set_lane(env % S::LANES, f64::from(value));
+        }
+        let mut scratch = Scratch::new(self.policy, groups);
+        let mut means = vec![S::zero(); groups * JOINTS_PER_AGENT];
+        self.policy.mean(self.agent, &x, &mut scratch, &mut means);
+        (0..n)
+            .map(|env| {
+                std::array::from_fn(|u| {
+                    means[env / S::LANES * JOINTS_PER_AGENT + u].lane(env % S::LANES) as f32
+                })
+            })
+            .collect()
+    }
+}
+
+/// The networks of every combination that the tests go through.
+fn configurations() -> Vec<Config> {
+    let base = Layers::new(Preset::Tuned, None);
+    let mut all = Vec::new();
+    for (activation, norm) in [
+        (Activation::Relu, InputNorm::Running),
+        (Activation::Elu, InputNorm::LayerNorm),
+        (Activation::Tanh, InputNorm::None),
+    ] {
+        for layer_norm in [false, true] {
+            let mut config = base.resolve().expect("valid");
+            config.network.hidden = vec![37, 64, 5];
+            config.network.activation = activation;
+            config.network.input_norm = norm;
+            config.network.layer_norm = layer_norm;
+            config.network.squash_mean = layer_norm;
+            config.network.input_clip = 1.0;
+            all.push(config);
+        }
+    }
+    all
+}
+
+/// The network in plain `f64` loops, straight from the flat parameters.
+pub(crate) fn plain_mean(
+    config: &Config,
+    dimensions: &Dimensions,
+    parameters: &[f32],
+    agent: usize,
+    observation: &[f64],
+) -> [f64; JOINTS_PER_AGENT] {
+    let layout = ActorLayout::new(config, dimensions);
+    let row = |name: &str| -> Vec<f64> {
+        let tensor = layout.get(name).expect("exists");
+        let len = tensor.len() / dimensions.n_agents;
+        let from = tensor.offset + agent * len;
+        parameters[from..from + len].iter().map(|&x| f64::from(x)).collect()
+    };
+    let norm = |x: &mut Vec<f64>, gain: Vec<f64>, shift: Vec<f64>| {
+        let n = x.len() as f64;
+        let mean = x.iter().sum::<f64>() / n;
+        let variance = x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
+        for i in 0..x.len() {
+            x[i] = (x[i] - mean) / (variance + 1e-5).sqrt() * gain[i] + shift[i];
+        }
+    };
+    let dense = |x: &[f64], name: &str| -> Vec<f64> {
+        let (w, b) = (row(&format!("{name}.weight")), row(&format!("{name}.bias")));
+        (0..b.len())
+            .map(|j| b[j] + (0..x.len()).map(|i| x[i] * w[i * b.len() + j]).sum::<f64>())
+            .collect()
+    };
+    let network = &config.network;
+    let mut x = observation.to_vec();
+    match network.input_norm {
+        InputNorm::None => {}
+        InputNorm::LayerNorm => norm(&mut x, row("input.gain"), row("input.bias")),
+        InputNorm::Running => {
+            let (mean, scale) = (row("input.mean"), row("input.inverse_std"));
+            let clip = network.input_clip;
+            for i in 0..x.len() {
+                x[i] = ((x[i] - mean[i]) * scale[i]).clamp(-clip, clip);
+            }
+        }
+    }
+    for i in 0..network.hidden.len() {
+        x = dense(&x, &format!("hidden.{i}"));
+        for value in &mut x {
+            *value = match network.activation {
+                Activation::Relu => value.max(0.0),
+                Activation::Elu if *value <= 0.0 => value.exp_m1(),
+                Activation::Elu => *value,
+                Activation::Tanh => value.tanh(),
+            };
+        }
+        if network.layer_norm {
+            norm(&mut x, row(&format!("hidden.{i}.gain")), row(&format!("hidden.{i}.shift")));
+        }
+    }
+    let head = dense(&x, "head");
+    std::array::from_fn(|u| if network.squash_mean { head[u].tanh() } else { head[u] })
+}
+
+#[test]
+fn inference_agrees_with_plain_f64_loops() {
+    for config in configurations() {
+        let dimensions = Dimensions::new(&config, 4);
+        let flat = parameters(&config, &dimensions, 3);
+        let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
+        let o = dimensions.observation;
+        let n = 3 * LANES + 5;
+        let observations = normals(77, n * o);
+        for agent in [0, 5] {
+            let means =
+                dispatch(Means { policy: &policy, agent, observations: &observations });
+            for (row, mean) in observations.chunks_exact(o).zip(means) {
+                let row: Vec<f64> = row.iter().map(|&x| f64::from(x)).collect();
+                let plain = plain_mean(&config, &dimensions, &flat, agent, &row);
+                for u in 0..JOINTS_PER_AGENT {
+                    // Three layers of sums of at most 64 products of size one: each sum errs by
+                    // about √64 · 2⁻²⁴ = 5e-7, LayerNorm over 5 units may amplify by a few; × 10.
+                    let error = (f64::from(mean[u]) - plain[u]).abs();
+                    assert!(error < 2e-5, "{:?}: {mean:?} vs {plain:?}", config.network);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn an_environments_mean_does_not_depend_on_its_company() {
+    for config in configurations() {
+        let dimensions = Dimensions::new(&config, 4);
+        let flat = parameters(&config, &dimensions, 3);
+        let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
+        let o = dimensions.observation;
+        let observations = normals(78, 70 * o);
+        let means = |rows: std::ops::Range<usize>| {
+            let observations = &observations[rows.start * o..rows.end * o];
+            dispatch(Means { policy: &policy, agent: 2, observations })
+        };
+        let all = means(0..70);
+        for (start, end) in [(0, 1), (3, 40), (17, 70), (69, 70), (5, 37)] {
+            assert_eq!(means(start..end), all[start..end], "rows {start}..{end}");
+        }
+    }
+}
+
+#[test]
+fn wrong_parameters_are_named() {
+    let config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+    let dimensions = Dimensions::new(&config, 4);
+    let mut flat = parameters(&config, &dimensions, 3);
+    let error = Policy::new(&config, &dimensions, &flat[1..]).expect_err("too short");
+    assert_eq!(error, PolicyError::Length { found: flat.len() - 1, expected: flat.len() });
+    let layout = ActorLayout::new(&config, &dimensions);
+    let bias = layout.get("head.bias").expect("exists");
+    flat[bias.offset + 6 * JOINTS_PER_AGENT + 1] = f32::INFINITY;
+    let message = Policy::new(&config, &dimensions, &flat).expect_err("infinite").to_string();
+    assert!(message.contains("`head.bias` of agent 6 holds inf"), "{message}");
+}
