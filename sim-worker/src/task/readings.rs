@@ -1,0 +1,140 @@
+//! What tasks read from a simulated robot, and the errors that follow.
+
+use super::{Goals, JOINTS_PER_ARM};
+use crate::scalar::Real;
+
+/// A hand's pose and velocity in the world.
+#[derive(Debug, Clone, Copy)]
+pub struct HandReading<S> {
+    /// Position (m).
+    pub position: [S; 3],
+    /// Euler angles (rad).
+    pub euler: [S; 3],
+    /// Linear velocity of the tool frame's origin (m/s).
+    pub linear: [S; 3],
+    /// Angular velocity, expressed in the world (rad/s).
+    pub angular: [S; 3],
+}
+
+impl<S: Real> Default for HandReading<S> {
+    fn default() -> Self {
+        let zero = [S::zero(); 3];
+        Self { position: zero, euler: zero, linear: zero, angular: zero }
+    }
+}
+
+/// Everything that observations, critic states and rewards are made of.
+#[derive(Debug, Clone)]
+pub struct Readings<S> {
+    /// Base position, world (m).
+    pub base_position: [S; 3],
+    /// Base attitude, unit quaternion (w, x, y, z).
+    pub base_quaternion: [S; 4],
+    /// Base attitude, Euler angles (rad).
+    pub base_euler: [S; 3],
+    /// Base linear velocity, world (m/s).
+    pub base_linear: [S; 3],
+    /// Base angular velocity, body (rad/s).
+    pub base_angular: [S; 3],
+    /// Joint angles, arm-major (rad).
+    pub q: Vec<S>,
+    /// Joint rates, arm-major (rad/s).
+    pub qd: Vec<S>,
+    /// One entry an arm.
+    pub hands: Vec<HandReading<S>>,
+    /// Last action of every joint, arm-major: clipped, before scaling. Zero at the start.
+    pub last_action: Vec<S>,
+}
+
+impl<S: Real> Readings<S> {
+    /// Zeros for `n_arms` arms.
+    pub fn new(n_arms: usize) -> Self {
+        let joints = vec![S::zero(); n_arms * JOINTS_PER_ARM];
+        let zero = [S::zero(); 3];
+        Self {
+            base_position: zero,
+            base_quaternion: [S::one(), S::zero(), S::zero(), S::zero()],
+            base_euler: zero,
+            base_linear: zero,
+            base_angular: zero,
+            q: joints.clone(),
+            qd: joints.clone(),
+            hands: vec![HandReading::default(); n_arms],
+            last_action: joints,
+        }
+    }
+}
+
+/// Widths of the squashed position errors (m): tanh(e / width).
+pub const POSITION_WIDTHS: [f64; 2] = [0.05, 0.015];
+/// Widths of the squashed attitude errors (rad): tanh(e / width).
+pub const ATTITUDE_WIDTHS: [f64; 2] = [0.08, 0.025];
+
+/// Task errors of one lane group, goal − actual, plain and squashed.
+#[derive(Debug, Clone)]
+pub struct Errors<S> {
+    /// Position (m, world) and Euler angles (rad) of each hand.
+    pub hands: Vec<[S; 6]>,
+    /// Attitude of the base (rad).
+    pub base: [S; 3],
+    /// Squashed hand errors: position at both widths, then attitude at both widths.
+    pub squashed_hands: Vec<[S; 12]>,
+    /// Squashed attitude error of the base at both widths.
+    pub squashed_base: [S; 6],
+    /// ‖position error‖ of each hand (m).
+    pub position_norm: Vec<S>,
+    /// ‖Euler-angle difference‖ of each hand (rad).
+    pub orientation_norm: Vec<S>,
+    /// ‖Euler-angle difference‖ of the base (rad).
+    pub base_norm: S,
+}
+
+impl<S: Real> Errors<S> {
+    /// Zeros for `n_arms` arms.
+    pub fn new(n_arms: usize) -> Self {
+        Self {
+            hands: vec![[S::zero(); 6]; n_arms],
+            base: [S::zero(); 3],
+            squashed_hands: vec![[S::zero(); 12]; n_arms],
+            squashed_base: [S::zero(); 6],
+            position_norm: vec![S::zero(); n_arms],
+            orientation_norm: vec![S::zero(); n_arms],
+            base_norm: S::zero(),
+        }
+    }
+
+    /// Takes the errors of `readings` against `goals`.
+    #[inline(always)]
+    pub fn update(&mut self, readings: &Readings<S>, goals: &Goals<S>) {
+        for arm in 0..self.hands.len() {
+            let (hand, goal) = (&readings.hands[arm], &goals.hands[arm]);
+            let e = &mut self.hands[arm];
+            for i in 0..3 {
+                e[i] = goal[i] - hand.position[i];
+                e[3 + i] = goal[3 + i] - hand.euler[i];
+            }
+            let e = *e;
+            let squashed = &mut self.squashed_hands[arm];
+            for i in 0..3 {
+                for (scale, (p, a)) in POSITION_WIDTHS.iter().zip(ATTITUDE_WIDTHS).enumerate() {
+                    squashed[3 * scale + i] = (e[i] * S::splat(1.0 / p)).tanh();
+                    squashed[6 + 3 * scale + i] = (e[3 + i] * S::splat(1.0 / a)).tanh();
+                }
+            }
+            self.position_norm[arm] = norm([e[0], e[1], e[2]]);
+            self.orientation_norm[arm] = norm([e[3], e[4], e[5]]);
+        }
+        for i in 0..3 {
+            self.base[i] = goals.base[i] - readings.base_euler[i];
+            for (scale, a) in ATTITUDE_WIDTHS.iter().enumerate() {
+                self.squashed_base[3 * scale + i] = (self.base[i] * S::splat(1.0 / a)).tanh();
+            }
+        }
+        self.base_norm = norm(self.base);
+    }
+}
+
+#[inline(always)]
+fn norm<S: Real>([x, y, z]: [S; 3]) -> S {
+    x.mul_add(x, y.mul_add(y, z * z)).sqrt()
+}

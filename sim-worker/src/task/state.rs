@@ -1,0 +1,46 @@
+//! The numbers a critic sees.
+//!
+//! * `concatenated`: the observations of all agents, one after the other, A · O numbers.
+//! * `compact`: every quantity once, in the units of the observation layout `tuned`: base 13; for
+//!   `reorientation` the base's errors, plain 3 and squashed 6; then for each arm its joint angles
+//!   and rates 12, for `trajectory` its hand's errors, plain 6 and squashed 12, and its last
+//!   action 6.
+//! * `own`: nothing; each critic sees its agent's observation.
+
+use proto::config::{CriticState, TaskName};
+
+use super::observation::Writer;
+use super::{Errors, Readings, Task};
+use crate::scalar::Real;
+
+/// Writes the critic state into `out` (length S); `observations` is `[A][O]`.
+#[inline(always)]
+pub fn critic_state<S: Real>(
+    task: &Task,
+    readings: &Readings<S>,
+    errors: &Errors<S>,
+    observations: &[S],
+    out: &mut [S],
+) {
+    let mut out = Writer::new(out);
+    match task.critic_state {
+        CriticState::Own => {}
+        CriticState::Concatenated => out.put(observations),
+        CriticState::Compact => {
+            out.put_base(task, readings);
+            if task.name == TaskName::Reorientation {
+                out.put(&errors.base);
+                out.put(&errors.squashed_base);
+            }
+            for arm in 0..task.n_arms() {
+                out.put_joints(task, readings, arm);
+                if task.name == TaskName::Trajectory {
+                    out.put(&errors.hands[arm]);
+                    out.put(&errors.squashed_hands[arm]);
+                }
+                out.put_action(readings, arm);
+            }
+        }
+    }
+    out.finish();
+}

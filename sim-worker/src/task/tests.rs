@@ -1,0 +1,333 @@
+//! Every layout and every term, worked by hand in `f64`.
+
+use proto::config::{Config, Layers, Preset, TaskName};
+use proto::layout::Dimensions;
+use proto::rng::Purpose;
+
+use super::goal::GoalAddress;
+use super::observation::observe;
+use super::reward::rewards;
+use super::state::critic_state;
+use super::*;
+
+/// The released robot at home, from `reference` values of its model.
+fn home() -> Home {
+    let arm = |q: [f64; 6], position, euler, mount| HomeArm {
+        q,
+        command_limit: [2.0942, 2.0942, 2.0942, 3.14, 3.14, 3.14],
+        position,
+        euler,
+        mount,
+    };
+    let [x, y, z] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let minus = |axis: [f64; 3]| axis.map(|c| -c);
+    let half = std::f64::consts::FRAC_PI_2;
+    let turned = [3.14, -1.57, 0.0, -1.57, 0.0, 3.14];
+    let straight = [0.0, -1.57, 0.0, -1.57, 0.0, 0.0];
+    Home {
+        base_position: [0.0, 0.0, 4.0],
+        base_euler: [0.0; 3],
+        arms: vec![
+            // Mounts are turned about x by −π/2, π/2, 0 and π: their y and z axes.
+            arm(turned, [0.298824, 1.553659, 4.315298], [0.0, -0.001593, 0.0], [x, minus(z), y]),
+            arm(straight, [0.300802, -1.553659, 4.315300], [0.0, 0.0, 0.001593], [x, z, minus(y)]),
+            arm(straight, [0.300802, 0.235300, 5.553659], [-half, 0.0, 0.001593], [x, y, z]),
+            arm(
+                turned,
+                [0.298824, 0.235298, 2.446341],
+                [-half, -0.001593, 0.0],
+                [x, minus(y), minus(z)],
+            ),
+        ],
+    }
+}
+
+fn config(preset: Preset, name: TaskName) -> Config {
+    Layers::new(preset, Some(name)).resolve().expect("valid")
+}
+
+/// A state in which every number says where it comes from.
+fn readings() -> Readings<f64> {
+    let mut r = Readings::new(4);
+    r.base_position = [0.1, 0.2, 4.3];
+    r.base_quaternion = [0.7, 0.1, 0.5, 0.5];
+    r.base_euler = [0.01, -0.02, 0.03];
+    r.base_linear = [1.1, 1.2, 1.3];
+    r.base_angular = [2.1, 2.2, 2.3];
+    for j in 0..24 {
+        r.q[j] = 100.0 + j as f64;
+        r.qd[j] = 200.0 + j as f64;
+        r.last_action[j] = 300.0 + j as f64;
+    }
+    for (arm, hand) in r.hands.iter_mut().enumerate() {
+        let a = arm as f64;
+        hand.position = [10.0 + a, 11.0 + a, 12.0 + a];
+        hand.euler = [20.0 + a, 21.0 + a, 22.0 + a];
+        hand.linear = [50.0, 100.0, -50.0];
+        hand.angular = [5.0, 10.0, -5.0];
+    }
+    r
+}
+
+fn goals() -> Goals<f64> {
+    // Arm i: position errors (0.03, 0.04, 0) + i/100 in z, Euler errors (0, 0, −0.1).
+    let hand = |arm: usize| {
+        let a = arm as f64;
+        [10.03 + a, 11.04 + a, 12.0 + a + 0.01 * a, 20.0 + a, 21.0 + a, 21.9 + a]
+    };
+    Goals { hands: (0..4).map(hand).collect(), base: [0.05, 0.01, -0.06] }
+}
+
+fn errors() -> Errors<f64> {
+    let mut errors = Errors::new(4);
+    errors.update(&readings(), &goals());
+    errors
+}
+
+fn observed(preset: Preset, name: TaskName, agent: usize) -> Vec<f64> {
+    let config = config(preset, name);
+    let task = Task::new(&config, home());
+    let mut out = vec![f64::NAN; Dimensions::new(&config, 4).observation];
+    observe(&task, &readings(), &goals(), &errors(), agent, &mut out);
+    out
+}
+
+fn assert_close(actual: &[f64], expected: &[f64]) {
+    assert_eq!(actual.len(), expected.len());
+    for (i, (a, e)) in actual.iter().zip(expected).enumerate() {
+        // A few roundings of numbers up to 300.
+        assert!((a - e).abs() < 1e-12 * e.abs().max(1.0), "index {i}: {a}, by hand {e}");
+    }
+}
+
+const BASE: [f64; 7] = [0.1, 0.2, 4.3, 0.7, 0.1, 0.5, 0.5];
+const BASE_VELOCITY: [f64; 6] = [1.1, 1.2, 1.3, 2.1, 2.2, 2.3];
+
+#[test]
+fn released_observation_of_a_position_and_an_orientation_agent() {
+    // Agent 2: arm 1 (second), joints 6…8. Tip velocity × 0.02.
+    let mut expected = BASE.to_vec();
+    expected.extend([106.0, 107.0, 108.0]);
+    expected.extend(BASE_VELOCITY);
+    expected.extend([206.0, 207.0, 208.0, 11.0, 12.0, 13.0, 1.0, 2.0, -1.0]);
+    expected.extend([11.03, 12.04, 13.01, 21.0, 22.0, 22.9]);
+    assert_close(&observed(Preset::Release, TaskName::Trajectory, 2), &expected);
+
+    // Agent 3: same arm, joints 9…11, Euler angles and angular velocity × 0.02.
+    let mut expected = BASE.to_vec();
+    expected.extend([109.0, 110.0, 111.0]);
+    expected.extend(BASE_VELOCITY);
+    expected.extend([209.0, 210.0, 211.0, 21.0, 22.0, 23.0, 0.1, 0.2, -0.1]);
+    expected.extend([11.03, 12.04, 13.01, 21.0, 22.0, 22.9]);
+    assert_close(&observed(Preset::Release, TaskName::Trajectory, 3), &expected);
+}
+
+#[test]
+fn papers_observation_leaves_the_hand_velocity_out() {
+    let mut expected = BASE.to_vec();
+    expected.extend([121.0, 122.0, 123.0]);
+    expected.extend(BASE_VELOCITY);
+    expected.extend([221.0, 222.0, 223.0, 23.0, 24.0, 25.0]);
+    expected.extend([13.03, 14.04, 15.03, 23.0, 24.0, 24.9]);
+    assert_close(&observed(Preset::Paper, TaskName::Trajectory, 7), &expected);
+}
+
+#[test]
+fn reorientation_observation_ends_with_base_and_goal_attitude() {
+    let mut expected = BASE.to_vec();
+    expected.extend([112.0, 113.0, 114.0]);
+    expected.extend(BASE_VELOCITY);
+    expected.extend([212.0, 213.0, 214.0, 0.01, -0.02, 0.03, 0.05, 0.01, -0.06]);
+    for preset in [Preset::Paper, Preset::Release] {
+        assert_close(&observed(preset, TaskName::Reorientation, 4), &expected);
+    }
+}
+
+/// Base relative to its home (0, 0, 4), then velocities.
+const TUNED_BASE: [f64; 13] = [
+    0.1, 0.2, 0.3, 0.7, 0.1, 0.5, 0.5, //
+    1.1, 1.2, 1.3, 2.1, 2.2, 2.3,
+];
+
+/// Joints of arm 2 (third): 112…117 less home (0, −1.57, 0, −1.57, 0, 0), rates 212…217.
+const TUNED_JOINTS: [f64; 12] =
+    [112.0, 114.57, 114.0, 116.57, 116.0, 117.0, 212.0, 213.0, 214.0, 215.0, 216.0, 217.0];
+
+/// Errors of arm 2: (0.03, 0.04, 0.02), (0, 0, −0.1); squashed by 0.05, 0.015, 0.08, 0.025.
+fn tuned_errors() -> Vec<f64> {
+    let mut e = vec![0.03, 0.04, 0.02, 0.0, 0.0, -0.1];
+    e.extend([0.6_f64, 0.8, 0.4, 2.0, 8.0 / 3.0, 4.0 / 3.0].map(f64::tanh));
+    e.extend([0.0_f64, 0.0, -1.25, 0.0, 0.0, -4.0].map(f64::tanh));
+    e
+}
+
+/// Base errors (0.04, 0.03, −0.09), squashed by 0.08 and 0.025.
+fn tuned_base_errors() -> Vec<f64> {
+    let mut e = vec![0.04, 0.03, -0.09];
+    e.extend([0.5_f64, 0.375, -1.125, 1.6, 1.2, -3.6].map(f64::tanh));
+    e
+}
+
+const TUNED_ACTION: [f64; 6] = [312.0, 313.0, 314.0, 315.0, 316.0, 317.0];
+
+#[test]
+fn tuned_observation_is_the_same_for_both_agents_of_an_arm() {
+    let mut expected = TUNED_BASE.to_vec();
+    expected.extend(TUNED_JOINTS);
+    expected.extend(tuned_errors());
+    expected.extend(TUNED_ACTION);
+    assert_close(&observed(Preset::Tuned, TaskName::Trajectory, 4), &expected);
+    assert_close(&observed(Preset::Tuned, TaskName::Trajectory, 5), &expected);
+
+    let mut expected = TUNED_BASE.to_vec();
+    expected.extend(TUNED_JOINTS);
+    expected.extend(tuned_base_errors());
+    expected.extend(TUNED_ACTION);
+    assert_close(&observed(Preset::Tuned, TaskName::Reorientation, 4), &expected);
+}
+
+#[test]
+fn compact_critic_state_holds_every_quantity_once() {
+    for name in [TaskName::Trajectory, TaskName::Reorientation] {
+        let config = config(Preset::Tuned, name);
+        let task = Task::new(&config, home());
+        let mut out = vec![f64::NAN; Dimensions::new(&config, 4).state];
+        critic_state(&task, &readings(), &errors(), &[], &mut out);
+        assert_close(&out[..13], &TUNED_BASE);
+        let (arm_2, of_arm) = if name == TaskName::Trajectory {
+            // 13, then two arms of 36.
+            assert_close(&out[13 + 72 + 12..13 + 72 + 30], &tuned_errors());
+            (13 + 72, 36)
+        } else {
+            assert_close(&out[13..22], &tuned_base_errors());
+            (22 + 36, 18)
+        };
+        assert_close(&out[arm_2..arm_2 + 12], &TUNED_JOINTS);
+        assert_close(&out[arm_2 + of_arm - 6..arm_2 + of_arm], &TUNED_ACTION);
+    }
+}
+
+#[test]
+fn concatenated_critic_state_is_all_observations_in_agent_order() {
+    let config = config(Preset::Release, TaskName::Trajectory);
+    let task = Task::new(&config, home());
+    let observations: Vec<f64> =
+        (0..8).flat_map(|a| observed(Preset::Release, TaskName::Trajectory, a)).collect();
+    let mut out = vec![f64::NAN; 248];
+    critic_state(&task, &readings(), &errors(), &observations, &mut out);
+    assert_eq!(out, observations);
+}
+
+fn paid(preset: Preset, name: TaskName, count: bool) -> Vec<f64> {
+    let mut config = config(preset, name);
+    config.task.reward.count_collisions = count;
+    let task = Task::new(&config, home());
+    // Arm 0 acts (1, 0.5, −1 | 2, 0, 0) after (0.5, 0.5, 0 | 0, 0, 1); the others rest.
+    let (mut action, mut last) = (vec![0.0; 24], vec![0.0; 24]);
+    action[..6].copy_from_slice(&[1.0, 0.5, -1.0, 2.0, 0.0, 0.0]);
+    last[..6].copy_from_slice(&[0.5, 0.5, 0.0, 0.0, 0.0, 1.0]);
+    let mut out = vec![f64::NAN; 8];
+    rewards(&task, &errors(), &action, &last, 3.0, &mut out);
+    out
+}
+
+#[test]
+fn released_rewards_by_hand() {
+    // Arm 0: d = 0.05, d² = 0.0025; log10(0.002501) = −2.6018863; 0.001·d² = 2.5e-6;
+    // ‖Δu‖² = 0.25 + 0 + 1 = 1.25, × 0.01 = 0.0125. r = 2.6018863 − 0.0000025 − 0.0125.
+    // e = 0.2·0.1 = 0.02, e² = 0.0004; log10(0.000401) = −3.3968556; 4e-7;
+    // ‖u‖² = 4, × 0.05 = 0.2. r = 3.3968556 − 0.0000004 − 0.2.
+    // Arm 2, at rest: d² = 0.0009 + 0.0016 + 0.0004 = 0.0029; log10(0.002901) = −2.5374523.
+    let r = paid(Preset::Release, TaskName::Trajectory, true);
+    for (agent, by_hand) in
+        [(0, 2.5893838), (1, 3.1968552), (4, 2.5374523 - 2.9e-6), (5, 3.3968552)]
+    {
+        assert!((r[agent] - by_hand).abs() < 2e-7, "agent {agent}: {} vs {by_hand}", r[agent]);
+    }
+    // Base: e² = 0.0016 + 0.0009 + 0.0081 = 0.0106; log10(0.010601) = −1.9746532; no quadratic
+    // term. ‖Δu‖² = 1.25 + 4 + 1 = 6.25, × 0.01 = 0.0625; ‖u‖² = 2.25 + 4 = 6.25, × 0.05 = 0.3125;
+    // 0.5 × 3 pairs = 1.5. r = 1.9746532 − 0.0625 − 0.3125 − 1.5.
+    for r in paid(Preset::Release, TaskName::Reorientation, true) {
+        assert!((r - 0.0996532).abs() < 2e-7, "{r}");
+    }
+}
+
+#[test]
+fn papers_rewards_by_hand() {
+    for preset in [Preset::Paper, Preset::Tuned] {
+        // All terms for all agents. Position agent of arm 0: as released, and 0.05·‖u‖² with
+        // ‖u‖² = 2.25: 0.1125, and 0.5 × 3 = 1.5. r = 2.5893838 − 0.1125 − 1.5 = 0.9768838.
+        // Orientation agent: e = 0.1, e² = 0.01; log10(0.010001) = −1.9999566; 0.001·e² = 1e-5;
+        // ‖Δu‖² = 4 + 1 = 5, × 0.01 = 0.05; ‖u‖² = 4, × 0.05 = 0.2; 1.5. r = 0.2499466.
+        let r = paid(preset, TaskName::Trajectory, true);
+        assert!((r[0] - 0.9768838).abs() < 2e-7, "{}", r[0]);
+        assert!((r[1] - 0.2499466).abs() < 2e-7, "{}", r[1]);
+        // As an indicator the three pairs cost 0.5.
+        let r = paid(preset, TaskName::Trajectory, false);
+        assert!((r[0] - 1.9768838).abs() < 2e-7, "{}", r[0]);
+        // Base: as released, less 0.001 · 0.0106.
+        let r = paid(preset, TaskName::Reorientation, true);
+        assert!((r[7] - 0.0996426).abs() < 2e-7, "{}", r[7]);
+    }
+}
+
+#[test]
+fn hand_goals_fill_the_released_boxes_and_no_more() {
+    let config = config(Preset::Release, TaskName::Trajectory);
+    let task = Task::new(&config, home());
+    // Directions of (x, inward, lateral) in the world: the released code's signs.
+    let y = |s: f64| [0.0, s, 0.0];
+    let z = |s: f64| [0.0, 0.0, s];
+    let directions =
+        [[y(-1.0), z(1.0)], [y(1.0), z(-1.0)], [z(-1.0), y(-1.0)], [z(1.0), y(1.0)]];
+    let euler_ranges = [
+        [[-0.2, 0.3], [-0.15, 0.35], [-0.3, 0.2]],
+        [[-0.2, 0.3], [-0.35, 0.15], [-0.2, 0.3]],
+        [[0.5, 1.0], [-0.15, 0.35], [-0.3, 0.2]],
+        [[0.5, 1.0], [-0.35, 0.15], [-0.2, 0.3]],
+    ];
+    for arm in 0..4 {
+        let mut seen = [[f64::INFINITY, f64::NEG_INFINITY]; 6];
+        for env in 0..2000 {
+            let address =
+                GoalAddress { seed: 1, purpose: Purpose::Goal, iteration: 0, env };
+            let pose = task.goals.hand(arm, address);
+            let home = &task.goals.home.arms[arm];
+            let offset: Vec<f64> = (0..3).map(|i| pose[i] - home.position[i]).collect();
+            let dot = |axis: [f64; 3]| (0..3).map(|i| axis[i] * offset[i]).sum::<f64>();
+            let [inward, lateral] = directions[arm];
+            let mut numbers = [offset[0], dot(inward), dot(lateral), 0.0, 0.0, 0.0];
+            for i in 0..3 {
+                numbers[3 + i] = pose[3 + i] - home.euler[i];
+            }
+            for (seen, number) in seen.iter_mut().zip(numbers) {
+                *seen = [seen[0].min(number), seen[1].max(number)];
+            }
+        }
+        let position = [[-0.05, 0.20], [0.10, 0.35], [-0.10, 0.15]];
+        for (i, range) in position.iter().chain(&euler_ranges[arm]).enumerate() {
+            // Of 2000 uniform draws the outermost lie within 0.01 of a range's ends, but for
+            // 2·e^(−2000·0.01/0.5) = 1e-17; inside up to the rounding of home's coordinates.
+            let [low, high] = seen[i];
+            assert!(low >= range[0] - 1e-12 && low < range[0] + 0.01, "arm {arm} {i}: {low}");
+            assert!(high <= range[1] + 1e-12 && high > range[1] - 0.01, "arm {arm} {i}: {high}");
+        }
+    }
+}
+
+#[test]
+fn base_goals_fill_their_range_and_differ_between_purposes() {
+    let task = Task::new(&config(Preset::Paper, TaskName::Reorientation), home());
+    let address = GoalAddress { seed: 1, purpose: Purpose::Goal, iteration: 0, env: 0 };
+    let attitudes: Vec<_> =
+        (0..1000).map(|env| task.goals.attitude(GoalAddress { env, ..address })).collect();
+    for axis in 0..3 {
+        let (low, high) = attitudes
+            .iter()
+            .fold((0.0_f64, 0.0_f64), |(low, high), a| (low.min(a[axis]), high.max(a[axis])));
+        assert!((-0.2..-0.19).contains(&low) && (0.19..0.2).contains(&high), "{low} {high}");
+    }
+    let held_out = GoalAddress { purpose: Purpose::EvaluationGoal, ..address };
+    assert_ne!(task.goals.attitude(held_out), attitudes[0]);
+    assert_ne!(task.goals.attitude(GoalAddress { iteration: 1, ..address }), attitudes[0]);
+}
