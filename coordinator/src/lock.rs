@@ -1,0 +1,113 @@
+//! One coordinator a run directory.
+
+use std::fs::File;
+use std::io::{Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+use proto::channel::Domain;
+use rustix::fs::{FlockOperation, flock};
+use serde::{Deserialize, Serialize};
+
+/// What the lock file says about the run that holds it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Holder {
+    /// Process id of the coordinator.
+    pub pid: u32,
+    /// Name of its shared-memory domain.
+    pub domain: String,
+}
+
+/// Why a run directory cannot be locked.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LockError {
+    /// Another coordinator runs there.
+    #[error(
+        "{path}: a run is going on in this directory (process {pid}); stop it first, \
+         or choose another with --run-dir",
+        path = path.display()
+    )]
+    Held {
+        /// The lock file.
+        path: PathBuf,
+        /// The other coordinator's process.
+        pid: u32,
+    },
+    /// The lock file cannot be written.
+    #[error("{path}: cannot be locked: {source}", path = path.display())]
+    Io {
+        /// The lock file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+}
+
+/// A held lock. The kernel lets go of it when the process ends, however it ends.
+#[derive(Debug)]
+pub struct RunLock {
+    file: File,
+}
+
+impl RunLock {
+    /// Locks the file at `path` for this process and `domain`.
+    pub fn acquire(path: &Path, domain: &Domain) -> Result<Self, LockError> {
+        let io = |source: std::io::Error| LockError::Io { path: path.to_owned(), source };
+        let mut file = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)
+            .map_err(io)?;
+        if flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
+            let pid = read(&mut file).map_or(0, |holder| holder.pid);
+            return Err(LockError::Held { path: path.to_owned(), pid });
+        }
+        let holder = Holder { pid: std::process::id(), domain: domain.as_str().to_owned() };
+        file.set_len(0).map_err(io)?;
+        file.write_all(&serde_json::to_vec(&holder).expect("plain fields")).map_err(io)?;
+        Ok(Self { file })
+    }
+
+    /// Who holds the lock at `path`, if anybody does.
+    pub fn holder(path: &Path) -> Option<Holder> {
+        let mut file = File::open(path).ok()?;
+        if flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
+            return None;
+        }
+        read(&mut file)
+    }
+}
+
+impl Drop for RunLock {
+    fn drop(&mut self) {
+        let _ = self.file.set_len(0);
+    }
+}
+
+fn read(file: &mut File) -> Option<Holder> {
+    let mut text = String::new();
+    file.rewind().ok()?;
+    file.read_to_string(&mut text).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_second_run_is_refused_while_the_first_lives() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("run.lock");
+        let domain = Domain::fresh();
+        let first = RunLock::acquire(&path, &domain).expect("free");
+        let error = RunLock::acquire(&path, &Domain::fresh()).expect_err("held").to_string();
+        assert!(error.contains(&std::process::id().to_string()), "{error}");
+        assert_eq!(RunLock::holder(&path).expect("held").domain, domain.as_str());
+        drop(first);
+        assert_eq!(RunLock::holder(&path), None);
+        RunLock::acquire(&path, &domain).expect("free again");
+    }
+}

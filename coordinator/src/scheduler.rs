@@ -1,0 +1,307 @@
+//! Who rolls out what: a state machine without processes, clocks or channels of its own.
+//!
+//! The scheduler knows the shards that are open, the workers that are ready, and what each of them
+//! has been ordered. Any worker may make any shard and making one twice is harmless, so all it has
+//! to guarantee is that every shard is ordered until the learner has it.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::{Duration, Instant};
+
+use proto::message::{Order, WorkerId, policy_version_for};
+
+/// Iteration and shard: the address of a block.
+pub type ShardAddress = (u64, u32);
+
+/// Orders that a worker may have at once: one that it works on, one that waits, so that it never
+/// idles for the length of a message.
+const QUEUE_DEPTH: usize = 2;
+
+/// What the scheduler knows of a worker.
+#[derive(Debug)]
+struct Worker {
+    incarnation: u32,
+    /// Orders without a received block yet, oldest first.
+    queue: VecDeque<ShardAddress>,
+    /// When the oldest order of the queue became the oldest.
+    since: Instant,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct Scheduler {
+    n_shards: u32,
+    overlap: usize,
+    /// Iterations trained on; also the newest policy version.
+    trained: u64,
+    /// Iterations from here on are not ordered.
+    end: u64,
+    /// Shards that nobody has been ordered to make, first one first.
+    pending: BTreeSet<ShardAddress>,
+    /// Shards of iterations not yet trained on that the learner has.
+    received: BTreeSet<ShardAddress>,
+    /// First iteration whose shards are not open yet.
+    next_iteration: u64,
+    workers: BTreeMap<WorkerId, Worker>,
+}
+
+impl Scheduler {
+    /// Nothing ordered, `trained` iterations done, none wanted from `end` on.
+    pub fn new(n_shards: u32, overlap: usize, trained: u64, end: u64) -> Self {
+        Self {
+            n_shards,
+            overlap,
+            trained,
+            end,
+            pending: BTreeSet::new(),
+            received: BTreeSet::new(),
+            next_iteration: trained,
+            workers: BTreeMap::new(),
+        }
+    }
+
+    /// A worker is up and has no orders.
+    pub fn worker_ready(&mut self, worker: WorkerId, incarnation: u32, now: Instant) {
+        self.worker_gone(worker);
+        self.workers.insert(worker, Worker { incarnation, queue: VecDeque::new(), since: now });
+    }
+
+    /// A worker is no more; its orders are open again. Returns what it had not delivered.
+    pub fn worker_gone(&mut self, worker: WorkerId) -> Vec<ShardAddress> {
+        let Some(gone) = self.workers.remove(&worker) else { return Vec::new() };
+        let undelivered: Vec<_> =
+            gone.queue.into_iter().filter(|address| self.is_wanted(*address)).collect();
+        self.pending.extend(undelivered.iter().copied());
+        undelivered
+    }
+
+    /// The learner has a block.
+    pub fn block_received(&mut self, address: ShardAddress, now: Instant) {
+        if address.0 >= self.trained {
+            self.received.insert(address);
+        }
+        self.pending.remove(&address);
+        for worker in self.workers.values_mut() {
+            if worker.queue.front() == Some(&address) {
+                worker.since = now;
+            }
+            worker.queue.retain(|queued| *queued != address);
+        }
+    }
+
+    /// The learner has trained on `iteration`.
+    pub fn iteration_done(&mut self, iteration: u64) {
+        self.trained = iteration + 1;
+        let trained = self.trained;
+        self.received.retain(|address| address.0 >= trained);
+        self.pending.retain(|address| address.0 >= trained);
+    }
+
+    /// Orders no iteration from now on that has not been begun.
+    pub fn stop_after_current(&mut self) {
+        self.end = self.end.min(self.next_iteration.max(self.trained));
+    }
+
+    /// Whether all ordered iterations are trained on and none is to follow.
+    pub fn is_finished(&self) -> bool {
+        self.trained >= self.end
+    }
+
+    /// Iterations trained on.
+    pub fn trained(&self) -> u64 {
+        self.trained
+    }
+
+    /// Shards ordered or open, not yet at the learner.
+    pub fn in_flight(&self) -> usize {
+        self.pending.len() + self.workers.values().map(|worker| worker.queue.len()).sum::<usize>()
+    }
+
+    /// The orders to send now.
+    pub fn assign(&mut self, now: Instant) -> Vec<Order> {
+        self.open_iterations();
+        let mut orders = Vec::new();
+        // One order a worker and round: the shards spread evenly however few there are.
+        for depth in 0..QUEUE_DEPTH {
+            for (&id, worker) in &mut self.workers {
+                if worker.queue.len() > depth {
+                    continue;
+                }
+                let Some(address) = self.pending.pop_first() else { return orders };
+                if worker.queue.is_empty() {
+                    worker.since = now;
+                }
+                worker.queue.push_back(address);
+                orders.push(order(id, worker.incarnation, address, self.overlap));
+            }
+        }
+        orders
+    }
+
+    /// Repeats the orders of workers that have delivered nothing for `deadline`: an order or a
+    /// block may have been dropped on the way.
+    pub fn repeat_overdue(&mut self, now: Instant, deadline: Duration) -> Vec<Order> {
+        let overlap = self.overlap;
+        let mut orders = Vec::new();
+        for (&id, worker) in &mut self.workers {
+            if worker.queue.is_empty() || now.duration_since(worker.since) < deadline {
+                continue;
+            }
+            worker.since = now;
+            let repeated =
+                worker.queue.iter().map(|address| order(id, worker.incarnation, *address, overlap));
+            orders.extend(repeated);
+        }
+        orders
+    }
+
+    /// Opens the shards of every iteration whose policy version exists.
+    fn open_iterations(&mut self) {
+        while self.next_iteration < self.end
+            && policy_version_for(self.next_iteration, self.overlap) <= self.trained
+            // Not further than one iteration ahead of the one that is trained on.
+            && self.next_iteration <= self.trained + self.overlap as u64
+            && self.previous_is_collected()
+        {
+            let iteration = self.next_iteration;
+            self.pending.extend((0..self.n_shards).map(|shard| (iteration, shard)));
+            self.next_iteration += 1;
+        }
+    }
+
+    /// Whether every shard of the iteration before the next one is ordered: an older iteration
+    /// always goes first, so that the learner is never short of it.
+    fn previous_is_collected(&self) -> bool {
+        self.pending.is_empty()
+    }
+
+    fn is_wanted(&self, address: ShardAddress) -> bool {
+        address.0 >= self.trained && !self.received.contains(&address)
+    }
+}
+
+fn order(worker: WorkerId, incarnation: u32, address: ShardAddress, overlap: usize) -> Order {
+    Order::Rollout {
+        worker,
+        incarnation,
+        iteration: address.0,
+        policy_version: policy_version_for(address.0, overlap),
+        shards: vec![address.1],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    fn addresses(orders: &[Order]) -> Vec<(WorkerId, u64, u32)> {
+        orders
+            .iter()
+            .map(|order| match order {
+                Order::Rollout { worker, iteration, shards, .. } => {
+                    (*worker, *iteration, shards[0])
+                }
+                other => panic!("{other:?} is no rollout"),
+            })
+            .collect()
+    }
+
+    /// Delivers everything that is ordered, until the scheduler has nothing more to order.
+    fn deliver_all(scheduler: &mut Scheduler, now: Instant) -> Vec<(WorkerId, u64, u32)> {
+        let mut all = Vec::new();
+        loop {
+            let orders = addresses(&scheduler.assign(now));
+            if orders.is_empty() {
+                return all;
+            }
+            for (_, iteration, shard) in &orders {
+                scheduler.block_received((*iteration, *shard), now);
+            }
+            all.extend(orders);
+        }
+    }
+
+    #[test]
+    fn shards_spread_evenly_and_no_worker_gets_more_than_two() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(5, 0, 0, 1);
+        scheduler.worker_ready(0, 0, now);
+        scheduler.worker_ready(1, 0, now);
+        let orders = addresses(&scheduler.assign(now));
+        assert_eq!(orders, [(0, 0, 0), (1, 0, 1), (0, 0, 2), (1, 0, 3)]);
+        assert!(scheduler.assign(now).is_empty(), "both are full");
+        scheduler.block_received((0, 1), now);
+        assert_eq!(addresses(&scheduler.assign(now)), [(1, 0, 4)]);
+    }
+
+    #[test]
+    fn without_overlap_the_next_iteration_waits_for_the_training() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(3, 0, 0, 2);
+        scheduler.worker_ready(0, 0, now);
+        assert_eq!(deliver_all(&mut scheduler, now).len(), 3);
+        scheduler.iteration_done(0);
+        assert!(deliver_all(&mut scheduler, now).iter().all(|(_, iteration, _)| *iteration == 1));
+        scheduler.iteration_done(1);
+        assert!(scheduler.is_finished());
+    }
+
+    #[test]
+    fn with_overlap_one_iteration_runs_ahead_with_the_policy_before() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(2, 1, 0, 9);
+        scheduler.worker_ready(0, 0, now);
+        let all = deliver_all(&mut scheduler, now);
+        let iterations: Vec<u64> = all.iter().map(|(_, iteration, _)| *iteration).collect();
+        assert_eq!(iterations, [0, 0, 1, 1], "1 is rolled out while 0 is trained on, 2 is not");
+        scheduler.iteration_done(0);
+        let orders = scheduler.assign(now);
+        assert!(orders.iter().all(|order| matches!(
+            order,
+            Order::Rollout { iteration: 2, policy_version: 1, .. }
+        )));
+    }
+
+    #[test]
+    fn what_a_dead_worker_had_is_ordered_again_unless_the_learner_has_it() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(2, 0, 0, 1);
+        scheduler.worker_ready(0, 0, now);
+        scheduler.assign(now);
+        scheduler.block_received((0, 0), now);
+        assert_eq!(scheduler.worker_gone(0), [(0, 1)]);
+        scheduler.worker_ready(0, 1, now);
+        let orders = scheduler.assign(now);
+        assert_eq!(addresses(&orders), [(0, 0, 1)]);
+        assert!(matches!(orders[0], Order::Rollout { incarnation: 1, .. }));
+        assert_eq!(scheduler.in_flight(), 1);
+    }
+
+    #[test]
+    fn a_silent_worker_is_reminded_once_a_deadline() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(1, 0, 0, 1);
+        scheduler.worker_ready(0, 0, now);
+        let first = scheduler.assign(now);
+        assert!(scheduler.repeat_overdue(now + SECOND, 2 * SECOND).is_empty());
+        assert_eq!(scheduler.repeat_overdue(now + 2 * SECOND, 2 * SECOND), first);
+        assert!(scheduler.repeat_overdue(now + 3 * SECOND, 2 * SECOND).is_empty());
+    }
+
+    #[test]
+    fn a_stop_finishes_what_is_begun_and_begins_nothing() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(2, 0, 0, 100);
+        scheduler.worker_ready(0, 0, now);
+        scheduler.assign(now);
+        scheduler.stop_after_current();
+        assert!(!scheduler.is_finished());
+        deliver_all(&mut scheduler, now);
+        scheduler.block_received((0, 0), now);
+        scheduler.block_received((0, 1), now);
+        scheduler.iteration_done(0);
+        assert!(scheduler.is_finished());
+        assert!(scheduler.assign(now).is_empty());
+    }
+}
