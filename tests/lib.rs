@@ -1,1 +1,257 @@
-//! Shared helpers of the end-to-end tests.
+//! Drives the built programs: starts runs in directories of their own, reads what they wrote, and
+//! makes sure that nothing outlives a test, also when it fails.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Path of a built program: programs lie beside the directory of the test executables.
+pub fn program(name: &str) -> PathBuf {
+    let test = std::env::current_exe().expect("a running test has a path");
+    let profile = test.parent().and_then(Path::parent).expect("target/<profile>/deps/<test>");
+    let program = profile.join(name);
+    assert!(program.is_file(), "{} is missing: run `cargo build` first", program.display());
+    program
+}
+
+/// Python of the tests' own virtual environment.
+pub fn python() -> PathBuf {
+    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../.venv-tests/bin/python");
+    let path = std::env::var_os("SPACEOCTOPUS_TEST_PYTHON").map_or(default.into(), PathBuf::from);
+    assert!(path.is_file(), "{} is missing: run `make test`", path.display());
+    path
+}
+
+/// Path of a script in `tests/crosscheck`.
+pub fn crosscheck(script: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("crosscheck").join(script)
+}
+
+/// Runs `octopus` to its end.
+pub fn octopus(args: &[&str]) -> Output {
+    Command::new(program("octopus"))
+        .args(args)
+        .stdin(Stdio::null())
+        .output()
+        .expect("octopus can be started")
+}
+
+/// Standard error of a finished command as text.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Flags of a run small enough for a test: 4 shards of 4 environments, 8 steps, tiny networks.
+pub const SMALL: &[&str] = &[
+    "--no-eval",
+    "--seed=7",
+    "--set=env.n_envs=16",
+    "--set=env.n_shards=4",
+    "--set=task.episode_steps=8",
+    "--set=network.hidden=[16]",
+    "--set=algorithm.mini_batches=2",
+    "--set=run.learner_threads=1",
+    "--set=run.checkpoint_every=5",
+];
+
+/// A run in a directory that goes away with it.
+#[derive(Debug)]
+pub struct Run {
+    dir: TempDir,
+    process: Option<Child>,
+}
+
+impl Default for Run {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Run {
+    /// An empty directory, nothing started.
+    pub fn new() -> Self {
+        Self { dir: tempfile::tempdir().expect("a temporary directory"), process: None }
+    }
+
+    /// The run directory.
+    pub fn path(&self) -> PathBuf {
+        self.dir.path().join("run")
+    }
+
+    /// Starts `octopus train trajectory` with the small flags and `more` of them.
+    pub fn train(more: &[&str]) -> Self {
+        let mut run = Self::new();
+        let dir = format!("--run-dir={}", run.path().display());
+        let args: Vec<&str> =
+            ["train", "trajectory", &dir].iter().chain(SMALL).chain(more).copied().collect();
+        run.start(&args);
+        run
+    }
+
+    /// Starts `octopus resume` on this directory.
+    pub fn resume(&mut self, more: &[&str]) {
+        let path = self.path();
+        let path = path.to_str().expect("temporary paths are UTF-8");
+        let args: Vec<&str> =
+            ["resume", path, "--no-eval"].iter().chain(more).copied().collect();
+        self.start(&args);
+    }
+
+    fn start(&mut self, args: &[&str]) {
+        let log = std::fs::File::options()
+            .create(true)
+            .append(true)
+            .open(self.dir.path().join("octopus.log"))
+            .expect("the log can be written");
+        let process = Command::new(program("octopus"))
+            .args(args)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .expect("octopus can be started");
+        self.process = Some(process);
+    }
+
+    /// What the run wrote to standard error.
+    pub fn log(&self) -> String {
+        std::fs::read_to_string(self.dir.path().join("octopus.log")).unwrap_or_default()
+    }
+
+    /// Process id of the coordinator.
+    pub fn pid(&self) -> u32 {
+        self.process.as_ref().expect("a started run").id()
+    }
+
+    /// Sends a signal to the coordinator.
+    pub fn signal(&self, signal: Signal) {
+        kill(self.pid(), signal);
+    }
+
+    /// Waits for the end; returns the exit code, or `None` if a signal ended it.
+    pub fn wait(&mut self) -> Option<i32> {
+        let mut process = self.process.take().expect("a started run");
+        let watchdog = Instant::now() + Duration::from_secs(300);
+        while process.try_wait().expect("own child").is_none() {
+            if Instant::now() > watchdog {
+                let _ = process.kill();
+                let _ = process.wait();
+                panic!("the run hangs; its log:\n{}", self.log());
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        process.wait().expect("own child").code()
+    }
+
+    /// Waits for a clean end.
+    pub fn succeed(&mut self) {
+        let code = self.wait();
+        assert_eq!(code, Some(0), "the run failed; its log:\n{}", self.log());
+    }
+
+    /// The lines of `metrics.jsonl`; a line that is being written is left out.
+    pub fn metrics(&self) -> Vec<Value> {
+        let text = std::fs::read_to_string(self.path().join("metrics.jsonl")).unwrap_or_default();
+        text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+    }
+
+    /// Digest of every iteration; the iterations must be 0, 1, 2, ….
+    pub fn digests(&self) -> Vec<String> {
+        self.metrics()
+            .iter()
+            .enumerate()
+            .map(|(index, line)| {
+                assert_eq!(line["iteration"], index, "iterations follow each other");
+                line["digest"].as_str().expect("a digest").to_owned()
+            })
+            .collect()
+    }
+
+    /// Waits until `n` iterations are done.
+    pub fn wait_for_iterations(&mut self, n: usize) {
+        let watchdog = Instant::now() + Duration::from_secs(120);
+        while self.metrics().len() < n {
+            let ended = self.process.as_mut().is_none_or(|p| p.try_wait().expect("own").is_some());
+            assert!(!ended, "the run ended before {n} iterations; its log:\n{}", self.log());
+            assert!(Instant::now() < watchdog, "no {n} iterations; log:\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Living processes of this run, by program name.
+    pub fn children(&self, name: &str) -> Vec<u32> {
+        processes_with(self.path().to_str().expect("UTF-8"))
+            .into_iter()
+            .filter(|(_, program)| program == name)
+            .map(|(pid, _)| pid)
+            .collect()
+    }
+
+    /// Name of the run's shared-memory domain, while it lives.
+    pub fn domain(&self) -> String {
+        let text = std::fs::read_to_string(self.path().join("run.lock")).expect("a live run");
+        let holder: Value = serde_json::from_str(&text).expect("JSON");
+        holder["domain"].as_str().expect("a name").to_owned()
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        if let Some(mut process) = self.process.take() {
+            let _ = process.kill();
+            let _ = process.wait();
+            // The janitor needs a moment to remove the shared memory.
+            std::thread::sleep(Duration::from_millis(500));
+        }
+    }
+}
+
+/// Sends a signal to a process; that it is gone already is no error.
+pub fn kill(pid: u32, signal: Signal) {
+    if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
+        let _ = kill_process(pid, signal);
+    }
+}
+
+/// Living processes that have `argument` on their command line: id and program name.
+pub fn processes_with(argument: &str) -> Vec<(u32, String)> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir("/proc").expect("Linux").flatten() {
+        let Ok(pid) = entry.file_name().to_string_lossy().parse::<u32>() else { continue };
+        let Ok(line) = std::fs::read(entry.path().join("cmdline")) else { continue };
+        let line = String::from_utf8_lossy(&line).into_owned();
+        if line.contains(argument) {
+            let program = line.split('\0').next().unwrap_or_default();
+            let name = Path::new(program).file_name().unwrap_or_default();
+            found.push((pid, name.to_string_lossy().into_owned()));
+        }
+    }
+    found
+}
+
+/// What a domain has left on this machine: processes, segments, files.
+pub fn leftovers(domain: &str) -> Vec<String> {
+    let mut found: Vec<String> =
+        processes_with(domain).into_iter().map(|(pid, name)| format!("{name} {pid}")).collect();
+    for directory in ["/dev/shm", "/tmp"] {
+        for entry in std::fs::read_dir(directory).expect("Linux").flatten() {
+            if entry.file_name().to_string_lossy().starts_with(domain) {
+                found.push(entry.path().display().to_string());
+            }
+        }
+    }
+    found
+}
+
+/// Waits for the janitor, then asserts that nothing of the domain is left.
+pub fn assert_nothing_left(domain: &str) {
+    let patience = Instant::now() + Duration::from_secs(10);
+    while !leftovers(domain).is_empty() && Instant::now() < patience {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(leftovers(domain), Vec::<String>::new());
+}

@@ -1,1 +1,5 @@
-//! End-to-end tests of the built programs.
+//! End-to-end tests of the built programs: runs, crashes, bad input.
+
+mod bad_input;
+mod exactness;
+mod run_directory;

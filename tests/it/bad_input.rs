@@ -1,0 +1,130 @@
+//! Bad input: one clear message, the documented exit code, nothing lost, nothing left behind.
+
+use std::path::Path;
+
+use tests::{Run, SMALL, octopus, stderr};
+
+/// Runs `octopus` and expects `code` and every one of `words` on standard error.
+fn refused(args: &[&str], code: i32, words: &[&str]) {
+    let output = octopus(args);
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{args:?}:\n{message}");
+    for word in words {
+        assert!(message.contains(word), "{args:?}: `{word}` is not in\n{message}");
+    }
+    assert!(!message.contains("panicked"), "{args:?}:\n{message}");
+}
+
+/// `octopus train` with the small flags, `more` and a run directory below `dir`.
+fn train(dir: &Path, more: &[&str], code: i32, words: &[&str]) {
+    let run_dir = format!("--run-dir={}", dir.join("run").display());
+    let args: Vec<&str> =
+        ["train", "trajectory", &run_dir].iter().chain(SMALL).chain(more).copied().collect();
+    refused(&args, code, words);
+}
+
+#[test]
+fn configurations_that_cannot_be() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let at = dir.path();
+    train(at, &["--set=algorithm.gama=0.9"], 3, &["algorithm.gama", "did you mean `gamma`"]);
+    train(at, &["--set=algorithm.gamma=high"], 3, &["algorithm.gamma", "float"]);
+    train(at, &["--set=algorithm.gamma=1.5"], 3, &["algorithm.gamma", "0 to 1"]);
+    train(at, &["--workers=0"], 3, &["workers", "0"]);
+    train(at, &["--set=env.n_shards=32"], 3, &["env.n_shards", "divides"]);
+    train(at, &["--set=env.substep=0.03"], 3, &["env.substep", "control period"]);
+    train(at, &["--device=tpu"], 3, &["tpu", "cuda:0"]);
+    train(at, &["--robot=no-such-robot.toml"], 3, &["no-such-robot.toml"]);
+    let file = at.join("my.toml");
+    std::fs::write(&file, "[network]\nhiden = [64]\n").expect("write");
+    let flag = format!("--config={}", file.display());
+    train(at, &[&flag], 3, &["my.toml", "network.hiden", "did you mean `hidden`"]);
+    assert!(!at.join("run").exists(), "a refused run leaves no directory");
+}
+
+#[test]
+fn run_directories_that_are_taken() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    std::fs::create_dir(dir.path().join("run")).expect("mkdir");
+    std::fs::write(dir.path().join("run/thesis.tex"), "precious").expect("write");
+    train(dir.path(), &["--iterations=1"], 5, &["run", "not empty"]);
+    let kept = std::fs::read_to_string(dir.path().join("run/thesis.tex"));
+    assert_eq!(kept.expect("still there"), "precious");
+    refused(&["resume", "/no/such/run"], 5, &["/no/such/run"]);
+    refused(&["eval", "/no/such/run"], 5, &["/no/such/run"]);
+}
+
+#[test]
+fn a_second_run_in_the_same_directory() {
+    let mut run = Run::train(&["--iterations=100000"]);
+    run.wait_for_iterations(6);
+    let path = run.path();
+    refused(&["resume", path.to_str().expect("UTF-8")], 5, &["a run is going on"]);
+    run.signal(rustix::process::Signal::INT);
+    run.succeed();
+}
+
+#[test]
+fn a_checkpoint_truncated_or_edited_by_hand() {
+    let mut run = Run::train(&["--iterations=6"]);
+    run.succeed();
+    let path = run.path();
+    let newest = path.join("checkpoints/iteration-00000006");
+    let state = newest.join("state.safetensors");
+    let bytes = std::fs::read(&state).expect("read");
+
+    std::fs::write(&state, &bytes[..bytes.len() / 2]).expect("truncate");
+    let target = newest.to_str().expect("UTF-8");
+    refused(&["eval", target, "--episodes=1"], 5, &["state.safetensors", "manifest says"]);
+    // The run as a whole falls back to the checkpoint before, loudly.
+    let output = octopus(&["eval", path.to_str().expect("UTF-8"), "--episodes=1", "--steps=2"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("damaged"), "{}", stderr(&output));
+
+    let mut edited = bytes.clone();
+    let last = edited.len() - 1;
+    edited[last] ^= 1;
+    std::fs::write(&state, &edited).expect("edit");
+    refused(&["eval", target, "--episodes=1"], 5, &["state.safetensors", "BLAKE3"]);
+    std::fs::write(newest.join("manifest.json"), "{}").expect("edit");
+    refused(&["eval", target, "--episodes=1"], 5, &["manifest.json"]);
+}
+
+#[test]
+fn actions_that_are_none() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let actions = dir.path().join("actions.csv");
+    let out = dir.path().join("out.csv");
+    let input = format!("--actions={}", actions.display());
+    let output = format!("--out={}", out.display());
+    let row = |value: &str| vec![value; 24].join(",");
+    for (text, words) in [
+        (format!("{}\n{}\n", row("0.1"), vec!["0.1"; 23].join(",")), ["2", "24"]),
+        (format!("{}\n", row("nan")), ["row 1", "finite"]),
+        (format!("{}\n", row("fast")), ["row 1", "fast"]),
+        (String::new(), ["actions.csv", "empty"]),
+    ] {
+        std::fs::write(&actions, text).expect("write");
+        refused(&["simulate", "--robot=paper", &input, &output], 3, &words);
+        assert!(!out.exists(), "a refused simulation writes nothing");
+    }
+    refused(&["simulate", "--robot=paper", "--actions=/no/such.csv", &output], 3, &["/no/such.csv"]);
+}
+
+#[test]
+fn robots_that_cannot_be() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let good = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
+    let good = std::fs::read_to_string(good).expect("shipped");
+    let path = dir.path().join("robot.toml");
+    let flag = format!("--robot={}", path.display());
+    let check = |text: &str, words: &[&str]| {
+        std::fs::write(&path, text).expect("write");
+        refused(&["mjcf", &flag], 3, words);
+    };
+    assert!(good.contains("mass = "), "the test edits a mass");
+    check(&good.replacen("mass = ", "mass = -", 1), &["robot.toml", "mass"]);
+    check(&format!("{good}\ncolour = \"red\"\n"), &["robot.toml", "colour"]);
+    check("name = 3", &["robot.toml"]);
+    check("", &["robot.toml"]);
+}

@@ -1,0 +1,85 @@
+//! What a run leaves in its directory, read with the tools that a user would take.
+
+use std::process::Command;
+
+use tests::{Run, assert_nothing_left, crosscheck, octopus, python, stderr};
+
+#[test]
+fn a_run_leaves_metrics_checkpoints_events_and_a_curve() {
+    let mut run = Run::train(&["--workers=2", "--iterations=6"]);
+    run.wait_for_iterations(1);
+    let domain = run.domain();
+    run.succeed();
+    assert_nothing_left(&domain);
+
+    let metrics = run.metrics();
+    assert_eq!(metrics.len(), 6);
+    for key in [
+        "iteration", "env_steps", "digest", "wall_s", "env_steps_per_s", "returns", "kl",
+        "clip_fraction", "entropy", "explained_variance", "accounting",
+    ] {
+        assert!(metrics[5].get(key).is_some(), "{key} is missing in {}", metrics[5]);
+    }
+    assert_eq!(metrics[5]["env_steps"], 6 * 16 * 8);
+    assert_eq!(metrics[5]["returns"].as_array().map(Vec::len), Some(8));
+
+    let csv = std::fs::read_to_string(run.path().join("metrics.csv")).expect("a table");
+    assert_eq!(csv.lines().count(), 7, "a header and six lines");
+    let curve = std::fs::read_to_string(run.path().join("curve.svg")).expect("a picture");
+    assert!(curve.contains("<svg"));
+    for name in ["config.toml", "robot.toml", "provenance.json"] {
+        assert!(run.path().join(name).is_file(), "{name}");
+    }
+
+    // Read by TensorBoard itself.
+    let events = Command::new(python())
+        .arg(crosscheck("read_events.py"))
+        .arg(run.path().join("events"))
+        .output()
+        .expect("python starts");
+    assert!(events.status.success(), "{}", stderr(&events));
+
+    // Read from Python with safetensors alone.
+    let script = "import sys, safetensors.numpy as st\n\
+                  t = st.load_file(sys.argv[1])\n\
+                  assert t['head.weight'].shape == (8, 16, 3), t['head.weight'].shape\n";
+    let checkpoint = run.path().join("checkpoints/iteration-00000006/policy.safetensors");
+    let read = Command::new(python()).args(["-c", script]).arg(checkpoint).output();
+    let read = read.expect("python starts");
+    assert!(read.status.success(), "{}", stderr(&read));
+}
+
+#[test]
+fn an_evaluation_reads_a_run_and_a_checkpoint() {
+    let mut run = Run::train(&["--workers=1", "--iterations=2"]);
+    run.succeed();
+    let dir = run.path();
+    let dir = dir.to_str().expect("UTF-8");
+    let checkpoint = format!("{dir}/checkpoints/iteration-00000002");
+    let evaluate = |target: &str, seed: &str| {
+        let output =
+            octopus(&["eval", target, "--episodes", "4", "--steps", "20", "--seed", seed, "--json"]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("JSON")
+    };
+    let mut first = evaluate(dir, "1");
+    let mut second = evaluate(&checkpoint, "1");
+    for report in [&mut first, &mut second] {
+        // Where it was read from differs, nothing else does.
+        report.as_object_mut().expect("an object").retain(|key, _| key != "checkpoint");
+    }
+    assert_eq!(first, second, "the same goals, the same actions");
+    assert_ne!(first, evaluate(dir, "2"), "other goals");
+}
+
+#[test]
+fn help_names_every_command() {
+    let help = octopus(&["--help"]);
+    let text = String::from_utf8_lossy(&help.stdout).into_owned();
+    for command in
+        ["train", "resume", "eval", "simulate", "mjcf", "doctor", "status", "clean"]
+    {
+        assert!(text.contains(command), "{command} is not in\n{text}");
+        assert!(octopus(&[command, "--help"]).status.success(), "{command} --help");
+    }
+}
