@@ -35,8 +35,7 @@ impl Dense {
             let width = PANEL.min(outputs - first);
             packed_bias[panel][..width].copy_from_slice(&bias[first..first + width]);
             for (input, row) in weight.chunks_exact(outputs).enumerate() {
-                packed[panel * inputs + input][..width]
-                    .copy_from_slice(&row[first..first + width]);
+                packed[panel * inputs + input][..width].copy_from_slice(&row[first..first + width]);
             }
         }
         Self { inputs, outputs, weights: packed, bias: packed_bias }
@@ -91,9 +90,12 @@ impl Dense {
         let x = &x.as_chunks::<G>().0[..n];
         let weights: [&[[f32; PANEL]]; Q] =
             std::array::from_fn(|q| &self.weights[(panel + q) * n..(panel + q + 1) * n]);
-        let mut sums: [[[S; G]; PANEL]; Q] = std::array::from_fn(|q| {
-            std::array::from_fn(|unit| [S::splat(f64::from(self.bias[panel + q][unit])); G])
-        });
+        let mut sums = [[[S::zero(); G]; PANEL]; Q];
+        for q in 0..Q {
+            for unit in 0..PANEL {
+                sums[q][unit] = [S::splat(f64::from(self.bias[panel + q][unit])); G];
+            }
+        }
         for k in 0..n {
             let x = x[k];
             for q in 0..Q {

@@ -1,4 +1,7 @@
 //! Evaluation of a packed policy with environments in lanes.
+//!
+//! Loops are written out: a closure is a function of its own, which the compiler builds without the
+//! processor features of the lane function around it.
 
 use proto::config::{Activation, InputNorm};
 use proto::layout::JOINTS_PER_AGENT;
@@ -58,24 +61,29 @@ impl Policy {
             group += width;
         }
         if let Some(affine) = &actor.input {
-            match self.input_norm {
-                InputNorm::Running => {
-                    for_tiles(ping, groups, stride, |x, width| {
-                        standardise(x, width, affine, self.input_clip);
-                    });
+            let mut group = 0;
+            while group < groups {
+                let width = tile_groups(group, groups);
+                let x = &mut ping[group * stride..];
+                match self.input_norm {
+                    InputNorm::Running => standardise(x, width, affine, self.input_clip),
+                    _ => layer_norm(x, width, affine),
                 }
-                _ => for_tiles(ping, groups, stride, |x, width| layer_norm(x, width, affine)),
+                group += width;
             }
         }
         for hidden in &actor.hidden {
             hidden.dense.apply(ping, pong, groups, stride);
-            let units = hidden.dense.outputs;
-            for_tiles(pong, groups, stride, |x, width| {
-                activate(&mut x[..units * width], self.activation);
+            let mut group = 0;
+            while group < groups {
+                let width = tile_groups(group, groups);
+                let x = &mut pong[group * stride..];
+                activate(&mut x[..hidden.dense.outputs * width], self.activation);
                 if let Some(affine) = &hidden.norm {
                     layer_norm(x, width, affine);
                 }
-            });
+                group += width;
+            }
             std::mem::swap(ping, pong);
         }
         actor.head.apply(ping, pong, groups, stride);
@@ -94,22 +102,6 @@ impl Policy {
     }
 }
 
-/// Calls `f` with the activations of each tile (`[feature][group of the tile]`) and its width.
-#[inline(always)]
-fn for_tiles<S: Real>(
-    x: &mut [S],
-    groups: usize,
-    stride: usize,
-    mut f: impl FnMut(&mut [S], usize),
-) {
-    let mut group = 0;
-    while group < groups {
-        let width = tile_groups(group, groups);
-        f(&mut x[group * stride..(group + width) * stride], width);
-        group += width;
-    }
-}
-
 /// clip((x − mean) · inverse_std, ± clip).
 #[inline(always)]
 fn standardise<S: Real>(x: &mut [S], width: usize, affine: &Affine, clip: f32) {
@@ -124,16 +116,25 @@ fn standardise<S: Real>(x: &mut [S], width: usize, affine: &Affine, clip: f32) {
 }
 
 /// LayerNorm over the features of each environment, in two passes, with gain and shift.
+///
+/// Sums run as four interleaved chains, which hides the latency of additions, in an order that only
+/// the number of features fixes.
 #[inline(always)]
 fn layer_norm<S: Real>(x: &mut [S], width: usize, affine: &Affine) {
     let n = affine.first.len();
     let scale = S::splat(1.0 / n as f64);
     for g in 0..width {
-        let mean = sum(n, |i| x[i * width + g]) * scale;
-        let variance = sum(n, |i| {
+        let mut sums = [S::zero(); 4];
+        for i in 0..n {
+            sums[i % 4] += x[i * width + g];
+        }
+        let mean = ((sums[0] + sums[1]) + (sums[2] + sums[3])) * scale;
+        let mut sums = [S::zero(); 4];
+        for i in 0..n {
             let d = x[i * width + g] - mean;
-            d * d
-        }) * scale;
+            sums[i % 4] = d.mul_add(d, sums[i % 4]);
+        }
+        let variance = ((sums[0] + sums[1]) + (sums[2] + sums[3])) * scale;
         let inverse = (variance + S::splat(LAYER_NORM_EPSILON)).sqrt().recip();
         for i in 0..n {
             let gain = S::splat(f64::from(affine.first[i])) * inverse;
@@ -142,21 +143,6 @@ fn layer_norm<S: Real>(x: &mut [S], width: usize, affine: &Affine) {
             *value = (*value - mean).mul_add(gain, shift);
         }
     }
-}
-
-/// Σ f(i), as four interleaved chains to hide the latency of additions, in an order fixed by `n`.
-#[inline(always)]
-fn sum<S: Real>(n: usize, f: impl Fn(usize) -> S) -> S {
-    let mut sums = [S::zero(); 4];
-    for i in 0..n / 4 {
-        for (j, sum) in sums.iter_mut().enumerate() {
-            *sum += f(4 * i + j);
-        }
-    }
-    for i in n / 4 * 4..n {
-        sums[0] += f(i);
-    }
-    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
 #[inline(always)]

@@ -17,4 +17,4 @@ pub use inference::Scratch;
 pub use pack::{Policy, PolicyError};
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

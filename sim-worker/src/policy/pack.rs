@@ -19,7 +19,9 @@ pub enum PolicyError {
         expected: usize,
     },
     /// NaN or infinity.
-    #[error("policy parameter `{tensor}` of agent {agent} holds {value}; the training has diverged")]
+    #[error(
+        "policy parameter `{tensor}` of agent {agent} holds {value}; the training has diverged"
+    )]
     NotFinite {
         /// Name of the tensor.
         tensor: String,

@@ -163,8 +163,7 @@ fn inference_agrees_with_plain_f64_loops() {
         let n = 3 * LANES + 5;
         let observations = normals(77, n * o);
         for agent in [0, 5] {
-            let means =
-                dispatch(Means { policy: &policy, agent, observations: &observations });
+            let means = dispatch(Means { policy: &policy, agent, observations: &observations });
             for (row, mean) in observations.chunks_exact(o).zip(means) {
                 let row: Vec<f64> = row.iter().map(|&x| f64::from(x)).collect();
                 let plain = plain_mean(&config, &dimensions, &flat, agent, &row);

@@ -67,10 +67,11 @@ impl<'a, S: Real> Writer<'a, S> {
     /// Base of the layout `tuned`: 13 numbers.
     #[inline(always)]
     pub(super) fn put_base(&mut self, task: &Task, readings: &Readings<S>) {
-        let home = task.goals.home.base_position;
-        self.put(&std::array::from_fn::<_, 3, _>(|i| {
-            readings.base_position[i] - S::splat(home[i])
-        }));
+        let mut position = readings.base_position;
+        for (x, &home) in position.iter_mut().zip(&task.goals.home.base_position) {
+            *x -= S::splat(home);
+        }
+        self.put(&position);
         self.put(&readings.base_quaternion);
         self.put(&readings.base_linear);
         self.put(&readings.base_angular);
@@ -79,11 +80,10 @@ impl<'a, S: Real> Writer<'a, S> {
     /// Joints of `arm` in the layout `tuned`: angles relative to home, rates.
     #[inline(always)]
     pub(super) fn put_joints(&mut self, task: &Task, readings: &Readings<S>, arm: usize) {
-        let home = &task.goals.home.arms[arm].q;
         let first = arm * JOINTS_PER_ARM;
-        self.put(&std::array::from_fn::<_, JOINTS_PER_ARM, _>(|j| {
-            readings.q[first + j] - S::splat(home[j])
-        }));
+        for (j, &home) in task.goals.home.arms[arm].q.iter().enumerate() {
+            self.put(&[readings.q[first + j] - S::splat(home)]);
+        }
         self.put(&readings.qd[first..first + JOINTS_PER_ARM]);
     }
 
@@ -141,7 +141,9 @@ pub fn observe<S: Real>(
                     };
                     out.put(&pose);
                     if task.observation == Observation::Release {
-                        out.put(&velocity.map(|v| v * S::splat(RELEASE_VELOCITY_SCALE)));
+                        for v in velocity {
+                            out.put(&[v * S::splat(RELEASE_VELOCITY_SCALE)]);
+                        }
                     }
                     out.put(&goals.hands[arm]);
                 }

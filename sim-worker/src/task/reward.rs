@@ -64,21 +64,14 @@ pub fn rewards<S: Real>(
                 } else {
                     (&reward.orientation, errors.orientation_norm[arm])
                 };
-                let (change, effort) =
-                    squared_norms(&action[joints.clone()], &last_action[joints]);
+                let (change, effort) = squared_norms(&action[joints.clone()], &last_action[joints]);
                 *out = formula(weights, reward.epsilon, error, change, effort, collision);
             }
         }
         TaskName::Reorientation => {
             let (change, effort) = squared_norms(action, last_action);
-            let shared = formula(
-                &reward.base,
-                reward.epsilon,
-                errors.base_norm,
-                change,
-                effort,
-                collision,
-            );
+            let shared =
+                formula(&reward.base, reward.epsilon, errors.base_norm, change, effort, collision);
             out.fill(shared);
         }
     }

@@ -278,8 +278,7 @@ fn hand_goals_fill_the_released_boxes_and_no_more() {
     // Directions of (x, inward, lateral) in the world: the released code's signs.
     let y = |s: f64| [0.0, s, 0.0];
     let z = |s: f64| [0.0, 0.0, s];
-    let directions =
-        [[y(-1.0), z(1.0)], [y(1.0), z(-1.0)], [z(-1.0), y(-1.0)], [z(1.0), y(1.0)]];
+    let directions = [[y(-1.0), z(1.0)], [y(1.0), z(-1.0)], [z(-1.0), y(-1.0)], [z(1.0), y(1.0)]];
     let euler_ranges = [
         [[-0.2, 0.3], [-0.15, 0.35], [-0.3, 0.2]],
         [[-0.2, 0.3], [-0.35, 0.15], [-0.2, 0.3]],
@@ -289,8 +288,7 @@ fn hand_goals_fill_the_released_boxes_and_no_more() {
     for arm in 0..4 {
         let mut seen = [[f64::INFINITY, f64::NEG_INFINITY]; 6];
         for env in 0..2000 {
-            let address =
-                GoalAddress { seed: 1, purpose: Purpose::Goal, iteration: 0, env };
+            let address = GoalAddress { seed: 1, purpose: Purpose::Goal, iteration: 0, env };
             let pose = task.goals.hand(arm, address);
             let home = &task.goals.home.arms[arm];
             let offset: Vec<f64> = (0..3).map(|i| pose[i] - home.position[i]).collect();

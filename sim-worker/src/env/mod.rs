@@ -1,0 +1,352 @@
+//! Many environments at once: the loop that plays whole episodes with a policy.
+//!
+//! Environments stand in lanes, [`LANES`](crate::scalar::LANES) to a group; everything from the
+//! equations of motion to the reward is evaluated for a group at a time, and the policy for all
+//! groups. Lanes never mix, so what happens to an environment does not depend on its neighbours; the
+//! lanes beyond the last environment repeat it and are never written.
+//!
+//! Rows of a block are written straight into the caller's memory, which is a loaned sample of shared
+//! memory in a worker: turning lanes into rows is the write itself, there is no other copy.
+
+mod output;
+mod physics;
+
+pub(crate) use output::Output;
+pub(crate) use physics::home;
+
+use std::time::{Duration, Instant};
+
+use proto::config::Config;
+use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::rng::{Address, Purpose};
+
+use crate::policy::{Policy, Scratch};
+use crate::robot::Robot;
+use crate::scalar::{LaneFn, Mask, Real};
+use crate::task::goal::GoalAddress;
+use crate::task::observation::observe;
+use crate::task::reward::rewards;
+use crate::task::state::critic_state;
+use crate::task::{Errors, Goals, JOINTS_PER_ARM, Readings, Task};
+use output::Row;
+use physics::Physics;
+
+/// A number that is none, or a state beyond all bounds, caught in the step that made it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EpisodeError {
+    /// The policy gives no number.
+    #[error(
+        "environment {env}, step {step}, agent {agent}: the mean of action {action} is {value}; \
+         the policy has diverged"
+    )]
+    Action {
+        /// Global index of the environment.
+        env: u32,
+        /// Control step.
+        step: usize,
+        /// The agent.
+        agent: usize,
+        /// Which of its three actions.
+        action: usize,
+        /// The value.
+        value: f64,
+    },
+    /// The simulation has diverged.
+    #[error(
+        "environment {env}, step {step}{agent}: {quantity} is {value}, beyond ±{limit}; the \
+         simulation has diverged, try a smaller env.substep",
+        agent = agent.map_or_else(String::new, |agent| format!(", agent {agent}"))
+    )]
+    State {
+        /// Global index of the environment.
+        env: u32,
+        /// Control step during which it happened.
+        step: usize,
+        /// The agent whose joint it is, if it is a joint.
+        agent: Option<usize>,
+        /// What it is.
+        quantity: &'static str,
+        /// The value.
+        value: f64,
+        /// The largest value that makes sense.
+        limit: f64,
+    },
+}
+
+/// Where the time of a rollout went.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Timing {
+    /// Equations of motion.
+    pub physics: Duration,
+    /// Networks and sampling.
+    pub policy: Duration,
+    /// Forward kinematics, contacts, rewards, observations and writing.
+    pub observe: Duration,
+}
+
+/// Environments `first..first + n_envs`, `n_steps` control steps each.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Batch {
+    pub(crate) first: u32,
+    pub(crate) n_envs: usize,
+    pub(crate) n_steps: usize,
+}
+
+/// Address of exploration noise, less environment, step and agent.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Noise {
+    pub(crate) seed: u64,
+    pub(crate) iteration: u32,
+}
+
+/// Episodes to be played from home to the end.
+pub(crate) struct Episodes<'a> {
+    pub(crate) config: &'a Config,
+    pub(crate) robot: &'a Robot,
+    pub(crate) task: &'a Task,
+    pub(crate) dimensions: &'a Dimensions,
+    pub(crate) policy: &'a Policy,
+    pub(crate) batch: Batch,
+    /// Address of the first environment's goals.
+    pub(crate) goals: GoalAddress,
+    /// Exploration; without it actions are the policy's means.
+    pub(crate) noise: Option<Noise>,
+    pub(crate) output: Output<'a>,
+    /// Called after every control step.
+    pub(crate) on_step: &'a mut dyn FnMut(),
+}
+
+/// One lane group.
+struct Group<S: Real> {
+    physics: physics::GroupState<S>,
+    readings: Readings<S>,
+    goals: Goals<S>,
+    errors: Errors<S>,
+    /// Clipped actions of the step and of the one before, one a joint.
+    action: Vec<S>,
+    last_action: Vec<S>,
+    command: Vec<S>,
+    extremes: Extremes<S>,
+}
+
+/// Errors' minima and contacts so far.
+pub(crate) struct Extremes<S> {
+    pub(crate) position: Vec<S>,
+    pub(crate) orientation: Vec<S>,
+    pub(crate) base: S,
+    pub(crate) contact_steps: S,
+    pub(crate) contact_pairs: S,
+}
+
+impl<S: Real> Extremes<S> {
+    fn new(n_arms: usize) -> Self {
+        let far = S::splat(f64::INFINITY);
+        Self {
+            position: vec![far; n_arms],
+            orientation: vec![far; n_arms],
+            base: far,
+            contact_steps: S::zero(),
+            contact_pairs: S::zero(),
+        }
+    }
+
+    #[inline(always)]
+    fn update(&mut self, errors: &Errors<S>, pairs: S) {
+        for arm in 0..self.position.len() {
+            self.position[arm] = errors.position_norm[arm].min(self.position[arm]);
+            self.orientation[arm] = errors.orientation_norm[arm].min(self.orientation[arm]);
+        }
+        self.base = errors.base_norm.min(self.base);
+        self.contact_steps += S::select(pairs.gt(S::zero()), S::one(), S::zero());
+        self.contact_pairs += pairs;
+    }
+}
+
+impl LaneFn for Episodes<'_> {
+    type Output = Result<Timing, EpisodeError>;
+
+    #[inline(always)]
+    fn call<S: Real>(self) -> Self::Output {
+        let Self { config, robot, task, dimensions, policy, batch, goals, noise, .. } = self;
+        let (mut output, on_step) = (self.output, self.on_step);
+        let Dimensions { n_arms, n_agents, observation: o, state: s, .. } = *dimensions;
+        let Batch { first, n_envs, n_steps } = batch;
+        let n_groups = n_envs.div_ceil(S::LANES);
+
+        let mut physics = Physics::<S>::new(config, robot);
+        let mut groups: Vec<Group<S>> = (0..n_groups)
+            .map(|group| {
+                let mut drawn = task.goals.at_home();
+                for lane in 0..S::LANES {
+                    // Lanes beyond the last environment repeat it.
+                    let env = (group * S::LANES + lane).min(n_envs - 1) as u32;
+                    let address = GoalAddress { env: goals.env + env, ..goals };
+                    task.goals.draw(task.name, address, lane, &mut drawn);
+                }
+                let joints = vec![S::zero(); n_arms * JOINTS_PER_ARM];
+                Group {
+                    physics: physics.at_home(),
+                    readings: Readings::new(n_arms),
+                    goals: drawn,
+                    errors: Errors::new(n_arms),
+                    action: joints.clone(),
+                    last_action: joints.clone(),
+                    command: joints,
+                    extremes: Extremes::new(n_arms),
+                }
+            })
+            .collect();
+        // [A, group, O], [group, U], [S], [A]
+        let mut observations = vec![S::zero(); n_agents * n_groups * o];
+        let mut group_observations = vec![S::zero(); n_agents * o];
+        let mut means = vec![S::zero(); n_groups * JOINTS_PER_AGENT];
+        let mut critic = vec![S::zero(); s];
+        let mut paid = vec![S::zero(); n_agents];
+        let mut scratch = Scratch::new(policy, n_groups);
+        let limits: Vec<S> = task.action_limit.iter().map(|&limit| S::splat(limit)).collect();
+        let scale = S::splat(task.action_scale);
+        let mut timing = Timing::default();
+        output.begin();
+
+        for step in 0..=n_steps {
+            let clock = Instant::now();
+            for (index, group) in groups.iter_mut().enumerate() {
+                let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
+                let pairs = physics.read(&group.physics, &mut group.readings);
+                group.readings.last_action.copy_from_slice(&group.action);
+                group.errors.update(&group.readings, &group.goals);
+                if step > 0 {
+                    rewards(
+                        task,
+                        &group.errors,
+                        &group.action,
+                        &group.last_action,
+                        pairs,
+                        &mut paid,
+                    );
+                    group.extremes.update(&group.errors, pairs);
+                    output.step(row, step - 1, &paid, &group.errors, pairs);
+                }
+                for agent in 0..n_agents {
+                    let seen = &mut group_observations[agent * o..(agent + 1) * o];
+                    observe(task, &group.readings, &group.goals, &group.errors, agent, seen);
+                    let at = (agent * n_groups + index) * o;
+                    observations[at..at + o].copy_from_slice(seen);
+                }
+                critic_state(task, &group.readings, &group.errors, &group_observations, &mut critic);
+                output.look(row, step, &group_observations, &critic);
+                if step == n_steps {
+                    output.end(row, &group.errors, &group.extremes);
+                }
+                std::mem::swap(&mut group.action, &mut group.last_action);
+            }
+            timing.observe += clock.elapsed();
+            if step == n_steps {
+                break;
+            }
+
+            let clock = Instant::now();
+            for agent in 0..n_agents {
+                let seen = &observations[agent * n_groups * o..(agent + 1) * n_groups * o];
+                policy.mean(agent, seen, &mut scratch, &mut means);
+                for (index, group) in groups.iter_mut().enumerate() {
+                    let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
+                    let mean = &means[index * JOINTS_PER_AGENT..(index + 1) * JOINTS_PER_AGENT];
+                    check_means(mean, first + row.group as u32, step, agent)?;
+                    let mut sample = [S::zero(); JOINTS_PER_AGENT];
+                    sample.copy_from_slice(mean);
+                    if let Some(noise) = noise {
+                        let log_prob =
+                            explore(policy, agent, noise, first, row, step, &mut sample);
+                        output.act(row, step, agent, &sample, log_prob);
+                    }
+                    for (u, sample) in sample.into_iter().enumerate() {
+                        let joint = agent * JOINTS_PER_AGENT + u;
+                        let clipped = sample.clamp(-limits[joint], limits[joint]);
+                        group.action[joint] = clipped;
+                        group.command[joint] = clipped * scale;
+                    }
+                }
+            }
+            timing.policy += clock.elapsed();
+
+            let clock = Instant::now();
+            for (index, group) in groups.iter_mut().enumerate() {
+                physics.step(&mut group.physics, &group.command);
+                physics::check(&group.physics, first, index * S::LANES, n_envs, step)?;
+            }
+            timing.physics += clock.elapsed();
+            on_step();
+        }
+        Ok(timing)
+    }
+}
+
+/// Adds exploration noise to the means in `sample`; returns log-probabilities of the samples.
+///
+/// log p = Σ −½((a − μ)/σ)² − ln σ − ½ ln 2π, taken from the rounded action, as the learner will.
+#[inline(always)]
+fn explore<S: Real>(
+    policy: &Policy,
+    agent: usize,
+    noise: Noise,
+    first: u32,
+    row: Row<'_>,
+    step: usize,
+    sample: &mut [S; JOINTS_PER_AGENT],
+) -> S {
+    let mut drawn = [S::zero(); JOINTS_PER_AGENT];
+    let mut normals = [0.0; 4];
+    for lane in 0..S::LANES {
+        if row.group + lane < row.n_envs {
+            normals = Address {
+                seed: noise.seed,
+                purpose: Purpose::ActionNoise,
+                iteration: noise.iteration,
+                env: first + (row.group + lane) as u32,
+                step: step as u32,
+                index: agent as u32,
+            }
+            .normals();
+        }
+        for (drawn, normal) in drawn.iter_mut().zip(normals) {
+            drawn.set_lane(lane, f64::from(normal));
+        }
+    }
+    let mut log_prob = S::zero();
+    for u in 0..JOINTS_PER_AGENT {
+        let std = S::splat(f64::from(policy.std(agent)[u]));
+        let constant = f64::from(policy.log_std(agent)[u]) + HALF_LN_TAU;
+        let mean = sample[u];
+        sample[u] = std.mul_add(drawn[u], mean);
+        let z = (sample[u] - mean) / std;
+        log_prob = (z * z).mul_add(S::splat(-0.5), log_prob) - S::splat(constant);
+    }
+    log_prob
+}
+
+/// ½ ln 2π.
+const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
+
+/// Refuses means that are no numbers; `env` is that of the first lane.
+#[inline(always)]
+fn check_means<S: Real>(
+    means: &[S],
+    env: u32,
+    step: usize,
+    agent: usize,
+) -> Result<(), EpisodeError> {
+    for (action, mean) in means.iter().enumerate() {
+        if !mean.abs().le(S::splat(f64::from(f32::MAX))).all() {
+            for lane in 0..S::LANES {
+                let value = mean.lane(lane);
+                if !value.is_finite() {
+                    let env = env + lane as u32;
+                    return Err(EpisodeError::Action { env, step, agent, action, value });
+                }
+            }
+        }
+    }
+    Ok(())
+}

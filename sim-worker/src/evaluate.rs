@@ -1,0 +1,195 @@
+//! Evaluation: deterministic actions on goals that no training episode draws.
+
+use proto::rng::Purpose;
+use serde::Serialize;
+
+use crate::env::{Batch, EpisodeError, Episodes, Output};
+use crate::policy::Policy;
+use crate::rollout::World;
+use crate::scalar::{LANES, dispatch};
+use crate::task::goal::GoalAddress;
+
+/// Control steps that the mean over an episode's tail takes.
+pub const TAIL_STEPS: usize = 20;
+
+/// How to evaluate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EvaluationOptions {
+    /// Seed of the goals.
+    pub seed: u64,
+    /// E: episodes.
+    pub episodes: usize,
+    /// Control steps of an episode.
+    pub steps: usize,
+    /// Threads; the result does not depend on them.
+    pub threads: usize,
+}
+
+impl Default for EvaluationOptions {
+    /// The released protocol: 30 episodes of 200 steps.
+    fn default() -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        Self { seed: 0, episodes: 30, steps: 200, threads }
+    }
+}
+
+/// Course of one error over an episode, in three numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Course {
+    /// Smallest over the steps: the released script's measure, which flatters.
+    pub min: f32,
+    /// After the last step.
+    pub last: f32,
+    /// Mean over the last [`TAIL_STEPS`] steps (all, if the episode is shorter).
+    pub tail: f32,
+}
+
+/// Errors of one hand over an episode.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct HandCourse {
+    /// Norm of the position error (m).
+    pub position: Course,
+    /// Norm of the Euler-angle difference (rad).
+    pub orientation: Course,
+}
+
+/// One episode of an evaluation.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EpisodeResult {
+    /// One entry an arm; in `reorientation`, distances from home.
+    pub hands: Vec<HandCourse>,
+    /// Attitude error of the base (rad); in `trajectory`, distance from home.
+    pub base: Course,
+    /// Control steps at whose end any two bodies touched.
+    pub contact_steps: u32,
+    /// Touching pairs, summed over the steps.
+    pub contact_pairs: u32,
+}
+
+/// The result of an evaluation.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// Control steps of each episode.
+    pub steps: usize,
+    /// The episodes, in order of their index.
+    pub episodes: Vec<EpisodeResult>,
+}
+
+/// Evaluates `policy` with its mean actions on goals of [`Purpose::EvaluationGoal`].
+pub fn evaluate(
+    world: &World,
+    policy: &Policy,
+    options: &EvaluationOptions,
+) -> Result<Evaluation, EpisodeError> {
+    // Two lane groups at a time: enough to feed the policy's registers, little enough to spread.
+    const CHUNK: usize = 2 * LANES;
+    let EvaluationOptions { episodes, steps, threads, .. } = *options;
+    let width = series_width(world);
+    let mut series = vec![0.0_f32; episodes * steps * width];
+    let chunk_len = (CHUNK * steps * width).max(1);
+    let mut chunks: Vec<(usize, &mut [f32])> = series.chunks_mut(chunk_len).enumerate().collect();
+    let per_thread = chunks.len().div_ceil(threads.max(1)).max(1);
+    std::thread::scope(|scope| {
+        let handles: Vec<_> = chunks
+            .chunks_mut(per_thread)
+            .map(|share| {
+                scope.spawn(move || {
+                    share.iter_mut().try_for_each(|(index, series)| {
+                        let first = *index * CHUNK;
+                        let n_envs = CHUNK.min(episodes - first);
+                        run_chunk(world, policy, options, first as u32, n_envs, series)
+                    })
+                })
+            })
+            .collect();
+        handles.into_iter().try_for_each(|handle| match handle.join() {
+            Ok(result) => result,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
+    })?;
+    let episodes = series
+        .chunks_exact((steps * width).max(1))
+        .map(|episode| summarise(episode, world.dimensions.n_arms))
+        .collect();
+    Ok(Evaluation { steps, episodes })
+}
+
+/// Numbers of a step in a series: each hand's two errors, the base's, touching pairs.
+fn series_width(world: &World) -> usize {
+    2 * world.dimensions.n_arms + 2
+}
+
+fn run_chunk(
+    world: &World,
+    policy: &Policy,
+    options: &EvaluationOptions,
+    first: u32,
+    n_envs: usize,
+    series: &mut [f32],
+) -> Result<(), EpisodeError> {
+    let episodes = Episodes {
+        config: &world.config,
+        robot: &world.robot,
+        task: &world.task,
+        dimensions: &world.dimensions,
+        policy,
+        batch: Batch { first, n_envs, n_steps: options.steps },
+        goals: GoalAddress {
+            seed: options.seed,
+            purpose: Purpose::EvaluationGoal,
+            iteration: 0,
+            env: first,
+        },
+        noise: None,
+        output: Output::Series(series),
+        on_step: &mut || {},
+    };
+    dispatch(episodes).map(|_| ())
+}
+
+/// Reduces `[step][position errors, orientation errors, base error, pairs]`.
+fn summarise(episode: &[f32], n_arms: usize) -> EpisodeResult {
+    let width = 2 * n_arms + 2;
+    let course = |column: usize| {
+        let values = || episode.iter().skip(column).step_by(width).copied();
+        let n = episode.len() / width;
+        let tail = n.min(TAIL_STEPS);
+        Course {
+            min: values().fold(f32::INFINITY, f32::min),
+            last: values().last().unwrap_or(f32::NAN),
+            tail: values().skip(n - tail).sum::<f32>() / tail as f32,
+        }
+    };
+    let pairs = || episode.iter().skip(width - 1).step_by(width);
+    EpisodeResult {
+        hands: (0..n_arms)
+            .map(|arm| HandCourse { position: course(arm), orientation: course(n_arms + arm) })
+            .collect(),
+        base: course(2 * n_arms),
+        contact_steps: pairs().filter(|&&pairs| pairs > 0.0).count() as u32,
+        contact_pairs: pairs().sum::<f32>() as u32,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_episodes_course_by_hand() {
+        // One arm, 22 steps: position falls 22, 21, …, 1, rises to 3 at the end; pairs 2 at two steps.
+        let mut episode = Vec::new();
+        for step in 0..22 {
+            let position = if step == 21 { 3.0 } else { 22.0 - step as f32 };
+            let pairs = if step < 2 { 2.0 } else { 0.0 };
+            episode.extend([position, 0.5, step as f32, pairs]);
+        }
+        let result = summarise(&episode, 1);
+        // The last twenty: 20, 19, …, 2 (sum 209), 3: 212 / 20.
+        assert_eq!(result.hands[0].position, Course { min: 2.0, last: 3.0, tail: 10.6 });
+        assert_eq!(result.hands[0].orientation, Course { min: 0.5, last: 0.5, tail: 0.5 });
+        // 2…21: mean 11.5.
+        assert_eq!(result.base, Course { min: 0.0, last: 21.0, tail: 11.5 });
+        assert_eq!((result.contact_steps, result.contact_pairs), (2, 4));
+    }
+}

@@ -1,0 +1,229 @@
+//! The rollout: a pure function from a run's seed, an iteration, a shard and a policy to a block.
+//!
+//! Nothing outlives a call, so any worker can make any block, twice if need be, with the same bits.
+//! Goals and exploration noise are drawn by address (see [`proto::rng`]), from the environment's
+//! **global** index shard · N + n, and environments never mix in the arithmetic: the rows of an
+//! environment are the same bits in whatever shard, lane or process it is rolled out.
+
+use proto::config::Config;
+use proto::layout::{BlockLayout, Dimensions};
+use proto::rng::Purpose;
+
+use crate::env::{Batch, EpisodeError, Episodes, Noise, Output, Timing};
+use crate::policy::{Policy, PolicyError};
+use crate::robot::Robot;
+use crate::scalar::{Backend, dispatch_on};
+use crate::task::Task;
+use crate::task::goal::GoalAddress;
+
+/// Everything of a run that rollouts share and that never changes.
+#[derive(Debug, Clone)]
+pub struct World {
+    /// The configuration.
+    pub config: Config,
+    /// The sizes that follow.
+    pub dimensions: Dimensions,
+    /// The robot.
+    pub robot: Robot,
+    /// The task on this robot.
+    pub task: Task,
+    layout: BlockLayout,
+}
+
+impl World {
+    /// The world of a configuration and a robot.
+    pub fn new(config: &Config, robot: &Robot) -> Self {
+        let dimensions = Dimensions::new(config, robot.n_arms());
+        Self {
+            config: config.clone(),
+            dimensions,
+            robot: robot.clone(),
+            task: Task::new(config, crate::env::home(robot)),
+            layout: BlockLayout::new(&dimensions),
+        }
+    }
+
+    /// Where the arrays of a block stand.
+    pub fn block_layout(&self) -> &BlockLayout {
+        &self.layout
+    }
+
+    /// Checks and packs the parameters of a policy version.
+    pub fn policy(&self, parameters: &[f32]) -> Result<Policy, PolicyError> {
+        Policy::new(&self.config, &self.dimensions, parameters)
+    }
+}
+
+/// Which block.
+#[derive(Debug, Clone, Copy)]
+pub struct RolloutSpec<'a> {
+    /// Seed of the run.
+    pub seed: u64,
+    /// Iteration of the run.
+    pub iteration: u64,
+    /// The shard.
+    pub shard: u32,
+    /// The policy to act with.
+    pub policy: &'a Policy,
+}
+
+/// What a rollout did.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RolloutStats {
+    /// Env-steps in the block.
+    pub env_steps: u64,
+    /// Where the time went.
+    pub timing: Timing,
+}
+
+/// Why a block could not be made.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RolloutError {
+    /// The order does not fit the configuration.
+    #[error("shard {shard} of iteration {iteration} does not exist: the run has {n_shards} shards")]
+    NoSuchShard {
+        /// The shard asked for.
+        shard: u32,
+        /// The iteration asked for.
+        iteration: u64,
+        /// Shards of the run.
+        n_shards: usize,
+    },
+    /// The memory for the block has another size than the layout.
+    #[error("the block has {found} numbers, the configuration's layout has {expected}")]
+    BlockLength {
+        /// Numbers of the slice.
+        found: usize,
+        /// Numbers of the layout.
+        expected: usize,
+    },
+    /// The policy is one of another configuration.
+    #[error(
+        "the policy has {found_agents} agents that see {found_observation} numbers; the run has \
+         {agents} that see {observation}"
+    )]
+    PolicyShape {
+        /// Agents of the policy.
+        found_agents: usize,
+        /// Inputs of its networks.
+        found_observation: usize,
+        /// Agents of the run.
+        agents: usize,
+        /// Numbers that they see.
+        observation: usize,
+    },
+    /// An episode went wrong.
+    #[error("seed {seed}, iteration {iteration}, shard {shard}: {source}")]
+    Episode {
+        /// Seed of the run.
+        seed: u64,
+        /// The iteration.
+        iteration: u64,
+        /// The shard.
+        shard: u32,
+        /// What, where and when.
+        source: EpisodeError,
+    },
+}
+
+/// Rolls out a shard: N environments, one whole episode each, into `block`.
+///
+/// `on_step` is called after every control step, for a worker to say that it is alive; it cannot
+/// change the result.
+pub fn rollout(
+    world: &World,
+    spec: &RolloutSpec<'_>,
+    block: &mut [f32],
+    on_step: &mut dyn FnMut(),
+) -> Result<RolloutStats, RolloutError> {
+    rollout_on(Backend::detect(), world, spec, block, on_step)
+}
+
+/// [`rollout`] on a chosen back end; all give the same bits.
+pub fn rollout_on(
+    backend: Backend,
+    world: &World,
+    spec: &RolloutSpec<'_>,
+    block: &mut [f32],
+    on_step: &mut dyn FnMut(),
+) -> Result<RolloutStats, RolloutError> {
+    let job = prepare(world, spec, block, on_step)?;
+    finish(world, spec, dispatch_on(backend, job))
+}
+
+/// The rollout with one environment a lane in `S` itself: the readable twin for tests.
+#[cfg(test)]
+pub(crate) fn rollout_with<S: crate::scalar::Real>(
+    world: &World,
+    spec: &RolloutSpec<'_>,
+    block: &mut [f32],
+) -> Result<RolloutStats, RolloutError> {
+    use crate::scalar::LaneFn;
+    let mut on_step = || {};
+    let job = prepare(world, spec, block, &mut on_step)?;
+    finish(world, spec, job.call::<S>())
+}
+
+fn prepare<'a>(
+    world: &'a World,
+    spec: &RolloutSpec<'a>,
+    block: &'a mut [f32],
+    on_step: &'a mut dyn FnMut(),
+) -> Result<Episodes<'a>, RolloutError> {
+    let RolloutSpec { seed, iteration, shard, policy } = *spec;
+    let dimensions = &world.dimensions;
+    let Ok(address_iteration) = u32::try_from(iteration) else {
+        return Err(RolloutError::NoSuchShard { shard, iteration, n_shards: dimensions.n_shards });
+    };
+    if shard as usize >= dimensions.n_shards {
+        return Err(RolloutError::NoSuchShard { shard, iteration, n_shards: dimensions.n_shards });
+    }
+    if block.len() != world.layout.len {
+        return Err(RolloutError::BlockLength { found: block.len(), expected: world.layout.len });
+    }
+    if (policy.n_agents(), policy.observation()) != (dimensions.n_agents, dimensions.observation) {
+        return Err(RolloutError::PolicyShape {
+            found_agents: policy.n_agents(),
+            found_observation: policy.observation(),
+            agents: dimensions.n_agents,
+            observation: dimensions.observation,
+        });
+    }
+    let first = shard * dimensions.n_envs as u32;
+    Ok(Episodes {
+        config: &world.config,
+        robot: &world.robot,
+        task: &world.task,
+        dimensions,
+        policy,
+        batch: Batch { first, n_envs: dimensions.n_envs, n_steps: dimensions.n_steps },
+        goals: GoalAddress {
+            seed,
+            purpose: Purpose::Goal,
+            iteration: address_iteration,
+            env: first,
+        },
+        noise: Some(Noise { seed, iteration: address_iteration }),
+        output: Output::Block { layout: &world.layout, block },
+        on_step,
+    })
+}
+
+fn finish(
+    world: &World,
+    spec: &RolloutSpec<'_>,
+    result: Result<Timing, EpisodeError>,
+) -> Result<RolloutStats, RolloutError> {
+    let RolloutSpec { seed, iteration, shard, .. } = *spec;
+    match result {
+        Ok(timing) => {
+            let env_steps = (world.dimensions.n_envs * world.dimensions.n_steps) as u64;
+            Ok(RolloutStats { env_steps, timing })
+        }
+        Err(source) => Err(RolloutError::Episode { seed, iteration, shard, source }),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,265 @@
+use proto::config::{Layers, Preset, TaskName};
+use proto::layout::{EpisodeMetrics, JOINTS_PER_AGENT};
+
+use super::*;
+use crate::policy::tests::{parameters, plain_mean};
+
+/// A world of `n_envs` environments in `n_shards` shards, `steps` steps, small networks.
+fn world(preset: Preset, task: TaskName, n_envs: usize, n_shards: usize, steps: usize) -> World {
+    let mut config = Layers::new(preset, Some(task)).resolve().expect("valid");
+    config.env.n_envs = n_envs;
+    config.env.n_shards = n_shards;
+    config.task.episode_steps = steps;
+    config.network.hidden = vec![24, 17];
+    config.validate().expect("valid");
+    let robot = Robot::builtin(&config.robot.description).expect("built in");
+    World::new(&config, &robot)
+}
+
+fn flat(world: &World) -> Vec<f32> {
+    parameters(&world.config, &world.dimensions, 11)
+}
+
+/// The block of one shard; memory starts as garbage, which must not show.
+fn block(world: &World, iteration: u64, shard: u32) -> Vec<f32> {
+    let policy = world.policy(&flat(world)).expect("a policy");
+    let mut block = vec![f32::from_bits(0x7fc0_1234); world.block_layout().len];
+    let spec = RolloutSpec { seed: 5, iteration, shard, policy: &policy };
+    let mut steps = 0;
+    let stats = rollout(world, &spec, &mut block, &mut || steps += 1).expect("a block");
+    assert_eq!(stats.env_steps, (world.dimensions.n_envs * world.dimensions.n_steps) as u64);
+    assert_eq!(steps, world.dimensions.n_steps);
+    block
+}
+
+/// Everything that `block` says about its local environment `n`, in a fixed order, as bits.
+fn rows(world: &World, block: &[f32], n: usize) -> Vec<u32> {
+    let Dimensions { n_agents, n_steps, n_envs, observation, state, n_metrics, .. } =
+        world.dimensions;
+    let layout = world.block_layout();
+    let mut bits = Vec::new();
+    // Each array is [outer, N, inner].
+    for (range, outer, inner) in [
+        (&layout.observation, n_agents * (n_steps + 1), observation),
+        (&layout.state, n_steps + 1, state),
+        (&layout.action, n_agents * n_steps, JOINTS_PER_AGENT),
+        (&layout.log_prob, n_agents * n_steps, 1),
+        (&layout.reward, n_agents * n_steps, 1),
+        (&layout.terminated, n_steps, 1),
+        (&layout.truncated, n_steps, 1),
+        (&layout.metrics, 1, n_metrics),
+    ] {
+        let array = &block[range.clone()];
+        assert_eq!(array.len(), outer * n_envs * inner);
+        for i in 0..outer {
+            let at = (i * n_envs + n) * inner;
+            bits.extend(array[at..at + inner].iter().map(|x| x.to_bits()));
+        }
+    }
+    bits
+}
+
+#[test]
+fn an_environments_rows_do_not_depend_on_the_sharding() {
+    for (preset, task) in
+        [(Preset::Tuned, TaskName::Trajectory), (Preset::Release, TaskName::Reorientation)]
+    {
+        // 42 environments: groups of 16, 16 and 10; of 14; of 6; alone.
+        let whole = world(preset, task, 42, 1, 3);
+        let reference = block(&whole, 2, 0);
+        assert!(reference.iter().all(|x| x.is_finite()), "everything is written");
+        for n_shards in [3, 7, 42] {
+            let split = world(preset, task, 42, n_shards, 3);
+            let n = split.dimensions.n_envs;
+            for shard in 0..n_shards as u32 {
+                let part = block(&split, 2, shard);
+                for env in 0..n {
+                    let global = shard as usize * n + env;
+                    assert!(
+                        rows(&split, &part, env) == rows(&whole, &reference, global),
+                        "environment {global} differs in {n_shards} shards"
+                    );
+                }
+            }
+        }
+        assert!(reference == block(&whole, 2, 0), "the same order gives the same block");
+        assert!(reference != block(&whole, 3, 0), "another iteration draws anew");
+    }
+}
+
+#[test]
+fn every_back_end_makes_the_same_block() {
+    let world = world(Preset::Paper, TaskName::Trajectory, 18, 1, 3);
+    let policy = world.policy(&flat(&world)).expect("a policy");
+    let spec = RolloutSpec { seed: 5, iteration: 0, shard: 0, policy: &policy };
+    let on = |backend| {
+        let mut block = vec![0.0; world.block_layout().len];
+        rollout_on(backend, &world, &spec, &mut block, &mut || {}).expect("a block");
+        block
+    };
+    let reference = on(Backend::detect());
+    for backend in [Backend::Avx2, Backend::Portable] {
+        if backend.is_available() {
+            assert!(on(backend) == reference, "{backend:?}");
+        }
+    }
+}
+
+#[test]
+fn single_precision_lanes_follow_the_f64_twin() {
+    for (preset, task) in
+        [(Preset::Release, TaskName::Trajectory), (Preset::Tuned, TaskName::Reorientation)]
+    {
+        let world = world(preset, task, 5, 1, 5);
+        let policy = world.policy(&flat(&world)).expect("a policy");
+        let spec = RolloutSpec { seed: 5, iteration: 0, shard: 0, policy: &policy };
+        let lanes = block(&world, 0, 0);
+        let mut twin = vec![0.0; world.block_layout().len];
+        rollout_with::<f64>(&world, &spec, &mut twin).expect("a block");
+        // Single precision carries 6e-8 relative per operation; 40 substeps of about a thousand
+        // operations each add like a random walk, 200 × 6e-8 = 1e-5 a step, on numbers up to 6
+        // (rates up to 2.5 rad/s). Rewards magnify: d log10(e²)/de = 0.87/e ≤ 9 for e ≥ 0.1.
+        let layout = world.block_layout();
+        for (range, tolerance) in [
+            (&layout.observation, 1e-3),
+            (&layout.state, 1e-3),
+            (&layout.action, 1e-3),
+            (&layout.log_prob, 1e-4),
+            (&layout.reward, 1e-2),
+            (&layout.metrics, 1e-3),
+        ] {
+            for i in range.clone() {
+                let error = (lanes[i] - twin[i]).abs();
+                assert!(
+                    error < tolerance * lanes[i].abs().max(1.0),
+                    "{preset:?}: element {} of {range:?}: {} vs {}",
+                    i - range.start,
+                    lanes[i],
+                    twin[i]
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn actions_and_log_probabilities_follow_from_the_observations() {
+    let world = world(Preset::Tuned, TaskName::Trajectory, 3, 1, 4);
+    let flat = flat(&world);
+    let policy = world.policy(&flat).expect("a policy");
+    let block = block(&world, 7, 0);
+    let layout = world.block_layout();
+    let Dimensions { n_agents, n_steps, n_envs, observation: o, .. } = world.dimensions;
+    for agent in 0..n_agents {
+        for step in 0..n_steps {
+            for env in 0..n_envs {
+                let at =
+                    layout.observation.start + ((agent * (n_steps + 1) + step) * n_envs + env) * o;
+                let seen: Vec<f64> = block[at..at + o].iter().map(|&x| f64::from(x)).collect();
+                let mean = plain_mean(&world.config, &world.dimensions, &flat, agent, &seen);
+                let normals = proto::rng::Address {
+                    seed: 5,
+                    purpose: Purpose::ActionNoise,
+                    iteration: 7,
+                    env: env as u32,
+                    step: step as u32,
+                    index: agent as u32,
+                }
+                .normals();
+                let row = (agent * n_steps + step) * n_envs + env;
+                let mut log_prob = 0.0;
+                for u in 0..JOINTS_PER_AGENT {
+                    let std = f64::from(policy.log_std(agent)[u]).exp();
+                    let by_hand = mean[u] + std * f64::from(normals[u]);
+                    let action = f64::from(block[layout.action.start + row * 3 + u]);
+                    // Sums of tens of products in single precision.
+                    assert!((action - by_hand).abs() < 1e-5, "{action} vs {by_hand}");
+                    log_prob -= 0.5 * f64::from(normals[u]).powi(2)
+                        + std.ln()
+                        + 0.5 * std::f64::consts::TAU.ln();
+                }
+                let found = f64::from(block[layout.log_prob.start + row]);
+                // z is recovered from the rounded action: 1e-7 · |a|/σ, times |z| ≤ 5.
+                assert!((found - log_prob).abs() < 1e-5, "{found} vs {log_prob}");
+            }
+        }
+    }
+}
+
+#[test]
+fn episodes_are_truncated_at_their_end_and_never_terminated() {
+    let world = world(Preset::Tuned, TaskName::Trajectory, 20, 1, 4);
+    let block = block(&world, 0, 0);
+    let layout = world.block_layout();
+    assert!(block[layout.terminated.clone()].iter().all(|&x| x == 0.0));
+    let truncated = &block[layout.truncated.clone()];
+    assert!(truncated[..60].iter().all(|&x| x == 0.0));
+    assert!(truncated[60..].iter().all(|&x| x == 1.0));
+}
+
+#[test]
+fn metrics_are_those_of_the_errors_in_the_observations() {
+    let world = world(Preset::Tuned, TaskName::Trajectory, 17, 1, 4);
+    let block = block(&world, 0, 0);
+    let layout = world.block_layout();
+    let Dimensions { n_steps, n_envs, observation: o, n_metrics, .. } = world.dimensions;
+    let places = EpisodeMetrics::new(4);
+    for env in 0..n_envs {
+        for arm in 0..4 {
+            // Plain errors stand at 25…30 of the tuned observation.
+            let error = |step: usize, part: usize| {
+                let at = layout.observation.start
+                    + ((2 * arm * (n_steps + 1) + step) * n_envs + env) * o
+                    + 25
+                    + 3 * part;
+                block[at..at + 3].iter().map(|e| e * e).sum::<f32>().sqrt()
+            };
+            let metrics = &block[layout.metrics.start + env * n_metrics..][..n_metrics];
+            for (part, last, min) in [
+                (0, &places.final_position, &places.min_position),
+                (1, &places.final_orientation, &places.min_orientation),
+            ] {
+                let smallest = (1..=n_steps).map(|t| error(t, part)).fold(f32::MAX, f32::min);
+                // The norm's three roundings in another order.
+                assert!((metrics[last.start + arm] - error(n_steps, part)).abs() < 1e-6);
+                assert!((metrics[min.start + arm] - smallest).abs() < 1e-6);
+            }
+        }
+    }
+}
+
+#[test]
+fn orders_that_do_not_fit_are_refused() {
+    let world = world(Preset::Tuned, TaskName::Trajectory, 4, 2, 2);
+    let policy = world.policy(&flat(&world)).expect("a policy");
+    let mut block = vec![0.0; world.block_layout().len];
+    let spec = RolloutSpec { seed: 5, iteration: 0, shard: 2, policy: &policy };
+    let error = rollout(&world, &spec, &mut block, &mut || {}).expect_err("no such shard");
+    assert!(error.to_string().contains("shard 2"), "{error}");
+    let spec = RolloutSpec { shard: 1, ..spec };
+    let error = rollout(&world, &spec, &mut block[1..], &mut || {}).expect_err("too short");
+    assert!(matches!(error, RolloutError::BlockLength { .. }), "{error}");
+}
+
+#[test]
+fn a_diverged_policy_is_caught_in_the_step_that_shows_it() {
+    let world = world(Preset::Paper, TaskName::Trajectory, 40, 2, 3);
+    let mut flat = flat(&world);
+    // Finite parameters whose sums are not: LayerNorm then takes ∞ − ∞ in agent 6's second layer.
+    let layout = proto::layout::ActorLayout::new(&world.config, &world.dimensions);
+    let weights = layout.get("hidden.1.weight").expect("exists");
+    let length = weights.len() / 8;
+    flat[weights.offset + 6 * length..][..length].fill(3e38);
+    // A large shift below makes every sum positive, so that no ReLU hides it.
+    let shift = layout.get("hidden.0.shift").expect("exists");
+    let length = shift.len() / 8;
+    flat[shift.offset + 6 * length..][..length].fill(100.0);
+    let policy = world.policy(&flat).expect("finite parameters");
+    let mut block = vec![0.0; world.block_layout().len];
+    let spec = RolloutSpec { seed: 5, iteration: 4, shard: 1, policy: &policy };
+    let error = rollout(&world, &spec, &mut block, &mut || {}).expect_err("diverged").to_string();
+    assert!(
+        error.contains("iteration 4, shard 1: environment 20, step 0, agent 6: the mean of action"),
+        "{error}"
+    );
+}

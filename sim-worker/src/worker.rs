@@ -1,0 +1,335 @@
+//! The worker process: waits for orders, rolls out, sends, and remembers nothing.
+//!
+//! A worker's only state is what it was sent and can be sent again: orders not yet done, and the
+//! newest policy versions. Whatever happens to it, another worker makes the same blocks.
+//!
+//! The floating-point environment is left as the system sets it: subnormal numbers are computed with,
+//! not flushed to zero, so that every processor gives the same bits.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use proto::channel::{
+    ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, MessageReceiver,
+    MessageSender, Role,
+};
+use proto::config::Config;
+use proto::layout::{BlockHeader, PolicyHeader};
+use proto::message::{self, Order, Status};
+use proto::run_dir::RunDir;
+use proto::{ChannelError, ExitCode, ExitError};
+
+use crate::policy::Policy;
+use crate::robot::Robot;
+use crate::rollout::{RolloutSpec, World, rollout};
+
+/// How often a worker says that it is alive.
+const HEARTBEAT: Duration = Duration::from_millis(500);
+/// Policy versions that a worker keeps: with overlap it acts with the one before the newest.
+const KEPT_POLICIES: usize = 3;
+/// Pause before a block is made again that no learner was there to take.
+const RETRY: Duration = Duration::from_millis(50);
+
+/// Rolls out policies for a SpaceOctopus run; started by `octopus`, not by hand.
+#[derive(Debug, Clone, clap::Parser)]
+#[command(name = "sim-worker", version)]
+pub struct Arguments {
+    /// Run directory, holding config.toml and robot.toml.
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: PathBuf,
+    /// Number of this worker.
+    #[arg(long, value_name = "N")]
+    pub worker: u32,
+    /// How often this worker was started before.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub incarnation: u32,
+    /// Name under which the run's shared memory lives.
+    #[arg(long, value_name = "NAME")]
+    pub domain: String,
+    /// Process that started this one: the worker does not start if that is gone already.
+    #[arg(long, value_name = "PID")]
+    pub parent: Option<i32>,
+}
+
+/// Works until it is told to stop.
+pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
+    die_with_parent(arguments.parent)?;
+    let world = load(&RunDir::new(&arguments.run_dir))?;
+    let mut worker = Worker::connect(arguments, &world)?;
+    tracing::info!(
+        worker = arguments.worker,
+        incarnation = arguments.incarnation,
+        backend = ?crate::scalar::Backend::detect(),
+        "ready"
+    );
+    worker.serve()
+}
+
+/// Asks the kernel to kill this process when its parent dies, and makes sure that it has not yet.
+fn die_with_parent(expected: Option<i32>) -> Result<(), ExitError> {
+    let before = rustix::process::getppid();
+    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL)).map_err(
+        |error| {
+            ExitError::new(
+                ExitCode::Environment,
+                format!("cannot tie this process to its parent: {error}"),
+            )
+        },
+    )?;
+    // The parent may have died before the request took effect: then somebody else is the parent.
+    let now = rustix::process::getppid();
+    let pid = now.map_or(0, |pid| pid.as_raw_nonzero().get());
+    if now != before || expected.is_some_and(|expected| expected != pid) {
+        return Err(ExitError::new(
+            ExitCode::Failure,
+            "the process that started this worker is gone",
+        ));
+    }
+    Ok(())
+}
+
+/// Reads configuration and robot of a run.
+pub fn load(run_dir: &RunDir) -> Result<World, ExitError> {
+    let read = |path: PathBuf| {
+        std::fs::read_to_string(&path).map(|text| (text, path.display().to_string())).map_err(
+            |error| {
+                ExitError::new(
+                    ExitCode::RunDirectory,
+                    format!("{}: cannot be read: {error}", path.display()),
+                )
+            },
+        )
+    };
+    let bad = |error: &dyn std::fmt::Display| ExitError::new(ExitCode::BadInput, error.to_string());
+    let (text, origin) = read(run_dir.config())?;
+    let config = Config::from_resolved_toml(&text, &origin).map_err(|error| bad(&error))?;
+    let (text, origin) = read(run_dir.robot())?;
+    let robot = Robot::from_toml(&text, &origin).map_err(|error| bad(&error))?;
+    Ok(World::new(&config, &robot))
+}
+
+/// One block to be made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Job {
+    iteration: u64,
+    policy_version: u64,
+    shard: u32,
+}
+
+/// What became of a job.
+enum Outcome {
+    Done,
+    /// Nobody was there to take the block: make it again later.
+    Unclaimed,
+}
+
+struct Worker<'a> {
+    world: &'a World,
+    worker: u32,
+    incarnation: u32,
+    jobs: VecDeque<Job>,
+    stopping: bool,
+    /// Oldest first.
+    policies: VecDeque<(u64, Policy)>,
+    heartbeat: Instant,
+    status: MessageSender<Status>,
+    orders: MessageReceiver<Order>,
+    policy: ArrayReceiver<PolicyHeader>,
+    blocks: ArraySender<BlockHeader>,
+    bell: BellListener,
+    // Dropped last: ports must not outlive their services.
+    _channels: Channels,
+}
+
+impl<'a> Worker<'a> {
+    fn connect(arguments: &Arguments, world: &'a World) -> Result<Self, ExitError> {
+        let connect = || -> Result<Self, ChannelError> {
+            let domain = Domain::parse(&arguments.domain)?;
+            let sizes = ChannelSizes::new(&world.config, &world.dimensions);
+            let channels = Channels::open(&domain, sizes)?;
+            let deadline = Duration::from_secs_f64(world.config.run.order_deadline_s);
+            Ok(Self {
+                world,
+                worker: arguments.worker,
+                incarnation: arguments.incarnation,
+                jobs: VecDeque::new(),
+                stopping: false,
+                policies: VecDeque::new(),
+                heartbeat: Instant::now(),
+                status: channels.status_sender()?,
+                // Heard before anything is looked for, so that no ring is missed.
+                bell: channels.listener(Role::Workers)?,
+                orders: channels.order_receiver()?,
+                policy: channels.policy_receiver()?,
+                blocks: channels.block_sender(deadline)?,
+                _channels: channels,
+            })
+        };
+        connect().map_err(|error| ExitError::new(ExitCode::Environment, error.to_string()))
+    }
+
+    fn serve(&mut self) -> Result<(), ExitError> {
+        let (worker, incarnation) = (self.worker, self.incarnation);
+        self.send(&Status::Ready { worker, incarnation })?;
+        loop {
+            self.take_orders()?;
+            self.take_policies()?;
+            // "Finish what is at hand": the block being made was finished before this line.
+            if self.stopping {
+                return Ok(());
+            }
+            match self.next_job() {
+                Some(job) => match self.make(job)? {
+                    Outcome::Done => {}
+                    Outcome::Unclaimed => {
+                        self.jobs.push_back(job);
+                        self.bell.wait(RETRY);
+                    }
+                },
+                None => self.bell.wait(HEARTBEAT),
+            }
+            self.beat()?;
+        }
+    }
+
+    fn take_orders(&mut self) -> Result<(), ExitError> {
+        loop {
+            match self.orders.try_receive() {
+                Ok(None) => return Ok(()),
+                Ok(Some(Order::Rollout {
+                    worker,
+                    incarnation,
+                    iteration,
+                    policy_version,
+                    shards,
+                })) if (worker, incarnation) == (self.worker, self.incarnation) => {
+                    for shard in shards {
+                        let job = Job { iteration, policy_version, shard };
+                        // A re-sent order for what still waits is the same order.
+                        if !self.jobs.contains(&job) {
+                            self.jobs.push_back(job);
+                        }
+                    }
+                }
+                Ok(Some(Order::Stop)) => self.stopping = true,
+                Ok(Some(_)) => {}
+                // A garbled message is reported and passed over; its order will be sent again.
+                Err(error @ ChannelError::Decode { .. }) => self.fail(&error.to_string())?,
+                Err(error) => return Err(failure(&error)),
+            }
+        }
+    }
+
+    fn take_policies(&mut self) -> Result<(), ExitError> {
+        while let Some(sample) = self.policy.try_receive().map_err(|error| failure(&error))? {
+            let version = sample.header().version;
+            match self.world.policy(sample.payload()) {
+                Ok(policy) => {
+                    self.policies.retain(|(held, _)| *held != version);
+                    self.policies.push_back((version, policy));
+                    self.policies.make_contiguous().sort_by_key(|(held, _)| *held);
+                    while self.policies.len() > KEPT_POLICIES {
+                        self.policies.pop_front();
+                    }
+                }
+                Err(error) => self.fail(&format!("policy version {version}: {error}"))?,
+            }
+        }
+        Ok(())
+    }
+
+    /// The first job whose policy is here. Jobs whose policy will come wait for it.
+    fn next_job(&mut self) -> Option<Job> {
+        let held = |version: u64| self.policies.iter().any(|(held, _)| *held == version);
+        let index = self.jobs.iter().position(|job| held(job.policy_version))?;
+        self.jobs.remove(index)
+    }
+
+    fn make(&mut self, job: Job) -> Result<Outcome, ExitError> {
+        let Job { iteration, policy_version, shard } = job;
+        let mut block = self.blocks.loan().map_err(|error| failure(&error))?;
+        let Some((_, policy)) = self.policies.iter().find(|(held, _)| *held == policy_version)
+        else {
+            return Ok(Outcome::Unclaimed);
+        };
+        let spec = RolloutSpec { seed: self.world.config.run.seed, iteration, shard, policy };
+        let start = Instant::now();
+        let (status, heartbeat) = (&self.status, &mut self.heartbeat);
+        let alive = Status::Heartbeat { worker: self.worker, incarnation: self.incarnation };
+        let mut on_step = || {
+            if heartbeat.elapsed() >= HEARTBEAT {
+                *heartbeat = Instant::now();
+                // A lost heartbeat is followed by another; a broken channel shows at the next send.
+                let _ = status.send(&alive);
+            }
+        };
+        let stats = match rollout(self.world, &spec, block.payload_mut(), &mut on_step) {
+            Ok(stats) => stats,
+            Err(error) => {
+                self.fail(&error.to_string())?;
+                return Ok(Outcome::Done);
+            }
+        };
+        let rollout_ns = start.elapsed().as_nanos() as u64;
+        *block.header_mut() = BlockHeader {
+            iteration,
+            policy_version,
+            shard,
+            worker: self.worker,
+            incarnation: self.incarnation,
+            n_envs: self.world.dimensions.n_envs as u32,
+            n_steps: self.world.dimensions.n_steps as u32,
+            reserved: 0,
+            rollout_ns,
+        };
+        match self.blocks.send(block) {
+            Ok(0) => {
+                tracing::warn!(iteration, shard, "no learner took the block; making it again");
+                return Ok(Outcome::Unclaimed);
+            }
+            Ok(_) => {}
+            Err(error @ ChannelError::Backpressure { .. }) => {
+                self.fail(&error.to_string())?;
+                return Ok(Outcome::Done);
+            }
+            Err(error) => return Err(failure(&error)),
+        }
+        let (worker, incarnation) = (self.worker, self.incarnation);
+        self.send(&Status::BlockDone {
+            worker,
+            incarnation,
+            iteration,
+            shard,
+            env_steps: stats.env_steps,
+            rollout_ns,
+        })?;
+        tracing::debug!(iteration, shard, policy_version, rollout_ns, "block sent");
+        Ok(Outcome::Done)
+    }
+
+    fn beat(&mut self) -> Result<(), ExitError> {
+        if self.heartbeat.elapsed() < HEARTBEAT {
+            return Ok(());
+        }
+        self.heartbeat = Instant::now();
+        self.send(&Status::Heartbeat { worker: self.worker, incarnation: self.incarnation })
+    }
+
+    fn fail(&self, what: &str) -> Result<(), ExitError> {
+        tracing::error!(worker = self.worker, "{what}");
+        self.send(&Status::Failed {
+            worker: self.worker,
+            incarnation: self.incarnation,
+            message: message::clip(what),
+        })
+    }
+
+    fn send(&self, status: &Status) -> Result<(), ExitError> {
+        self.status.send(status).map_err(|error| failure(&error))
+    }
+}
+
+fn failure(error: &ChannelError) -> ExitError {
+    ExitError::new(ExitCode::Failure, error.to_string())
+}
