@@ -1,0 +1,102 @@
+//! What can go wrong in the learner.
+
+use proto::{ChannelError, ConfigError, ExitCode, ExitError};
+
+/// An error of the learner. Every message says what was expected.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LearnerError {
+    /// A received block holds a number that is not finite.
+    #[error(
+        "worker {worker} (incarnation {incarnation}) sent a block of iteration {iteration}, \
+         shard {shard}, whose {array} is {value} at {place}; nothing was trained on it"
+    )]
+    BadBlock {
+        /// Who rolled it out.
+        worker: u32,
+        /// How often that worker had been started before.
+        incarnation: u32,
+        /// The iteration.
+        iteration: u64,
+        /// The shard.
+        shard: u32,
+        /// The array of the block.
+        array: &'static str,
+        /// The number.
+        value: f32,
+        /// Agent, environment and step.
+        place: String,
+    },
+    /// A received block does not fit this run.
+    #[error("worker {worker} sent a block whose {what} is {found}, expected {expected}")]
+    ForeignBlock {
+        /// Who rolled it out.
+        worker: u32,
+        /// The field.
+        what: &'static str,
+        /// What it says.
+        found: u64,
+        /// What it should say.
+        expected: String,
+    },
+    /// A loss or a gradient is not finite.
+    #[error(
+        "the {network} gradient of agent {agent} is not finite in iteration {iteration}, \
+         epoch {epoch}, mini-batch {mini_batch}; lower the learning rate or algorithm.max_grad_norm"
+    )]
+    Diverged {
+        /// `actor` or `critic`.
+        network: &'static str,
+        /// The agent.
+        agent: usize,
+        /// The iteration.
+        iteration: u64,
+        /// The epoch, from 0.
+        epoch: usize,
+        /// The mini-batch, from 0.
+        mini_batch: usize,
+    },
+    /// A training state cannot be restored.
+    #[error("training state: {0}")]
+    State(String),
+    /// The device is not there.
+    #[error("{0}")]
+    Device(String),
+    /// libtorch reports an error.
+    #[error("libtorch: {0}")]
+    Torch(#[from] tch::TchError),
+    /// A channel fails.
+    #[error(transparent)]
+    Channel(#[from] ChannelError),
+    /// The configuration is wrong.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A file cannot be read.
+    #[error("{path}: {source}", path = path.display())]
+    File {
+        /// The file.
+        path: std::path::PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// A robot file cannot be used.
+    #[error("{0}")]
+    Robot(String),
+    /// The process that started the learner is gone.
+    #[error("the process that started the learner is gone")]
+    Orphaned,
+}
+
+impl From<LearnerError> for ExitError {
+    fn from(error: LearnerError) -> Self {
+        let code = match &error {
+            LearnerError::State(_) => ExitCode::RunDirectory,
+            LearnerError::Device(_) => ExitCode::Environment,
+            LearnerError::Config(_) | LearnerError::File { .. } | LearnerError::Robot(_) => {
+                ExitCode::BadInput
+            }
+            _ => ExitCode::Failure,
+        };
+        Self::new(code, error.to_string())
+    }
+}

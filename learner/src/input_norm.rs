@@ -1,0 +1,133 @@
+//! Running normalisation of network inputs.
+//!
+//! Mean and variance of every feature over all samples of the run, by the parallel update of Chan,
+//! Golub and LeVeque, "Algorithms for computing the sample variance", The American Statistician
+//! 1983, equation 2.1. An input becomes clip((x − mean) · inverse_std, ± `input_clip`).
+//!
+//! Actions are sampled with the normaliser that was published with their policy. So the normaliser
+//! changes after an iteration's update, together with the policy, never between rollout and
+//! update. The first iteration alone is trained with its own moments: an untrained policy has
+//! nothing to unlearn, and critics would otherwise begin on raw inputs.
+
+/// Added to the variance, so that a feature that never moves does not divide by zero.
+const EPSILON: f64 = 1e-6;
+
+/// Running moments of `rows` × `features` inputs, in `f64`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InputNorm {
+    /// Number of independent rows (agents, or 1).
+    pub rows: usize,
+    /// Features of a row.
+    pub features: usize,
+    /// Samples seen by each row.
+    pub count: f64,
+    /// `[rows, features]`: mean.
+    pub mean: Vec<f64>,
+    /// `[rows, features]`: sum of squared deviations from the mean.
+    pub m2: Vec<f64>,
+}
+
+impl InputNorm {
+    /// Moments that have seen nothing: they normalise to the input itself.
+    pub fn new(rows: usize, features: usize) -> Self {
+        let zeros = vec![0.0; rows * features];
+        Self { rows, features, count: 0.0, mean: zeros.clone(), m2: zeros }
+    }
+
+    /// Adds samples. `batch` holds, for each row, blocks of contiguous samples `[…, features]`, in
+    /// an order that must not depend on when they arrived.
+    ///
+    /// # Panics
+    /// If the rows' numbers of samples differ.
+    pub fn update(&mut self, batch: &[Vec<&[f32]>]) {
+        assert_eq!(batch.len(), self.rows, "one list of blocks a row");
+        let samples =
+            |blocks: &Vec<&[f32]>| blocks.iter().map(|b| b.len()).sum::<usize>() / self.features;
+        let n = samples(&batch[0]);
+        if n == 0 {
+            return;
+        }
+        let total = self.count + n as f64;
+        let mut sum = vec![0.0; self.features];
+        let mut square = vec![0.0; self.features];
+        for (row, blocks) in batch.iter().enumerate() {
+            assert_eq!(samples(blocks), n, "row {row} has another number of samples");
+            // Deviations from the first sample keep the sums small, so nothing cancels.
+            let pivot = &blocks[0][..self.features];
+            sum.fill(0.0);
+            square.fill(0.0);
+            for sample in blocks.iter().flat_map(|block| block.chunks_exact(self.features)) {
+                for (((x, p), s), q) in sample.iter().zip(pivot).zip(&mut sum).zip(&mut square) {
+                    let deviation = f64::from(*x) - f64::from(*p);
+                    *s += deviation;
+                    *q += deviation * deviation;
+                }
+            }
+            let range = row * self.features..(row + 1) * self.features;
+            let running = self.mean[range.clone()].iter_mut().zip(&mut self.m2[range]);
+            for (feature, (mean, m2)) in running.enumerate() {
+                let shift = sum[feature] / n as f64;
+                let batch_m2 = (square[feature] - shift * sum[feature]).max(0.0);
+                let delta = f64::from(pivot[feature]) + shift - *mean;
+                *m2 += batch_m2 + delta * delta * self.count * n as f64 / total;
+                *mean += delta * n as f64 / total;
+            }
+        }
+        self.count = total;
+    }
+
+    /// Gives all rows the moments of their union, for a network that they share.
+    pub fn pool(&mut self) {
+        let rows = self.rows as f64;
+        for feature in 0..self.features {
+            let index = |row: usize| row * self.features + feature;
+            let mean = (0..self.rows).map(|row| self.mean[index(row)]).sum::<f64>() / rows;
+            let spread = (0..self.rows)
+                .map(|row| self.m2[index(row)] + self.count * (self.mean[index(row)] - mean).powi(2))
+                .sum::<f64>();
+            for row in 0..self.rows {
+                self.mean[index(row)] = mean;
+                self.m2[index(row)] = spread / rows;
+            }
+        }
+    }
+
+    /// Mean and inverse standard deviation as networks use them, `[rows, features]` each.
+    pub fn mean_and_inverse_std(&self) -> (Vec<f32>, Vec<f32>) {
+        if self.count == 0.0 {
+            return (vec![0.0; self.mean.len()], vec![1.0; self.mean.len()]);
+        }
+        let mean = self.mean.iter().map(|&x| x as f32).collect();
+        let inverse =
+            self.m2.iter().map(|&x| (1.0 / (x / self.count + EPSILON).sqrt()) as f32).collect();
+        (mean, inverse)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_batches_give_the_moments_of_all_samples() {
+        let mut norm = InputNorm::new(1, 2);
+        norm.update(&[vec![&[1.0, 10.0, 3.0, 10.0]]]);
+        norm.update(&[vec![&[5.0, 10.0], &[7.0, 10.0]]]);
+        assert_eq!(norm.mean, [4.0, 10.0]);
+        assert!((norm.m2[0] - 20.0).abs() < 1e-12 && norm.m2[1] == 0.0, "{:?}", norm.m2);
+        let (mean, inverse) = norm.mean_and_inverse_std();
+        assert_eq!(mean, [4.0, 10.0]);
+        assert!((inverse[0] - (5.0f32 + 1e-6).sqrt().recip()).abs() < 1e-7);
+        assert!((inverse[1] - 1000.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn pooled_rows_have_the_moments_of_their_union() {
+        let mut norm = InputNorm::new(2, 1);
+        norm.update(&[vec![&[1.0, 3.0]], vec![&[5.0, 7.0]]]);
+        norm.pool();
+        assert_eq!(norm.mean, [4.0, 4.0]);
+        // Union: deviations −3, −1, 1, 3; variance 5 over two samples a row.
+        assert_eq!(norm.m2, [10.0, 10.0]);
+    }
+}

@@ -1,0 +1,298 @@
+//! The losses of PPO and their gradients.
+//!
+//! Schulman, Wolski, Dhariwal, Radford and Klimov, "Proximal policy optimization algorithms", 2017,
+//! equation 7 (clipped surrogate); Yu et al. 2022, section 5 (clipped Huber value loss). The
+//! gradients by the networks' outputs are written out: each is a few products of what the loss
+//! needs anyway. All losses are means over a mini-batch, for each agent by itself; chunks of a
+//! mini-batch add up, so every function takes the size of the whole.
+//!
+//! Letters: `A` agents, `U` actions of an agent, `B` samples of a chunk.
+
+use tch::{Kind, Tensor};
+
+/// ½ ln 2π.
+const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
+
+/// What the actors' loss needs of a configuration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActorLoss {
+    /// Clip range of the probability ratio.
+    pub clip: f64,
+    /// Factor on the surrogate.
+    pub multiplier: f64,
+    /// Weight of the entropy bonus.
+    pub entropy_coefficient: f64,
+    /// Whether tanh squashes the mean.
+    pub squash_mean: bool,
+    /// Floor of the logarithm of the deviation.
+    pub min_log_std: f64,
+}
+
+/// Samples of the actors' loss.
+#[derive(Debug)]
+pub struct ActorSamples {
+    /// `[A, U, B]`: actions as they were sampled.
+    pub action: Tensor,
+    /// `[A, B]`: their log-probability densities at the time.
+    pub old_log_prob: Tensor,
+    /// `[A, B]`: advantages.
+    pub advantage: Tensor,
+}
+
+/// What a chunk adds to the actors' gradient and statistics.
+#[derive(Debug)]
+pub struct ActorGradient {
+    /// `[A, U, B]`: gradient of the loss by the networks' outputs.
+    pub output: Tensor,
+    /// `[A, U]`: gradient of the loss by the logarithm of the deviation, without entropy.
+    pub log_std: Tensor,
+    /// `[A, 3]`: sums over samples of the surrogate loss, of the KL estimator k3 and of the
+    /// clipped ratios.
+    pub sums: Tensor,
+}
+
+impl ActorLoss {
+    /// The logarithm of the deviation in force: the parameter, floored.
+    pub fn log_std(&self, parameter: &Tensor) -> Tensor {
+        parameter.clamp_min(self.min_log_std)
+    }
+
+    /// Loss and gradient of a chunk. `output` `[A, U, B]` is the networks', `parameter` `[A, U]` the
+    /// unfloored logarithm of the deviation, `batch` the number of samples of the mini-batch.
+    pub fn gradient(
+        &self,
+        output: &Tensor,
+        parameter: &Tensor,
+        samples: &ActorSamples,
+        batch: i64,
+    ) -> ActorGradient {
+        let actions = &[1i64][..];
+        let log_std = self.log_std(parameter);
+        let inverse_std = log_std.neg().exp().unsqueeze(2);
+        let mean = if self.squash_mean { output.tanh() } else { output.shallow_clone() };
+        // z = (a − μ) / σ; ln p = −½ Σ z² − Σ ln σ − U ½ ln 2π.
+        let mut z = (&samples.action - &mean).g_mul_(&inverse_std);
+        let z2 = z.square();
+        let constant = log_std.sum_dim_intlist(actions, true, Kind::Float)
+            + HALF_LN_TAU * output.size()[1] as f64;
+        let log_prob = z2.sum_dim_intlist(actions, false, Kind::Float) * -0.5 - constant;
+        let log_ratio = log_prob - &samples.old_log_prob;
+        let ratio = log_ratio.exp();
+        let clipped = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
+        let plain = &ratio * &samples.advantage;
+        let limited = &clipped * &samples.advantage;
+        // min(plain, limited) is plain unless clipping lowers it; only then is it constant.
+        let active = plain.le_tensor(&limited);
+        let surrogate = plain.minimum(&limited);
+        // k3 of Schulman, "Approximating KL divergence", 2020: (r − 1) − ln r.
+        let kl = (&ratio - 1.0) - log_ratio;
+        let outside = ratio.ne_tensor(&clipped);
+        let row = &[1i64][..];
+        let sum = |x: &Tensor| x.sum_dim_intlist(row, false, Kind::Float);
+        let sums = Tensor::stack(
+            &[sum(&surrogate) * -self.multiplier, sum(&kl), sum(&outside)],
+            1,
+        );
+        // dL/d ln p = −k/B · A r where the surrogate moves, 0 elsewhere.
+        let scale = -self.multiplier / batch as f64;
+        let d_log_prob = (plain * active * scale).unsqueeze(1);
+        // d ln p/dμ = z/σ; d ln p/d ln σ = z² − 1.
+        let log_std_gradient =
+            (&d_log_prob * (z2 - 1.0)).sum_dim_intlist(&[2i64][..], false, Kind::Float);
+        let mut output_gradient = z.g_mul_(&inverse_std).g_mul_(&d_log_prob);
+        if self.squash_mean {
+            output_gradient = Tensor::tanh_backward(&output_gradient, &mean);
+        }
+        ActorGradient { output: output_gradient, log_std: log_std_gradient, sums }
+    }
+
+    /// Completes the gradient `[A, U]` by the log-deviation parameter, once a mini-batch: adds the
+    /// entropy bonus, −c · d Σ ln σ / d ln σ = −c, and lets nothing through a floor.
+    pub fn finish_log_std(&self, gradient: &Tensor, parameter: &Tensor) -> Tensor {
+        (gradient - self.entropy_coefficient) * parameter.ge(self.min_log_std)
+    }
+
+    /// Entropy `[A]` of the action distribution (nats): Σ (ln σ + ½ ln 2πe).
+    pub fn entropy(&self, parameter: &Tensor) -> Tensor {
+        (self.log_std(parameter) + (HALF_LN_TAU + 0.5))
+            .sum_dim_intlist(&[1i64][..], false, Kind::Float)
+    }
+}
+
+/// What the critics' loss needs of a configuration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CriticLoss {
+    /// Clip range around the old prediction; 0 turns clipping off.
+    pub clip: f64,
+    /// δ of the Huber loss; 0 means the squared error.
+    pub huber_delta: f64,
+    /// Weight of the loss.
+    pub coefficient: f64,
+}
+
+impl CriticLoss {
+    /// ½ e² up to δ, linear beyond (Huber 1964).
+    fn penalty(&self, error: &Tensor) -> Tensor {
+        if self.huber_delta == 0.0 {
+            return error.square() * 0.5;
+        }
+        let inner = error.clamp(-self.huber_delta, self.huber_delta);
+        // δ|e| − ½δ² = c (e − ½c) with c = clamp(e, ±δ); inside, c = e gives ½e².
+        let half = &inner * 0.5;
+        inner * (error - half)
+    }
+
+    /// Loss and gradient of a chunk: the gradient `[A, B]` by the predictions and the sum `[A]` of
+    /// the losses. `value`, `old_value` and `target` are `[A, B]`, all in normalised units.
+    pub fn gradient(
+        &self,
+        value: &Tensor,
+        old_value: &Tensor,
+        target: &Tensor,
+        batch: i64,
+    ) -> (Tensor, Tensor) {
+        let slope = |error: &Tensor| {
+            if self.huber_delta == 0.0 {
+                error.shallow_clone()
+            } else {
+                error.clamp(-self.huber_delta, self.huber_delta)
+            }
+        };
+        let scale = self.coefficient / batch as f64;
+        let row = &[1i64][..];
+        let error = value - target;
+        let plain = self.penalty(&error);
+        if self.clip == 0.0 {
+            let sum = plain.sum_dim_intlist(row, false, Kind::Float) * self.coefficient;
+            return (slope(&error) * scale, sum);
+        }
+        let change = value - old_value;
+        let small = change.clamp(-self.clip, self.clip);
+        let clipped_error = old_value + &small - target;
+        let limited = self.penalty(&clipped_error);
+        let sum = plain.maximum(&limited).sum_dim_intlist(row, false, Kind::Float) * self.coefficient;
+        // The larger of the two counts; the clipped one moves only inside its range, where both are
+        // the same.
+        let moves = plain.ge_tensor(&limited).logical_or(&small.eq_tensor(&change));
+        (slope(&error) * moves * scale, sum)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tch::Device;
+
+    use super::*;
+
+    fn random(seed: i64, shape: &[i64]) -> Tensor {
+        tch::manual_seed(seed);
+        Tensor::randn(shape, (Kind::Double, Device::Cpu))
+    }
+
+    /// The loss as its definition says, for libtorch to differentiate.
+    fn actor_loss(l: &ActorLoss, output: &Tensor, parameter: &Tensor, s: &ActorSamples) -> Tensor {
+        let mean = if l.squash_mean { output.tanh() } else { output.shallow_clone() };
+        let log_std = parameter.clamp_min(l.min_log_std).unsqueeze(2);
+        let z = (&s.action - mean) / log_std.exp();
+        let density = z.square() * -0.5 - &log_std - HALF_LN_TAU;
+        let ratio = (density.sum_dim_intlist(&[1i64][..], false, None) - &s.old_log_prob).exp();
+        let clipped = ratio.clamp(1.0 - l.clip, 1.0 + l.clip);
+        let surrogate = (ratio * &s.advantage).minimum(&(clipped * &s.advantage));
+        let entropy = (log_std + HALF_LN_TAU + 0.5).sum(None);
+        -surrogate.mean_dim(&[1i64][..], false, None).sum(None) * l.multiplier
+            - entropy * l.entropy_coefficient
+    }
+
+    #[test]
+    fn actor_gradient_is_that_of_the_definition() {
+        for squash_mean in [true, false] {
+            let loss = ActorLoss {
+                clip: 0.2,
+                multiplier: 3.0,
+                entropy_coefficient: 0.05,
+                squash_mean,
+                min_log_std: -0.5,
+            };
+            let (a, u, b) = (2, 3, 50);
+            let output = random(1, &[a, u, b]).set_requires_grad(true);
+            // One deviation lies below its floor.
+            let parameter = Tensor::from_slice(&[0.1, -0.2, -0.9, 0.3, 0.0, -0.3])
+                .view([a, u])
+                .set_requires_grad(true);
+            let samples = ActorSamples {
+                action: random(2, &[a, u, b]),
+                old_log_prob: random(3, &[a, b]) * 0.3 - 4.0,
+                advantage: random(4, &[a, b]),
+            };
+            let total = actor_loss(&loss, &output, &parameter, &samples);
+            total.backward();
+            let ours = tch::no_grad(|| loss.gradient(&output, &parameter, &samples, b));
+            let close = |x: &Tensor, y: &Tensor| {
+                let error = (x - y).abs().max().double_value(&[]);
+                // The sums are kept in f32: 2⁻²⁴ of each of 50 terms of order 1.
+                assert!(error < 1e-5, "{error}");
+            };
+            close(&ours.output, &output.grad());
+            let log_std = tch::no_grad(|| loss.finish_log_std(&ours.log_std, &parameter));
+            close(&log_std, &parameter.grad());
+            let surrogate = ours.sums.select(1, 0).sum(None) / b as f64;
+            let entropy = tch::no_grad(|| loss.entropy(&parameter)).sum(None);
+            close(&(surrogate - entropy * loss.entropy_coefficient), &total.detach());
+            assert!(ours.sums.select(1, 2).min().double_value(&[]) > 0.0, "some ratios are clipped");
+        }
+    }
+
+    #[test]
+    fn critic_gradient_is_that_of_the_definition() {
+        for (clip, huber_delta) in [(0.2, 0.7), (0.2, 0.0), (0.0, 0.7), (0.0, 0.0)] {
+            let loss = CriticLoss { clip, huber_delta, coefficient: 0.5 };
+            let (a, b) = (2, 200);
+            let value = random(1, &[a, b]).set_requires_grad(true);
+            let old = value.detach() + random(2, &[a, b]) * 0.3;
+            let target = random(3, &[a, b]);
+            let penalty = |e: Tensor| {
+                if huber_delta == 0.0 { e.square() / 2.0 } else { e.huber_loss(&e.zeros_like(), tch::Reduction::None, huber_delta) }
+            };
+            let plain = penalty(&value - &target);
+            let definition = if clip == 0.0 {
+                plain
+            } else {
+                plain.maximum(&penalty(&old + (&value - &old).clamp(-clip, clip) - &target))
+            };
+            let total = definition.mean_dim(&[1i64][..], false, None).sum(None) * 0.5;
+            total.backward();
+            let (gradient, sums) = tch::no_grad(|| loss.gradient(&value, &old, &target, b));
+            let error = (gradient - value.grad()).abs().max().double_value(&[]);
+            assert!(error < 1e-12, "clip {clip}, δ {huber_delta}: {error}");
+            let difference = (sums.sum(None) / b as f64 - total).abs().double_value(&[]);
+            assert!(difference < 1e-5, "{difference}");
+        }
+    }
+
+    /// U = 1, μ = 0, σ = 1, a = 1, ln p = −½ − 0.91894; old density lower by ln 1.5: ratio 1.5.
+    /// A = 2: plain 3, limited 1.2 · 2 = 2.4, so clipped: loss −2.4, no gradient.
+    /// A = −2: plain −3 < limited −2.4: loss 3, dL/dμ = −(−2)·1.5·1 = 3.
+    #[test]
+    fn surrogate_worked_by_hand() {
+        let loss = ActorLoss {
+            clip: 0.2,
+            multiplier: 1.0,
+            entropy_coefficient: 0.0,
+            squash_mean: false,
+            min_log_std: -5.0,
+        };
+        let zeros = Tensor::zeros([1, 1, 1], (Kind::Double, Device::Cpu));
+        for (advantage, expected_loss, expected_gradient) in [(2.0, -2.4, 0.0), (-2.0, 3.0, 3.0)] {
+            let samples = ActorSamples {
+                action: zeros.ones_like(),
+                old_log_prob: Tensor::from_slice(&[-0.5 - HALF_LN_TAU - 1.5f64.ln()]).view([1, 1]),
+                advantage: Tensor::from_slice(&[advantage]).view([1, 1]),
+            };
+            let g = loss.gradient(&zeros, &zeros.view([1, 1]), &samples, 1);
+            assert!((g.sums.double_value(&[0, 0]) - expected_loss).abs() < 1e-6);
+            assert!((g.output.double_value(&[0, 0, 0]) - expected_gradient).abs() < 1e-6);
+            assert!((g.sums.double_value(&[0, 1]) - (0.5 - 1.5f64.ln())).abs() < 1e-6);
+            assert_eq!(g.sums.double_value(&[0, 2]), 1.0);
+        }
+    }
+}

@@ -1,0 +1,880 @@
+//! The update: what a learner makes of an iteration's samples.
+//!
+//! Yu et al. 2022, algorithm 1, with separate networks for every agent (or one that all share), in
+//! this order:
+//!
+//! 1. inputs are normalised as the policy that acted saw them, and gathered sample by sample;
+//! 2. critics predict values; advantages by [`gae`](crate::gae) on denormalised values;
+//! 3. each epoch first updates the value normaliser with the returns, then splits a permutation of
+//!    the samples into mini-batches; each is one Adam step for actors, then one for critics;
+//! 4. input normalisers take in the iteration's samples.
+//!
+//! **Threads.** Agents with networks of their own have nothing in common, so they are divided
+//! into groups, one thread each, and meet again when the update is over. A shared network is one
+//! group, whose operations libtorch spreads over the threads. Within a group all agents go through
+//! each operation together. For one number of threads the result is always the same to the bit.
+//!
+//! **Copies.** The first operation that reads a block is the normalisation (of observations) or the
+//! packing of what the loss needs into one row a sample; blocks are not copied before.
+//!
+//! Letters: `A` agents of a group, `T` steps, `E` environments of all shards, `M = T·E` samples,
+//! `O` observation, `S` critic state, `U` actions, `B` samples of a chunk.
+
+use std::ops::Range;
+
+use proto::config::{Config, CriticState, InputNorm as InputNormKind, Schedule};
+use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::rng::{Address, Purpose, permutation};
+use tch::{Device, Kind, Tensor};
+
+use crate::LearnerError;
+use crate::adam::{AdamOptions, clip_gradient};
+use crate::gae::{Gae, standardise};
+use crate::input_norm::InputNorm;
+use crate::loss::{ActorLoss, ActorSamples, CriticLoss};
+use crate::memory::view;
+use crate::mlp::{Compute, standardise_input};
+use crate::network::NetworkSpec;
+use crate::state::{NetworkState, TrainingState};
+use crate::value_norm::ValueNorm;
+
+/// Samples that go through the networks at once on a CPU: their activations fit in the cache.
+const CHUNK_ROWS: i64 = 400;
+
+/// Losses and diagnostics of an update, one entry an agent.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct UpdateReport {
+    /// Clipped surrogate, negated; mean over optimiser steps.
+    pub policy_loss: Vec<f64>,
+    /// Value loss; mean over optimiser steps.
+    pub value_loss: Vec<f64>,
+    /// Entropy after the update (nats).
+    pub entropy: Vec<f64>,
+    /// KL estimator k3 (nats); mean over optimiser steps.
+    pub kl: Vec<f64>,
+    /// Share of clipped ratios; mean over optimiser steps.
+    pub clip_fraction: Vec<f64>,
+    /// 1 − Var(return − value) / Var(return), before the update.
+    pub explained_variance: Vec<f64>,
+    /// Gradient norm of actors before clipping; mean over optimiser steps.
+    pub actor_grad_norm: Vec<f64>,
+    /// Likewise of critics.
+    pub critic_grad_norm: Vec<f64>,
+    /// Mean standard deviation of the actions after the update.
+    pub action_std: Vec<f64>,
+    /// Mean undiscounted return of an episode.
+    pub returns: Vec<f64>,
+    /// Learning rates in force.
+    pub actor_lr: f64,
+    /// Learning rate of critics.
+    pub critic_lr: f64,
+}
+
+/// What an update computed on its way; kept only on request, for tests.
+#[derive(Debug, Default)]
+pub struct Trace {
+    /// `[A, T, E]`: advantages, not standardised.
+    pub advantage: Option<Tensor>,
+    /// `[A, T, E]`: returns.
+    pub returns: Option<Tensor>,
+    /// `[A, T + 1, E]`: predictions in normalised units.
+    pub value: Option<Tensor>,
+    /// Unclipped gradients `[A, P]` of actors and critics, of every optimiser step.
+    pub gradients: Vec<(Tensor, Tensor)>,
+    /// Mean losses `[A]` of actors (surrogate) and critics, of every optimiser step.
+    pub losses: Vec<(Vec<f64>, Vec<f64>)>,
+    /// Rows of every mini-batch.
+    pub rows: Vec<Vec<i64>>,
+}
+
+/// The algorithm's options, from a configuration.
+#[derive(Debug, Clone)]
+struct Options {
+    gae: Gae,
+    actor_loss: ActorLoss,
+    critic_loss: CriticLoss,
+    adam: AdamOptions,
+    epochs: usize,
+    mini_batches: usize,
+    max_grad_norm: f64,
+    max_kl: f64,
+    value_norm_beta: Option<f64>,
+    normalize_advantage: bool,
+    input_norm: InputNormKind,
+    input_clip: f64,
+    own_critic_state: bool,
+    seed: u64,
+}
+
+/// The update with its buffers.
+#[derive(Debug)]
+pub struct Mappo {
+    config: Config,
+    dimensions: Dimensions,
+    layout: BlockLayout,
+    options: Options,
+    groups: Vec<Group>,
+    threads_per_group: usize,
+}
+
+/// Agents that are computed together.
+#[derive(Debug)]
+struct Group {
+    agents: Range<usize>,
+    actor: Half,
+    critic: Half,
+    chunk_rows: i64,
+    device: Device,
+    kind: Kind,
+}
+
+/// One kind of network of a group.
+#[derive(Debug)]
+struct Half {
+    compute: Compute,
+    gradient: Tensor,
+    scratch: Tensor,
+    /// The last unclipped gradient, kept if there is something to replace.
+    recorded: Option<Tensor>,
+}
+
+/// One kind of network of a group's part of the state, in the state's memory.
+struct Learned {
+    spec: NetworkSpec,
+    flat: Tensor,
+    adam: crate::adam::Adam,
+}
+
+/// What all groups read.
+struct Job<'a> {
+    shards: &'a [&'a [f32]],
+    layout: &'a BlockLayout,
+    dimensions: &'a Dimensions,
+    options: &'a Options,
+    iteration: u64,
+    actor_lr: f64,
+    critic_lr: f64,
+    observation_norm: Option<(Vec<f32>, Vec<f32>)>,
+    state_norm: Option<(Vec<f32>, Vec<f32>)>,
+}
+
+/// Samples of an iteration as a group uses them.
+struct Samples {
+    /// `[(T + 1)·E, A·O]` in the products' kind.
+    observation: Tensor,
+    /// `[(T + 1)·E, S]` likewise; absent if critics see observations.
+    state: Option<Tensor>,
+    /// `[M, A·5]`: action, old log-probability, advantage.
+    actor: Tensor,
+    /// `[M, A·2]`: old value (normalised), return.
+    critic: Tensor,
+    explained_variance: Vec<f64>,
+    episode_return: Vec<f64>,
+    returns: Tensor,
+}
+
+/// Columns of a sample's row for the actors' loss.
+const ACTOR_COLUMNS: i64 = JOINTS_PER_AGENT as i64 + 2;
+
+struct Outcome {
+    actor_steps: Vec<i64>,
+    critic_steps: Vec<i64>,
+    report: UpdateReport,
+}
+
+impl Mappo {
+    /// Buffers and options for `config`; `state` says precision and device.
+    pub fn new(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
+        let a = &config.algorithm;
+        let options = Options {
+            gae: Gae {
+                gamma: a.gamma,
+                lambda: a.gae_lambda,
+                bootstrap_truncated: a.bootstrap_truncated,
+            },
+            actor_loss: ActorLoss {
+                clip: a.clip,
+                multiplier: a.surrogate_multiplier,
+                entropy_coefficient: a.entropy_coefficient,
+                squash_mean: config.network.squash_mean,
+                min_log_std: config.network.min_log_std,
+            },
+            critic_loss: CriticLoss {
+                clip: a.value_clip,
+                huber_delta: a.huber_delta,
+                coefficient: a.value_coefficient,
+            },
+            adam: AdamOptions {
+                beta1: config.optimizer.beta1,
+                beta2: config.optimizer.beta2,
+                epsilon: config.optimizer.epsilon,
+            },
+            epochs: a.epochs,
+            mini_batches: a.mini_batches,
+            max_grad_norm: a.max_grad_norm,
+            max_kl: a.max_kl,
+            value_norm_beta: a.value_norm.then_some(a.value_norm_beta),
+            normalize_advantage: a.normalize_advantage,
+            input_norm: config.network.input_norm,
+            input_clip: config.network.input_clip,
+            own_critic_state: config.network.critic_state == CriticState::Own,
+            seed: config.run.seed,
+        };
+        let device = state.device();
+        let kind = state.arithmetic.kind();
+        let threads = config.run.learner_threads;
+        let n_groups = if config.network.shared_parameters || device.is_cuda() {
+            1
+        } else {
+            threads.min(dimensions.n_agents)
+        };
+        let bound = |group: usize| group * dimensions.n_agents / n_groups;
+        let groups = (0..n_groups)
+            .map(|group| {
+                let agents = bound(group)..bound(group + 1);
+                let half = |network: &NetworkState| {
+                    let flat = network.flat.narrow(0, agents.start as i64, agents.len() as i64);
+                    Half {
+                        compute: Compute::new(
+                            &network.spec,
+                            config.network.activation,
+                            agents.len(),
+                            kind,
+                            device,
+                        ),
+                        gradient: flat.zeros_like(),
+                        scratch: flat.zeros_like(),
+                        recorded: None,
+                    }
+                };
+                Group {
+                    actor: half(&state.actor),
+                    critic: half(&state.critic),
+                    chunk_rows: if device.is_cuda() { i64::MAX } else { CHUNK_ROWS },
+                    agents,
+                    device,
+                    kind,
+                }
+            })
+            .collect();
+        Self {
+            config: config.clone(),
+            dimensions: *dimensions,
+            layout: BlockLayout::new(dimensions),
+            options,
+            groups,
+            threads_per_group: (threads / n_groups).max(1),
+        }
+    }
+
+    /// Trains `state` on the blocks of one iteration, ordered by shard.
+    ///
+    /// # Errors
+    /// If a gradient is not finite; `state` is then worthless and must not be published.
+    pub fn update(
+        &mut self,
+        state: &mut TrainingState,
+        shards: &[&[f32]],
+    ) -> Result<UpdateReport, LearnerError> {
+        self.update_traced(state, shards, None)
+    }
+
+    /// [`Self::update`] that also records what it computed, if asked to. Only with one group.
+    pub fn update_traced(
+        &mut self,
+        state: &mut TrainingState,
+        shards: &[&[f32]],
+        trace: Option<&mut Trace>,
+    ) -> Result<UpdateReport, LearnerError> {
+        assert_eq!(shards.len(), self.dimensions.n_shards, "all shards of an iteration");
+        assert!(trace.is_none() || self.groups.len() == 1, "one group can be traced");
+        for shard in shards {
+            assert_eq!(shard.len(), self.layout.len, "a block of this run's layout");
+        }
+        if state.iteration == 0 {
+            self.update_input_norms(state, shards);
+        }
+        let (actor_lr, critic_lr) = learning_rates(&self.config, state.env_steps);
+        let job = Job {
+            shards,
+            layout: &self.layout,
+            dimensions: &self.dimensions,
+            options: &self.options,
+            iteration: state.iteration,
+            actor_lr,
+            critic_lr,
+            observation_norm: state.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std),
+            state_norm: state.state_norm.as_ref().map(InputNorm::mean_and_inverse_std),
+        };
+        let threads = self.threads_per_group as i32;
+        let outcomes = run_groups(&mut self.groups, state, &job, threads, trace);
+        let mut report = UpdateReport { actor_lr, critic_lr, ..UpdateReport::default() };
+        let mut steps = (Vec::new(), Vec::new());
+        for outcome in outcomes {
+            let Outcome { actor_steps, critic_steps, report: part } = outcome?;
+            steps.0.extend(actor_steps);
+            steps.1.extend(critic_steps);
+            report.append(part);
+        }
+        (state.actor.adam.steps, state.critic.adam.steps) = steps;
+        if state.iteration > 0 {
+            self.update_input_norms(state, shards);
+        }
+        state.iteration += 1;
+        state.env_steps += self.config.steps_per_iteration();
+        Ok(report)
+    }
+
+    /// Takes the observations before each step into the running normalisers.
+    fn update_input_norms(&self, state: &mut TrainingState, shards: &[&[f32]]) {
+        let Dimensions { n_steps: t, n_envs: n, observation: o, state: s, .. } = self.dimensions;
+        if let Some(norm) = &mut state.observation_norm {
+            let rows: Vec<Vec<&[f32]>> = (0..norm.rows)
+                .map(|agent| {
+                    let start = self.layout.observation.start + agent * (t + 1) * n * o;
+                    shards.iter().map(|shard| &shard[start..start + t * n * o]).collect()
+                })
+                .collect();
+            norm.update(&rows);
+            if self.config.network.shared_parameters {
+                norm.pool();
+            }
+        }
+        if let Some(norm) = &mut state.state_norm {
+            let start = self.layout.state.start;
+            norm.update(&[shards.iter().map(|shard| &shard[start..start + t * n * s]).collect()]);
+        }
+    }
+}
+
+/// The learning rates of actors and critics after `env_steps`.
+pub fn learning_rates(config: &Config, env_steps: u64) -> (f64, f64) {
+    let factor = match config.optimizer.schedule {
+        Schedule::Constant => 1.0,
+        Schedule::Linear => (1.0 - env_steps as f64 / config.run.env_steps as f64).max(0.0),
+    };
+    (config.optimizer.actor_lr * factor, config.optimizer.critic_lr * factor)
+}
+
+/// Runs every group on its own thread, the first on the caller's.
+fn run_groups(
+    groups: &mut [Group],
+    state: &TrainingState,
+    job: &Job<'_>,
+    threads: i32,
+    trace: Option<&mut Trace>,
+) -> Vec<Result<Outcome, LearnerError>> {
+    let part = |network: &NetworkState, agents: &Range<usize>| {
+        let flat = network.flat.narrow(0, agents.start as i64, agents.len() as i64);
+        let adam = network.adam.narrow(agents.start, agents.len());
+        Learned { spec: network.spec.clone(), flat, adam }
+    };
+    let mut parts: Vec<_> = groups
+        .iter()
+        .map(|group| {
+            let agents = &group.agents;
+            let norm = state.value_norm.narrow(agents.start as i64, agents.len() as i64);
+            (part(&state.actor, agents), part(&state.critic, agents), norm)
+        })
+        .collect();
+    let (first, others) = groups.split_first_mut().expect("at least one group");
+    let mut parts = parts.drain(..);
+    let (actor, critic, norm) = parts.next().expect("one part a group");
+    std::thread::scope(|scope| {
+        let handles: Vec<_> = others
+            .iter_mut()
+            .zip(parts)
+            .map(|(group, (actor, critic, norm))| {
+                scope.spawn(move || {
+                    tch::set_num_threads(threads);
+                    tch::no_grad(|| group.update(job, actor, critic, norm, None))
+                })
+            })
+            .collect();
+        tch::set_num_threads(threads);
+        let mut outcomes = vec![tch::no_grad(|| first.update(job, actor, critic, norm, trace))];
+        outcomes.extend(handles.into_iter().map(|handle| {
+            handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        }));
+        outcomes
+    })
+}
+
+impl Group {
+    fn update(
+        &mut self,
+        job: &Job<'_>,
+        mut actor: Learned,
+        mut critic: Learned,
+        mut value_norm: ValueNorm,
+        mut trace: Option<&mut Trace>,
+    ) -> Result<Outcome, LearnerError> {
+        let options = job.options;
+        let a = self.agents.len();
+        let samples = self.prepare(job, &critic.flat, &value_norm, trace.as_deref_mut());
+        let m = (job.dimensions.n_steps * job.dimensions.n_envs * job.shards.len()) as i64;
+        for half in [&mut self.actor, &mut self.critic] {
+            half.recorded = trace.is_some().then(|| half.gradient.shallow_clone());
+        }
+        let mut sums = Sums::new(a);
+        let mut active = vec![true; a];
+        for epoch in 0..options.epochs {
+            let moments = options.value_norm_beta.map(|beta| {
+                value_norm.update(&samples.returns, beta);
+                moments(&value_norm)
+            });
+            let order = Tensor::from_slice(&permutation(
+                Address {
+                    seed: options.seed,
+                    purpose: Purpose::Permutation,
+                    iteration: job.iteration as u32,
+                    env: epoch as u32,
+                    step: 0,
+                    index: 0,
+                },
+                m as usize,
+            ))
+            .to_device(self.device);
+            for mini_batch in 0..options.mini_batches {
+                let bound = |i: usize| (i as i64) * m / options.mini_batches as i64;
+                let start = bound(mini_batch);
+                let rows = order.narrow(0, start, bound(mini_batch + 1) - start);
+                let step = (epoch, mini_batch);
+                self.actor_step(job, &mut actor, &samples, &rows, &mut active, &mut sums, step)?;
+                self.critic_step(job, &mut critic, &samples, &rows, moments.as_ref(), &mut sums, step)?;
+                if let Some(trace) = trace.as_deref_mut() {
+                    let recorded = |half: &Half| {
+                        half.recorded.as_ref().map(Tensor::shallow_clone).expect("recorded")
+                    };
+                    trace.gradients.push((recorded(&self.actor), recorded(&self.critic)));
+                    trace.losses.push((sums.last_policy.clone(), sums.last_value.clone()));
+                    trace.rows.push(Vec::<i64>::try_from(&rows).expect("row numbers"));
+                }
+            }
+        }
+        let parameter = actor.spec.view("log_std", &actor.flat);
+        let numbers = |tensor: Tensor| {
+            Vec::<f64>::try_from(tensor.to_kind(Kind::Double)).expect("one number an agent")
+        };
+        let std = options.actor_loss.log_std(&parameter).exp();
+        let report = UpdateReport {
+            entropy: numbers(options.actor_loss.entropy(&parameter)),
+            action_std: numbers(std.mean_dim(&[1i64][..], false, None)),
+            explained_variance: samples.explained_variance,
+            returns: samples.episode_return,
+            ..sums.means()
+        };
+        Ok(Outcome { actor_steps: actor.adam.steps, critic_steps: critic.adam.steps, report })
+    }
+
+    /// Normalises inputs, predicts values, estimates advantages, packs samples.
+    fn prepare(
+        &mut self,
+        job: &Job<'_>,
+        critic: &Tensor,
+        value_norm: &ValueNorm,
+        trace: Option<&mut Trace>,
+    ) -> Samples {
+        let Dimensions { n_steps, n_envs, observation, state, .. } = *job.dimensions;
+        let (t, n, o, s) = (n_steps as i64, n_envs as i64, observation as i64, state as i64);
+        let e = n * job.shards.len() as i64;
+        let (a, u, m) = (self.agents.len() as i64, JOINTS_PER_AGENT as i64, t * e);
+        let float = (Kind::Float, self.device);
+        let options = job.options;
+
+        let observations = Tensor::empty([(t + 1) * e, a * o], (self.kind, self.device));
+        let states = (!options.own_critic_state)
+            .then(|| Tensor::empty([(t + 1) * e, s], (self.kind, self.device)));
+        let actor = Tensor::empty([m, a * ACTOR_COLUMNS], float);
+        let critic_rows = Tensor::empty([m, a * 2], float);
+        let reward = Tensor::empty([a, t, e], float);
+        let terminated = Tensor::empty([t, e], float);
+        let truncated = Tensor::empty([t, e], float);
+
+        let moments_of = |norm: &Option<(Vec<f32>, Vec<f32>)>, rows: &Range<usize>, width: usize| {
+            norm.as_ref().map(|(mean, inverse_std)| {
+                let part = |values: &[f32]| {
+                    Tensor::from_slice(&values[rows.start * width..rows.end * width])
+                        .view([-1, 1, 1, width as i64])
+                        .to_device(self.device)
+                };
+                (part(mean), part(inverse_std))
+            })
+        };
+        let observation_norm = moments_of(&job.observation_norm, &self.agents, observation);
+        let state_norm = moments_of(&job.state_norm, &(0..1), state);
+        let normalise = |x: &Tensor, norm: &Option<(Tensor, Tensor)>| match options.input_norm {
+            InputNormKind::None => x.shallow_clone(),
+            InputNormKind::LayerNorm => standardise_input(x),
+            InputNormKind::Running => {
+                let (mean, inverse_std) = norm.as_ref().expect("running moments");
+                let mut x = (x - mean).g_mul_(inverse_std);
+                x.clamp_(-options.input_clip, options.input_clip)
+            }
+        };
+        let actor_columns = actor.view([t, e, a, ACTOR_COLUMNS]);
+        for (index, shard) in job.shards.iter().enumerate() {
+            let of_agents = |range: &Range<usize>| {
+                let per_agent = range.len() / job.dimensions.n_agents;
+                &shard[range.start + self.agents.start * per_agent
+                    ..range.start + self.agents.end * per_agent]
+            };
+            let first = index as i64 * n;
+            let x = view(of_agents(&job.layout.observation), &[a, t + 1, n, o]);
+            let x = normalise(&x.tensor().to_device(self.device), &observation_norm);
+            let mut slot = observations.view([t + 1, e, a, o]).narrow(1, first, n);
+            slot.copy_(&x.permute([1, 2, 0, 3]));
+            if let Some(states) = &states {
+                let x = view(&shard[job.layout.state.clone()], &[1, t + 1, n, s]);
+                let x = normalise(&x.tensor().to_device(self.device), &state_norm);
+                let mut slot = states.view([t + 1, e, s]).narrow(1, first, n);
+                slot.copy_(&x.squeeze_dim(0));
+            }
+            let part = actor_columns.narrow(1, first, n);
+            let action = view(of_agents(&job.layout.action), &[a, t, n, u]);
+            part.narrow(3, 0, u).copy_(&action.tensor().permute([1, 2, 0, 3]));
+            let log_prob = view(of_agents(&job.layout.log_prob), &[a, t, n]);
+            part.select(3, u).copy_(&log_prob.tensor().permute([1, 2, 0]));
+            let shard_reward = view(of_agents(&job.layout.reward), &[a, t, n]);
+            reward.narrow(2, first, n).copy_(shard_reward.tensor());
+            for (flags, range) in
+                [(&terminated, &job.layout.terminated), (&truncated, &job.layout.truncated)]
+            {
+                let shard_flags = view(&shard[range.clone()], &[t, n]);
+                flags.narrow(1, first, n).copy_(shard_flags.tensor());
+            }
+        }
+
+        let value = self.values(&observations, states.as_ref(), critic, (t + 1) * e);
+        let scaled = if options.value_norm_beta.is_some() {
+            let (mean, std) = moments(value_norm);
+            &value * std + mean
+        } else {
+            value.shallow_clone()
+        };
+        let scaled = scaled.view([a, t + 1, e]);
+        let advantage = options.gae.advantages(&reward, &scaled, &terminated, &truncated);
+        let returns = &advantage + scaled.narrow(1, 0, t);
+        let in_force =
+            if options.normalize_advantage { standardise(&advantage) } else { advantage.copy() };
+        actor_columns.select(3, u + 1).copy_(&in_force.permute([1, 2, 0]));
+        let critic_columns = critic_rows.view([t, e, a, 2]);
+        let old = value.view([a, t + 1, e]).narrow(1, 0, t);
+        critic_columns.select(3, 0).copy_(&old.permute([1, 2, 0]));
+        critic_columns.select(3, 1).copy_(&returns.permute([1, 2, 0]));
+
+        let rows = &[1i64][..];
+        let variance = |x: &Tensor| x.reshape([a, -1]).to_kind(Kind::Double).var_dim(rows, false, false);
+        let explained = 1.0 - variance(&advantage) / variance(&returns).clamp_min(1e-12);
+        let episode = reward.sum_dim_intlist(rows, false, Kind::Double).mean_dim(rows, false, None);
+        if let Some(trace) = trace {
+            trace.value = Some(value.view([a, t + 1, e]).copy());
+            trace.advantage = Some(advantage.copy());
+            trace.returns = Some(returns.copy());
+        }
+        Samples {
+            observation: observations,
+            state: states,
+            actor,
+            critic: critic_rows,
+            explained_variance: Vec::try_from(explained).expect("one number an agent"),
+            episode_return: Vec::try_from(episode).expect("one number an agent"),
+            returns,
+        }
+    }
+
+    /// The critics' predictions `[A, rows]` for the first `rows` samples.
+    fn values(
+        &mut self,
+        observation: &Tensor,
+        state: Option<&Tensor>,
+        critic: &Tensor,
+        rows: i64,
+    ) -> Tensor {
+        let a = self.agents.len() as i64;
+        let value = Tensor::empty([a, rows], (Kind::Float, self.device));
+        self.critic.compute.load(critic);
+        for chunk in chunks(rows, self.chunk_rows) {
+            let len = chunk.end - chunk.start;
+            let x = match state {
+                Some(state) => shared_input(&state.narrow(0, chunk.start, len), a),
+                None => agent_input(&observation.narrow(0, chunk.start, len), a),
+            };
+            let output = self.critic.compute.forward(&x);
+            value.narrow(1, chunk.start, len).copy_(&output.squeeze_dim(1));
+        }
+        value
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one call site; a struct would only rename them")]
+    fn actor_step(
+        &mut self,
+        job: &Job<'_>,
+        learned: &mut Learned,
+        samples: &Samples,
+        rows: &Tensor,
+        active: &mut [bool],
+        sums: &mut Sums,
+        step: (usize, usize),
+    ) -> Result<(), LearnerError> {
+        let loss = &job.options.actor_loss;
+        let a = self.agents.len() as i64;
+        let u = JOINTS_PER_AGENT as i64;
+        let batch = rows.size()[0];
+        let Half { compute, gradient, .. } = &mut self.actor;
+        let _ = gradient.zero_();
+        compute.load(&learned.flat);
+        let parameter = learned.spec.view("log_std", &learned.flat);
+        let options = (Kind::Float, self.device);
+        let mut log_std_gradient = Tensor::zeros([a, u], options);
+        let mut statistics = Tensor::zeros([a, 3], options);
+        for chunk in chunks(batch, self.chunk_rows) {
+            let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
+            let x = agent_input(&samples.observation.index_select(0, &rows), a);
+            let columns = columns(&samples.actor.index_select(0, &rows), a);
+            let samples = ActorSamples {
+                action: columns.narrow(1, 0, u),
+                old_log_prob: columns.select(1, u),
+                advantage: columns.select(1, u + 1),
+            };
+            let output = compute.forward(&x);
+            let part = loss.gradient(&output, &parameter, &samples, batch);
+            compute.backward(&x, &part.output, gradient);
+            let _ = log_std_gradient.g_add_(&part.log_std);
+            let _ = statistics.g_add_(&part.sums);
+        }
+        compute.unfold(&learned.flat, gradient);
+        let mut slot = learned.spec.view("log_std", gradient);
+        slot.copy_(&loss.finish_log_std(&log_std_gradient, &parameter));
+        let statistics = Vec::<f32>::try_from((statistics / batch as f64).view([-1]))
+            .expect("three numbers an agent");
+        let column = |index: usize| statistics.iter().skip(index).step_by(3).map(|&x| f64::from(x));
+        if job.options.max_kl > 0.0 {
+            let mut kl: Vec<f64> = column(1).collect();
+            if learned.spec.shared {
+                let mean = kl.iter().sum::<f64>() / kl.len() as f64;
+                kl.fill(mean);
+            }
+            for (active, kl) in active.iter_mut().zip(kl) {
+                *active &= kl <= job.options.max_kl;
+            }
+        }
+        let norms = descend(job, learned, &mut self.actor, job.actor_lr, active);
+        check(&norms, "actor", self.agents.start, job.iteration, step)?;
+        sums.actor(column(0), column(1), column(2), &norms);
+        Ok(())
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one call site; a struct would only rename them")]
+    fn critic_step(
+        &mut self,
+        job: &Job<'_>,
+        learned: &mut Learned,
+        samples: &Samples,
+        rows: &Tensor,
+        moments: Option<&(Tensor, Tensor)>,
+        sums: &mut Sums,
+        step: (usize, usize),
+    ) -> Result<(), LearnerError> {
+        let a = self.agents.len() as i64;
+        let batch = rows.size()[0];
+        let Half { compute, gradient, .. } = &mut self.critic;
+        let _ = gradient.zero_();
+        compute.load(&learned.flat);
+        let mut total = Tensor::zeros([a], (Kind::Float, self.device));
+        for chunk in chunks(batch, self.chunk_rows) {
+            let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
+            let x = match &samples.state {
+                Some(state) => shared_input(&state.index_select(0, &rows), a),
+                None => agent_input(&samples.observation.index_select(0, &rows), a),
+            };
+            let columns = columns(&samples.critic.index_select(0, &rows), a);
+            let old = columns.select(1, 0);
+            let target = match moments {
+                Some((mean, std)) => (columns.select(1, 1) - mean) / std,
+                None => columns.select(1, 1),
+            };
+            let value = compute.forward(&x).squeeze_dim(1);
+            let (d_value, sum) = job.options.critic_loss.gradient(&value, &old, &target, batch);
+            compute.backward(&x, &d_value.unsqueeze(1), gradient);
+            let _ = total.g_add_(&sum);
+        }
+        compute.unfold(&learned.flat, gradient);
+        let active = vec![true; self.agents.len()];
+        let norms = descend(job, learned, &mut self.critic, job.critic_lr, &active);
+        check(&norms, "critic", self.agents.start, job.iteration, step)?;
+        let losses = Vec::<f32>::try_from(total / batch as f64).expect("one number an agent");
+        sums.critic(losses.into_iter().map(f64::from), &norms);
+        Ok(())
+    }
+}
+
+/// Clips a half's gradient and steps; returns its norms before clipping. A step with a gradient that
+/// is not finite is not made.
+fn descend(
+    job: &Job<'_>,
+    learned: &mut Learned,
+    half: &mut Half,
+    learning_rate: f64,
+    active: &[bool],
+) -> Vec<f64> {
+    let Half { gradient, scratch, recorded, .. } = half;
+    if learned.spec.shared {
+        learned.spec.share_gradient(gradient);
+    }
+    if recorded.is_some() {
+        *recorded = Some(gradient.copy());
+    }
+    let squared = learned.spec.squared_norm(gradient);
+    let norms = clip_gradient(gradient, &squared, job.options.max_grad_norm);
+    if norms.iter().all(|norm| norm.is_finite()) {
+        let Learned { spec, flat, adam } = learned;
+        adam.step(&job.options.adam, learning_rate, flat, gradient, scratch, active);
+        if spec.shared {
+            for tensor in [&*flat, &adam.m, &adam.v] {
+                spec.unify(tensor);
+            }
+        }
+    }
+    norms
+}
+
+fn check(
+    norms: &[f64],
+    network: &'static str,
+    first_agent: usize,
+    iteration: u64,
+    (epoch, mini_batch): (usize, usize),
+) -> Result<(), LearnerError> {
+    match norms.iter().position(|norm| !norm.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(LearnerError::Diverged {
+            network,
+            agent: first_agent + index,
+            iteration,
+            epoch,
+            mini_batch,
+        }),
+    }
+}
+
+/// `rows` in parts of nearly equal length, none longer than `limit`.
+fn chunks(rows: i64, limit: i64) -> impl Iterator<Item = Range<i64>> {
+    let count = if limit >= rows { 1 } else { (rows + limit - 1) / limit };
+    (0..count).map(move |i| i * rows / count..(i + 1) * rows / count)
+}
+
+/// `[B, A·F]` as the agents' inputs `[A, B, F]`.
+fn agent_input(rows: &Tensor, agents: i64) -> Tensor {
+    rows.view([rows.size()[0], agents, -1]).transpose(0, 1)
+}
+
+/// `[B, F]` as the same input of all agents, `[A, B, F]`.
+fn shared_input(rows: &Tensor, agents: i64) -> Tensor {
+    let (b, f) = rows.size2().expect("[B, F]");
+    rows.unsqueeze(0).expand([agents, b, f], true)
+}
+
+/// `[B, A·C]` as columns `[A, C, B]`, contiguous.
+fn columns(rows: &Tensor, agents: i64) -> Tensor {
+    rows.view([rows.size()[0], agents, -1]).permute([1, 2, 0]).contiguous()
+}
+
+/// Mean and standard deviation of the returns, `[A, 1]` each, in f32.
+fn moments(norm: &ValueNorm) -> (Tensor, Tensor) {
+    let (mean, std) = norm.mean_and_std();
+    let column = |x: Tensor| x.to_kind(Kind::Float).unsqueeze(1);
+    (column(mean), column(std))
+}
+
+/// Sums of statistics over optimiser steps.
+struct Sums {
+    steps: f64,
+    policy: Vec<f64>,
+    kl: Vec<f64>,
+    clipped: Vec<f64>,
+    actor_norm: Vec<f64>,
+    value: Vec<f64>,
+    critic_norm: Vec<f64>,
+    last_policy: Vec<f64>,
+    last_value: Vec<f64>,
+}
+
+impl Sums {
+    fn new(agents: usize) -> Self {
+        let zeros = || vec![0.0; agents];
+        Self {
+            steps: 0.0,
+            policy: zeros(),
+            kl: zeros(),
+            clipped: zeros(),
+            actor_norm: zeros(),
+            value: zeros(),
+            critic_norm: zeros(),
+            last_policy: zeros(),
+            last_value: zeros(),
+        }
+    }
+
+    fn actor(
+        &mut self,
+        policy: impl Iterator<Item = f64>,
+        kl: impl Iterator<Item = f64>,
+        clipped: impl Iterator<Item = f64>,
+        norms: &[f64],
+    ) {
+        self.steps += 1.0;
+        self.last_policy = policy.collect();
+        add(&mut self.policy, self.last_policy.iter().copied());
+        add(&mut self.kl, kl);
+        add(&mut self.clipped, clipped);
+        add(&mut self.actor_norm, norms.iter().copied());
+    }
+
+    fn critic(&mut self, value: impl Iterator<Item = f64>, norms: &[f64]) {
+        self.last_value = value.collect();
+        add(&mut self.value, self.last_value.iter().copied());
+        add(&mut self.critic_norm, norms.iter().copied());
+    }
+
+    fn means(self) -> UpdateReport {
+        let mean = |sums: Vec<f64>| sums.iter().map(|sum| sum / self.steps).collect();
+        UpdateReport {
+            policy_loss: mean(self.policy),
+            kl: mean(self.kl),
+            clip_fraction: mean(self.clipped),
+            actor_grad_norm: mean(self.actor_norm),
+            value_loss: mean(self.value),
+            critic_grad_norm: mean(self.critic_norm),
+            ..UpdateReport::default()
+        }
+    }
+}
+
+fn add(sums: &mut [f64], values: impl Iterator<Item = f64>) {
+    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+}
+
+impl UpdateReport {
+    /// Appends the entries of further agents.
+    fn append(&mut self, other: Self) {
+        let pairs = [
+            (&mut self.policy_loss, other.policy_loss),
+            (&mut self.value_loss, other.value_loss),
+            (&mut self.entropy, other.entropy),
+            (&mut self.kl, other.kl),
+            (&mut self.clip_fraction, other.clip_fraction),
+            (&mut self.explained_variance, other.explained_variance),
+            (&mut self.actor_grad_norm, other.actor_grad_norm),
+            (&mut self.critic_grad_norm, other.critic_grad_norm),
+            (&mut self.action_std, other.action_std),
+            (&mut self.returns, other.returns),
+        ];
+        for (all, part) in pairs {
+            all.extend(part);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,338 @@
+//! Forward and backward passes of stacked multi-layer perceptrons, by hand.
+//!
+//! All agents of a group go through one batched product a layer. The passes are written out instead
+//! of recorded by automatic differentiation: an MLP's are short, need no graph, and write into
+//! buffers that are allocated once. A twin with libtorch's own differentiation tests them.
+//!
+//! **Folded affine maps.** A LayerNorm ends in ĥ ⊙ g + s, and the next layer begins with a product:
+//! (ĥ ⊙ g + s) W + b = ĥ (g ⊙ W) + (s W + b). So the passes only standardise, with weights
+//! W′ = g ⊙ W and b′ = s W + b made once a step ([`Compute::load`]), and the gradients of W′ and b′
+//! become those of g, s and W once a step ([`Compute::unfold`]): dW = g ⊙ dW′ + s ⊗ db′,
+//! dg = Σ_out W ⊙ dW′, ds = W db′. No affine map runs over samples.
+//!
+//! **Precision.** In bf16 the operands of hidden layers' products are bfloat16, as are the activations
+//! between them; parameters, sums over samples, the heads and all losses are f32. Samples go
+//! through in chunks, so that activations stay in cache.
+//!
+//! Letters: `A` agents of the group, `B` samples of a chunk, `H` width of a layer, `U` outputs.
+
+use proto::config::Activation;
+use tch::{Device, Kind, Tensor};
+
+use crate::network::NetworkSpec;
+
+/// ε of LayerNorm.
+pub const LAYER_NORM_EPSILON: f64 = 1e-5;
+
+/// What a pass needs beside the parameters: weights in the products' precision, and buffers.
+#[derive(Debug)]
+pub struct Compute {
+    spec: NetworkSpec,
+    activation: Activation,
+    kind: Kind,
+    n_agents: i64,
+    device: Device,
+    /// `[A, in, H]` of each hidden layer, folded, in `kind`.
+    weight: Vec<Tensor>,
+    /// `[A, 1, H]` of each hidden layer, folded, in `kind`.
+    bias: Vec<Tensor>,
+    /// `[A, U, H]` and its copy in `kind`: the head, transposed, folded.
+    head: Tensor,
+    head_low: Tensor,
+    /// `[A, U, 1]`.
+    head_bias: Tensor,
+    buffers: Buffers,
+}
+
+/// Flat memory for the largest chunk; chunks view its beginning.
+#[derive(Debug, Default)]
+struct Buffers {
+    rows: i64,
+    /// After the activation, of each layer.
+    active: Vec<Tensor>,
+    /// After the standardisation, of each layer; empty without LayerNorm.
+    standard: Vec<Tensor>,
+    /// Reciprocal deviations `[A, B, 1]` of the last pass.
+    inverse_std: Vec<Tensor>,
+    /// The last hidden layer in f32, if `kind` is another.
+    last: Option<Tensor>,
+    /// Gradients, alternating.
+    gradient: [Option<Tensor>; 2],
+    /// Weight gradients of each layer in `kind`.
+    weight_gradient: Vec<Tensor>,
+    scratch: Option<Tensor>,
+}
+
+impl Compute {
+    /// Buffers for `n_agents` of the networks `spec`, with products in `kind`.
+    pub fn new(
+        spec: &NetworkSpec,
+        activation: Activation,
+        n_agents: usize,
+        kind: Kind,
+        device: Device,
+    ) -> Self {
+        let a = n_agents as i64;
+        let zeros = |shape: &[i64], kind| Tensor::zeros(shape, (kind, device));
+        let mut weight = Vec::new();
+        let mut bias = Vec::new();
+        let mut width = spec.input;
+        for &units in &spec.hidden {
+            weight.push(zeros(&[a, width, units], kind));
+            bias.push(zeros(&[a, 1, units], kind));
+            width = units;
+        }
+        let weight_gradient = weight.iter().map(Tensor::zeros_like).collect();
+        Self {
+            spec: spec.clone(),
+            activation,
+            kind,
+            n_agents: a,
+            device,
+            weight,
+            bias,
+            head: zeros(&[a, spec.output, width], Kind::Float),
+            head_low: zeros(&[a, spec.output, width], kind),
+            head_bias: zeros(&[a, spec.output, 1], Kind::Float),
+            buffers: Buffers { weight_gradient, ..Buffers::default() },
+        }
+    }
+
+    /// The gain and shift that precede hidden layer `layer` (or the head, for the last index).
+    fn preceding(&self, layer: usize, flat: &Tensor) -> Option<(Tensor, Tensor)> {
+        let names = match layer {
+            0 if self.spec.input_layer_norm => ("input.gain".to_owned(), "input.bias".to_owned()),
+            0 => return None,
+            _ if self.spec.layer_norm => {
+                (format!("hidden.{}.gain", layer - 1), format!("hidden.{}.shift", layer - 1))
+            }
+            _ => return None,
+        };
+        Some((self.spec.view(&names.0, flat), self.spec.view(&names.1, flat)))
+    }
+
+    /// Names of the weight and bias of hidden layer `layer`, or of the head for the last index.
+    fn names(&self, layer: usize) -> (String, String) {
+        if layer == self.spec.hidden.len() {
+            ("head.weight".to_owned(), "head.bias".to_owned())
+        } else {
+            (format!("hidden.{layer}.weight"), format!("hidden.{layer}.bias"))
+        }
+    }
+
+    /// Takes over the parameters `[A, P]`: folds and rounds them. Once before the passes of a step.
+    pub fn load(&mut self, flat: &Tensor) {
+        for layer in 0..=self.spec.hidden.len() {
+            let (weight_name, bias_name) = self.names(layer);
+            let mut weight = self.spec.view(&weight_name, flat);
+            let mut bias = self.spec.view(&bias_name, flat).unsqueeze(1);
+            if let Some((gain, shift)) = self.preceding(layer, flat) {
+                bias = shift.unsqueeze(1).bmm(&weight) + bias;
+                weight = weight * gain.unsqueeze(2);
+            }
+            if layer == self.spec.hidden.len() {
+                self.head.copy_(&weight.transpose(1, 2));
+                self.head_low.copy_(&self.head);
+                self.head_bias.copy_(&bias.transpose(1, 2));
+            } else {
+                self.weight[layer].copy_(&weight);
+                self.bias[layer].copy_(&bias);
+            }
+        }
+    }
+
+    fn reserve(&mut self, rows: i64) {
+        if self.buffers.rows >= rows {
+            return;
+        }
+        let (a, kind, device) = (self.n_agents, self.kind, self.device);
+        let flat = |width: i64, kind| Tensor::zeros([a * rows * width], (kind, device));
+        let widest = self.spec.hidden.iter().copied().max().unwrap_or(1);
+        let layers = |kind| self.spec.hidden.iter().map(|&h| flat(h, kind)).collect::<Vec<_>>();
+        self.buffers.active = layers(kind);
+        if self.spec.layer_norm {
+            self.buffers.standard = layers(kind);
+            self.buffers.scratch = Some(flat(widest, kind));
+        }
+        let last_width = self.spec.hidden.last().copied().unwrap_or(1);
+        self.buffers.last = (kind != Kind::Float).then(|| flat(last_width, Kind::Float));
+        self.buffers.gradient = [Some(flat(widest, kind)), Some(flat(widest, kind))];
+        self.buffers.rows = rows;
+    }
+
+    /// `[A, B, width]` at the beginning of a flat buffer.
+    fn chunk(&self, flat: &Tensor, rows: i64, width: i64) -> Tensor {
+        flat.narrow(0, 0, self.n_agents * rows * width).view([self.n_agents, rows, width])
+    }
+
+    /// The outputs `[A, U, B]`, in f32, for standardised inputs `x` `[A, B, in]` in the products'
+    /// kind. What the backward pass needs stays in the buffers.
+    pub fn forward(&mut self, x: &Tensor) -> Tensor {
+        let rows = x.size()[1];
+        self.reserve(rows);
+        self.buffers.inverse_std.clear();
+        let mut input = x.shallow_clone();
+        for layer in 0..self.spec.hidden.len() {
+            let width = self.spec.hidden[layer];
+            let mut active = self.chunk(&self.buffers.active[layer], rows, width);
+            let _ = self.bias[layer].baddbmm_out(&active, &input, &self.weight[layer]);
+            let _ = match self.activation {
+                Activation::Relu => active.relu_(),
+                Activation::Elu => active.elu_(),
+                Activation::Tanh => active.tanh_(),
+            };
+            input = if self.spec.layer_norm {
+                let standard = self.chunk(&self.buffers.standard[layer], rows, width);
+                let inverse_std = standardise(&active, &standard);
+                self.buffers.inverse_std.push(inverse_std);
+                standard
+            } else {
+                active
+            };
+        }
+        let last = self.last_hidden(&input, rows);
+        self.head.bmm(&last.transpose(1, 2)) + &self.head_bias
+    }
+
+    /// The head's input in f32.
+    fn last_hidden(&self, input: &Tensor, rows: i64) -> Tensor {
+        match &self.buffers.last {
+            Some(flat) => {
+                let mut last = self.chunk(flat, rows, input.size()[2]);
+                last.copy_(input);
+                last
+            }
+            None => input.shallow_clone(),
+        }
+    }
+
+    /// Adds to `gradient` `[A, P]` the folded gradients for the chunk that went through
+    /// [`Self::forward`] last, given its inputs and the loss's gradient `[A, U, B]` by the outputs.
+    pub fn backward(&mut self, x: &Tensor, d_output: &Tensor, gradient: &Tensor) {
+        let rows = x.size()[1];
+        let layers = self.spec.hidden.len();
+        let kind = self.kind;
+        let hidden = |compute: &Self, layer: usize| {
+            let buffers = &compute.buffers;
+            let flat =
+                if compute.spec.layer_norm { &buffers.standard } else { &buffers.active };
+            compute.chunk(&flat[layer], rows, compute.spec.hidden[layer])
+        };
+        let add = |name: &str, part: &Tensor| {
+            let _ = self.spec.view(name, gradient).g_add_(part);
+        };
+
+        let width = self.spec.hidden[layers - 1];
+        let last = match &self.buffers.last {
+            Some(flat) => self.chunk(flat, rows, width),
+            None => hidden(self, layers - 1),
+        };
+        add("head.weight", &d_output.bmm(&last).transpose(1, 2));
+        add("head.bias", &d_output.sum_dim_intlist(&[2i64][..], false, Kind::Float));
+
+        let buffer = |index: usize, width: i64| {
+            let flat = self.buffers.gradient[index % 2].as_ref().expect("reserved by forward");
+            self.chunk(flat, rows, width)
+        };
+        let mut d_hidden = buffer(0, width);
+        let d_low = d_output.transpose(1, 2).to_kind(kind);
+        if kind == Kind::Float && self.spec.output == 1 {
+            // One column: a broadcast product is far faster than a matrix product.
+            let _ = d_low.multiply_out(&d_hidden, &self.head_low);
+        } else {
+            let _ = d_low.bmm_out(&d_hidden, &self.head_low);
+        }
+
+        for layer in (0..layers).rev() {
+            let width = self.spec.hidden[layer];
+            let active = self.chunk(&self.buffers.active[layer], rows, width);
+            if self.spec.layer_norm {
+                let scratch = self.buffers.scratch.as_ref().expect("reserved by forward");
+                let scratch = self.chunk(scratch, rows, width);
+                let standard = hidden(self, layer);
+                let inverse_std = &self.buffers.inverse_std[layer];
+                standardise_backward(&mut d_hidden, &standard, inverse_std, &scratch);
+            }
+            let d = &d_hidden;
+            let _ = match self.activation {
+                Activation::Relu => Tensor::threshold_backward_grad_input(d, d, &active, 0.0),
+                Activation::Elu => {
+                    Tensor::elu_backward_grad_input(d, d, 1.0, 1.0, 1.0, true, &active)
+                }
+                Activation::Tanh => Tensor::tanh_backward_grad_input(d, d, &active),
+            };
+            let input = if layer == 0 { x.shallow_clone() } else { hidden(self, layer - 1) };
+            let part = &self.buffers.weight_gradient[layer];
+            let _ = input.transpose(1, 2).bmm_out(part, d);
+            let (weight_name, bias_name) = self.names(layer);
+            add(&weight_name, part);
+            add(&bias_name, &d.sum_dim_intlist(&[1i64][..], false, Kind::Float));
+            if layer > 0 {
+                let below = buffer(layers - layer, self.spec.hidden[layer - 1]);
+                let _ = d_hidden.bmm_out(&below, &self.weight[layer].transpose(1, 2));
+                d_hidden = below;
+            }
+        }
+    }
+
+    /// Turns the folded gradients that the passes of a step added up in `gradient` into those of
+    /// the parameters `flat`. Once after the passes of a step.
+    pub fn unfold(&self, flat: &Tensor, gradient: &Tensor) {
+        for layer in 0..=self.spec.hidden.len() {
+            let Some((gain, shift)) = self.preceding(layer, flat) else { continue };
+            let (mut d_gain, mut d_shift) =
+                self.preceding(layer, gradient).expect("same parameters");
+            let (weight_name, bias_name) = self.names(layer);
+            let weight = self.spec.view(&weight_name, flat);
+            let mut d_weight = self.spec.view(&weight_name, gradient);
+            let d_bias = self.spec.view(&bias_name, gradient);
+            d_gain.copy_(&(&weight * &d_weight).sum_dim_intlist(&[2i64][..], false, Kind::Float));
+            d_shift.copy_(&weight.bmm(&d_bias.unsqueeze(2)).squeeze_dim(2));
+            let _ = d_weight.g_mul_(&gain.unsqueeze(2));
+            let _ = d_weight.g_add_(&(shift.unsqueeze(2) * d_bias.unsqueeze(1)));
+        }
+    }
+}
+
+/// Standardises each sample of `x` `[A, B, H]` over its features into `out`; returns the
+/// reciprocal deviations `[A, B, 1]`.
+fn standardise(x: &Tensor, out: &Tensor) -> Tensor {
+    let (a, b, h) = x.size3().expect("[A, B, H]");
+    let options = (Kind::Float, x.device());
+    let mean = Tensor::empty([a, b, 1], options);
+    let inverse_std = Tensor::empty([a, b, 1], options);
+    // With an f32 gain libtorch keeps the moments of bf16 input in f32.
+    let gain = Tensor::ones([h], options);
+    let bias = Tensor::zeros([h], options);
+    let _ = x.native_layer_norm_out(
+        out,
+        &mean,
+        &inverse_std,
+        [h],
+        Some(gain),
+        Some(bias),
+        LAYER_NORM_EPSILON,
+    );
+    inverse_std
+}
+
+/// Turns the gradient by standardised values ĥ into that by the values before, in place:
+/// (d − mean(d) − ĥ · mean(d ⊙ ĥ)) / σ.
+fn standardise_backward(d: &mut Tensor, standard: &Tensor, inverse_std: &Tensor, scratch: &Tensor) {
+    let features = &[2i64][..];
+    let _ = d.multiply_out(scratch, standard);
+    let kind = d.kind();
+    let along = scratch.mean_dim(features, true, Kind::Float);
+    let mean = d.mean_dim(features, true, Kind::Float);
+    let inverse_std = inverse_std.to_kind(kind);
+    let _ = d.g_sub_(&mean.to_kind(kind));
+    let _ = d.addcmul_(standard, &(-along).to_kind(kind));
+    let _ = d.g_mul_(&inverse_std);
+}
+
+/// Standardises each input over its features, without gain: what a LayerNorm input becomes before
+/// its folded affine map. `x` is `[…, in]` in f32.
+pub fn standardise_input(x: &Tensor) -> Tensor {
+    let width = x.size()[x.dim() - 1];
+    x.layer_norm(&[width], None::<Tensor>, None::<Tensor>, LAYER_NORM_EPSILON, false)
+}

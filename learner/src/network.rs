@@ -1,0 +1,378 @@
+//! The parameters of all agents' networks: names, places, initial values.
+//!
+//! Actors and critics are multi-layer perceptrons of one shape. The parameters of all agents stand
+//! in one tensor `[A, P]`, one row an agent, so that an optimiser step is a handful of operations
+//! and a gradient norm is the norm of a row. A named parameter is a range of columns; its view
+//! `[A, in, out]` (weights multiply row vectors from the left) is what checkpoints hold.
+//!
+//! A shared network is kept once for each agent. All rows are equal except for the bias of the
+//! first hidden layer, which tells the agents apart; [`NetworkSpec::unify`] keeps them equal.
+
+use proto::config::{InputNorm, Network};
+use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::rng::{Address, Purpose};
+use tch::{Device, Kind, Tensor};
+
+/// Name, shape and columns of one parameter.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Parameter {
+    /// Name, such as `hidden.0.weight`.
+    pub name: String,
+    /// Shape of one agent's part.
+    pub shape: Vec<i64>,
+    /// First column.
+    pub offset: i64,
+}
+
+impl Parameter {
+    /// Number of columns.
+    pub fn len(&self) -> i64 {
+        self.shape.iter().product()
+    }
+
+    /// Whether it has no columns.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The parameter's part `[A, …]` of `flat` `[A, P]`, in the same memory.
+    pub fn view(&self, flat: &Tensor) -> Tensor {
+        let mut shape = vec![flat.size()[0]];
+        shape.extend(&self.shape);
+        let mut strides = vec![flat.stride()[0]];
+        strides.extend((0..self.shape.len()).map(|d| self.shape[d + 1..].iter().product::<i64>()));
+        flat.as_strided(&shape, &strides, flat.storage_offset() + self.offset)
+    }
+}
+
+/// Which network of an agent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NetworkKind {
+    /// Mean and deviation of the action.
+    Actor,
+    /// Expected return.
+    Critic,
+}
+
+impl NetworkKind {
+    /// The prefix of its names in a training state.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Actor => "actor",
+            Self::Critic => "critic",
+        }
+    }
+}
+
+/// Shape of a stack of networks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NetworkSpec {
+    /// Actor or critic.
+    pub kind: NetworkKind,
+    /// A.
+    pub n_agents: usize,
+    /// Width of the input.
+    pub input: i64,
+    /// Widths of the hidden layers.
+    pub hidden: Vec<i64>,
+    /// Width of the output.
+    pub output: i64,
+    /// Whether the input has a learned gain and bias after its standardisation.
+    pub input_layer_norm: bool,
+    /// Whether each hidden activation is standardised, with a learned gain and shift.
+    pub layer_norm: bool,
+    /// Whether all agents share everything but the first hidden bias.
+    pub shared: bool,
+    /// The parameters in the order of `proto::layout::ActorLayout`.
+    pub parameters: Vec<Parameter>,
+    /// P: columns.
+    pub len: i64,
+}
+
+impl NetworkSpec {
+    /// The actors or critics of a configuration.
+    pub fn new(kind: NetworkKind, network: &Network, dimensions: &Dimensions) -> Self {
+        let (input, output) = match kind {
+            NetworkKind::Actor => (dimensions.observation, JOINTS_PER_AGENT),
+            NetworkKind::Critic => (dimensions.critic_input(), 1),
+        };
+        let hidden: Vec<i64> = network.hidden.iter().map(|&width| width as i64).collect();
+        let input_layer_norm = network.input_norm == InputNorm::LayerNorm;
+        let mut parameters = Vec::new();
+        let mut len = 0;
+        let mut add = |name: String, shape: &[i64]| {
+            let parameter = Parameter { name, shape: shape.to_vec(), offset: len };
+            len += parameter.len();
+            parameters.push(parameter);
+        };
+        let (mut width, output) = (input as i64, output as i64);
+        if input_layer_norm {
+            add("input.gain".to_owned(), &[width]);
+            add("input.bias".to_owned(), &[width]);
+        }
+        for (layer, &units) in hidden.iter().enumerate() {
+            add(format!("hidden.{layer}.weight"), &[width, units]);
+            add(format!("hidden.{layer}.bias"), &[units]);
+            if network.layer_norm {
+                add(format!("hidden.{layer}.gain"), &[units]);
+                add(format!("hidden.{layer}.shift"), &[units]);
+            }
+            width = units;
+        }
+        add("head.weight".to_owned(), &[width, output]);
+        add("head.bias".to_owned(), &[output]);
+        if kind == NetworkKind::Actor {
+            add("log_std".to_owned(), &[output]);
+        }
+        Self {
+            kind,
+            n_agents: dimensions.n_agents,
+            input: input as i64,
+            hidden,
+            output,
+            input_layer_norm,
+            layer_norm: network.layer_norm,
+            shared: network.shared_parameters,
+            parameters,
+            len,
+        }
+    }
+
+    /// The parameter called `name`.
+    ///
+    /// # Panics
+    /// If the network has none of that name.
+    pub fn get(&self, name: &str) -> &Parameter {
+        self.parameters
+            .iter()
+            .find(|parameter| parameter.name == name)
+            .unwrap_or_else(|| panic!("no parameter `{name}` in {:?}", self.kind))
+    }
+
+    /// The view of `name` in `flat`.
+    pub fn view(&self, name: &str, flat: &Tensor) -> Tensor {
+        self.get(name).view(flat)
+    }
+
+    /// Initial parameters `[A, P]`: orthogonal weights (Saxe, McClelland and Ganguli 2014), gain √2
+    /// for hidden layers, `head_gain` for the actors' head and 1 for the critics'; zero biases, unit
+    /// gains, `initial_log_std`.
+    pub fn initial(&self, network: &Network, seed: u64) -> Tensor {
+        let mut flat = vec![0.0f32; self.n_agents * self.len as usize];
+        for (agent, row) in flat.chunks_exact_mut(self.len as usize).enumerate() {
+            // A shared network is the first agent's, for all.
+            let source = if self.shared { 0 } else { agent };
+            for (index, parameter) in self.parameters.iter().enumerate() {
+                let start = parameter.offset as usize;
+                let slot = &mut row[start..start + parameter.len() as usize];
+                match parameter.name.rsplit('.').next() {
+                    Some("weight") => {
+                        let gain = match (parameter.name.as_str(), self.kind) {
+                            ("head.weight", NetworkKind::Actor) => network.head_gain,
+                            ("head.weight", NetworkKind::Critic) => 1.0,
+                            _ => std::f64::consts::SQRT_2,
+                        };
+                        // Actors and critics draw from different addresses.
+                        let tensor = index as u32 + 1000 * u32::from(self.kind == NetworkKind::Critic);
+                        let address = Address {
+                            seed,
+                            purpose: Purpose::Initialisation,
+                            iteration: tensor,
+                            env: source as u32,
+                            step: 0,
+                            index: 0,
+                        };
+                        let [rows, columns] = parameter.shape[..] else {
+                            unreachable!("weights have two dimensions")
+                        };
+                        orthogonal(address, rows as usize, columns as usize, gain, slot);
+                    }
+                    Some("gain") => slot.fill(1.0),
+                    Some("log_std") => slot.fill(network.initial_log_std as f32),
+                    _ => slot.fill(0.0),
+                }
+            }
+        }
+        Tensor::from_slice(&flat).view([self.n_agents as i64, self.len])
+    }
+
+    /// For a shared network, turns per-agent gradients `[A, P]` into those of the mean loss over
+    /// all agents: shared columns become the mean in every row, the first hidden bias its share.
+    pub fn share_gradient(&self, gradient: &mut Tensor) {
+        let agents = gradient.size()[0];
+        let _ = gradient.g_div_scalar_(agents as f64);
+        for (start, len) in self.shared_columns() {
+            let mut part = gradient.narrow(1, start, len);
+            let sum = part.sum_dim_intlist(&[0i64][..], true, Kind::Float);
+            part.copy_(&sum);
+        }
+    }
+
+    /// Squared gradient norm `[A]` of what an optimiser moves: each agent's row, or for a shared
+    /// network the whole of it, in every entry.
+    pub fn squared_norm(&self, gradient: &Tensor) -> Tensor {
+        let rows = |part: &Tensor| part.square().sum_dim_intlist(&[1i64][..], false, Kind::Float);
+        if !self.shared {
+            return rows(gradient);
+        }
+        let bias = self.get("hidden.0.bias");
+        let own = rows(&gradient.narrow(1, bias.offset, bias.len())).sum(Kind::Float);
+        let common = self
+            .shared_columns()
+            .iter()
+            .map(|&(start, len)| gradient.get(0).narrow(0, start, len).square().sum(Kind::Float))
+            .fold(own, |total, part| total + part);
+        common.expand([gradient.size()[0]], true)
+    }
+
+    /// For a shared network, copies the first row's shared columns to all rows of `flat`. Rows see
+    /// the same numbers, but vector and scalar code of a kernel may round differently.
+    pub fn unify(&self, flat: &Tensor) {
+        for (start, len) in self.shared_columns() {
+            let first = flat.narrow(0, 0, 1).narrow(1, start, len).copy();
+            flat.narrow(1, start, len).copy_(&first);
+        }
+    }
+
+    /// Column ranges (start, length) that all agents share.
+    fn shared_columns(&self) -> Vec<(i64, i64)> {
+        if !self.shared {
+            return Vec::new();
+        }
+        let own = self.get("hidden.0.bias");
+        let after = own.offset + own.len();
+        vec![(0, own.offset), (after, self.len - after)]
+    }
+}
+
+/// Fills `out` `[rows, columns]` with a random matrix of orthonormal rows or columns, whichever are
+/// fewer, times `gain`: Gram and Schmidt, twice, in `f64`, on normal vectors.
+fn orthogonal(address: Address, rows: usize, columns: usize, gain: f64, out: &mut [f32]) {
+    let (count, length) = (rows.min(columns), rows.max(columns));
+    let mut normals = (0u32..).flat_map(|step| Address { step, ..address }.normals());
+    let mut basis: Vec<f64> = Vec::with_capacity(count * length);
+    for vector in 0..count {
+        basis.extend(normals.by_ref().take(length).map(f64::from));
+        let (earlier, current) = basis.split_at_mut(vector * length);
+        // Twice is enough (Kahan; Giraud, Langou and Rozložník 2005).
+        for _ in 0..2 {
+            for other in earlier.chunks_exact(length) {
+                let overlap = dot(other, current);
+                current.iter_mut().zip(other).for_each(|(x, y)| *x -= overlap * y);
+            }
+        }
+        let norm = dot(current, current).sqrt();
+        current.iter_mut().for_each(|x| *x /= norm);
+    }
+    for (vector, values) in basis.chunks_exact(length).enumerate() {
+        for (position, value) in values.iter().enumerate() {
+            let (row, column) =
+                if rows <= columns { (vector, position) } else { (position, vector) };
+            out[row * columns + column] = (gain * value) as f32;
+        }
+    }
+}
+
+/// Eight partial sums in a fixed order, so that the compiler may use vectors.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut sums = [0.0; 8];
+    let (a8, b8) = (a.chunks_exact(8), b.chunks_exact(8));
+    let rest: f64 = a8.remainder().iter().zip(b8.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in a8.zip(b8) {
+        for lane in 0..8 {
+            sums[lane] += x[lane] * y[lane];
+        }
+    }
+    sums.iter().sum::<f64>() + rest
+}
+
+/// A zeroed tensor `[A, P]` beside the parameters of `spec`.
+pub fn zeros_like(spec: &NetworkSpec, device: Device) -> Tensor {
+    Tensor::zeros([spec.n_agents as i64, spec.len], (Kind::Float, device))
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Config, Layers, Preset, TaskName};
+    use proto::layout::ActorLayout;
+
+    use super::*;
+
+    fn config(assignments: &[&str]) -> Config {
+        assignments
+            .iter()
+            .fold(Layers::new(Preset::Release, Some(TaskName::Trajectory)), |layers, a| {
+                layers.set(a).expect("well formed")
+            })
+            .resolve()
+            .expect("valid")
+    }
+
+    #[test]
+    fn parameters_are_named_and_shaped_as_policies_are_published() {
+        for norm in ["layer_norm", "none", "running"] {
+            let config = config(&[&format!("network.input_norm={norm}")]);
+            let dimensions = Dimensions::new(&config, 4);
+            let spec = NetworkSpec::new(NetworkKind::Actor, &config.network, &dimensions);
+            let published = ActorLayout::new(&config, &dimensions);
+            let running = |name: &str| name == "input.mean" || name == "input.inverse_std";
+            let expected: Vec<_> = published
+                .tensors
+                .iter()
+                .filter(|tensor| !running(&tensor.name))
+                .map(|t| (t.name.clone(), t.shape[1..].iter().map(|&n| n as i64).collect()))
+                .collect();
+            let ours: Vec<(String, Vec<i64>)> =
+                spec.parameters.iter().map(|p| (p.name.clone(), p.shape.clone())).collect();
+            assert_eq!(ours, expected);
+        }
+    }
+
+    #[test]
+    fn initial_weights_are_orthogonal_and_differ_between_agents() {
+        let config = config(&["network.hidden=[24,40]"]);
+        let spec =
+            NetworkSpec::new(NetworkKind::Actor, &config.network, &Dimensions::new(&config, 2));
+        let flat = spec.initial(&config.network, 5);
+        assert_eq!(flat, spec.initial(&config.network, 5));
+        assert_ne!(flat, spec.initial(&config.network, 6));
+        for (name, gain) in [("hidden.0.weight", 2.0), ("hidden.1.weight", 2.0), ("head.weight", 1e-4)]
+        {
+            let weight = spec.view(name, &flat).to_kind(Kind::Double);
+            let (_, rows, columns) = weight.size3().expect("[A, in, out]");
+            let product = if rows <= columns {
+                weight.bmm(&weight.transpose(1, 2))
+            } else {
+                weight.transpose(1, 2).bmm(&weight)
+            };
+            let size = rows.min(columns);
+            let identity = Tensor::eye(size, (Kind::Double, Device::Cpu)) * gain;
+            // Entries are rounded to f32: 2⁻²⁴ each, times the gain, summed in quadrature.
+            let error = (product - identity).abs().max().double_value(&[]);
+            assert!(error < 1e-6 * gain, "{name}: {error}");
+            assert_ne!(weight.get(0), weight.get(1), "{name}");
+        }
+        assert_eq!(spec.view("hidden.1.bias", &flat).abs().max().double_value(&[]), 0.0);
+        assert_eq!(spec.view("input.gain", &flat).min().double_value(&[]), 1.0);
+    }
+
+    #[test]
+    fn a_shared_gradient_is_that_of_the_mean_loss_and_keeps_the_first_bias_apart() {
+        let config = config(&["network.shared_parameters=true", "network.hidden=[4]"]);
+        let spec =
+            NetworkSpec::new(NetworkKind::Critic, &config.network, &Dimensions::new(&config, 1));
+        let mut gradient = Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);
+        let raw = gradient.copy();
+        spec.share_gradient(&mut gradient);
+        let bias = spec.view("hidden.0.bias", &gradient);
+        assert_eq!(bias, spec.view("hidden.0.bias", &raw) / 2.0);
+        let head = spec.view("head.weight", &gradient);
+        assert_eq!(head.get(0), head.get(1));
+        let raw_head = spec.view("head.weight", &raw);
+        assert_eq!(head.get(0), (raw_head.get(0) + raw_head.get(1)) / 2.0);
+        // The norm counts shared columns once and every agent's bias.
+        let once = spec.len - 4;
+        let norm = spec.squared_norm(&Tensor::ones([2, spec.len], (Kind::Float, Device::Cpu)));
+        assert_eq!(norm.double_value(&[1]), (once + 8) as f64);
+    }
+}

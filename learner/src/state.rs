@@ -1,0 +1,339 @@
+//! The training state: everything that an interrupted run needs to go on as if nothing had happened.
+//!
+//! It is a set of named arrays, written as one [safetensors](https://github.com/huggingface/safetensors)
+//! file that Python reads without our code:
+//!
+//! | name | type, shape |
+//! |---|---|
+//! | `actor.<parameter>`, `critic.<parameter>` | f32 `[A, …]`, the names of [`NetworkSpec`] |
+//! | `actor.adam.m.<parameter>`, `….v.<parameter>`, likewise `critic` | f32 `[A, …]` |
+//! | `actor.adam.steps`, `critic.adam.steps` | i64 `[A]` |
+//! | `value_norm.mean`, `.mean_square`, `.debias` | f64 `[A]` |
+//! | `observation_norm.mean`, `.m2`, `.count` | f64 `[A, O]`, `[A, O]`, `[1]`; running normalisation only |
+//! | `state_norm.mean`, `.m2`, `.count` | f64 `[1, S]`, `[1, S]`, `[1]`; likewise, unless critics see observations |
+//! | `counters.iteration`, `counters.env_steps` | u64 `[1]`; the iteration is also the policy version |
+//! | `counters.precision` | u64 `[1]`: bits of the products' operands, 16 or 32 |
+//!
+//! Its [`Digest`] is that of all names in alphabetical order, each with its array's little-endian
+//! bytes, so anyone can recompute it from the file.
+
+use std::collections::BTreeMap;
+
+use proto::config::{Config, CriticState, InputNorm as InputNormKind};
+use proto::layout::{ActorLayout, Dimensions};
+use proto::{Digest, DigestBuilder};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use tch::{Device, Kind, Tensor};
+
+use crate::LearnerError;
+use crate::adam::Adam;
+use crate::input_norm::InputNorm;
+use crate::memory::bytes;
+use crate::network::{NetworkKind, NetworkSpec};
+use crate::precision::Arithmetic;
+use crate::value_norm::ValueNorm;
+
+/// The `format` entry of a state's metadata.
+pub const FORMAT: &str = "spaceoctopus training state 1";
+
+/// The parameters of one kind of network and their optimiser.
+#[derive(Debug)]
+pub struct NetworkState {
+    /// Names and places.
+    pub spec: NetworkSpec,
+    /// `[A, P]`: parameters.
+    pub flat: Tensor,
+    /// Moments.
+    pub adam: Adam,
+}
+
+/// Everything that training changes.
+#[derive(Debug)]
+pub struct TrainingState {
+    /// The policies.
+    pub actor: NetworkState,
+    /// The critics.
+    pub critic: NetworkState,
+    /// Moments of the returns.
+    pub value_norm: ValueNorm,
+    /// Moments of the observations, one row an agent.
+    pub observation_norm: Option<InputNorm>,
+    /// Moments of the critic state.
+    pub state_norm: Option<InputNorm>,
+    /// Iterations trained on; also the version of the policy.
+    pub iteration: u64,
+    /// Env-steps trained on.
+    pub env_steps: u64,
+    /// The products' arithmetic.
+    pub arithmetic: Arithmetic,
+    device: Device,
+}
+
+/// One named array, row-major.
+struct Entry<'a> {
+    name: String,
+    dtype: Dtype,
+    shape: Vec<usize>,
+    source: Source<'a>,
+}
+
+enum Source<'a> {
+    Tensor(Tensor),
+    F64(&'a [f64]),
+    I64(&'a [i64]),
+    U64(u64),
+}
+
+impl Source<'_> {
+    /// Calls `read` with the bytes.
+    fn with_bytes<T>(&self, read: impl FnOnce(&[u8]) -> T) -> T {
+        match self {
+            Self::Tensor(tensor) => read(bytes(&tensor.to_device(Device::Cpu).contiguous())),
+            Self::F64(values) => read(bytemuck::cast_slice(values)),
+            Self::I64(values) => read(bytemuck::cast_slice(values)),
+            Self::U64(value) => read(bytemuck::bytes_of(value)),
+        }
+    }
+}
+
+impl TrainingState {
+    /// The state before the first iteration.
+    pub fn initial(
+        config: &Config,
+        dimensions: &Dimensions,
+        arithmetic: Arithmetic,
+        device: Device,
+    ) -> Self {
+        let network = |kind| {
+            let spec = NetworkSpec::new(kind, &config.network, dimensions);
+            let flat = spec.initial(&config.network, config.run.seed).to_device(device);
+            let adam = Adam::new(&flat);
+            NetworkState { spec, flat, adam }
+        };
+        let running = config.network.input_norm == InputNormKind::Running;
+        let own = config.network.critic_state == CriticState::Own;
+        Self {
+            actor: network(NetworkKind::Actor),
+            critic: network(NetworkKind::Critic),
+            value_norm: ValueNorm::new(dimensions.n_agents, device),
+            observation_norm: running
+                .then(|| InputNorm::new(dimensions.n_agents, dimensions.observation)),
+            state_norm: (running && !own).then(|| InputNorm::new(1, dimensions.state)),
+            iteration: 0,
+            env_steps: 0,
+            arithmetic,
+            device,
+        }
+    }
+
+    /// All arrays, sorted by name.
+    fn entries(&self) -> Vec<Entry<'_>> {
+        let mut entries = Vec::new();
+        let mut add = |name: String, dtype, shape: Vec<usize>, source| {
+            entries.push(Entry { name, dtype, shape, source });
+        };
+        for network in [&self.actor, &self.critic] {
+            let kind = network.spec.kind.as_str();
+            let parts =
+                [("", &network.flat), ("adam.m.", &network.adam.m), ("adam.v.", &network.adam.v)];
+            for parameter in &network.spec.parameters {
+                for (prefix, flat) in parts {
+                    let view = parameter.view(flat);
+                    let shape = view.size().iter().map(|&n| n as usize).collect();
+                    let name = format!("{kind}.{prefix}{}", parameter.name);
+                    add(name, Dtype::F32, shape, Source::Tensor(view));
+                }
+            }
+            let steps = &network.adam.steps;
+            let name = format!("{kind}.adam.steps");
+            add(name, Dtype::I64, vec![steps.len()], Source::I64(steps));
+        }
+        let norm = &self.value_norm;
+        for (name, moment) in
+            [("mean", &norm.mean), ("mean_square", &norm.mean_square), ("debias", &norm.debias)]
+        {
+            let shape = vec![moment.numel()];
+            let source = Source::Tensor(moment.shallow_clone());
+            add(format!("value_norm.{name}"), Dtype::F64, shape, source);
+        }
+        let norms = [("observation_norm", &self.observation_norm), ("state_norm", &self.state_norm)];
+        for (prefix, norm) in norms {
+            let Some(norm) = norm else { continue };
+            let shape = vec![norm.rows, norm.features];
+            add(format!("{prefix}.mean"), Dtype::F64, shape.clone(), Source::F64(&norm.mean));
+            add(format!("{prefix}.m2"), Dtype::F64, shape, Source::F64(&norm.m2));
+            let count = std::slice::from_ref(&norm.count);
+            add(format!("{prefix}.count"), Dtype::F64, vec![1], Source::F64(count));
+        }
+        let bits = self.arithmetic.kind().elt_size_in_bytes() as u64 * 8;
+        let counters =
+            [("iteration", self.iteration), ("env_steps", self.env_steps), ("precision", bits)];
+        for (name, value) in counters {
+            add(format!("counters.{name}"), Dtype::U64, vec![1], Source::U64(value));
+        }
+        entries.sort_by(|a, b| a.name.cmp(&b.name));
+        entries
+    }
+
+    /// The fingerprint of the state.
+    pub fn digest(&self) -> Digest {
+        let mut builder = DigestBuilder::new();
+        for entry in self.entries() {
+            entry.source.with_bytes(|bytes| {
+                builder.field(&entry.name, bytes);
+            });
+        }
+        builder.finish()
+    }
+
+    /// The state as the bytes of a safetensors file.
+    pub fn to_safetensors(&self) -> Vec<u8> {
+        let entries = self.entries();
+        let data: Vec<Vec<u8>> =
+            entries.iter().map(|entry| entry.source.with_bytes(<[u8]>::to_vec)).collect();
+        let views = entries.iter().zip(&data).map(|(entry, data)| {
+            let view = TensorView::new(entry.dtype, entry.shape.clone(), data)
+                .expect("an entry's bytes fit its shape");
+            (entry.name.as_str(), view)
+        });
+        // One entry only: the order of several would differ from run to run.
+        let metadata = [("format".to_owned(), FORMAT.to_owned())].into();
+        safetensors::serialize(views, Some(metadata)).expect("names and shapes are valid")
+    }
+
+    /// Restores a state of this configuration, exactly. `wanted` decides the arithmetic if the
+    /// configuration leaves it to the state.
+    pub fn from_safetensors(
+        data: &[u8],
+        config: &Config,
+        dimensions: &Dimensions,
+        device: Device,
+    ) -> Result<Self, LearnerError> {
+        let refuse = |message: String| LearnerError::State(message);
+        let (_, header) = SafeTensors::read_metadata(data)
+            .map_err(|error| refuse(format!("no valid safetensors file: {error}")))?;
+        let format = header.metadata().as_ref().and_then(|map| map.get("format"));
+        if format.map(String::as_str) != Some(FORMAT) {
+            let found = format.map_or("none", String::as_str);
+            return Err(refuse(format!("its format is `{found}`, expected `{FORMAT}`")));
+        }
+        let file = SafeTensors::deserialize(data)
+            .map_err(|error| refuse(format!("no valid safetensors file: {error}")))?;
+
+        let mut state = Self::initial(config, dimensions, Arithmetic::F32, device);
+        let mut arrays = BTreeMap::new();
+        for entry in state.entries() {
+            let Entry { name, dtype, shape, .. } = entry;
+            let view = file.tensor(&name).map_err(|_| {
+                refuse(format!("tensor `{name}` is missing, expected {dtype:?} {shape:?}"))
+            })?;
+            if view.dtype() != dtype || view.shape() != shape {
+                return Err(refuse(format!(
+                    "tensor `{name}` is {:?} {:?}, expected {dtype:?} {shape:?}; \
+                     was it trained with another configuration?",
+                    view.dtype(),
+                    view.shape(),
+                )));
+            }
+            let finite = match dtype {
+                Dtype::F32 => chunks::<4>(view.data()).all(|b| f32::from_le_bytes(b).is_finite()),
+                Dtype::F64 => chunks::<8>(view.data()).all(|b| f64::from_le_bytes(b).is_finite()),
+                _ => true,
+            };
+            if !finite {
+                return Err(refuse(format!("tensor `{name}` holds a number that is not finite")));
+            }
+            arrays.insert(name, view.data().to_vec());
+        }
+        if let Some(name) = file.names().into_iter().find(|&name| !arrays.contains_key(name)) {
+            return Err(refuse(format!(
+                "tensor `{name}` is unknown; was it trained with another configuration?"
+            )));
+        }
+        state.fill(&arrays)?;
+        Ok(state)
+    }
+
+    /// Overwrites everything by `arrays`, which hold every entry in its size.
+    fn fill(&mut self, arrays: &BTreeMap<String, Vec<u8>>) -> Result<(), LearnerError> {
+        let f64s = |name: &str| -> Vec<f64> {
+            chunks::<8>(&arrays[name]).map(f64::from_le_bytes).collect()
+        };
+        let u64_of = |name: &str| chunks::<8>(&arrays[name]).map(u64::from_le_bytes).sum::<u64>();
+        for network in [&mut self.actor, &mut self.critic] {
+            let kind = network.spec.kind.as_str();
+            let parts =
+                [("", &network.flat), ("adam.m.", &network.adam.m), ("adam.v.", &network.adam.v)];
+            for parameter in &network.spec.parameters {
+                for (prefix, flat) in parts {
+                    let mut view = parameter.view(flat);
+                    let data = &arrays[&format!("{kind}.{prefix}{}", parameter.name)];
+                    view.copy_(&Tensor::from_data_size(data, &view.size(), Kind::Float));
+                }
+            }
+            let steps = &arrays[&format!("{kind}.adam.steps")];
+            network.adam.steps = chunks::<8>(steps).map(i64::from_le_bytes).collect();
+        }
+        let norm = &mut self.value_norm;
+        for (name, moment) in [
+            ("mean", &mut norm.mean),
+            ("mean_square", &mut norm.mean_square),
+            ("debias", &mut norm.debias),
+        ] {
+            moment.copy_(&Tensor::from_slice(&f64s(&format!("value_norm.{name}"))));
+        }
+        let norms =
+            [("observation_norm", &mut self.observation_norm), ("state_norm", &mut self.state_norm)];
+        for (prefix, norm) in norms {
+            let Some(norm) = norm else { continue };
+            norm.mean = f64s(&format!("{prefix}.mean"));
+            norm.m2 = f64s(&format!("{prefix}.m2"));
+            norm.count = f64s(&format!("{prefix}.count"))[0];
+        }
+        self.iteration = u64_of("counters.iteration");
+        self.env_steps = u64_of("counters.env_steps");
+        self.arithmetic = match u64_of("counters.precision") {
+            16 => Arithmetic::Bf16,
+            32 => Arithmetic::F32,
+            bits => {
+                return Err(LearnerError::State(format!(
+                    "`counters.precision` is {bits}, expected 16 or 32"
+                )));
+            }
+        };
+        Ok(())
+    }
+
+    /// Writes the actors into `out`, a policy as it is published.
+    ///
+    /// # Panics
+    /// If `out` is not of the layout's length.
+    pub fn write_policy(&self, layout: &ActorLayout, min_log_std: f64, out: &mut [f32]) {
+        assert_eq!(out.len(), layout.len, "a policy has {} numbers", layout.len);
+        let norm = self.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std);
+        for tensor in &layout.tensors {
+            let slot = &mut out[tensor.range()];
+            match (tensor.name.as_str(), &norm) {
+                ("input.mean", Some((mean, _))) => slot.copy_from_slice(mean),
+                ("input.inverse_std", Some((_, inverse_std))) => slot.copy_from_slice(inverse_std),
+                (name, _) => {
+                    let view = self.actor.spec.view(name, &self.actor.flat);
+                    let view = view.to_device(Device::Cpu).contiguous();
+                    slot.copy_from_slice(bytemuck::cast_slice(bytes(&view)));
+                    if name == "log_std" {
+                        slot.iter_mut().for_each(|x| *x = x.max(min_log_std as f32));
+                    }
+                }
+            }
+        }
+    }
+
+    /// The device that it lives on.
+    pub fn device(&self) -> Device {
+        self.device
+    }
+}
+
+fn chunks<const N: usize>(data: &[u8]) -> impl Iterator<Item = [u8; N]> {
+    data.chunks_exact(N).map(|chunk| chunk.try_into().expect("chunks have N bytes"))
+}
