@@ -7,7 +7,7 @@
 //! not flushed to zero, so that every processor gives the same bits.
 
 use std::collections::VecDeque;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use proto::channel::{
@@ -105,7 +105,7 @@ pub fn load(run_dir: &RunDir) -> Result<World, ExitError> {
     let (text, origin) = read(run_dir.config())?;
     let config = Config::from_resolved_toml(&text, &origin).map_err(|error| bad(&error))?;
     let (text, origin) = read(run_dir.robot())?;
-    let robot = Robot::from_toml(&text, &origin).map_err(|error| bad(&error))?;
+    let robot = Robot::from_toml(&text, Path::new(&origin)).map_err(|error| bad(&error))?;
     Ok(World::new(&config, &robot))
 }
 
@@ -333,3 +333,6 @@ impl<'a> Worker<'a> {
 fn failure(error: &ChannelError) -> ExitError {
     ExitError::new(ExitCode::Failure, error.to_string())
 }
+
+#[cfg(test)]
+mod tests;

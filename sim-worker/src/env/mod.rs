@@ -21,13 +21,14 @@ use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 
 use crate::policy::{Policy, Scratch};
-use crate::robot::Robot;
+use crate::robot::{JOINTS_PER_ARM, Robot};
 use crate::scalar::{LaneFn, Mask, Real};
+use crate::state::State;
 use crate::task::goal::GoalAddress;
 use crate::task::observation::observe;
 use crate::task::reward::rewards;
 use crate::task::state::critic_state;
-use crate::task::{Errors, Goals, JOINTS_PER_ARM, Readings, Task};
+use crate::task::{Errors, Goals, Readings, Task};
 use output::Row;
 use physics::Physics;
 
@@ -119,7 +120,7 @@ pub(crate) struct Episodes<'a> {
 
 /// One lane group.
 struct Group<S: Real> {
-    physics: physics::GroupState<S>,
+    state: State<S>,
     readings: Readings<S>,
     goals: Goals<S>,
     errors: Errors<S>,
@@ -186,7 +187,7 @@ impl LaneFn for Episodes<'_> {
                 }
                 let joints = vec![S::zero(); n_arms * JOINTS_PER_ARM];
                 Group {
-                    physics: physics.at_home(),
+                    state: State::home(robot),
                     readings: Readings::new(n_arms),
                     goals: drawn,
                     errors: Errors::new(n_arms),
@@ -213,7 +214,7 @@ impl LaneFn for Episodes<'_> {
             let clock = Instant::now();
             for (index, group) in groups.iter_mut().enumerate() {
                 let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
-                let pairs = physics.read(&group.physics, &mut group.readings);
+                let pairs = physics.read(&group.state, &mut group.readings);
                 group.readings.last_action.copy_from_slice(&group.action);
                 group.errors.update(&group.readings, &group.goals);
                 if step > 0 {
@@ -273,8 +274,8 @@ impl LaneFn for Episodes<'_> {
 
             let clock = Instant::now();
             for (index, group) in groups.iter_mut().enumerate() {
-                physics.step(&mut group.physics, &group.command);
-                physics::check(&group.physics, first, index * S::LANES, n_envs, step)?;
+                physics.step(&mut group.state, &group.command);
+                physics::check(&group.state, first, index * S::LANES, n_envs, step)?;
             }
             timing.physics += clock.elapsed();
             on_step();

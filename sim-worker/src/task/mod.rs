@@ -26,8 +26,7 @@ pub use readings::{Errors, HandReading, Readings};
 
 use proto::config::{CriticState, GoalBox, Observation, Reward, TaskName};
 
-/// Joints of an arm.
-pub const JOINTS_PER_ARM: usize = 6;
+use crate::robot::JOINTS_PER_ARM;
 
 /// A task on a robot: everything that is the same in every environment and step.
 #[derive(Debug, Clone)]

@@ -34,7 +34,8 @@
 use proto::config::{Observation, TaskName};
 use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 
-use super::{Errors, Goals, JOINTS_PER_ARM, Readings, Task};
+use super::{Errors, Goals, Readings, Task};
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 
 /// Factor on velocities in the released layout.

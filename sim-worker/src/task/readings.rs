@@ -1,6 +1,7 @@
 //! What tasks read from a simulated robot, and the errors that follow.
 
-use super::{Goals, JOINTS_PER_ARM};
+use super::Goals;
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 
 /// A hand's pose and velocity in the world.
