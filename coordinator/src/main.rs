@@ -1,1 +1,18 @@
-fn main() {}
+//! The `octopus` program; see [`coordinator::cli`].
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+use coordinator::{cli::Cli, commands, logs};
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    logs::init();
+    match commands::run(cli.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::from(commands::exit_code(&error) as u8)
+        }
+    }
+}

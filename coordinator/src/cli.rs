@@ -1,0 +1,470 @@
+//! The command line of `octopus`.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use proto::config::{Integrator, Preset, TaskName};
+
+/// Exit codes, as `octopus --help` lists them.
+const EXIT_CODES: &str = "\
+Exit codes:
+  0    all went well
+  1    something failed while running; the message says what
+  2    the command line is wrong
+  3    a configuration, robot, actions or other input file is wrong
+  4    the machine lacks something: shared memory, descriptors, libtorch, a device
+  5    a run directory or checkpoint exists already, is in use, is missing or is damaged
+  6    the learner or a worker failed for good
+  130  stopped at once by a second Ctrl-C
+
+Results go to standard output, progress and logs to standard error (RUST_LOG=info shows more).
+`octopus COMMAND --help` shows options and examples.";
+
+const TRAIN_EXAMPLES: &str = "\
+Examples:
+  octopus train
+  octopus train reorientation --workers 4 --time-limit 10m
+  octopus train --preset paper --seed 7 --run-dir runs/paper-7
+  octopus train --set network.hidden=[64,64] --set algorithm.gamma=0.97 --iterations 20
+
+Configuration is merged in layers, later ones win: the preset, --config, the flags below, --set. Its
+groups are task, robot, env, network, algorithm, optimizer and run; the resolved whole is written
+to RUN_DIR/config.toml. One Ctrl-C finishes the iteration, commits a checkpoint and ends cleanly;
+a second one stops at once. `octopus resume RUN_DIR` goes on.";
+
+const RESUME_EXAMPLES: &str = "\
+Examples:
+  octopus resume runs/trajectory-20260101-120000
+  octopus resume runs/trajectory-20260101-120000 --workers 4
+  octopus resume runs/trajectory-20260101-120000 --env-steps 4e6
+
+The limits are those of the whole run, not of what is left. The number of workers changes nothing
+that is learned; another budget does when the learning rate falls over it.";
+
+const EVAL_EXAMPLES: &str = "\
+Examples:
+  octopus eval runs/trajectory-20260101-120000
+  octopus eval runs/trajectory-20260101-120000/checkpoints/iteration-00000130 --episodes 200
+  octopus eval runs/trajectory-20260101-120000 --json | jq .overall
+
+Of every episode three numbers are taken for each error: its minimum over time (`min`), its value
+after the last step (`final`) and its mean over the last 20 steps (`tail`).";
+
+const SIMULATE_EXAMPLES: &str = "\
+Examples:
+  octopus simulate --robot paper --actions in.csv --out out.csv
+  octopus simulate --robot release --actions in.csv --out - | head
+  octopus simulate --robot release --actions in.csv --out out.csv \\
+      --precision f64 --integrator euler --substep 0.001
+
+IN.csv has no header and one row per control step: joint velocity commands in rad/s, arm after arm
+(24 numbers for four arms). OUT.csv has a header and one row per control step, after it: t, base
+position (m) and quaternion (w first), joint angles (rad), velocity of the base (m/s, world axes;
+rad/s, body axes), joint rates (rad/s), hand positions (m), touching pairs.
+The last example is the scheme of the robot's authors.";
+
+const MJCF_EXAMPLES: &str = "\
+Examples:
+  octopus mjcf --robot release --out release.xml
+  octopus mjcf --robot my-robot.toml | python -c 'import mujoco, sys; mujoco.MjModel.from_xml_string(sys.stdin.read())'";
+
+const STATUS_EXAMPLES: &str = "\
+Examples:
+  octopus status
+  octopus status runs/trajectory-20260101-120000 --json";
+
+/// Trains, evaluates and simulates multi-arm space robots.
+#[derive(Debug, Clone, Parser)]
+#[command(name = "octopus", version, after_help = EXIT_CODES, max_term_width = 100)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The commands.
+#[derive(Debug, Clone, Subcommand)]
+pub enum Command {
+    /// Train the arms of a robot on a task.
+    Train(TrainArgs),
+    /// Go on with a stopped run from its last checkpoint.
+    Resume(ResumeArgs),
+    /// Measure a policy on goals it never saw.
+    Eval(EvalArgs),
+    /// Integrate given joint commands, open loop.
+    Simulate(SimulateArgs),
+    /// Write a robot as a MuJoCo model file.
+    Mjcf(MjcfArgs),
+    /// Check whether this machine can run a training, and say what cures what cannot.
+    Doctor(DoctorArgs),
+    /// Show how a run is doing, or list all runs.
+    Status(StatusArgs),
+    /// Remove what killed runs of this user left in shared memory.
+    Clean(CleanArgs),
+    /// Removes what a killed coordinator leaves; started by every run beside it.
+    #[command(hide = true)]
+    Janitor(JanitorArgs),
+}
+
+/// When to stop; at most one of them.
+#[derive(Debug, Clone, Default, Args)]
+#[group(multiple = false)]
+pub struct Limits {
+    /// Stop after this many iterations.
+    #[arg(long, value_name = "N", value_parser = positive, help_heading = "Limits")]
+    pub iterations: Option<u64>,
+    /// Stop after this many env-steps, rounded up to whole iterations: 2000000, 2e6.
+    #[arg(long, value_name = "N", value_parser = positive, help_heading = "Limits")]
+    pub env_steps: Option<u64>,
+    /// Stop after this much time: 90s, 10m, 1h30m. Changes nothing that is learned until then.
+    #[arg(long, value_name = "TIME", value_parser = duration, help_heading = "Limits")]
+    pub time_limit: Option<Duration>,
+}
+
+/// Options of `octopus train`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = TRAIN_EXAMPLES)]
+pub struct TrainArgs {
+    /// The task [default: trajectory, unless --config says otherwise].
+    #[arg(value_enum)]
+    pub task: Option<TaskArg>,
+    /// The configuration to start from.
+    #[arg(long, value_enum, default_value_t = PresetArg::Tuned)]
+    pub preset: PresetArg,
+    /// A TOML file with the keys to change.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Change one key; may be given again: --set algorithm.gamma=0.97.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub sets: Vec<String>,
+    /// Simulator processes; changes nothing that is learned.
+    #[arg(long, value_name = "N")]
+    pub workers: Option<u64>,
+    /// Environments of the whole run, one episode each per iteration.
+    #[arg(long, value_name = "N")]
+    pub envs: Option<u64>,
+    /// Seed of every random number.
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    pub seed: Option<u64>,
+    /// When to stop.
+    #[command(flatten)]
+    pub limits: Limits,
+    /// Where results land; must not exist yet, or be empty [default: runs/TASK-TIME].
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: Option<PathBuf>,
+    /// 1 rolls out the next iteration while the learner trains on this one.
+    #[arg(long, value_name = "0|1")]
+    pub overlap: Option<u64>,
+    /// Where the learner computes: cpu, cuda:0.
+    #[arg(long, value_name = "DEVICE")]
+    pub device: Option<String>,
+    /// `paper`, `release`, or a robot file.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub robot: Option<String>,
+    /// What happens around the training.
+    #[command(flatten)]
+    pub ending: Ending,
+}
+
+/// What happens around a training.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct Ending {
+    /// Evaluate the final policy (the default; undoes an earlier --no-eval).
+    #[arg(long, overrides_with = "no_eval")]
+    pub eval: bool,
+    /// Leave the evaluation of the final policy out.
+    #[arg(long)]
+    pub no_eval: bool,
+    /// Show no progress.
+    #[arg(long, short)]
+    pub quiet: bool,
+    /// Print the result as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of `octopus resume`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = RESUME_EXAMPLES)]
+pub struct ResumeArgs {
+    /// The run directory.
+    pub run_dir: PathBuf,
+    /// Simulator processes; changes nothing that is learned.
+    #[arg(long, value_name = "N")]
+    pub workers: Option<u64>,
+    /// When to stop.
+    #[command(flatten)]
+    pub limits: Limits,
+    /// What happens around the training.
+    #[command(flatten)]
+    pub ending: Ending,
+}
+
+/// Options of `octopus eval`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = EVAL_EXAMPLES)]
+pub struct EvalArgs {
+    /// A run directory, whose last checkpoint is taken, or a checkpoint's directory.
+    #[arg(value_name = "RUN_DIR|CHECKPOINT")]
+    pub path: PathBuf,
+    /// Episodes, each with a goal of its own.
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub episodes: u32,
+    /// Control steps of an episode.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub steps: u32,
+    /// Seed of the goals.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub seed: u64,
+    /// Print the result as JSON, every episode included.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of `octopus simulate`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = SIMULATE_EXAMPLES)]
+pub struct SimulateArgs {
+    /// `paper`, `release`, or a robot file.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub robot: String,
+    /// The commands; `-` reads standard input.
+    #[arg(long, value_name = "IN.csv")]
+    pub actions: PathBuf,
+    /// The trajectory; `-` writes standard output.
+    #[arg(long, value_name = "OUT.csv")]
+    pub out: PathBuf,
+    /// Arithmetic.
+    #[arg(long, value_enum, default_value_t = PrecisionArg::F32)]
+    pub precision: PrecisionArg,
+    /// Integration scheme.
+    #[arg(long, value_enum, default_value_t = IntegratorArg::Rk4)]
+    pub integrator: IntegratorArg,
+    /// Duration of an integration step; divides the control period.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.01)]
+    pub substep: f64,
+    /// Duration of a control step.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.4)]
+    pub control_period: f64,
+    /// Whether touching bodies push each other.
+    #[arg(long, value_name = "on|off", value_enum, default_value_t = Switch::On)]
+    pub contacts: Switch,
+}
+
+/// Options of `octopus mjcf`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = MJCF_EXAMPLES)]
+pub struct MjcfArgs {
+    /// `paper`, `release`, or a robot file.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub robot: String,
+    /// The model file [default: standard output].
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}
+
+/// Options of `octopus doctor`.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct DoctorArgs {
+    /// Print the checks as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of `octopus status`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = STATUS_EXAMPLES)]
+pub struct StatusArgs {
+    /// The run directory [default: all in runs/].
+    pub run_dir: Option<PathBuf>,
+    /// Print as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of `octopus clean`.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct CleanArgs {
+    /// Only say what would be removed.
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Print as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of the hidden `octopus janitor`.
+#[derive(Debug, Clone, Args)]
+pub struct JanitorArgs {
+    /// The shared memory to remove.
+    #[arg(long)]
+    pub domain: String,
+}
+
+/// A task on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum TaskArg {
+    /// Every hand to a target pose.
+    Trajectory,
+    /// The base to a target attitude.
+    Reorientation,
+}
+
+impl From<TaskArg> for TaskName {
+    fn from(task: TaskArg) -> Self {
+        match task {
+            TaskArg::Trajectory => Self::Trajectory,
+            TaskArg::Reorientation => Self::Reorientation,
+        }
+    }
+}
+
+/// A preset on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PresetArg {
+    /// The paper's robot, tasks and measures with whatever learns them fastest.
+    Tuned,
+    /// The paper's text; where it is silent, the released code.
+    Paper,
+    /// The authors' released code.
+    Release,
+}
+
+impl From<PresetArg> for Preset {
+    fn from(preset: PresetArg) -> Self {
+        match preset {
+            PresetArg::Tuned => Self::Tuned,
+            PresetArg::Paper => Self::Paper,
+            PresetArg::Release => Self::Release,
+        }
+    }
+}
+
+/// Arithmetic on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PrecisionArg {
+    /// Single precision, as training computes.
+    F32,
+    /// Double precision.
+    F64,
+}
+
+/// An integration scheme on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum IntegratorArg {
+    /// Classical Runge and Kutta, as training integrates.
+    Rk4,
+    /// Semi-implicit Euler, as the robot's authors do.
+    Euler,
+}
+
+impl From<IntegratorArg> for Integrator {
+    fn from(integrator: IntegratorArg) -> Self {
+        match integrator {
+            IntegratorArg::Rk4 => Self::Rk4,
+            IntegratorArg::Euler => Self::Euler,
+        }
+    }
+}
+
+/// On or off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Switch {
+    /// On.
+    On,
+    /// Off.
+    Off,
+}
+
+/// A count of at least one; large ones may be written as `2e6`.
+fn positive(text: &str) -> Result<u64, String> {
+    let value = text.parse::<u64>().ok().or_else(|| {
+        let value = text.parse::<f64>().ok()?;
+        (value.fract() == 0.0 && (0.0..9e15).contains(&value)).then_some(value as u64)
+    });
+    match value {
+        Some(0) => Err("wants at least 1".to_owned()),
+        Some(value) => Ok(value),
+        None => Err("wants a whole number, such as 2000000 or 2e6".to_owned()),
+    }
+}
+
+/// A time with units; a bare number is in seconds.
+fn duration(text: &str) -> Result<Duration, String> {
+    let wrong = || "wants a time such as 90s, 10m or 1h30m".to_owned();
+    if let Ok(seconds) = text.parse::<u32>() {
+        return nonzero(f64::from(seconds));
+    }
+    let mut seconds = 0.0;
+    let mut rest = text;
+    while !rest.is_empty() {
+        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').ok_or_else(wrong)?;
+        let number: f64 = rest[..end].parse().map_err(|_| wrong())?;
+        let unit_end =
+            rest[end..].find(|c: char| c.is_ascii_digit()).map_or(rest.len(), |len| end + len);
+        seconds += number
+            * match &rest[end..unit_end] {
+                "s" => 1.0,
+                "m" | "min" => 60.0,
+                "h" => 3600.0,
+                "d" => 86400.0,
+                _ => return Err(wrong()),
+            };
+        rest = &rest[unit_end..];
+    }
+    nonzero(seconds)
+}
+
+fn nonzero(seconds: f64) -> Result<Duration, String> {
+    if (1e-3..1e9).contains(&seconds) {
+        Ok(Duration::from_secs_f64(seconds))
+    } else {
+        Err("wants more than nothing and less than 30 years".to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_definition_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn times_and_counts() {
+        let seconds = |text| duration(text).map(|time| time.as_secs_f64());
+        assert_eq!(seconds("10m"), Ok(600.0));
+        assert_eq!(seconds("1h30m"), Ok(5400.0));
+        assert_eq!(seconds("1.5s"), Ok(1.5));
+        assert_eq!(seconds("90"), Ok(90.0));
+        for wrong in ["", "m", "10x", "0", "-3s", "1e400s", "10m5"] {
+            assert!(duration(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(positive("2e6"), Ok(2_000_000));
+        for wrong in ["0", "-1", "1.5", "nan", "inf", "many"] {
+            assert!(positive(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn at_most_one_limit() {
+        let parse = |line: &str| Cli::try_parse_from(line.split(' '));
+        assert!(parse("octopus train --iterations 3 --time-limit 1m").is_err());
+        assert!(parse("octopus train --iterations 3").is_ok());
+        assert!(parse("octopus train --no-eval --eval").is_ok());
+    }
+
+    #[test]
+    fn help_texts() {
+        // Not that of the terminal that the test happens to run in.
+        let mut command = Cli::command().term_width(100);
+        insta::assert_snapshot!("help", command.render_help());
+        let train = command.find_subcommand_mut("train").expect("exists");
+        insta::assert_snapshot!("help_train", train.render_help());
+    }
+}

@@ -1,0 +1,69 @@
+//! `octopus doctor`: can this machine train?
+
+use proto::{ExitCode, ExitError};
+
+use super::clean;
+use crate::cli::DoctorArgs;
+use crate::output;
+use crate::preflight::{self, Check, Verdict};
+use crate::supervisor::Programs;
+
+/// Workers that the checks reckon with.
+const WORKERS: usize = 2;
+
+/// Checks the machine; fails if a run would.
+pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
+    let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let libtorch = match Programs::find() {
+        Ok(programs) => preflight::libtorch(&programs.learner),
+        Err(error) => Check::failure("programs", error.message, "`make build` builds all three"),
+    };
+    let checks = [
+        preflight::processors(WORKERS.min(processors), 1),
+        preflight::memory(),
+        preflight::shared_memory_at_all(),
+        preflight::descriptors(WORKERS),
+        preflight::memory_maps(WORKERS),
+        libtorch,
+        leftovers(),
+    ];
+    if args.json {
+        output::json(&checks)?;
+    } else {
+        let rows = checks.iter().map(|check| {
+            let verdict = match check.verdict {
+                Verdict::Good => "ok",
+                Verdict::Warning => "warning",
+                Verdict::Failure => "FAILS",
+            };
+            let cure =
+                check.cure.as_ref().map(|cure| format!("\n{:20}-> {cure}", "")).unwrap_or_default();
+            format!("{verdict:8}{:18}{}{cure}", check.name, check.found)
+        });
+        output::line(&rows.collect::<Vec<_>>().join("\n"))?;
+    }
+    let failures = checks.iter().filter(|check| check.verdict == Verdict::Failure).count();
+    if failures > 0 {
+        let message = format!("{failures} of {} checks fail; each names its cure", checks.len());
+        return Err(ExitError::new(ExitCode::Environment, message).into());
+    }
+    Ok(())
+}
+
+/// What killed runs left behind.
+fn leftovers() -> Check {
+    const NAME: &str = "leftovers";
+    match clean::leftovers() {
+        Ok(found) if found.is_empty() => Check::good(NAME, "none"),
+        Ok(found) => Check::warning(
+            NAME,
+            format!("{} killed runs left shared memory behind", found.len()),
+            "`octopus clean`",
+        ),
+        Err(error) => Check::warning(
+            NAME,
+            format!("cannot be looked for: {error}"),
+            "check /dev/shm and /tmp",
+        ),
+    }
+}

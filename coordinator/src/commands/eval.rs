@@ -1,0 +1,349 @@
+//! `octopus eval`: how well a policy does on goals it never saw.
+
+use std::path::{Path, PathBuf};
+
+use proto::config::TaskName;
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use serde::Serialize;
+use sim_worker::evaluate::{self, Course, EpisodeResult, EvaluationOptions};
+use sim_worker::robot::Robot;
+use sim_worker::rollout::World;
+
+use crate::checkpoint::{Checkpoint, CheckpointStore, MANIFEST};
+use crate::cli::EvalArgs;
+use crate::output;
+
+/// Evaluates.
+pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
+    let checkpoint = open(&args.path)?;
+    let options = EvaluationOptions {
+        seed: args.seed,
+        episodes: args.episodes as usize,
+        steps: args.steps as usize,
+        ..EvaluationOptions::default()
+    };
+    let summary = evaluate(&checkpoint, &options)?;
+    if args.json {
+        return output::json(&summary);
+    }
+    output::line(&format!(
+        "{}\niteration {}, {} env-steps\n\n{}",
+        summary.checkpoint.display(),
+        summary.iteration,
+        summary.env_steps,
+        summary.table()
+    ))
+}
+
+/// The checkpoint at `path`, or the newest of the run there.
+fn open(path: &Path) -> anyhow::Result<Checkpoint> {
+    let run_dir = RunDir::new(path);
+    let store = CheckpointStore::new(run_dir.checkpoints());
+    if path.join(MANIFEST).is_file() {
+        return Ok(store.load(path)?);
+    }
+    if run_dir.config().is_file() {
+        return Ok(store.latest()?);
+    }
+    let what = if path.exists() {
+        "is neither a run directory nor a checkpoint"
+    } else {
+        "does not exist"
+    };
+    let message = format!("{}: {what}; `octopus status` lists the runs", path.display());
+    Err(ExitError::new(ExitCode::RunDirectory, message).into())
+}
+
+/// Mean, spread and percentiles over a set of errors.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// Arithmetic mean.
+    pub mean: f64,
+    /// Standard deviation.
+    pub std: f64,
+    /// Median.
+    pub p50: f64,
+    /// 90th percentile.
+    pub p90: f64,
+    /// 99th percentile.
+    pub p99: f64,
+}
+
+impl Spread {
+    /// Of `values`; percentiles are interpolated between neighbours.
+    fn of(mut values: Vec<f64>) -> Self {
+        values.sort_by(f64::total_cmp);
+        let n = values.len().max(1) as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n;
+        let percentile = |share: f64| {
+            let place = share * (n - 1.0);
+            let at = |index: f64| values.get(index as usize).copied().unwrap_or(f64::NAN);
+            at(place.floor()) + place.fract() * (at(place.ceil()) - at(place.floor()))
+        };
+        let [p50, p90, p99] = [0.5, 0.9, 0.99].map(percentile);
+        Self { mean, std: variance.sqrt(), p50, p90, p99 }
+    }
+}
+
+/// One kind of error, of one agent or of all together.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ErrorSummary {
+    /// `position`, `orientation` or `base`.
+    pub error: &'static str,
+    /// `m` or `rad`.
+    pub unit: &'static str,
+    /// The agent that answers for it, if it is one alone.
+    pub agent: Option<usize>,
+    /// Smallest of each episode: flatters, but is what the released script reports.
+    pub min: Spread,
+    /// After the last step.
+    #[serde(rename = "final")]
+    pub last: Spread,
+    /// Mean over the last 20 steps of each episode.
+    pub tail: Spread,
+}
+
+/// Share of goals reached, judged after the last step.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Success {
+    /// Largest position error that counts (m); none in `reorientation`.
+    pub position: Option<f64>,
+    /// Largest orientation or attitude error that counts (rad).
+    pub orientation: f64,
+    /// Share of goals: of hands in `trajectory`, of the base in `reorientation`.
+    pub goals: f64,
+    /// Share of episodes that reached all their goals.
+    pub episodes: f64,
+}
+
+/// What an evaluation found; the form of `eval --json` and `evaluation.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// What was evaluated.
+    pub checkpoint: PathBuf,
+    /// Iterations it was trained on.
+    pub iteration: u64,
+    /// Env-steps it was trained on.
+    pub env_steps: u64,
+    /// Its task.
+    pub task: TaskName,
+    /// Seed of the goals.
+    pub seed: u64,
+    /// Control steps of an episode.
+    pub steps: usize,
+    /// All agents together.
+    pub overall: Vec<ErrorSummary>,
+    /// Every agent alone; empty in `reorientation`, where all answer for the base.
+    pub agents: Vec<ErrorSummary>,
+    /// By threshold: the released code's and the paper's.
+    pub success: Vec<Success>,
+    /// Share of control steps at whose end any two bodies touched.
+    pub contact_rate: f64,
+    /// Episodes with any contact.
+    pub episodes_with_contact: usize,
+    /// Every episode.
+    pub episodes: Vec<EpisodeResult>,
+}
+
+/// Evaluates a checkpoint.
+pub fn evaluate(checkpoint: &Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
+    let robot = Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir.join("robot.toml"))?;
+    let world = World::new(&checkpoint.config, &robot);
+    let policy = world.policy(&checkpoint.actors(robot.n_arms)?).map_err(|error| {
+        ExitError::new(ExitCode::RunDirectory, format!("{}: {error}", checkpoint.dir.display()))
+    })?;
+    let evaluation = evaluate::evaluate(&world, &policy, options)?;
+    let task = checkpoint.config.task.name;
+    let episodes = evaluation.episodes;
+    let contact_steps: f64 = episodes.iter().map(|episode| f64::from(episode.contact_steps)).sum();
+    Ok(Summary {
+        checkpoint: checkpoint.dir.clone(),
+        iteration: checkpoint.manifest.iteration,
+        env_steps: checkpoint.manifest.env_steps,
+        task,
+        seed: options.seed,
+        steps: evaluation.steps,
+        overall: overall(task, &episodes),
+        agents: agents(task, &episodes),
+        success: success(task, &episodes),
+        contact_rate: contact_steps / (episodes.len() * evaluation.steps).max(1) as f64,
+        episodes_with_contact: episodes.iter().filter(|episode| episode.contact_steps > 0).count(),
+        episodes,
+    })
+}
+
+/// What an error is called and measured in.
+type Kind = (&'static str, &'static str);
+const POSITION: Kind = ("position", "m");
+const ORIENTATION: Kind = ("orientation", "rad");
+const BASE: Kind = ("base", "rad");
+
+fn summarise((error, unit): Kind, agent: Option<usize>, courses: &[Course]) -> ErrorSummary {
+    let spread = |read: fn(&Course) -> f32| {
+        Spread::of(courses.iter().map(|course| f64::from(read(course))).collect())
+    };
+    ErrorSummary {
+        error,
+        unit,
+        agent,
+        min: spread(|course| course.min),
+        last: spread(|course| course.last),
+        tail: spread(|course| course.tail),
+    }
+}
+
+fn overall(task: TaskName, episodes: &[EpisodeResult]) -> Vec<ErrorSummary> {
+    let hands = || episodes.iter().flat_map(|episode| &episode.hands);
+    match task {
+        TaskName::Trajectory => vec![
+            summarise(POSITION, None, &hands().map(|hand| hand.position).collect::<Vec<_>>()),
+            summarise(ORIENTATION, None, &hands().map(|hand| hand.orientation).collect::<Vec<_>>()),
+        ],
+        TaskName::Reorientation => {
+            let courses: Vec<_> = episodes.iter().map(|episode| episode.base).collect();
+            vec![summarise(BASE, None, &courses)]
+        }
+    }
+}
+
+/// Agent 2i moves the shoulder of arm i and answers for the hand's position, agent 2i + 1 moves
+/// the wrist and answers for its orientation.
+fn agents(task: TaskName, episodes: &[EpisodeResult]) -> Vec<ErrorSummary> {
+    if task == TaskName::Reorientation {
+        return Vec::new();
+    }
+    let n_arms = episodes.first().map_or(0, |episode| episode.hands.len());
+    (0..n_arms)
+        .flat_map(|arm| {
+            let hands = || episodes.iter().filter_map(move |episode| episode.hands.get(arm));
+            let position: Vec<_> = hands().map(|hand| hand.position).collect();
+            let orientation: Vec<_> = hands().map(|hand| hand.orientation).collect();
+            [
+                summarise(POSITION, Some(2 * arm), &position),
+                summarise(ORIENTATION, Some(2 * arm + 1), &orientation),
+            ]
+        })
+        .collect()
+}
+
+fn success(task: TaskName, episodes: &[EpisodeResult]) -> Vec<Success> {
+    let judge = |(position, orientation): (f64, f64)| {
+        let reached: Vec<Vec<bool>> = episodes
+            .iter()
+            .map(|episode| match task {
+                TaskName::Trajectory => {
+                    let hand = |hand: &evaluate::HandCourse| {
+                        f64::from(hand.position.last) < position
+                            && f64::from(hand.orientation.last) < orientation
+                    };
+                    episode.hands.iter().map(hand).collect()
+                }
+                TaskName::Reorientation => vec![f64::from(episode.base.last) < orientation],
+            })
+            .collect();
+        let goals = reached.iter().map(Vec::len).sum::<usize>().max(1) as f64;
+        let hits = reached.iter().flatten().filter(|hit| **hit).count() as f64;
+        let whole = reached.iter().filter(|goals| goals.iter().all(|hit| *hit)).count() as f64;
+        Success {
+            position: (task == TaskName::Trajectory).then_some(position),
+            orientation,
+            goals: hits / goals,
+            episodes: whole / episodes.len().max(1) as f64,
+        }
+    };
+    [(0.05, 0.05), (0.025, 0.04)].map(judge).to_vec()
+}
+
+impl Summary {
+    /// The summary as a person reads it.
+    pub fn table(&self) -> String {
+        let scaled = |value: f64| format!("{:.1}", 1e3 * value);
+        let row = |summary: &ErrorSummary| {
+            let ErrorSummary { error, unit, agent, min, last, tail } = summary;
+            let name = match agent {
+                Some(agent) => format!("agent {agent} {error} (m{unit})"),
+                None => format!("{error} (m{unit})"),
+            };
+            [
+                name,
+                scaled(min.mean),
+                scaled(last.mean),
+                scaled(tail.mean),
+                scaled(tail.std),
+                scaled(tail.p50),
+                scaled(tail.p90),
+                scaled(tail.p99),
+            ]
+        };
+        let header = ["error", "min", "final", "tail", "std", "p50", "p90", "p99"];
+        let errors = output::table(header, self.overall.iter().chain(&self.agents).map(row));
+        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        let success = output::table(
+            ["success within", "goals", "episodes"],
+            self.success.iter().map(|success| {
+                let orientation = format!("{} mrad", 1e3 * success.orientation);
+                let name = match success.position {
+                    Some(position) => format!("{} mm and {orientation}", 1e3 * position),
+                    None => orientation,
+                };
+                [name, percent(success.goals), percent(success.episodes)]
+            }),
+        );
+        format!(
+            "{} episodes of {} steps, seed {}; std and percentiles are those of tail\n{errors}\n\n\
+             {success}\n\ncontact in {} of steps, in {} of {} episodes",
+            self.episodes.len(),
+            self.steps,
+            self.seed,
+            percent(self.contact_rate),
+            self.episodes_with_contact,
+            self.episodes.len(),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sim_worker::evaluate::HandCourse;
+
+    use super::*;
+
+    #[test]
+    fn spread_by_hand() {
+        let spread = Spread::of(vec![4.0, 1.0, 2.0, 3.0, 5.0]);
+        assert_eq!((spread.mean, spread.p50), (3.0, 3.0));
+        assert_eq!(spread.std, 2.0_f64.sqrt());
+        // 0.9 · 4 = 3.6: between 4 and 5.
+        assert!((spread.p90 - 4.6).abs() < 1e-12);
+        assert_eq!(Spread::of(vec![7.0]).p99, 7.0);
+    }
+
+    #[test]
+    fn a_goal_counts_when_both_errors_are_small_at_the_end() {
+        let course = |last: f32| Course { min: 0.0, last, tail: last };
+        let hand = |position, orientation| HandCourse {
+            position: course(position),
+            orientation: course(orientation),
+        };
+        let episode = |hands| EpisodeResult {
+            hands,
+            base: course(0.045),
+            contact_steps: 0,
+            contact_pairs: 0,
+        };
+        let episodes = [
+            episode(vec![hand(0.01, 0.01), hand(0.03, 0.01)]),
+            episode(vec![hand(0.01, 0.2), hand(0.01, 0.01)]),
+        ];
+        let loose = success(TaskName::Trajectory, &episodes);
+        assert_eq!((loose[0].goals, loose[0].episodes), (0.75, 0.5));
+        assert_eq!((loose[1].goals, loose[1].episodes), (0.5, 0.0));
+        let base = success(TaskName::Reorientation, &episodes);
+        assert_eq!((base[0].goals, base[1].goals), (1.0, 0.0));
+        let agents = agents(TaskName::Trajectory, &episodes);
+        assert_eq!(agents.len(), 4);
+        assert_eq!((agents[1].error, agents[1].agent), ("orientation", Some(1)));
+    }
+}

@@ -1,0 +1,17 @@
+//! `octopus mjcf`: a robot as a MuJoCo model file.
+
+use std::path::Path;
+
+use crate::cli::MjcfArgs;
+use crate::{files, output};
+
+/// Writes the model.
+pub fn run(args: &MjcfArgs) -> anyhow::Result<()> {
+    let robot = super::load_robot(&args.robot)?;
+    let model = sim_worker::robot::mjcf(&robot);
+    match args.out.as_deref() {
+        None => output::write(model.as_bytes()),
+        Some(path) if path == Path::new("-") => output::write(model.as_bytes()),
+        Some(path) => Ok(files::replace_output(path, model.as_bytes())?),
+    }
+}

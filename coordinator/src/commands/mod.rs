@@ -1,0 +1,61 @@
+//! The commands of `octopus`, one file each.
+
+pub mod clean;
+pub mod doctor;
+pub mod eval;
+pub mod mjcf;
+pub mod resume;
+pub mod simulate;
+pub mod status;
+pub mod train;
+
+use std::io::BufReader;
+
+use anyhow::Context as _;
+use proto::channel::Domain;
+use proto::{ConfigError, ExitCode, ExitError};
+use sim_worker::robot::{Robot, RobotError};
+
+use crate::checkpoint::CheckpointError;
+use crate::cli::{Command, JanitorArgs};
+use crate::janitor;
+use crate::lock::LockError;
+
+/// Does what the command line says.
+pub fn run(command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Train(args) => train::run(&args),
+        Command::Resume(args) => resume::run(&args),
+        Command::Eval(args) => eval::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
+        Command::Mjcf(args) => mjcf::run(&args),
+        Command::Doctor(args) => doctor::run(args),
+        Command::Status(args) => status::run(&args),
+        Command::Clean(args) => clean::run(args),
+        Command::Janitor(args) => janitor_run(&args),
+    }
+}
+
+/// The exit code that an error ends the program with: that of the innermost cause that has one.
+pub fn exit_code(error: &anyhow::Error) -> ExitCode {
+    let code = |cause: &(dyn std::error::Error + 'static)| {
+        if let Some(error) = cause.downcast_ref::<ExitError>() {
+            return Some(error.code);
+        }
+        if cause.is::<ConfigError>() || cause.is::<RobotError>() {
+            return Some(ExitCode::BadInput);
+        }
+        (cause.is::<CheckpointError>() || cause.is::<LockError>()).then_some(ExitCode::RunDirectory)
+    };
+    error.chain().find_map(code).unwrap_or(ExitCode::Failure)
+}
+
+/// The robot called `name`, or described by the file of that name.
+fn load_robot(name: &str) -> anyhow::Result<Robot> {
+    Ok(Robot::load(name)?)
+}
+
+fn janitor_run(args: &JanitorArgs) -> anyhow::Result<()> {
+    let domain = Domain::parse(&args.domain)?;
+    janitor::run(&domain, BufReader::new(std::io::stdin())).context("cleaning up failed")
+}

@@ -1,0 +1,166 @@
+//! `octopus resume`: a stopped run goes on as if it had never stopped.
+
+use std::path::Path;
+
+use proto::channel::Domain;
+use proto::config::{Config, Run};
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use sim_worker::robot::Robot;
+
+use super::train::{self, Start};
+use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore};
+use crate::cli::ResumeArgs;
+use crate::files;
+use crate::lock::RunLock;
+use crate::provenance::Provenance;
+use crate::supervisor::Programs;
+
+/// Resumes.
+pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
+    let run_dir = RunDir::new(&args.run_dir);
+    if !run_dir.config().is_file() {
+        return Err(ExitError::new(
+            ExitCode::RunDirectory,
+            format!(
+                "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
+                args.run_dir.display()
+            ),
+        )
+        .into());
+    }
+    let domain = Domain::fresh();
+    let _lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+
+    let text = read(&run_dir.config())?;
+    let before = Config::from_resolved_toml(&text, &run_dir.config().display().to_string())?;
+    let robot_text = read(&run_dir.robot())?;
+    let robot = Robot::from_toml(&robot_text, &run_dir.robot())?;
+    let resume = match CheckpointStore::new(run_dir.checkpoints()).latest() {
+        Ok(checkpoint) => {
+            check_unchanged(&run_dir, &before, &robot_text, &checkpoint)?;
+            Some(checkpoint)
+        }
+        // Nothing was lost: the same seed gives the same run from the beginning.
+        Err(CheckpointError::NotFound { .. }) => {
+            eprintln!("note: the run was stopped before its first checkpoint and starts anew");
+            None
+        }
+        Err(error) => return Err(error.into()),
+    };
+
+    let (config, overrides) = override_limits(&before, args)?;
+    for change in &overrides {
+        eprintln!("note: {change}");
+    }
+    let done = resume.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
+    if done >= config.planned_iterations() {
+        eprintln!(
+            "note: nothing to do, {done} of {} planned iterations are done; a larger --iterations \
+             or --env-steps goes on",
+            config.planned_iterations()
+        );
+        return Ok(());
+    }
+
+    let programs = Programs::find()?;
+    train::check_machine(&config, &robot, &run_dir, &programs)?;
+    let provenance = Provenance::gather();
+    if !overrides.is_empty() {
+        files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
+    }
+    train::record(&run_dir, &provenance, &overrides)?;
+    std::fs::create_dir_all(run_dir.logs()).map_err(|error| {
+        ExitError::new(
+            ExitCode::RunDirectory,
+            format!("{}: cannot be created: {error}", run_dir.logs().display()),
+        )
+    })?;
+    let start = Start { run_dir, config, robot, resume, programs, domain, provenance };
+    train::run_session(start, args.ending)
+}
+
+/// The configuration with the limits of the command line, and what they changed.
+fn override_limits(before: &Config, args: &ResumeArgs) -> anyhow::Result<(Config, Vec<String>)> {
+    let mut config = before.clone();
+    if let Some(workers) = args.workers {
+        config.run.workers = workers as usize;
+    }
+    if let Some(env_steps) = args.limits.env_steps {
+        config.run.env_steps = env_steps;
+    }
+    if let Some(iterations) = args.limits.iterations {
+        config.run.env_steps = iterations.saturating_mul(config.steps_per_iteration());
+    }
+    if let Some(limit) = args.limits.time_limit {
+        config.run.time_limit_s = limit.as_secs_f64();
+    }
+    config.validate()?;
+    let mut overrides = Vec::new();
+    let mut changed = |key: &str, old: &dyn std::fmt::Display, new: &dyn std::fmt::Display| {
+        let (old, new) = (old.to_string(), new.to_string());
+        if old != new {
+            overrides.push(format!("{key} is now {new}, was {old}"));
+        }
+    };
+    changed("run.workers", &before.run.workers, &config.run.workers);
+    changed("run.env_steps", &before.run.env_steps, &config.run.env_steps);
+    changed("run.time_limit_s", &before.run.time_limit_s, &config.run.time_limit_s);
+    Ok((config, overrides))
+}
+
+/// A run goes on with what it began with: only limits, processes and housekeeping may differ.
+fn check_unchanged(
+    run_dir: &RunDir,
+    config: &Config,
+    robot_toml: &str,
+    checkpoint: &Checkpoint,
+) -> Result<(), ExitError> {
+    let refuse = |path: &Path, what: &str| {
+        Err(ExitError::new(
+            ExitCode::RunDirectory,
+            format!(
+                "{}: {what} since checkpoint {}; put it back (the checkpoint holds a copy), or start \
+                 another run with `octopus train --config`",
+                path.display(),
+                checkpoint.dir.display()
+            ),
+        ))
+    };
+    let then = &checkpoint.config;
+    let free = Run {
+        env_steps: then.run.env_steps,
+        time_limit_s: then.run.time_limit_s,
+        workers: then.run.workers,
+        device: then.run.device.clone(),
+        checkpoint_every: then.run.checkpoint_every,
+        checkpoints_kept: then.run.checkpoints_kept,
+        order_deadline_s: then.run.order_deadline_s,
+        ..config.run.clone()
+    };
+    let groups = [
+        ("task", config.task == then.task),
+        ("robot", config.robot == then.robot),
+        ("env", config.env == then.env),
+        ("network", config.network == then.network),
+        ("algorithm", config.algorithm == then.algorithm),
+        ("optimizer", config.optimizer == then.optimizer),
+        ("run", free == then.run),
+    ];
+    if let Some((group, _)) = groups.iter().find(|(_, same)| !same) {
+        return refuse(&run_dir.config(), &format!("group `{group}` was changed"));
+    }
+    if robot_toml != checkpoint.robot_toml {
+        return refuse(&run_dir.robot(), "was changed");
+    }
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<String, ExitError> {
+    std::fs::read_to_string(path).map_err(|error| {
+        ExitError::new(
+            ExitCode::RunDirectory,
+            format!("{}: cannot be read: {error}", path.display()),
+        )
+    })
+}

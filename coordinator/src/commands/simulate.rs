@@ -1,0 +1,178 @@
+//! `octopus simulate`: the robot under given joint commands, open loop.
+
+use std::io::Read as _;
+use std::path::Path;
+
+use anyhow::Context as _;
+use proto::{ExitCode, ExitError};
+use sim_worker::robot::Robot;
+use sim_worker::simulate::{self, Options, Precision, Sample};
+
+use crate::cli::{PrecisionArg, SimulateArgs, Switch};
+use crate::{files, output};
+
+/// Integrates.
+pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
+    let robot = super::load_robot(&args.robot)?;
+    check_steps(args)?;
+    let actions = read_actions(&args.actions, robot.n_joints())?;
+    let options = Options {
+        precision: match args.precision {
+            PrecisionArg::F32 => Precision::F32,
+            PrecisionArg::F64 => Precision::F64,
+        },
+        integrator: args.integrator.into(),
+        control_period: args.control_period,
+        substep: args.substep,
+        contacts: args.contacts == Switch::On,
+    };
+    let samples = simulate::simulate(&robot, &actions, &options)?;
+    let table = write_table(&robot, &samples)?;
+    if args.out == Path::new("-") {
+        output::write(&table)
+    } else {
+        Ok(files::replace_output(&args.out, &table)?)
+    }
+}
+
+/// The sub-step must fit the control period a whole number of times.
+fn check_steps(args: &SimulateArgs) -> Result<(), ExitError> {
+    let bad = |message: String| Err(ExitError::new(ExitCode::BadInput, message));
+    let SimulateArgs { control_period, substep, .. } = *args;
+    if !(1e-4..=10.0).contains(&control_period) {
+        return bad(format!(
+            "--control-period {control_period}: choose a time from 0.0001 to 10 s"
+        ));
+    }
+    if !(1e-5..=control_period).contains(&substep) {
+        return bad(format!(
+            "--substep {substep}: choose a time from 0.00001 to {control_period} s"
+        ));
+    }
+    let substeps = control_period / substep;
+    if (substeps - substeps.round()).abs() > 1e-6 * substeps {
+        return bad(format!(
+            "--substep {substep}: does not divide the control period of {control_period} s; choose a \
+             whole fraction of it"
+        ));
+    }
+    Ok(())
+}
+
+/// Reads the commands: one row a control step, `width` numbers each.
+fn read_actions(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError> {
+    let shown =
+        if path == Path::new("-") { "standard input".into() } else { path.to_string_lossy() };
+    let bad = |what: String| ExitError::new(ExitCode::BadInput, format!("{shown}: {what}"));
+    let mut bytes = Vec::new();
+    let read = if path == Path::new("-") {
+        std::io::stdin().read_to_end(&mut bytes)
+    } else {
+        std::fs::File::open(path).and_then(|mut file| file.read_to_end(&mut bytes))
+    };
+    read.map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .trim(csv::Trim::All)
+        .from_reader(bytes.as_slice());
+    let mut actions = Vec::new();
+    for (index, record) in reader.records().enumerate() {
+        let row = index + 1;
+        let record = record.map_err(|error| bad(format!("row {row}: {error}")))?;
+        if record.len() != width {
+            return Err(bad(format!(
+                "row {row} has {} numbers, expected {width}: one joint velocity command in rad/s for \
+                 every joint, arm after arm",
+                record.len()
+            )));
+        }
+        let number = |(column, cell): (usize, &str)| {
+            let place = format!("row {row}, column {}", column + 1);
+            match cell.parse::<f64>() {
+                Ok(value) if value.is_finite() => Ok(value),
+                Ok(_) => Err(bad(format!("{place}: `{cell}` is not finite"))),
+                Err(_) => Err(bad(format!(
+                    "{place}: `{cell}` is no number{}",
+                    if row == 1 { "; the file has no header" } else { "" }
+                ))),
+            }
+        };
+        actions.push(record.iter().enumerate().map(number).collect::<Result<Vec<_>, _>>()?);
+    }
+    if actions.is_empty() {
+        return Err(bad(format!("is empty, expected rows of {width} joint velocity commands")));
+    }
+    Ok(actions)
+}
+
+/// The names of the columns.
+fn header(n_arms: usize, n_joints: usize) -> Vec<String> {
+    let numbered = |name: &'static str| (0..n_joints).map(move |joint| format!("{name}{joint}"));
+    let fixed = |names: &'static str| names.split(' ').map(str::to_owned);
+    fixed("t base_x base_y base_z base_qw base_qx base_qy base_qz")
+        .chain(numbered("q"))
+        .chain(fixed("base_vx base_vy base_vz base_wx base_wy base_wz"))
+        .chain(numbered("qd"))
+        .chain(
+            (0..n_arms).flat_map(|hand| ["x", "y", "z"].map(|axis| format!("hand{hand}_{axis}"))),
+        )
+        .chain(fixed("contacts"))
+        .collect()
+}
+
+/// The trajectory as a table; numbers have as many digits as identify them.
+fn write_table(robot: &Robot, samples: &[Sample]) -> anyhow::Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(header(robot.n_arms, robot.n_joints()))?;
+    for sample in samples {
+        let numbers = [sample.time]
+            .into_iter()
+            .chain(sample.base_position)
+            .chain(sample.base_quaternion)
+            .chain(sample.q.iter().copied())
+            .chain(sample.base_velocity)
+            .chain(sample.base_rate)
+            .chain(sample.qd.iter().copied())
+            .chain(sample.hands.iter().flatten().copied())
+            .map(|number| number.to_string())
+            .chain([sample.contacts.to_string()]);
+        writer.write_record(numbers)?;
+    }
+    writer.into_inner().context("the table cannot be finished")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The message that `text` is refused with.
+    fn refused(text: &str) -> String {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("in.csv");
+        std::fs::write(&path, text).expect("writable");
+        let error = read_actions(&path, 3).expect_err("must be refused");
+        assert_eq!(error.code, ExitCode::BadInput);
+        error.message.split_once("in.csv: ").expect("names the file").1.to_owned()
+    }
+
+    #[test]
+    fn actions_are_refused_with_row_and_column() {
+        assert_eq!(refused("1,2,3\n1,2,nan\n"), "row 2, column 3: `nan` is not finite");
+        assert_eq!(refused("a,b,c\n"), "row 1, column 1: `a` is no number; the file has no header");
+        assert!(refused("1,2\n").starts_with("row 1 has 2 numbers, expected 3"));
+        assert!(refused("\n\n").starts_with("is empty"));
+    }
+
+    #[test]
+    fn columns_are_those_of_the_description() {
+        let header = header(4, 24);
+        assert_eq!(header.len(), 1 + 7 + 24 + 6 + 24 + 12 + 1);
+        assert_eq!(header[8], "q0");
+        assert_eq!(
+            header[32..38],
+            ["base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz"]
+        );
+        assert_eq!(header[62..65], ["hand0_x", "hand0_y", "hand0_z"]);
+    }
+}

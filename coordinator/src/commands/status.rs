@@ -1,0 +1,165 @@
+//! `octopus status`: how a run is doing.
+
+use std::path::{Path, PathBuf};
+
+use proto::config::Config;
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use serde::Serialize;
+use serde_json::Value;
+
+use super::train::RUNS;
+use crate::checkpoint::CheckpointStore;
+use crate::cli::StatusArgs;
+use crate::lock::RunLock;
+use crate::output;
+use crate::report::jsonl;
+use crate::report::progress::grouped;
+
+/// What can be said about a run from outside.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RunStatus {
+    /// Its directory.
+    pub run_dir: PathBuf,
+    /// `running`, `finished`, or `stopped` before its budget was used up.
+    pub state: &'static str,
+    /// Process of its coordinator, while it runs.
+    pub pid: Option<u32>,
+    /// The task.
+    pub task: &'static str,
+    /// Iterations done.
+    pub iterations: u64,
+    /// Iterations planned.
+    pub planned_iterations: u64,
+    /// The last line of its metrics.
+    pub last: Option<Value>,
+    /// Its newest checkpoint.
+    pub checkpoint: Option<PathBuf>,
+}
+
+/// Shows one run or all.
+pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
+    let Some(run_dir) = &args.run_dir else { return list(args.json) };
+    let status = inspect(run_dir)?;
+    if args.json {
+        return output::json(&status);
+    }
+    let number =
+        |pointer: &str| status.last.as_ref().and_then(|last| last.pointer(pointer)?.as_f64());
+    let mut lines = vec![
+        format!("{:14}{}", "run", status.run_dir.display()),
+        format!("{:14}{}", "state", describe(&status)),
+        format!("{:14}{}", "task", status.task),
+        format!("{:14}{} of {}", "iterations", status.iterations, status.planned_iterations),
+    ];
+    let mut add = |name: &str, pointer: &str, show: &dyn Fn(f64) -> String| {
+        if let Some(value) = number(pointer) {
+            lines.push(format!("{name:14}{}", show(value)));
+        }
+    };
+    let count = |value: f64| grouped(value as u64);
+    add("env-steps", "/env_steps", &count);
+    add("env-steps/s", "/env_steps_per_s", &count);
+    add("time", "/wall_s", &|seconds| format!("{seconds:.0} s"));
+    add("workers", "/workers", &count);
+    add("replaced", "/restarts", &count);
+    add("return", "/return_mean", &|value| format!("{value:.3}"));
+    if status.task == "trajectory" {
+        add("position", "/errors/position", &|error| format!("{:.1} mm", 1e3 * error));
+        add("orientation", "/errors/orientation", &|error| format!("{:.1} mrad", 1e3 * error));
+    } else {
+        add("attitude", "/errors/base", &|error| format!("{:.1} mrad", 1e3 * error));
+    }
+    if let Some(digest) = status.last.as_ref().and_then(|last| last["digest"].as_str()) {
+        lines.push(format!("{:14}{digest}", "digest"));
+    }
+    if let Some(checkpoint) = &status.checkpoint {
+        lines.push(format!("{:14}{}", "checkpoint", checkpoint.display()));
+    }
+    if status.state == "stopped" {
+        lines.push(format!("{:14}octopus resume {}", "go on with", status.run_dir.display()));
+    }
+    output::line(&lines.join("\n"))
+}
+
+fn describe(status: &RunStatus) -> String {
+    match status.pid {
+        Some(pid) => format!("{} (process {pid})", status.state),
+        None => status.state.to_owned(),
+    }
+}
+
+/// Shows every run in `runs/`.
+fn list(json: bool) -> anyhow::Result<()> {
+    let mut directories: Vec<PathBuf> = match std::fs::read_dir(RUNS) {
+        Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.path())).collect(),
+        Err(_) => Vec::new(),
+    };
+    directories.retain(|path| RunDir::new(path).config().is_file());
+    directories.sort();
+    let mut runs = Vec::new();
+    for path in directories {
+        match inspect(&path) {
+            Ok(status) => runs.push(status),
+            // One damaged run does not hide the others.
+            Err(error) => eprintln!("note: {error:#}"),
+        }
+    }
+    if json {
+        return output::json(&runs);
+    }
+    if runs.is_empty() {
+        return output::line(&format!("no runs in {RUNS}/; `octopus train` starts one"));
+    }
+    let rows = runs.iter().map(|status| {
+        let number =
+            |pointer: &str| status.last.as_ref().and_then(|last| last.pointer(pointer)?.as_f64());
+        let shown = |pointer: &str, show: &dyn Fn(f64) -> String| {
+            number(pointer).map_or_else(|| "-".to_owned(), show)
+        };
+        [
+            status.run_dir.display().to_string(),
+            describe(status),
+            format!("{} / {}", status.iterations, status.planned_iterations),
+            shown("/env_steps", &|value| grouped(value as u64)),
+            shown("/return_mean", &|value| format!("{value:.2}")),
+        ]
+    });
+    let header = ["run", "state", "iterations", "env-steps", "return"];
+    output::line(&output::table(header, rows))
+}
+
+/// Reads what a run left and whether it lives.
+pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
+    let run_dir = RunDir::new(path);
+    let config_path = run_dir.config();
+    let text = std::fs::read_to_string(&config_path).map_err(|error| {
+        ExitError::new(
+            ExitCode::RunDirectory,
+            format!(
+                "{}: is no run directory: config.toml: {error}; `octopus status` lists the runs",
+                path.display()
+            ),
+        )
+    })?;
+    let config = Config::from_resolved_toml(&text, &config_path.display().to_string())?;
+    let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
+    let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
+    let holder = RunLock::holder(&run_dir.lock());
+    let planned_iterations = config.planned_iterations();
+    let state = match &holder {
+        Some(_) => "running",
+        None if iterations >= planned_iterations => "finished",
+        None => "stopped",
+    };
+    Ok(RunStatus {
+        run_dir: path.to_owned(),
+        state,
+        pid: holder.map(|holder| holder.pid),
+        task: config.task.name.as_str(),
+        iterations,
+        planned_iterations,
+        last,
+        checkpoint: CheckpointStore::new(run_dir.checkpoints()).list()?.pop(),
+    })
+}

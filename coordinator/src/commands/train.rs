@@ -1,0 +1,384 @@
+//! `octopus train`: from a command line to an evaluated policy.
+
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use anyhow::Context as _;
+use proto::channel::Domain;
+use proto::config::{Config, Layers};
+use proto::layout::Dimensions;
+use proto::run_dir::RunDir;
+use proto::{ConfigError, ExitCode, ExitError};
+use serde_json::json;
+use sim_worker::evaluate::EvaluationOptions;
+use sim_worker::robot::Robot;
+
+use super::eval;
+use crate::checkpoint::{Checkpoint, CheckpointStore};
+use crate::cli::{Ending, TrainArgs};
+use crate::lock::RunLock;
+use crate::preflight::{self, Verdict};
+use crate::provenance::{self, Provenance};
+use crate::report::Reporter;
+use crate::report::progress::grouped;
+use crate::session::{self, Outcome, SessionSpec, StoppedBy};
+use crate::signals::StopRequests;
+use crate::supervisor::Programs;
+use crate::{files, output};
+
+/// Where runs land without `--run-dir`.
+pub(super) const RUNS: &str = "runs";
+
+/// Trains.
+pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
+    let config = configure(args)?;
+    let robot = super::load_robot(&config.robot.description)?;
+    let run_dir = args.run_dir.clone().map_or_else(|| default_dir(&config), RunDir::new);
+    check_vacant(run_dir.path())?;
+    let programs = Programs::find()?;
+    check_machine(&config, &robot, &run_dir, &programs)?;
+
+    create(&run_dir)?;
+    let domain = Domain::fresh();
+    let _lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+    let provenance = Provenance::gather();
+    files::replace(&run_dir.robot(), robot.to_toml().as_bytes())?;
+    files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
+    record(&run_dir, &provenance, &[])?;
+    let start = Start { run_dir, config, robot, resume: None, programs, domain, provenance };
+    run_session(start, args.ending)
+}
+
+/// What a session starts from, of a new run or of an old one.
+pub(super) struct Start {
+    pub(super) run_dir: RunDir,
+    pub(super) config: Config,
+    pub(super) robot: Robot,
+    pub(super) resume: Option<Checkpoint>,
+    pub(super) programs: Programs,
+    pub(super) domain: Domain,
+    pub(super) provenance: Provenance,
+}
+
+/// Runs a session to its end, evaluates and says where everything is. The caller holds the lock.
+pub(super) fn run_session(start: Start, ending: Ending) -> anyhow::Result<()> {
+    let Start { run_dir, config, robot, resume, programs, domain, provenance } = start;
+    let stop = StopRequests::new();
+    stop.listen().context("signals cannot be caught")?;
+    let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
+    let mut reporter = Reporter::create(&run_dir, &config, resume_from, ending.quiet)?;
+    if !ending.quiet {
+        reporter.note(&introduction(&config, &run_dir, resume_from));
+    }
+    let spec = SessionSpec {
+        run_dir: run_dir.clone(),
+        config,
+        robot,
+        resume,
+        programs,
+        provenance: serde_json::to_value(provenance).context("provenance has no JSON form")?,
+        domain,
+        stop,
+    };
+    let result = session::run(spec, &mut reporter);
+    // Also after a failure: what was measured until then is worth keeping.
+    let finished = reporter.finish();
+    let outcome = result?;
+    finished?;
+    conclude(&run_dir, &outcome, ending)
+}
+
+fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
+    let task = config.task.name.as_str();
+    let planned = config.planned_iterations();
+    let what = match resume_from {
+        Some(iteration) => format!("{task}: iterations {iteration} to {planned}"),
+        None => format!("{task}: {planned} iterations"),
+    };
+    format!(
+        "{what} of {} env-steps, {} workers, in {}",
+        grouped(config.steps_per_iteration()),
+        config.run.workers,
+        run_dir.path().display()
+    )
+}
+
+/// Evaluates the final policy and prints what a person wants to know next.
+fn conclude(run_dir: &RunDir, outcome: &Outcome, ending: Ending) -> anyhow::Result<()> {
+    let stopped_by = match outcome.stopped_by {
+        StoppedBy::Budget => "budget",
+        StoppedBy::TimeLimit => "time limit",
+        StoppedBy::Signal => "signal",
+    };
+    let evaluation = if ending.no_eval || outcome.stopped_by == StoppedBy::Signal {
+        None
+    } else {
+        let checkpoint = CheckpointStore::new(run_dir.checkpoints()).load(&outcome.checkpoint)?;
+        let summary = eval::evaluate(&checkpoint, &EvaluationOptions::default())?;
+        let text =
+            serde_json::to_vec_pretty(&summary).context("the evaluation has no JSON form")?;
+        files::replace(&evaluation_path(run_dir), &text)?;
+        Some(summary)
+    };
+    let curve = run_dir.curve();
+    let curve = curve.is_file().then_some(curve);
+    if ending.json {
+        return output::json(&json!({
+            "run_dir": run_dir.path(),
+            "iterations": outcome.iterations,
+            "env_steps": outcome.env_steps,
+            "stopped_by": stopped_by,
+            "checkpoint": outcome.checkpoint,
+            "curve": curve,
+            "evaluation": evaluation,
+        }));
+    }
+    output::line(&format!(
+        "{} iterations, {} env-steps, ended by the {stopped_by}",
+        outcome.iterations,
+        grouped(outcome.env_steps)
+    ))?;
+    if let Some(evaluation) = &evaluation {
+        output::line(&format!("\n{}\n", evaluation.table()))?;
+        output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
+    }
+    if let Some(curve) = curve {
+        output::line(&format!("curve       {}", curve.display()))?;
+    }
+    output::line(&format!("checkpoint  {}", outcome.checkpoint.display()))?;
+    if outcome.stopped_by != StoppedBy::Budget {
+        output::line(&format!("go on with  octopus resume {}", run_dir.path().display()))?;
+    }
+    Ok(())
+}
+
+fn evaluation_path(run_dir: &RunDir) -> PathBuf {
+    run_dir.path().join("evaluation.json")
+}
+
+/// The configuration that the command line asks for. An error about a key that a flag has set
+/// names the flag.
+fn configure(args: &TrainArgs) -> Result<Config, ExitError> {
+    resolve(args).map_err(|error| {
+        let flag = match &error {
+            ConfigError::Invalid { key, .. } => {
+                flags(args).into_iter().find(|flag| flag.key() == *key)
+            }
+            _ => None,
+        };
+        let message = match flag {
+            Some(flag) => format!("{}: {error}", flag.origin),
+            None => error.to_string(),
+        };
+        ExitError::new(ExitCode::BadInput, message)
+    })
+}
+
+/// A flag that sets a key.
+struct Flag {
+    origin: String,
+    group: &'static str,
+    name: &'static str,
+    value: toml::Value,
+}
+
+impl Flag {
+    fn key(&self) -> String {
+        format!("{}.{}", self.group, self.name)
+    }
+}
+
+/// The flags of the command line that set keys.
+fn flags(args: &TrainArgs) -> Vec<Flag> {
+    let mut flags = Vec::new();
+    let mut add = |flag: &str, group, name, value: Option<toml::Value>| {
+        if let Some(value) = value {
+            let shown = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            flags.push(Flag { origin: format!("{flag} {shown}"), group, name, value });
+        }
+    };
+    let integer = |value: Option<u64>| value.map(|value| (value as i64).into());
+    let text = |value: &Option<String>| value.clone().map(toml::Value::String);
+    let limit = args.limits.time_limit.map(|limit| limit.as_secs_f64().into());
+    add("--workers", "run", "workers", integer(args.workers));
+    add("--seed", "run", "seed", integer(args.seed));
+    add("--overlap", "run", "overlap", integer(args.overlap));
+    add("--env-steps", "run", "env_steps", integer(args.limits.env_steps));
+    add("--time-limit", "run", "time_limit_s", limit);
+    add("--device", "run", "device", text(&args.device));
+    add("--envs", "env", "n_envs", integer(args.envs));
+    add("--robot", "robot", "description", text(&args.robot));
+    flags
+}
+
+/// Merges the layers of the command line.
+fn resolve(args: &TrainArgs) -> Result<Config, ConfigError> {
+    let mut layers = Layers::new(args.preset.into(), args.task.map(Into::into));
+    if let Some(path) = &args.config {
+        layers = layers.file(path)?;
+    }
+    for flag in flags(args) {
+        let text = format!("[{}]\n{} = {}", flag.group, flag.name, flag.value);
+        layers = layers.text(&text, &flag.origin)?;
+    }
+    for assignment in &args.sets {
+        layers = layers.set(assignment)?;
+    }
+    let mut config = match (layers.resolve(), args.envs) {
+        // --envs alone shall not ask for a number of shards: the nearest smaller one that fits.
+        (Err(ConfigError::Invalid { key: "env.n_shards", .. }), Some(n_envs))
+            if !sets(args, "env.n_shards") =>
+        {
+            let text = format!("[env]\nn_shards = {}", fitting_shards(args, n_envs)?);
+            layers.text(&text, &format!("--envs {n_envs}"))?.resolve()?
+        }
+        (result, _) => result?,
+    };
+    if let Some(iterations) = args.limits.iterations {
+        config.run.env_steps = iterations.saturating_mul(config.steps_per_iteration());
+        config.validate()?;
+    }
+    Ok(config)
+}
+
+/// The largest number of shards up to the configured one that divides `n_envs`.
+fn fitting_shards(args: &TrainArgs, n_envs: u64) -> Result<u64, ConfigError> {
+    let plain = TrainArgs { envs: None, ..args.clone() };
+    let wanted = resolve(&plain)?.env.n_shards as u64;
+    let largest = wanted.min(n_envs);
+    Ok((1..=largest).rev().find(|shards| n_envs.is_multiple_of(*shards)).unwrap_or(1))
+}
+
+fn sets(args: &TrainArgs, key: &str) -> bool {
+    args.sets.iter().any(|set| set.split('=').next().is_some_and(|name| name.trim() == key))
+}
+
+/// Refuses what the machine cannot carry.
+pub(super) fn check_machine(
+    config: &Config,
+    robot: &Robot,
+    run_dir: &RunDir,
+    programs: &Programs,
+) -> Result<(), ExitError> {
+    let dimensions = Dimensions::new(config, robot.n_arms);
+    preflight::check_run(config, &dimensions, &programs.learner)?;
+    let disk = preflight::disk(run_dir.path(), config, &dimensions);
+    if disk.verdict == Verdict::Failure {
+        return Err(ExitError::new(ExitCode::RunDirectory, disk.sentence()));
+    }
+    Ok(())
+}
+
+/// Refuses a run directory with anything in it.
+fn check_vacant(path: &Path) -> Result<(), ExitError> {
+    let shown = path.display();
+    let refuse = |message: String| Err(ExitError::new(ExitCode::RunDirectory, message));
+    match std::fs::read_dir(path).map(|mut entries| entries.next().is_none()) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(error) => {
+            refuse(format!("{shown}: cannot be a run directory: {error}; choose another --run-dir"))
+        }
+        Ok(true) => Ok(()),
+        Ok(false) if RunDir::new(path).config().is_file() => refuse(format!(
+            "{shown}: holds a run already; go on with it by `octopus resume {shown}`, or choose \
+             another --run-dir"
+        )),
+        Ok(false) => refuse(format!("{shown}: is not empty; choose another --run-dir")),
+    }
+}
+
+/// Makes the directory and its folders.
+fn create(run_dir: &RunDir) -> Result<(), ExitError> {
+    for path in [run_dir.path().to_owned(), run_dir.logs(), run_dir.checkpoints()] {
+        std::fs::create_dir_all(&path).map_err(|error| {
+            ExitError::new(
+                ExitCode::RunDirectory,
+                format!("{}: cannot be created: {error}; choose another --run-dir", path.display()),
+            )
+        })?;
+    }
+    Ok(())
+}
+
+/// `runs/<task>-<UTC time>`, with a number if that second has a run already.
+fn default_dir(config: &Config) -> RunDir {
+    let time = provenance::utc(SystemTime::now()).compact();
+    let base = Path::new(RUNS).join(format!("{}-{time}", config.task.name.as_str()));
+    let numbered = |n: u32| PathBuf::from(format!("{}-{n}", base.display()));
+    let free = std::iter::once(base.clone()).chain((2..).map(numbered)).find(|path| !path.exists());
+    RunDir::new(free.unwrap_or(base))
+}
+
+/// Adds a session to `provenance.json`.
+pub(super) fn record(
+    run_dir: &RunDir,
+    provenance: &Provenance,
+    overrides: &[String],
+) -> anyhow::Result<()> {
+    let path = run_dir.provenance();
+    let mut sessions: Vec<serde_json::Value> = std::fs::read(&path)
+        .ok()
+        .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
+        .and_then(|document| document["sessions"].as_array().cloned())
+        .unwrap_or_default();
+    let mut session = serde_json::to_value(provenance).context("provenance has no JSON form")?;
+    session["overrides"] = json!(overrides);
+    sessions.push(session);
+    let text = serde_json::to_vec_pretty(&json!({ "sessions": sessions }))
+        .context("provenance has no JSON form")?;
+    files::replace(&path, &text)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    fn parse(line: &str) -> Result<Config, ExitError> {
+        let cli = Cli::try_parse_from(line.split(' ')).expect("a valid command line");
+        let Command::Train(args) = cli.command else { panic!("not train") };
+        configure(&args)
+    }
+
+    #[test]
+    fn flags_are_layers_over_the_preset() {
+        let config = parse("octopus train reorientation --workers 3 --seed 9 --time-limit 10m")
+            .expect("valid");
+        assert_eq!(config.task.name.as_str(), "reorientation");
+        assert_eq!((config.run.workers, config.run.seed), (3, 9));
+        assert_eq!(config.run.time_limit_s, 600.0);
+        let config = parse("octopus train --iterations 3 --set env.n_envs=64").expect("valid");
+        assert_eq!(config.planned_iterations(), 3);
+        assert_eq!(config.run.env_steps, 3 * 64 * config.task.episode_steps as u64);
+    }
+
+    #[test]
+    fn a_number_of_environments_brings_a_number_of_shards_that_divides_it() {
+        for n_envs in [1_usize, 7, 12, 100, 255, 1000] {
+            let config = parse(&format!("octopus train --envs {n_envs}")).expect("valid");
+            assert_eq!(config.env.n_envs, n_envs);
+            assert_eq!(n_envs % config.env.n_shards, 0);
+        }
+        let error = parse("octopus train --envs 10 --set env.n_shards=3").expect_err("impossible");
+        assert!(error.to_string().contains("env.n_shards"), "{error}");
+    }
+
+    #[test]
+    fn errors_name_the_flag() {
+        let error = parse("octopus train --set algorithm.gama=0.9").expect_err("unknown");
+        assert_eq!(
+            error.to_string(),
+            "--set algorithm.gama=0.9: unknown key `algorithm.gama`; did you mean `gamma`?"
+        );
+        let error = parse("octopus train --device tpu").expect_err("no device").to_string();
+        assert!(error.starts_with("--device tpu: ") && error.contains("cuda:0"), "{error}");
+        let error = parse("octopus train --workers 0").expect_err("nobody works");
+        assert_eq!(
+            error.to_string(),
+            "--workers 0: key `run.workers`: 0 is out of range; choose a value from 1 to 256"
+        );
+    }
+}

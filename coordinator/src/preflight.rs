@@ -1,0 +1,395 @@
+//! What a run needs of the machine, checked before anything is created.
+//!
+//! Every check ends in a [`Check`]: what was found, and if that is not enough, the flag or command
+//! that cures it. A run stops at the first one that fails; `octopus doctor` shows them all.
+
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use proto::channel::ChannelSizes;
+use proto::config::Config;
+use proto::layout::Dimensions;
+use proto::{ExitCode, ExitError};
+use rustix::process::{Resource, getrlimit};
+use serde::Serialize;
+
+use crate::provenance;
+
+/// Variable that names another directory than `/dev/shm` to be measured, for tests of a machine
+/// with little shared memory.
+pub const SHM_DIR: &str = "SPACEOCTOPUS_SHM_DIR";
+
+/// How a check ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Enough.
+    Good,
+    /// A run works, but not as well as it could.
+    Warning,
+    /// A run does not work.
+    Failure,
+}
+
+/// One thing that was looked at.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Check {
+    /// What.
+    pub name: &'static str,
+    /// Whether it is enough.
+    pub verdict: Verdict,
+    /// What was found.
+    pub found: String,
+    /// What to do about it.
+    pub cure: Option<String>,
+}
+
+impl Check {
+    /// Enough.
+    pub fn good(name: &'static str, found: impl Into<String>) -> Self {
+        Self { name, verdict: Verdict::Good, found: found.into(), cure: None }
+    }
+
+    /// Not as good as it could be.
+    pub fn warning(name: &'static str, found: impl Into<String>, cure: impl Into<String>) -> Self {
+        Self { name, verdict: Verdict::Warning, found: found.into(), cure: Some(cure.into()) }
+    }
+
+    /// Not enough.
+    pub fn failure(name: &'static str, found: impl Into<String>, cure: impl Into<String>) -> Self {
+        Self { name, verdict: Verdict::Failure, found: found.into(), cure: Some(cure.into()) }
+    }
+
+    /// Found and cure in one sentence.
+    pub fn sentence(&self) -> String {
+        match &self.cure {
+            Some(cure) => format!("{}: {}; {cure}", self.name, self.found),
+            None => format!("{}: {}", self.name, self.found),
+        }
+    }
+}
+
+/// Refuses to start a run that this machine cannot carry; logs what could be better.
+pub fn check_run(
+    config: &Config,
+    dimensions: &Dimensions,
+    learner: &Path,
+) -> Result<(), ExitError> {
+    let workers = config.run.workers;
+    let checks = [
+        shared_memory(config, dimensions),
+        descriptors(workers),
+        memory_maps(workers),
+        processors(workers, config.run.learner_threads),
+        libtorch(learner),
+    ];
+    for check in checks {
+        match check.verdict {
+            Verdict::Good => {}
+            Verdict::Warning => eprintln!("note: {}", check.sentence()),
+            Verdict::Failure => {
+                return Err(ExitError::new(ExitCode::Environment, check.sentence()));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Free shared memory against what the channels of the run reserve.
+pub fn shared_memory(config: &Config, dimensions: &Dimensions) -> Check {
+    const NAME: &str = "shared memory";
+    let directory = shm_dir();
+    let free = match free_space(&directory) {
+        Ok(free) => free,
+        Err(error) => return unmounted(NAME, &directory, &error),
+    };
+    let workers = config.run.workers;
+    let budget = ChannelSizes::new(config, dimensions).shared_memory(workers);
+    let needed: u64 = budget.iter().map(|(_, bytes)| bytes).sum();
+    if needed <= free {
+        let found = format!("{} free of {} needed", mib(free), mib(needed));
+        return Check::good(NAME, found);
+    }
+    let parts: Vec<_> =
+        budget.iter().map(|(name, bytes)| format!("{name} {}", mib(*bytes))).collect();
+    let shown = directory.display();
+    Check::failure(
+        NAME,
+        format!(
+            "this run needs {} ({}) and {shown} has {} free",
+            mib(needed),
+            parts.join(", "),
+            mib(free)
+        ),
+        format!(
+            "enlarge it: `mount -o remount,size={}M {shown}` (in a container start it with \
+             --shm-size={}m), or need less: --workers {} or --envs {}; `octopus clean` removes \
+             what killed runs left",
+            round_up(needed),
+            round_up(needed),
+            (workers / 2).max(1),
+            (config.env.n_envs / 2).max(1),
+        ),
+    )
+}
+
+/// Free shared memory alone.
+pub fn shared_memory_at_all() -> Check {
+    const NAME: &str = "shared memory";
+    const COMFORTABLE: u64 = 1 << 30;
+    let directory = shm_dir();
+    let shown = directory.display();
+    match free_space(&directory) {
+        Err(error) => unmounted(NAME, &directory, &error),
+        Ok(free) if free >= COMFORTABLE => {
+            Check::good(NAME, format!("{} free in {shown}", mib(free)))
+        }
+        Ok(free) => Check::warning(
+            NAME,
+            format!(
+                "{} free in {shown}; the default run with two workers needs about 600 MiB",
+                mib(free)
+            ),
+            format!(
+                "`mount -o remount,size=1024M {shown}` (in a container start it with \
+                 --shm-size=1024m), or `octopus clean`"
+            ),
+        ),
+    }
+}
+
+fn unmounted(name: &'static str, directory: &Path, error: &std::io::Error) -> Check {
+    let shown = directory.display();
+    Check::failure(
+        name,
+        format!("{shown} cannot be measured: {error}"),
+        format!("mount it: `mount -t tmpfs -o size=1024M tmpfs {shown}`"),
+    )
+}
+
+/// Where shared memory lives.
+fn shm_dir() -> PathBuf {
+    std::env::var_os(SHM_DIR).map_or_else(|| PathBuf::from("/dev/shm"), PathBuf::from)
+}
+
+/// Bytes that this user may still write where `path` lies.
+pub fn free_space(path: &Path) -> std::io::Result<u64> {
+    let space = rustix::fs::statvfs(path)?;
+    Ok(space.f_bavail * space.f_frsize)
+}
+
+/// Open files that a process of the run may have, against what the transport opens.
+pub fn descriptors(workers: usize) -> Check {
+    const NAME: &str = "file descriptors";
+    // Measured: about 60 for a coordinator of two workers, and 20 for each connection.
+    let needed = 128 + 32 * (workers as u64 + 2);
+    match getrlimit(Resource::Nofile).current {
+        Some(limit) if limit < needed => Check::failure(
+            NAME,
+            format!("a process may open {limit} files and {workers} workers need {needed}"),
+            format!("`ulimit -n {}`, or fewer --workers", needed.next_power_of_two()),
+        ),
+        Some(limit) => Check::good(NAME, format!("{limit} allowed, {needed} needed")),
+        None => Check::good(NAME, "no limit"),
+    }
+}
+
+/// Memory maps that a process may have.
+pub fn memory_maps(workers: usize) -> Check {
+    const NAME: &str = "memory maps";
+    let needed = 4096 + 256 * workers as u64;
+    let text = std::fs::read_to_string("/proc/sys/vm/max_map_count").unwrap_or_default();
+    match text.trim().parse::<u64>() {
+        Ok(limit) if limit < needed => Check::failure(
+            NAME,
+            format!("a process may have {limit} and {needed} are needed"),
+            "`sysctl -w vm.max_map_count=65530`",
+        ),
+        Ok(limit) => Check::good(NAME, format!("{limit} allowed, {needed} needed")),
+        Err(_) => Check::good(NAME, "no limit known"),
+    }
+}
+
+/// Processors against the threads of a run.
+pub fn processors(workers: usize, learner_threads: usize) -> Check {
+    const NAME: &str = "processors";
+    let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let extensions = provenance::vector_extensions();
+    let name = provenance::processor_name();
+    let found = format!("{processors} of {name} ({})", extensions.join(", "));
+    let busy = workers.max(learner_threads);
+    if busy > processors {
+        let what = if workers > processors {
+            format!("{workers} workers share them")
+        } else {
+            format!("{learner_threads} learner threads share them")
+        };
+        let cure =
+            format!("--workers {processors} --set run.learner_threads={processors} is faster");
+        return Check::warning(NAME, format!("{found}; {what}"), cure);
+    }
+    if cfg!(target_arch = "x86_64")
+        && !(extensions.contains(&"avx2") && extensions.contains(&"fma"))
+    {
+        return Check::warning(
+            NAME,
+            format!("{found}; without AVX2 and FMA rollouts are several times slower"),
+            "use a processor of 2013 or later",
+        );
+    }
+    Check::good(NAME, found)
+}
+
+/// Memory of the machine.
+pub fn memory() -> Check {
+    const NAME: &str = "memory";
+    let memory = provenance::memory();
+    if memory < 2 << 30 {
+        return Check::warning(
+            NAME,
+            mib(memory),
+            "the default run needs about 2 GiB: fewer --workers and --envs",
+        );
+    }
+    Check::good(NAME, mib(memory))
+}
+
+/// Whether the learner starts: it links libtorch, so the loader finds out what is missing.
+pub fn libtorch(learner: &Path) -> Check {
+    const NAME: &str = "libtorch";
+    const PATIENCE: Duration = Duration::from_secs(60);
+    const CURE: &str = "`make setup && make build` fetches libtorch and builds against it; with a \
+                        libtorch of your own, set LIBTORCH to it while building";
+    let child = Command::new(learner)
+        .arg("--version")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut child = match child {
+        Ok(child) => child,
+        Err(error) => {
+            return Check::failure(
+                NAME,
+                format!("{} does not start: {error}", learner.display()),
+                CURE,
+            );
+        }
+    };
+    let deadline = Instant::now() + PATIENCE;
+    let status = loop {
+        match child.try_wait() {
+            Ok(Some(status)) => break status,
+            Ok(None) if Instant::now() < deadline => {
+                std::thread::sleep(Duration::from_millis(2));
+            }
+            _ => {
+                // It is killed so that it does not outlive this check.
+                let _ = child.kill();
+                let _ = child.wait();
+                let found = format!(
+                    "{} --version does not answer within {} s",
+                    learner.display(),
+                    PATIENCE.as_secs()
+                );
+                return Check::failure(NAME, found, CURE);
+            }
+        }
+    };
+    let (mut output, mut complaint) = (String::new(), String::new());
+    if let Some(mut stdout) = child.stdout.take() {
+        let _ = stdout.read_to_string(&mut output);
+    }
+    if let Some(mut stderr) = child.stderr.take() {
+        let _ = stderr.read_to_string(&mut complaint);
+    }
+    if status.success() {
+        let version = output.lines().collect::<Vec<_>>().join(", ");
+        return Check::good(NAME, format!("{version} ({})", learner.display()));
+    }
+    let last = complaint.lines().last().unwrap_or("no message");
+    Check::failure(NAME, format!("the learner does not start: {last}"), CURE)
+}
+
+/// Room for a run's directory: checkpoints, metrics and logs.
+pub fn disk(directory: &Path, config: &Config, dimensions: &Dimensions) -> Check {
+    const NAME: &str = "disk";
+    let existing = directory.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
+    let existing = if existing.as_os_str().is_empty() { Path::new(".") } else { existing };
+    // Actors and critics of the same size, parameters and two moments of each, and the actors
+    // apart; one checkpoint more than is kept while the newest is written.
+    let policy = ChannelSizes::new(config, dimensions).policy_len as u64;
+    let needed = 4 * policy * 7 * (config.run.checkpoints_kept as u64 + 1) + (16 << 20);
+    match free_space(existing) {
+        Err(error) => Check::failure(
+            NAME,
+            format!("{} cannot be measured: {error}", existing.display()),
+            "choose another --run-dir",
+        ),
+        Ok(free) if free < needed => Check::failure(
+            NAME,
+            format!(
+                "{} has {} free and the run needs about {}",
+                existing.display(),
+                mib(free),
+                mib(needed)
+            ),
+            "make room, choose another --run-dir, or --set run.checkpoints_kept=1",
+        ),
+        Ok(free) => Check::good(NAME, format!("{} free of {} needed", mib(free), mib(needed))),
+    }
+}
+
+/// A size for people.
+pub fn mib(bytes: u64) -> String {
+    let mib = bytes as f64 / f64::from(1 << 20);
+    if mib >= 10_000.0 { format!("{:.1} GiB", mib / 1024.0) } else { format!("{mib:.0} MiB") }
+}
+
+/// A size in MiB with some reserve, in whole 64 MiB.
+fn round_up(bytes: u64) -> u64 {
+    (bytes + bytes / 8).div_ceil(64 << 20) * 64
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset, TaskName};
+
+    use super::*;
+
+    fn config(set: &str) -> Config {
+        let layers = Layers::new(Preset::Tuned, Some(TaskName::Trajectory)).set(set);
+        layers.and_then(|layers| layers.resolve()).expect("valid")
+    }
+
+    #[test]
+    fn a_run_that_needs_too_much_names_the_cures() {
+        let config = config("env.n_envs=65536");
+        let config =
+            Config { run: proto::config::Run { workers: 256, ..config.run.clone() }, ..config };
+        let check = shared_memory(&config, &Dimensions::new(&config, 4));
+        assert_eq!(check.verdict, Verdict::Failure);
+        let cure = check.cure.expect("a failure has a cure");
+        for part in ["mount -o remount,size=", "--workers 128", "--envs 32768", "octopus clean"] {
+            assert!(cure.contains(part), "{cure}");
+        }
+    }
+
+    #[test]
+    fn a_learner_that_is_missing_or_fails_is_reported_with_its_words() {
+        let missing = libtorch(Path::new("/nonexistent/learner"));
+        assert_eq!(missing.verdict, Verdict::Failure);
+        assert!(missing.sentence().contains("make setup"), "{}", missing.sentence());
+        let failing = libtorch(Path::new("/bin/false"));
+        assert_eq!(failing.verdict, Verdict::Failure);
+    }
+
+    #[test]
+    fn sizes_for_people() {
+        assert_eq!(mib(600 << 20), "600 MiB");
+        assert_eq!(mib(64 << 30), "64.0 GiB");
+        assert_eq!(round_up(1 << 20), 64);
+    }
+}

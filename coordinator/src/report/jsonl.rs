@@ -1,0 +1,71 @@
+//! `metrics.jsonl`: one JSON object a line, appended whole.
+
+use std::fs::{File, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use serde_json::Value;
+
+use super::Line;
+use crate::files;
+
+/// The open file.
+#[derive(Debug)]
+pub struct JsonLines {
+    path: PathBuf,
+    file: File,
+}
+
+impl JsonLines {
+    /// Opens the file for appending after the lines of iterations before `keep`; the rest is cut
+    /// off. Also returns the last kept line.
+    pub fn open(path: &Path, keep: u64) -> anyhow::Result<(Self, Option<Value>)> {
+        let kept = read(path)?
+            .into_iter()
+            .take_while(|(_, value)| value["iteration"].as_u64().is_some_and(|k| k < keep))
+            .collect::<Vec<_>>();
+        let text: String = kept.iter().map(|(line, _)| format!("{line}\n")).collect();
+        files::replace(path, text.as_bytes())?;
+        let file = OpenOptions::new()
+            .append(true)
+            .open(path)
+            .with_context(|| format!("{}: cannot be opened", path.display()))?;
+        let last = kept.into_iter().next_back().map(|(_, value)| value);
+        Ok((Self { path: path.to_owned(), file }, last))
+    }
+
+    /// Appends a line in one write, so that a reader never sees half of one.
+    pub fn append(&mut self, line: &Line) -> anyhow::Result<()> {
+        let mut text = serde_json::to_vec(line).context("a line of metrics has no JSON form")?;
+        text.push(b'\n');
+        self.file
+            .write_all(&text)
+            .with_context(|| format!("{}: cannot be written", self.path.display()))
+    }
+
+    /// Makes the lines durable.
+    pub fn sync(&self) -> anyhow::Result<()> {
+        self.file
+            .sync_all()
+            .with_context(|| format!("{}: cannot be made durable", self.path.display()))
+    }
+}
+
+/// All whole lines of a file, with their parsed form; none if there is no file. Reading ends at
+/// the first line that is no JSON, which is where a crash cut the file.
+pub fn read(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => {
+            return Err(error).with_context(|| format!("{}: cannot be read", path.display()));
+        }
+    };
+    let parsed = text
+        .split_inclusive('\n')
+        .filter_map(|line| line.strip_suffix('\n'))
+        .map_while(|line| Some((line.to_owned(), serde_json::from_str(line).ok()?)))
+        .collect();
+    Ok(parsed)
+}

@@ -1,0 +1,158 @@
+//! What a run tells its owner while it runs, and leaves behind to read afterwards.
+//!
+//! One [`Reporter`] turns every iteration into one [`Line`], and the line into
+//!
+//! * a JSON object in `metrics.jsonl` ([`jsonl`]), the record that everything else is made from;
+//! * a row of `metrics.csv` ([`csv`]), the same numbers as a table;
+//! * TensorBoard scalars in `events/` ([`tensorboard`]), over env-steps;
+//! * the bar or the plain lines on the terminal ([`progress`]);
+//! * at the end, the picture `curve.svg` ([`curve`]).
+//!
+//! # Keys of `metrics.jsonl`
+//!
+//! | key | unit | meaning |
+//! |---|---|---|
+//! | `iteration` | | number of the iteration, from 0 |
+//! | `env_steps` | | env-steps trained on so far, this iteration included |
+//! | `digest` | | fingerprint of the training state after the iteration, 32 hexadecimal digits |
+//! | `policy_version` | | version of the policy that collected the samples |
+//! | `wall_s` | s | time since the run began, over all its sessions |
+//! | `env_steps_per_s` | 1/s | env-steps trained on a second, of late |
+//! | `workers`, `restarts` | | live workers; workers and learners replaced so far |
+//! | `returns` | | undiscounted return of an episode, mean over the iteration, an agent each |
+//! | `return_mean` | | mean of `returns` |
+//! | `policy_loss`, `value_loss` | | clipped surrogate, negated; value loss |
+//! | `entropy` | nat | of the action distribution |
+//! | `kl` | nat | divergence from the policy that collected the samples |
+//! | `clip_fraction` | | share of samples whose ratio was clipped |
+//! | `explained_variance` | | of the returns by the values, before the update; 1 is perfect |
+//! | `actor_grad_norm`, `critic_grad_norm` | | global gradient norms before clipping |
+//! | `errors.position` | m | of hands after an episode's last step, with exploration noise |
+//! | `errors.orientation` | rad | likewise, orientation of hands |
+//! | `errors.base` | rad | likewise, attitude of the base |
+//! | `errors.contact_rate` | | share of control steps that end with any bodies touching |
+//! | `actor_lr`, `critic_lr` | | learning rates in force |
+//! | `action_std` | | mean standard deviation of the actions |
+//! | `accounting.produced` | | env-steps that workers sent |
+//! | `accounting.received` | | env-steps that arrived at the learner: `trained + duplicate` |
+//! | `accounting.trained` | | env-steps trained on |
+//! | `accounting.duplicate` | | env-steps that arrived twice and were dropped |
+//! | `accounting.lost` | | env-steps that died with a worker: `produced - received` |
+//! | `timing.wait_s`, `.update_s`, `.publish_s`, `.digest_s` | s | where the learner's time went |
+//! | `timing.rollout_s` | s | the workers' time for the blocks trained on, summed |
+//!
+//! `errors`, `accounting` and `timing` are objects in the JSON and dotted columns in the table. A
+//! number that is not finite is `null` in the JSON and empty in the table.
+//!
+//! # Resuming
+//!
+//! A run that continues at iteration k drops the lines of k and later, so no iteration stands
+//! twice in a file, and drops a last line that a crash cut short. TensorBoard's files are never
+//! rewritten: the new one begins with the mark that makes TensorBoard forget what follows it.
+
+pub mod csv;
+pub mod curve;
+pub mod jsonl;
+mod line;
+pub mod progress;
+pub mod tensorboard;
+
+use anyhow::Context as _;
+pub use line::{Cell, Line};
+use proto::config::Config;
+use proto::message::IterationReport;
+use proto::run_dir::RunDir;
+
+use self::csv::CsvTable;
+use self::jsonl::JsonLines;
+use self::progress::Progress;
+use self::tensorboard::EventWriter;
+
+/// What only the coordinator knows about the iteration that has just ended.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Live {
+    /// Time since this session of the run began (s); the reporter adds that of earlier ones.
+    pub wall_s: f64,
+    /// Env-steps trained on a second, of late.
+    pub env_steps_per_s: f64,
+    /// Live workers.
+    pub workers: usize,
+    /// Workers and learners replaced so far.
+    pub restarts: u64,
+}
+
+/// Writes the metrics of a run and shows its progress.
+#[derive(Debug)]
+pub struct Reporter {
+    run_dir: RunDir,
+    config: Config,
+    lines: JsonLines,
+    table: CsvTable,
+    events: EventWriter,
+    progress: Progress,
+    /// What earlier sessions of the run took, as the last kept line says (s).
+    wall_before_s: f64,
+}
+
+impl Reporter {
+    /// Opens the metrics files of `run_dir`. A run that continues at iteration `resume_from` keeps
+    /// the lines before it. With `quiet` nothing is shown but notes.
+    pub fn create(
+        run_dir: &RunDir,
+        config: &Config,
+        resume_from: Option<u64>,
+        quiet: bool,
+    ) -> anyhow::Result<Self> {
+        let keep = resume_from.unwrap_or(0);
+        let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
+        let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
+        let last = last.unwrap_or_default();
+        let env_steps = last["env_steps"].as_u64().unwrap_or(0);
+        let mut events = EventWriter::create(&run_dir.events())
+            .with_context(|| format!("{}: cannot be written", run_dir.events().display()))?;
+        if resume_from.is_some() {
+            events.forget_after(env_steps)?;
+        }
+        Ok(Self {
+            run_dir: run_dir.clone(),
+            config: config.clone(),
+            lines,
+            table,
+            events,
+            progress: Progress::new(config, env_steps, quiet),
+            wall_before_s: last["wall_s"].as_f64().unwrap_or(0.0),
+        })
+    }
+
+    /// Records an iteration.
+    pub fn iteration(&mut self, report: &IterationReport, live: &Live) -> anyhow::Result<()> {
+        let live = Live { wall_s: live.wall_s + self.wall_before_s, ..*live };
+        let line = Line::new(report, &live);
+        self.lines.append(&line)?;
+        self.table.append(&line)?;
+        self.events.append(&line)?;
+        self.progress.iteration(&line);
+        Ok(())
+    }
+
+    /// Says something that the owner should know: above the bar, or on a line of its own.
+    pub fn note(&mut self, line: &str) {
+        self.progress.note(line);
+    }
+
+    /// Makes everything durable and draws the learning curve.
+    pub fn finish(&mut self) -> anyhow::Result<()> {
+        self.progress.finish();
+        self.lines.sync()?;
+        self.table.sync()?;
+        self.events.sync()?;
+        let points = curve::read_points(&self.run_dir.metrics_jsonl())?;
+        if points.len() > 1 {
+            curve::draw(&self.run_dir.curve(), &points, self.config.task.name)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,169 @@
+//! Progress on standard error: a bar on a terminal, a plain line every few seconds elsewhere.
+
+use std::io::{IsTerminal as _, Write};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, WeakProgressBar};
+use proto::config::{Config, TaskName};
+
+use super::Line;
+
+/// The bar on the terminal, if there is one, so that log lines can step around it.
+static SHOWN: Mutex<Option<WeakProgressBar>> = Mutex::new(None);
+
+/// Time between plain lines.
+const PLAIN_INTERVAL: Duration = Duration::from_secs(5);
+
+/// Shows how a run goes on.
+#[derive(Debug)]
+pub struct Progress {
+    form: Form,
+    task: TaskName,
+    planned_iterations: u64,
+    planned_steps: u64,
+    last: Option<String>,
+}
+
+#[derive(Debug)]
+enum Form {
+    Bar(ProgressBar),
+    Plain { shown_at: Option<Instant> },
+    Nothing,
+}
+
+impl Progress {
+    /// A bar over the budget of `config`, of which `env_steps` are done already.
+    pub fn new(config: &Config, env_steps: u64, quiet: bool) -> Self {
+        let planned_iterations = config.planned_iterations();
+        let planned_steps = planned_iterations * config.steps_per_iteration();
+        let form = if quiet {
+            Form::Nothing
+        } else if std::io::stderr().is_terminal() {
+            let bar =
+                ProgressBar::with_draw_target(Some(planned_steps), ProgressDrawTarget::stderr());
+            let style = ProgressStyle::with_template(
+                "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  eta {eta}",
+            )
+            .expect("the template is valid")
+            .progress_chars("━╸━");
+            bar.set_style(style);
+            bar.set_position(env_steps);
+            bar.reset_eta();
+            bar.set_message("starting");
+            *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
+            Form::Bar(bar)
+        } else {
+            Form::Plain { shown_at: None }
+        };
+        Self { form, task: config.task.name, planned_iterations, planned_steps, last: None }
+    }
+
+    /// Shows an iteration that has ended.
+    pub fn iteration(&mut self, line: &Line) {
+        let text = describe(line, self.task, self.planned_iterations);
+        match &mut self.form {
+            Form::Bar(bar) => {
+                bar.set_message(text);
+                bar.set_position(line.env_steps.min(self.planned_steps));
+            }
+            Form::Plain { shown_at } => {
+                if shown_at.is_none_or(|at| at.elapsed() >= PLAIN_INTERVAL) {
+                    *shown_at = Some(Instant::now());
+                    self.last = None;
+                    let left = self.planned_steps.saturating_sub(line.env_steps) as f64;
+                    let eta =
+                        Duration::from_secs_f64((left / line.env_steps_per_s.max(1e-3)).min(1e9));
+                    write_line(&format!("{text}  eta {}", indicatif::HumanDuration(eta)));
+                } else {
+                    self.last = Some(text);
+                }
+            }
+            Form::Nothing => {}
+        }
+    }
+
+    /// Shows a line of its own.
+    pub fn note(&mut self, line: &str) {
+        match &self.form {
+            Form::Bar(bar) => bar.println(line),
+            Form::Plain { .. } | Form::Nothing => write_line(line),
+        }
+    }
+
+    /// Leaves the last state on the screen.
+    pub fn finish(&mut self) {
+        match &self.form {
+            Form::Bar(bar) => {
+                if !bar.is_finished() {
+                    bar.abandon();
+                }
+                *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = None;
+            }
+            Form::Plain { .. } => {
+                if let Some(text) = self.last.take() {
+                    write_line(&text);
+                }
+            }
+            Form::Nothing => {}
+        }
+    }
+}
+
+/// One line about an iteration: what a person watches.
+fn describe(line: &Line, task: TaskName, planned_iterations: u64) -> String {
+    let errors = match task {
+        TaskName::Trajectory => format!(
+            "error {:.0} mm {:.0} mrad",
+            1e3 * line.errors.position,
+            1e3 * line.errors.orientation
+        ),
+        TaskName::Reorientation => format!("error {:.1} mrad", 1e3 * line.errors.base),
+    };
+    format!(
+        "iteration {}/{planned_iterations}  {} env-steps/s  return {:.2}  {errors}",
+        line.iteration + 1,
+        grouped(line.env_steps_per_s.max(0.0) as u64),
+        line.return_mean,
+    )
+}
+
+/// A count with its thousands set apart: `1,664,000`.
+pub fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::with_capacity(digits.len() * 4 / 3);
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// Standard error may be closed; a run goes on without its spectators.
+fn write_line(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Standard error for logs: a line that is written while a bar is shown appears above it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LogWriter;
+
+impl Write for LogWriter {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let bar = SHOWN
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .as_ref()
+            .and_then(WeakProgressBar::upgrade);
+        match bar {
+            Some(bar) => bar.suspend(|| std::io::stderr().write(bytes)),
+            None => std::io::stderr().write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        std::io::stderr().flush()
+    }
+}
