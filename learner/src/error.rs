@@ -39,6 +39,20 @@ pub enum LearnerError {
         /// What it should say.
         expected: String,
     },
+    /// The same block was rolled out twice with different results.
+    #[error(
+        "two blocks of iteration {iteration}, shard {shard} differ (workers {} and {}): \
+         a rollout must depend on nothing but its order; do all workers run the same program?",
+        workers[0], workers[1]
+    )]
+    Impure {
+        /// The iteration.
+        iteration: u64,
+        /// The shard.
+        shard: u32,
+        /// Who rolled it out.
+        workers: [u32; 2],
+    },
     /// A loss or a gradient is not finite.
     #[error(
         "the {network} gradient of agent {agent} is not finite in iteration {iteration}, \

@@ -1,8 +1,48 @@
-//! The learner process: multi-agent PPO in libtorch over shared memory.
+//! The learner: multi-agent PPO in libtorch over shared memory.
+//!
+//! One process trains the policies of all agents. Workers put blocks of samples into shared memory;
+//! [`learner`] receives them, has [`mappo`] make an update of each complete iteration, publishes the
+//! next policy and reports to the coordinator. It knows no storage: a snapshot of its
+//! [`state`] goes to the coordinator, who keeps it.
+//!
+//! How it is built:
+//!
+//! * The agents' networks are stacked ([`network`]) and go through each operation together.
+//! * Forward and backward passes ([`mlp`]), losses ([`loss`]) and Adam ([`adam`]) are written by
+//!   hand, into buffers that live across updates; nothing is recorded for differentiation. Tests
+//!   compare them with libtorch's own differentiation and with an implementation in JAX and Optax.
+//! * Blocks are viewed where workers wrote them ([`ingest`]); the first operation on them is already a
+//!   computation.
+//! * Nothing depends on arrival order, on the clock, or on a generator with a state. The same
+//!   samples give the same bits, and a restored state goes on as if it had never stopped.
+//!
+//! ```
+//! use learner::{mappo::Mappo, precision::Arithmetic, state::TrainingState, synthetic};
+//! use proto::{config::{Layers, Preset}, layout::Dimensions};
+//!
+//! let config = Layers::new(Preset::Tuned, None)
+//!     .set("env.n_envs=8")?
+//!     .set("network.hidden=[16]")?
+//!     .resolve()?;
+//! let dimensions = Dimensions::new(&config, 4);
+//! let mut state =
+//!     TrainingState::initial(&config, &dimensions, Arithmetic::F32, tch::Device::Cpu);
+//! let mut mappo = Mappo::new(&config, &dimensions, &state);
+//! let blocks = synthetic::blocks(&dimensions, 1);
+//! let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+//! let report = mappo.update(&mut state, &shards)?;
+//! assert_eq!((state.iteration, report.kl.len()), (1, 8));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Read [`mappo`] next.
+
 pub mod adam;
 mod error;
 pub mod gae;
+pub mod ingest;
 pub mod input_norm;
+pub mod learner;
 pub mod loss;
 pub mod mappo;
 mod memory;

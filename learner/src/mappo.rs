@@ -291,6 +291,7 @@ impl Mappo {
         for shard in shards {
             assert_eq!(shard.len(), self.layout.len, "a block of this run's layout");
         }
+        state.remember_policy();
         if state.iteration == 0 {
             self.update_input_norms(state, shards);
         }

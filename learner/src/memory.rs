@@ -11,7 +11,7 @@ use tch::{Device, Kind, Tensor};
 
 /// A tensor that reads memory which Rust owns.
 #[derive(Debug)]
-pub struct View<'a> {
+pub(crate) struct View<'a> {
     tensor: Tensor,
     memory: PhantomData<&'a [f32]>,
 }
@@ -19,7 +19,7 @@ pub struct View<'a> {
 impl View<'_> {
     /// The tensor. Operations on it must read only, and what they return must be new memory or
     /// not leave the view's scope.
-    pub fn tensor(&self) -> &Tensor {
+    pub(crate) fn tensor(&self) -> &Tensor {
         &self.tensor
     }
 }
@@ -28,7 +28,7 @@ impl View<'_> {
 ///
 /// # Panics
 /// If `shape` does not have as many elements as `data`.
-pub fn view<'a>(data: &'a [f32], shape: &[i64]) -> View<'a> {
+pub(crate) fn view<'a>(data: &'a [f32], shape: &[i64]) -> View<'a> {
     let len: i64 = shape.iter().product();
     assert_eq!(len, data.len() as i64, "shape {shape:?} does not fit {} numbers", data.len());
     let strides: Vec<i64> =
@@ -46,7 +46,7 @@ pub fn view<'a>(data: &'a [f32], shape: &[i64]) -> View<'a> {
 ///
 /// # Panics
 /// If the tensor is elsewhere or has gaps.
-pub fn bytes(tensor: &Tensor) -> &[u8] {
+pub(crate) fn bytes(tensor: &Tensor) -> &[u8] {
     assert_eq!(tensor.device(), Device::Cpu, "the bytes must be on the CPU");
     assert!(tensor.is_contiguous(), "the bytes must lie one after the other");
     let len = tensor.numel() * tensor.kind().elt_size_in_bytes();

@@ -11,10 +11,14 @@
 //! | `value_norm.mean`, `.mean_square`, `.debias` | f64 `[A]` |
 //! | `observation_norm.mean`, `.m2`, `.count` | f64 `[A, O]`, `[A, O]`, `[1]`; running normalisation only |
 //! | `state_norm.mean`, `.m2`, `.count` | f64 `[1, S]`, `[1, S]`, `[1]`; likewise, unless critics see observations |
+//! | `previous_policy` | f32 `[P]`: the policy published before, which overlapping workers still use |
 //! | `counters.iteration`, `counters.env_steps` | u64 `[1]`; the iteration is also the policy version |
 //! | `counters.precision` | u64 `[1]`: bits of the products' operands, 16 or 32 |
 //!
-//! Its [`Digest`] is that of all names in alphabetical order, each with its array's little-endian
+//! For readers who want the policies alone, the file repeats them as `policy.<name>`, exactly as
+//! workers got them (`proto::layout::ActorLayout`); a restore does not need these.
+//!
+//! The [`Digest`] is that of all other names in alphabetical order, each with its array's little-endian
 //! bytes, so anyone can recompute it from the file.
 
 use std::collections::BTreeMap;
@@ -64,8 +68,12 @@ pub struct TrainingState {
     pub iteration: u64,
     /// Env-steps trained on.
     pub env_steps: u64,
+    /// The policy before the last update, as it was published.
+    pub previous_policy: Vec<f32>,
     /// The products' arithmetic.
     pub arithmetic: Arithmetic,
+    policy_layout: ActorLayout,
+    min_log_std: f64,
     device: Device,
 }
 
@@ -79,6 +87,7 @@ struct Entry<'a> {
 
 enum Source<'a> {
     Tensor(Tensor),
+    F32(&'a [f32]),
     F64(&'a [f64]),
     I64(&'a [i64]),
     U64(u64),
@@ -89,6 +98,7 @@ impl Source<'_> {
     fn with_bytes<T>(&self, read: impl FnOnce(&[u8]) -> T) -> T {
         match self {
             Self::Tensor(tensor) => read(bytes(&tensor.to_device(Device::Cpu).contiguous())),
+            Self::F32(values) => read(bytemuck::cast_slice(values)),
             Self::F64(values) => read(bytemuck::cast_slice(values)),
             Self::I64(values) => read(bytemuck::cast_slice(values)),
             Self::U64(value) => read(bytemuck::bytes_of(value)),
@@ -112,7 +122,8 @@ impl TrainingState {
         };
         let running = config.network.input_norm == InputNormKind::Running;
         let own = config.network.critic_state == CriticState::Own;
-        Self {
+        let policy_layout = ActorLayout::new(config, dimensions);
+        let mut state = Self {
             actor: network(NetworkKind::Actor),
             critic: network(NetworkKind::Critic),
             value_norm: ValueNorm::new(dimensions.n_agents, device),
@@ -121,9 +132,21 @@ impl TrainingState {
             state_norm: (running && !own).then(|| InputNorm::new(1, dimensions.state)),
             iteration: 0,
             env_steps: 0,
+            previous_policy: vec![0.0; policy_layout.len],
             arithmetic,
+            policy_layout,
+            min_log_std: config.network.min_log_std,
             device,
-        }
+        };
+        state.remember_policy();
+        state
+    }
+
+    /// Keeps the policy as it is now as the previous one.
+    pub fn remember_policy(&mut self) {
+        let mut policy = std::mem::take(&mut self.previous_policy);
+        self.write_policy(&mut policy);
+        self.previous_policy = policy;
     }
 
     /// All arrays, sorted by name.
@@ -165,6 +188,9 @@ impl TrainingState {
             let count = std::slice::from_ref(&norm.count);
             add(format!("{prefix}.count"), Dtype::F64, vec![1], Source::F64(count));
         }
+        let shape = vec![self.previous_policy.len()];
+        let source = Source::F32(&self.previous_policy);
+        add("previous_policy".to_owned(), Dtype::F32, shape, source);
         let bits = self.arithmetic.kind().elt_size_in_bytes() as u64 * 8;
         let counters =
             [("iteration", self.iteration), ("env_steps", self.env_steps), ("precision", bits)];
@@ -191,18 +217,26 @@ impl TrainingState {
         let entries = self.entries();
         let data: Vec<Vec<u8>> =
             entries.iter().map(|entry| entry.source.with_bytes(<[u8]>::to_vec)).collect();
-        let views = entries.iter().zip(&data).map(|(entry, data)| {
-            let view = TensorView::new(entry.dtype, entry.shape.clone(), data)
-                .expect("an entry's bytes fit its shape");
-            (entry.name.as_str(), view)
+        let view = |dtype, shape: &[usize], data| {
+            TensorView::new(dtype, shape.to_vec(), data).expect("an entry's bytes fit its shape")
+        };
+        let own = entries
+            .iter()
+            .zip(&data)
+            .map(|(entry, data)| (entry.name.clone(), view(entry.dtype, &entry.shape, data)));
+        let mut policy = vec![0.0; self.policy_layout.len];
+        self.write_policy(&mut policy);
+        let published = self.policy_layout.tensors.iter().map(|tensor| {
+            let data = bytemuck::cast_slice(&policy[tensor.range()]);
+            (format!("policy.{}", tensor.name), view(Dtype::F32, &tensor.shape, data))
         });
+        let views = own.chain(published);
         // One entry only: the order of several would differ from run to run.
         let metadata = [("format".to_owned(), FORMAT.to_owned())].into();
         safetensors::serialize(views, Some(metadata)).expect("names and shapes are valid")
     }
 
-    /// Restores a state of this configuration, exactly. `wanted` decides the arithmetic if the
-    /// configuration leaves it to the state.
+    /// Restores a state of this configuration, exactly.
     pub fn from_safetensors(
         data: &[u8],
         config: &Config,
@@ -245,7 +279,9 @@ impl TrainingState {
             }
             arrays.insert(name, view.data().to_vec());
         }
-        if let Some(name) = file.names().into_iter().find(|&name| !arrays.contains_key(name)) {
+        if let Some(name) = file.names().into_iter().find(|name| {
+            !name.starts_with("policy.") && !arrays.contains_key(*name)
+        }) {
             return Err(refuse(format!(
                 "tensor `{name}` is unknown; was it trained with another configuration?"
             )));
@@ -290,6 +326,8 @@ impl TrainingState {
             norm.m2 = f64s(&format!("{prefix}.m2"));
             norm.count = f64s(&format!("{prefix}.count"))[0];
         }
+        self.previous_policy =
+            chunks::<4>(&arrays["previous_policy"]).map(f32::from_le_bytes).collect();
         self.iteration = u64_of("counters.iteration");
         self.env_steps = u64_of("counters.env_steps");
         self.arithmetic = match u64_of("counters.precision") {
@@ -308,7 +346,8 @@ impl TrainingState {
     ///
     /// # Panics
     /// If `out` is not of the layout's length.
-    pub fn write_policy(&self, layout: &ActorLayout, min_log_std: f64, out: &mut [f32]) {
+    pub fn write_policy(&self, out: &mut [f32]) {
+        let layout = &self.policy_layout;
         assert_eq!(out.len(), layout.len, "a policy has {} numbers", layout.len);
         let norm = self.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std);
         for tensor in &layout.tensors {
@@ -321,7 +360,7 @@ impl TrainingState {
                     let view = view.to_device(Device::Cpu).contiguous();
                     slot.copy_from_slice(bytemuck::cast_slice(bytes(&view)));
                     if name == "log_std" {
-                        slot.iter_mut().for_each(|x| *x = x.max(min_log_std as f32));
+                        slot.iter_mut().for_each(|x| *x = x.max(self.min_log_std as f32));
                     }
                 }
             }
