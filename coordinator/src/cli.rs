@@ -28,7 +28,7 @@ Examples:
   octopus train --preset paper --seed 7 --run-dir runs/paper-7
   octopus train --set network.hidden=[64,64] --set algorithm.gamma=0.97 --iterations 20
 
-Configuration is merged in layers, later ones win: the preset, --config, the flags below, --set. Its
+Configuration is merged in layers, later ones win: the preset, --config, the flags above, --set. Its
 groups are task, robot, env, network, algorithm, optimizer and run; the resolved whole is written
 to RUN_DIR/config.toml. One Ctrl-C finishes the iteration, commits a checkpoint and ends cleanly;
 a second one stops at once. `octopus resume RUN_DIR` goes on.";
@@ -169,6 +169,7 @@ pub struct TrainArgs {
 
 /// What happens around a training.
 #[derive(Debug, Clone, Copy, Args)]
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of the command line")]
 pub struct Ending {
     /// Evaluate the final policy (the default; undoes an earlier --no-eval).
     #[arg(long, overrides_with = "no_eval")]

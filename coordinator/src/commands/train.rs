@@ -303,10 +303,14 @@ fn create(run_dir: &RunDir) -> Result<(), ExitError> {
 /// `runs/<task>-<UTC time>`, with a number if that second has a run already.
 fn default_dir(config: &Config) -> RunDir {
     let time = provenance::utc(SystemTime::now()).compact();
-    let base = Path::new(RUNS).join(format!("{}-{time}", config.task.name.as_str()));
-    let numbered = |n: u32| PathBuf::from(format!("{}-{n}", base.display()));
-    let free = std::iter::once(base.clone()).chain((2..).map(numbered)).find(|path| !path.exists());
-    RunDir::new(free.unwrap_or(base))
+    let name = format!("{}-{time}", config.task.name.as_str());
+    let mut path = Path::new(RUNS).join(&name);
+    let mut n = 2;
+    while path.exists() {
+        path = Path::new(RUNS).join(format!("{name}-{n}"));
+        n += 1;
+    }
+    RunDir::new(path)
 }
 
 /// Adds a session to `provenance.json`.
