@@ -5,7 +5,7 @@
 //! multiply-adds where Cephes splits constants, which makes them exact over a wider range. Accuracies in the docs are the largest
 //! error seen against `f64` over a dense sample (see the tests).
 
-use super::{Mask, Real};
+use super::Real;
 
 /// Σ c_i x^i, highest power first (Horner).
 #[inline(always)]

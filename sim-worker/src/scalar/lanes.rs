@@ -27,7 +27,7 @@ use std::arch::x86_64::{
     _mm512_fmadd_ps, _mm512_fnmadd_ps, _mm512_loadu_ps, _mm512_mask_blend_ps, _mm512_max_ps,
     _mm512_min_ps, _mm512_mul_ps, _mm512_or_si512, _mm512_roundscale_ps, _mm512_set1_epi32,
     _mm512_set1_ps, _mm512_slli_epi32, _mm512_sqrt_ps, _mm512_srli_epi32, _mm512_storeu_ps,
-    _mm512_sub_epi32, _mm512_sub_ps, _mm512_xor_si512,
+    _mm512_sub_epi32, _mm512_sub_ps,
 };
 
 /// Bits of the sign of an `f32`.
@@ -303,11 +303,9 @@ mod avx512 {
         type Output = Self;
         #[inline(always)]
         fn neg(self) -> Self {
+            // −0 − x is −x for every number; the compiler knows it as a negation and folds it into multiply-adds.
             // SAFETY: values of this type exist only where `dispatch_on` has found AVX-512.
-            unsafe {
-                let bits = _mm512_xor_si512(_mm512_castps_si512(self.0), _mm512_set1_epi32(SIGN));
-                Self(_mm512_castsi512_ps(bits))
-            }
+            Self(unsafe { _mm512_sub_ps(_mm512_set1_ps(-0.0), self.0) })
         }
     }
 
@@ -562,7 +560,8 @@ mod avx2 {
         type Output = Self;
         #[inline(always)]
         fn neg(self) -> Self {
-            both!(|a| _mm256_xor_ps(a, _mm256_set1_ps(-0.0)), self)
+            // As for AVX-512: a negation the compiler folds into multiply-adds.
+            both!(|a| _mm256_sub_ps(_mm256_set1_ps(-0.0), a), self)
         }
     }
     impl PartialEq for F32x16Avx2 {

@@ -1,0 +1,178 @@
+//! Forward dynamics: the articulated-body algorithm [Featherstone 2008, Table 7.1, with the floating base of Table 9.4].
+//!
+//! In link frames, each pass one function. With the armature J of the drives, D = Sᵀ I_A S + J; it takes part in no force between links.
+
+use super::articulated::{ArticulatedInertia, PlanarMotion};
+use super::kinematics::{
+    force_from_next, force_to_base, motion_to_arm, motion_to_next, turn, unturn, velocities,
+};
+use super::workspace::Workspace;
+use crate::robot::{JOINTS_PER_ARM, Model, RigidInertia};
+use crate::scalar::Real;
+use crate::spatial::{
+    Vec6, add, cross, cross_add, mat_t_vec, mat_vec, quaternion_to_rotation, scale,
+};
+use crate::state::State;
+
+/// Derivative of the generalised velocity.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Acceleration<S> {
+    /// Of the base frame's origin, world axes (m/s²).
+    pub base_linear: [S; 3],
+    /// Of the base, base axes (rad/s²).
+    pub base_angular: [S; 3],
+    /// Of the joints (rad/s²), arm-major.
+    pub joints: Vec<S>,
+}
+
+/// Acceleration of the robot under joint torques `tau` (N m, arm-major, `n_joints`), without contacts and stops.
+pub fn forward_dynamics<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    state: &State<S>,
+    tau: &[S],
+) -> Acceleration<S> {
+    assert_eq!(tau.len(), model.n_joints(), "torques");
+    let r_wb = quaternion_to_rotation(&state.base_quaternion);
+    ws.base_v = Vec6 {
+        ang: state.base_angular_velocity,
+        lin: mat_t_vec(&r_wb, state.base_linear_velocity),
+    };
+    velocities(model, ws, &state.q, &state.qd);
+    for (link, &t) in ws.links.iter_mut().zip(tau) {
+        link.tau = t;
+        link.f_ext = Vec6::zero();
+    }
+    ws.base_f_ext = Vec6::zero();
+    let mut joints = vec![S::zero(); model.n_joints()];
+    let a = aba(model, ws, &state.qd, &mut joints);
+    Acceleration { base_linear: world_acceleration(ws.base_v, a, &r_wb), base_angular: a.ang, joints }
+}
+
+/// Acceleration of the base's origin in world axes: R (v̇ + ω × v), because v is given in axes that turn.
+#[inline(always)]
+pub(crate) fn world_acceleration<S: Real>(
+    v: Vec6<S>,
+    a: Vec6<S>,
+    r_wb: &crate::spatial::Mat3<S>,
+) -> [S; 3] {
+    mat_vec(r_wb, cross_add(v.ang, v.lin, a.lin))
+}
+
+/// Spatial acceleration of the base (base axes) and joint accelerations `qdd`.
+///
+/// Reads `ws.base_v`, `ws.base_f_ext` and of every link `sin`, `cos`, `v`, `f_ext`, `tau`; fills `u_col`, `d_inv`, `u`.
+#[inline(always)]
+pub(crate) fn aba<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    qd: &[S],
+    qdd: &mut [S],
+) -> Vec6<S> {
+    // Second pass: articulated inertias and bias forces, from the hands to the base.
+    let mut inertia0 = ArticulatedInertia::zero();
+    inertia0.add_body(&model.base);
+    let mut p0 = bias_force(&model.base, ws.base_v);
+    p0.ang = sub3(p0.ang, ws.base_f_ext.ang);
+    p0.lin = sub3(p0.lin, ws.base_f_ext.lin);
+    for arm in 0..model.n_arms {
+        let first = arm * JOINTS_PER_ARM;
+        let mut inertia = ArticulatedInertia::zero();
+        let mut p = Vec6::zero();
+        let mut j = JOINTS_PER_ARM;
+        while j > 0 {
+            j -= 1;
+            let body = &model.links[j];
+            let link = &mut ws.links[first + j];
+            if j + 1 < JOINTS_PER_ARM {
+                inertia = inertia.to_previous(body);
+                p = force_from_next(body, p);
+            }
+            inertia.add_body(&body.body);
+            let own = bias_force(&body.body, link.v);
+            p.ang = add(p.ang, sub3(own.ang, link.f_ext.ang));
+            p.lin = add(p.lin, sub3(own.lin, link.f_ext.lin));
+
+            let u_col = inertia.z_column();
+            let d_inv = (u_col.ang[2] + body.armature).recip();
+            let u = link.tau - p.ang[2];
+            link.u_col = u_col;
+            link.d_inv = d_inv;
+            link.u = u;
+            inertia.remove(u_col, d_inv);
+            p = inertia.apply_planar(velocity_product(link.v, qd[first + j]), p);
+            let ud = u * d_inv;
+            p.ang = crate::spatial::mul_add(ud, u_col.ang, p.ang);
+            p.lin = crate::spatial::mul_add(ud, u_col.lin, p.lin);
+            inertia = inertia.turned(link.sin, link.cos);
+            p.ang = turn(link.sin, link.cos, p.ang);
+            p.lin = turn(link.sin, link.cos, p.lin);
+        }
+        inertia0.add(&inertia.to_base(&model.arms[arm]));
+        let f = force_to_base(&model.arms[arm], p);
+        p0.ang = add(p0.ang, f.ang);
+        p0.lin = add(p0.lin, f.lin);
+    }
+
+    // Third pass: accelerations, from the base to the hands.
+    let minus = S::splat(-1.0);
+    let a0 = inertia0.solve(Vec6 { ang: scale(minus, p0.ang), lin: scale(minus, p0.lin) });
+    for arm in 0..model.n_arms {
+        let first = arm * JOINTS_PER_ARM;
+        let mut a = motion_to_arm(&model.arms[arm], a0);
+        for j in 0..JOINTS_PER_ARM {
+            if j > 0 {
+                a = motion_to_next(&model.links[j - 1], a);
+            }
+            let link = &ws.links[first + j];
+            a.ang = unturn(link.sin, link.cos, a.ang);
+            a.lin = unturn(link.sin, link.cos, a.lin);
+            let c = velocity_product(link.v, qd[first + j]);
+            a.ang[0] += c.ang[0];
+            a.ang[1] += c.ang[1];
+            a.lin[0] += c.lin[0];
+            a.lin[1] += c.lin[1];
+            let (n, f) = (link.u_col.ang, link.u_col.lin);
+            let mut rest = link.u;
+            for i in 0..3 {
+                rest = n[i].neg_mul_add(a.ang[i], rest);
+                rest = f[i].neg_mul_add(a.lin[i], rest);
+            }
+            let acceleration = rest * link.d_inv;
+            qdd[first + j] = acceleration;
+            a.ang[2] += acceleration;
+        }
+    }
+    a0
+}
+
+#[inline(always)]
+fn sub3<S: Real>(a: [S; 3], b: [S; 3]) -> [S; 3] {
+    crate::spatial::sub(a, b)
+}
+
+/// v × S q̇ for a joint about z: (ω × z q̇, v × z q̇).
+#[inline(always)]
+fn velocity_product<S: Real>(v: Vec6<S>, qd: S) -> PlanarMotion<S> {
+    PlanarMotion {
+        ang: [v.ang[1] * qd, -(v.ang[0] * qd)],
+        lin: [v.lin[1] * qd, -(v.lin[0] * qd)],
+    }
+}
+
+/// v ×* I v of a rigid body.
+///
+/// With h the mass times centre of mass: moment ω × (I ω) + h × (ω × v), force m ω × v + ω × (ω × h); the moment's form follows
+/// from Jacobi's identity and saves a product.
+#[inline(always)]
+fn bias_force<S: Real>(body: &RigidInertia<S>, v: Vec6<S>) -> Vec6<S> {
+    let [xx, yy, zz, xy, xz, yz] = body.inertia;
+    let w = v.ang;
+    let momentum = mat_vec(&[[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], w);
+    let wv = cross(w, v.lin);
+    let wh = cross(w, body.h);
+    Vec6 {
+        ang: cross_add(w, momentum, cross(body.h, wv)),
+        lin: cross_add(w, wh, scale(body.mass, wv)),
+    }
+}

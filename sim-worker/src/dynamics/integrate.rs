@@ -1,0 +1,246 @@
+//! Integration of the equations of motion over a control period.
+
+use super::aba::{aba, world_acceleration};
+use super::kinematics::{poses, velocities};
+use super::servo::{push_of_stops, servo};
+use super::workspace::Workspace;
+use crate::collision;
+use crate::robot::Model;
+use crate::scalar::Real;
+use crate::spatial::{
+    Vec6, mat_t_vec, quaternion_exp, quaternion_normalised, quaternion_product,
+    quaternion_to_rotation,
+};
+use crate::state::State;
+
+/// Scheme that advances the state by one substep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Integrator {
+    /// Classical Runge–Kutta of fourth order; the quaternion is integrated as four numbers and normalised after each substep.
+    Rk4,
+    /// Semi-implicit Euler: velocities first, positions with the new velocities, the quaternion by the exponential map. MuJoCo's `Euler`.
+    Euler,
+}
+
+/// How a control period is integrated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepOptions {
+    /// Time a command is held (s).
+    pub control_period: f64,
+    /// Length of a substep (s); the period is cut into the nearest whole number of equal ones.
+    pub substep: f64,
+    /// Scheme.
+    pub integrator: Integrator,
+    /// Whether contacts and angle stops push.
+    pub contacts: bool,
+}
+
+impl Default for StepOptions {
+    /// What training runs: 0.4 s in Runge–Kutta substeps of 10 ms, with contacts.
+    ///
+    /// Over 20 s of random commands that is nearer to the converged solution than semi-implicit Euler at 1 ms (see the tests), at a
+    /// tenth of its evaluations.
+    fn default() -> Self {
+        Self { control_period: 0.4, substep: 0.010, integrator: Integrator::Rk4, contacts: true }
+    }
+}
+
+impl StepOptions {
+    /// Number of substeps in a control period, at least one.
+    pub fn n_substeps(&self) -> usize {
+        (self.control_period / self.substep).round().max(1.0) as usize
+    }
+}
+
+// Layout of a flat state: displacement of the base since the period's start, quaternion, velocities, q, q̇. The displacement is small, so
+// single precision keeps three digits more than it would in the position.
+const QUATERNION: usize = 3;
+const LINEAR: usize = 7;
+const ANGULAR: usize = 10;
+const JOINTS: usize = 13;
+
+/// Advances `state` by one control period with joint rate commands (rad/s) held constant.
+///
+/// Shape: `command` `n_joints`, arm-major.
+///
+/// # Panics
+/// If the lengths of `command` or of the state differ from the model's.
+#[inline(always)]
+pub fn step<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    state: &mut State<S>,
+    command: &[S],
+    options: &StepOptions,
+) {
+    let n = model.n_joints();
+    assert!(command.len() == n && state.q.len() == n && state.qd.len() == n, "joints");
+    let n_substeps = options.n_substeps();
+    let h = options.control_period / n_substeps as f64;
+
+    for i in 0..3 {
+        ws.y[i] = S::zero();
+        ws.y[LINEAR + i] = state.base_linear_velocity[i];
+        ws.y[ANGULAR + i] = state.base_angular_velocity[i];
+    }
+    for i in 0..4 {
+        ws.y[QUATERNION + i] = state.base_quaternion[i];
+    }
+    ws.y[JOINTS..JOINTS + n].copy_from_slice(&state.q);
+    ws.y[JOINTS + n..].copy_from_slice(&state.qd);
+
+    // Runge–Kutta's tableau; Euler uses its first row alone.
+    let stages: &[(f64, f64)] = match options.integrator {
+        Integrator::Rk4 => &[(0.5, 1.0 / 6.0), (0.5, 1.0 / 3.0), (1.0, 1.0 / 3.0), (0.0, 1.0 / 6.0)],
+        Integrator::Euler => &[(0.0, 1.0)],
+    };
+    for substep in 0..n_substeps {
+        ws.y0.copy_from_slice(&ws.y);
+        for (stage, &(reach, weight)) in stages.iter().enumerate() {
+            let contacts = match (options.contacts, substep, stage) {
+                (false, ..) => Contacts::Off,
+                (true, 0, 0) => Contacts::DetectFirst,
+                (true, _, 0) => Contacts::Detect,
+                (true, ..) => Contacts::Push,
+            };
+            derivative(model, ws, command, h, contacts);
+            if options.integrator == Integrator::Euler {
+                euler_update(ws, n, S::splat(h));
+                break;
+            }
+            let (weight, reach) = (S::splat(weight * h), S::splat(reach * h));
+            if stage == 0 {
+                for i in 0..ws.y.len() {
+                    ws.sum[i] = ws.k[i].mul_add(weight, ws.y0[i]);
+                    ws.y[i] = ws.k[i].mul_add(reach, ws.y0[i]);
+                }
+            } else if stage + 1 < stages.len() {
+                for i in 0..ws.y.len() {
+                    ws.sum[i] = ws.k[i].mul_add(weight, ws.sum[i]);
+                    ws.y[i] = ws.k[i].mul_add(reach, ws.y0[i]);
+                }
+            } else {
+                for i in 0..ws.y.len() {
+                    ws.y[i] = ws.k[i].mul_add(weight, ws.sum[i]);
+                }
+                normalise(ws);
+            }
+        }
+    }
+
+    for i in 0..3 {
+        state.base_position[i] += ws.y[i];
+        state.base_linear_velocity[i] = ws.y[LINEAR + i];
+        state.base_angular_velocity[i] = ws.y[ANGULAR + i];
+    }
+    for i in 0..4 {
+        state.base_quaternion[i] = ws.y[QUATERNION + i];
+    }
+    state.q.copy_from_slice(&ws.y[JOINTS..JOINTS + n]);
+    state.qd.copy_from_slice(&ws.y[JOINTS + n..]);
+}
+
+/// What an evaluation does about contacts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Contacts {
+    /// Nothing.
+    Off,
+    /// Finds contacts at the start of the period: nothing is known yet of the inertia at the contacts.
+    DetectFirst,
+    /// Finds contacts at the start of a substep.
+    Detect,
+    /// Pushes at the contacts found.
+    Push,
+}
+
+/// The derivative of `ws.y` into `ws.k`.
+#[inline(always)]
+fn derivative<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    command: &[S],
+    h: f64,
+    contacts: Contacts,
+) {
+    let n = model.n_joints();
+    let quaternion = read4(&ws.y, QUATERNION);
+    let linear = read3(&ws.y, LINEAR);
+    let angular = read3(&ws.y, ANGULAR);
+    let r_wb = quaternion_to_rotation(&quaternion);
+    ws.base_v = Vec6 { ang: angular, lin: mat_t_vec(&r_wb, linear) };
+
+    // The flat arrays leave the workspace while it is lent.
+    let y = std::mem::take(&mut ws.y);
+    let mut k = std::mem::take(&mut ws.k);
+    let (q, qd) = y[JOINTS..].split_at(n);
+    velocities(model, ws, q, qd);
+    servo(model, ws, command, qd);
+    if contacts == Contacts::Off {
+        collision::clear(ws);
+    } else {
+        push_of_stops(model, ws, q, qd);
+        if contacts != Contacts::Push {
+            collision::broad_phase(model, ws, h);
+        }
+        if collision::any_near(ws) {
+            poses(model, ws);
+            if contacts == Contacts::DetectFirst {
+                collision::articulated_inertias(model, ws);
+            }
+            if contacts != Contacts::Push {
+                collision::narrow_phase(model, ws);
+            }
+            collision::push(model, ws);
+        } else {
+            collision::clear(ws);
+        }
+    }
+    let (k_q, k_qd) = k[JOINTS..].split_at_mut(n);
+    k_q.copy_from_slice(qd);
+    let a = aba(model, ws, qd, k_qd);
+    let a_w = world_acceleration(ws.base_v, a, &r_wb);
+    let half = S::splat(0.5);
+    let [w0, w1, w2] = angular;
+    let rate = quaternion_product(&quaternion, &[S::zero(), half * w0, half * w1, half * w2]);
+    k[..3].copy_from_slice(&linear);
+    k[QUATERNION..LINEAR].copy_from_slice(&rate);
+    k[LINEAR..ANGULAR].copy_from_slice(&a_w);
+    k[ANGULAR..JOINTS].copy_from_slice(&a.ang);
+    ws.y = y;
+    ws.k = k;
+}
+
+/// Velocities with `ws.k`, then positions with the new velocities.
+#[inline(always)]
+fn euler_update<S: Real>(ws: &mut Workspace<S>, n: usize, h: S) {
+    let (y, k) = (&mut ws.y, &ws.k);
+    for i in (LINEAR..JOINTS).chain(JOINTS + n..JOINTS + 2 * n) {
+        y[i] = k[i].mul_add(h, y[i]);
+    }
+    for i in 0..3 {
+        y[i] = y[LINEAR + i].mul_add(h, y[i]);
+    }
+    for i in 0..n {
+        y[JOINTS + i] = y[JOINTS + n + i].mul_add(h, y[JOINTS + i]);
+    }
+    let w = read3(y, ANGULAR);
+    let turn = quaternion_exp([w[0] * h, w[1] * h, w[2] * h]);
+    let q = quaternion_normalised(&quaternion_product(&read4(y, QUATERNION), &turn));
+    y[QUATERNION..LINEAR].copy_from_slice(&q);
+}
+
+#[inline(always)]
+fn normalise<S: Real>(ws: &mut Workspace<S>) {
+    let q = quaternion_normalised(&read4(&ws.y, QUATERNION));
+    ws.y[QUATERNION..LINEAR].copy_from_slice(&q);
+}
+
+#[inline(always)]
+fn read3<S: Real>(y: &[S], at: usize) -> [S; 3] {
+    [y[at], y[at + 1], y[at + 2]]
+}
+
+#[inline(always)]
+fn read4<S: Real>(y: &[S], at: usize) -> [S; 4] {
+    [y[at], y[at + 1], y[at + 2], y[at + 3]]
+}

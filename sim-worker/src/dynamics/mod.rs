@@ -1,0 +1,27 @@
+//! Motion of the robot: forward dynamics, its integration, kinematics.
+//!
+//! * [`step`] advances one control period; [`StepOptions`] chooses the integrator, its step, and whether contacts push.
+//! * [`forward_dynamics`] is the articulated-body algorithm; [`hands`] the forward kinematics.
+//! * [`twin`] holds the textbook forms in `f64` with nalgebra (inverse dynamics, inertia matrix, momentum, energy), against which the
+//!   tests hold the fast ones.
+//!
+//! There is no gravity. Generalised velocity: base linear velocity (world axes), base angular velocity (base axes), joint rates.
+//!
+//! [Featherstone 2008] R. Featherstone, Rigid Body Dynamics Algorithms, Springer.
+
+pub(crate) mod aba;
+pub(crate) mod articulated;
+mod fk;
+mod integrate;
+pub(crate) mod kinematics;
+mod servo;
+pub mod twin;
+mod workspace;
+
+pub use aba::{Acceleration, forward_dynamics};
+pub use fk::{Hand, hands};
+pub use integrate::{Integrator, StepOptions, step};
+pub use workspace::Workspace;
+
+#[cfg(test)]
+mod tests;

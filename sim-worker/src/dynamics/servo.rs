@@ -1,0 +1,58 @@
+//! Joint torques: the velocity servo, and the angle stops that push back.
+
+use super::workspace::Workspace;
+use crate::collision::{DAMPING_RATE, STIFFNESS_RATE};
+use crate::robot::{JOINTS_PER_ARM, Model, StopModel};
+use crate::scalar::Real;
+
+/// The velocity servo's torques into `tau` of `ws.links`: clamp(k (clamp(c, ±c_max) − q̇), ±τ_max).
+///
+/// Shapes: `command` (rad/s), `qd` `n_joints`.
+#[inline(always)]
+pub(crate) fn servo<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, command: &[S], qd: &[S]) {
+    for arm in 0..model.n_arms {
+        for j in 0..JOINTS_PER_ARM {
+            let (link, i) = (&model.links[j], arm * JOINTS_PER_ARM + j);
+            let c = command[i].clamp(-link.max_rate, link.max_rate);
+            let tau = link.gain * (c - qd[i]);
+            ws.links[i].tau = tau.clamp(-link.max_torque, link.max_torque);
+        }
+    }
+}
+
+/// Offset of an angle from the middle of a stop's interval, wrapped to ±π, and half of the interval.
+#[inline(always)]
+pub(crate) fn stop_interval<S: Real>(stop: &StopModel<S>, q: S, sin: S, cos: S) -> (S, S) {
+    let x = q - stop.centre;
+    let turns = (x * S::splat(0.5 / std::f64::consts::PI)).round();
+    // |sin 2q| = 2 |sin q cos q|.
+    let two_sin_cos = (sin + sin) * cos;
+    let half = stop.narrowing.neg_mul_add(two_sin_cos.abs(), stop.half);
+    (turns.neg_mul_add(S::splat(std::f64::consts::TAU), x), half)
+}
+
+/// Adds the pushing stops' torques to `tau` of `ws.links`, which holds `sin` and `cos`.
+///
+/// A stop is a predictive spring and damper like a contact (see [`crate::collision`]), on the angle and with the armature as mass:
+/// no less than that moves when the joint does.
+#[inline(always)]
+pub(crate) fn push_of_stops<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q: &[S], qd: &[S]) {
+    for stop in &model.stops {
+        if !stop.push {
+            continue;
+        }
+        let armature = model.links[stop.joint].armature;
+        for arm in 0..model.n_arms {
+            let first = arm * JOINTS_PER_ARM;
+            let i = first + stop.joint;
+            let narrowing = &ws.links[first + stop.narrowing_joint];
+            let (x, half) = stop_interval(stop, q[i], narrowing.sin, narrowing.cos);
+            let gap = x.abs() - half;
+            let outward = x.copy_sign_to(S::one());
+            let closing = S::splat(DAMPING_RATE) * (outward * qd[i]);
+            let push = S::splat(STIFFNESS_RATE).mul_add(gap, closing);
+            let push = (-armature * push).max(S::zero());
+            ws.links[i].tau = outward.mul_add(push, ws.links[i].tau);
+        }
+    }
+}

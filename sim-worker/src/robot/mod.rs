@@ -1,0 +1,644 @@
+//! The robot: described in a file ([`description`]), checked and completed ([`Robot`]), laid out for the dynamics ([`Model`]).
+//!
+//! Frames. Standard Denavit–Hartenberg puts frame i at the far end of link i, behind joint i. The dynamics work in **link frames** at the near
+//! end: link frame i is frame i−1 turned by the joint angle about its z axis, so every joint turns about its own link frame's z axis, and the step to
+//! the next link frame is the constant shift (a, 0, d) and twist α. [`Link`] holds inertials and shapes moved there.
+
+pub mod description;
+mod error;
+pub mod mjcf;
+mod model;
+
+use std::path::Path;
+
+use nalgebra::{Matrix3, Rotation3, SymmetricEigen, Vector3};
+
+pub use description::RobotDescription;
+pub use error::RobotError;
+pub use mjcf::mjcf;
+pub use model::Model;
+pub(crate) use model::{ArmModel, LinkModel, RigidInertia, StopModel, Twist};
+
+use description::{CapsuleDescription, DiscDescription};
+
+/// Moving links of an arm.
+pub const JOINTS_PER_ARM: usize = 6;
+
+/// Most arms a robot may have.
+pub const MAX_ARMS: usize = 8;
+
+const BUILTIN: [(&str, &str); 2] = [
+    ("paper", include_str!("../../robots/paper.toml")),
+    ("release", include_str!("../../robots/release.toml")),
+];
+
+/// Mass, centre of mass and inertia of a rigid body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigidBody {
+    /// Mass (kg).
+    pub mass: f64,
+    /// Centre of mass in the body's frame (m).
+    pub com: Vector3<f64>,
+    /// Inertia about the centre of mass, axes of the body's frame (kg m²).
+    pub inertia: Matrix3<f64>,
+}
+
+impl RigidBody {
+    /// The body seen from a frame in which its own frame stands at `position`, turned by `rotation`.
+    #[must_use]
+    pub fn moved(&self, rotation: &Matrix3<f64>, position: &Vector3<f64>) -> Self {
+        Self {
+            mass: self.mass,
+            com: rotation * self.com + position,
+            inertia: rotation * self.inertia * rotation.transpose(),
+        }
+    }
+
+    /// Two bodies welded together, both given in the same frame.
+    #[must_use]
+    pub fn welded(&self, other: &Self) -> Self {
+        let mass = self.mass + other.mass;
+        let com = (self.com * self.mass + other.com * other.mass) / mass;
+        let about = |b: &Self| b.inertia + point_inertia(b.mass, b.com - com);
+        Self { mass, com, inertia: about(self) + about(other) }
+    }
+
+    /// Inertia about the origin of the body's frame (kg m²).
+    pub fn inertia_at_origin(&self) -> Matrix3<f64> {
+        self.inertia + point_inertia(self.mass, self.com)
+    }
+}
+
+/// Inertia about the origin of a point mass at `r`.
+fn point_inertia(mass: f64, r: Vector3<f64>) -> Matrix3<f64> {
+    mass * (Matrix3::identity() * r.norm_squared() - r * r.transpose())
+}
+
+/// A shape for collisions, in its body's frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Shape {
+    /// All points within `radius` of a segment.
+    Capsule {
+        /// One end of the segment (m).
+        from: Vector3<f64>,
+        /// The other end (m).
+        to: Vector3<f64>,
+        /// Radius (m).
+        radius: f64,
+    },
+    /// A flat cylinder.
+    Disc {
+        /// Centre (m).
+        centre: Vector3<f64>,
+        /// Axis, of length one.
+        axis: Vector3<f64>,
+        /// Radius (m).
+        radius: f64,
+        /// Half the height (m).
+        half_height: f64,
+    },
+}
+
+impl Shape {
+    fn moved(&self, rotation: &Matrix3<f64>, position: &Vector3<f64>) -> Self {
+        match self {
+            Self::Capsule { from, to, radius } => Self::Capsule {
+                from: rotation * from + position,
+                to: rotation * to + position,
+                radius: *radius,
+            },
+            Self::Disc { centre, axis, radius, half_height } => Self::Disc {
+                centre: rotation * centre + position,
+                axis: rotation * axis,
+                radius: *radius,
+                half_height: *half_height,
+            },
+        }
+    }
+}
+
+/// A solid box fixed to the base.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BaseBox {
+    /// Name.
+    pub name: String,
+    /// Half of the edges (m).
+    pub half: Vector3<f64>,
+    /// Centre in the base frame (m).
+    pub centre: Vector3<f64>,
+    /// Rotation to the base frame.
+    pub rotation: Matrix3<f64>,
+    /// Inertial in the base frame.
+    pub body: RigidBody,
+}
+
+/// A moving link of every arm, in its link frame (see the module).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Link {
+    /// Name.
+    pub name: String,
+    /// The next link frame's origin: (a, 0, d) (m).
+    pub shift: Vector3<f64>,
+    /// Twist to the next link frame, about x (rad).
+    pub alpha: f64,
+    /// Rotation about x by the twist; right angles are exact.
+    pub twist: Matrix3<f64>,
+    /// Inertial in the link frame.
+    pub body: RigidBody,
+    /// Inertia of the drive (kg m²).
+    pub armature: f64,
+    /// Servo gain (N m s/rad).
+    pub gain: f64,
+    /// Largest commanded rate (rad/s).
+    pub max_rate: f64,
+    /// Largest torque (N m).
+    pub max_torque: f64,
+    /// Shapes in the link frame.
+    pub shapes: Vec<Shape>,
+}
+
+/// Where an arm stands and how it is folded at home.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arm {
+    /// Name.
+    pub name: String,
+    /// Origin of frame 0 in the base frame (m).
+    pub position: Vector3<f64>,
+    /// Rotation of frame 0 to the base frame.
+    pub rotation: Matrix3<f64>,
+    /// The mount's box.
+    pub mount: BaseBox,
+    /// The pedestal's inertial in the base frame.
+    pub pedestal: RigidBody,
+    /// The pedestal's shapes in the base frame.
+    pub pedestal_shapes: Vec<Shape>,
+    /// Joint angles at home (rad).
+    pub home: [f64; JOINTS_PER_ARM],
+}
+
+/// A body of one arm that a stop may name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmBody {
+    /// The box between base and arm.
+    Mount,
+    /// The fixed first link.
+    Pedestal,
+    /// Moving link, 0…5.
+    Link(usize),
+}
+
+/// A pair of one arm that touches exactly when a joint stands in an interval.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stop {
+    /// The two bodies.
+    pub pair: [ArmBody; 2],
+    /// The joint, 0…5.
+    pub joint: usize,
+    /// Middle of the interval (rad).
+    pub centre: f64,
+    /// Half of the interval's length (rad).
+    pub half: f64,
+    /// The half is shorter by this times |sin 2q| (rad).
+    pub narrowing: f64,
+    /// The joint q of the narrowing, 0…5.
+    pub narrowing_joint: usize,
+    /// Whether the ends of the interval push back.
+    pub push: bool,
+}
+
+/// A validated robot: a free-floating base with identical arms. Immutable.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Robot {
+    /// Name.
+    pub name: String,
+    /// Number of arms, 1…[`MAX_ARMS`].
+    pub n_arms: usize,
+    /// Base with mounts and pedestals welded on, in the base frame.
+    pub base: RigidBody,
+    /// Boxes of the base, without the mounts.
+    pub boxes: Vec<BaseBox>,
+    /// The links of every arm.
+    pub links: Vec<Link>,
+    /// The hand's origin in the last link's frame (m).
+    pub tool_position: Vector3<f64>,
+    /// The hand's rotation to the last link's frame.
+    pub tool_rotation: Matrix3<f64>,
+    /// The arms.
+    pub arms: Vec<Arm>,
+    /// Pairs that touch by joint angle, in every arm.
+    pub stops: Vec<Stop>,
+    /// Origin of the base frame in the world at home (m).
+    pub home_position: [f64; 3],
+    description: RobotDescription,
+}
+
+impl Robot {
+    /// Names of the built-in robots.
+    pub fn builtin_names() -> impl Iterator<Item = &'static str> {
+        BUILTIN.iter().map(|(name, _)| *name)
+    }
+
+    /// The built-in robot of that name: `paper` or `release`.
+    pub fn builtin(name: &str) -> Option<Self> {
+        let (_, text) = BUILTIN.iter().find(|(n, _)| *n == name)?;
+        Some(Self::from_toml(text, Path::new(name)).expect("built-in robots are tested"))
+    }
+
+    /// Reads a description; `path` is only for messages.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, RobotError> {
+        let description: RobotDescription = toml::from_str(text).map_err(|e| {
+            RobotError::Parse { path: path.display().to_string(), reason: e.to_string() }
+        })?;
+        Self::from_description(description, path)
+    }
+
+    /// The built-in robot of that name, or the robot in that file.
+    pub fn load(name_or_path: &str) -> Result<Self, RobotError> {
+        if let Some(robot) = Self::builtin(name_or_path) {
+            return Ok(robot);
+        }
+        let path = Path::new(name_or_path);
+        let text = std::fs::read_to_string(path).map_err(|e| RobotError::Unreadable {
+            path: name_or_path.to_owned(),
+            reason: e.to_string(),
+            builtin: Self::builtin_names().collect::<Vec<_>>().join(", "),
+        })?;
+        Self::from_toml(&text, path)
+    }
+
+    /// The description as a TOML text that [`Robot::from_toml`] reads back to the same robot.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(&self.description).expect("a description is plain data")
+    }
+
+    /// The description this robot was made of.
+    pub fn description(&self) -> &RobotDescription {
+        &self.description
+    }
+
+    /// Number of joints, all arms.
+    pub fn n_joints(&self) -> usize {
+        self.n_arms * JOINTS_PER_ARM
+    }
+
+    /// Joint angles at home (rad), arm-major.
+    pub fn home_q(&self) -> Vec<f64> {
+        self.arms.iter().flat_map(|a| a.home).collect()
+    }
+
+    /// Largest commanded rate of each joint (rad/s), arm-major.
+    pub fn max_rates(&self) -> Vec<f64> {
+        (0..self.n_joints()).map(|j| self.links[j % JOINTS_PER_ARM].max_rate).collect()
+    }
+
+    /// Mass of everything (kg).
+    pub fn total_mass(&self) -> f64 {
+        self.base.mass + self.n_arms as f64 * self.links.iter().map(|l| l.body.mass).sum::<f64>()
+    }
+
+    /// The same robot with another mass of the base's first box; its inertia scales along.
+    pub fn with_base_mass(&self, mass: f64) -> Result<Self, RobotError> {
+        let mut description = self.description.clone();
+        description.base[0].mass = mass;
+        Self::from_description(description, Path::new(&self.name))
+    }
+
+    /// Validates and completes a description; `path` is only for messages.
+    pub fn from_description(d: RobotDescription, path: &Path) -> Result<Self, RobotError> {
+        let check = Check { path: path.display().to_string() };
+        check.that(!d.name.is_empty(), "name", "empty", "a name")?;
+        check.finite("home_position", &d.home_position)?;
+        check.that(!d.base.is_empty(), "base", "no box", "at least one [[base]] box")?;
+        check.that(
+            d.links.len() == JOINTS_PER_ARM,
+            "links",
+            &format!("{} rows", d.links.len()),
+            &format!("{JOINTS_PER_ARM} [[links]] rows, one a joint, each with dh, mass, com and inertia"),
+        )?;
+        check.that(
+            (1..=MAX_ARMS).contains(&d.arms.len()),
+            "arms",
+            &format!("{} arms", d.arms.len()),
+            &format!("1 to {MAX_ARMS} [[arms]]"),
+        )?;
+
+        let mut boxes = Vec::new();
+        for (i, b) in d.base.iter().enumerate() {
+            let key = format!("base[{i}] ({})", b.name);
+            check.finite(&format!("{key}.position"), &b.position)?;
+            check.finite(&format!("{key}.euler_deg"), &b.euler_deg)?;
+            let rotation = rotation_xyz_deg(b.euler_deg);
+            boxes.push(solid_box(&check, &key, &b.name, b.size, b.mass, rotation, b.position.into())?);
+        }
+        let links = d
+            .links
+            .iter()
+            .enumerate()
+            .map(|(i, link)| resolve_link(&check, i, link))
+            .collect::<Result<Vec<_>, _>>()?;
+        check.finite("tool.position", &d.tool.position)?;
+        let last = &links[JOINTS_PER_ARM - 1];
+        let tool_position = last.shift + last.twist * Vector3::from(d.tool.position);
+        let tool_rotation = last.twist;
+
+        let p = &d.pedestal;
+        let pedestal = rigid_body(&check, "pedestal", p.mass, p.com, p.inertia)?;
+        check.finite("pedestal.euler_deg", &p.euler_deg)?;
+        let pedestal_shapes = shapes(&check, "pedestal", &p.capsules, &p.discs)?;
+        check.finite("mount.position", &d.mount.position)?;
+
+        let mut arms = Vec::new();
+        for (i, a) in d.arms.iter().enumerate() {
+            let key = format!("arms[{i}] ({})", a.name);
+            check.finite(&format!("{key}.mount_position"), &a.mount_position)?;
+            check.finite(&format!("{key}.mount_euler_deg"), &a.mount_euler_deg)?;
+            check.finite(&format!("{key}.home"), &a.home)?;
+            let home = a.home.as_slice().try_into().map_err(|_| {
+                check.error(
+                    &format!("{key}.home"),
+                    &format!("{} angles", a.home.len()),
+                    &format!("{JOINTS_PER_ARM} angles, one a joint"),
+                )
+            })?;
+            let mount_rotation = rotation_xyz_deg(a.mount_euler_deg);
+            let position = Vector3::from(a.mount_position);
+            let rotation = mount_rotation * rotation_xyz_deg(p.euler_deg);
+            let centre = position + mount_rotation * Vector3::from(d.mount.position);
+            let name = format!("{}_mount", a.name);
+            arms.push(Arm {
+                mount: solid_box(&check, "mount", &name, d.mount.size, d.mount.mass, mount_rotation, centre)?,
+                pedestal: pedestal.moved(&rotation, &position),
+                pedestal_shapes: pedestal_shapes.iter().map(|s| s.moved(&rotation, &position)).collect(),
+                name: a.name.clone(),
+                position,
+                rotation,
+                home,
+            });
+        }
+        let stops = d
+            .stops
+            .iter()
+            .enumerate()
+            .map(|(i, s)| resolve_stop(&check, i, s, &d))
+            .collect::<Result<Vec<_>, _>>()?;
+
+        let welded = boxes.iter().map(|b| &b.body);
+        let welded = welded.chain(arms.iter().flat_map(|a| [&a.mount.body, &a.pedestal]));
+        let base = welded.cloned().reduce(|a, b| a.welded(&b)).expect("a base has a box");
+        Ok(Self {
+            name: d.name.clone(),
+            n_arms: arms.len(),
+            base,
+            boxes,
+            links,
+            tool_position,
+            tool_rotation,
+            arms,
+            stops,
+            home_position: d.home_position,
+            description: d,
+        })
+    }
+}
+
+/// Refuses values, naming file and key.
+struct Check {
+    path: String,
+}
+
+impl Check {
+    fn error(&self, key: &str, found: &str, expected: &str) -> RobotError {
+        RobotError::Value {
+            path: self.path.clone(),
+            key: key.to_owned(),
+            found: found.to_owned(),
+            expected: expected.to_owned(),
+        }
+    }
+
+    fn that(&self, ok: bool, key: &str, found: &str, expected: &str) -> Result<(), RobotError> {
+        if ok { Ok(()) } else { Err(self.error(key, found, expected)) }
+    }
+
+    fn finite(&self, key: &str, values: &[f64]) -> Result<(), RobotError> {
+        self.that(
+            values.iter().all(|v| v.is_finite()),
+            key,
+            &format!("{values:?}"),
+            "finite numbers",
+        )
+    }
+
+    fn positive(&self, key: &str, value: f64) -> Result<(), RobotError> {
+        self.that(
+            value > 0.0 && value.is_finite(),
+            key,
+            &format!("{value}"),
+            "a finite number above zero",
+        )
+    }
+}
+
+/// Sine and cosine of an angle in degrees, exact at right angles.
+fn sin_cos_deg(deg: f64) -> (f64, f64) {
+    let turns = deg / 90.0;
+    if turns == turns.round() && turns.abs() < 1e9 {
+        [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)][(turns as i64).rem_euclid(4) as usize]
+    } else {
+        deg.to_radians().sin_cos()
+    }
+}
+
+/// Rx(a) Ry(b) Rz(c), angles in degrees.
+fn rotation_xyz_deg(angles: [f64; 3]) -> Matrix3<f64> {
+    let [(sa, ca), (sb, cb), (sc, cc)] = angles.map(sin_cos_deg);
+    let x = Matrix3::new(1.0, 0.0, 0.0, 0.0, ca, -sa, 0.0, sa, ca);
+    let y = Matrix3::new(cb, 0.0, sb, 0.0, 1.0, 0.0, -sb, 0.0, cb);
+    let z = Matrix3::new(cc, -sc, 0.0, sc, cc, 0.0, 0.0, 0.0, 1.0);
+    // Adding zero turns −0 into 0, which keeps exported numbers tidy.
+    (x * y * z).map(|v| v + 0.0)
+}
+
+fn solid_box(
+    check: &Check,
+    key: &str,
+    name: &str,
+    size: [f64; 3],
+    mass: f64,
+    rotation: Matrix3<f64>,
+    centre: Vector3<f64>,
+) -> Result<BaseBox, RobotError> {
+    for (axis, edge) in ["x", "y", "z"].iter().zip(size) {
+        check.positive(&format!("{key}.size ({axis})"), edge)?;
+    }
+    check.positive(&format!("{key}.mass"), mass)?;
+    let [x2, y2, z2] = size.map(|e| e * e);
+    let inertia = Vector3::new(y2 + z2, x2 + z2, x2 + y2) * (mass / 12.0);
+    let body = RigidBody { mass, com: Vector3::zeros(), inertia: Matrix3::from_diagonal(&inertia) };
+    Ok(BaseBox {
+        name: name.to_owned(),
+        half: Vector3::from(size) / 2.0,
+        centre,
+        rotation,
+        body: body.moved(&rotation, &centre),
+    })
+}
+
+fn rigid_body(
+    check: &Check,
+    key: &str,
+    mass: f64,
+    com: [f64; 3],
+    inertia: [f64; 6],
+) -> Result<RigidBody, RobotError> {
+    check.positive(&format!("{key}.mass"), mass)?;
+    check.finite(&format!("{key}.com"), &com)?;
+    check.finite(&format!("{key}.inertia"), &inertia)?;
+    let [xx, yy, zz, xy, xz, yz] = inertia;
+    let tensor = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+    let mut principal = SymmetricEigen::new(tensor).eigenvalues;
+    principal.as_mut_slice().sort_by(f64::total_cmp);
+    check.that(
+        principal[0] > 0.0,
+        &format!("{key}.inertia"),
+        &format!("{inertia:?} with principal moments {:?}", principal.as_slice()),
+        "a positive definite tensor (xx, yy, zz, xy, xz, yz)",
+    )?;
+    // No mass distribution has a principal moment above the sum of the two others. The slack is the rounding of decimal tables.
+    check.that(
+        principal[2] <= (principal[0] + principal[1]) * (1.0 + 1e-6),
+        &format!("{key}.inertia"),
+        &format!("{inertia:?} with principal moments {:?}", principal.as_slice()),
+        "no principal moment above the sum of the two others (triangle inequality)",
+    )?;
+    Ok(RigidBody { mass, com: com.into(), inertia: tensor })
+}
+
+fn shapes(
+    check: &Check,
+    key: &str,
+    capsules: &[CapsuleDescription],
+    discs: &[DiscDescription],
+) -> Result<Vec<Shape>, RobotError> {
+    let mut out = Vec::new();
+    for (i, c) in capsules.iter().enumerate() {
+        check.finite(&format!("{key}.capsules[{i}].from"), &c.from)?;
+        check.finite(&format!("{key}.capsules[{i}].to"), &c.to)?;
+        check.positive(&format!("{key}.capsules[{i}].radius"), c.radius)?;
+        out.push(Shape::Capsule { from: c.from.into(), to: c.to.into(), radius: c.radius });
+    }
+    for (i, d) in discs.iter().enumerate() {
+        check.positive(&format!("{key}.discs[{i}].radius"), d.radius)?;
+        check.that(
+            d.z[0] < d.z[1] && d.z.iter().all(|z| z.is_finite()),
+            &format!("{key}.discs[{i}].z"),
+            &format!("{:?}", d.z),
+            "the lower end, then the upper end",
+        )?;
+        out.push(Shape::Disc {
+            centre: Vector3::new(0.0, 0.0, (d.z[0] + d.z[1]) / 2.0),
+            axis: Vector3::z(),
+            radius: d.radius,
+            half_height: (d.z[1] - d.z[0]) / 2.0,
+        });
+    }
+    Ok(out)
+}
+
+fn resolve_link(
+    check: &Check,
+    i: usize,
+    link: &description::LinkDescription,
+) -> Result<Link, RobotError> {
+    let key = format!("links[{i}] ({})", link.name);
+    let dh = link.dh;
+    check.finite(&format!("{key}.dh"), &[dh.a, dh.d, dh.alpha_deg])?;
+    let body = rigid_body(check, &key, link.mass, link.com, link.inertia)?;
+    let armature_ok = link.armature >= 0.0 && link.armature.is_finite();
+    check.that(
+        armature_ok,
+        &format!("{key}.armature"),
+        &link.armature.to_string(),
+        "a finite number, zero or above",
+    )?;
+    check.positive(&format!("{key}.servo.gain"), link.servo.gain)?;
+    check.positive(&format!("{key}.servo.max_rate"), link.servo.max_rate)?;
+    check.positive(&format!("{key}.servo.max_torque"), link.servo.max_torque)?;
+    let (s, c) = sin_cos_deg(dh.alpha_deg);
+    let twist = Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c);
+    let shift = Vector3::new(dh.a, 0.0, dh.d);
+    let local = shapes(check, &key, &link.capsules, &link.discs)?;
+    Ok(Link {
+        name: link.name.clone(),
+        shift,
+        alpha: dh.alpha_deg.to_radians(),
+        twist,
+        body: body.moved(&twist, &shift),
+        armature: link.armature,
+        gain: link.servo.gain,
+        max_rate: link.servo.max_rate,
+        max_torque: link.servo.max_torque,
+        shapes: local.iter().map(|s| s.moved(&twist, &shift)).collect(),
+    })
+}
+
+fn resolve_stop(
+    check: &Check,
+    i: usize,
+    stop: &description::StopDescription,
+    d: &RobotDescription,
+) -> Result<Stop, RobotError> {
+    let key = format!("stops[{i}]");
+    let body = |name: &str| match name {
+        "mount" => Some(ArmBody::Mount),
+        "pedestal" => Some(ArmBody::Pedestal),
+        _ => d.links.iter().position(|l| l.name == name).map(ArmBody::Link),
+    };
+    let named = |name: &str| {
+        body(name).ok_or_else(|| {
+            check.error(&format!("{key}.pair"), name, "`mount`, `pedestal` or the name of a link")
+        })
+    };
+    let pair = [named(&stop.pair[0])?, named(&stop.pair[1])?];
+    for (what, joint) in [("joint", stop.joint), ("narrowing_joint", stop.narrowing_joint)] {
+        check.that(
+            (1..=JOINTS_PER_ARM).contains(&joint),
+            &format!("{key}.{what}"),
+            &joint.to_string(),
+            &format!("a joint from 1 to {JOINTS_PER_ARM}"),
+        )?;
+    }
+    check.finite(&format!("{key}.interval"), &stop.interval)?;
+    let [lo, hi] = stop.interval;
+    let half = (hi - lo) / 2.0;
+    check.that(
+        half > 0.0 && half < std::f64::consts::PI,
+        &format!("{key}.interval"),
+        &format!("{:?}", stop.interval),
+        "lower end, then upper end, less than a turn apart",
+    )?;
+    check.that(
+        (0.0..half).contains(&stop.narrowing),
+        &format!("{key}.narrowing"),
+        &stop.narrowing.to_string(),
+        "at least zero and less than half of the interval",
+    )?;
+    Ok(Stop {
+        pair,
+        joint: stop.joint - 1,
+        centre: (lo + hi) / 2.0,
+        half,
+        narrowing: stop.narrowing,
+        narrowing_joint: stop.narrowing_joint - 1,
+        push: stop.push,
+    })
+}
+
+/// Whether `m` is a rotation up to rounding; models are built of nothing else.
+pub(crate) fn is_rotation(m: &Matrix3<f64>) -> bool {
+    (m * m.transpose() - Matrix3::identity()).norm() < 1e-12
+        && Rotation3::from_matrix_unchecked(*m).matrix().determinant() > 0.0
+}
+
+#[cfg(test)]
+mod tests;
