@@ -1,0 +1,56 @@
+# Commands of the repository. `make` alone lists them.
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+CARGO ?= cargo
+PYTHON ?= python3
+DEVICE ?= auto
+TARGET := $(or $(CARGO_TARGET_DIR),target)
+# Arguments of `octopus train`, as in: make train ARGS="--preset dev"
+ARGS ?=
+
+LIBTORCH_DIR = $(or $(LIBTORCH),.libtorch)
+# Looked up when a recipe runs, after set-up: a libtorch with CUDA asks for the learner's feature.
+FEATURES = $(shell test -e "$(LIBTORCH_DIR)/lib/libtorch_cuda.so" && echo "--features learner/cuda")
+
+# $(call step,heading,command): runs one step of a longer list and says how long it took.
+define step
+@printf '\n==> %s\n' $(1); start=$$SECONDS; $(2) || { status=$$?; printf '==> %s: FAILED\n' $(1); exit $$status; }; \
+	printf '==> %s: %d s\n' $(1) $$((SECONDS - start))
+endef
+
+.PHONY: help
+help: ## list the commands
+	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 18
+
+.PHONY: setup
+setup: ## fetch libtorch (once; DEVICE=cpu or DEVICE=cuda overrides the detection)
+	@$(PYTHON) deploy/setup.py $(if $(filter-out auto,$(DEVICE)),--device $(DEVICE))
+
+.PHONY: venv
+venv: ## install the Python packages of the cross-checks (once)
+	@$(PYTHON) deploy/setup.py venv
+
+.PHONY: build
+build: setup ## build the programs: octopus, learner, sim-worker
+	$(CARGO) build --release --bins -p coordinator -p learner -p sim-worker $(FEATURES)
+
+.PHONY: train
+train: build ## train, with ARGS="..." for octopus train
+	$(TARGET)/release/octopus train $(ARGS)
+
+.PHONY: test
+test: setup venv ## everything that must hold: format, lints, documentation, tests
+	$(call step,'format',$(CARGO) fmt --all --check)
+	$(call step,'lints',$(CARGO) clippy --workspace --all-targets $(FEATURES) -- -D warnings)
+	$(call step,'documentation',RUSTDOCFLAGS='-D warnings' $(CARGO) doc --workspace --no-deps $(FEATURES))
+	$(call step,'programs',$(CARGO) build --workspace $(FEATURES))
+	$(call step,'tests',$(CARGO) test --workspace $(FEATURES))
+
+.PHONY: clean
+clean: ## remove what was built and set up; runs are kept
+	$(CARGO) clean
+	rm -rf .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .cache

@@ -1,0 +1,519 @@
+#!/usr/bin/env python3
+"""Sets up what cargo cannot fetch: libtorch for the learner, and Python packages for the cross-checks.
+
+    deploy/setup.py [--device auto|cpu|cuda] [--dry-run]    libtorch in .libtorch/
+    deploy/setup.py venv [--dry-run]                        the tests' Python in .venv-tests/
+
+Nothing outside the repository is changed. A second run finds its stamp and does nothing.
+
+Environment: LIBTORCH (a libtorch of your own: checked, never changed), SPACEOCTOPUS_DEVICE (as --device), CXX.
+Exit status: 0 done, 2 wrong usage, 3 something is missing on this machine, 4 a download failed or is not what the lock says.
+"""
+
+import argparse
+import fcntl
+import hashlib
+import json
+import os
+import platform
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+LOCK = ROOT / "deploy" / "libtorch.lock"
+LIBTORCH = ROOT / ".libtorch"
+CACHE = ROOT / ".cache"
+VENV = ROOT / ".venv-tests"
+REQUIREMENTS = ROOT / "tests" / "crosscheck" / "requirements.txt"
+
+USAGE, ENVIRONMENT, DOWNLOAD = 2, 3, 4
+ATTEMPTS = 3
+LAYOUT = 1  # of .libtorch; a change here sets it up anew
+VENV_PYTHON = (3, 10)  # the oldest for which requirements.txt holds wheels
+MIN_GLIBC = (2, 28)  # the wheels are manylinux_2_28
+
+# Bytes needed at the peak, wheels and unpacked files together.
+SPACE = {"cpu": int(1.3e9), "cuda": int(7.0e9)}
+VENV_SPACE = int(1.5e9)
+
+# Libraries of the torch wheel that a CPU-only learner does without. `libtorch.so` is one of them because the
+# wheel's own wants libtorch_cuda.so; a stub takes its place.
+CUDA_ONLY = re.compile(r"lib(torch|torch_cuda.*|c10_cuda|caffe2_nvrtc|torch_nvshmem|torch_global_deps)\.so$")
+PYTHON_ONLY = re.compile(r"lib(torch_python|shm)\.so$")
+CPU_FROM_NVIDIA = re.compile(r"lib(cudart|cupti)\.so\.\d+$")
+SHARED_LIBRARY = re.compile(r"\.so(\.\d+)*$")
+
+
+class Failure(Exception):
+    """An error with the exit status it stands for."""
+
+    def __init__(self, status, message):
+        super().__init__(message)
+        self.status = status
+
+
+def say(message):
+    print("setup: " + message, file=sys.stderr, flush=True)
+
+
+# --- the machine -----------------------------------------------------------------------------------------
+
+
+def find_compiler():
+    """The C++ compiler as a list of arguments, or None."""
+    chosen = os.environ.get("CXX", "").split()
+    if chosen:
+        return chosen if shutil.which(chosen[0]) else None
+    for name in ("c++", "g++", "clang++"):
+        if shutil.which(name):
+            return [name]
+    return None
+
+
+def check_tools():
+    """Everything missing is named at once, with the package that holds it."""
+    missing = []
+    cargo = shutil.which("cargo") or shutil.which("cargo", path=str(Path.home() / ".cargo" / "bin"))
+    if not cargo:
+        missing.append("cargo: install Rust with rustup (https://rustup.rs)")
+    elif not shutil.which("cargo"):
+        missing.append("cargo is in ~/.cargo/bin, which is not on PATH: run `. ~/.cargo/env`")
+    if find_compiler() is None:
+        name = os.environ.get("CXX") or "a C++ compiler"
+        missing.append(name + ": Debian, Ubuntu: `apt install g++`; Fedora: `dnf install gcc-c++`")
+    require(missing)
+
+
+def check_pip():
+    if subprocess.run([sys.executable, "-m", "pip", "--version"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode:
+        require(["pip for %s: Debian, Ubuntu: `apt install python3-pip`; Fedora: `dnf install python3-pip`" % sys.executable])
+
+
+def require(missing):
+    if missing:
+        raise Failure(ENVIRONMENT, "this machine lacks\n" + "\n".join("  - " + line for line in missing))
+
+
+def check_platform():
+    if sys.platform != "linux":
+        raise Failure(ENVIRONMENT, "only Linux is supported, this is " + sys.platform)
+    name, version = platform.libc_ver()
+    if name != "glibc" or tuple(int(part) for part in version.split(".")[:2]) < MIN_GLIBC:
+        found = (name + " " + version).strip() or "another C library"
+        raise Failure(ENVIRONMENT, "libtorch needs glibc %d.%d or newer, found %s" % (MIN_GLIBC + (found,)))
+
+
+def check_space(needed):
+    free = shutil.disk_usage(str(ROOT)).free
+    if free < needed:
+        raise Failure(ENVIRONMENT, "%.1f GB of disk space are needed for a moment, %.1f GB are free" % (needed / 1e9, free / 1e9))
+
+
+def has_nvidia_gpu():
+    if os.path.exists("/dev/nvidia0"):
+        return True
+    if not shutil.which("nvidia-smi"):
+        return False
+    try:
+        listing = subprocess.run(["nvidia-smi", "-L"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=30)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return listing.returncode == 0 and b"GPU" in listing.stdout
+
+
+# --- files -----------------------------------------------------------------------------------------------
+
+
+def locked(name):
+    """Waits until no other set-up works on `name`; the kernel drops the lock with this process."""
+    CACHE.mkdir(exist_ok=True)
+    handle = open(CACHE / (name + ".lock"), "w")
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        say("waiting for another set-up to finish")
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    return handle
+
+
+def remove(path):
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(str(path))
+    elif path.exists() or path.is_symlink():
+        path.unlink()
+
+
+def sha256(path):
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        for block in iter(lambda: file.read(1 << 20), b""):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def read(path):
+    """The text of a small file, stripped; None where there is none."""
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def run(command, **options):
+    """Runs a child that ends with this process, also where only this process gets the signal."""
+    child = subprocess.Popen(command, **options)
+    try:
+        return child.wait()
+    except BaseException:
+        child.terminate()
+        child.wait()
+        raise
+
+
+# --- wheels ----------------------------------------------------------------------------------------------
+
+
+def download(wheel, folder, python):
+    """Puts the verified wheel into `folder`. Only a file whose digest is right ever gets its final name."""
+    target = folder / wheel["file"]
+    if target.exists():
+        if sha256(target) == wheel["sha256"]:
+            say("have %s" % wheel["file"])
+            return target
+        say("%s in the cache is damaged, fetching it again" % wheel["file"])
+        target.unlink()
+
+    name, version, tags = wheel["file"][: -len(".whl")].split("-", 2)
+    platforms = tags.split("-")[-1].split(".")
+    partial = folder / "partial"
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-input", "--no-cache-dir"]
+    command += ["--no-deps", "--only-binary=:all:", "--implementation", "cp", "--python-version", python]
+    command += ["--abi", "cp" + python.replace(".", ""), "--dest", str(partial)]
+    for tag in platforms:
+        command += ["--platform", tag]
+    command.append("%s==%s" % (name.replace("_", "-"), version))
+
+    problem = ""
+    for attempt in range(ATTEMPTS):
+        if attempt:
+            say("%s; trying again (%d of %d)" % (problem, attempt + 1, ATTEMPTS))
+            time.sleep(2 * attempt)
+        remove(partial)
+        partial.mkdir(parents=True)
+        say("fetching %s" % wheel["file"])
+        start = time.monotonic()
+        if run(command, stdout=sys.stderr):
+            problem = "pip could not download %s" % wheel["file"]
+            continue
+        fetched = partial / wheel["file"]
+        if not fetched.exists():
+            others = ", ".join(sorted(path.name for path in partial.iterdir())) or "nothing"
+            problem = "pip downloaded %s instead of %s" % (others, wheel["file"])
+            continue
+        found = sha256(fetched)
+        if found != wheel["sha256"]:
+            problem = "%s has SHA-256 %s, the lock says %s" % (wheel["file"], found, wheel["sha256"])
+            continue
+        with open(fetched, "rb") as file:
+            os.fsync(file.fileno())
+        size = fetched.stat().st_size
+        os.replace(str(fetched), str(target))
+        say("%.0f MB in %.0f s, verified" % (size / 1e6, time.monotonic() - start))
+        return target
+    raise Failure(DOWNLOAD, problem)
+
+
+def destination(wheel, member, device):
+    """Where a file of a wheel goes below .libtorch, or None."""
+    base = member.rsplit("/", 1)[-1]
+    if wheel.startswith("torch-"):
+        if member.startswith("torch/include/"):
+            return "include/" + member[len("torch/include/") :]
+        if not (member.startswith("torch/lib/") and SHARED_LIBRARY.search(base)) or PYTHON_ONLY.match(base):
+            return None
+        return None if device == "cpu" and CUDA_ONLY.match(base) else "lib/" + base
+    if device == "cpu":
+        return "lib/" + base if CPU_FROM_NVIDIA.match(base) else None
+    # Flat: every library then finds the others through the rpath $ORIGIN.
+    return "lib/" + base if SHARED_LIBRARY.search(base) else None
+
+
+def unpack(wheel, tree, device):
+    with zipfile.ZipFile(str(wheel)) as archive:
+        for entry in archive.infolist():
+            relative = None if entry.is_dir() else destination(wheel.name, entry.filename, device)
+            if relative is None:
+                continue
+            if ".." in relative.split("/"):
+                raise Failure(DOWNLOAD, "%s holds the path %s" % (wheel.name, entry.filename))
+            path = tree / relative
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(entry) as source, open(path, "wb") as sink:
+                shutil.copyfileobj(source, sink, 1 << 20)
+            if relative.startswith("lib/"):
+                path.chmod(0o755)
+        if wheel.name.startswith("torch-"):
+            return archive.read("torch/version.py").decode()
+    return None
+
+
+def build_stub(library_folder):
+    """An empty libtorch.so that needs libtorch_cpu.so and libc10.so, but not CUDA."""
+    source = library_folder / "stub.cpp"
+    source.write_text("// libtorch.so holds no code of its own: it pulls in the libraries that do.\n")
+    command = find_compiler() + ["-shared", "-fPIC", "-o", str(library_folder / "libtorch.so"), str(source)]
+    command += ["-Wl,-soname,libtorch.so", "-Wl,--no-as-needed", "-L" + str(library_folder), "-ltorch_cpu", "-lc10"]
+    # The loader looks up what libtorch_cpu.so needs through its own rpath; so does this linker.
+    command += ["-Wl,-rpath,$ORIGIN", "-Wl,-rpath-link," + str(library_folder)]
+    result = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
+    source.unlink()
+    if result.returncode:
+        raise Failure(ENVIRONMENT, "the C++ compiler could not link libtorch.so:\n" + result.stdout.strip())
+
+
+def check_loadable(library_folder):
+    """Asks the loader, so that a missing library shows here and not in the first training."""
+    if not shutil.which("ldd"):
+        return
+    result = subprocess.run(["ldd", str(library_folder / "libtorch.so")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
+    missing = sorted(set(re.findall(r"(\S+) => not found", result.stdout)))
+    if missing:
+        raise Failure(ENVIRONMENT, "libtorch needs libraries this machine lacks: " + ", ".join(missing))
+
+
+# --- set-up of libtorch ----------------------------------------------------------------------------------
+
+
+def version_of(folder):
+    """The version of an unpacked libtorch and the file that says so, or (None, None)."""
+    version = read(folder / "build-version")
+    if version:
+        return version, "build-version"
+    text = read(folder / "version.py")  # LIBTORCH may be the torch folder of a Python installation
+    match = text and re.search(r"__version__ = '([^']+)'", text)
+    if match:
+        return match.group(1), "version.py"
+    for header in ("include/torch/headeronly/version.h", "include/torch/csrc/api/include/torch/version.h"):
+        text = read(folder / header) or ""
+        parts = [re.search(r"#define TORCH_VERSION_%s (\d+)" % part, text) for part in ("MAJOR", "MINOR", "PATCH")]
+        if all(parts):
+            return ".".join(part.group(1) for part in parts), header
+    return None, None
+
+
+def check_own_libtorch(value, expected):
+    """A libtorch the user brings: verified, never changed."""
+    advice = "\nunset LIBTORCH to let set-up fetch libtorch %s, or point it at one" % expected
+    if not value:
+        raise Failure(ENVIRONMENT, "LIBTORCH is set but empty" + advice)
+    folder = Path(value)
+    if not folder.is_absolute():
+        raise Failure(ENVIRONMENT, "LIBTORCH must be an absolute path, found %s" % value + advice)
+    for needed in ("lib/libtorch_cpu.so", "lib/libtorch.so", "lib/libc10.so", "include/torch/csrc/api/include/torch/torch.h"):
+        if not (folder / needed).exists():
+            raise Failure(ENVIRONMENT, "LIBTORCH=%s has no %s" % (value, needed) + advice)
+    version, source = version_of(folder)
+    if version is None:
+        raise Failure(ENVIRONMENT, "LIBTORCH=%s does not say its version (no build-version, no version.h), expected %s" % (value, expected) + advice)
+    if version.split("+")[0] != expected:
+        raise Failure(ENVIRONMENT, "LIBTORCH=%s is version %s (%s), expected %s" % (value, version, source, expected) + advice)
+    say("using LIBTORCH=%s (version %s)" % (value, version))
+
+
+def stamp(lock_text, architecture, device):
+    """What an installation was made from."""
+    lock = hashlib.sha256(lock_text.encode()).hexdigest()
+    return "layout %d\nlock %s\narchitecture %s\ndevice %s" % (LAYOUT, lock, architecture, device)
+
+
+def set_up_libtorch(device, dry_run):
+    lock_text = LOCK.read_text(encoding="utf-8")
+    lock = json.loads(lock_text)
+    check_tools()
+
+    own = os.environ.get("LIBTORCH")
+    if own is not None and (not own or os.path.realpath(own) != str(LIBTORCH)):
+        check_own_libtorch(own, lock["torch"])
+        return
+
+    architecture = platform.machine()
+    wheels = lock["wheels"].get(architecture)
+    if wheels is None:
+        raise Failure(ENVIRONMENT, "no libtorch for %s; there are %s" % (architecture, ", ".join(lock["wheels"])))
+
+    present = read(LIBTORCH / "stamp")
+    wanted = device
+    if device == "auto":
+        # Libraries with CUDA also serve a machine without a GPU: what is there is not fetched again in a smaller size.
+        if present == stamp(lock_text, architecture, "cuda") or has_nvidia_gpu():
+            wanted = "cuda"
+        else:
+            wanted = "cpu"
+    expected = stamp(lock_text, architecture, wanted)
+    if present == expected:
+        say("libtorch %s for %s is in place" % (lock["torch"], wanted))
+        return
+
+    chosen = wheels["cpu"] + (wheels["cuda"] if wanted == "cuda" else [])
+    if dry_run:
+        say("would set up libtorch %s for %s in .libtorch from" % (lock["torch"], wanted))
+        for wheel in chosen:
+            say("  " + wheel["file"])
+        return
+
+    check_platform()
+    check_pip()
+    with locked("libtorch"):
+        if read(LIBTORCH / "stamp") == expected:
+            say("libtorch %s for %s is in place" % (lock["torch"], wanted))
+            return
+        start = time.monotonic()
+        build_tree(lock, chosen, wanted, expected)
+        say("libtorch %s for %s is set up (%.0f s)" % (lock["torch"], wanted, time.monotonic() - start))
+
+
+def build_tree(lock, chosen, device, stamp_text):
+    folder = CACHE / ("wheels-" + lock["torch"])
+    tree = ROOT / ".libtorch.tmp"
+    remove(tree)
+    remove(folder / "partial")
+    folder.mkdir(parents=True, exist_ok=True)
+    have = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
+    check_space(SPACE[device] - have)
+
+    paths = [download(wheel, folder, lock["python"]) for wheel in chosen]
+    say("unpacking")
+    for path in paths:
+        version_file = unpack(path, tree, device)
+        if version_file is not None:
+            match = re.search(r"__version__ = '([^']+)'", version_file)
+            found = match.group(1) if match else "none"
+            if found.split("+")[0] != lock["torch"]:
+                raise Failure(DOWNLOAD, "the wheel holds torch %s, expected %s" % (found, lock["torch"]))
+
+    library_folder = tree / "lib"
+    if device == "cpu":
+        build_stub(library_folder)
+    if not (library_folder / "libgomp.so").exists():
+        # tch links with -lgomp, which only GCC brings along.
+        (library_folder / "libgomp.so").symlink_to("libgomp.so.1")
+    check_loadable(library_folder)
+    (tree / "build-version").write_text(lock["torch"] + "\n")  # checked by tch's build script
+    (tree / "device").write_text(device + "\n")
+    (tree / "stamp").write_text(stamp_text + "\n")
+
+    old = ROOT / ".libtorch-old.tmp"
+    remove(old)
+    if LIBTORCH.exists() or LIBTORCH.is_symlink():
+        os.replace(str(LIBTORCH), str(old))
+    os.replace(str(tree), str(LIBTORCH))
+    remove(old)
+    remove(folder)
+
+
+# --- set-up of the tests' Python -------------------------------------------------------------------------
+
+
+def python_for_tests():
+    """This Python where it is new enough, or the newest on PATH that is."""
+    if sys.version_info[:2] >= VENV_PYTHON:
+        # Inside a virtual environment, the Python it was made from: the tests' one should outlive it.
+        return getattr(sys, "_base_executable", None) or sys.executable
+    for minor in range(14, VENV_PYTHON[1] - 1, -1):
+        found = shutil.which("python3.%d" % minor)
+        if found:
+            return found
+    raise Failure(ENVIRONMENT, "the cross-checks need Python %d.%d or newer, found %s" % (VENV_PYTHON + (platform.python_version(),)))
+
+
+def set_up_venv(dry_run):
+    requirements = REQUIREMENTS.read_bytes()
+    python = python_for_tests()
+    expected = "requirements %s\npython %s\nversion %s\npath %s" % (
+        hashlib.sha256(requirements).hexdigest(),
+        python,
+        platform.python_version() if sys.version_info[:2] >= VENV_PYTHON else "",
+        VENV,
+    )
+    if read(VENV / "stamp") == expected:
+        say("the tests' Python is in place")
+        return
+    if dry_run:
+        say("would install tests/crosscheck/requirements.txt into .venv-tests with " + python)
+        return
+
+    with locked("venv"):
+        if read(VENV / "stamp") == expected:
+            say("the tests' Python is in place")
+            return
+        probe = subprocess.run([python, "-c", "import venv, ensurepip"], stderr=subprocess.DEVNULL)
+        if probe.returncode:
+            require(["Python's venv and ensurepip modules: Debian, Ubuntu: `apt install python3-venv`"])
+        check_space(VENV_SPACE)
+        start = time.monotonic()
+        # Scripts in a virtual environment hold its path, so it is built in place; the stamp comes last.
+        remove(VENV)
+        say("creating .venv-tests")
+        if run([python, "-m", "venv", str(VENV)], stdout=sys.stderr):
+            raise Failure(ENVIRONMENT, "could not create .venv-tests")
+        say("installing tests/crosscheck/requirements.txt")
+        command = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
+        # The file lists the whole closure. Resolving it again would fail: hashes and extras (etils[epath]) do not mix.
+        command += ["--only-binary=:all:", "--require-hashes", "--no-deps", "-r", str(REQUIREMENTS)]
+        for attempt in range(ATTEMPTS):
+            if run(command, stdout=sys.stderr) == 0:
+                break
+            say("pip failed (%d of %d)" % (attempt + 1, ATTEMPTS))
+        else:
+            raise Failure(DOWNLOAD, "could not install tests/crosscheck/requirements.txt")
+        (VENV / "stamp").write_text(expected + "\n")
+        say("the tests' Python is set up (%.0f s)" % (time.monotonic() - start))
+
+
+# --- command line ----------------------------------------------------------------------------------------
+
+
+def parse(arguments):
+    parser = argparse.ArgumentParser(prog="setup.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="?", default="libtorch", choices=("libtorch", "venv"), help="what to set up (libtorch)")
+    devices = ("auto", "cpu", "cuda")
+    parser.add_argument("--device", choices=devices, help="auto: cuda where an NVIDIA GPU is found, cpu elsewhere")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be done")
+    options = parser.parse_args(arguments)
+    if options.what == "venv" and options.device:
+        parser.error("--device has no meaning for venv")
+    if options.device is None:
+        options.device = os.environ.get("SPACEOCTOPUS_DEVICE") or "auto"
+        if options.device not in devices:
+            parser.error("SPACEOCTOPUS_DEVICE is %r, expected one of %s" % (options.device, ", ".join(devices)))
+    return options
+
+
+def main():
+    options = parse(sys.argv[1:])
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    try:
+        if options.what == "venv":
+            set_up_venv(options.dry_run)
+        else:
+            set_up_libtorch(options.device, options.dry_run)
+    except Failure as failure:
+        say("error: %s" % failure)
+        return failure.status
+    except KeyboardInterrupt:
+        say("interrupted; run it again to continue")
+        return 130
+    except OSError as error:
+        say("error: %s" % error)
+        return ENVIRONMENT
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
