@@ -135,31 +135,6 @@ pub fn shared_memory(config: &Config, dimensions: &Dimensions) -> Check {
     )
 }
 
-/// Free shared memory alone.
-pub fn shared_memory_at_all() -> Check {
-    const NAME: &str = "shared memory";
-    const COMFORTABLE: u64 = 1 << 30;
-    let directory = shm_dir();
-    let shown = directory.display();
-    match free_space(&directory) {
-        Err(error) => unmounted(NAME, &directory, &error),
-        Ok(free) if free >= COMFORTABLE => {
-            Check::good(NAME, format!("{} free in {shown}", mib(free)))
-        }
-        Ok(free) => Check::warning(
-            NAME,
-            format!(
-                "{} free in {shown}; the default run with two workers needs about 600 MiB",
-                mib(free)
-            ),
-            format!(
-                "`mount -o remount,size=1024M {shown}` (in a container start it with \
-                 --shm-size=1024m), or `octopus clean`"
-            ),
-        ),
-    }
-}
-
 fn unmounted(name: &'static str, directory: &Path, error: &std::io::Error) -> Check {
     let shown = directory.display();
     Check::failure(
@@ -219,16 +194,19 @@ pub fn processors(workers: usize, learner_threads: usize) -> Check {
     let extensions = provenance::vector_extensions();
     let name = provenance::processor_name();
     let found = format!("{processors} of {name} ({})", extensions.join(", "));
-    let busy = workers.max(learner_threads);
-    if busy > processors {
-        let what = if workers > processors {
-            format!("{workers} workers share them")
-        } else {
-            format!("{learner_threads} learner threads share them")
-        };
-        let cure =
-            format!("--workers {processors} --set run.learner_threads={processors} is faster");
-        return Check::warning(NAME, format!("{found}; {what}"), cure);
+    let mut crowd = Vec::new();
+    let mut flags = Vec::new();
+    if workers > processors {
+        crowd.push(format!("{workers} workers"));
+        flags.push(format!("--workers {processors}"));
+    }
+    if learner_threads > processors {
+        crowd.push(format!("{learner_threads} learner threads"));
+        flags.push(format!("a new run with --set run.learner_threads={processors}"));
+    }
+    if !crowd.is_empty() {
+        let found = format!("{found}, shared by {}", crowd.join(" and by "));
+        return Check::warning(NAME, found, format!("{} is faster", flags.join(", ")));
     }
     if cfg!(target_arch = "x86_64")
         && !(extensions.contains(&"avx2") && extensions.contains(&"fma"))
@@ -259,7 +237,7 @@ pub fn memory() -> Check {
 /// Whether the learner starts: it links libtorch, so the loader finds out what is missing.
 pub fn libtorch(learner: &Path) -> Check {
     const NAME: &str = "libtorch";
-    const PATIENCE: Duration = Duration::from_secs(60);
+    const PATIENCE: Duration = Duration::from_mins(1);
     const CURE: &str = "`make setup && make build` fetches libtorch and builds against it; with a \
                         libtorch of your own, set LIBTORCH to it while building";
     let child = Command::new(learner)
@@ -318,6 +296,10 @@ pub fn disk(directory: &Path, config: &Config, dimensions: &Dimensions) -> Check
     const NAME: &str = "disk";
     let existing = directory.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
     let existing = if existing.as_os_str().is_empty() { Path::new(".") } else { existing };
+    if let Err(error) = rustix::fs::access(existing, rustix::fs::Access::WRITE_OK) {
+        let found = format!("{} cannot be written to: {error}", existing.display());
+        return Check::failure(NAME, found, "choose another --run-dir");
+    }
     // Actors and critics of the same size, parameters and two moments of each, and the actors
     // apart; one checkpoint more than is kept while the newest is written.
     let policy = ChannelSizes::new(config, dimensions).policy_len as u64;

@@ -139,7 +139,7 @@ mod tests {
         assert_eq!(text(951_782_400), "2000-02-29T00:00:00Z");
         assert_eq!(text(1_709_251_199), "2024-02-29T23:59:59Z");
         assert_eq!(text(4_107_542_400), "2100-03-01T00:00:00Z");
-        let compact = utc(UNIX_EPOCH + Duration::from_secs(1_767_268_800)).compact();
-        assert_eq!(compact, "20260101-120000");
+        let compact = utc(UNIX_EPOCH + Duration::from_secs(1_767_268_801)).compact();
+        assert_eq!(compact, "20260101-120001");
     }
 }

@@ -1,8 +1,8 @@
 //! `octopus clean`: removes what killed runs left in shared memory.
 //!
-//! A run's processes have its domain on their command line, except for the coordinator, which
-//! has the janitor beside it for as long as it lives. So a domain that no process of this machine
-//! names is dead, and what lies there under its name belongs to nobody.
+//! A domain is dead when no process of this machine names it on its command line (as workers,
+//! learner and janitor do) and none maps its memory. What lies there under its name then belongs to
+//! nobody.
 
 use anyhow::Context as _;
 use proto::channel::Domain;
@@ -48,17 +48,49 @@ pub fn leftovers() -> std::io::Result<Vec<Domain>> {
     if domains.is_empty() {
         return Ok(domains);
     }
-    let command_lines = command_lines()?;
-    let alive = |domain: &Domain| command_lines.iter().any(|line| line.contains(domain.as_str()));
+    let traces = traces()?;
+    let alive = |domain: &Domain| traces.iter().any(|trace| trace.contains(domain.as_str()));
     Ok(domains.into_iter().filter(|domain| !alive(domain)).collect())
 }
 
-/// Command lines of all processes. One that ends while it is read is as good as dead.
-fn command_lines() -> std::io::Result<Vec<String>> {
-    let mut lines = Vec::new();
+/// Command lines and memory maps of all processes. One that ends while it is read is as good as
+/// dead; one that may not be read is another user's, and so are its domains.
+fn traces() -> std::io::Result<Vec<String>> {
+    let mut traces = Vec::new();
     for entry in std::fs::read_dir("/proc")? {
-        let Ok(bytes) = std::fs::read(entry?.path().join("cmdline")) else { continue };
-        lines.push(String::from_utf8_lossy(&bytes).into_owned());
+        let process = entry?.path();
+        for file in ["cmdline", "maps"] {
+            if let Ok(bytes) = std::fs::read(process.join(file)) {
+                traces.push(String::from_utf8_lossy(&bytes).into_owned());
+            }
+        }
     }
-    Ok(lines)
+    Ok(traces)
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::channel::{ChannelSizes, Channels};
+    use proto::config::{Layers, Preset};
+    use proto::layout::Dimensions;
+
+    use super::*;
+
+    #[test]
+    fn what_a_process_uses_is_no_leftover_and_what_it_left_is() {
+        let layers = Layers::new(Preset::Tuned, None).set("env.n_envs=16");
+        let config = layers.and_then(|layers| layers.set("env.n_shards=4")?.resolve());
+        let config = config.expect("valid");
+        let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, 4));
+        let domain = Domain::fresh();
+        let channels = Channels::create(&domain, sizes).expect("shared memory");
+        assert!(!leftovers().expect("searchable").contains(&domain), "it is in use");
+        // As if the process had been killed: nobody maps the file any more.
+        drop(channels);
+        let stump = std::path::Path::new("/dev/shm").join(format!("{}_stump", domain.as_str()));
+        std::fs::write(&stump, "left").expect("writable");
+        assert!(leftovers().expect("searchable").contains(&domain), "nobody uses it");
+        domain.remove_leftovers().expect("removable");
+        assert!(!stump.exists());
+    }
 }

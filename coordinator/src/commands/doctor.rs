@@ -1,5 +1,7 @@
 //! `octopus doctor`: can this machine train?
 
+use proto::config::{Layers, Preset};
+use proto::layout::Dimensions;
 use proto::{ExitCode, ExitError};
 
 use super::clean;
@@ -16,12 +18,15 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
     let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let libtorch = match Programs::find() {
         Ok(programs) => preflight::libtorch(&programs.learner),
-        Err(error) => Check::failure("programs", error.message, "`make build` builds all three"),
+        Err(error) => {
+            let found = error.message.split(';').next().unwrap_or_default();
+            Check::failure("programs", found, "`make build` builds all three")
+        }
     };
     let checks = [
         preflight::processors(WORKERS.min(processors), 1),
         preflight::memory(),
-        preflight::shared_memory_at_all(),
+        shared_memory()?,
         preflight::descriptors(WORKERS),
         preflight::memory_maps(WORKERS),
         libtorch,
@@ -48,6 +53,13 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
         return Err(ExitError::new(ExitCode::Environment, message).into());
     }
     Ok(())
+}
+
+/// Whether the default run fits.
+fn shared_memory() -> anyhow::Result<Check> {
+    let config = Layers::new(Preset::Tuned, None).resolve()?;
+    let robot = super::load_robot(&config.robot.description)?;
+    Ok(preflight::shared_memory(&config, &Dimensions::new(&config, robot.n_arms)))
 }
 
 /// What killed runs left behind.

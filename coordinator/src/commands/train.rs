@@ -1,7 +1,7 @@
 //! `octopus train`: from a command line to an evaluated policy.
 
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use anyhow::Context as _;
 use proto::channel::Domain;
@@ -13,7 +13,7 @@ use serde_json::json;
 use sim_worker::evaluate::EvaluationOptions;
 use sim_worker::robot::Robot;
 
-use super::eval;
+use super::eval::{self, Summary};
 use crate::checkpoint::{Checkpoint, CheckpointStore};
 use crate::cli::{Ending, TrainArgs};
 use crate::lock::RunLock;
@@ -78,14 +78,14 @@ pub(super) fn run_session(start: Start, ending: Ending) -> anyhow::Result<()> {
         programs,
         provenance: serde_json::to_value(provenance).context("provenance has no JSON form")?,
         domain,
-        stop,
+        stop: stop.clone(),
     };
     let result = session::run(spec, &mut reporter);
     // Also after a failure: what was measured until then is worth keeping.
     let finished = reporter.finish();
     let outcome = result?;
     finished?;
-    conclude(&run_dir, &outcome, ending)
+    conclude(&run_dir, &outcome, &stop, ending)
 }
 
 fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
@@ -95,16 +95,22 @@ fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> 
         Some(iteration) => format!("{task}: iterations {iteration} to {planned}"),
         None => format!("{task}: {planned} iterations"),
     };
+    let workers = config.run.workers;
     format!(
-        "{what} of {} env-steps, {} workers, in {}",
+        "{what} of {} env-steps, {workers} worker{}, in {}",
         grouped(config.steps_per_iteration()),
-        config.run.workers,
+        if workers == 1 { "" } else { "s" },
         run_dir.path().display()
     )
 }
 
 /// Evaluates the final policy and prints what a person wants to know next.
-fn conclude(run_dir: &RunDir, outcome: &Outcome, ending: Ending) -> anyhow::Result<()> {
+fn conclude(
+    run_dir: &RunDir,
+    outcome: &Outcome,
+    stop: &StopRequests,
+    ending: Ending,
+) -> anyhow::Result<()> {
     let stopped_by = match outcome.stopped_by {
         StoppedBy::Budget => "budget",
         StoppedBy::TimeLimit => "time limit",
@@ -114,7 +120,7 @@ fn conclude(run_dir: &RunDir, outcome: &Outcome, ending: Ending) -> anyhow::Resu
         None
     } else {
         let checkpoint = CheckpointStore::new(run_dir.checkpoints()).load(&outcome.checkpoint)?;
-        let summary = eval::evaluate(&checkpoint, &EvaluationOptions::default())?;
+        let summary = evaluate(checkpoint, stop)?;
         let text =
             serde_json::to_vec_pretty(&summary).context("the evaluation has no JSON form")?;
         files::replace(&evaluation_path(run_dir), &text)?;
@@ -150,6 +156,23 @@ fn conclude(run_dir: &RunDir, outcome: &Outcome, ending: Ending) -> anyhow::Resu
         output::line(&format!("go on with  octopus resume {}", run_dir.path().display()))?;
     }
     Ok(())
+}
+
+/// Evaluates with the default options; Ctrl-C, which is only counted until here, ends it.
+fn evaluate(checkpoint: Checkpoint, stop: &StopRequests) -> anyhow::Result<Summary> {
+    let asked = stop.count();
+    let dir = checkpoint.dir.clone();
+    let evaluation =
+        std::thread::spawn(move || eval::evaluate(&checkpoint, &EvaluationOptions::default()));
+    while !evaluation.is_finished() {
+        if stop.count() > asked {
+            let message =
+                format!("evaluation stopped; `octopus eval {}` repeats it", dir.display());
+            return Err(ExitError::new(ExitCode::Interrupted, message).into());
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    evaluation.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
 fn evaluation_path(run_dir: &RunDir) -> PathBuf {

@@ -25,7 +25,7 @@ impl JsonLines {
             .into_iter()
             .take_while(|(_, value)| value["iteration"].as_u64().is_some_and(|k| k < keep))
             .collect::<Vec<_>>();
-        let text: String = kept.iter().map(|(line, _)| format!("{line}\n")).collect();
+        let text: String = kept.iter().flat_map(|(line, _)| [line.as_str(), "\n"]).collect();
         files::replace(path, text.as_bytes())?;
         let file = OpenOptions::new()
             .append(true)
