@@ -11,6 +11,7 @@ Exit status: 0 done, 2 wrong usage, 3 something is missing on this machine, 4 a 
 """
 
 import argparse
+import ctypes
 import fcntl
 import hashlib
 import json
@@ -34,6 +35,7 @@ REQUIREMENTS = ROOT / "tests" / "crosscheck" / "requirements.txt"
 
 USAGE, ENVIRONMENT, DOWNLOAD = 2, 3, 4
 ATTEMPTS = 3
+PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 LAYOUT = 1  # of .libtorch; a change here sets it up anew
 VENV_PYTHON = (3, 10)  # the oldest for which requirements.txt holds wheels
 MIN_GLIBC = (2, 28)  # the wheels are manylinux_2_28
@@ -166,8 +168,9 @@ def read(path):
 
 
 def run(command, **options):
-    """Runs a child that ends with this process, also where only this process gets the signal."""
-    child = subprocess.Popen(command, **options)
+    """Runs a child that ends with this process, whatever ends this one."""
+    prctl = ctypes.CDLL(None).prctl
+    child = subprocess.Popen(command, preexec_fn=lambda: prctl(PR_SET_PDEATHSIG, signal.SIGKILL), **options)
     try:
         return child.wait()
     except BaseException:
@@ -192,6 +195,8 @@ def download(wheel, folder, python):
     name, version, tags = wheel["file"][: -len(".whl")].split("-", 2)
     platforms = tags.split("-")[-1].split(".")
     partial = folder / "partial"
+    # pip's own temporary files go there too: /tmp may be small, and what a killed pip leaves is cleared next time.
+    temporary = partial / "tmp"
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-input", "--no-cache-dir"]
     command += ["--no-deps", "--only-binary=:all:", "--implementation", "cp", "--python-version", python]
     command += ["--abi", "cp" + python.replace(".", ""), "--dest", str(partial)]
@@ -205,15 +210,15 @@ def download(wheel, folder, python):
             say("%s; trying again (%d of %d)" % (problem, attempt + 1, ATTEMPTS))
             time.sleep(2 * attempt)
         remove(partial)
-        partial.mkdir(parents=True)
+        temporary.mkdir(parents=True)
         say("fetching %s" % wheel["file"])
         start = time.monotonic()
-        if run(command, stdout=sys.stderr):
+        if run(command, stdout=sys.stderr, env=dict(os.environ, TMPDIR=str(temporary))):
             problem = "pip could not download %s" % wheel["file"]
             continue
         fetched = partial / wheel["file"]
         if not fetched.exists():
-            others = ", ".join(sorted(path.name for path in partial.iterdir())) or "nothing"
+            others = ", ".join(sorted(path.name for path in partial.glob("*.whl"))) or "nothing"
             problem = "pip downloaded %s instead of %s" % (others, wheel["file"])
             continue
         found = sha256(fetched)
@@ -307,7 +312,7 @@ def version_of(folder):
     return None, None
 
 
-def check_own_libtorch(value, expected):
+def check_own_libtorch(value, expected, device):
     """A libtorch the user brings: verified, never changed."""
     advice = "\nunset LIBTORCH to let set-up fetch libtorch %s, or point it at one" % expected
     if not value:
@@ -315,7 +320,8 @@ def check_own_libtorch(value, expected):
     folder = Path(value)
     if not folder.is_absolute():
         raise Failure(ENVIRONMENT, "LIBTORCH must be an absolute path, found %s" % value + advice)
-    for needed in ("lib/libtorch_cpu.so", "lib/libtorch.so", "lib/libc10.so", "include/torch/csrc/api/include/torch/torch.h"):
+    files = ["lib/libtorch_cpu.so", "lib/libtorch.so", "lib/libc10.so", "include/torch/csrc/api/include/torch/torch.h"]
+    for needed in files + (["lib/libtorch_cuda.so"] if device == "cuda" else []):
         if not (folder / needed).exists():
             raise Failure(ENVIRONMENT, "LIBTORCH=%s has no %s" % (value, needed) + advice)
     version, source = version_of(folder)
@@ -339,7 +345,7 @@ def set_up_libtorch(device, dry_run):
 
     own = os.environ.get("LIBTORCH")
     if own is not None and (not own or os.path.realpath(own) != str(LIBTORCH)):
-        check_own_libtorch(own, lock["torch"])
+        check_own_libtorch(own, lock["torch"], device)
         return
 
     architecture = platform.machine()

@@ -50,6 +50,5 @@ fn main() {
 #[expect(clippy::exit, reason = "a build script fails by its exit status")]
 fn fail(message: &str) -> ! {
     println!("cargo::error={message}");
-    eprintln!("{message}");
     std::process::exit(1)
 }
