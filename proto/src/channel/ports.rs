@@ -382,7 +382,7 @@ impl<M: Serialize> MessageSender<M> {
             .loan_slice_uninit(bytes.len())
             .map_err(|error| transfer_error(self.service, "loan", &error))?
             .write_from_slice(&bytes);
-        sample.send().map_err(|error| send_error(self.service, self.deadline, &error))?;
+        sample.send().map_err(|error| send_error(self.service, self.deadline, error))?;
         self.bells.iter().for_each(Bell::ring);
         Ok(())
     }
@@ -469,7 +469,7 @@ impl<H: Debug + ZeroCopySend + Default + Copy> ArraySender<H> {
     /// Sends a filled array and wakes the receivers. Returns how many receivers got it.
     pub fn send(&self, sample: ArraySampleMut<H>) -> Result<usize, ChannelError> {
         let receivers =
-            sample.0.send().map_err(|error| send_error(self.service, self.deadline, &error))?;
+            sample.0.send().map_err(|error| send_error(self.service, self.deadline, error))?;
         self.bell.ring();
         Ok(receivers)
     }
@@ -559,7 +559,7 @@ impl PieceSender {
             };
             // Rung first: a full queue is emptied by a receiver who is awake.
             self.bell.ring();
-            sample.send().map_err(|error| send_error("snapshot", self.deadline, &error))?;
+            sample.send().map_err(|error| send_error("snapshot", self.deadline, error))?;
             self.bell.ring();
         }
         Ok(())
@@ -639,12 +639,12 @@ fn transfer_error(service: &str, action: &'static str, error: &dyn Debug) -> Cha
     ChannelError::Transfer { service: service.to_owned(), action, reason: format!("{error:?}") }
 }
 
-fn send_error(service: &str, deadline: Duration, error: &SendError) -> ChannelError {
+fn send_error(service: &str, deadline: Duration, error: SendError) -> ChannelError {
     if matches!(error, SendError::UnableToDeliver) {
         return ChannelError::Backpressure {
             service: service.to_owned(),
             waited_ms: deadline.as_millis(),
         };
     }
-    transfer_error(service, "send", error)
+    transfer_error(service, "send", &error)
 }

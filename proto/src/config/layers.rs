@@ -212,13 +212,11 @@ fn hint(name: &str, group: &Table) -> String {
         .map(|key| (edit_distance(name, key), key))
         .filter(|(distance, _)| *distance <= 2.max(name.len() / 3))
         .min();
-    match near {
-        Some((_, key)) => format!("; did you mean `{key}`?"),
-        None => {
-            let keys: Vec<_> = group.keys().map(String::as_str).collect();
-            format!("; known here: {}", keys.join(", "))
-        }
+    if let Some((_, key)) = near {
+        return format!("; did you mean `{key}`?");
     }
+    let keys: Vec<_> = group.keys().map(String::as_str).collect();
+    format!("; known here: {}", keys.join(", "))
 }
 
 /// Levenshtein's distance, for hints only.
