@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use proto::config::{Integrator, Preset, TaskName};
+use proto::config::{Preset, TaskName};
 
 /// Exit codes, as `octopus --help` lists them.
 const EXIT_CODES: &str = "\
@@ -263,6 +263,9 @@ pub struct MjcfArgs {
     /// The model file [default: standard output].
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Whether shapes of the model collide.
+    #[arg(long, value_name = "on|off", value_enum, default_value_t = Switch::On)]
+    pub contacts: Switch,
 }
 
 /// Options of `octopus doctor`.
@@ -358,15 +361,6 @@ pub enum IntegratorArg {
     Rk4,
     /// Semi-implicit Euler, as the robot's authors do.
     Euler,
-}
-
-impl From<IntegratorArg> for Integrator {
-    fn from(integrator: IntegratorArg) -> Self {
-        match integrator {
-            IntegratorArg::Rk4 => Self::Rk4,
-            IntegratorArg::Euler => Self::Euler,
-        }
-    }
 }
 
 /// On or off.

@@ -2,13 +2,15 @@
 
 use std::path::Path;
 
-use crate::cli::MjcfArgs;
+use sim_worker::robot::mjcf::{MjcfOptions, mjcf};
+
+use crate::cli::{MjcfArgs, Switch};
 use crate::{files, output};
 
 /// Writes the model.
 pub fn run(args: &MjcfArgs) -> anyhow::Result<()> {
     let robot = super::load_robot(&args.robot)?;
-    let model = sim_worker::robot::mjcf(&robot);
+    let model = mjcf(&robot, MjcfOptions { contacts: args.contacts == Switch::On });
     match args.out.as_deref() {
         None => output::write(model.as_bytes()),
         Some(path) if path == Path::new("-") => output::write(model.as_bytes()),

@@ -5,10 +5,11 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
+use sim_worker::dynamics::{Integrator, StepOptions};
 use sim_worker::robot::Robot;
-use sim_worker::simulate::{self, Options, Precision, Sample};
+use sim_worker::simulate::{self, Precision, SimulationRow};
 
-use crate::cli::{PrecisionArg, SimulateArgs, Switch};
+use crate::cli::{IntegratorArg, PrecisionArg, SimulateArgs, Switch};
 use crate::{files, output};
 
 /// Integrates.
@@ -16,23 +17,34 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     let robot = super::load_robot(&args.robot)?;
     check_steps(args)?;
     let actions = read_actions(&args.actions, robot.n_joints())?;
-    let options = Options {
-        precision: match args.precision {
-            PrecisionArg::F32 => Precision::F32,
-            PrecisionArg::F64 => Precision::F64,
+    let precision = match args.precision {
+        PrecisionArg::F32 => Precision::F32,
+        PrecisionArg::F64 => Precision::F64,
+    };
+    let options = StepOptions {
+        integrator: match args.integrator {
+            IntegratorArg::Rk4 => Integrator::Rk4,
+            IntegratorArg::Euler => Integrator::Euler,
         },
-        integrator: args.integrator.into(),
         control_period: args.control_period,
         substep: args.substep,
         contacts: args.contacts == Switch::On,
     };
-    let samples = simulate::simulate(&robot, &actions, &options)?;
-    let table = write_table(&robot, &samples)?;
-    if args.out == Path::new("-") {
-        output::write(&table)
-    } else {
-        Ok(files::replace_output(&args.out, &table)?)
+    let rows = simulate::simulate(&robot, &actions, precision, &options);
+    if let Some(index) = rows.iter().position(|row| !row.state.is_finite()) {
+        let message = format!(
+            "the simulation blew up in row {} (t = {} s): a number is not finite; a smaller \
+             --substep may help",
+            index + 1,
+            rows[index].t
+        );
+        return Err(ExitError::new(ExitCode::Failure, message).into());
     }
+    let table = write_table(&robot, &rows, precision)?;
+    if args.out == Path::new("-") {
+        return output::write(&table);
+    }
+    Ok(files::replace_output(&args.out, &table)?)
 }
 
 /// The sub-step must fit the control period a whole number of times.
@@ -121,23 +133,31 @@ fn header(n_arms: usize, n_joints: usize) -> Vec<String> {
         .collect()
 }
 
-/// The trajectory as a table; numbers have as many digits as identify them.
-fn write_table(robot: &Robot, samples: &[Sample]) -> anyhow::Result<Vec<u8>> {
+/// The trajectory as a table; numbers have as many digits as identify them in their precision.
+fn write_table(
+    robot: &Robot,
+    rows: &[SimulationRow],
+    precision: Precision,
+) -> anyhow::Result<Vec<u8>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(header(robot.n_arms, robot.n_joints()))?;
-    for sample in samples {
-        let numbers = [sample.time]
-            .into_iter()
-            .chain(sample.base_position)
-            .chain(sample.base_quaternion)
-            .chain(sample.q.iter().copied())
-            .chain(sample.base_velocity)
-            .chain(sample.base_rate)
-            .chain(sample.qd.iter().copied())
-            .chain(sample.hands.iter().flatten().copied())
-            .map(|number| number.to_string())
-            .chain([sample.contacts.to_string()]);
-        writer.write_record(numbers)?;
+    for SimulationRow { t, state, hands, contacts } in rows {
+        let numbers = state
+            .base_position
+            .iter()
+            .chain(&state.base_quaternion)
+            .chain(&state.q)
+            .chain(&state.base_linear_velocity)
+            .chain(&state.base_angular_velocity)
+            .chain(&state.qd)
+            .chain(hands.iter().flatten());
+        let written = numbers.map(|number| match precision {
+            Precision::F32 => (*number as f32).to_string(),
+            Precision::F64 => number.to_string(),
+        });
+        // Sums of control periods would end in many digits of rounding.
+        let time = ((t * 1e9).round() / 1e9).to_string();
+        writer.write_record([time].into_iter().chain(written).chain([contacts.to_string()]))?;
     }
     writer.into_inner().context("the table cannot be finished")
 }
