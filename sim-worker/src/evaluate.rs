@@ -173,7 +173,13 @@ fn summarise(episode: &[f32], n_arms: usize) -> EpisodeResult {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
+    use proto::config::{Layers, Preset};
+
     use super::*;
+    use crate::policy::tests::parameters;
+    use crate::robot::Robot;
 
     #[test]
     fn an_episodes_course_by_hand() {
@@ -191,5 +197,49 @@ mod tests {
         // 2…21: mean 11.5.
         assert_eq!(result.base, Course { min: 0.0, last: 21.0, tail: 11.5 });
         assert_eq!((result.contact_steps, result.contact_pairs), (2, 4));
+    }
+
+    fn world(preset: Preset, robot: &Robot, steps: usize) -> World {
+        let mut config = Layers::new(preset, None).resolve().expect("valid");
+        config.network.hidden = vec![16];
+        config.task.episode_steps = steps;
+        World::new(&config, robot)
+    }
+
+    #[test]
+    fn an_evaluation_does_not_depend_on_threads_and_knows_its_seed() {
+        let world = world(Preset::Tuned, &Robot::builtin("paper").expect("built in"), 50);
+        let flat = parameters(&world.config, &world.dimensions, 8);
+        let policy = world.policy(&flat).expect("a policy");
+        let options = EvaluationOptions { seed: 3, episodes: 35, steps: 3, threads: 1 };
+        let one = evaluate(&world, &policy, &options).expect("an evaluation");
+        let three = evaluate(&world, &policy, &EvaluationOptions { threads: 3, ..options });
+        assert_eq!(one, three.expect("an evaluation"));
+        let other = evaluate(&world, &policy, &EvaluationOptions { seed: 4, ..options });
+        assert_ne!(one, other.expect("an evaluation"));
+        assert_eq!((one.steps, one.episodes.len()), (3, 35));
+        for hand in one.episodes.iter().flat_map(|episode| &episode.hands) {
+            // Goals are 0.15 to 0.55 m away, and an arm moves less than 0.3 m in 1.2 s.
+            assert!(hand.position.last > 0.0 && hand.position.last < 1.0, "{hand:?}");
+            assert!(hand.position.min <= hand.position.last);
+        }
+        // Without episodes there is nothing to say, but nothing to fail either.
+        let none = evaluate(&world, &policy, &EvaluationOptions { episodes: 0, ..options });
+        assert!(none.expect("an evaluation").episodes.is_empty());
+    }
+
+    #[test]
+    fn a_two_armed_robot_is_four_agents() {
+        let text = include_str!("../robots/two-arm.toml");
+        let robot = Robot::from_toml(text, Path::new("two-arm.toml")).expect("valid");
+        for preset in [Preset::Tuned, Preset::Release] {
+            let world = world(preset, &robot, 50);
+            assert_eq!(world.dimensions.n_agents, 4);
+            let flat = parameters(&world.config, &world.dimensions, 8);
+            let policy = world.policy(&flat).expect("a policy");
+            let options = EvaluationOptions { seed: 3, episodes: 2, steps: 2, threads: 1 };
+            let evaluation = evaluate(&world, &policy, &options).expect("an evaluation");
+            assert_eq!(evaluation.episodes[0].hands.len(), 2);
+        }
     }
 }

@@ -16,7 +16,7 @@ use proto::channel::{
 };
 use proto::config::Config;
 use proto::layout::{BlockHeader, PolicyHeader};
-use proto::message::{self, Order, Status};
+use proto::message::{self, Order, Status, WorkerId};
 use proto::run_dir::RunDir;
 use proto::{ChannelError, ExitCode, ExitError};
 
@@ -126,7 +126,7 @@ enum Outcome {
 
 struct Worker<'a> {
     world: &'a World,
-    worker: u32,
+    id: WorkerId,
     incarnation: u32,
     jobs: VecDeque<Job>,
     stopping: bool,
@@ -151,7 +151,7 @@ impl<'a> Worker<'a> {
             let deadline = Duration::from_secs_f64(world.config.run.order_deadline_s);
             Ok(Self {
                 world,
-                worker: arguments.worker,
+                id: arguments.worker,
                 incarnation: arguments.incarnation,
                 jobs: VecDeque::new(),
                 stopping: false,
@@ -170,7 +170,7 @@ impl<'a> Worker<'a> {
     }
 
     fn serve(&mut self) -> Result<(), ExitError> {
-        let (worker, incarnation) = (self.worker, self.incarnation);
+        let (worker, incarnation) = (self.id, self.incarnation);
         self.send(&Status::Ready { worker, incarnation })?;
         loop {
             self.take_orders()?;
@@ -203,7 +203,7 @@ impl<'a> Worker<'a> {
                     iteration,
                     policy_version,
                     shards,
-                })) if (worker, incarnation) == (self.worker, self.incarnation) => {
+                })) if (worker, incarnation) == (self.id, self.incarnation) => {
                     for shard in shards {
                         let job = Job { iteration, policy_version, shard };
                         // A re-sent order for what still waits is the same order.
@@ -256,7 +256,7 @@ impl<'a> Worker<'a> {
         let spec = RolloutSpec { seed: self.world.config.run.seed, iteration, shard, policy };
         let start = Instant::now();
         let (status, heartbeat) = (&self.status, &mut self.heartbeat);
-        let alive = Status::Heartbeat { worker: self.worker, incarnation: self.incarnation };
+        let alive = Status::Heartbeat { worker: self.id, incarnation: self.incarnation };
         let mut on_step = || {
             if heartbeat.elapsed() >= HEARTBEAT {
                 *heartbeat = Instant::now();
@@ -276,7 +276,7 @@ impl<'a> Worker<'a> {
             iteration,
             policy_version,
             shard,
-            worker: self.worker,
+            worker: self.id,
             incarnation: self.incarnation,
             n_envs: self.world.dimensions.n_envs as u32,
             n_steps: self.world.dimensions.n_steps as u32,
@@ -295,7 +295,7 @@ impl<'a> Worker<'a> {
             }
             Err(error) => return Err(failure(&error)),
         }
-        let (worker, incarnation) = (self.worker, self.incarnation);
+        let (worker, incarnation) = (self.id, self.incarnation);
         self.send(&Status::BlockDone {
             worker,
             incarnation,
@@ -313,13 +313,13 @@ impl<'a> Worker<'a> {
             return Ok(());
         }
         self.heartbeat = Instant::now();
-        self.send(&Status::Heartbeat { worker: self.worker, incarnation: self.incarnation })
+        self.send(&Status::Heartbeat { worker: self.id, incarnation: self.incarnation })
     }
 
     fn fail(&self, what: &str) -> Result<(), ExitError> {
-        tracing::error!(worker = self.worker, "{what}");
+        tracing::error!(worker = self.id, "{what}");
         self.send(&Status::Failed {
-            worker: self.worker,
+            worker: self.id,
             incarnation: self.incarnation,
             message: message::clip(what),
         })

@@ -13,6 +13,7 @@ mod physics;
 
 pub(crate) use output::Output;
 pub(crate) use physics::home;
+pub use physics::step_options;
 
 use std::time::{Duration, Instant};
 
@@ -235,7 +236,13 @@ impl LaneFn for Episodes<'_> {
                     let at = (agent * n_groups + index) * o;
                     observations[at..at + o].copy_from_slice(seen);
                 }
-                critic_state(task, &group.readings, &group.errors, &group_observations, &mut critic);
+                critic_state(
+                    task,
+                    &group.readings,
+                    &group.errors,
+                    &group_observations,
+                    &mut critic,
+                );
                 output.look(row, step, &group_observations, &critic);
                 if step == n_steps {
                     output.end(row, &group.errors, &group.extremes);
@@ -258,8 +265,7 @@ impl LaneFn for Episodes<'_> {
                     let mut sample = [S::zero(); JOINTS_PER_AGENT];
                     sample.copy_from_slice(mean);
                     if let Some(noise) = noise {
-                        let log_prob =
-                            explore(policy, agent, noise, first, row, step, &mut sample);
+                        let log_prob = explore(policy, agent, noise, first, row, step, &mut sample);
                         output.act(row, step, agent, &sample, log_prob);
                     }
                     for (u, sample) in sample.into_iter().enumerate() {
@@ -351,3 +357,6 @@ fn check_means<S: Real>(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,12 +1,98 @@
 //! The dynamics as environments use them: home, a control step, and what can be read off.
 
 use proto::config::{Config, Integrator};
-use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
+use proto::layout::JOINTS_PER_AGENT;
 
 use super::EpisodeError;
+use crate::collision::count_contacts;
+use crate::dynamics::{self, Hand, StepOptions, Workspace, hands, step};
+use crate::robot::{JOINTS_PER_ARM, Model, Robot};
 use crate::scalar::{Mask, Real};
+use crate::spatial::{euler_xyz, quaternion_to_rotation};
 use crate::state::State;
-use crate::task::{Home, HomeArm, JOINTS_PER_ARM, Readings};
+use crate::task::{Home, HomeArm, Readings};
+
+/// A robot's dynamics with its scratch memory.
+pub(super) struct Physics<S: Real> {
+    model: Model<S>,
+    workspace: Workspace<S>,
+    options: StepOptions,
+    hands: Vec<Hand<S>>,
+}
+
+impl<S: Real> Physics<S> {
+    /// Integrates as `config` says.
+    pub(super) fn new(config: &Config, robot: &Robot) -> Self {
+        Self::with_options(robot, step_options(config))
+    }
+
+    fn with_options(robot: &Robot, options: StepOptions) -> Self {
+        let model = Model::new(robot);
+        let workspace = Workspace::new(&model);
+        Self { model, workspace, options, hands: vec![Hand::default(); robot.n_arms] }
+    }
+
+    /// Holds joint rate commands (rad/s, arm-major) for a control period.
+    #[inline(always)]
+    pub(super) fn step(&mut self, state: &mut State<S>, command: &[S]) {
+        step(&self.model, &mut self.workspace, state, command, &self.options);
+    }
+
+    /// Reads off everything that tasks use, but for the last action; returns the number of touching
+    /// pairs.
+    #[inline(always)]
+    pub(super) fn read(&mut self, state: &State<S>, readings: &mut Readings<S>) -> S {
+        readings.base_position = state.base_position;
+        readings.base_quaternion = state.base_quaternion;
+        readings.base_euler = euler_xyz(&quaternion_to_rotation(&state.base_quaternion));
+        readings.base_linear = state.base_linear_velocity;
+        readings.base_angular = state.base_angular_velocity;
+        readings.q.copy_from_slice(&state.q);
+        readings.qd.copy_from_slice(&state.qd);
+        hands(&self.model, &mut self.workspace, state, &mut self.hands);
+        for (reading, hand) in readings.hands.iter_mut().zip(&self.hands) {
+            reading.position = hand.position;
+            reading.euler = euler_xyz(&hand.rotation);
+            reading.linear = hand.linear_velocity;
+            reading.angular = hand.angular_velocity;
+        }
+        count_contacts(&self.model, &mut self.workspace, state)
+    }
+}
+
+/// The integration that a configuration describes.
+pub fn step_options(config: &Config) -> StepOptions {
+    StepOptions {
+        control_period: config.env.control_period,
+        substep: config.env.substep,
+        integrator: match config.env.integrator {
+            Integrator::Rk4 => dynamics::Integrator::Rk4,
+            Integrator::Euler => dynamics::Integrator::Euler,
+        },
+        contacts: config.env.contacts,
+    }
+}
+
+/// The robot's home pose, by forward kinematics in `f64`.
+pub(crate) fn home(robot: &Robot) -> Home {
+    let mut physics = Physics::<f64>::with_options(robot, StepOptions::default());
+    let mut readings = Readings::new(robot.n_arms);
+    physics.read(&State::home(robot), &mut readings);
+    let max_rates = robot.max_rates();
+    let arms = robot.arms.iter().enumerate().map(|(index, arm)| HomeArm {
+        q: arm.home,
+        command_limit: std::array::from_fn(|joint| max_rates[index * JOINTS_PER_ARM + joint]),
+        position: readings.hands[index].position,
+        euler: readings.hands[index].euler,
+        // At home the base's axes are the world's.
+        mount: std::array::from_fn(|axis| arm.mount.rotation.column(axis).into_owned().into()),
+    });
+    Home {
+        base_position: readings.base_position,
+        base_euler: readings.base_euler,
+        arms: arms.collect(),
+    }
+}
 
 /// Largest sensible magnitudes. Nothing physical comes near them: the servos command at most a few
 /// rad/s, and momentum is conserved.

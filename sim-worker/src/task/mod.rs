@@ -22,7 +22,7 @@ pub mod state;
 mod readings;
 
 pub use goal::{ArmGoals, GoalRanges, Goals};
-pub use readings::{Errors, HandReading, Readings};
+pub use readings::{ATTITUDE_WIDTHS, Errors, HandReading, POSITION_WIDTHS, Readings};
 
 use proto::config::{CriticState, GoalBox, Observation, Reward, TaskName};
 

@@ -134,7 +134,7 @@ pub fn observe<S: Real>(
             match task.name {
                 TaskName::Trajectory => {
                     let hand = &readings.hands[arm];
-                    let cares_for_position = agent % AGENTS_PER_ARM == 0;
+                    let cares_for_position = agent.is_multiple_of(AGENTS_PER_ARM);
                     let (pose, velocity) = if cares_for_position {
                         (hand.position, hand.linear)
                     } else {

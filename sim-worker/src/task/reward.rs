@@ -59,7 +59,7 @@ pub fn rewards<S: Real>(
             for (agent, out) in out.iter_mut().enumerate() {
                 let arm = agent / AGENTS_PER_ARM;
                 let joints = agent * JOINTS_PER_AGENT..(agent + 1) * JOINTS_PER_AGENT;
-                let (weights, error) = if agent % AGENTS_PER_ARM == 0 {
+                let (weights, error) = if agent.is_multiple_of(AGENTS_PER_ARM) {
                     (&reward.position, errors.position_norm[arm])
                 } else {
                     (&reward.orientation, errors.orientation_norm[arm])

@@ -1,4 +1,5 @@
 //! Every layout and every term, worked by hand in `f64`.
+#![expect(clippy::approx_constant, reason = "the released model's own rounded numbers")]
 
 use proto::config::{Config, Layers, Preset, TaskName};
 use proto::layout::Dimensions;

@@ -7,7 +7,7 @@ use super::*;
 use crate::policy::tests::parameters;
 
 /// Longest that any of these tests waits for anything.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 
 struct TestDomain(Domain);
 
