@@ -1,5 +1,7 @@
 //! Logs: structured lines on standard error, chosen by `RUST_LOG`.
 
+use std::io::IsTerminal as _;
+
 use tracing_subscriber::EnvFilter;
 
 use crate::report::progress::LogWriter;
@@ -11,5 +13,6 @@ pub fn init() {
         .with_env_filter(filter)
         .with_writer(|| LogWriter)
         .with_target(false)
+        .with_ansi(std::io::stderr().is_terminal())
         .init();
 }

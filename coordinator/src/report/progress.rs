@@ -46,11 +46,12 @@ impl Progress {
                 "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  eta {eta}",
             )
             .expect("the template is valid")
-            .progress_chars("━╸━");
+            .progress_chars("━╸─");
             bar.set_style(style);
             bar.set_position(env_steps);
             bar.reset_eta();
             bar.set_message("starting");
+            bar.tick();
             *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
             Form::Bar(bar)
         } else {
