@@ -45,11 +45,7 @@ impl Adam {
     /// counts.
     pub fn narrow(&self, start: usize, len: usize) -> Self {
         let part = |tensor: &Tensor| tensor.narrow(0, start as i64, len as i64);
-        Self {
-            m: part(&self.m),
-            v: part(&self.v),
-            steps: self.steps[start..start + len].to_vec(),
-        }
+        Self { m: part(&self.m), v: part(&self.v), steps: self.steps[start..start + len].to_vec() }
     }
 
     /// One step of `flat` against `gradient`, both `[A, P]`, for the agents that are `active`.
@@ -126,9 +122,10 @@ mod tests {
         let scratch = ours.zeros_like();
         let store = nn::VarStore::new(Device::Cpu);
         let mut theirs = store.root().var_copy("x", &start);
-        let mut optimizer = nn::Adam { beta1: 0.9, beta2: 0.999, wd: 0.0, eps: 1e-5, amsgrad: false }
-            .build(&store, 0.01)
-            .expect("valid options");
+        let mut optimizer =
+            nn::Adam { beta1: 0.9, beta2: 0.999, wd: 0.0, eps: 1e-5, amsgrad: false }
+                .build(&store, 0.01)
+                .expect("valid options");
         for step in 0..20 {
             // The same gradient for both: of a quadratic that changes from step to step.
             let target = Tensor::randn([2, 50], (Kind::Float, Device::Cpu));

@@ -43,8 +43,8 @@ impl Gae {
         let alive = terminated.ones_like() - terminated;
         let unbroken = &alive * (truncated.ones_like() - truncated);
         let future = if self.bootstrap_truncated { &alive } else { &unbroken };
-        let delta = reward + value.narrow(1, 1, steps) * (future * self.gamma)
-            - value.narrow(1, 0, steps);
+        let delta =
+            reward + value.narrow(1, 1, steps) * (future * self.gamma) - value.narrow(1, 0, steps);
         let carry = unbroken * (self.gamma * self.lambda);
         let advantage = delta;
         let mut next = Tensor::zeros([agents, envs], (reward.kind(), reward.device()));
@@ -101,7 +101,8 @@ mod tests {
 
     fn one(gae: Gae, terminated: [bool; 3], truncated: [bool; 3]) -> Vec<f64> {
         let tensor = |x: &[f64], len: i64| Tensor::from_slice(x).view([1, len, 1]);
-        let flags = |x: [bool; 3]| Tensor::from_slice(&x.map(|b| f64::from(u8::from(b)))).view([3, 1]);
+        let flags =
+            |x: [bool; 3]| Tensor::from_slice(&x.map(|b| f64::from(u8::from(b)))).view([3, 1]);
         let vectorised = gae.advantages(
             &tensor(&REWARD, 3),
             &tensor(&VALUE, 4),
@@ -144,7 +145,8 @@ mod tests {
 
     #[test]
     fn standardised_advantages_have_zero_mean_and_unit_deviation_per_agent() {
-        let raw = Tensor::from_slice(&[1.0f64, 2.0, 3.0, 4.0, 10.0, 10.0, 30.0, 30.0]).view([2, 2, 2]);
+        let raw =
+            Tensor::from_slice(&[1.0f64, 2.0, 3.0, 4.0, 10.0, 10.0, 30.0, 30.0]).view([2, 2, 2]);
         let flat = standardise(&raw).view([2, 4]);
         for agent in 0..2 {
             let row = flat.get(agent);

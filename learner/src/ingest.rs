@@ -82,7 +82,8 @@ impl<B: Block> Inbox<B> {
         }
         if let Some(present) = self.blocks.get(&(header.iteration, header.shard)) {
             account.duplicate += steps;
-            let same = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
+            let same =
+                |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
             if !same(present.payload(), block.payload()) {
                 return Err(LearnerError::Impure {
                     iteration: header.iteration,

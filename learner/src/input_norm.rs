@@ -83,7 +83,9 @@ impl InputNorm {
             let index = |row: usize| row * self.features + feature;
             let mean = (0..self.rows).map(|row| self.mean[index(row)]).sum::<f64>() / rows;
             let spread = (0..self.rows)
-                .map(|row| self.m2[index(row)] + self.count * (self.mean[index(row)] - mean).powi(2))
+                .map(|row| {
+                    self.m2[index(row)] + self.count * (self.mean[index(row)] - mean).powi(2)
+                })
                 .sum::<f64>();
             for row in 0..self.rows {
                 self.mean[index(row)] = mean;

@@ -89,10 +89,7 @@ impl ActorLoss {
         let outside = ratio.ne_tensor(&clipped);
         let row = &[1i64][..];
         let sum = |x: &Tensor| x.sum_dim_intlist(row, false, Kind::Float);
-        let sums = Tensor::stack(
-            &[sum(&surrogate) * -self.multiplier, sum(&kl), sum(&outside)],
-            1,
-        );
+        let sums = Tensor::stack(&[sum(&surrogate) * -self.multiplier, sum(&kl), sum(&outside)], 1);
         // dL/d ln p = −k/B · A r where the surrogate moves, 0 elsewhere.
         let scale = -self.multiplier / batch as f64;
         let d_log_prob = (plain * active * scale).unsqueeze(1);
@@ -114,8 +111,11 @@ impl ActorLoss {
 
     /// Entropy `[A]` of the action distribution (nats): Σ (ln σ + ½ ln 2πe).
     pub fn entropy(&self, parameter: &Tensor) -> Tensor {
-        (self.log_std(parameter) + (HALF_LN_TAU + 0.5))
-            .sum_dim_intlist(&[1i64][..], false, Kind::Float)
+        (self.log_std(parameter) + (HALF_LN_TAU + 0.5)).sum_dim_intlist(
+            &[1i64][..],
+            false,
+            Kind::Float,
+        )
     }
 }
 
@@ -170,7 +170,8 @@ impl CriticLoss {
         let small = change.clamp(-self.clip, self.clip);
         let clipped_error = old_value + &small - target;
         let limited = self.penalty(&clipped_error);
-        let sum = plain.maximum(&limited).sum_dim_intlist(row, false, Kind::Float) * self.coefficient;
+        let sum =
+            plain.maximum(&limited).sum_dim_intlist(row, false, Kind::Float) * self.coefficient;
         // The larger of the two counts; the clipped one moves only inside its range, where both are
         // the same.
         let moves = plain.ge_tensor(&limited).logical_or(&small.eq_tensor(&change));
@@ -238,7 +239,10 @@ mod tests {
             let surrogate = ours.sums.select(1, 0).sum(None) / b as f64;
             let entropy = tch::no_grad(|| loss.entropy(&parameter)).sum(None);
             close(&(surrogate - entropy * loss.entropy_coefficient), &total.detach());
-            assert!(ours.sums.select(1, 2).min().double_value(&[]) > 0.0, "some ratios are clipped");
+            assert!(
+                ours.sums.select(1, 2).min().double_value(&[]) > 0.0,
+                "some ratios are clipped"
+            );
         }
     }
 
@@ -251,7 +255,11 @@ mod tests {
             let old = value.detach() + random(2, &[a, b]) * 0.3;
             let target = random(3, &[a, b]);
             let penalty = |e: Tensor| {
-                if huber_delta == 0.0 { e.square() / 2.0 } else { e.huber_loss(&e.zeros_like(), tch::Reduction::None, huber_delta) }
+                if huber_delta == 0.0 {
+                    e.square() / 2.0
+                } else {
+                    e.huber_loss(&e.zeros_like(), tch::Reduction::None, huber_delta)
+                }
             };
             let plain = penalty(&value - &target);
             let definition = if clip == 0.0 {

@@ -394,9 +394,11 @@ fn run_groups(
             .collect();
         tch::set_num_threads(threads);
         let mut outcomes = vec![tch::no_grad(|| first.update(job, actor, critic, norm, trace))];
-        outcomes.extend(handles.into_iter().map(|handle| {
-            handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        }));
+        outcomes.extend(
+            handles.into_iter().map(|handle| {
+                handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            }),
+        );
         outcomes
     })
 }
@@ -442,7 +444,15 @@ impl Group {
                 let rows = order.narrow(0, start, bound(mini_batch + 1) - start);
                 let step = (epoch, mini_batch);
                 self.actor_step(job, &mut actor, &samples, &rows, &mut active, &mut sums, step)?;
-                self.critic_step(job, &mut critic, &samples, &rows, moments.as_ref(), &mut sums, step)?;
+                self.critic_step(
+                    job,
+                    &mut critic,
+                    &samples,
+                    &rows,
+                    moments.as_ref(),
+                    &mut sums,
+                    step,
+                )?;
                 if let Some(trace) = trace.as_deref_mut() {
                     let recorded = |half: &Half| {
                         half.recorded.as_ref().map(Tensor::shallow_clone).expect("recorded")
@@ -492,16 +502,17 @@ impl Group {
         let terminated = Tensor::empty([t, e], float);
         let truncated = Tensor::empty([t, e], float);
 
-        let moments_of = |norm: &Option<(Vec<f32>, Vec<f32>)>, rows: &Range<usize>, width: usize| {
-            norm.as_ref().map(|(mean, inverse_std)| {
-                let part = |values: &[f32]| {
-                    Tensor::from_slice(&values[rows.start * width..rows.end * width])
-                        .view([-1, 1, 1, width as i64])
-                        .to_device(self.device)
-                };
-                (part(mean), part(inverse_std))
-            })
-        };
+        let moments_of =
+            |norm: &Option<(Vec<f32>, Vec<f32>)>, rows: &Range<usize>, width: usize| {
+                norm.as_ref().map(|(mean, inverse_std)| {
+                    let part = |values: &[f32]| {
+                        Tensor::from_slice(&values[rows.start * width..rows.end * width])
+                            .view([-1, 1, 1, width as i64])
+                            .to_device(self.device)
+                    };
+                    (part(mean), part(inverse_std))
+                })
+            };
         let observation_norm = moments_of(&job.observation_norm, &self.agents, observation);
         let state_norm = moments_of(&job.state_norm, &(0..1), state);
         let normalise = |x: &Tensor, norm: &Option<(Tensor, Tensor)>| match options.input_norm {
@@ -565,7 +576,8 @@ impl Group {
         critic_columns.select(3, 1).copy_(&returns.permute([1, 2, 0]));
 
         let rows = &[1i64][..];
-        let variance = |x: &Tensor| x.reshape([a, -1]).to_kind(Kind::Double).var_dim(rows, false, false);
+        let variance =
+            |x: &Tensor| x.reshape([a, -1]).to_kind(Kind::Double).var_dim(rows, false, false);
         let explained = 1.0 - variance(&advantage) / variance(&returns).clamp_min(1e-12);
         let episode = reward.sum_dim_intlist(rows, false, Kind::Double).mean_dim(rows, false, None);
         if let Some(trace) = trace {

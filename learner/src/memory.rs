@@ -31,8 +31,7 @@ impl View<'_> {
 pub(crate) fn view<'a>(data: &'a [f32], shape: &[i64]) -> View<'a> {
     let len: i64 = shape.iter().product();
     assert_eq!(len, data.len() as i64, "shape {shape:?} does not fit {} numbers", data.len());
-    let strides: Vec<i64> =
-        (0..shape.len()).map(|dim| shape[dim + 1..].iter().product()).collect();
+    let strides: Vec<i64> = (0..shape.len()).map(|dim| shape[dim + 1..].iter().product()).collect();
     // SAFETY: the pointer is valid for `len` reads of f32 as long as 'a, to which the result is
     // tied; the strides are those of a row-major array, so no access leaves the slice; libtorch
     // neither frees the memory nor writes it, because only reading operations are applied.

@@ -214,8 +214,7 @@ impl Compute {
         let kind = self.kind;
         let hidden = |compute: &Self, layer: usize| {
             let buffers = &compute.buffers;
-            let flat =
-                if compute.spec.layer_norm { &buffers.standard } else { &buffers.active };
+            let flat = if compute.spec.layer_norm { &buffers.standard } else { &buffers.active };
             compute.chunk(&flat[layer], rows, compute.spec.hidden[layer])
         };
         let add = |name: &str, part: &Tensor| {
@@ -255,7 +254,7 @@ impl Compute {
             }
             let d = &d_hidden;
             let _ = match self.activation {
-                Activation::Relu => Tensor::threshold_backward_grad_input(d, d, &active, 0.0),
+                Activation::Relu => active.threshold_backward_grad_input(d, d, 0.0),
                 Activation::Elu => {
                     Tensor::elu_backward_grad_input(d, d, 1.0, 1.0, 1.0, true, &active)
                 }
@@ -336,3 +335,6 @@ pub fn standardise_input(x: &Tensor) -> Tensor {
     let width = x.size()[x.dim() - 1];
     x.layer_norm(&[width], None::<Tensor>, None::<Tensor>, LAYER_NORM_EPSILON, false)
 }
+
+#[cfg(test)]
+mod tests;

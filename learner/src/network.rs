@@ -173,7 +173,8 @@ impl NetworkSpec {
                             _ => std::f64::consts::SQRT_2,
                         };
                         // Actors and critics draw from different addresses.
-                        let tensor = index as u32 + 1000 * u32::from(self.kind == NetworkKind::Critic);
+                        let tensor =
+                            index as u32 + 1000 * u32::from(self.kind == NetworkKind::Critic);
                         let address = Address {
                             seed,
                             purpose: Purpose::Initialisation,
@@ -336,7 +337,8 @@ mod tests {
         let flat = spec.initial(&config.network, 5);
         assert_eq!(flat, spec.initial(&config.network, 5));
         assert_ne!(flat, spec.initial(&config.network, 6));
-        for (name, gain) in [("hidden.0.weight", 2.0), ("hidden.1.weight", 2.0), ("head.weight", 1e-4)]
+        for (name, gain) in
+            [("hidden.0.weight", 2.0), ("hidden.1.weight", 2.0), ("head.weight", 1e-4)]
         {
             let weight = spec.view(name, &flat).to_kind(Kind::Double);
             let (_, rows, columns) = weight.size3().expect("[A, in, out]");
@@ -361,7 +363,8 @@ mod tests {
         let config = config(&["network.shared_parameters=true", "network.hidden=[4]"]);
         let spec =
             NetworkSpec::new(NetworkKind::Critic, &config.network, &Dimensions::new(&config, 1));
-        let mut gradient = Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);
+        let mut gradient =
+            Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);
         let raw = gradient.copy();
         spec.share_gradient(&mut gradient);
         let bias = spec.view("hidden.0.bias", &gradient);

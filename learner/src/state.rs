@@ -179,7 +179,8 @@ impl TrainingState {
             let source = Source::Tensor(moment.shallow_clone());
             add(format!("value_norm.{name}"), Dtype::F64, shape, source);
         }
-        let norms = [("observation_norm", &self.observation_norm), ("state_norm", &self.state_norm)];
+        let norms =
+            [("observation_norm", &self.observation_norm), ("state_norm", &self.state_norm)];
         for (prefix, norm) in norms {
             let Some(norm) = norm else { continue };
             let shape = vec![norm.rows, norm.features];
@@ -279,9 +280,11 @@ impl TrainingState {
             }
             arrays.insert(name, view.data().to_vec());
         }
-        if let Some(name) = file.names().into_iter().find(|name| {
-            !name.starts_with("policy.") && !arrays.contains_key(*name)
-        }) {
+        if let Some(name) = file
+            .names()
+            .into_iter()
+            .find(|name| !name.starts_with("policy.") && !arrays.contains_key(*name))
+        {
             return Err(refuse(format!(
                 "tensor `{name}` is unknown; was it trained with another configuration?"
             )));
@@ -318,8 +321,10 @@ impl TrainingState {
         ] {
             moment.copy_(&Tensor::from_slice(&f64s(&format!("value_norm.{name}"))));
         }
-        let norms =
-            [("observation_norm", &mut self.observation_norm), ("state_norm", &mut self.state_norm)];
+        let norms = [
+            ("observation_norm", &mut self.observation_norm),
+            ("state_norm", &mut self.state_norm),
+        ];
         for (prefix, norm) in norms {
             let Some(norm) = norm else { continue };
             norm.mean = f64s(&format!("{prefix}.mean"));
@@ -376,3 +381,6 @@ impl TrainingState {
 fn chunks<const N: usize>(data: &[u8]) -> impl Iterator<Item = [u8; N]> {
     data.chunks_exact(N).map(|chunk| chunk.try_into().expect("chunks have N bytes"))
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,8 +10,15 @@ pub fn blocks(dimensions: &Dimensions, seed: u64) -> Vec<Vec<f32>> {
     (0..dimensions.n_shards as u32)
         .map(|shard| {
             let mut words = (0u32..).flat_map(|step| {
-                Address { seed, purpose: Purpose::ActionNoise, iteration: 0, env: shard, step, index: 0 }
-                    .normals()
+                Address {
+                    seed,
+                    purpose: Purpose::ActionNoise,
+                    iteration: 0,
+                    env: shard,
+                    step,
+                    index: 0,
+                }
+                .normals()
             });
             let mut block = vec![0.0; layout.len];
             for range in [&layout.observation, &layout.state, &layout.action, &layout.reward] {

@@ -1,0 +1,210 @@
+use proto::config::{Layers, Preset, TaskName};
+
+use super::*;
+use crate::precision::Arithmetic;
+use crate::synthetic::blocks;
+
+/// A small run: 2 shards of 4 environments, 5 steps.
+fn config(assignments: &[&str]) -> Config {
+    ["env.n_envs=8", "env.n_shards=2", "task.episode_steps=5", "network.hidden=[16,12]"]
+        .iter()
+        .chain(assignments)
+        .fold(Layers::new(Preset::Tuned, Some(TaskName::Trajectory)), |layers, assignment| {
+            layers.set(assignment).expect("well formed")
+        })
+        .resolve()
+        .expect("valid")
+}
+
+struct Run {
+    mappo: Mappo,
+    state: TrainingState,
+    dimensions: Dimensions,
+}
+
+impl Run {
+    fn new(config: &Config, arithmetic: Arithmetic) -> Self {
+        let dimensions = Dimensions::new(config, 2);
+        let state = TrainingState::initial(config, &dimensions, arithmetic, Device::Cpu);
+        Self { mappo: Mappo::new(config, &dimensions, &state), state, dimensions }
+    }
+
+    fn update(&mut self, seed: u64) -> UpdateReport {
+        let blocks = blocks(&self.dimensions, seed);
+        let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+        self.mappo.update(&mut self.state, &shards).expect("finite")
+    }
+}
+
+const VARIANTS: [&[&str]; 6] = [
+    &[],
+    &["network.shared_parameters=true", "run.learner_threads=1"],
+    &["network.layer_norm=true", "network.input_norm=layer_norm", "network.activation=elu"],
+    &["network.critic_state=own", "network.activation=tanh", "algorithm.mini_batches=3"],
+    &["algorithm.max_kl=0.001", "algorithm.value_norm=false", "algorithm.huber_delta=0"],
+    &["network.input_norm=none", "network.critic_state=concatenated", "run.learner_threads=1"],
+];
+
+#[test]
+fn the_same_samples_give_the_same_bits() {
+    for (variant, arithmetic) in
+        VARIANTS.iter().flat_map(|v| [(v, Arithmetic::F32), (v, Arithmetic::Bf16)])
+    {
+        let config = config(variant);
+        let digest = || {
+            let mut run = Run::new(&config, arithmetic);
+            run.update(1);
+            run.update(2);
+            run.state.digest()
+        };
+        assert_eq!(digest(), digest(), "{variant:?} {arithmetic:?}");
+    }
+}
+
+#[test]
+fn a_resumed_run_goes_on_as_if_it_had_never_stopped() {
+    for variant in VARIANTS {
+        let config = config(variant);
+        let mut run = Run::new(&config, Arithmetic::Bf16);
+        run.update(1);
+        let saved = run.state.to_safetensors();
+        let digest = run.state.digest();
+        run.update(2);
+
+        let mut resumed = Run::new(&config, Arithmetic::F32);
+        resumed.state =
+            TrainingState::from_safetensors(&saved, &config, &resumed.dimensions, Device::Cpu)
+                .expect("its own bytes");
+        assert_eq!(resumed.state.digest(), digest, "{variant:?}");
+        assert_eq!(resumed.state.to_safetensors(), saved, "{variant:?}");
+        resumed.mappo = Mappo::new(&config, &resumed.dimensions, &resumed.state);
+        resumed.update(2);
+        assert_eq!(resumed.state.digest(), run.state.digest(), "{variant:?}");
+    }
+}
+
+#[test]
+fn a_shared_network_stays_one_network() {
+    let mut run = Run::new(&config(VARIANTS[1]), Arithmetic::F32);
+    run.update(1);
+    let NetworkState { spec, flat, .. } = &run.state.actor;
+    let weight = spec.view("hidden.1.weight", flat);
+    assert_eq!(weight.get(0), weight.get(3));
+    let bias = spec.view("hidden.0.bias", flat);
+    assert_ne!(bias.get(0), bias.get(3), "agents are told apart");
+}
+
+#[test]
+fn a_kl_limit_holds_agents_back() {
+    let free = config(&["algorithm.max_kl=0", "optimizer.actor_lr=0.05"]);
+    let held = config(&["algorithm.max_kl=1e-9", "optimizer.actor_lr=0.05"]);
+    let steps = |config: &Config| {
+        let mut run = Run::new(config, Arithmetic::F32);
+        run.update(1);
+        run.state.actor.adam.steps.clone()
+    };
+    assert_eq!(steps(&free), [40; 4]);
+    // Log-probabilities of the synthetic blocks are not the network's: over the limit at once.
+    assert_eq!(steps(&held), [0; 4]);
+}
+
+#[test]
+fn gradients_that_are_not_finite_are_reported() {
+    let mut run = Run::new(&config(&[]), Arithmetic::F32);
+    let mut blocks = blocks(&run.dimensions, 1);
+    let place = run.mappo.layout.action.start;
+    blocks[0][place] = 1e30;
+    let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+    let error = run.mappo.update(&mut run.state, &shards).expect_err("z² overflows").to_string();
+    assert!(error.contains("actor gradient of agent 0"), "{error}");
+}
+
+#[test]
+fn the_learning_rate_falls_to_zero_over_the_planned_steps() {
+    let linear = config(&["run.env_steps=1000", "optimizer.schedule=linear"]);
+    let rate = |env_steps| learning_rates(&linear, env_steps).0;
+    assert_eq!([rate(0), rate(500), rate(1000), rate(5000)], [1e-3, 5e-4, 0.0, 0.0]);
+    let constant = config(&["run.env_steps=1000", "optimizer.schedule=constant"]);
+    assert_eq!(learning_rates(&constant, 5000).1, 1e-3);
+}
+
+/// A bandit: the best action of every agent is a linear function of what it sees. Rewards are
+/// −‖a − c·o‖²; each iteration samples from the policy as it is now, as workers would.
+#[test]
+fn a_toy_problem_is_learned_in_a_fixed_number_of_updates() {
+    for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
+        let config = config(&[
+            "env.n_envs=64",
+            "network.squash_mean=false",
+            "optimizer.actor_lr=0.003",
+            "optimizer.critic_lr=0.003",
+            "algorithm.mini_batches=4",
+            "algorithm.gamma=0",
+            "run.env_steps=1e9",
+        ]);
+        let mut run = Run::new(&config, arithmetic);
+        let mut first = f64::NAN;
+        let mut last = f64::NAN;
+        for iteration in 0..60 {
+            let mut blocks = blocks(&run.dimensions, 100 + iteration);
+            play(&run, &config, &mut blocks, iteration);
+            let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+            let report = run.mappo.update(&mut run.state, &shards).expect("finite");
+            last = report.returns.iter().sum::<f64>() / report.returns.len() as f64;
+            if iteration == 0 {
+                first = last;
+            }
+        }
+        // Five steps, three actions: −15 (c² + σ²) at first, −15 σ² at best, and σ falls.
+        assert!(first < -8.0, "{first}");
+        assert!(last > 0.35 * first, "{arithmetic:?}: from {first} to {last}");
+    }
+}
+
+/// Overwrites actions, log-probabilities and rewards of `blocks` by those of the current policy.
+fn play(run: &Run, config: &Config, blocks: &mut [Vec<f32>], iteration: u64) {
+    let Dimensions { n_agents, n_steps, n_envs, observation, .. } = run.dimensions;
+    let (a, t, n, o) = (n_agents as i64, n_steps as i64, n_envs as i64, observation as i64);
+    let NetworkState { spec, flat, .. } = &run.state.actor;
+    let mut compute =
+        Compute::new(spec, config.network.activation, n_agents, Kind::Float, Device::Cpu);
+    compute.load(flat);
+    let norm = run.state.observation_norm.as_ref().expect("running").mean_and_inverse_std();
+    let row = |x: &[f32]| Tensor::from_slice(x).view([a, 1, o]);
+    let std = spec.view("log_std", flat).exp();
+    for (shard, block) in blocks.iter_mut().enumerate() {
+        let layout = &run.mappo.layout;
+        let seen = Tensor::from_slice(&block[layout.observation.clone()]).view([a, t + 1, n, o]);
+        let seen = seen.narrow(1, 0, t).reshape([a, t * n, o]);
+        let x = ((&seen - row(&norm.0)) * row(&norm.1)).clamp(-8.0, 8.0);
+        let mean = compute.forward(&x).transpose(1, 2);
+        let noise: Vec<f32> = (0..(a * t * n * 3) as u32)
+            .map(|step| {
+                let address = Address {
+                    seed: 3,
+                    purpose: Purpose::ActionNoise,
+                    iteration: iteration as u32,
+                    env: shard as u32,
+                    step,
+                    index: 0,
+                };
+                address.normals()[0]
+            })
+            .collect();
+        let z = Tensor::from_slice(&noise).view([a, t * n, 3]);
+        let action = &mean + &z * std.unsqueeze(1);
+        let log_prob = (z.square() * -0.5 - std.log().unsqueeze(1) - 0.918_938_5).sum_dim_intlist(
+            &[2i64][..],
+            false,
+            Kind::Float,
+        );
+        let best = seen.narrow(2, 0, 3);
+        let reward = -(&action - best).square().sum_dim_intlist(&[2i64][..], false, Kind::Float);
+        for (range, tensor) in
+            [(&layout.action, action), (&layout.log_prob, log_prob), (&layout.reward, reward)]
+        {
+            let values = Vec::<f32>::try_from(tensor.contiguous().view([-1])).expect("f32");
+            block[range.clone()].copy_from_slice(&values);
+        }
+    }
+}

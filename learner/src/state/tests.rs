@@ -1,0 +1,102 @@
+use proto::config::{Layers, Preset};
+
+use super::*;
+
+fn config(assignments: &[&str]) -> Config {
+    ["network.hidden=[8]", "env.n_envs=8"]
+        .iter()
+        .chain(assignments)
+        .fold(Layers::new(Preset::Tuned, None), |layers, a| layers.set(a).expect("well formed"))
+        .resolve()
+        .expect("valid")
+}
+
+fn state(config: &Config) -> (TrainingState, Dimensions) {
+    let dimensions = Dimensions::new(config, 1);
+    (TrainingState::initial(config, &dimensions, Arithmetic::F32, Device::Cpu), dimensions)
+}
+
+fn refusal(data: &[u8], config: &Config) -> String {
+    let dimensions = Dimensions::new(config, 1);
+    TrainingState::from_safetensors(data, config, &dimensions, Device::Cpu)
+        .expect_err("must be refused")
+        .to_string()
+}
+
+#[test]
+fn the_digest_can_be_recomputed_from_the_file() {
+    let (state, _) = state(&config(&[]));
+    let bytes = state.to_safetensors();
+    let file = SafeTensors::deserialize(&bytes).expect("valid");
+    let mut names: Vec<&str> =
+        file.names().into_iter().filter(|name| !name.starts_with("policy.")).collect();
+    names.sort_unstable();
+    let mut builder = DigestBuilder::new();
+    for name in names {
+        builder.field(name, file.tensor(name).expect("listed").data());
+    }
+    assert_eq!(builder.finish(), state.digest());
+}
+
+#[test]
+fn every_array_changes_the_digest() {
+    let config = config(&[]);
+    let (mut state, _) = state(&config);
+    let before = state.digest();
+    state.env_steps += 1;
+    assert_ne!(state.digest(), before);
+    state.env_steps -= 1;
+    state.critic.adam.steps[1] += 1;
+    assert_ne!(state.digest(), before);
+    state.critic.adam.steps[1] -= 1;
+    let _ = state.actor.adam.v.get(1).get(3).fill_(1e-30);
+    assert_ne!(state.digest(), before);
+}
+
+#[test]
+fn a_state_of_another_shape_is_refused_by_name() {
+    let (state, _) = state(&config(&[]));
+    let bytes = state.to_safetensors();
+    let error = refusal(&bytes, &config(&["network.hidden=[9]"]));
+    assert!(error.contains("`actor.adam.m.head.weight` is F32 [2, 8, 3]"), "{error}");
+    assert!(error.contains("expected F32 [2, 9, 3]"), "{error}");
+    let error = refusal(&bytes, &config(&["network.layer_norm=true"]));
+    assert!(error.contains("`actor.adam.m.hidden.0.gain` is missing"), "{error}");
+    let error = refusal(&bytes, &config(&["network.input_norm=none"]));
+    assert!(error.contains("`previous_policy` is F32 [1104], expected F32 [880]"), "{error}");
+    let error = refusal(&bytes, &config(&["network.critic_state=own"]));
+    // Critics of a one-arm robot see 49 numbers either way; their normaliser has no place.
+    assert!(error.contains("`state_norm.") && error.contains("is unknown"), "{error}");
+}
+
+#[test]
+fn damage_is_refused() {
+    let config = config(&[]);
+    let (state, _) = state(&config);
+    let bytes = state.to_safetensors();
+    assert!(refusal(&bytes[..bytes.len() - 1], &config).contains("no valid safetensors file"));
+    assert!(refusal(b"", &config).contains("no valid safetensors file"));
+    let _ = state.actor.flat.get(0).get(0).fill_(f64::NAN);
+    let error = refusal(&state.to_safetensors(), &config);
+    assert!(error.contains("`actor.hidden.0.weight` holds a number that is not finite"), "{error}");
+}
+
+#[test]
+fn a_published_policy_holds_floored_deviations_and_the_normaliser() {
+    let config = config(&["network.initial_log_std=-0.7", "network.min_log_std=-0.7"]);
+    let (mut state, dimensions) = state(&config);
+    let layout = ActorLayout::new(&config, &dimensions);
+    let _ = state.actor.spec.view("log_std", &state.actor.flat).fill_(-3.0);
+    let norm = state.observation_norm.as_mut().expect("running");
+    norm.count = 4.0;
+    norm.mean[1] = 2.5;
+    norm.m2.fill(4.0);
+    let mut policy = vec![f32::NAN; layout.len];
+    state.write_policy(&mut policy);
+    let get = |name: &str| &policy[layout.get(name).expect("present").range()];
+    assert!(get("log_std").iter().all(|&x| x == -0.7));
+    assert_eq!(get("input.mean")[1], 2.5);
+    assert!((get("input.inverse_std")[0] - 1.0).abs() < 1e-6);
+    let weight = state.actor.spec.view("hidden.0.weight", &state.actor.flat).get(1).get(2).get(3);
+    assert_eq!(f64::from(get("hidden.0.weight")[(49 + 2) * 8 + 3]), weight.double_value(&[]));
+}
