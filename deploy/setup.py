@@ -37,7 +37,8 @@ USAGE, ENVIRONMENT, DOWNLOAD = 2, 3, 4
 ATTEMPTS = 3
 PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 LAYOUT = 1  # of .libtorch; a change here sets it up anew
-VENV_PYTHON = (3, 10)  # the oldest for which requirements.txt holds wheels
+VENV_PYTHONS = ((3, 10), (3, 14))  # the oldest and the newest for which requirements.txt holds wheels
+RUST = (1, 95)  # rust-version in Cargo.toml
 MIN_GLIBC = (2, 28)  # the wheels are manylinux_2_28
 
 # Bytes needed at the peak, wheels and unpacked files together.
@@ -92,9 +93,35 @@ def check_tools():
     require(missing)
 
 
-def check_pip():
-    if subprocess.run([sys.executable, "-m", "pip", "--version"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode:
-        require(["pip for %s: Debian, Ubuntu: `apt install python3-pip`; Fedora: `dnf install python3-pip`" % sys.executable])
+def check_rust():
+    """Older releases stumble over the manifest with a message that does not say so."""
+    result = subprocess.run(["cargo", "--version"], cwd=str(ROOT), stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True)
+    found = re.search(r"(\d+)\.(\d+)", result.stdout)
+    if result.returncode or not found:
+        raise Failure(ENVIRONMENT, "`cargo --version` failed:\n" + result.stderr.strip())
+    if tuple(int(part) for part in found.groups()) < RUST:
+        wanted = "Rust %d.%d or newer; found %s" % (RUST + (result.stdout.strip(),))
+        require([wanted + ": install it with rustup (https://rustup.rs)"])
+
+
+def find_pip():
+    """The command that runs pip: this Python's, or that of a virtual environment made for the purpose."""
+    own = [sys.executable, "-m", "pip"]
+    if succeeds(own + ["--version"]):
+        return own
+    # Debian and Ubuntu package pip and venv separately; either will do.
+    helper = CACHE / "pip"
+    python = helper / "bin" / "python"
+    if succeeds([str(python), "-m", "pip", "--version"]) or succeeds([sys.executable, "-m", "venv", "--clear", str(helper)]):
+        return [str(python), "-m", "pip"]
+    return require(["pip for %s: Debian, Ubuntu: `apt install python3-venv`; Fedora: `dnf install python3-pip`" % sys.executable])
+
+
+def succeeds(command):
+    try:
+        return subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode == 0
+    except OSError:
+        return False
 
 
 def require(missing):
@@ -118,7 +145,8 @@ def check_space(needed):
 
 
 def has_nvidia_gpu():
-    if os.path.exists("/dev/nvidia0"):
+    # Looking is faster than asking. A container may be lent any one of the host's GPUs, not only the first.
+    if any(re.match(r"nvidia\d+$", name) for name in os.listdir("/dev")):
         return True
     if not shutil.which("nvidia-smi"):
         return False
@@ -167,12 +195,16 @@ def read(path):
         return None
 
 
-def run(command, **options):
-    """Runs a child that ends with this process, whatever ends this one."""
+def run(command, watch=None, **options):
+    """Runs a child that ends with this process, whatever ends this one. `watch` is called twice a second meanwhile."""
     prctl = ctypes.CDLL(None).prctl
     child = subprocess.Popen(command, preexec_fn=lambda: prctl(PR_SET_PDEATHSIG, signal.SIGKILL), **options)
     try:
-        return child.wait()
+        while True:
+            try:
+                return child.wait(timeout=0.5 if watch else None)
+            except subprocess.TimeoutExpired:
+                watch()
     except BaseException:
         child.terminate()
         child.wait()
@@ -182,11 +214,53 @@ def run(command, **options):
 # --- wheels ----------------------------------------------------------------------------------------------
 
 
-def download(wheel, folder, python):
+def pip_environment(temporary):
+    """pip's own configuration holds (mirrors, proxies, certificates), except what is meant for the user's installations."""
+    installing = ("PIP_CONSTRAINT", "PIP_TARGET", "PIP_PREFIX")
+    environment = {name: value for name, value in os.environ.items() if name not in installing}
+    environment.update(PIP_REQUIRE_VIRTUALENV="0", PIP_USER="0", TMPDIR=str(temporary))
+    return environment
+
+
+class Progress:
+    """How much of a download has arrived: a line that rewrites itself on a terminal, a line every 15 s elsewhere.
+
+    pip's own bar shows on a terminal only, and half a gigabyte in silence looks like a hang.
+    """
+
+    def __init__(self, folder, size):
+        self.folder, self.size = folder, size
+        self.terminal = sys.stderr.isatty()
+        self.start = self.said = time.monotonic()
+
+    def __call__(self):
+        now = time.monotonic()
+        if not self.terminal and now - self.said < 15:
+            return
+        self.said = now
+        have = 0
+        for parent, _, names in os.walk(str(self.folder)):
+            for name in names:
+                try:
+                    have += os.path.getsize(os.path.join(parent, name))
+                except OSError:
+                    pass  # pip moved it meanwhile
+        have = min(have, self.size)
+        text = "setup:   %d of %d MB, %.1f MB/s" % (have / 1e6, self.size / 1e6, have / 1e6 / (now - self.start))
+        # Blanks clear what a longer line left.
+        sys.stderr.write("\r" + text + "   " if self.terminal else text + "\n")
+        sys.stderr.flush()
+
+    def end(self):
+        if self.terminal:
+            sys.stderr.write("\r" + " " * 60 + "\r")
+
+
+def download(wheel, folder, pip, python):
     """Puts the verified wheel into `folder`. Only a file whose digest is right ever gets its final name."""
     target = folder / wheel["file"]
     if target.exists():
-        if sha256(target) == wheel["sha256"]:
+        if target.stat().st_size == wheel["size"] and sha256(target) == wheel["sha256"]:
             say("have %s" % wheel["file"])
             return target
         say("%s in the cache is damaged, fetching it again" % wheel["file"])
@@ -197,7 +271,7 @@ def download(wheel, folder, python):
     partial = folder / "partial"
     # pip's own temporary files go there too: /tmp may be small, and what a killed pip leaves is cleared next time.
     temporary = partial / "tmp"
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-input", "--no-cache-dir"]
+    command = pip + ["download", "--quiet", "--disable-pip-version-check", "--no-input", "--no-cache-dir"]
     command += ["--no-deps", "--only-binary=:all:", "--implementation", "cp", "--python-version", python]
     command += ["--abi", "cp" + python.replace(".", ""), "--dest", str(partial)]
     for tag in platforms:
@@ -213,7 +287,10 @@ def download(wheel, folder, python):
         temporary.mkdir(parents=True)
         say("fetching %s" % wheel["file"])
         start = time.monotonic()
-        if run(command, stdout=sys.stderr, env=dict(os.environ, TMPDIR=str(temporary))):
+        progress = Progress(partial, wheel["size"])
+        status = run(command, watch=progress, stdout=sys.stderr, env=pip_environment(temporary))
+        progress.end()
+        if status:
             problem = "pip could not download %s" % wheel["file"]
             continue
         fetched = partial / wheel["file"]
@@ -271,7 +348,8 @@ def unpack(wheel, tree, device):
 def build_stub(library_folder):
     """An empty libtorch.so that needs libtorch_cpu.so and libc10.so, but not CUDA."""
     source = library_folder / "stub.cpp"
-    source.write_text("// libtorch.so holds no code of its own: it pulls in the libraries that do.\n")
+    # libtorch.so holds no code of its own. The include finds out early whether the C++ headers are there too.
+    source.write_text("#include <string>\n")
     command = find_compiler() + ["-shared", "-fPIC", "-o", str(library_folder / "libtorch.so"), str(source)]
     command += ["-Wl,-soname,libtorch.so", "-Wl,--no-as-needed", "-L" + str(library_folder), "-ltorch_cpu", "-lc10"]
     # The loader looks up what libtorch_cpu.so needs through its own rpath; so does this linker.
@@ -338,11 +416,43 @@ def stamp(lock_text, architecture, device):
     return "layout %d\nlock %s\narchitecture %s\ndevice %s" % (LAYOUT, lock, architecture, device)
 
 
+def library_sizes(tree):
+    """Name and size of every library, one per line."""
+    return "\n".join("%s %d" % (path.name, path.stat().st_size) for path in sorted((tree / "lib").iterdir()))
+
+
+def installed():
+    """The stamp of .libtorch, or None where there is none, or where files are missing or cut short.
+
+    Sizes cost microseconds, digests would cost seconds. They catch what happens: a full disk, a power cut, a stray deletion.
+    """
+    try:
+        whole = read(LIBTORCH / "libraries") == library_sizes(LIBTORCH) and (LIBTORCH / "include" / "torch").is_dir()
+    except OSError:
+        whole = False
+    return read(LIBTORCH / "stamp") if whole else None
+
+
+def wanted_device(device, cuda_is_installed):
+    """What `auto` stands for on this machine."""
+    if device != "auto":
+        return device
+    # A choice once made holds: DEVICE=cpu on a machine with a GPU is not undone by the next `make build`.
+    asked = read(LIBTORCH / "asked")
+    if asked in ("cpu", "cuda"):
+        return asked
+    # Libraries with CUDA also serve a machine without a GPU: what is there is not fetched again in a smaller size.
+    return "cuda" if cuda_is_installed or has_nvidia_gpu() else "cpu"
+
+
 def set_up_libtorch(device, dry_run):
     lock_text = LOCK.read_text(encoding="utf-8")
     lock = json.loads(lock_text)
     check_tools()
 
+    if "LIBTORCH_USE_PYTORCH" in os.environ:
+        advice = "unset it; to build against a PyTorch of yours, set LIBTORCH to the folder of its `torch` package"
+        raise Failure(ENVIRONMENT, "LIBTORCH_USE_PYTORCH makes the build ask Python for libtorch: " + advice)
     own = os.environ.get("LIBTORCH")
     if own is not None and (not own or os.path.realpath(own) != str(LIBTORCH)):
         check_own_libtorch(own, lock["torch"], device)
@@ -353,38 +463,53 @@ def set_up_libtorch(device, dry_run):
     if wheels is None:
         raise Failure(ENVIRONMENT, "no libtorch for %s; there are %s" % (architecture, ", ".join(lock["wheels"])))
 
-    present = read(LIBTORCH / "stamp")
-    wanted = device
-    if device == "auto":
-        # Libraries with CUDA also serve a machine without a GPU: what is there is not fetched again in a smaller size.
-        if present == stamp(lock_text, architecture, "cuda") or has_nvidia_gpu():
-            wanted = "cuda"
-        else:
-            wanted = "cpu"
+    present = installed()
+    wanted = wanted_device(device, present == stamp(lock_text, architecture, "cuda"))
     expected = stamp(lock_text, architecture, wanted)
     if present == expected:
+        note_choice(device)
         say("libtorch %s for %s is in place" % (lock["torch"], wanted))
         return
+    if LIBTORCH.exists() and not (LIBTORCH / "stamp").exists():
+        raise Failure(ENVIRONMENT, ".libtorch was not made by this set-up and stays untouched: move it elsewhere, and set LIBTORCH to use it")
 
     chosen = wheels["cpu"] + (wheels["cuda"] if wanted == "cuda" else [])
     if dry_run:
         say("would set up libtorch %s for %s in .libtorch from" % (lock["torch"], wanted))
         for wheel in chosen:
-            say("  " + wheel["file"])
+            say("  %-90s %7.1f MB" % (wheel["file"], wheel["size"] / 1e6))
+        say("  %.2f GB in all" % (sum(wheel["size"] for wheel in chosen) / 1e9))
         return
 
     check_platform()
-    check_pip()
+    check_rust()
     with locked("libtorch"):
-        if read(LIBTORCH / "stamp") == expected:
+        if installed() == expected:
             say("libtorch %s for %s is in place" % (lock["torch"], wanted))
             return
         start = time.monotonic()
-        build_tree(lock, chosen, wanted, expected)
+        before = read(LIBTORCH / "device")
+        asked = device if device != "auto" else read(LIBTORCH / "asked")
+        build_tree(lock, chosen, find_pip(), wanted, expected)
+        note_choice(asked)
+        if before not in (None, wanted):
+            forget_bindings()
         say("libtorch %s for %s is set up (%.0f s)" % (lock["torch"], wanted, time.monotonic() - start))
 
 
-def build_tree(lock, chosen, device, stamp_text):
+def note_choice(device):
+    """Remembers a device that was asked for, so that `auto` respects it from now on."""
+    if device in ("cpu", "cuda") and read(LIBTORCH / "asked") != device:
+        (LIBTORCH / "asked").write_text(device + "\n")
+
+
+def forget_bindings():
+    """Has cargo build the bindings anew: they hold the list of libraries they found, which has just changed."""
+    for profile in ("dev", "release"):
+        succeeds(["cargo", "clean", "--quiet", "--manifest-path", str(ROOT / "Cargo.toml"), "--package", "torch-sys", "--profile", profile])
+
+
+def build_tree(lock, chosen, pip, device, stamp_text):
     folder = CACHE / ("wheels-" + lock["torch"])
     tree = ROOT / ".libtorch.tmp"
     remove(tree)
@@ -393,7 +518,7 @@ def build_tree(lock, chosen, device, stamp_text):
     have = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
     check_space(SPACE[device] - have)
 
-    paths = [download(wheel, folder, lock["python"]) for wheel in chosen]
+    paths = [download(wheel, folder, pip, lock["python"]) for wheel in chosen]
     say("unpacking")
     for path in paths:
         version_file = unpack(path, tree, device)
@@ -412,6 +537,7 @@ def build_tree(lock, chosen, device, stamp_text):
     check_loadable(library_folder)
     (tree / "build-version").write_text(lock["torch"] + "\n")  # checked by tch's build script
     (tree / "device").write_text(device + "\n")
+    (tree / "libraries").write_text(library_sizes(tree) + "\n")
     (tree / "stamp").write_text(stamp_text + "\n")
 
     old = ROOT / ".libtorch-old.tmp"
@@ -427,15 +553,18 @@ def build_tree(lock, chosen, device, stamp_text):
 
 
 def python_for_tests():
-    """This Python where it is new enough, or the newest on PATH that is."""
-    if sys.version_info[:2] >= VENV_PYTHON:
+    """This Python where requirements.txt has wheels for it, or the newest on PATH that it has."""
+    oldest, newest = VENV_PYTHONS
+    if oldest <= sys.version_info[:2] <= newest:
         # Inside a virtual environment, the Python it was made from: the tests' one should outlive it.
         return getattr(sys, "_base_executable", None) or sys.executable
-    for minor in range(14, VENV_PYTHON[1] - 1, -1):
+    for minor in range(newest[1], oldest[1] - 1, -1):
         found = shutil.which("python3.%d" % minor)
-        if found:
+        # Version managers put a command on PATH even for a Python that is not selected.
+        if found and succeeds([found, "-c", ""]):
             return found
-    raise Failure(ENVIRONMENT, "the cross-checks need Python %d.%d or newer, found %s" % (VENV_PYTHON + (platform.python_version(),)))
+    wanted = "%d.%d to %d.%d" % (oldest + newest)
+    raise Failure(ENVIRONMENT, "the cross-checks need Python %s, found %s" % (wanted, platform.python_version()))
 
 
 def set_up_venv(dry_run):
@@ -444,10 +573,10 @@ def set_up_venv(dry_run):
     expected = "requirements %s\npython %s\nversion %s\npath %s" % (
         hashlib.sha256(requirements).hexdigest(),
         python,
-        platform.python_version() if sys.version_info[:2] >= VENV_PYTHON else "",
+        platform.python_version(),
         VENV,
     )
-    if read(VENV / "stamp") == expected:
+    if read(VENV / "stamp") == expected and (VENV / "bin" / "python").exists():
         say("the tests' Python is in place")
         return
     if dry_run:
@@ -468,16 +597,19 @@ def set_up_venv(dry_run):
         say("creating .venv-tests")
         if run([python, "-m", "venv", str(VENV)], stdout=sys.stderr):
             raise Failure(ENVIRONMENT, "could not create .venv-tests")
+        temporary = VENV / "tmp"
+        temporary.mkdir()
         say("installing tests/crosscheck/requirements.txt")
         command = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
         # The file lists the whole closure. Resolving it again would fail: hashes and extras (etils[epath]) do not mix.
         command += ["--only-binary=:all:", "--require-hashes", "--no-deps", "-r", str(REQUIREMENTS)]
         for attempt in range(ATTEMPTS):
-            if run(command, stdout=sys.stderr) == 0:
+            if run(command, stdout=sys.stderr, env=pip_environment(temporary)) == 0:
                 break
             say("pip failed (%d of %d)" % (attempt + 1, ATTEMPTS))
         else:
             raise Failure(DOWNLOAD, "could not install tests/crosscheck/requirements.txt")
+        remove(temporary)
         (VENV / "stamp").write_text(expected + "\n")
         say("the tests' Python is set up (%.0f s)" % (time.monotonic() - start))
 
