@@ -9,7 +9,9 @@ CARGO ?= cargo
 PYTHON ?= python3
 DEVICE ?= auto
 TARGET := $(or $(CARGO_TARGET_DIR),target)
-# Arguments of `octopus train`, as in: make train ARGS="--preset dev"
+# A gate that quietly updates the lock file tests something else than what was committed.
+LOCKED := $(if $(CI),--locked)
+# Arguments of `octopus train`, as in: make train ARGS="--preset paper"
 ARGS ?=
 
 LIBTORCH_DIR = $(or $(LIBTORCH),.libtorch)
@@ -45,12 +47,15 @@ train: build ## train, with ARGS="..." for octopus train
 .PHONY: test
 test: setup venv ## everything that must hold: format, lints, documentation, tests
 	$(call step,'format',$(CARGO) fmt --all --check)
-	$(call step,'lints',$(CARGO) clippy --workspace --all-targets $(FEATURES) -- -D warnings)
-	$(call step,'documentation',RUSTDOCFLAGS='-D warnings' $(CARGO) doc --workspace --no-deps $(FEATURES))
-	$(call step,'programs',$(CARGO) build --workspace $(FEATURES))
-	$(call step,'tests',$(CARGO) test --workspace $(FEATURES))
+	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets $(FEATURES) -- -D warnings)
+	$(call step,'documentation',RUSTDOCFLAGS='-D warnings' $(CARGO) doc $(LOCKED) --workspace --no-deps $(FEATURES))
+	$(call step,'programs',$(CARGO) build $(LOCKED) --workspace $(FEATURES))
+	$(call step,'tests',$(CARGO) test $(LOCKED) --workspace $(FEATURES))
 
 .PHONY: clean
-clean: ## remove what was built and set up; runs are kept
+clean: ## remove what was built; set-up and runs are kept
 	$(CARGO) clean
+
+.PHONY: distclean
+distclean: clean ## remove what was built and what was set up; runs are kept
 	rm -rf .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .cache

@@ -43,6 +43,11 @@ fn main() {
             println!("cargo:rustc-link-arg={argument}");
         }
         println!("cargo:rustc-link-arg=-Wl,--as-needed");
+    } else if lib.join("libtorch_cuda.so").exists() {
+        println!(
+            "cargo::warning={} has CUDA, this build leaves it out; add `--features learner/cuda` to use the GPU",
+            libtorch.display()
+        );
     }
 }
 
