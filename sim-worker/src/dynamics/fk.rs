@@ -3,7 +3,7 @@
 use super::kinematics::{point_velocity, poses, velocities};
 use super::workspace::Workspace;
 use crate::robot::{JOINTS_PER_ARM, Model};
-use crate::scalar::Real;
+use crate::scalar::{Kernel, Real};
 use crate::spatial::{
     Mat3, Vec3, Vec6, add, mat_mat, mat_t_vec, mat_vec, quaternion_to_rotation,
 };
@@ -60,6 +60,33 @@ pub fn hands<S: Real>(
     out: &mut [Hand<S>],
 ) {
     assert!(out.len() == model.n_arms, "one hand an arm");
+    S::compiled(Hands { model, ws, state, out });
+}
+
+/// The arguments of [`hands`].
+struct Hands<'a, S: Real> {
+    model: &'a Model<S>,
+    ws: &'a mut Workspace<S>,
+    state: &'a State<S>,
+    out: &'a mut [Hand<S>],
+}
+
+impl<S: Real> Kernel<S> for Hands<'_, S> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        let Self { model, ws, state, out } = self;
+        locate(model, ws, state, out);
+    }
+}
+
+#[inline(always)]
+fn locate<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    state: &State<S>,
+    out: &mut [Hand<S>],
+) {
     let r_wb = kinematics(model, ws, state);
     for arm in 0..model.n_arms {
         let last = arm * JOINTS_PER_ARM + JOINTS_PER_ARM - 1;

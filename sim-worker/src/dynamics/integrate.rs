@@ -6,7 +6,7 @@ use super::servo::{push_of_stops, servo};
 use super::workspace::Workspace;
 use crate::collision;
 use crate::robot::Model;
-use crate::scalar::Real;
+use crate::scalar::{Kernel, Real};
 use crate::spatial::{
     Vec6, mat_t_vec, quaternion_exp, quaternion_normalised, quaternion_product,
     quaternion_to_rotation,
@@ -73,6 +73,35 @@ pub fn step<S: Real>(
     command: &[S],
     options: &StepOptions,
 ) {
+    S::compiled(Step { model, ws, state, command, options });
+}
+
+/// The arguments of [`step`].
+struct Step<'a, S: Real> {
+    model: &'a Model<S>,
+    ws: &'a mut Workspace<S>,
+    state: &'a mut State<S>,
+    command: &'a [S],
+    options: &'a StepOptions,
+}
+
+impl<S: Real> Kernel<S> for Step<'_, S> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        let Self { model, ws, state, command, options } = self;
+        advance(model, ws, state, command, options);
+    }
+}
+
+#[inline(always)]
+fn advance<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    state: &mut State<S>,
+    command: &[S],
+    options: &StepOptions,
+) {
     let n = model.n_joints();
     assert!(command.len() == n && state.q.len() == n && state.qd.len() == n, "joints");
     let n_substeps = options.n_substeps();
@@ -94,16 +123,23 @@ pub fn step<S: Real>(
         Integrator::Rk4 => &[(0.5, 1.0 / 6.0), (0.5, 1.0 / 3.0), (1.0, 1.0 / 3.0), (0.0, 1.0 / 6.0)],
         Integrator::Euler => &[(0.0, 1.0)],
     };
-    for substep in 0..n_substeps {
+    // The mass at a contact comes from the evaluation before; the first one is made for that alone.
+    let mut to_warm_up = options.contacts;
+    for _ in 0..n_substeps {
         ws.y0.copy_from_slice(&ws.y);
-        for (stage, &(reach, weight)) in stages.iter().enumerate() {
-            let contacts = match (options.contacts, substep, stage) {
-                (false, ..) => Contacts::Off,
-                (true, 0, 0) => Contacts::DetectFirst,
-                (true, _, 0) => Contacts::Detect,
-                (true, ..) => Contacts::Push,
+        let mut stage = 0;
+        while stage < stages.len() {
+            let (reach, weight) = stages[stage];
+            let contacts = match (options.contacts && !to_warm_up, stage) {
+                (false, _) => Contacts::Off,
+                (true, 0) => Contacts::Find,
+                (true, _) => Contacts::Push,
             };
-            derivative(model, ws, command, h, contacts);
+            derivative(model, ws, command, contacts);
+            if to_warm_up {
+                to_warm_up = false;
+                continue;
+            }
             if options.integrator == Integrator::Euler {
                 euler_update(ws, n, S::splat(h));
                 break;
@@ -125,6 +161,7 @@ pub fn step<S: Real>(
                 }
                 normalise(ws);
             }
+            stage += 1;
         }
     }
 
@@ -145,10 +182,8 @@ pub fn step<S: Real>(
 enum Contacts {
     /// Nothing.
     Off,
-    /// Finds contacts at the start of the period: nothing is known yet of the inertia at the contacts.
-    DetectFirst,
-    /// Finds contacts at the start of a substep.
-    Detect,
+    /// Finds contacts and pushes at them: at the start of a substep.
+    Find,
     /// Pushes at the contacts found.
     Push,
 }
@@ -159,7 +194,6 @@ fn derivative<S: Real>(
     model: &Model<S>,
     ws: &mut Workspace<S>,
     command: &[S],
-    h: f64,
     contacts: Contacts,
 ) {
     let n = model.n_joints();
@@ -179,17 +213,15 @@ fn derivative<S: Real>(
         collision::clear(ws);
     } else {
         push_of_stops(model, ws, q, qd);
-        if contacts != Contacts::Push {
-            collision::broad_phase(model, ws, h);
-        }
-        if collision::any_near(ws) {
+        let find = contacts == Contacts::Find;
+        if find || collision::any_contact(ws) {
             poses(model, ws);
-            if contacts == Contacts::DetectFirst {
-                collision::articulated_inertias(model, ws);
-            }
-            if contacts != Contacts::Push {
-                collision::narrow_phase(model, ws);
-            }
+        }
+        if find {
+            collision::broad_phase(model, ws, collision::MARGIN);
+            collision::narrow_phase(model, ws);
+        }
+        if collision::any_contact(ws) {
             collision::push(model, ws);
         } else {
             collision::clear(ws);

@@ -20,7 +20,9 @@ mod workspace;
 
 pub use aba::{Acceleration, forward_dynamics};
 pub use fk::{Hand, hands};
+pub(crate) use fk::kinematics as kinematics_of;
 pub use integrate::{Integrator, StepOptions, step};
+pub(crate) use servo::stop_interval;
 pub use workspace::Workspace;
 
 #[cfg(test)]

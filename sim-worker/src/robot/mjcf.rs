@@ -1,8 +1,180 @@
-//! TODO
-use super::Robot;
-/// Options of an exported model.
+//! The robot as a MuJoCo model.
+//!
+//! Every number is written so that it reads back to the same `f64`: frames as positions and quaternions, inertias as full tensors about the
+//! centre of mass, the compiler's own inference switched off. The servos clip commands and torques as ours do.
+
+use std::fmt::Write as _;
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use super::{ArmBody, BaseBox, RigidBody, Robot, Shape};
+
+/// What goes into the model beside bodies, joints and servos.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct MjcfOptions { /// Whether shapes collide.
- pub contacts: bool }
-/// MJCF.
-pub fn mjcf(_robot: &Robot, _options: MjcfOptions) -> String { String::new() }
+pub struct MjcfOptions {
+    /// Whether shapes touch. What MuJoCo counts then is what [`count_contacts`](crate::collision::count_contacts) counts, less the pairs told by
+    /// joint angle; without, shapes are only drawn.
+    pub contacts: bool,
+}
+
+/// The robot in MJCF, MuJoCo's XML format.
+///
+/// Bodies: `base`, then per arm `<arm>_<link>`; joints and actuators likewise, joint angles are ours; sites `<arm>_hand`. MuJoCo's generalised
+/// positions and velocities then stand in the order of our [`State`](crate::state::State).
+pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
+    let mut x = Xml { text: String::new(), depth: 0, options };
+    x.open(&format!("mujoco model=\"{}\"", robot.name));
+    x.line("compiler angle=\"radian\" autolimits=\"true\" inertiafromgeom=\"false\" boundmass=\"0\" boundinertia=\"0\" balanceinertia=\"false\"");
+    x.line("option timestep=\"0.001\" integrator=\"Euler\" gravity=\"0 0 0\" cone=\"elliptic\" impratio=\"5\"");
+    x.open("worldbody");
+    x.open(&format!("body name=\"base\" pos=\"{}\"", numbers(&robot.home_position)));
+    x.line("freejoint name=\"base\"");
+    x.inertial(&robot.base);
+    for b in &robot.boxes {
+        x.solid(b);
+    }
+    for arm in &robot.arms {
+        x.solid(&arm.mount);
+        for (i, shape) in arm.pedestal_shapes.iter().enumerate() {
+            x.shape(&format!("{}_pedestal_{i}", arm.name), shape);
+        }
+        let (mut position, mut rotation) = (arm.position, arm.rotation);
+        for (j, link) in robot.links.iter().enumerate() {
+            let name = format!("{}_{}", arm.name, link.name);
+            x.open(&format!("body name=\"{name}\" {}", pose(&position, &rotation)));
+            x.line(&format!(
+                "joint name=\"{name}\" type=\"hinge\" axis=\"0 0 1\" ref=\"0\" armature=\"{}\"",
+                link.armature
+            ));
+            x.inertial(&link.body);
+            for (i, shape) in link.shapes.iter().enumerate() {
+                x.shape(&format!("{name}_{i}"), shape);
+            }
+            (position, rotation) = (link.shift, link.twist);
+            if j + 1 == robot.links.len() {
+                let at = pose(&robot.tool_position, &robot.tool_rotation);
+                x.line(&format!("site name=\"{}_hand\" {at}", arm.name));
+            }
+        }
+        for _ in &robot.links {
+            x.close("body");
+        }
+    }
+    x.close("body");
+    x.close("worldbody");
+    if options.contacts {
+        x.excluded(robot);
+    }
+    x.open("actuator");
+    for arm in &robot.arms {
+        for link in &robot.links {
+            x.line(&format!(
+                "general name=\"{0}_{1}\" joint=\"{0}_{1}\" ctrlrange=\"{2} {3}\" forcerange=\"{4} {5}\" gainprm=\"{6}\" biastype=\"affine\" biasprm=\"0 0 {7}\"",
+                arm.name, link.name, -link.max_rate, link.max_rate, -link.max_torque, link.max_torque, link.gain, -link.gain
+            ));
+        }
+    }
+    x.close("actuator");
+    x.close("mujoco");
+    x.text
+}
+
+struct Xml {
+    text: String,
+    depth: usize,
+    options: MjcfOptions,
+}
+
+impl Xml {
+    fn indent(&mut self) {
+        for _ in 0..self.depth {
+            self.text.push_str("  ");
+        }
+    }
+
+    fn line(&mut self, element: &str) {
+        self.indent();
+        writeln!(self.text, "<{element}/>").expect("writing to a string");
+    }
+
+    fn open(&mut self, element: &str) {
+        self.indent();
+        writeln!(self.text, "<{element}>").expect("writing to a string");
+        self.depth += 1;
+    }
+
+    fn close(&mut self, name: &str) {
+        self.depth -= 1;
+        self.indent();
+        writeln!(self.text, "</{name}>").expect("writing to a string");
+    }
+
+    fn inertial(&mut self, body: &RigidBody) {
+        let i = &body.inertia;
+        self.line(&format!(
+            "inertial mass=\"{}\" pos=\"{}\" fullinertia=\"{}\"",
+            body.mass,
+            numbers(body.com.as_slice()),
+            numbers(&[i[(0, 0)], i[(1, 1)], i[(2, 2)], i[(0, 1)], i[(0, 2)], i[(1, 2)]])
+        ));
+    }
+
+    /// Pairs of links told by joint angle. Mount and pedestal belong to the base's body, whose pairs cannot be excluded one by one: whoever counts
+    /// leaves those out by the shapes' names.
+    fn excluded(&mut self, robot: &Robot) {
+        self.open("contact");
+        for arm in &robot.arms {
+            for stop in &robot.stops {
+                if let [ArmBody::Link(a), ArmBody::Link(b)] = stop.pair {
+                    let name = |l: usize| format!("{}_{}", arm.name, robot.links[l].name);
+                    self.line(&format!("exclude body1=\"{}\" body2=\"{}\"", name(a), name(b)));
+                }
+            }
+        }
+        self.close("contact");
+    }
+
+    fn touching(&self) -> &'static str {
+        if self.options.contacts {
+            "contype=\"1\" conaffinity=\"1\""
+        } else {
+            "contype=\"0\" conaffinity=\"0\""
+        }
+    }
+
+    fn solid(&mut self, b: &BaseBox) {
+        self.line(&format!(
+            "geom name=\"{}\" type=\"box\" size=\"{}\" {} {}",
+            b.name,
+            numbers(b.half.as_slice()),
+            pose(&b.centre, &b.rotation),
+            self.touching()
+        ));
+    }
+
+    fn shape(&mut self, name: &str, shape: &Shape) {
+        let touching = self.touching();
+        match shape {
+            Shape::Capsule { from, to, radius } => self.line(&format!(
+                "geom name=\"{name}\" type=\"capsule\" size=\"{radius}\" fromto=\"{} {}\" {touching}",
+                numbers(from.as_slice()),
+                numbers(to.as_slice())
+            )),
+            Shape::Disc { centre, axis, radius, half_height } => self.line(&format!(
+                "geom name=\"{name}\" type=\"cylinder\" size=\"{radius}\" fromto=\"{} {}\" {touching}",
+                numbers((centre - axis * *half_height).as_slice()),
+                numbers((centre + axis * *half_height).as_slice())
+            )),
+        }
+    }
+}
+
+/// Shortest decimals that read back to the same numbers.
+fn numbers(values: &[f64]) -> String {
+    values.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
+}
+
+fn pose(position: &Vector3<f64>, rotation: &Matrix3<f64>) -> String {
+    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
+    format!("pos=\"{}\" quat=\"{}\"", numbers(position.as_slice()), numbers(&[q.w, q.i, q.j, q.k]))
+}

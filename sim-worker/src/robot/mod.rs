@@ -15,7 +15,7 @@ use nalgebra::{Matrix3, Rotation3, SymmetricEigen, Vector3};
 
 pub use description::RobotDescription;
 pub use error::RobotError;
-pub use mjcf::mjcf;
+pub use mjcf::MjcfOptions;
 pub use model::Model;
 pub(crate) use model::{ArmModel, LinkModel, RigidInertia, StopModel, Twist};
 

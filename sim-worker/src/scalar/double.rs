@@ -1,6 +1,6 @@
 //! `f64`, the reference scalar. Elementary functions come from `libm` (pure Rust): the same bits on every C library.
 
-use super::Real;
+use super::{Kernel, Real, lanes};
 
 impl Real for f64 {
     const LANES: usize = 1;
@@ -75,6 +75,10 @@ impl Real for f64 {
         let bits = self.to_bits();
         let exponent = ((bits >> 52) & 0x7ff) as i64 - 1022;
         (f64::from_bits((bits & !(0x7ff << 52)) | (1022 << 52)), exponent as f64)
+    }
+    #[inline(always)]
+    fn compiled<K: Kernel<Self>>(kernel: K) -> K::Output {
+        lanes::run_scalar(kernel)
     }
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {

@@ -11,7 +11,7 @@
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
 use super::single::{self, single_precision_functions};
-use super::{LANES, Mask, Real, elementary};
+use super::{Kernel, LANES, Mask, Real, elementary};
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::{
@@ -440,6 +440,11 @@ mod avx512 {
                 (Self(_mm512_castsi512_ps(m)), Self(e))
             }
         }
+        #[inline(always)]
+        fn compiled<K: Kernel<Self>>(kernel: K) -> K::Output {
+            // SAFETY: as for `splat`.
+            unsafe { run_avx512(kernel) }
+        }
         single_precision_functions!();
     }
 }
@@ -718,6 +723,11 @@ mod avx2 {
             );
             (mantissa, exponent)
         }
+        #[inline(always)]
+        fn compiled<K: Kernel<Self>>(kernel: K) -> K::Output {
+            // SAFETY: as for `splat`.
+            unsafe { run_avx2(kernel) }
+        }
         single_precision_functions!();
     }
 }
@@ -809,4 +819,36 @@ fn call_avx512<F: LaneFn>(f: F) -> F::Output {
 #[target_feature(enable = "avx2,fma")]
 fn call_avx2<F: LaneFn>(f: F) -> F::Output {
     f.call::<F32x16Avx2>()
+}
+
+/// Runs a kernel of a lone scalar with the processor's fused multiply-add where it has one: the same bits as without, much faster.
+#[inline(always)]
+pub(super) fn run_scalar<S: Real, K: Kernel<S>>(kernel: K) -> K::Output {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        // SAFETY: the processor features were just found.
+        return unsafe { run_fma(kernel) };
+    }
+    super::run_apart(kernel)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+#[inline(never)]
+fn run_fma<S: Real, K: Kernel<S>>(kernel: K) -> K::Output {
+    kernel.run()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw,fma")]
+#[inline(never)]
+fn run_avx512<K: Kernel<F32x16Avx512>>(kernel: K) -> K::Output {
+    kernel.run()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+#[inline(never)]
+fn run_avx2<K: Kernel<F32x16Avx2>>(kernel: K) -> K::Output {
+    kernel.run()
 }

@@ -172,6 +172,27 @@ pub trait Real:
     fn log10(self) -> Self;
     /// Hyperbolic tangent.
     fn tanh(self) -> Self;
+
+    /// Runs `kernel` in a function of its own that is compiled for this type's processor features.
+    ///
+    /// Large computations go through here: they are compiled once a type, not once a caller.
+    #[inline(always)]
+    fn compiled<K: Kernel<Self>>(kernel: K) -> K::Output {
+        run_apart(kernel)
+    }
+}
+
+/// A computation in one scalar type, see [`Real::compiled`]. `run` must be `#[inline(always)]`.
+pub trait Kernel<S: Real> {
+    /// What the computation returns.
+    type Output;
+    /// Computes.
+    fn run(self) -> Self::Output;
+}
+
+#[inline(never)]
+fn run_apart<S: Real, K: Kernel<S>>(kernel: K) -> K::Output {
+    kernel.run()
 }
 
 /// Whether all lanes of `x` are finite.

@@ -1,6 +1,6 @@
 //! Lone `f32`: the same bits as one lane of the lane types.
 
-use super::{Real, elementary};
+use super::{Kernel, Real, elementary, lanes};
 
 /// `a < b ? a : b`, as the processors' vector minimum.
 #[inline(always)]
@@ -130,6 +130,10 @@ impl Real for f32 {
     #[inline(always)]
     fn frexp(self) -> (Self, Self) {
         frexp(self)
+    }
+    #[inline(always)]
+    fn compiled<K: Kernel<Self>>(kernel: K) -> K::Output {
+        lanes::run_scalar(kernel)
     }
     single_precision_functions!();
 }

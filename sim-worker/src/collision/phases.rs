@@ -1,0 +1,395 @@
+//! Finding contacts and pushing at them.
+
+use super::distance::{Proximity, rounded_box, rounded_rounded};
+use super::model::{FixedBody, Pair, Partner};
+use super::shape::Rounded;
+use super::{DAMPING_RATE, HEAVIEST, MARGIN, STIFFNESS_RATE};
+use crate::dynamics::kinematics::{force_from_next, point_in_link, point_velocity, turn};
+use crate::dynamics::{Workspace, stop_interval};
+use crate::robot::{JOINTS_PER_ARM, Model};
+use crate::scalar::{Kernel, Mask, Real};
+use crate::spatial::{Vec3, Vec6, add, cross, cross_add, dot, mat_t_vec, mat_vec, scale, sub};
+use crate::state::State;
+
+/// A pair that is near in some lane, and the lanes it is near in.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Near<S: Real> {
+    pair: usize,
+    lanes: S::Mask,
+}
+
+/// A point at which two bodies push each other, for the length of a substep.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Contact<S: Real> {
+    pair: usize,
+    /// Lanes in which the pair is near.
+    lanes: S::Mask,
+    /// Surface points, fixed to the bodies: A's in its link frame, B's in its link frame or the base frame (m).
+    on_a: Vec3<S>,
+    on_b: Vec3<S>,
+    /// From B to A, fixed to the base.
+    normal: Vec3<S>,
+    /// Mass the joints show along the normal, less the share of the arm's other contacts (kg).
+    mass: S,
+}
+
+/// Near pairs and contacts of a substep, and the bounding centres behind them.
+#[derive(Clone, Debug)]
+pub(crate) struct ContactSet<S: Real> {
+    centres: Vec<Vec3<S>>,
+    near: Vec<Near<S>>,
+    contacts: Vec<Contact<S>>,
+    /// Pushing contacts of each arm.
+    busy: Vec<S>,
+}
+
+impl<S: Real> ContactSet<S> {
+    /// Room for all pairs of `model`.
+    pub(crate) fn new(model: &Model<S>) -> Self {
+        let n = model.collision.pairs.len();
+        Self {
+            centres: vec![[S::zero(); 3]; model.n_joints()],
+            near: Vec::with_capacity(n),
+            contacts: Vec::with_capacity(n),
+            busy: vec![S::zero(); model.n_arms()],
+        }
+    }
+}
+
+/// Takes all outside forces off base and links.
+#[inline(always)]
+pub(crate) fn clear<S: Real>(ws: &mut Workspace<S>) {
+    ws.base_f_ext = Vec6::zero();
+    for link in &mut ws.links {
+        link.f_ext = Vec6::zero();
+    }
+}
+
+/// Whether the last narrow phase found a contact in some lane.
+#[inline(always)]
+pub(crate) fn any_contact<S: Real>(ws: &Workspace<S>) -> bool {
+    !ws.contacts.contacts.is_empty()
+}
+
+#[inline(always)]
+fn squared_distance<S: Real>(a: Vec3<S>, b: Vec3<S>) -> S {
+    let d = sub(a, b);
+    dot(d, d)
+}
+
+/// Lists the pairs whose bounding spheres come within `margin` (m). Reads `ws.poses`.
+#[inline(always)]
+pub(crate) fn broad_phase<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, margin: f64) {
+    let collision = &model.collision;
+    let margin = S::splat(margin);
+    let set = &mut ws.contacts;
+    for (i, pose) in ws.poses.iter().enumerate() {
+        let centre = collision.links[i % JOINTS_PER_ARM].centre;
+        set.centres[i] = add(mat_vec(&pose.r, centre), pose.o);
+    }
+    set.near.clear();
+    for group in &collision.groups {
+        if let Some(bound) = &group.bound {
+            let b = match bound.b {
+                Partner::Link(b) => set.centres[b],
+                Partner::Fixed(b) => collision.fixed_centres[b],
+            };
+            let reach = bound.reach + margin;
+            if !squared_distance(set.centres[bound.a], b).lt(reach * reach).any() {
+                continue;
+            }
+        }
+        for pair in group.pairs.clone() {
+            let Pair { a, b, reach } = collision.pairs[pair];
+            let a = set.centres[a];
+            let d2 = match b {
+                Partner::Link(b) => squared_distance(a, set.centres[b]),
+                Partner::Fixed(b) => match &collision.fixed[b] {
+                    FixedBody::Rounded(_) => squared_distance(a, collision.fixed_centres[b]),
+                    FixedBody::Box(block) => {
+                        let p = mat_t_vec(&block.rotation, sub(a, block.centre));
+                        let h = block.half;
+                        let e = [
+                            (p[0].abs() - h[0]).max(S::zero()),
+                            (p[1].abs() - h[1]).max(S::zero()),
+                            (p[2].abs() - h[2]).max(S::zero()),
+                        ];
+                        dot(e, e)
+                    }
+                },
+            };
+            let reach = reach + margin;
+            let lanes = d2.lt(reach * reach);
+            if lanes.any() {
+                set.near.push(Near { pair, lanes });
+            }
+        }
+    }
+}
+
+/// The nearest of two proximities, lane by lane.
+#[inline(always)]
+fn nearer<S: Real>(a: Proximity<S>, b: Proximity<S>) -> Proximity<S> {
+    let m = b.gap.lt(a.gap);
+    let mut out = a;
+    out.gap = S::select(m, b.gap, a.gap);
+    for i in 0..3 {
+        out.normal[i] = S::select(m, b.normal[i], a.normal[i]);
+        out.point[i] = S::select(m, b.point[i], a.point[i]);
+    }
+    out
+}
+
+/// The closest surfaces of a pair. Reads `ws.poses`.
+#[inline(always)]
+fn proximity<S: Real>(model: &Model<S>, ws: &Workspace<S>, pair: &Pair<S>) -> Proximity<S> {
+    let collision = &model.collision;
+    let zero = [S::zero(); 3];
+    let mut best =
+        Proximity { gap: S::splat(f64::INFINITY), normal: zero, point: zero };
+    let pose_a = &ws.poses[pair.a];
+    for shape in &collision.links[pair.a % JOINTS_PER_ARM].shapes {
+        let a = Rounded { core: shape.core.placed(&pose_a.r, pose_a.o), radius: shape.radius };
+        let (others, pose_b) = match pair.b {
+            Partner::Link(b) => (&collision.links[b % JOINTS_PER_ARM].shapes, Some(&ws.poses[b])),
+            Partner::Fixed(b) => match &collision.fixed[b] {
+                FixedBody::Box(block) => {
+                    best = nearer(best, rounded_box(&a, block));
+                    continue;
+                }
+                FixedBody::Rounded(shapes) => (shapes, None),
+            },
+        };
+        for other in others {
+            let mut b = *other;
+            if let Some(pose) = pose_b {
+                b.core = b.core.placed(&pose.r, pose.o);
+            }
+            best = nearer(best, rounded_rounded(&a, &b));
+        }
+    }
+    best
+}
+
+/// Finds the contacts of the near pairs, with the mass each pushes against. Reads `poses`, `sin`, `cos`, `v`, `u_col`, `d_inv` of the links.
+#[inline(always)]
+pub(crate) fn narrow_phase<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
+    let margin = S::splat(MARGIN);
+    ws.contacts.contacts.clear();
+    for busy in &mut ws.contacts.busy {
+        *busy = S::zero();
+    }
+    for i in 0..ws.contacts.near.len() {
+        let Near { pair, lanes } = ws.contacts.near[i];
+        let bodies = model.collision.pairs[pair];
+        let p = proximity(model, ws, &bodies);
+        let lanes = lanes & p.gap.lt(margin);
+        if !lanes.any() {
+            continue;
+        }
+        let mut contact = Contact {
+            pair,
+            lanes,
+            on_a: p.point,
+            on_b: crate::spatial::mul_add(-p.gap, p.normal, p.point),
+            normal: p.normal,
+            mass: S::one(),
+        };
+        let moment = cross(p.point, p.normal);
+        let unit = Vec6 { ang: moment, lin: p.normal };
+        let mut mobility = S::splat(1.0 / HEAVIEST) + mobility(model, ws, bodies.a, unit);
+        contact.on_a = point_in_link(&ws.poses[bodies.a], p.point);
+        if let Partner::Link(b) = bodies.b {
+            mobility += self::mobility(model, ws, b, unit);
+            contact.on_b = point_in_link(&ws.poses[b], contact.on_b);
+        }
+        contact.mass = mobility.recip();
+        let (gap, rate, _) = gap_and_rate(model, ws, &contact);
+        let pushes = lanes & drive(gap, rate).gt(S::zero());
+        let one = S::select(pushes, S::one(), S::zero());
+        ws.contacts.busy[bodies.a / JOINTS_PER_ARM] += one;
+        if let Partner::Link(b) = bodies.b
+            && b / JOINTS_PER_ARM != bodies.a / JOINTS_PER_ARM
+        {
+            ws.contacts.busy[b / JOINTS_PER_ARM] += one;
+        }
+        ws.contacts.contacts.push(contact);
+    }
+    for i in 0..ws.contacts.contacts.len() {
+        let bodies = &model.collision.pairs[ws.contacts.contacts[i].pair];
+        let mut sharers = ws.contacts.busy[bodies.a / JOINTS_PER_ARM].max(S::one());
+        if let Partner::Link(b) = bodies.b {
+            sharers = ws.contacts.busy[b / JOINTS_PER_ARM].max(sharers);
+        }
+        let contact = &mut ws.contacts.contacts[i];
+        contact.mass = contact.mass / sharers;
+    }
+}
+
+/// Inverse of the mass an arm shows to the unit wrench (base frame, at its origin) on a link: Σ u²/D up the chain, with the base held.
+///
+/// The force's way through the articulated bodies, as in the second pass of the articulated-body algorithm; contacts move bodies of one and the same
+/// robot against each other, so what the base gives way is small.
+#[inline(always)]
+fn mobility<S: Real>(model: &Model<S>, ws: &Workspace<S>, link: usize, unit: Vec6<S>) -> S {
+    let pose = &ws.poses[link];
+    let lin = mat_t_vec(&pose.r, unit.lin);
+    // Moment about the link frame's origin.
+    let ang = mat_t_vec(&pose.r, sub(unit.ang, cross(pose.o, unit.lin)));
+    let mut f = Vec6 { ang, lin };
+    let mut sum = S::zero();
+    let first = link - link % JOINTS_PER_ARM;
+    let mut i = link;
+    loop {
+        let scratch = &ws.links[i];
+        let u = f.ang[2];
+        let ud = u * scratch.d_inv;
+        sum = u.mul_add(ud, sum);
+        if i == first {
+            return sum;
+        }
+        f.ang = crate::spatial::mul_add(-ud, scratch.u_col.ang, f.ang);
+        f.lin = crate::spatial::mul_add(-ud, scratch.u_col.lin, f.lin);
+        f.ang = turn(scratch.sin, scratch.cos, f.ang);
+        f.lin = turn(scratch.sin, scratch.cos, f.lin);
+        i -= 1;
+        f = force_from_next(&model.links[i % JOINTS_PER_ARM], f);
+    }
+}
+
+/// ω² g + 2 ζ ω v, negated: what pushes where it is positive (m/s²).
+#[inline(always)]
+fn drive<S: Real>(gap: S, rate: S) -> S {
+    -S::splat(STIFFNESS_RATE).mul_add(gap, S::splat(DAMPING_RATE) * rate)
+}
+
+/// Gap of a contact, its rate, and A's point in the base frame.
+#[inline(always)]
+fn gap_and_rate<S: Real>(
+    model: &Model<S>,
+    ws: &Workspace<S>,
+    contact: &Contact<S>,
+) -> (S, S, Vec3<S>) {
+    let bodies = &model.collision.pairs[contact.pair];
+    let a = &ws.poses[bodies.a];
+    let p_a = add(mat_vec(&a.r, contact.on_a), a.o);
+    let v_a = mat_vec(&a.r, point_velocity(ws.links[bodies.a].v, contact.on_a));
+    let (p_b, v_b) = match bodies.b {
+        Partner::Link(i) => {
+            let b = &ws.poses[i];
+            (
+                add(mat_vec(&b.r, contact.on_b), b.o),
+                mat_vec(&b.r, point_velocity(ws.links[i].v, contact.on_b)),
+            )
+        }
+        Partner::Fixed(_) => (contact.on_b, point_velocity(ws.base_v, contact.on_b)),
+    };
+    (dot(contact.normal, sub(p_a, p_b)), dot(contact.normal, sub(v_a, v_b)), p_a)
+}
+
+/// Puts the contacts' forces on base and links. Reads `poses` and `v` of the links.
+///
+/// Force and counterforce act along one line through A's point, so total momentum stays. Sums start at +0 and lanes without contact
+/// add ±0 to them, which changes no bit.
+#[inline(always)]
+pub(crate) fn push<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
+    clear(ws);
+    for i in 0..ws.contacts.contacts.len() {
+        let contact = ws.contacts.contacts[i];
+        let bodies = &model.collision.pairs[contact.pair];
+        let (gap, rate, point) = gap_and_rate(model, ws, &contact);
+        let size = (contact.mass * drive(gap, rate)).max(S::zero());
+        let size = S::select(contact.lanes, size, S::zero());
+        let mut force = scale(size, contact.normal);
+        for x in &mut force {
+            // A lane that is not near may hold anything in its normal.
+            *x = S::select(contact.lanes, *x, S::zero());
+        }
+        push_link(ws, bodies.a, point, force);
+        let back = [-force[0], -force[1], -force[2]];
+        match bodies.b {
+            Partner::Link(b) => push_link(ws, b, point, back),
+            Partner::Fixed(_) => {
+                let f = &mut ws.base_f_ext;
+                f.ang = cross_add(point, back, f.ang);
+                f.lin = add(f.lin, back);
+            }
+        }
+    }
+}
+
+/// Adds a force (base axes) at a point (base frame) to a link.
+#[inline(always)]
+fn push_link<S: Real>(ws: &mut Workspace<S>, link: usize, point: Vec3<S>, force: Vec3<S>) {
+    let pose = &ws.poses[link];
+    let (p, f) = (point_in_link(pose, point), mat_t_vec(&pose.r, force));
+    let ext = &mut ws.links[link].f_ext;
+    ext.ang = cross_add(p, f, ext.ang);
+    ext.lin = add(ext.lin, f);
+}
+
+/// What touches, per lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touching<S> {
+    /// Number of touching pairs of bodies, those told by joint angle included.
+    pub pairs: S,
+    /// How deep the deepest pair of shapes overlaps (m); zero where none does.
+    pub penetration: S,
+}
+
+/// Number of touching pairs of bodies, per lane.
+#[inline(always)]
+pub fn count_contacts<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> S {
+    touching(model, ws, state).pairs
+}
+
+/// Number of touching pairs of bodies, and how deep they overlap, per lane.
+#[inline(always)]
+pub fn touching<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    state: &State<S>,
+) -> Touching<S> {
+    S::compiled(Look { model, ws, state })
+}
+
+/// The arguments of [`touching`].
+struct Look<'a, S: Real> {
+    model: &'a Model<S>,
+    ws: &'a mut Workspace<S>,
+    state: &'a State<S>,
+}
+
+impl<S: Real> Kernel<S> for Look<'_, S> {
+    type Output = Touching<S>;
+    #[inline(always)]
+    fn run(self) -> Touching<S> {
+        let Self { model, ws, state } = self;
+        look(model, ws, state)
+    }
+}
+
+#[inline(always)]
+fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> Touching<S> {
+    crate::dynamics::kinematics_of(model, ws, state);
+    let mut pairs = S::zero();
+    for stop in &model.stops {
+        for arm in 0..model.n_arms() {
+            let first = arm * JOINTS_PER_ARM;
+            let narrowing = &ws.links[first + stop.narrowing_joint];
+            let q = state.q[first + stop.joint];
+            let (x, half) = stop_interval(stop, q, narrowing.sin, narrowing.cos);
+            pairs += S::select(x.abs().le(half), S::one(), S::zero());
+        }
+    }
+    broad_phase(model, ws, 0.0);
+    let mut penetration = S::zero();
+    for i in 0..ws.contacts.near.len() {
+        let Near { pair, lanes } = ws.contacts.near[i];
+        let p = proximity(model, ws, &model.collision.pairs[pair]);
+        let touches = lanes & p.gap.lt(S::zero());
+        pairs += S::select(touches, S::one(), S::zero());
+        penetration = S::select(touches, (-p.gap).max(penetration), penetration);
+    }
+    Touching { pairs, penetration }
+}
