@@ -43,6 +43,7 @@ impl Adam {
 
     /// The same moments of `len` agents from `start`, in the same memory, and a copy of their
     /// counts.
+    #[must_use]
     pub fn narrow(&self, start: usize, len: usize) -> Self {
         let part = |tensor: &Tensor| tensor.narrow(0, start as i64, len as i64);
         Self { m: part(&self.m), v: part(&self.v), steps: self.steps[start..start + len].to_vec() }

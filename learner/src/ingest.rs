@@ -152,13 +152,14 @@ impl<B: Block> Inbox<B> {
             let rows = agents.unwrap_or(1) * steps.unwrap_or(1) * n;
             let row = index / (numbers.len() / rows);
             let env = header.shard as usize * n + row % n;
-            let mut place = format!("environment {env}");
-            if let Some(steps) = steps {
-                place += &format!(", step {}", row / n % steps);
-                if agents.is_some() {
-                    place += &format!(", agent {}", row / n / steps);
+            let place = match (agents, steps) {
+                (Some(_), Some(steps)) => {
+                    let (step, agent) = (row / n % steps, row / n / steps);
+                    format!("environment {env}, step {step}, agent {agent}")
                 }
-            }
+                (None, Some(steps)) => format!("environment {env}, step {}", row / n % steps),
+                (_, None) => format!("environment {env}"),
+            };
             return Err(LearnerError::BadBlock {
                 worker: header.worker,
                 incarnation: header.incarnation,

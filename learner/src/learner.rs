@@ -24,7 +24,7 @@ use crate::precision::Arithmetic;
 use crate::state::TrainingState;
 
 /// How long the coordinator may take to make room.
-const SEND_DEADLINE: Duration = Duration::from_secs(60);
+const SEND_DEADLINE: Duration = Duration::from_mins(1);
 /// How often a learner with nothing to do looks for workers that came late.
 const IDLE: Duration = Duration::from_millis(20);
 /// How often it looks whether training is done.

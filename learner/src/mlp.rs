@@ -128,7 +128,7 @@ impl Compute {
             let mut bias = self.spec.view(&bias_name, flat).unsqueeze(1);
             if let Some((gain, shift)) = self.preceding(layer, flat) {
                 bias = shift.unsqueeze(1).bmm(&weight) + bias;
-                weight = weight * gain.unsqueeze(2);
+                weight = gain.unsqueeze(2) * weight;
             }
             if layer == self.spec.hidden.len() {
                 self.head.copy_(&weight.transpose(1, 2));
@@ -333,7 +333,7 @@ fn standardise_backward(d: &mut Tensor, standard: &Tensor, inverse_std: &Tensor,
 /// its folded affine map. `x` is `[…, in]` in f32.
 pub fn standardise_input(x: &Tensor) -> Tensor {
     let width = x.size()[x.dim() - 1];
-    x.layer_norm(&[width], None::<Tensor>, None::<Tensor>, LAYER_NORM_EPSILON, false)
+    x.layer_norm([width], None::<Tensor>, None::<Tensor>, LAYER_NORM_EPSILON, false)
 }
 
 #[cfg(test)]

@@ -263,7 +263,9 @@ fn orthogonal(address: Address, rows: usize, columns: usize, gain: f64, out: &mu
             }
         }
         let norm = dot(current, current).sqrt();
-        current.iter_mut().for_each(|x| *x /= norm);
+        for x in current {
+            *x /= norm;
+        }
     }
     for (vector, values) in basis.chunks_exact(length).enumerate() {
         for (position, value) in values.iter().enumerate() {

@@ -17,11 +17,10 @@ impl Arithmetic {
     /// bf16 if the processor (or the GPU) multiplies it natively.
     pub fn choose(wanted: Precision, resumed: Option<Self>, device: tch::Device) -> Self {
         match (wanted, resumed) {
-            (Precision::F32, _) => Self::F32,
-            (Precision::Bf16, _) => Self::Bf16,
             (Precision::Auto, Some(resumed)) => resumed,
             (Precision::Auto, None) if device.is_cuda() || has_native_bf16() => Self::Bf16,
-            (Precision::Auto, None) => Self::F32,
+            (Precision::Bf16, _) => Self::Bf16,
+            (Precision::F32 | Precision::Auto, _) => Self::F32,
         }
     }
 

@@ -365,7 +365,9 @@ impl TrainingState {
                     let view = view.to_device(Device::Cpu).contiguous();
                     slot.copy_from_slice(bytemuck::cast_slice(bytes(&view)));
                     if name == "log_std" {
-                        slot.iter_mut().for_each(|x| *x = x.max(self.min_log_std as f32));
+                        for x in slot {
+                            *x = x.max(self.min_log_std as f32);
+                        }
                     }
                 }
             }

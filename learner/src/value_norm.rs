@@ -32,6 +32,7 @@ impl ValueNorm {
     }
 
     /// The same moments of `len` agents from `start`, in the same memory.
+    #[must_use]
     pub fn narrow(&self, start: i64, len: i64) -> Self {
         let part = |tensor: &Tensor| tensor.narrow(0, start, len);
         Self {
