@@ -96,8 +96,7 @@ impl Run {
     pub fn resume(&mut self, more: &[&str]) {
         let path = self.path();
         let path = path.to_str().expect("temporary paths are UTF-8");
-        let args: Vec<&str> =
-            ["resume", path, "--no-eval"].iter().chain(more).copied().collect();
+        let args: Vec<&str> = ["resume", path, "--no-eval"].iter().chain(more).copied().collect();
         self.start(&args);
     }
 

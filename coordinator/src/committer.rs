@@ -29,9 +29,8 @@ impl Committer {
         let (outbox, results) = channel();
         let thread = std::thread::spawn(move || {
             for snapshot in inbox {
-                let result = store
-                    .commit(&snapshot, &config, &robot_toml, &provenance)
-                    .and_then(|path| {
+                let result =
+                    store.commit(&snapshot, &config, &robot_toml, &provenance).and_then(|path| {
                         store.prune(config.run.checkpoints_kept)?;
                         Ok((snapshot.iteration, path))
                     });

@@ -257,10 +257,12 @@ mod tests {
         assert_eq!(iterations, [0, 0, 1, 1], "1 is rolled out while 0 is trained on, 2 is not");
         scheduler.iteration_done(0);
         let orders = scheduler.assign(now);
-        assert!(orders.iter().all(|order| matches!(
-            order,
-            Order::Rollout { iteration: 2, policy_version: 1, .. }
-        )));
+        assert!(
+            orders.iter().all(|order| matches!(
+                order,
+                Order::Rollout { iteration: 2, policy_version: 1, .. }
+            ))
+        );
     }
 
     #[test]

@@ -254,7 +254,9 @@ impl<'a> Session<'a> {
                         scheduler.block_received((iteration, shard), now);
                     }
                 }
-                Progress::IterationDone(report) => self.iteration_done(*report, supervisor, reporter)?,
+                Progress::IterationDone(report) => {
+                    self.iteration_done(*report, supervisor, reporter)?
+                }
                 Progress::Failed { message } => {
                     return Err(ExitError::new(ExitCode::Child, format!("learner: {message}")));
                 }

@@ -187,7 +187,9 @@ impl Supervisor {
         let due: Vec<_> = self
             .workers
             .iter()
-            .filter(|(_, slot)| matches!(slot.state, WorkerState::BackingOff { until } if until <= now))
+            .filter(
+                |(_, slot)| matches!(slot.state, WorkerState::BackingOff { until } if until <= now),
+            )
             .map(|(&worker, slot)| (worker, slot.incarnation + 1, slot.failures))
             .collect();
         for &(worker, incarnation, failures) in &due {

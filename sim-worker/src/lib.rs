@@ -1,4 +1,21 @@
 //! The robot, its dynamics and tasks, and the worker process that rolls out policies.
+//!
+//! From the bottom up, which is also an order to read in:
+//!
+//! * [`scalar`]: the numbers everything is generic over, `f64` or sixteen `f32` lanes, one
+//!   environment a lane;
+//! * [`spatial`]: three- and six-dimensional vectors, rotations;
+//! * [`robot`]: descriptions from files, checked and laid out for the dynamics; MJCF;
+//! * [`state`], [`dynamics`], [`collision`]: the articulated-body algorithm, integrators, contacts;
+//! * [`simulate`]: open loop, from commands to a trajectory;
+//! * [`task`]: goals, observations, critic states, rewards;
+//! * [`policy`]: the actors, evaluated without libtorch;
+//! * [`env`]: the vectorised environment that writes its block in place;
+//! * [`rollout`], [`evaluate`]: whole episodes, as pure functions of their addresses;
+//! * [`worker`]: the process around them.
+//!
+//! Models are immutable and shared, all scratch memory is owned by a workspace, and no inner loop
+//! allocates. Read [`rollout`] next.
 
 #![expect(
     clippy::inline_always,
@@ -9,16 +26,27 @@
     reason = "an index that runs through several arrays at once says more than nested zips"
 )]
 
-pub mod policy;
 pub mod scalar;
-pub mod task;
 pub mod spatial;
+
 pub mod robot;
+
 pub mod state;
+
 pub mod dynamics;
+
 pub mod collision;
+
 pub mod simulate;
+
+pub mod task;
+
+pub mod policy;
+
 pub mod env;
-pub mod evaluate;
+
 pub mod rollout;
+
+pub mod evaluate;
+
 pub mod worker;

@@ -56,12 +56,12 @@ impl<S: Real> State<S> {
     /// # Panics
     /// If the number of joints differs.
     pub fn set_lane(&mut self, i: usize, state: &State<f64>) {
-        assert_eq!(self.q.len(), state.q.len(), "joints of the two states");
         fn put<S: Real>(to: &mut [S], from: &[f64], i: usize) {
             for (x, &y) in to.iter_mut().zip(from) {
                 x.set_lane(i, y);
             }
         }
+        assert_eq!(self.q.len(), state.q.len(), "joints of the two states");
         put(&mut self.base_position, &state.base_position, i);
         put(&mut self.base_quaternion, &state.base_quaternion, i);
         put(&mut self.base_linear_velocity, &state.base_linear_velocity, i);

@@ -108,7 +108,11 @@ fn actions_that_are_none() {
         refused(&["simulate", "--robot=paper", &input, &output], 3, &words);
         assert!(!out.exists(), "a refused simulation writes nothing");
     }
-    refused(&["simulate", "--robot=paper", "--actions=/no/such.csv", &output], 3, &["/no/such.csv"]);
+    refused(
+        &["simulate", "--robot=paper", "--actions=/no/such.csv", &output],
+        3,
+        &["/no/such.csv"],
+    );
 }
 
 #[test]

@@ -15,8 +15,17 @@ fn a_run_leaves_metrics_checkpoints_events_and_a_curve() {
     let metrics = run.metrics();
     assert_eq!(metrics.len(), 6);
     for key in [
-        "iteration", "env_steps", "digest", "wall_s", "env_steps_per_s", "returns", "kl",
-        "clip_fraction", "entropy", "explained_variance", "accounting",
+        "iteration",
+        "env_steps",
+        "digest",
+        "wall_s",
+        "env_steps_per_s",
+        "returns",
+        "kl",
+        "clip_fraction",
+        "entropy",
+        "explained_variance",
+        "accounting",
     ] {
         assert!(metrics[5].get(key).is_some(), "{key} is missing in {}", metrics[5]);
     }
@@ -57,8 +66,17 @@ fn an_evaluation_reads_a_run_and_a_checkpoint() {
     let dir = dir.to_str().expect("UTF-8");
     let checkpoint = format!("{dir}/checkpoints/iteration-00000002");
     let evaluate = |target: &str, seed: &str| {
-        let output =
-            octopus(&["eval", target, "--episodes", "4", "--steps", "20", "--seed", seed, "--json"]);
+        let output = octopus(&[
+            "eval",
+            target,
+            "--episodes",
+            "4",
+            "--steps",
+            "20",
+            "--seed",
+            seed,
+            "--json",
+        ]);
         assert!(output.status.success(), "{}", stderr(&output));
         serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("JSON")
     };
@@ -76,9 +94,7 @@ fn an_evaluation_reads_a_run_and_a_checkpoint() {
 fn help_names_every_command() {
     let help = octopus(&["--help"]);
     let text = String::from_utf8_lossy(&help.stdout).into_owned();
-    for command in
-        ["train", "resume", "eval", "simulate", "mjcf", "doctor", "status", "clean"]
-    {
+    for command in ["train", "resume", "eval", "simulate", "mjcf", "doctor", "status", "clean"] {
         assert!(text.contains(command), "{command} is not in\n{text}");
         assert!(octopus(&[command, "--help"]).status.success(), "{command} --help");
     }

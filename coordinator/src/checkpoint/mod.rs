@@ -159,7 +159,8 @@ impl Checkpoint {
             for (slot, bytes) in flat[spec.range()].iter_mut().zip(tensor.data().chunks_exact(4)) {
                 *slot = f32::from_le_bytes(bytes.try_into().expect("chunks of four"));
                 if !slot.is_finite() {
-                    let reason = format!("tensor `{}` holds a number that is not finite", spec.name);
+                    let reason =
+                        format!("tensor `{}` holds a number that is not finite", spec.name);
                     return Err(CheckpointError::damaged(&path, reason));
                 }
             }

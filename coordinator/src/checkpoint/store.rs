@@ -51,10 +51,11 @@ impl CheckpointStore {
         }
         fs::create_dir_all(&temporary).map_err(CheckpointError::io(&temporary, "create"))?;
 
-        let (state, policy) = split(&snapshot.bytes).map_err(|reason| CheckpointError::Damaged {
-            path: target.clone(),
-            reason: format!("the learner's snapshot is no training state: {reason}"),
-        })?;
+        let (state, policy) =
+            split(&snapshot.bytes).map_err(|reason| CheckpointError::Damaged {
+                path: target.clone(),
+                reason: format!("the learner's snapshot is no training state: {reason}"),
+            })?;
         let config_toml = config.to_toml();
         let contents: [(&str, &[u8]); 4] = [
             (STATE, &state),
@@ -182,9 +183,10 @@ pub(super) fn load(dir: &Path) -> Result<Checkpoint, CheckpointError> {
     let mut texts: HashMap<&str, String> = HashMap::new();
     for required in [STATE, POLICY, "config.toml", "robot.toml"] {
         let path = dir.join(required);
-        let entry = manifest.files.get(required).ok_or_else(|| {
-            CheckpointError::damaged(&path, format!("not listed in {MANIFEST}"))
-        })?;
+        let entry = manifest
+            .files
+            .get(required)
+            .ok_or_else(|| CheckpointError::damaged(&path, format!("not listed in {MANIFEST}")))?;
         let bytes = fs::read(&path).map_err(CheckpointError::io(&path, "read"))?;
         if bytes.len() as u64 != entry.len {
             let reason = format!("{} bytes, the manifest says {}", bytes.len(), entry.len);

@@ -98,7 +98,10 @@ fn a_truncated_file_is_named() {
     let bytes = std::fs::read(&path).expect("read");
     std::fs::write(&path, &bytes[..bytes.len() - 1]).expect("write");
     let message = store.latest().expect_err("the only one is damaged").to_string();
-    assert!(message.contains("state.safetensors") && message.contains("manifest says"), "{message}");
+    assert!(
+        message.contains("state.safetensors") && message.contains("manifest says"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -111,12 +114,8 @@ fn an_empty_store_says_so() {
 #[test]
 fn pieces_of_a_dead_learner_do_not_mix_with_its_successors() {
     let mut assembly = Assembly::new();
-    let header = |offset, total, iteration| SnapshotHeader {
-        iteration,
-        offset,
-        total,
-        digest: [0; 16],
-    };
+    let header =
+        |offset, total, iteration| SnapshotHeader { iteration, offset, total, digest: [0; 16] };
     assert_eq!(assembly.add(&header(0, 4, 1), b"ab"), Ok(None));
     // The learner died; its successor starts from the beginning.
     assert_eq!(assembly.add(&header(0, 3, 2), b"xy"), Ok(None));

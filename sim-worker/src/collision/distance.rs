@@ -26,19 +26,18 @@ const COINCIDENT: f64 = 1e-5;
 /// Two rounded shapes, cores in the base frame.
 #[inline(always)]
 pub(crate) fn rounded_rounded<S: Real>(a: &Rounded<S>, b: &Rounded<S>) -> Proximity<S> {
-    let (p, q) = match (&a.core, &b.core) {
-        (Core::Segment { from: p0, to: p1 }, Core::Segment { from: q0, to: q1 }) => {
-            segment_segment(*p0, *p1, *q0, *q1)
+    let (p, q) = if let (Core::Segment { from: p0, to: p1 }, Core::Segment { from: q0, to: q1 }) =
+        (&a.core, &b.core)
+    {
+        segment_segment(*p0, *p1, *q0, *q1)
+    } else {
+        let mut q = middle(&b.core);
+        let mut p = q;
+        for _ in 0..ROUNDS {
+            p = project(&a.core, q);
+            q = project(&b.core, p);
         }
-        _ => {
-            let mut q = middle(&b.core);
-            let mut p = q;
-            for _ in 0..ROUNDS {
-                p = project(&a.core, q);
-                q = project(&b.core, p);
-            }
-            (p, q)
-        }
+        (p, q)
     };
     let away = sub(middle(&a.core), middle(&b.core));
     between(p, q, away, a.radius, b.radius)
@@ -115,11 +114,7 @@ fn to_box<S: Real>(b: &FixedBox<S>, p: Vec3<S>) -> Vec3<S> {
 
 #[inline(always)]
 fn clamp3<S: Real>(p: Vec3<S>, half: Vec3<S>) -> Vec3<S> {
-    [
-        p[0].clamp(-half[0], half[0]),
-        p[1].clamp(-half[1], half[1]),
-        p[2].clamp(-half[2], half[2]),
-    ]
+    [p[0].clamp(-half[0], half[0]), p[1].clamp(-half[1], half[1]), p[2].clamp(-half[2], half[2])]
 }
 
 #[inline(always)]

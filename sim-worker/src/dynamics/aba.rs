@@ -46,7 +46,11 @@ pub fn forward_dynamics<S: Real>(
     ws.base_f_ext = Vec6::zero();
     let mut joints = vec![S::zero(); model.n_joints()];
     let a = aba(model, ws, &state.qd, &mut joints);
-    Acceleration { base_linear: world_acceleration(ws.base_v, a, &r_wb), base_angular: a.ang, joints }
+    Acceleration {
+        base_linear: world_acceleration(ws.base_v, a, &r_wb),
+        base_angular: a.ang,
+        joints,
+    }
 }
 
 /// Acceleration of the base's origin in world axes: R (v̇ + ω × v), because v is given in axes that turn.
@@ -85,7 +89,7 @@ pub(crate) fn aba<S: Real>(
             let body = &model.links[j];
             let link = &mut ws.links[first + j];
             if j + 1 < JOINTS_PER_ARM {
-                inertia = inertia.to_previous(body);
+                inertia = inertia.moved_to_previous(body);
                 p = force_from_next(body, p);
             }
             inertia.add_body(&body.body);
@@ -108,7 +112,7 @@ pub(crate) fn aba<S: Real>(
             p.ang = turn(link.sin, link.cos, p.ang);
             p.lin = turn(link.sin, link.cos, p.lin);
         }
-        inertia0.add(&inertia.to_base(&model.arms[arm]));
+        inertia0.add(&inertia.moved_to_base(&model.arms[arm]));
         let f = force_to_base(&model.arms[arm], p);
         p0.ang = add(p0.ang, f.ang);
         p0.lin = add(p0.lin, f.lin);
@@ -154,10 +158,7 @@ fn sub3<S: Real>(a: [S; 3], b: [S; 3]) -> [S; 3] {
 /// v × S q̇ for a joint about z: (ω × z q̇, v × z q̇).
 #[inline(always)]
 fn velocity_product<S: Real>(v: Vec6<S>, qd: S) -> PlanarMotion<S> {
-    PlanarMotion {
-        ang: [v.ang[1] * qd, -(v.ang[0] * qd)],
-        lin: [v.lin[1] * qd, -(v.lin[0] * qd)],
-    }
+    PlanarMotion { ang: [v.ang[1] * qd, -(v.ang[0] * qd)], lin: [v.lin[1] * qd, -(v.lin[0] * qd)] }
 }
 
 /// v ×* I v of a rigid body.

@@ -44,17 +44,9 @@ fn turn_sym<S: Real>(s: S, c: S, m: Sym3<S>) -> Sym3<S> {
 fn turn_mat<S: Real>(s: S, c: S, m: &Mat3<S>) -> Mat3<S> {
     let e = s.mul_add(m[0][0] - m[1][1], c * (m[0][1] + m[1][0]));
     [
-        [
-            s.neg_mul_add(e, m[0][0]),
-            c.mul_add(e, -m[1][0]),
-            s.neg_mul_add(m[1][2], c * m[0][2]),
-        ],
+        [s.neg_mul_add(e, m[0][0]), c.mul_add(e, -m[1][0]), s.neg_mul_add(m[1][2], c * m[0][2])],
         [c.mul_add(e, -m[0][1]), s.mul_add(e, m[1][1]), s.mul_add(m[0][2], c * m[1][2])],
-        [
-            s.neg_mul_add(m[2][1], c * m[2][0]),
-            s.mul_add(m[2][0], c * m[2][1]),
-            m[2][2],
-        ],
+        [s.neg_mul_add(m[2][1], c * m[2][0]), s.mul_add(m[2][0], c * m[2][1]), m[2][2]],
     ]
 }
 
@@ -188,7 +180,7 @@ impl<S: Real> ArticulatedInertia<S> {
     ///
     /// With p the shift: B' = B + [p] C, A' = A + [p] Bᵀ + B' [p]ᵀ.
     #[inline(always)]
-    pub(crate) fn to_previous(&self, link: &LinkModel<S>) -> Self {
+    pub(crate) fn moved_to_previous(&self, link: &LinkModel<S>) -> Self {
         let mut a = twist_sym(link, self.a);
         let mut b = twist_mat(link, &self.b);
         let c = twist_sym(link, self.c);
@@ -203,11 +195,7 @@ impl<S: Real> ArticulatedInertia<S> {
                 s.neg_mul_add(c_yz, b[1][1]),
                 s.neg_mul_add(c_zz, b[1][2]),
             ];
-            b[2] = [
-                s.mul_add(c_xy, b[2][0]),
-                s.mul_add(c_yy, b[2][1]),
-                s.mul_add(c_yz, b[2][2]),
-            ];
+            b[2] = [s.mul_add(c_xy, b[2][0]), s.mul_add(c_yy, b[2][1]), s.mul_add(c_yz, b[2][2])];
             a[1] = s.neg_mul_add(b[1][2], a[1]);
             a[2] = s.mul_add(b[2][1], a[2]);
             a[3] = s.neg_mul_add(b[0][2], a[3]);
@@ -226,11 +214,7 @@ impl<S: Real> ArticulatedInertia<S> {
                 s.neg_mul_add(c_yy, b[0][1]),
                 s.neg_mul_add(c_yz, b[0][2]),
             ];
-            b[1] = [
-                s.mul_add(c_xx, b[1][0]),
-                s.mul_add(c_xy, b[1][1]),
-                s.mul_add(c_xz, b[1][2]),
-            ];
+            b[1] = [s.mul_add(c_xx, b[1][0]), s.mul_add(c_xy, b[1][1]), s.mul_add(c_xz, b[1][2])];
             a[0] = s.neg_mul_add(b[0][1], a[0]);
             a[1] = s.mul_add(b[1][0], a[1]);
             a[3] = s.mul_add(b[0][0], a[3]);
@@ -240,7 +224,7 @@ impl<S: Real> ArticulatedInertia<S> {
 
     /// Seen from the base: rotated by the mount's pose, reference point shifted by its position.
     #[inline(always)]
-    pub(crate) fn to_base(&self, arm: &ArmModel<S>) -> Self {
+    pub(crate) fn moved_to_base(&self, arm: &ArmModel<S>) -> Self {
         let (mut a, mut b, c);
         if let Some(p) = &arm.permutation {
             a = permute_sym(p.place, p.sign, &self.a);
@@ -270,7 +254,8 @@ impl<S: Real> ArticulatedInertia<S> {
             b[2][j] = z;
         }
         let zero = [S::zero(); 3];
-        let first = [cross_add(p, old[0], zero), cross_add(p, old[1], zero), cross_add(p, old[2], zero)];
+        let first =
+            [cross_add(p, old[0], zero), cross_add(p, old[1], zero), cross_add(p, old[2], zero)];
         let second = [cross_add(p, b[0], zero), cross_add(p, b[1], zero), cross_add(p, b[2], zero)];
         let places = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
         for k in 0..6 {
@@ -286,16 +271,12 @@ impl<S: Real> ArticulatedInertia<S> {
     #[inline(always)]
     pub(crate) fn solve(&self, f: Vec6<S>) -> Vec6<S> {
         let c_inv = inverse_sym(self.c);
-        let bc = [
-            sym_vec(c_inv, self.b[0]),
-            sym_vec(c_inv, self.b[1]),
-            sym_vec(c_inv, self.b[2]),
-        ];
+        let bc = [sym_vec(c_inv, self.b[0]), sym_vec(c_inv, self.b[1]), sym_vec(c_inv, self.b[2])];
         let places = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
         let mut schur = self.a;
         for k in 0..6 {
             let (i, j) = places[k];
-            schur[k] = schur[k] - dot(bc[i], self.b[j]);
+            schur[k] -= dot(bc[i], self.b[j]);
         }
         let right = mat_vec(&bc, f.lin);
         let moment = [f.ang[0] - right[0], f.ang[1] - right[1], f.ang[2] - right[2]];

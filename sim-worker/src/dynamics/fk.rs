@@ -4,9 +4,7 @@ use super::kinematics::{point_velocity, poses, velocities};
 use super::workspace::Workspace;
 use crate::robot::{JOINTS_PER_ARM, Model};
 use crate::scalar::{Kernel, Real};
-use crate::spatial::{
-    Mat3, Vec3, Vec6, add, mat_mat, mat_t_vec, mat_vec, quaternion_to_rotation,
-};
+use crate::spatial::{Mat3, Vec3, Vec6, add, mat_mat, mat_t_vec, mat_vec, quaternion_to_rotation};
 use crate::state::State;
 
 /// Pose and velocity of a hand (the tool frame of an arm).
@@ -81,12 +79,7 @@ impl<S: Real> Kernel<S> for Hands<'_, S> {
 }
 
 #[inline(always)]
-fn locate<S: Real>(
-    model: &Model<S>,
-    ws: &mut Workspace<S>,
-    state: &State<S>,
-    out: &mut [Hand<S>],
-) {
+fn locate<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>, out: &mut [Hand<S>]) {
     let r_wb = kinematics(model, ws, state);
     for arm in 0..model.n_arms {
         let last = arm * JOINTS_PER_ARM + JOINTS_PER_ARM - 1;

@@ -120,7 +120,9 @@ fn advance<S: Real>(
 
     // Runge–Kutta's tableau; Euler uses its first row alone.
     let stages: &[(f64, f64)] = match options.integrator {
-        Integrator::Rk4 => &[(0.5, 1.0 / 6.0), (0.5, 1.0 / 3.0), (1.0, 1.0 / 3.0), (0.0, 1.0 / 6.0)],
+        Integrator::Rk4 => {
+            &[(0.5, 1.0 / 6.0), (0.5, 1.0 / 3.0), (1.0, 1.0 / 3.0), (0.0, 1.0 / 6.0)]
+        }
         Integrator::Euler => &[(0.0, 1.0)],
     };
     // The mass at a contact comes from the evaluation before; the first one is made for that alone.
@@ -190,12 +192,7 @@ enum Contacts {
 
 /// The derivative of `ws.y` into `ws.k`.
 #[inline(always)]
-fn derivative<S: Real>(
-    model: &Model<S>,
-    ws: &mut Workspace<S>,
-    command: &[S],
-    contacts: Contacts,
-) {
+fn derivative<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, command: &[S], contacts: Contacts) {
     let n = model.n_joints();
     let quaternion = read4(&ws.y, QUATERNION);
     let linear = read3(&ws.y, LINEAR);

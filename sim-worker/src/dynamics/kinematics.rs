@@ -122,8 +122,7 @@ pub(crate) fn velocities<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q: &[
 pub(crate) fn poses<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
     for arm in 0..model.n_arms {
         let first = arm * JOINTS_PER_ARM;
-        let mut pose =
-            LinkPose { r: model.arms[arm].rotation, o: model.arms[arm].position };
+        let mut pose = LinkPose { r: model.arms[arm].rotation, o: model.arms[arm].position };
         for j in 0..JOINTS_PER_ARM {
             if j > 0 {
                 pose = next_pose(&model.links[j - 1], pose);
@@ -167,12 +166,6 @@ fn next_pose<S: Real>(link: &LinkModel<S>, pose: LinkPose<S>) -> LinkPose<S> {
 #[inline(always)]
 pub(crate) fn point_velocity<S: Real>(v: Vec6<S>, p: Vec3<S>) -> Vec3<S> {
     add(v.lin, cross(v.ang, p))
-}
-
-/// Wrench at the origin of the force `f` at `p`.
-#[inline(always)]
-pub(crate) fn wrench_at<S: Real>(p: Vec3<S>, f: Vec3<S>) -> Vec6<S> {
-    Vec6 { ang: cross(p, f), lin: f }
 }
 
 /// Coordinates in a link frame of the base-frame point `p`.

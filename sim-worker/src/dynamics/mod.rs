@@ -19,8 +19,8 @@ pub mod twin;
 mod workspace;
 
 pub use aba::{Acceleration, forward_dynamics};
-pub use fk::{Hand, hands};
 pub(crate) use fk::kinematics as kinematics_of;
+pub use fk::{Hand, hands};
 pub use integrate::{Integrator, StepOptions, step};
 pub(crate) use servo::stop_interval;
 pub use workspace::Workspace;

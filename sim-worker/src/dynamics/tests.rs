@@ -169,12 +169,7 @@ fn home_of_the_released_model() {
         &[-1.319937, 7.545673, 2.680608, 0.234830, -0.051537, 0.000139],
         1e-6,
     );
-    close(
-        "com",
-        momentum(&robot, &state).com.as_slice(),
-        &[0.070999, 0.004939, 4.014404],
-        1e-6,
-    );
+    close("com", momentum(&robot, &state).com.as_slice(), &[0.070999, 0.004939, 4.014404], 1e-6);
     let poses = [
         ([0.298824, 1.553659, 4.315298], [0.0, -0.001593, 0.0]),
         ([0.300802, -1.553659, 4.315300], [0.0, 0.0, 0.001593]),
@@ -290,7 +285,11 @@ fn momentum_is_conserved() {
             let m = momentum(&robot, &row.state);
             worst = worst.max(m.linear.norm() / linear_scale).max(m.angular.norm() / angular_scale);
             // Metres, the integral of the velocity that is left.
-            assert!((m.com - com).norm() < 10.0 * limit, "centre of mass moved {}", (m.com - com).norm());
+            assert!(
+                (m.com - com).norm() < 10.0 * limit,
+                "centre of mass moved {}",
+                (m.com - com).norm()
+            );
         }
         assert!(worst < limit, "{precision:?}: {worst:e} of its scale");
     }

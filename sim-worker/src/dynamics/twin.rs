@@ -56,9 +56,8 @@ impl Placed<'_> {
 /// Base first, then the links, arm-major.
 fn place<'a>(robot: &'a Robot, state: &State<f64>) -> Vec<Placed<'a>> {
     let [w, x, y, z] = state.base_quaternion;
-    let r = *UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
-        .to_rotation_matrix()
-        .matrix();
+    let r =
+        *UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix().matrix();
     let o = Vector3::from(state.base_position);
     let mut bodies = vec![Placed { body: &robot.base, r, o, joint: None, parent: None }];
     for (a, arm) in robot.arms.iter().enumerate() {
@@ -67,7 +66,13 @@ fn place<'a>(robot: &'a Robot, state: &State<f64>) -> Vec<Placed<'a>> {
         for (j, link) in robot.links.iter().enumerate() {
             let joint = a * JOINTS_PER_ARM + j;
             r *= Rotation3::from_axis_angle(&Vector3::z_axis(), state.q[joint]).matrix();
-            bodies.push(Placed { body: &link.body, r, o, joint: Some(joint), parent: Some(parent) });
+            bodies.push(Placed {
+                body: &link.body,
+                r,
+                o,
+                joint: Some(joint),
+                parent: Some(parent),
+            });
             parent = bodies.len() - 1;
             o += r * link.shift;
             r *= link.twist;
@@ -119,7 +124,11 @@ struct Moving {
     a: Vector3<f64>,
 }
 
-fn moving(bodies: &[Placed<'_>], state: &State<f64>, acceleration: &Acceleration<f64>) -> Vec<Moving> {
+fn moving(
+    bodies: &[Placed<'_>],
+    state: &State<f64>,
+    acceleration: &Acceleration<f64>,
+) -> Vec<Moving> {
     let base = &bodies[0];
     let mut out = vec![Moving {
         w: base.r * Vector3::from(state.base_angular_velocity),
@@ -161,8 +170,7 @@ pub fn rnea(robot: &Robot, state: &State<f64>, acceleration: &Acceleration<f64>)
         moment[i] += n + c.cross(&f);
         if let (Some(joint), Some(parent)) = (b.joint, b.parent) {
             let armature = robot.links[joint % JOINTS_PER_ARM].armature;
-            tau[JOINTS + joint] =
-                b.axis().dot(&moment[i]) + armature * acceleration.joints[joint];
+            tau[JOINTS + joint] = b.axis().dot(&moment[i]) + armature * acceleration.joints[joint];
             let (f, n) = (force[i], moment[i] + (b.o - bodies[parent].o).cross(&force[i]));
             force[parent] += f;
             moment[parent] += n;

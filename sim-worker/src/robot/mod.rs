@@ -313,7 +313,9 @@ impl Robot {
             d.links.len() == JOINTS_PER_ARM,
             "links",
             &format!("{} rows", d.links.len()),
-            &format!("{JOINTS_PER_ARM} [[links]] rows, one a joint, each with dh, mass, com and inertia"),
+            &format!(
+                "{JOINTS_PER_ARM} [[links]] rows, one a joint, each with dh, mass, com and inertia"
+            ),
         )?;
         check.that(
             (1..=MAX_ARMS).contains(&d.arms.len()),
@@ -328,7 +330,15 @@ impl Robot {
             check.finite(&format!("{key}.position"), &b.position)?;
             check.finite(&format!("{key}.euler_deg"), &b.euler_deg)?;
             let rotation = rotation_xyz_deg(b.euler_deg);
-            boxes.push(solid_box(&check, &key, &b.name, b.size, b.mass, rotation, b.position.into())?);
+            boxes.push(solid_box(
+                &check,
+                &key,
+                &b.name,
+                b.size,
+                b.mass,
+                rotation,
+                b.position.into(),
+            )?);
         }
         let links = d
             .links
@@ -366,9 +376,20 @@ impl Robot {
             let centre = position + mount_rotation * Vector3::from(d.mount.position);
             let name = format!("{}_mount", a.name);
             arms.push(Arm {
-                mount: solid_box(&check, "mount", &name, d.mount.size, d.mount.mass, mount_rotation, centre)?,
+                mount: solid_box(
+                    &check,
+                    "mount",
+                    &name,
+                    d.mount.size,
+                    d.mount.mass,
+                    mount_rotation,
+                    centre,
+                )?,
                 pedestal: pedestal.moved(&rotation, &position),
-                pedestal_shapes: pedestal_shapes.iter().map(|s| s.moved(&rotation, &position)).collect(),
+                pedestal_shapes: pedestal_shapes
+                    .iter()
+                    .map(|s| s.moved(&rotation, &position))
+                    .collect(),
                 name: a.name.clone(),
                 position,
                 rotation,
@@ -536,7 +557,7 @@ fn shapes(
             "the lower end, then the upper end",
         )?;
         out.push(Shape::Disc {
-            centre: Vector3::new(0.0, 0.0, (d.z[0] + d.z[1]) / 2.0),
+            centre: Vector3::new(0.0, 0.0, f64::midpoint(d.z[0], d.z[1])),
             axis: Vector3::z(),
             radius: d.radius,
             half_height: (d.z[1] - d.z[0]) / 2.0,
@@ -626,7 +647,7 @@ fn resolve_stop(
     Ok(Stop {
         pair,
         joint: stop.joint - 1,
-        centre: (lo + hi) / 2.0,
+        centre: f64::midpoint(lo, hi),
         half,
         narrowing: stop.narrowing,
         narrowing_joint: stop.narrowing_joint - 1,

@@ -6,7 +6,9 @@ const PAPER: &str = include_str!("../../robots/paper.toml");
 
 fn error_of(from: &str, to: &str) -> String {
     assert!(PAPER.contains(from), "the test's text {from:?}");
-    Robot::from_toml(&PAPER.replacen(from, to, 1), Path::new("my-robot.toml")).unwrap_err().to_string()
+    Robot::from_toml(&PAPER.replacen(from, to, 1), Path::new("my-robot.toml"))
+        .unwrap_err()
+        .to_string()
 }
 
 #[test]
@@ -73,5 +75,8 @@ fn bad_descriptions_name_file_key_and_expectation() {
     let message = Robot::from_toml(&text, Path::new("my-robot.toml")).unwrap_err().to_string();
     assert!(message.contains("5 rows") && message.contains("6 [[links]]"), "{message}");
     let message = Robot::load("/nowhere/robot.toml").unwrap_err().to_string();
-    assert!(message.contains("/nowhere/robot.toml") && message.contains("paper, release"), "{message}");
+    assert!(
+        message.contains("/nowhere/robot.toml") && message.contains("paper, release"),
+        "{message}"
+    );
 }

@@ -58,8 +58,10 @@ pub fn atan2<S: Real>(y: S, x: S) -> S {
     let safe = S::select(denominator.gt(S::zero()), denominator, S::one());
     let t = numerator / safe;
     let z = t * t;
-    let p =
-        horner(z, [8.053_744_495_38e-2, -1.387_768_560_32e-1, 1.997_771_064_78e-1, -3.333_294_911_39e-1]);
+    let p = horner(
+        z,
+        [8.053_744_495_38e-2, -1.387_768_560_32e-1, 1.997_771_064_78e-1, -3.333_294_911_39e-1],
+    );
     let a = (p * z).mul_add(t, t);
     let a = S::select(big, a + S::splat(std::f64::consts::FRAC_PI_4), a);
     let a = S::select(steep, S::splat(std::f64::consts::FRAC_PI_2) - a, a);
@@ -168,13 +170,7 @@ pub fn tanh<S: Real>(x: S) -> S {
     let z = x * x;
     let p = horner(
         z,
-        [
-            -5.704_988_73e-3,
-            2.063_908_88e-2,
-            -5.373_971_53e-2,
-            1.333_144_21e-1,
-            -3.333_328_19e-1,
-        ],
+        [-5.704_988_73e-3, 2.063_908_88e-2, -5.373_971_53e-2, 1.333_144_21e-1, -3.333_328_19e-1],
     );
     let small = (p * z).mul_add(x, x);
     let e = exp(a + a);

@@ -290,6 +290,10 @@ impl Real for F32x16Portable {
 pub struct F32x16Avx512(__m512);
 
 #[cfg(target_arch = "x86_64")]
+#[expect(
+    clippy::wildcard_imports,
+    reason = "half of the file's names are the back end's intrinsics"
+)]
 mod avx512 {
     use super::*;
 
@@ -462,6 +466,10 @@ pub struct F32x16Avx2(__m256, __m256);
 pub struct Mask2x8(__m256, __m256);
 
 #[cfg(target_arch = "x86_64")]
+#[expect(
+    clippy::wildcard_imports,
+    reason = "half of the file's names are the back end's intrinsics"
+)]
 mod avx2 {
     use super::*;
 
@@ -470,12 +478,34 @@ mod avx2 {
         (|$a:ident| $e:expr, $x:expr) => {{
             let x = $x;
             // SAFETY: values of this type exist only where `dispatch_on` has found AVX2 and FMA.
-            unsafe { F32x16Avx2({ let $a = x.0; $e }, { let $a = x.1; $e }) }
+            unsafe {
+                F32x16Avx2(
+                    {
+                        let $a = x.0;
+                        $e
+                    },
+                    {
+                        let $a = x.1;
+                        $e
+                    },
+                )
+            }
         }};
         (|$a:ident, $b:ident| $e:expr, $x:expr, $y:expr) => {{
             let (x, y) = ($x, $y);
             // SAFETY: values of this type exist only where `dispatch_on` has found AVX2 and FMA.
-            unsafe { F32x16Avx2({ let ($a, $b) = (x.0, y.0); $e }, { let ($a, $b) = (x.1, y.1); $e }) }
+            unsafe {
+                F32x16Avx2(
+                    {
+                        let ($a, $b) = (x.0, y.0);
+                        $e
+                    },
+                    {
+                        let ($a, $b) = (x.1, y.1);
+                        $e
+                    },
+                )
+            }
         }};
     }
 
@@ -678,9 +708,7 @@ mod avx2 {
         #[inline(always)]
         fn select(m: Mask2x8, a: Self, b: Self) -> Self {
             // SAFETY: as for `splat`.
-            unsafe {
-                Self(_mm256_blendv_ps(b.0, a.0, m.0), _mm256_blendv_ps(b.1, a.1, m.1))
-            }
+            unsafe { Self(_mm256_blendv_ps(b.0, a.0, m.0), _mm256_blendv_ps(b.1, a.1, m.1)) }
         }
         #[inline(always)]
         fn copy_sign_to(self, magnitude: Self) -> Self {
@@ -758,10 +786,7 @@ pub enum Backend {
 impl Backend {
     /// The fastest back end of this processor.
     pub fn detect() -> Self {
-        *[Self::Avx512, Self::Avx2]
-            .iter()
-            .find(|b| b.is_available())
-            .unwrap_or(&Self::Portable)
+        *[Self::Avx512, Self::Avx2].iter().find(|b| b.is_available()).unwrap_or(&Self::Portable)
     }
 
     /// Whether this processor can run the back end.

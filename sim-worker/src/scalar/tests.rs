@@ -2,7 +2,18 @@ use super::*;
 
 /// Arguments over the useful range of each function, edges included.
 fn arguments() -> Vec<f32> {
-    let mut xs = vec![0.0, -0.0, 1.0, -1.0, 1e-30, 1e-42, -1e-42, f32::INFINITY, f32::NEG_INFINITY, f32::NAN];
+    let mut xs = vec![
+        0.0,
+        -0.0,
+        1.0,
+        -1.0,
+        1e-30,
+        1e-42,
+        -1e-42,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+        f32::NAN,
+    ];
     let mut state = 1_u64;
     for _ in 0..100_000 {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -82,7 +93,12 @@ fn every_back_end_and_lone_f32_give_the_same_bits() {
         if backend.is_available() {
             let other = dispatch_on(backend, All(&xs));
             let differing = (0..other.len()).find(|&i| other[i] != portable[i]);
-            assert_eq!(differing, None, "{backend:?}, function {:?}", differing.map(|i| i / LANES % FUNCTIONS));
+            assert_eq!(
+                differing,
+                None,
+                "{backend:?}, function {:?}",
+                differing.map(|i| i / LANES % FUNCTIONS)
+            );
         }
     }
 }
@@ -105,7 +121,9 @@ fn elementary_functions_are_accurate() {
         if x.abs() <= 1000.0 {
             let (s, c) = Real::sin_cos(x);
             // Near a zero the reduction leaves an absolute error, so ulps count from 1e-2 on.
-            let near = |v: f32, t: f64| (f64::from(v) - t).abs() / (t.abs().max(1e-2) * f64::from(f32::EPSILON));
+            let near = |v: f32, t: f64| {
+                (f64::from(v) - t).abs() / (t.abs().max(1e-2) * f64::from(f32::EPSILON))
+            };
             worst[0] = worst[0].max(near(s, d.sin()));
             worst[1] = worst[1].max(near(c, d.cos()));
             let y = x.mul_add(0.37, 0.2);
