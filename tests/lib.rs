@@ -134,7 +134,7 @@ impl Run {
     /// Waits for the end; returns the exit code, or `None` if a signal ended it.
     pub fn wait(&mut self) -> Option<i32> {
         let mut process = self.process.take().expect("a started run");
-        let watchdog = Instant::now() + Duration::from_secs(300);
+        let watchdog = Instant::now() + Duration::from_mins(5);
         while process.try_wait().expect("own child").is_none() {
             if Instant::now() > watchdog {
                 let _ = process.kill();
@@ -172,7 +172,7 @@ impl Run {
 
     /// Waits until `n` iterations are done.
     pub fn wait_for_iterations(&mut self, n: usize) {
-        let watchdog = Instant::now() + Duration::from_secs(120);
+        let watchdog = Instant::now() + Duration::from_mins(2);
         while self.metrics().len() < n {
             let ended = self.process.as_mut().is_none_or(|p| p.try_wait().expect("own").is_some());
             assert!(!ended, "the run ended before {n} iterations; its log:\n{}", self.log());

@@ -18,7 +18,7 @@ use proto::config::Config;
 use proto::layout::Dimensions;
 use proto::message::{IterationReport, Order, Progress, Status, WorkerId};
 use proto::run_dir::RunDir;
-use proto::{ChannelError, ExitCode, ExitError};
+use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
 
 use crate::checkpoint::{Assembly, Checkpoint, CheckpointStore};
@@ -77,19 +77,18 @@ pub struct Outcome {
 /// How long the loop sleeps at most: bounds the time until a death is noticed.
 const TICK: Duration = Duration::from_millis(20);
 /// How long a learner or worker may take to come up.
-const START_DEADLINE: Duration = Duration::from_secs(120);
+const START_DEADLINE: Duration = Duration::from_mins(2);
 /// How long the last snapshot may take, from the request to the committed checkpoint.
-const FINISH_DEADLINE: Duration = Duration::from_secs(300);
+const FINISH_DEADLINE: Duration = Duration::from_mins(5);
 /// How long children may take to exit after [`Order::Stop`].
 const EXIT_DEADLINE: Duration = Duration::from_secs(5);
 
 /// Runs until the budget, the time limit, a signal or an error ends it. Whatever happens, no
 /// process and no shared memory is left when this returns.
-pub fn run(spec: SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitError> {
-    let supervisor =
+pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitError> {
+    let mut supervisor =
         Supervisor::new(spec.programs.clone(), spec.run_dir.clone(), spec.domain.clone())?;
-    let mut supervisor = supervisor;
-    let result = Session::start(&spec, &mut supervisor)
+    let result = Session::start(spec, &mut supervisor)
         .and_then(|mut session| session.run(&mut supervisor, reporter));
     supervisor.close();
     result
@@ -128,13 +127,13 @@ impl<'a> Session<'a> {
     fn start(spec: &'a SessionSpec, supervisor: &mut Supervisor) -> Result<Self, ExitError> {
         let dimensions = Dimensions::new(&spec.config, spec.robot.n_arms);
         let sizes = ChannelSizes::new(&spec.config, &dimensions);
-        let channels = Channels::create(&spec.domain, sizes).map_err(channel_failure)?;
+        let channels = Channels::create(&spec.domain, sizes)?;
         let session = Self {
-            bell: channels.listener(Role::Coordinator).map_err(channel_failure)?,
-            orders: channels.order_sender().map_err(channel_failure)?,
-            progress: channels.progress_receiver().map_err(channel_failure)?,
-            status: channels.status_receiver().map_err(channel_failure)?,
-            pieces: channels.snapshot_receiver().map_err(channel_failure)?,
+            bell: channels.listener(Role::Coordinator)?,
+            orders: channels.order_sender()?,
+            progress: channels.progress_receiver()?,
+            status: channels.status_receiver()?,
+            pieces: channels.snapshot_receiver()?,
             assembly: Assembly::new(),
             committer: Committer::start(
                 CheckpointStore::new(spec.run_dir.checkpoints()),
@@ -204,7 +203,7 @@ impl<'a> Session<'a> {
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
         let now = Instant::now();
-        while let Some(status) = self.status.try_receive().map_err(channel_failure)? {
+        while let Some(status) = self.status.try_receive()? {
             match status {
                 Status::Ready { worker, incarnation } => {
                     if !supervisor.is_current(worker, incarnation) {
@@ -243,7 +242,7 @@ impl<'a> Session<'a> {
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
         let now = Instant::now();
-        while let Some(progress) = self.progress.try_receive().map_err(channel_failure)? {
+        while let Some(progress) = self.progress.try_receive()? {
             match progress {
                 Progress::Ready { iteration, digest, precision, .. } => {
                     tracing::info!(iteration, %digest, precision, "learner is ready");
@@ -255,7 +254,7 @@ impl<'a> Session<'a> {
                     }
                 }
                 Progress::IterationDone(report) => {
-                    self.iteration_done(*report, supervisor, reporter)?
+                    self.iteration_done(*report, supervisor, reporter)?;
                 }
                 Progress::Failed { message } => {
                     return Err(ExitError::new(ExitCode::Child, format!("learner: {message}")));
@@ -313,8 +312,8 @@ impl<'a> Session<'a> {
         if let Some(scheduler) = &mut self.scheduler {
             scheduler.iteration_done(iteration);
             let every = self.spec.config.run.checkpoint_every;
-            if every > 0 && (iteration + 1) % every == 0 && !scheduler.is_finished() {
-                self.orders.send(&Order::Snapshot).map_err(channel_failure)?;
+            if every > 0 && (iteration + 1).is_multiple_of(every) && !scheduler.is_finished() {
+                self.orders.send(&Order::Snapshot)?;
             }
         }
         Ok(())
@@ -343,7 +342,7 @@ impl<'a> Session<'a> {
     }
 
     fn collect_pieces(&mut self) -> Result<(), ExitError> {
-        while let Some(piece) = self.pieces.try_receive().map_err(channel_failure)? {
+        while let Some(piece) = self.pieces.try_receive()? {
             match self.assembly.add(piece.header(), piece.payload()) {
                 Ok(Some(snapshot)) => self.committer.commit(snapshot),
                 Ok(None) => {}
@@ -418,7 +417,7 @@ impl<'a> Session<'a> {
             tracing::warn!(orders = repeated.len(), "orders are overdue and sent again");
         }
         for order in scheduler.assign(now).iter().chain(&repeated) {
-            self.orders.send(order).map_err(channel_failure)?;
+            self.orders.send(order)?;
         }
         Ok(())
     }
@@ -487,7 +486,7 @@ impl<'a> Session<'a> {
         reporter: &mut Reporter,
     ) -> Result<Outcome, ExitError> {
         let deadline = Instant::now() + FINISH_DEADLINE;
-        self.orders.send(&Order::Snapshot).map_err(channel_failure)?;
+        self.orders.send(&Order::Snapshot)?;
         let checkpoint = loop {
             self.bell.wait(TICK);
             self.tick(supervisor, reporter)?;
@@ -503,7 +502,7 @@ impl<'a> Session<'a> {
                 ));
             }
         };
-        self.orders.send(&Order::Stop).map_err(channel_failure)?;
+        self.orders.send(&Order::Stop)?;
         supervisor.wait_for_all(EXIT_DEADLINE);
         Ok(Outcome {
             iterations: self.reported,
@@ -512,8 +511,4 @@ impl<'a> Session<'a> {
             checkpoint,
         })
     }
-}
-
-fn channel_failure(error: ChannelError) -> ExitError {
-    ExitError::new(ExitCode::Environment, error.to_string())
 }

@@ -146,6 +146,7 @@ impl Supervisor {
             .arg("--run-dir")
             .arg(self.run_dir.path())
             .args(["--domain", self.domain.as_str()])
+            .args(["--parent", &std::process::id().to_string()])
             .stdin(Stdio::null())
             .stdout(copy)
             .stderr(file)
@@ -170,7 +171,7 @@ impl Supervisor {
             let WorkerState::Running { child, started } = &mut slot.state else { continue };
             let Ok(Some(status)) = child.try_wait() else { continue };
             // Who has worked for a while did not die of what killed it before.
-            if started.elapsed() > Duration::from_secs(60) {
+            if started.elapsed() > Duration::from_mins(1) {
                 slot.failures = 0;
             }
             slot.failures += 1;

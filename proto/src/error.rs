@@ -151,3 +151,10 @@ impl ExitError {
         Self { code, message: message.into() }
     }
 }
+
+impl From<ChannelError> for ExitError {
+    /// Channels fail for want of shared memory, or because programs of two builds meet.
+    fn from(error: ChannelError) -> Self {
+        Self::new(ExitCode::Environment, error.to_string())
+    }
+}

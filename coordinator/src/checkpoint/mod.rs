@@ -36,6 +36,10 @@ pub const MANIFEST: &str = "manifest.json";
 pub const STATE: &str = "state.safetensors";
 /// Name of the actors.
 pub const POLICY: &str = "policy.safetensors";
+/// Name of the resolved configuration.
+pub const CONFIG: &str = "config.toml";
+/// Name of the robot's description.
+pub const ROBOT: &str = "robot.toml";
 /// Prefix of the actors' tensors inside a snapshot.
 const POLICY_PREFIX: &str = "policy.";
 

@@ -11,8 +11,8 @@ use safetensors::SafeTensors;
 use safetensors::tensor::TensorView;
 
 use super::{
-    Checkpoint, CheckpointError, FORMAT, FileEntry, MANIFEST, Manifest, POLICY, POLICY_PREFIX,
-    STATE, Snapshot,
+    CONFIG, Checkpoint, CheckpointError, FORMAT, FileEntry, MANIFEST, Manifest, POLICY,
+    POLICY_PREFIX, ROBOT, STATE, Snapshot,
 };
 
 /// Prefix of a committed checkpoint's directory.
@@ -60,8 +60,8 @@ impl CheckpointStore {
         let contents: [(&str, &[u8]); 4] = [
             (STATE, &state),
             (POLICY, &policy),
-            ("config.toml", config_toml.as_bytes()),
-            ("robot.toml", robot_toml.as_bytes()),
+            (CONFIG, config_toml.as_bytes()),
+            (ROBOT, robot_toml.as_bytes()),
         ];
         let mut files = BTreeMap::new();
         for (file, bytes) in contents {
@@ -181,7 +181,7 @@ pub(super) fn load(dir: &Path) -> Result<Checkpoint, CheckpointError> {
         return Err(CheckpointError::damaged(&path, reason));
     }
     let mut texts: HashMap<&str, String> = HashMap::new();
-    for required in [STATE, POLICY, "config.toml", "robot.toml"] {
+    for required in [STATE, POLICY, CONFIG, ROBOT] {
         let path = dir.join(required);
         let entry = manifest
             .files
@@ -195,16 +195,16 @@ pub(super) fn load(dir: &Path) -> Result<Checkpoint, CheckpointError> {
         if blake3::hash(&bytes).to_hex().as_str() != entry.blake3 {
             return Err(CheckpointError::damaged(&path, "content differs from its BLAKE3 hash"));
         }
-        if required.ends_with(".toml") {
+        if [CONFIG, ROBOT].contains(&required) {
             let text = String::from_utf8(bytes)
                 .map_err(|_| CheckpointError::damaged(&path, "not UTF-8"))?;
             texts.insert(required, text);
         }
     }
     let mut text = |name: &str| texts.remove(name).expect("read above");
-    let origin = dir.join("config.toml").display().to_string();
-    let config = Config::from_resolved_toml(&text("config.toml"), &origin)?;
-    Ok(Checkpoint { dir: dir.to_owned(), manifest, config, robot_toml: text("robot.toml") })
+    let origin = dir.join(CONFIG).display().to_string();
+    let config = Config::from_resolved_toml(&text(CONFIG), &origin)?;
+    Ok(Checkpoint { dir: dir.to_owned(), manifest, config, robot_toml: text(ROBOT) })
 }
 
 /// Splits a snapshot into the training state and the actors.

@@ -80,7 +80,7 @@ pub(super) fn run_session(start: Start, ending: Ending) -> anyhow::Result<()> {
         domain,
         stop: stop.clone(),
     };
-    let result = session::run(spec, &mut reporter);
+    let result = session::run(&spec, &mut reporter);
     // Also after a failure: what was measured until then is worth keeping.
     let finished = reporter.finish();
     let outcome = result?;
