@@ -2,4 +2,5 @@
 
 mod bad_input;
 mod exactness;
+mod mujoco;
 mod run_directory;

@@ -6,12 +6,15 @@
 //! * Contact forces are compliant, so that no arm passes through the base or another arm, and predictive, so that a fixed substep of
 //!   10 ms suffices: with gap g and its rate v,
 //!
-//!   F = max(0, −m (ω² g + 2 ζ ω v)), ω = 130 rad/s, ζ = 0.7.
+//!   F = max(0, −m (ω² g + 2 ζ ω v)), ω = 260 rad/s, ζ = 0.5, ω lower at substeps beyond 10 ms.
 //!
 //!   m is the mass the joints show at the contact along its normal, so every contact is a damped oscillator of one and the same frequency, whatever
-//!   the lever: Runge–Kutta is stable (|λ| h = 1.3 at 10 ms, its limit is 2.7), and a joint at full torque indents by its free acceleration
-//!   over ω², below 5 mm. The damper pushes from a distance of 2 ζ v / ω on, 11 mm per m/s of approach, so an arm at full speed is caught
-//!   before it touches. Where an arm has several contacts they share the stiffness, because together they are as stiff as their sum.
+//!   the lever: Runge–Kutta at 10 ms is stable (λ h = −1.3 ± 2.25 i lies within its region, and the servos only damp more), and a joint at full
+//!   torque indents by its free acceleration over ω², 1 mm or less. The damper pushes from a distance of 2 ζ v / ω on, 4 mm per m/s of
+//!   approach, so an arm at full speed is caught about where it touches. Where contacts work on the same joints they share the stiffness, by
+//!   Gershgorin's theorem: together they are no stiffer than one. Measured over 100 episodes of 12 s with joints driven at full speed in random
+//!   combinations, one arm or all: 99.9 % of the time less than 6 mm deep, 7 mm at worst (10.6 mm once, an arm wedged between two others).
+//!   Softer (ω = 130, ζ = 0.7) it was 18 and 59 mm.
 //!
 //! A substep looks for contacts once: [`broad_phase`] by spheres, [`narrow_phase`] for closest points; the stages of the integrator
 //! carry the points along with their bodies. Which pairs are looked at is decided lane by lane, and forces are sums of the lane's own pairs in a fixed
@@ -27,11 +30,14 @@ pub(crate) use phases::{ContactSet, any_contact, broad_phase, clear, narrow_phas
 
 pub use phases::{Touching, count_contacts, touching};
 
-/// Natural frequency of contacts and stops, squared (1/s²).
-pub(crate) const STIFFNESS_RATE: f64 = 130.0 * 130.0;
+/// Natural frequency of contacts and stops (rad/s).
+pub(crate) const FREQUENCY: f64 = 260.0;
 
-/// Damping of contacts and stops: 2 ζ ω (1/s).
-pub(crate) const DAMPING_RATE: f64 = 2.0 * 0.7 * 130.0;
+/// Damping ratio of contacts and stops.
+pub(crate) const DAMPING_RATIO: f64 = 0.5;
+
+/// Largest product of frequency and substep: beyond, contacts are softened to it. Runge–Kutta is stable up to 2.7 at this damping ratio.
+pub(crate) const STABLE: f64 = 2.6;
 
 /// Pairs farther apart than this at the start of a substep do not push during it (m): enough for 2.3 m/s of approach over the damper's reach
 /// and the substep.

@@ -180,8 +180,10 @@ impl<S: Real> CollisionModel<S> {
             robot.stops.iter().any(|s| s.pair == [x, y] || s.pair == [y, x])
         };
         let link_radius: Vec<f64> = balls.iter().map(|b| b.1).collect();
-        let parts: Vec<f64> =
-            PARTS.iter().map(|(anchor, l)| part_radius(robot, &balls, *anchor, l.clone())).collect();
+        let parts: Vec<f64> = PARTS
+            .iter()
+            .map(|(anchor, l)| part_radius(robot, &balls, *anchor, l.clone()))
+            .collect();
         let mut builder =
             Builder { pairs: Vec::new(), groups: Vec::new(), link_radius, fixed_radius };
         for arm in 0..robot.n_arms {

@@ -3,7 +3,7 @@
 use super::distance::{Proximity, rounded_box, rounded_rounded};
 use super::model::{FixedBody, Pair, Partner};
 use super::shape::Rounded;
-use super::{DAMPING_RATE, HEAVIEST, MARGIN, STIFFNESS_RATE};
+use super::{DAMPING_RATIO, FREQUENCY, HEAVIEST, MARGIN, STABLE};
 use crate::dynamics::kinematics::{force_from_next, point_in_link, point_velocity, turn};
 use crate::dynamics::{Workspace, stop_interval};
 use crate::robot::{JOINTS_PER_ARM, Model};
@@ -29,9 +29,17 @@ pub(crate) struct Contact<S: Real> {
     on_b: Vec3<S>,
     /// From B to A, fixed to the base.
     normal: Vec3<S>,
-    /// Mass the joints show along the normal, less the share of the arm's other contacts (kg).
+    /// Mass the joints show along the normal, less what other contacts take of it (kg).
     mass: S,
+    /// Whether it pushes at the start of the substep.
+    pushes: S::Mask,
+    /// What a unit force along the normal leaves at the joints of A's arm, and of B's where that is another (see [`arm_response`]).
+    at_a: Response<S>,
+    at_b: Response<S>,
 }
+
+/// A force carried up an arm: u at each joint.
+type Response<S> = [S; JOINTS_PER_ARM];
 
 /// Near pairs and contacts of a substep, and the bounding centres behind them.
 #[derive(Clone, Debug)]
@@ -39,8 +47,9 @@ pub(crate) struct ContactSet<S: Real> {
     centres: Vec<Vec3<S>>,
     near: Vec<Near<S>>,
     contacts: Vec<Contact<S>>,
-    /// Pushing contacts of each arm.
-    busy: Vec<S>,
+    /// ω² (1/s²) and 2 ζ ω (1/s) of contacts and stops.
+    stiffness: S,
+    damping: S,
 }
 
 impl<S: Real> ContactSet<S> {
@@ -51,8 +60,23 @@ impl<S: Real> ContactSet<S> {
             centres: vec![[S::zero(); 3]; model.n_joints()],
             near: Vec::with_capacity(n),
             contacts: Vec::with_capacity(n),
-            busy: vec![S::zero(); model.n_arms()],
+            stiffness: S::zero(),
+            damping: S::zero(),
         }
+    }
+
+    /// Sets the stiffness of contacts and stops for substeps of length `h` (s).
+    #[inline(always)]
+    pub(crate) fn set_rates(&mut self, h: f64) {
+        let frequency = FREQUENCY.min(STABLE / h);
+        self.stiffness = S::splat(frequency * frequency);
+        self.damping = S::splat(2.0 * DAMPING_RATIO * frequency);
+    }
+
+    /// ω² (1/s²) and 2 ζ ω (1/s) of contacts and stops.
+    #[inline(always)]
+    pub(crate) fn rates(&self) -> (S, S) {
+        (self.stiffness, self.damping)
     }
 }
 
@@ -145,8 +169,7 @@ fn nearer<S: Real>(a: Proximity<S>, b: Proximity<S>) -> Proximity<S> {
 fn proximity<S: Real>(model: &Model<S>, ws: &Workspace<S>, pair: &Pair<S>) -> Proximity<S> {
     let collision = &model.collision;
     let zero = [S::zero(); 3];
-    let mut best =
-        Proximity { gap: S::splat(f64::INFINITY), normal: zero, point: zero };
+    let mut best = Proximity { gap: S::splat(f64::INFINITY), normal: zero, point: zero };
     let pose_a = &ws.poses[pair.a];
     for shape in &collision.links[pair.a % JOINTS_PER_ARM].shapes {
         let a = Rounded { core: shape.core.placed(&pose_a.r, pose_a.o), radius: shape.radius };
@@ -176,9 +199,6 @@ fn proximity<S: Real>(model: &Model<S>, ws: &Workspace<S>, pair: &Pair<S>) -> Pr
 pub(crate) fn narrow_phase<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
     let margin = S::splat(MARGIN);
     ws.contacts.contacts.clear();
-    for busy in &mut ws.contacts.busy {
-        *busy = S::zero();
-    }
     for i in 0..ws.contacts.near.len() {
         let Near { pair, lanes } = ws.contacts.near[i];
         let bodies = model.collision.pairs[pair];
@@ -187,67 +207,121 @@ pub(crate) fn narrow_phase<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
         if !lanes.any() {
             continue;
         }
+        let on_b = crate::spatial::mul_add(-p.gap, p.normal, p.point);
+        let unit = Vec6 { ang: cross(p.point, p.normal), lin: p.normal };
         let mut contact = Contact {
             pair,
             lanes,
-            on_a: p.point,
-            on_b: crate::spatial::mul_add(-p.gap, p.normal, p.point),
+            on_a: point_in_link(&ws.poses[bodies.a], p.point),
+            on_b,
             normal: p.normal,
             mass: S::one(),
+            pushes: lanes,
+            at_a: arm_response(model, ws, bodies.a, unit),
+            at_b: [S::zero(); JOINTS_PER_ARM],
         };
-        let moment = cross(p.point, p.normal);
-        let unit = Vec6 { ang: moment, lin: p.normal };
-        let mut mobility = S::splat(1.0 / HEAVIEST) + mobility(model, ws, bodies.a, unit);
-        contact.on_a = point_in_link(&ws.poses[bodies.a], p.point);
         if let Partner::Link(b) = bodies.b {
-            mobility += self::mobility(model, ws, b, unit);
-            contact.on_b = point_in_link(&ws.poses[b], contact.on_b);
+            contact.on_b = point_in_link(&ws.poses[b], on_b);
+            let back = arm_response(model, ws, b, unit);
+            for j in 0..JOINTS_PER_ARM {
+                if b / JOINTS_PER_ARM == bodies.a / JOINTS_PER_ARM {
+                    contact.at_a[j] -= back[j];
+                } else {
+                    contact.at_b[j] = -back[j];
+                }
+            }
         }
-        contact.mass = mobility.recip();
         let (gap, rate, _) = gap_and_rate(model, ws, &contact);
-        let pushes = lanes & drive(gap, rate).gt(S::zero());
-        let one = S::select(pushes, S::one(), S::zero());
-        ws.contacts.busy[bodies.a / JOINTS_PER_ARM] += one;
-        if let Partner::Link(b) = bodies.b
-            && b / JOINTS_PER_ARM != bodies.a / JOINTS_PER_ARM
-        {
-            ws.contacts.busy[b / JOINTS_PER_ARM] += one;
-        }
+        contact.pushes = lanes & drive(&ws.contacts, gap, rate).gt(S::zero());
         ws.contacts.contacts.push(contact);
     }
+    share(model, ws);
+}
+
+/// Gives each contact the mass 1 / Σⱼ |Wᵢⱼ| over itself and the contacts that push, W = J M⁻¹ Jᵀ along the normals.
+///
+/// Alone that is the mass the joints show. Together, by Gershgorin's theorem, no mode of the contacts is stiffer than a single one's.
+#[inline(always)]
+fn share<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
     for i in 0..ws.contacts.contacts.len() {
-        let bodies = &model.collision.pairs[ws.contacts.contacts[i].pair];
-        let mut sharers = ws.contacts.busy[bodies.a / JOINTS_PER_ARM].max(S::one());
-        if let Partner::Link(b) = bodies.b {
-            sharers = ws.contacts.busy[b / JOINTS_PER_ARM].max(sharers);
+        let contact = ws.contacts.contacts[i];
+        let mut sum = S::splat(1.0 / HEAVIEST) + coupling(model, ws, &contact, &contact);
+        for j in 0..ws.contacts.contacts.len() {
+            let other = &ws.contacts.contacts[j];
+            if j != i && other.pushes.any() {
+                let w = coupling(model, ws, &contact, other).abs();
+                sum += S::select(other.pushes, w, S::zero());
+            }
         }
-        let contact = &mut ws.contacts.contacts[i];
-        contact.mass = contact.mass / sharers;
+        ws.contacts.contacts[i].mass = sum.recip();
     }
 }
 
-/// Inverse of the mass an arm shows to the unit wrench (base frame, at its origin) on a link: Σ u²/D up the chain, with the base held.
-///
-/// The force's way through the articulated bodies, as in the second pass of the articulated-body algorithm; contacts move bodies of one and the same
-/// robot against each other, so what the base gives way is small.
+/// Element of W = J M⁻¹ Jᵀ: Σ uᵢ uⱼ / D over the joints of the arms both contacts push at, with the base held.
 #[inline(always)]
-fn mobility<S: Real>(model: &Model<S>, ws: &Workspace<S>, link: usize, unit: Vec6<S>) -> S {
+fn coupling<S: Real>(
+    model: &Model<S>,
+    ws: &Workspace<S>,
+    one: &Contact<S>,
+    other: &Contact<S>,
+) -> S {
+    let (one_pair, other_pair) =
+        (&model.collision.pairs[one.pair], &model.collision.pairs[other.pair]);
+    let mut sum = S::zero();
+    for (one_arm, u) in arms(one_pair, one) {
+        for (other_arm, v) in arms(other_pair, other) {
+            if one_arm.is_some() && one_arm == other_arm {
+                let first = one_arm.unwrap_or(0) * JOINTS_PER_ARM;
+                for j in 0..JOINTS_PER_ARM {
+                    sum = (u[j] * ws.links[first + j].d_inv).mul_add(v[j], sum);
+                }
+            }
+        }
+    }
+    sum
+}
+
+/// The arms a contact pushes at, with its response there.
+#[inline(always)]
+fn arms<'a, S: Real>(
+    pair: &Pair<S>,
+    contact: &'a Contact<S>,
+) -> [(Option<usize>, &'a Response<S>); 2] {
+    let a = pair.a / JOINTS_PER_ARM;
+    let b = match pair.b {
+        Partner::Link(b) if b / JOINTS_PER_ARM != a => Some(b / JOINTS_PER_ARM),
+        _ => None,
+    };
+    [(Some(a), &contact.at_a), (b, &contact.at_b)]
+}
+
+/// What the unit wrench (base frame, at its origin) on a link leaves at the joints of its arm, link by link up to the base.
+///
+/// u of the second pass of the articulated-body algorithm for that force alone: with D from there, Σ u²/D is what the link gives way, with
+/// the base held. Contacts move bodies of one and the same robot against each other, so what the base gives way is small.
+#[inline(always)]
+fn arm_response<S: Real>(
+    model: &Model<S>,
+    ws: &Workspace<S>,
+    link: usize,
+    unit: Vec6<S>,
+) -> Response<S> {
     let pose = &ws.poses[link];
     let lin = mat_t_vec(&pose.r, unit.lin);
     // Moment about the link frame's origin.
     let ang = mat_t_vec(&pose.r, sub(unit.ang, cross(pose.o, unit.lin)));
     let mut f = Vec6 { ang, lin };
-    let mut sum = S::zero();
+    let mut response = [S::zero(); JOINTS_PER_ARM];
     let first = link - link % JOINTS_PER_ARM;
     let mut i = link;
     loop {
         let scratch = &ws.links[i];
         let u = f.ang[2];
-        let ud = u * scratch.d_inv;
-        sum = u.mul_add(ud, sum);
+        response[i - first] = u;
         if i == first {
-            return sum;
+            return response;
         }
+        let ud = u * scratch.d_inv;
         f.ang = crate::spatial::mul_add(-ud, scratch.u_col.ang, f.ang);
         f.lin = crate::spatial::mul_add(-ud, scratch.u_col.lin, f.lin);
         f.ang = turn(scratch.sin, scratch.cos, f.ang);
@@ -259,8 +333,8 @@ fn mobility<S: Real>(model: &Model<S>, ws: &Workspace<S>, link: usize, unit: Vec
 
 /// ω² g + 2 ζ ω v, negated: what pushes where it is positive (m/s²).
 #[inline(always)]
-fn drive<S: Real>(gap: S, rate: S) -> S {
-    -S::splat(STIFFNESS_RATE).mul_add(gap, S::splat(DAMPING_RATE) * rate)
+fn drive<S: Real>(set: &ContactSet<S>, gap: S, rate: S) -> S {
+    -set.stiffness.mul_add(gap, set.damping * rate)
 }
 
 /// Gap of a contact, its rate, and A's point in the base frame.
@@ -298,7 +372,7 @@ pub(crate) fn push<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
         let contact = ws.contacts.contacts[i];
         let bodies = &model.collision.pairs[contact.pair];
         let (gap, rate, point) = gap_and_rate(model, ws, &contact);
-        let size = (contact.mass * drive(gap, rate)).max(S::zero());
+        let size = (contact.mass * drive(&ws.contacts, gap, rate)).max(S::zero());
         let size = S::select(contact.lanes, size, S::zero());
         let mut force = scale(size, contact.normal);
         for x in &mut force {
@@ -345,11 +419,7 @@ pub fn count_contacts<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &
 
 /// Number of touching pairs of bodies, and how deep they overlap, per lane.
 #[inline(always)]
-pub fn touching<S: Real>(
-    model: &Model<S>,
-    ws: &mut Workspace<S>,
-    state: &State<S>,
-) -> Touching<S> {
+pub fn touching<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> Touching<S> {
     S::compiled(Look { model, ws, state })
 }
 

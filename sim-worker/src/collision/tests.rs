@@ -76,7 +76,12 @@ fn distances_agree_with_a_search() {
 #[test]
 fn a_cylinder_on_a_face_and_beside_a_capsule() {
     let disc = |z: f64| Rounded {
-        core: Core::Cylinder { centre: [0.0, 0.0, z], axis: [0.0, 0.0, 1.0], radius: 0.03, half: 0.01 },
+        core: Core::Cylinder {
+            centre: [0.0, 0.0, z],
+            axis: [0.0, 0.0, 1.0],
+            radius: 0.03,
+            half: 0.01,
+        },
         radius: 0.005,
     };
     let block = FixedBox { centre: [0.0, 0.0, -1.0], rotation: EYE, half: [1.0; 3] };

@@ -27,7 +27,8 @@ pub enum Integrator {
 pub struct StepOptions {
     /// Time a command is held (s).
     pub control_period: f64,
-    /// Length of a substep (s); the period is cut into the nearest whole number of equal ones.
+    /// Length of a substep (s); the period is cut into the nearest whole number of equal ones. Runge–Kutta halves the first two, in which the servos
+    /// answer a new command.
     pub substep: f64,
     /// Scheme.
     pub integrator: Integrator,
@@ -38,17 +39,35 @@ pub struct StepOptions {
 impl Default for StepOptions {
     /// What training runs: 0.4 s in Runge–Kutta substeps of 10 ms, with contacts.
     ///
-    /// Over 20 s of random commands that is nearer to the converged solution than semi-implicit Euler at 1 ms (see the tests), at a
-    /// tenth of its evaluations.
+    /// Over 20 s of random commands that is a tenth as far from the converged solution as semi-implicit Euler at 1 ms: 5 and 29 µm on average
+    /// at base and hands against 46 and 524 µm. With the first two substeps whole it would be 42 and 204 µm: nearly all of the error is made
+    /// in the 20 ms after a command changes, when torques leave their limits and the servos' fastest mode (100 /s) decays.
     fn default() -> Self {
         Self { control_period: 0.4, substep: 0.010, integrator: Integrator::Rk4, contacts: true }
     }
 }
 
 impl StepOptions {
-    /// Number of substeps in a control period, at least one.
-    pub fn n_substeps(&self) -> usize {
+    /// Number of whole substeps in a control period, at least one.
+    fn n_whole(&self) -> usize {
         (self.control_period / self.substep).round().max(1.0) as usize
+    }
+
+    /// Number of whole substeps at the start of a period that are halved.
+    fn n_halved(&self) -> usize {
+        match self.integrator {
+            Integrator::Rk4 => self.n_whole().min(2),
+            Integrator::Euler => 0,
+        }
+    }
+
+    /// Number of evaluations of the dynamics in a control period.
+    pub fn n_evaluations(&self) -> usize {
+        let stages = match self.integrator {
+            Integrator::Rk4 => 4,
+            Integrator::Euler => 1,
+        };
+        stages * (self.n_whole() + self.n_halved()) + usize::from(self.contacts)
     }
 }
 
@@ -104,8 +123,9 @@ fn advance<S: Real>(
 ) {
     let n = model.n_joints();
     assert!(command.len() == n && state.q.len() == n && state.qd.len() == n, "joints");
-    let n_substeps = options.n_substeps();
-    let h = options.control_period / n_substeps as f64;
+    let n_halved = options.n_halved();
+    let whole = options.control_period / options.n_whole() as f64;
+    ws.contacts.set_rates(whole);
 
     for i in 0..3 {
         ws.y[i] = S::zero();
@@ -127,7 +147,8 @@ fn advance<S: Real>(
     };
     // The mass at a contact comes from the evaluation before; the first one is made for that alone.
     let mut to_warm_up = options.contacts;
-    for _ in 0..n_substeps {
+    for substep in 0..options.n_whole() + n_halved {
+        let h = if substep < 2 * n_halved { 0.5 * whole } else { whole };
         ws.y0.copy_from_slice(&ws.y);
         let mut stage = 0;
         while stage < stages.len() {

@@ -1,7 +1,6 @@
 //! Joint torques: the velocity servo, and the angle stops that push back.
 
 use super::workspace::Workspace;
-use crate::collision::{DAMPING_RATE, STIFFNESS_RATE};
 use crate::robot::{JOINTS_PER_ARM, Model, StopModel};
 use crate::scalar::Real;
 
@@ -41,6 +40,7 @@ pub(crate) fn push_of_stops<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q:
         if !stop.push {
             continue;
         }
+        let (stiffness, damping) = ws.contacts.rates();
         let armature = model.links[stop.joint].armature;
         for arm in 0..model.n_arms {
             let first = arm * JOINTS_PER_ARM;
@@ -49,8 +49,8 @@ pub(crate) fn push_of_stops<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q:
             let (x, half) = stop_interval(stop, q[i], narrowing.sin, narrowing.cos);
             let gap = x.abs() - half;
             let outward = x.copy_sign_to(S::one());
-            let closing = S::splat(DAMPING_RATE) * (outward * qd[i]);
-            let push = S::splat(STIFFNESS_RATE).mul_add(gap, closing);
+            let closing = damping * (outward * qd[i]);
+            let push = stiffness.mul_add(gap, closing);
             let push = (-armature * push).max(S::zero());
             ws.links[i].tau = outward.mul_add(push, ws.links[i].tau);
         }
