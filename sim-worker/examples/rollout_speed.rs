@@ -53,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             shard = (shard + 1) % world.dimensions.n_shards as u32;
         }
         let wall = start.elapsed();
-        let cpu = cpu_start.zip(cpu_time()).map_or(wall, |(start, end)| end - start);
+        let cpu = cpu_start.zip(cpu_time()).map_or(wall, |(start, end)| end.saturating_sub(start));
         // On a busy machine the wall clock also counts the others' turns.
         let busy = cpu.as_secs_f64() / wall.as_secs_f64();
         let share = |time: Duration| time.as_secs_f64() * busy / steps as f64 * 1e6;

@@ -10,7 +10,7 @@
 //! * [`simulate`]: open loop, from commands to a trajectory;
 //! * [`task`]: goals, observations, critic states, rewards;
 //! * [`policy`]: the actors, evaluated without libtorch;
-//! * [`env`]: the vectorised environment that writes its block in place;
+//! * [`mod@env`]: the vectorised environment that writes its block in place;
 //! * [`rollout`], [`evaluate`]: whole episodes, as pure functions of their addresses;
 //! * [`worker`]: the process around them.
 //!

@@ -1,5 +1,10 @@
 //! The dynamics against MuJoCo itself, on the model files that we export.
 
+#![expect(
+    clippy::inline_always,
+    reason = "only code inlined into a lane function is compiled for the processor's vectors"
+)]
+
 use std::path::Path;
 use std::process::Command;
 

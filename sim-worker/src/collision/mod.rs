@@ -1,6 +1,6 @@
 //! Collisions: which bodies touch, and how they push each other apart.
 //!
-//! * Geometry is capsules and flat cylinders on the links, boxes on the base ([`shape`]); a few pairs of one arm touch exactly when a joint stands
+//! * Geometry is capsules and flat cylinders on the links, boxes on the base (`shape`); a few pairs of one arm touch exactly when a joint stands
 //!   in an interval (the robot's `stops`).
 //! * [`count_contacts`] counts touching pairs of bodies, as the penalty of the tasks wants them.
 //! * Contact forces are compliant, so that no arm passes through the base or another arm, and predictive, so that a fixed substep of
@@ -16,7 +16,7 @@
 //!   combinations, one arm or all: 99.9 % of the time less than 6 mm deep, 7 mm at worst (10.6 mm once, an arm wedged between two others).
 //!   Softer (ω = 130, ζ = 0.7) it was 18 and 59 mm.
 //!
-//! A substep looks for contacts once: [`broad_phase`] by spheres, [`narrow_phase`] for closest points; the stages of the integrator
+//! A substep looks for contacts once: `broad_phase` by spheres, `narrow_phase` for closest points; the stages of the integrator
 //! carry the points along with their bodies. Which pairs are looked at is decided lane by lane, and forces are sums of the lane's own pairs in a fixed
 //! order: work that another lane asks for leaves a lane's bits alone.
 
