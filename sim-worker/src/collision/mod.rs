@@ -16,9 +16,9 @@
 //!   combinations, one arm or all: 99.9 % of the time less than 6 mm deep, 7 mm at worst (10.6 mm once, an arm wedged between two others).
 //!   Softer (ω = 130, ζ = 0.7) it was 18 and 59 mm.
 //!
-//! A substep looks for contacts once: `broad_phase` by spheres, `narrow_phase` for closest points; the stages of the integrator
-//! carry the points along with their bodies. Which pairs are looked at is decided lane by lane, and forces are sums of the lane's own pairs in a fixed
-//! order: work that another lane asks for leaves a lane's bits alone.
+//! A substep looks for contacts once ([`find`]), by spheres, then closest points; the stages of the integrator carry the points along with
+//! their bodies. A pair that is far sleeps for as long as its gap takes to close. All of this is decided lane by lane, and forces are
+//! sums of the lane's own pairs in a fixed order: work that another lane asks for leaves a lane's bits alone.
 
 mod distance;
 mod model;
@@ -26,7 +26,7 @@ mod phases;
 pub(crate) mod shape;
 
 pub(crate) use model::CollisionModel;
-pub(crate) use phases::{ContactSet, any_contact, broad_phase, clear, narrow_phase, push};
+pub(crate) use phases::{ContactSet, any_contact, clear, find, push};
 
 pub use phases::{Touching, count_contacts, touching};
 
@@ -39,9 +39,8 @@ pub(crate) const DAMPING_RATIO: f64 = 0.5;
 /// Largest product of frequency and substep: beyond, contacts are softened to it. Runge–Kutta is stable up to 2.7 at this damping ratio.
 pub(crate) const STABLE: f64 = 2.6;
 
-/// Pairs farther apart than this at the start of a substep do not push during it (m): enough for 2.3 m/s of approach over the damper's reach
-/// and the substep.
-pub(crate) const MARGIN: f64 = 0.05;
+/// Contacts are kept when they would push within a substep at their rate, or are this far from it (m): a joint at full torque gains no more in 10 ms.
+pub(crate) const SLACK: f64 = 0.005;
 
 /// Contacts never count as heavier than this (kg): near a joint's axis the joint shows a mass without bound.
 pub(crate) const HEAVIEST: f64 = 50.0;

@@ -3,20 +3,13 @@
 use super::distance::{Proximity, rounded_box, rounded_rounded};
 use super::model::{FixedBody, Pair, Partner};
 use super::shape::Rounded;
-use super::{DAMPING_RATIO, FREQUENCY, HEAVIEST, MARGIN, STABLE};
+use super::{DAMPING_RATIO, FREQUENCY, HEAVIEST, SLACK, STABLE};
 use crate::dynamics::kinematics::{force_from_next, point_in_link, point_velocity, turn};
 use crate::dynamics::{Workspace, stop_interval};
 use crate::robot::{JOINTS_PER_ARM, Model};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Vec3, Vec6, add, cross, cross_add, dot, mat_t_vec, mat_vec, scale, sub};
 use crate::state::State;
-
-/// A pair that is near in some lane, and the lanes it is near in.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Near<S: Real> {
-    pair: usize,
-    lanes: S::Mask,
-}
 
 /// A point at which two bodies push each other, for the length of a substep.
 #[derive(Clone, Copy, Debug)]
@@ -41,33 +34,62 @@ pub(crate) struct Contact<S: Real> {
 /// A force carried up an arm: u at each joint.
 type Response<S> = [S; JOINTS_PER_ARM];
 
-/// Near pairs and contacts of a substep, and the bounding centres behind them.
+/// Contacts of a substep, and what tells when a pair must be looked at again.
 #[derive(Clone, Debug)]
 pub(crate) struct ContactSet<S: Real> {
-    centres: Vec<Vec3<S>>,
-    near: Vec<Near<S>>,
     contacts: Vec<Contact<S>>,
     /// ω² (1/s²) and 2 ζ ω (1/s) of contacts and stops.
     stiffness: S,
     damping: S,
+    /// Bounding centres of the links, base frame (m).
+    centres: Vec<Vec3<S>>,
+    /// Rate that no joint is expected to exceed in the period (rad/s).
+    rates: Vec<S>,
+    /// Speed against the base that no point of a link is expected to exceed in the period (m/s).
+    speeds: Vec<S>,
+    /// When each pair may come into reach, since the period's start (s), and the lowest lane of that.
+    wake: Vec<S>,
+    wake_lowest: Vec<f64>,
 }
 
 impl<S: Real> ContactSet<S> {
     /// Room for all pairs of `model`.
     pub(crate) fn new(model: &Model<S>) -> Self {
-        let n = model.collision.pairs.len();
+        let (n_pairs, n) = (model.collision.pairs.len(), model.n_joints());
+        let zero = S::zero();
         Self {
-            centres: vec![[S::zero(); 3]; model.n_joints()],
-            near: Vec::with_capacity(n),
-            contacts: Vec::with_capacity(n),
-            stiffness: S::zero(),
-            damping: S::zero(),
+            contacts: Vec::with_capacity(n_pairs),
+            stiffness: zero,
+            damping: zero,
+            centres: vec![[zero; 3]; n],
+            rates: vec![zero; n],
+            speeds: vec![zero; n],
+            wake: vec![zero; n_pairs],
+            wake_lowest: vec![0.0; n_pairs],
         }
     }
 
-    /// Sets the stiffness of contacts and stops for substeps of length `h` (s).
+    /// Begins a control period with substeps of length `h` (s): sets the stiffness of contacts and stops, and bounds speeds by rates and commands
+    /// (rad/s).
     #[inline(always)]
-    pub(crate) fn set_rates(&mut self, h: f64) {
+    pub(crate) fn begin_period(&mut self, model: &Model<S>, h: f64, qd: &[S], command: &[S]) {
+        for i in 0..self.rates.len() {
+            // A quarter more than asked for, because other joints and contacts drag.
+            let rate = qd[i].abs().max(command[i].abs());
+            self.rates[i] = rate.mul_add(S::splat(1.25), S::splat(0.1));
+        }
+        for i in 0..self.speeds.len() {
+            let (first, l) = (i - i % JOINTS_PER_ARM, i % JOINTS_PER_ARM);
+            let mut speed = S::zero();
+            for j in 0..=l {
+                speed = model.collision.levers[j][l].mul_add(self.rates[first + j], speed);
+            }
+            self.speeds[i] = speed;
+        }
+        for i in 0..self.wake.len() {
+            self.wake[i] = S::zero();
+            self.wake_lowest[i] = 0.0;
+        }
         let frequency = FREQUENCY.min(STABLE / h);
         self.stiffness = S::splat(frequency * frequency);
         self.damping = S::splat(2.0 * DAMPING_RATIO * frequency);
@@ -96,57 +118,61 @@ pub(crate) fn any_contact<S: Real>(ws: &Workspace<S>) -> bool {
 }
 
 #[inline(always)]
-fn squared_distance<S: Real>(a: Vec3<S>, b: Vec3<S>) -> S {
+fn distance<S: Real>(a: Vec3<S>, b: Vec3<S>) -> S {
     let d = sub(a, b);
-    dot(d, d)
+    dot(d, d).sqrt()
 }
 
-/// Lists the pairs whose bounding spheres come within `margin` (m). Reads `ws.poses`.
+/// Places the links' bounding spheres. Reads `ws.poses`.
 #[inline(always)]
-pub(crate) fn broad_phase<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, margin: f64) {
-    let collision = &model.collision;
-    let margin = S::splat(margin);
-    let set = &mut ws.contacts;
+fn place_spheres<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
     for (i, pose) in ws.poses.iter().enumerate() {
-        let centre = collision.links[i % JOINTS_PER_ARM].centre;
-        set.centres[i] = add(mat_vec(&pose.r, centre), pose.o);
+        let centre = model.collision.links[i % JOINTS_PER_ARM].centre;
+        ws.contacts.centres[i] = add(mat_vec(&pose.r, centre), pose.o);
     }
-    set.near.clear();
-    for group in &collision.groups {
-        if let Some(bound) = &group.bound {
-            let b = match bound.b {
-                Partner::Link(b) => set.centres[b],
-                Partner::Fixed(b) => collision.fixed_centres[b],
-            };
-            let reach = bound.reach + margin;
-            if !squared_distance(set.centres[bound.a], b).lt(reach * reach).any() {
-                continue;
+}
+
+/// A distance that the gap of a pair is not below (m), by spheres.
+#[inline(always)]
+fn sphere_gap<S: Real>(model: &Model<S>, ws: &Workspace<S>, pair: &Pair<S>) -> S {
+    let collision = &model.collision;
+    let a = ws.contacts.centres[pair.a];
+    let d = match pair.b {
+        Partner::Link(b) => distance(a, ws.contacts.centres[b]),
+        Partner::Fixed(b) => match &collision.fixed[b] {
+            FixedBody::Rounded(_) => distance(a, collision.fixed_centres[b]),
+            FixedBody::Box(block) => {
+                let p = mat_t_vec(&block.rotation, sub(a, block.centre));
+                let h = block.half;
+                let e = [
+                    (p[0].abs() - h[0]).max(S::zero()),
+                    (p[1].abs() - h[1]).max(S::zero()),
+                    (p[2].abs() - h[2]).max(S::zero()),
+                ];
+                dot(e, e).sqrt()
             }
+        },
+    };
+    d - pair.reach
+}
+
+/// Speed that the gap of a pair is not expected to close faster than in this period (m/s).
+#[inline(always)]
+fn closing_speed<S: Real>(model: &Model<S>, ws: &Workspace<S>, pair: &Pair<S>) -> S {
+    let set = &ws.contacts;
+    match pair.b {
+        Partner::Fixed(_) => set.speeds[pair.a],
+        Partner::Link(b) if b / JOINTS_PER_ARM != pair.a / JOINTS_PER_ARM => {
+            set.speeds[pair.a] + set.speeds[b]
         }
-        for pair in group.pairs.clone() {
-            let Pair { a, b, reach } = collision.pairs[pair];
-            let a = set.centres[a];
-            let d2 = match b {
-                Partner::Link(b) => squared_distance(a, set.centres[b]),
-                Partner::Fixed(b) => match &collision.fixed[b] {
-                    FixedBody::Rounded(_) => squared_distance(a, collision.fixed_centres[b]),
-                    FixedBody::Box(block) => {
-                        let p = mat_t_vec(&block.rotation, sub(a, block.centre));
-                        let h = block.half;
-                        let e = [
-                            (p[0].abs() - h[0]).max(S::zero()),
-                            (p[1].abs() - h[1]).max(S::zero()),
-                            (p[2].abs() - h[2]).max(S::zero()),
-                        ];
-                        dot(e, e)
-                    }
-                },
-            };
-            let reach = reach + margin;
-            let lanes = d2.lt(reach * reach);
-            if lanes.any() {
-                set.near.push(Near { pair, lanes });
+        Partner::Link(b) => {
+            // Within an arm only the joints between the two count.
+            let (first, l) = (b - b % JOINTS_PER_ARM, pair.a % JOINTS_PER_ARM);
+            let mut speed = S::zero();
+            for j in b % JOINTS_PER_ARM + 1..=l {
+                speed = model.collision.levers[j][l].mul_add(set.rates[first + j], speed);
             }
+            speed
         }
     }
 }
@@ -194,16 +220,42 @@ fn proximity<S: Real>(model: &Model<S>, ws: &Workspace<S>, pair: &Pair<S>) -> Pr
     best
 }
 
-/// Finds the contacts of the near pairs, with the mass each pushes against. Reads `poses`, `sin`, `cos`, `v`, `u_col`, `d_inv` of the links.
+/// Finds the contacts of a substep of length `h` that starts `now` after the period did (s), with the mass each pushes against. Reads
+/// `poses`, `sin`, `cos`, `v`, `u_col`, `d_inv` of the links.
+///
+/// A pair sleeps until its gap, closing at the expected speed, may come into the contact's reach. Each lane has its own alarm and takes no part
+/// before it, so that whether a pair is looked at for another lane's sake makes no difference.
 #[inline(always)]
-pub(crate) fn narrow_phase<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
-    let margin = S::splat(MARGIN);
+pub(crate) fn find<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, now: f64, h: f64) {
+    place_spheres(model, ws);
     ws.contacts.contacts.clear();
-    for i in 0..ws.contacts.near.len() {
-        let Near { pair, lanes } = ws.contacts.near[i];
+    let t = S::splat(now);
+    // The damper's reach, and what closes within the substep.
+    let horizon = ws.contacts.damping / ws.contacts.stiffness + S::splat(h);
+    let slack = S::splat(SLACK);
+    for pair in 0..model.collision.pairs.len() {
+        if ws.contacts.wake_lowest[pair] > now {
+            continue;
+        }
         let bodies = model.collision.pairs[pair];
-        let p = proximity(model, ws, &bodies);
-        let lanes = lanes & p.gap.lt(margin);
+        let awake = ws.contacts.wake[pair].le(t);
+        let speed = closing_speed(model, ws, &bodies);
+        let range = horizon.mul_add(speed, slack);
+        let mut gap = sphere_gap(model, ws, &bodies);
+        let close = awake & gap.lt(range);
+        let mut p = None;
+        if close.any() {
+            let found = proximity(model, ws, &bodies);
+            gap = S::select(close, found.gap, gap);
+            p = Some(found);
+        }
+        let sleep = (gap - range) / speed;
+        let sleep = S::select(sleep.gt(S::zero()), sleep, S::zero());
+        let wake = S::select(awake, t + sleep, ws.contacts.wake[pair]);
+        ws.contacts.wake[pair] = wake;
+        ws.contacts.wake_lowest[pair] = wake.lowest();
+        let Some(p) = p else { continue };
+        let lanes = close & gap.lt(range);
         if !lanes.any() {
             continue;
         }
@@ -217,11 +269,21 @@ pub(crate) fn narrow_phase<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
             normal: p.normal,
             mass: S::one(),
             pushes: lanes,
-            at_a: arm_response(model, ws, bodies.a, unit),
+            at_a: [S::zero(); JOINTS_PER_ARM],
             at_b: [S::zero(); JOINTS_PER_ARM],
         };
         if let Partner::Link(b) = bodies.b {
             contact.on_b = point_in_link(&ws.poses[b], on_b);
+        }
+        let (gap, rate, _) = gap_and_rate(model, ws, &contact);
+        // Only what may come to push within the substep.
+        contact.lanes = lanes & (gap + horizon * rate).lt(slack);
+        if !contact.lanes.any() {
+            continue;
+        }
+        contact.pushes = contact.lanes & drive(&ws.contacts, gap, rate).gt(S::zero());
+        contact.at_a = arm_response(model, ws, bodies.a, unit);
+        if let Partner::Link(b) = bodies.b {
             let back = arm_response(model, ws, b, unit);
             for j in 0..JOINTS_PER_ARM {
                 if b / JOINTS_PER_ARM == bodies.a / JOINTS_PER_ARM {
@@ -231,8 +293,6 @@ pub(crate) fn narrow_phase<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
                 }
             }
         }
-        let (gap, rate, _) = gap_and_rate(model, ws, &contact);
-        contact.pushes = lanes & drive(&ws.contacts, gap, rate).gt(S::zero());
         ws.contacts.contacts.push(contact);
     }
     share(model, ws);
@@ -452,12 +512,15 @@ fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> T
             pairs += S::select(x.abs().le(half), S::one(), S::zero());
         }
     }
-    broad_phase(model, ws, 0.0);
+    place_spheres(model, ws);
     let mut penetration = S::zero();
-    for i in 0..ws.contacts.near.len() {
-        let Near { pair, lanes } = ws.contacts.near[i];
-        let p = proximity(model, ws, &model.collision.pairs[pair]);
-        let touches = lanes & p.gap.lt(S::zero());
+    for pair in &model.collision.pairs {
+        let near = sphere_gap(model, ws, pair).lt(S::zero());
+        if !near.any() {
+            continue;
+        }
+        let p = proximity(model, ws, pair);
+        let touches = near & p.gap.lt(S::zero());
         pairs += S::select(touches, S::one(), S::zero());
         penetration = S::select(touches, (-p.gap).max(penetration), penetration);
     }

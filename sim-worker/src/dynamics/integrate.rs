@@ -125,7 +125,10 @@ fn advance<S: Real>(
     assert!(command.len() == n && state.q.len() == n && state.qd.len() == n, "joints");
     let n_halved = options.n_halved();
     let whole = options.control_period / options.n_whole() as f64;
-    ws.contacts.set_rates(whole);
+    if options.contacts {
+        ws.contacts.begin_period(model, whole, &state.qd, command);
+    }
+    let mut now = 0.0;
 
     for i in 0..3 {
         ws.y[i] = S::zero();
@@ -155,7 +158,7 @@ fn advance<S: Real>(
             let (reach, weight) = stages[stage];
             let contacts = match (options.contacts && !to_warm_up, stage) {
                 (false, _) => Contacts::Off,
-                (true, 0) => Contacts::Find,
+                (true, 0) => Contacts::Find { now, h },
                 (true, _) => Contacts::Push,
             };
             derivative(model, ws, command, contacts);
@@ -186,6 +189,7 @@ fn advance<S: Real>(
             }
             stage += 1;
         }
+        now += h;
     }
 
     for i in 0..3 {
@@ -201,12 +205,12 @@ fn advance<S: Real>(
 }
 
 /// What an evaluation does about contacts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Contacts {
     /// Nothing.
     Off,
-    /// Finds contacts and pushes at them: at the start of a substep.
-    Find,
+    /// Finds contacts and pushes at them: at the start of a substep of length `h`, `now` after the period's (s).
+    Find { now: f64, h: f64 },
     /// Pushes at the contacts found.
     Push,
 }
@@ -231,13 +235,11 @@ fn derivative<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, command: &[S], c
         collision::clear(ws);
     } else {
         push_of_stops(model, ws, q, qd);
-        let find = contacts == Contacts::Find;
-        if find || collision::any_contact(ws) {
+        if let Contacts::Find { now, h } = contacts {
             poses(model, ws);
-        }
-        if find {
-            collision::broad_phase(model, ws, collision::MARGIN);
-            collision::narrow_phase(model, ws);
+            collision::find(model, ws, now, h);
+        } else if collision::any_contact(ws) {
+            poses(model, ws);
         }
         if collision::any_contact(ws) {
             collision::push(model, ws);

@@ -54,6 +54,6 @@ fn a_configuration_chooses_the_integration() {
         .and_then(|layers| layers.resolve())
         .expect("valid");
     let options = step_options(&config);
-    assert_eq!(options.n_substeps(), 400);
+    assert_eq!((options.control_period, options.substep), (0.4, 0.001));
     assert_eq!(options.integrator, crate::dynamics::Integrator::Euler);
 }

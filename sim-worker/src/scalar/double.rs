@@ -19,6 +19,10 @@ impl Real for f64 {
         *self = x;
     }
     #[inline(always)]
+    fn lowest(self) -> f64 {
+        self.lane(0)
+    }
+    #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
         f64::mul_add(self, a, b)
     }

@@ -81,6 +81,19 @@ impl Mask for Mask16 {
     }
 }
 
+/// The lowest number, halving the list so that the processor compares several at once.
+#[inline(always)]
+fn lowest(mut a: [f32; LANES]) -> f32 {
+    let mut n = LANES;
+    while n > 1 {
+        n /= 2;
+        for i in 0..n {
+            a[i] = single::min(a[i], a[i + n]);
+        }
+    }
+    a[0]
+}
+
 /// The parts of [`Real`] and of its supertraits that follow from a type's few basic operations.
 macro_rules! derive_operators {
     ($t:ident) => {
@@ -212,6 +225,10 @@ impl Real for F32x16Portable {
     #[inline(always)]
     fn set_lane(&mut self, i: usize, x: f64) {
         self.0[i] = x as f32;
+    }
+    #[inline(always)]
+    fn lowest(self) -> f64 {
+        f64::from(lowest(self.0))
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
@@ -354,6 +371,10 @@ mod avx512 {
             let mut a = self.to_array();
             a[i] = x as f32;
             *self = Self::from_array(a);
+        }
+        #[inline(always)]
+        fn lowest(self) -> f64 {
+            f64::from(lowest(self.to_array()))
         }
         #[inline(always)]
         fn mul_add(self, a: Self, b: Self) -> Self {
@@ -649,6 +670,10 @@ mod avx2 {
             let mut a = self.to_array();
             a[i] = x as f32;
             *self = Self::from_array(a);
+        }
+        #[inline(always)]
+        fn lowest(self) -> f64 {
+            f64::from(lowest(self.to_array()))
         }
         #[inline(always)]
         fn mul_add(self, a: Self, b: Self) -> Self {

@@ -98,6 +98,9 @@ pub trait Real:
     /// Replaces the value of lane `i`, rounded to the type's precision.
     fn set_lane(&mut self, i: usize, x: f64);
 
+    /// The lowest of the lanes; no lane may be NaN.
+    fn lowest(self) -> f64;
+
     /// `self · a + b` with one rounding.
     fn mul_add(self, a: Self, b: Self) -> Self;
     /// `b − self · a` with one rounding.

@@ -76,6 +76,10 @@ impl Real for f32 {
         *self = x as f32;
     }
     #[inline(always)]
+    fn lowest(self) -> f64 {
+        self.lane(0)
+    }
+    #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
         f32::mul_add(self, a, b)
     }
