@@ -2,6 +2,11 @@
 //!
 //! `cargo run --release -p sim-worker --example physics_speed [SECONDS] [ROBOT]`
 
+#![expect(
+    clippy::inline_always,
+    reason = "only code inlined into a lane function is compiled for the processor's vectors"
+)]
+
 use std::time::Instant;
 
 use sim_worker::collision::count_contacts;

@@ -157,9 +157,8 @@ impl<S: Real> CollisionModel<S> {
                 }
             }
         }
-        let levers = std::array::from_fn(|j| {
-            std::array::from_fn(|l| S::splat(lever(robot, &balls, j, l)))
-        });
+        let levers =
+            std::array::from_fn(|j| std::array::from_fn(|l| S::splat(lever(robot, &balls, j, l))));
         Self {
             links: links.collect(),
             fixed,

@@ -1,3 +1,5 @@
+#![expect(clippy::approx_constant, reason = "the servos' limit is 3.14 rad/s, not π")]
+
 use super::distance::{rounded_box, rounded_rounded};
 use super::shape::{Core, FixedBox, Rounded};
 use super::*;

@@ -1,3 +1,5 @@
+#![expect(clippy::approx_constant, reason = "fixtures are quoted with six digits")]
+
 use nalgebra::DVector;
 
 use super::twin::{inertia_matrix, kinetic_energy, momentum, rnea};

@@ -307,7 +307,7 @@ impl Real for F32x16Portable {
 pub struct F32x16Avx512(__m512);
 
 #[cfg(target_arch = "x86_64")]
-#[expect(
+#[allow(
     clippy::wildcard_imports,
     reason = "half of the file's names are the back end's intrinsics"
 )]
@@ -487,7 +487,7 @@ pub struct F32x16Avx2(__m256, __m256);
 pub struct Mask2x8(__m256, __m256);
 
 #[cfg(target_arch = "x86_64")]
-#[expect(
+#[allow(
     clippy::wildcard_imports,
     reason = "half of the file's names are the back end's intrinsics"
 )]
