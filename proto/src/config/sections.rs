@@ -444,6 +444,18 @@ impl Config {
         within("network.min_log_std", network.min_log_std, -20.0, network.initial_log_std)?;
         within("network.head_gain", network.head_gain, 0.0, 100.0)?;
 
+        let independent = algorithm.name == AlgorithmName::Ippo;
+        if independent != (network.critic_state == CriticState::Own) {
+            return Err(ConfigError::Invalid {
+                key: "algorithm.name",
+                problem: format!(
+                    "{:?} does not fit network.critic_state {:?}",
+                    algorithm.name, network.critic_state
+                ),
+                cure: "set network.critic_state=own with ippo, and another one with mappo"
+                    .to_owned(),
+            });
+        }
         within("algorithm.gamma", algorithm.gamma, 0.0, 1.0)?;
         within("algorithm.gae_lambda", algorithm.gae_lambda, 0.0, 1.0)?;
         within("algorithm.clip", algorithm.clip, 1e-6, 10.0)?;

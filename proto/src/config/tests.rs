@@ -77,6 +77,10 @@ fn errors_name_the_layer_the_key_and_the_cure() {
     let word = message(&["network.activation=sigmoid"]);
     assert!(word.contains("relu") && word.contains("sigmoid"), "{word}");
 
+    let critic = message(&["algorithm.name=ippo"]);
+    assert!(critic.contains("network.critic_state=own"), "{critic}");
+    assert!(resolve(&["algorithm.name=ippo", "network.critic_state=own"]).is_ok());
+
     let nan = message(&["algorithm.gamma=nan"]);
     assert!(nan.contains("algorithm.gamma"), "{nan}");
 }
