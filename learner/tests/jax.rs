@@ -198,6 +198,7 @@ fn independent_learners_with_tanh_and_a_floor_under_the_deviation() {
     cross_check(&[
         "algorithm.name=ippo",
         "network.critic_state=own",
+        "algorithm.name=ippo",
         "network.input_norm=none",
         "network.activation=tanh",
         "network.squash_mean=false",

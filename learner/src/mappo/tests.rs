@@ -40,7 +40,12 @@ const VARIANTS: [&[&str]; 6] = [
     &[],
     &["network.shared_parameters=true", "run.learner_threads=1"],
     &["network.layer_norm=true", "network.input_norm=layer_norm", "network.activation=elu"],
-    &["network.critic_state=own", "network.activation=tanh", "algorithm.mini_batches=3"],
+    &[
+        "network.critic_state=own",
+        "algorithm.name=ippo",
+        "network.activation=tanh",
+        "algorithm.mini_batches=3",
+    ],
     &["algorithm.max_kl=0.001", "algorithm.value_norm=false", "algorithm.huber_delta=0"],
     &["network.input_norm=none", "network.critic_state=concatenated", "run.learner_threads=1"],
 ];

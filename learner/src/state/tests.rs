@@ -64,7 +64,7 @@ fn a_state_of_another_shape_is_refused_by_name() {
     assert!(error.contains("`actor.adam.m.hidden.0.gain` is missing"), "{error}");
     let error = refusal(&bytes, &config(&["network.input_norm=none"]));
     assert!(error.contains("`previous_policy` is F32 [1104], expected F32 [880]"), "{error}");
-    let error = refusal(&bytes, &config(&["network.critic_state=own"]));
+    let error = refusal(&bytes, &config(&["network.critic_state=own", "algorithm.name=ippo"]));
     // Critics of a one-arm robot see 49 numbers either way; their normaliser has no place.
     assert!(error.contains("`state_norm.") && error.contains("is unknown"), "{error}");
 }
