@@ -16,7 +16,7 @@
 //!   combinations, one arm or all: 99.9 % of the time less than 6 mm deep, 7 mm at worst (10.6 mm once, an arm wedged between two others).
 //!   Softer (ω = 130, ζ = 0.7) it was 18 and 59 mm.
 //!
-//! A substep looks for contacts once ([`find`]), by spheres, then closest points; the stages of the integrator carry the points along with
+//! A substep looks for contacts once (`find`), by spheres, then closest points; the stages of the integrator carry the points along with
 //! their bodies. A pair that is far sleeps for as long as its gap takes to close. All of this is decided lane by lane, and forces are
 //! sums of the lane's own pairs in a fixed order: work that another lane asks for leaves a lane's bits alone.
 
