@@ -139,6 +139,8 @@ fn a_random_episode_agrees_with_mujoco() {
             "episode": {"qpos": qpos(&home), "commands": commands, "steps_per_command": 400},
         }));
         let rows = simulate(&robot, &commands, Precision::F64, &authors());
+        let moved = largest_difference(&rows[49].state.q, &home.q);
+        assert!(moved > 0.5, "the arms hardly moved: {moved} rad");
         let mut worst = [0.0_f64; 3];
         for (row, theirs) in rows.iter().zip(answer["episode"].as_array().unwrap()) {
             let hands = row.hands.concat();

@@ -3,7 +3,7 @@
 use super::distance::{Proximity, rounded_box, rounded_rounded};
 use super::model::{FixedBody, Pair, Partner};
 use super::shape::Rounded;
-use super::{DAMPING_RATIO, FREQUENCY, HEAVIEST, SLACK, STABLE};
+use super::{DAMPING_RATIO, FREQUENCY, HEAVIEST, SLACK};
 use crate::dynamics::kinematics::{force_from_next, point_in_link, point_velocity, turn};
 use crate::dynamics::{Workspace, stop_interval};
 use crate::robot::{JOINTS_PER_ARM, Model};
@@ -69,10 +69,10 @@ impl<S: Real> ContactSet<S> {
         }
     }
 
-    /// Begins a control period with substeps of length `h` (s): sets the stiffness of contacts and stops, and bounds speeds by rates and commands
+    /// Begins a control period: sets the stiffness of contacts and stops, softer where only frequencies up to `stable` (rad/s) are, and bounds speeds by rates and commands
     /// (rad/s).
     #[inline(always)]
-    pub(crate) fn begin_period(&mut self, model: &Model<S>, h: f64, qd: &[S], command: &[S]) {
+    pub(crate) fn begin_period(&mut self, model: &Model<S>, stable: f64, qd: &[S], command: &[S]) {
         for i in 0..self.rates.len() {
             // A quarter more than asked for, because other joints and contacts drag.
             let rate = qd[i].abs().max(command[i].abs());
@@ -90,7 +90,7 @@ impl<S: Real> ContactSet<S> {
             self.wake[i] = S::zero();
             self.wake_lowest[i] = 0.0;
         }
-        let frequency = FREQUENCY.min(STABLE / h);
+        let frequency = FREQUENCY.min(stable);
         self.stiffness = S::splat(frequency * frequency);
         self.damping = S::splat(2.0 * DAMPING_RATIO * frequency);
     }

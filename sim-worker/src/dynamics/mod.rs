@@ -13,6 +13,7 @@ pub(crate) mod aba;
 pub(crate) mod articulated;
 mod fk;
 mod integrate;
+mod invariants;
 pub(crate) mod kinematics;
 mod servo;
 pub mod twin;
