@@ -137,7 +137,7 @@ fn a_worker_without_a_run_says_what_is_missing() {
     let error = load(&RunDir::new("no/such/run")).expect_err("no such run");
     assert_eq!(error.code, ExitCode::RunDirectory);
     assert!(error.message.contains("no/such/run/config.toml"), "{error}");
-    let domain = Domain::fresh();
-    let error = Worker::connect(&arguments(&domain), &world()).err().expect("no services");
+    let domain = TestDomain(Domain::fresh());
+    let error = Worker::connect(&arguments(&domain.0), &world()).err().expect("no services");
     assert_eq!(error.code, ExitCode::Environment);
 }
