@@ -96,9 +96,6 @@ pub enum LearnerError {
     /// A robot file cannot be used.
     #[error("{0}")]
     Robot(String),
-    /// The process that started the learner is gone.
-    #[error("the process that started the learner is gone")]
-    Orphaned,
 }
 
 impl From<LearnerError> for ExitError {

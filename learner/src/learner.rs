@@ -50,7 +50,7 @@ pub struct Arguments {
 
 /// Learns until it is told to stop.
 pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
-    die_with_parent(arguments.parent)?;
+    proto::child::die_with_parent(arguments.parent)?;
     let (config, dimensions) = load(&RunDir::new(&arguments.run_dir))?;
     let device = device(&config.run.device)?;
     let threads = i32::try_from(config.run.learner_threads).unwrap_or(i32::MAX);
@@ -84,19 +84,6 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         let _ = learner.ports.progress.send(&Progress::Failed { message });
     }
     Ok(result?)
-}
-
-/// Asks the kernel to kill this process when its parent dies, and makes sure that it has not yet.
-fn die_with_parent(expected: Option<i32>) -> Result<(), LearnerError> {
-    let before = rustix::process::getppid();
-    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))
-        .map_err(|error| LearnerError::Device(format!("cannot tie to the parent: {error}")))?;
-    let now = rustix::process::getppid();
-    let pid = now.map_or(0, |pid| pid.as_raw_nonzero().get());
-    if now != before || expected.is_some_and(|expected| expected != pid) {
-        return Err(LearnerError::Orphaned);
-    }
-    Ok(())
 }
 
 fn read(path: &std::path::Path) -> Result<Vec<u8>, LearnerError> {

@@ -10,11 +10,13 @@
 //! * [`run_dir`]: the files of a run directory;
 //! * [`rng`]: random numbers that are pure functions of their address;
 //! * [`Digest`]: the fingerprint of a training state;
+//! * [`child`]: what learner and workers do first;
 //! * [`ExitCode`]: how programs end.
 //!
 //! Read [`message`] next: it tells the story of an iteration.
 
 pub mod channel;
+pub mod child;
 pub mod config;
 mod digest;
 mod error;

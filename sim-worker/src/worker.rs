@@ -54,7 +54,7 @@ pub struct Arguments {
 
 /// Works until it is told to stop.
 pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
-    die_with_parent(arguments.parent)?;
+    proto::child::die_with_parent(arguments.parent)?;
     let world = load(&RunDir::new(&arguments.run_dir))?;
     let mut worker = Worker::connect(arguments, &world)?;
     tracing::info!(
@@ -64,29 +64,6 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         "ready"
     );
     worker.serve()
-}
-
-/// Asks the kernel to kill this process when its parent dies, and makes sure that it has not yet.
-fn die_with_parent(expected: Option<i32>) -> Result<(), ExitError> {
-    let before = rustix::process::getppid();
-    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL)).map_err(
-        |error| {
-            ExitError::new(
-                ExitCode::Environment,
-                format!("cannot tie this process to its parent: {error}"),
-            )
-        },
-    )?;
-    // The parent may have died before the request took effect: then somebody else is the parent.
-    let now = rustix::process::getppid();
-    let pid = now.map_or(0, |pid| pid.as_raw_nonzero().get());
-    if now != before || expected.is_some_and(|expected| expected != pid) {
-        return Err(ExitError::new(
-            ExitCode::Failure,
-            "the process that started this worker is gone",
-        ));
-    }
-    Ok(())
 }
 
 /// Reads configuration and robot of a run.
