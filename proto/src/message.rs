@@ -13,6 +13,8 @@
 //! With overlap the orders of k + 1 go out as soon as all blocks of k are received; they name the
 //! policy version that [`policy_version_for`] says.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::Digest;
@@ -45,11 +47,66 @@ pub enum Order {
         /// The shards.
         shards: Vec<u32>,
     },
-    /// The learner shall send a snapshot of its state: at once if it is between iterations,
-    /// otherwise after the iteration that it trains on.
+    /// Worker `worker` shall play episodes of an evaluation with the policy's mean actions.
+    Evaluate {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+        /// Which episodes.
+        episodes: EvaluationChunk,
+    },
+    /// Worker `worker` shall finish what is at hand and exit: the run wants fewer.
+    Leave {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+    },
+    /// The learner shall send a snapshot of its state beside those that the configuration plans: at
+    /// once if it is between iterations, otherwise after the iteration that it trains on.
     Snapshot,
     /// Everybody shall finish what is at hand and exit.
     Stop,
+}
+
+/// Episodes `first..first + episodes` of the held-out evaluation of a policy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct EvaluationChunk {
+    /// The policy.
+    pub policy_version: u64,
+    /// First episode, which is also the address of its goal.
+    pub first: u32,
+    /// Number of episodes.
+    pub episodes: u32,
+}
+
+/// Errors of one held-out episode: means over its last steps, and over hands.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct EpisodeErrors {
+    /// Position error (m).
+    pub position: f32,
+    /// Orientation error (rad).
+    pub orientation: f32,
+    /// Attitude error of the base (rad).
+    pub base: f32,
+}
+
+/// A block that could not be made, with the environment as it was before the step that failed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Fault {
+    /// Iteration of the block.
+    pub iteration: u64,
+    /// Its shard.
+    pub shard: u32,
+    /// The policy it was made with.
+    pub policy_version: u64,
+    /// Global index of the environment.
+    pub env: Option<u32>,
+    /// Control step.
+    pub step: Option<u32>,
+    /// State, goals and command by name, in the units of `sim-worker`.
+    pub environment: BTreeMap<String, Vec<f32>>,
 }
 
 /// Learner → coordinator.
@@ -67,6 +124,8 @@ pub enum Progress {
         /// The arithmetic in use: `f32` or `bf16`.
         precision: String,
     },
+    /// The learner is alive, sent at least once a second.
+    Heartbeat,
     /// A block has arrived.
     BlockReceived {
         /// Its iteration.
@@ -86,7 +145,7 @@ pub enum Progress {
 }
 
 /// Worker → coordinator.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Status {
     /// The worker is up.
@@ -118,7 +177,18 @@ pub enum Status {
         /// Time that the rollout took (ns).
         rollout_ns: u64,
     },
-    /// The worker cannot make a block.
+    /// Episodes of an evaluation have been played.
+    EvaluationDone {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+        /// Which.
+        chunk: EvaluationChunk,
+        /// One entry an episode; none if the policy was gone or has diverged.
+        errors: Vec<EpisodeErrors>,
+    },
+    /// The worker cannot make a block, or has met something that should not be.
     Failed {
         /// The worker.
         worker: WorkerId,
@@ -126,6 +196,8 @@ pub enum Status {
         incarnation: u32,
         /// Why, with seed, iteration, shard, environment and step where they are known.
         message: String,
+        /// The block and the environment, if it is about one.
+        fault: Option<Box<Fault>>,
     },
 }
 
@@ -219,6 +291,8 @@ pub struct Timing {
     pub publish_s: f64,
     /// Computing the digest.
     pub digest_s: f64,
+    /// Copying the state for a snapshot.
+    pub copy_s: f64,
     /// Sum of the workers' rollout times of the blocks trained on.
     pub rollout_s: f64,
 }

@@ -11,6 +11,7 @@
 //!   curve.svg          the learning curve
 //!   logs/              standard error of the learner and each worker
 //!   checkpoints/       one directory a checkpoint
+//!   failures/          blocks that could not be made, if there are any: environment and policy
 //!   run.lock           held by the coordinator while the run is alive
 //! ```
 
@@ -59,6 +60,8 @@ impl RunDir {
         logs = "logs";
         /// Checkpoints.
         checkpoints = "checkpoints";
+        /// Blocks that could not be made, one directory each.
+        failures = "failures";
         /// The lock that a live run holds.
         lock = "run.lock";
     }

@@ -164,7 +164,8 @@ impl Channels {
                 PolicyHeader,
                 Limits {
                     publishers: 2,
-                    subscribers: max_workers,
+                    // The coordinator, too: it keeps the policy of a block that cannot be made.
+                    subscribers: max_workers + 1,
                     buffer: POLICY_BUFFER,
                     borrowed: POLICY_BORROWED,
                     history: POLICY_BUFFER,
@@ -278,7 +279,7 @@ impl Channels {
         ArraySender::new(&self.policy, "policy", bell, self.sizes.policy_len, Duration::ZERO)
     }
 
-    /// A worker's end of `policy`.
+    /// A worker's or the coordinator's end of `policy`.
     pub fn policy_receiver(&self) -> Result<ArrayReceiver<PolicyHeader>, ChannelError> {
         ArrayReceiver::new(&self.policy, "policy")
     }
@@ -297,7 +298,7 @@ impl Channels {
         ArrayReceiver::new(&self.rollouts, "rollouts")
     }
 
-    /// The learner's end of `snapshot`.
+    /// The learner's end of `snapshot`; a piece waits for room no longer than `deadline`.
     pub fn snapshot_sender(&self, deadline: Duration) -> Result<PieceSender, ChannelError> {
         let bell = self.bell(Role::Coordinator)?;
         let publisher = self
@@ -309,7 +310,7 @@ impl Channels {
             .set_backpressure_handler(give_up_after(deadline))
             .create()
             .map_err(|e| port_error("snapshot", "publisher", &e))?;
-        Ok(PieceSender { publisher, bell, deadline })
+        Ok(PieceSender { publisher, bell })
     }
 
     /// The coordinator's end of `snapshot`.
@@ -540,29 +541,29 @@ impl<H: Debug + ZeroCopySend> ArraySample<H> {
 pub struct PieceSender {
     publisher: Publisher<Ipc, [u8], SnapshotHeader>,
     bell: Bell,
-    deadline: Duration,
 }
 
 impl PieceSender {
-    /// Sends all of `bytes` in pieces of at most [`PIECE_LEN`].
-    pub fn send(&self, header: SnapshotHeader, bytes: &[u8]) -> Result<(), ChannelError> {
-        for (index, piece) in bytes.chunks(PIECE_LEN).enumerate() {
-            let mut sample = self
-                .publisher
-                .loan_slice_uninit(piece.len())
-                .map_err(|error| transfer_error("snapshot", "loan", &error))?
-                .write_from_slice(piece);
-            *sample.user_header_mut() = SnapshotHeader {
-                offset: (index * PIECE_LEN) as u64,
-                total: bytes.len() as u64,
-                ..header
-            };
-            // Rung first: a full queue is emptied by a receiver who is awake.
-            self.bell.ring();
-            sample.send().map_err(|error| send_error("snapshot", self.deadline, error))?;
-            self.bell.ring();
+    /// Sends the piece of `snapshot` that begins at `header.offset`, at most [`PIECE_LEN`] bytes.
+    /// Returns the offset of the next one; the same offset if the receiver's queue stayed full.
+    pub fn send(&self, header: SnapshotHeader, snapshot: &[u8]) -> Result<u64, ChannelError> {
+        let begin = header.offset as usize;
+        let piece = &snapshot[begin..snapshot.len().min(begin + PIECE_LEN)];
+        let mut sample = self
+            .publisher
+            .loan_slice_uninit(piece.len())
+            .map_err(|error| transfer_error("snapshot", "loan", &error))?
+            .write_from_slice(piece);
+        *sample.user_header_mut() = SnapshotHeader { total: snapshot.len() as u64, ..header };
+        // Rung first: a full queue is emptied by a receiver who is awake.
+        self.bell.ring();
+        match sample.send() {
+            Ok(_) => {}
+            Err(SendError::UnableToDeliver) => return Ok(header.offset),
+            Err(error) => return Err(transfer_error("snapshot", "send", &error)),
         }
-        Ok(())
+        self.bell.ring();
+        Ok((begin + piece.len()) as u64)
     }
 }
 

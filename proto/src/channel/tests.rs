@@ -119,9 +119,11 @@ fn a_snapshot_larger_than_the_queue_arrives_whole() {
     std::thread::scope(|scope| {
         scope.spawn(|| {
             let learner = Channels::open(&domain.0, SIZES).expect("open");
-            let sender = learner.snapshot_sender(Duration::from_secs(20)).expect("sender");
-            let header = SnapshotHeader { iteration: 9, ..SnapshotHeader::default() };
-            sender.send(header, &bytes).expect("send");
+            let sender = learner.snapshot_sender(Duration::from_millis(1)).expect("sender");
+            let mut header = SnapshotHeader { iteration: 9, ..SnapshotHeader::default() };
+            while (header.offset as usize) < bytes.len() {
+                header.offset = sender.send(header, &bytes).expect("send");
+            }
             // Pieces live in the sender's memory: it stays until the receiver has them.
             std::thread::sleep(Duration::from_millis(300));
         });

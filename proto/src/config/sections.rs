@@ -325,8 +325,10 @@ pub struct Run {
     pub env_steps: u64,
     /// Wall-clock limit in seconds; only stops, never changes what is learned. 0 means none.
     pub time_limit_s: f64,
-    /// Simulator processes.
+    /// Simulator processes at the start; a live run can be scaled.
     pub workers: usize,
+    /// Fixes worker i to the i-th processor that the run may use.
+    pub pin: bool,
     /// 1 lets workers roll out the next iteration while the learner trains on this one.
     pub overlap: usize,
     /// `cpu` or `cuda:N`, of the learner.
@@ -337,13 +339,43 @@ pub struct Run {
     pub learner_threads: usize,
     /// Commits a checkpoint every so many iterations; 0 means only at the end.
     pub checkpoint_every: u64,
-    /// Newest checkpoints kept.
+    /// Commits one when the newest is this old (s); 0 turns it off.
+    pub checkpoint_every_s: f64,
+    /// Newest checkpoints kept. The best, pinned and tagged ones and milestones are kept beside them.
     pub checkpoints_kept: usize,
-    /// A worker that is silent this long is replaced and its shards are ordered again (s).
+    /// Keeps every checkpoint whose iteration is a multiple of this; 0 turns it off.
+    pub keep_every: u64,
+    /// Keeps one checkpoint in every such stretch of time, as a milestone (s); 0 turns it off.
+    pub milestone_every_s: f64,
+    /// Evaluates the policy on held-out goals every so many iterations, on the workers, and commits
+    /// a checkpoint when it is the best so far; 0 turns it off.
+    pub evaluate_every: u64,
+    /// Episodes of such an evaluation.
+    pub evaluation_episodes: u32,
+    /// Control steps of its episodes.
+    pub evaluation_steps: u32,
+    /// A policy trained on fewer env-steps is never the best: early luck is no merit.
+    pub best_after: u64,
+    /// A process that is silent this long is replaced and its work is ordered again (s).
     pub order_deadline_s: f64,
 }
 
 impl Run {
+    /// Whether the learner sends a snapshot after `iterations` iterations without being asked.
+    pub fn plans_snapshot(&self, iterations: u64) -> bool {
+        self.plans_checkpoint(iterations) || self.plans_evaluation(iterations)
+    }
+
+    /// Whether the state after `iterations` iterations is committed whatever it is worth.
+    pub fn plans_checkpoint(&self, iterations: u64) -> bool {
+        self.checkpoint_every > 0 && iterations.is_multiple_of(self.checkpoint_every)
+    }
+
+    /// Whether the policy after `iterations` iterations is evaluated.
+    pub fn plans_evaluation(&self, iterations: u64) -> bool {
+        self.evaluate_every > 0 && iterations.is_multiple_of(self.evaluate_every)
+    }
+
     /// The wall-clock limit, if there is one.
     pub fn time_limit(&self) -> Option<std::time::Duration> {
         (self.time_limit_s > 0.0).then(|| std::time::Duration::from_secs_f64(self.time_limit_s))
@@ -482,7 +514,11 @@ impl Config {
         within("run.workers", run.workers as f64, 1.0, 256.0)?;
         within("run.overlap", run.overlap as f64, 0.0, 1.0)?;
         within("run.learner_threads", run.learner_threads as f64, 1.0, 1024.0)?;
+        within("run.checkpoint_every_s", run.checkpoint_every_s, 0.0, 1e9)?;
         within("run.checkpoints_kept", run.checkpoints_kept as f64, 1.0, 1e6)?;
+        within("run.milestone_every_s", run.milestone_every_s, 0.0, 1e9)?;
+        within("run.evaluation_episodes", f64::from(run.evaluation_episodes), 1.0, 10_000.0)?;
+        within("run.evaluation_steps", f64::from(run.evaluation_steps), 1.0, 10_000.0)?;
         within("run.order_deadline_s", run.order_deadline_s, 0.1, 1e6)?;
         let device_index = run.device.strip_prefix("cuda:").map(str::parse::<u8>);
         if run.device != "cpu" && !matches!(device_index, Some(Ok(_))) {
