@@ -1,5 +1,6 @@
 //! Evaluation: deterministic actions on goals that no training episode draws.
 
+use proto::message::EpisodeErrors;
 use proto::rng::Purpose;
 use serde::Serialize;
 
@@ -11,6 +12,10 @@ use crate::task::goal::GoalAddress;
 
 /// Control steps that the mean over an episode's tail takes.
 pub const TAIL_STEPS: usize = 20;
+
+/// Seed of the goals by which a run chooses its best checkpoint: other goals than those of a final
+/// evaluation, or the choice would flatter it.
+pub const SELECTION_SEED: u64 = 0x5e1ec7;
 
 /// How to evaluate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,7 +88,7 @@ pub fn evaluate(
 ) -> Result<Evaluation, EpisodeError> {
     // Two lane groups at a time: enough to feed the policy's registers, little enough to spread.
     const CHUNK: usize = 2 * LANES;
-    let EvaluationOptions { episodes, steps, threads, .. } = *options;
+    let EvaluationOptions { seed, episodes, steps, threads } = *options;
     let width = series_width(world);
     let mut series = vec![0.0_f32; episodes * steps * width];
     let chunk_len = (CHUNK * steps * width).max(1);
@@ -97,7 +102,8 @@ pub fn evaluate(
                     share.iter_mut().try_for_each(|(index, series)| {
                         let first = *index * CHUNK;
                         let n_envs = CHUNK.min(episodes - first);
-                        run_chunk(world, policy, options, first as u32, n_envs, series)
+                        let played = Played { first: first as u32, n_envs, steps, seed };
+                        run_chunk(world, policy, &played, series, &mut || {})
                     })
                 })
             })
@@ -119,32 +125,64 @@ fn series_width(world: &World) -> usize {
     2 * world.dimensions.n_arms + 2
 }
 
+/// Some episodes of an evaluation.
+struct Played {
+    first: u32,
+    n_envs: usize,
+    steps: usize,
+    seed: u64,
+}
+
 fn run_chunk(
     world: &World,
     policy: &Policy,
-    options: &EvaluationOptions,
-    first: u32,
-    n_envs: usize,
+    played: &Played,
     series: &mut [f32],
+    on_step: &mut dyn FnMut(),
 ) -> Result<(), EpisodeError> {
+    let Played { first, n_envs, steps, seed } = *played;
     let episodes = Episodes {
         config: &world.config,
         robot: &world.robot,
         task: &world.task,
         dimensions: &world.dimensions,
         policy,
-        batch: Batch { first, n_envs, n_steps: options.steps },
-        goals: GoalAddress {
-            seed: options.seed,
-            purpose: Purpose::EvaluationGoal,
-            iteration: 0,
-            env: first,
-        },
+        batch: Batch { first, n_envs, n_steps: steps },
+        goals: GoalAddress { seed, purpose: Purpose::EvaluationGoal, iteration: 0, env: first },
         noise: None,
         output: Output::Series(series),
-        on_step: &mut || {},
+        on_step,
     };
     dispatch(episodes).map(|_| ())
+}
+
+/// Plays episodes `first..first + episodes` of the evaluation by which a run chooses its best
+/// checkpoint; `on_step` is called after every control step.
+pub fn select(
+    world: &World,
+    policy: &Policy,
+    first: u32,
+    episodes: u32,
+    on_step: &mut dyn FnMut(),
+) -> Result<Vec<EpisodeErrors>, EpisodeError> {
+    let steps = world.config.run.evaluation_steps as usize;
+    let n_arms = world.dimensions.n_arms;
+    let width = series_width(world);
+    let mut series = vec![0.0_f32; episodes as usize * steps * width];
+    let played = Played { first, n_envs: episodes as usize, steps, seed: SELECTION_SEED };
+    run_chunk(world, policy, &played, &mut series, on_step)?;
+    let errors = series.chunks_exact(steps * width).map(|episode| {
+        let result = summarise(episode, n_arms);
+        let mean = |error: fn(&HandCourse) -> f32| {
+            result.hands.iter().map(error).sum::<f32>() / n_arms as f32
+        };
+        EpisodeErrors {
+            position: mean(|hand| hand.position.tail),
+            orientation: mean(|hand| hand.orientation.tail),
+            base: result.base.tail,
+        }
+    });
+    Ok(errors.collect())
 }
 
 /// Reduces `[step][position errors, orientation errors, base error, pairs]`.
@@ -226,6 +264,30 @@ mod tests {
         // Without episodes there is nothing to say, but nothing to fail either.
         let none = evaluate(&world, &policy, &EvaluationOptions { episodes: 0, ..options });
         assert!(none.expect("an evaluation").episodes.is_empty());
+    }
+
+    #[test]
+    fn a_selection_is_the_evaluation_in_means_whatever_the_chunks() {
+        let mut world = world(Preset::Tuned, &Robot::builtin("paper").expect("built in"), 50);
+        world.config.run.evaluation_steps = 3;
+        let flat = parameters(&world.config, &world.dimensions, 8);
+        let policy = world.policy(&flat).expect("a policy");
+        let options =
+            EvaluationOptions { seed: SELECTION_SEED, episodes: 18, steps: 3, threads: 1 };
+        let whole = evaluate(&world, &policy, &options).expect("an evaluation").episodes;
+        let mut steps = 0;
+        let mut play = |first, episodes| {
+            select(&world, &policy, first, episodes, &mut || steps += 1).expect("a selection")
+        };
+        let mut errors = play(0, 16);
+        errors.extend(play(16, 2));
+        assert_eq!(steps, 6);
+        assert_eq!(errors.len(), whole.len());
+        for (errors, episode) in errors.iter().zip(&whole) {
+            let tails = episode.hands.iter().map(|hand| hand.position.tail);
+            assert_eq!(errors.position, tails.sum::<f32>() / 4.0);
+            assert_eq!(errors.base, episode.base.tail);
+        }
     }
 
     #[test]

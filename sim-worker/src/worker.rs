@@ -6,7 +6,7 @@
 //! The floating-point environment is left as the system sets it: subnormal numbers are computed with,
 //! not flushed to zero, so that every processor gives the same bits.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -16,13 +16,15 @@ use proto::channel::{
 };
 use proto::config::Config;
 use proto::layout::{BlockHeader, PolicyHeader};
-use proto::message::{self, Order, Status, WorkerId};
+use proto::message::{self, EvaluationChunk, Fault, Order, Status, WorkerId};
 use proto::run_dir::RunDir;
 use proto::{ChannelError, ExitCode, ExitError};
 
+use crate::env::{EpisodeError, Moment};
+use crate::evaluate;
 use crate::policy::Policy;
 use crate::robot::Robot;
-use crate::rollout::{RolloutSpec, World, rollout};
+use crate::rollout::{RolloutError, RolloutSpec, World, rollout};
 
 /// How often a worker says that it is alive.
 const HEARTBEAT: Duration = Duration::from_millis(500);
@@ -50,11 +52,17 @@ pub struct Arguments {
     /// Process that started this one: the worker does not start if that is gone already.
     #[arg(long, value_name = "PID")]
     pub parent: Option<i32>,
+    /// Processor to stay on, counted among those that this process may use.
+    #[arg(long, value_name = "N")]
+    pub pin: Option<usize>,
 }
 
 /// Works until it is told to stop.
 pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     proto::child::die_with_parent(arguments.parent)?;
+    if let Some(index) = arguments.pin {
+        proto::child::pin(index)?;
+    }
     let world = load(&RunDir::new(&arguments.run_dir))?;
     let mut worker = Worker::connect(arguments, &world)?;
     tracing::info!(
@@ -88,10 +96,26 @@ pub fn load(run_dir: &RunDir) -> Result<World, ExitError> {
 
 /// One block to be made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Job {
+struct Block {
     iteration: u64,
     policy_version: u64,
     shard: u32,
+}
+
+/// What there is to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Job {
+    Rollout(Block),
+    Evaluation(EvaluationChunk),
+}
+
+impl Job {
+    fn policy_version(&self) -> u64 {
+        match self {
+            Self::Rollout(block) => block.policy_version,
+            Self::Evaluation(chunk) => chunk.policy_version,
+        }
+    }
 }
 
 /// What became of a job.
@@ -157,13 +181,14 @@ impl<'a> Worker<'a> {
                 return Ok(());
             }
             match self.next_job() {
-                Some(job) => match self.make(job)? {
+                Some(Job::Rollout(block)) => match self.make(block)? {
                     Outcome::Done => {}
                     Outcome::Unclaimed => {
-                        self.jobs.push_back(job);
+                        self.jobs.push_back(Job::Rollout(block));
                         self.bell.wait(RETRY);
                     }
                 },
+                Some(Job::Evaluation(chunk)) => self.evaluate(chunk)?,
                 None => self.bell.wait(HEARTBEAT),
             }
             self.beat()?;
@@ -182,19 +207,32 @@ impl<'a> Worker<'a> {
                     shards,
                 })) if (worker, incarnation) == (self.id, self.incarnation) => {
                     for shard in shards {
-                        let job = Job { iteration, policy_version, shard };
-                        // A re-sent order for what still waits is the same order.
-                        if !self.jobs.contains(&job) {
-                            self.jobs.push_back(job);
-                        }
+                        self.add(Job::Rollout(Block { iteration, policy_version, shard }));
                     }
+                }
+                Ok(Some(Order::Evaluate { worker, incarnation, episodes }))
+                    if (worker, incarnation) == (self.id, self.incarnation) =>
+                {
+                    self.add(Job::Evaluation(episodes));
+                }
+                Ok(Some(Order::Leave { worker, incarnation }))
+                    if (worker, incarnation) == (self.id, self.incarnation) =>
+                {
+                    self.stopping = true;
                 }
                 Ok(Some(Order::Stop)) => self.stopping = true,
                 Ok(Some(_)) => {}
                 // A garbled message is reported and passed over; its order will be sent again.
-                Err(error @ ChannelError::Decode { .. }) => self.fail(&error.to_string())?,
+                Err(error @ ChannelError::Decode { .. }) => self.fail(&error.to_string(), None)?,
                 Err(error) => return Err(failure(&error)),
             }
+        }
+    }
+
+    /// A re-sent order for what still waits is the same order.
+    fn add(&mut self, job: Job) {
+        if !self.jobs.contains(&job) {
+            self.jobs.push_back(job);
         }
     }
 
@@ -210,41 +248,63 @@ impl<'a> Worker<'a> {
                         self.policies.pop_front();
                     }
                 }
-                Err(error) => self.fail(&format!("policy version {version}: {error}"))?,
+                Err(error) => self.fail(&format!("policy version {version}: {error}"), None)?,
             }
         }
         Ok(())
     }
 
-    /// The first job whose policy is here. Jobs whose policy will come wait for it.
+    /// The first job whose policy is here. Jobs whose policy will come wait for it; evaluations
+    /// whose policy is gone for good are next, too, to be answered.
     fn next_job(&mut self) -> Option<Job> {
         let held = |version: u64| self.policies.iter().any(|(held, _)| *held == version);
-        let index = self.jobs.iter().position(|job| held(job.policy_version))?;
+        let oldest = self.policies.front().map_or(0, |(held, _)| *held);
+        let index = self.jobs.iter().position(|job| {
+            let version = job.policy_version();
+            held(version) || (matches!(job, Job::Evaluation(_)) && version < oldest)
+        })?;
         self.jobs.remove(index)
     }
 
-    fn make(&mut self, job: Job) -> Result<Outcome, ExitError> {
-        let Job { iteration, policy_version, shard } = job;
+    /// Plays episodes of the run's own evaluation.
+    fn evaluate(&mut self, chunk: EvaluationChunk) -> Result<(), ExitError> {
+        let policy = self.policies.iter().find(|(held, _)| *held == chunk.policy_version);
+        let (status, heartbeat) = (&self.status, &mut self.heartbeat);
+        let alive = Status::Heartbeat { worker: self.id, incarnation: self.incarnation };
+        let mut on_step = || say_alive(status, heartbeat, &alive);
+        let errors = policy.map(|(_, policy)| {
+            evaluate::select(self.world, policy, chunk.first, chunk.episodes, &mut on_step)
+        });
+        let errors = match errors {
+            Some(Ok(errors)) => errors,
+            None => Vec::new(),
+            Some(Err(error)) => {
+                let what = format!("evaluation of policy {}: {error}", chunk.policy_version);
+                self.fail(&what, None)?;
+                Vec::new()
+            }
+        };
+        let (worker, incarnation) = (self.id, self.incarnation);
+        self.send(&Status::EvaluationDone { worker, incarnation, chunk, errors })
+    }
+
+    fn make(&mut self, job: Block) -> Result<Outcome, ExitError> {
+        let Block { iteration, policy_version, shard } = job;
+        fault::meet(iteration, shard);
         let mut block = self.blocks.loan().map_err(|error| failure(&error))?;
-        let Some((_, policy)) = self.policies.iter().find(|(held, _)| *held == policy_version)
-        else {
+        let policy = self.policies.iter().find(|(held, _)| *held == policy_version);
+        let Some((_, policy)) = policy else {
             return Ok(Outcome::Unclaimed);
         };
         let spec = RolloutSpec { seed: self.world.config.run.seed, iteration, shard, policy };
         let start = Instant::now();
         let (status, heartbeat) = (&self.status, &mut self.heartbeat);
         let alive = Status::Heartbeat { worker: self.id, incarnation: self.incarnation };
-        let mut on_step = || {
-            if heartbeat.elapsed() >= HEARTBEAT {
-                *heartbeat = Instant::now();
-                // A lost heartbeat is followed by another; a broken channel shows at the next send.
-                let _ = status.send(&alive);
-            }
-        };
+        let mut on_step = || say_alive(status, heartbeat, &alive);
         let stats = match rollout(self.world, &spec, block.payload_mut(), &mut on_step) {
             Ok(stats) => stats,
             Err(error) => {
-                self.fail(&error.to_string())?;
+                self.fail(&error.to_string(), Some(Box::new(describe(job, &error))))?;
                 return Ok(Outcome::Done);
             }
         };
@@ -267,7 +327,7 @@ impl<'a> Worker<'a> {
             }
             Ok(_) => {}
             Err(error @ ChannelError::Backpressure { .. }) => {
-                self.fail(&error.to_string())?;
+                self.fail(&error.to_string(), None)?;
                 return Ok(Outcome::Done);
             }
             Err(error) => return Err(failure(&error)),
@@ -293,12 +353,13 @@ impl<'a> Worker<'a> {
         self.send(&Status::Heartbeat { worker: self.id, incarnation: self.incarnation })
     }
 
-    fn fail(&self, what: &str) -> Result<(), ExitError> {
+    fn fail(&self, what: &str, fault: Option<Box<Fault>>) -> Result<(), ExitError> {
         tracing::error!(worker = self.id, "{what}");
         self.send(&Status::Failed {
             worker: self.id,
             incarnation: self.incarnation,
             message: message::clip(what),
+            fault,
         })
     }
 
@@ -307,9 +368,38 @@ impl<'a> Worker<'a> {
     }
 }
 
+/// Says so if it has not been said for a while.
+fn say_alive(status: &MessageSender<Status>, heartbeat: &mut Instant, alive: &Status) {
+    if heartbeat.elapsed() >= HEARTBEAT {
+        *heartbeat = Instant::now();
+        // A lost heartbeat is followed by another; a broken channel shows at the next send.
+        let _ = status.send(alive);
+    }
+}
+
+/// A block that cannot be made, for the coordinator to write down.
+fn describe(job: Block, error: &RolloutError) -> Fault {
+    let source = match error {
+        RolloutError::Episode { source, .. } => Some(source),
+        _ => None,
+    };
+    Fault {
+        iteration: job.iteration,
+        shard: job.shard,
+        policy_version: job.policy_version,
+        env: source.map(EpisodeError::env),
+        step: source.map(|error| error.step() as u32),
+        environment: source
+            .and_then(EpisodeError::moment)
+            .map_or_else(BTreeMap::new, Moment::arrays),
+    }
+}
+
 fn failure(error: &ChannelError) -> ExitError {
     ExitError::new(ExitCode::Failure, error.to_string())
 }
+
+mod fault;
 
 #[cfg(test)]
 mod tests;

@@ -8,9 +8,11 @@
 //! Rows of a block are written straight into the caller's memory, which is a loaned sample of shared
 //! memory in a worker: turning lanes into rows is the write itself, there is no other copy.
 
+mod moment;
 mod output;
 mod physics;
 
+pub use moment::Moment;
 pub(crate) use output::Output;
 pub(crate) use physics::home;
 pub use physics::step_options;
@@ -53,6 +55,8 @@ pub enum EpisodeError {
         action: usize,
         /// The value.
         value: f64,
+        /// The environment before the step.
+        moment: Option<Box<Moment>>,
     },
     /// The simulation has diverged.
     #[error(
@@ -73,7 +77,50 @@ pub enum EpisodeError {
         value: f64,
         /// The largest value that makes sense.
         limit: f64,
+        /// The environment before the step.
+        moment: Option<Box<Moment>>,
     },
+}
+
+impl EpisodeError {
+    /// Global index of the environment.
+    pub fn env(&self) -> u32 {
+        match self {
+            Self::Action { env, .. } | Self::State { env, .. } => *env,
+        }
+    }
+
+    /// Control step.
+    pub fn step(&self) -> usize {
+        match self {
+            Self::Action { step, .. } | Self::State { step, .. } => *step,
+        }
+    }
+
+    /// The environment before the step, if it was kept.
+    pub fn moment(&self) -> Option<&Moment> {
+        match self {
+            Self::Action { moment, .. } | Self::State { moment, .. } => moment.as_deref(),
+        }
+    }
+
+    /// Keeps the environment; `first` is the global index of the group's first lane.
+    #[cold]
+    fn keep<S: Real>(
+        mut self,
+        first: u32,
+        state: &State<S>,
+        goals: &Goals<S>,
+        command: &[S],
+    ) -> Self {
+        let lane = (self.env() - first) as usize;
+        match &mut self {
+            Self::Action { moment, .. } | Self::State { moment, .. } => {
+                *moment = Some(Box::new(Moment::of_lane(lane, state, goals, command)));
+            }
+        }
+        self
+    }
 }
 
 /// Where the time of a rollout went.
@@ -208,6 +255,8 @@ impl LaneFn for Episodes<'_> {
         let mut scratch = Scratch::new(policy, n_groups);
         let limits: Vec<S> = task.action_limit.iter().map(|&limit| S::splat(limit)).collect();
         let scale = S::splat(task.action_scale);
+        // What a diverged step began with, for the report.
+        let mut before = State::<S>::home(robot);
         let mut timing = Timing::default();
         output.begin();
 
@@ -261,7 +310,10 @@ impl LaneFn for Episodes<'_> {
                 for (index, group) in groups.iter_mut().enumerate() {
                     let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
                     let mean = &means[index * JOINTS_PER_AGENT..(index + 1) * JOINTS_PER_AGENT];
-                    check_means(mean, first + row.group as u32, step, agent)?;
+                    let env = first + row.group as u32;
+                    if let Err(error) = check_means(mean, env, step, agent) {
+                        return Err(error.keep(env, &group.state, &group.goals, &group.command));
+                    }
                     let mut sample = [S::zero(); JOINTS_PER_AGENT];
                     sample.copy_from_slice(mean);
                     if let Some(noise) = noise {
@@ -280,8 +332,13 @@ impl LaneFn for Episodes<'_> {
 
             let clock = Instant::now();
             for (index, group) in groups.iter_mut().enumerate() {
+                before.clone_from(&group.state);
                 physics.step(&mut group.state, &group.command);
-                physics::check(&group.state, first, index * S::LANES, n_envs, step)?;
+                let local = index * S::LANES;
+                if let Err(error) = physics::check(&group.state, first, local, n_envs, step) {
+                    let env = first + local as u32;
+                    return Err(error.keep(env, &before, &group.goals, &group.command));
+                }
             }
             timing.physics += clock.elapsed();
             on_step();
@@ -350,7 +407,14 @@ fn check_means<S: Real>(
                 let value = mean.lane(lane);
                 if !value.is_finite() {
                     let env = env + lane as u32;
-                    return Err(EpisodeError::Action { env, step, agent, action, value });
+                    return Err(EpisodeError::Action {
+                        env,
+                        step,
+                        agent,
+                        action,
+                        value,
+                        moment: None,
+                    });
                 }
             }
         }

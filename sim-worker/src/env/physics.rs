@@ -151,6 +151,7 @@ pub(super) fn check<S: Real>(
                     quantity,
                     value,
                     limit,
+                    moment: None,
                 });
             }
         }

@@ -55,6 +55,7 @@ fn arguments(domain: &Domain) -> Arguments {
         incarnation: 1,
         domain: domain.as_str().to_owned(),
         parent: None,
+        pin: None,
     }
 }
 
