@@ -3,6 +3,7 @@
 //! Two threads: this module's owns all ports and keeps receiving; the other one trains. While it
 //! does, blocks of the next iteration are acknowledged and late workers get their policy.
 
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -10,7 +11,7 @@ use proto::channel::{
     ArrayReceiver, ArraySample, ArraySender, BellListener, ChannelSizes, Channels, Domain,
     MessageReceiver, MessageSender, PieceSender, Role,
 };
-use proto::config::Config;
+use proto::config::{Config, Run};
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
 use proto::message::{self, IterationReport, Losses, Order, Progress, Timing};
 use proto::run_dir::RunDir;
@@ -27,6 +28,10 @@ use crate::state::TrainingState;
 const SEND_DEADLINE: Duration = Duration::from_mins(1);
 /// How often a learner with nothing to do looks for workers that came late.
 const IDLE: Duration = Duration::from_millis(20);
+/// How often the learner says that it is alive.
+const HEARTBEAT: Duration = Duration::from_millis(500);
+/// How long a piece of a snapshot waits for room before it is tried again later.
+const PIECE_DEADLINE: Duration = Duration::from_millis(1);
 /// How often it looks whether training is done.
 const BUSY: Duration = Duration::from_millis(2);
 
@@ -73,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     let mut learner = Learner {
         ports: Ports::open(&arguments.domain, &config, &dimensions, state.iteration)?,
         dimensions,
-        overlap: config.run.overlap,
+        run: config.run.clone(),
         digest: state.digest(),
         trainer: Trainer { mappo: Mappo::new(&config, &dimensions, &state), state },
     };
@@ -139,7 +144,7 @@ struct Learner {
     trainer: Trainer,
     ports: Ports,
     dimensions: Dimensions,
-    overlap: usize,
+    run: Run,
     digest: Digest,
 }
 
@@ -152,6 +157,9 @@ struct Trainer {
 /// Ports and what has come in through them. iceoryx2's ports stay on one thread.
 struct Ports {
     inbox: Inbox<ArraySample<BlockHeader>>,
+    /// Snapshots on their way, oldest first.
+    outbox: VecDeque<Outgoing>,
+    heartbeat: Instant,
     wants_snapshot: bool,
     wants_stop: bool,
     orders: MessageReceiver<Order>,
@@ -162,6 +170,12 @@ struct Ports {
     bell: BellListener,
     // Dropped last: ports must not outlive their services.
     _channels: Channels,
+}
+
+/// A snapshot of which the pieces before `header.offset` have been sent.
+struct Outgoing {
+    header: SnapshotHeader,
+    bytes: Vec<u8>,
 }
 
 impl Ports {
@@ -175,13 +189,15 @@ impl Ports {
         let channels = Channels::open(&domain, ChannelSizes::new(config, dimensions))?;
         Ok(Self {
             inbox: Inbox::new(config, dimensions, iteration),
+            outbox: VecDeque::new(),
+            heartbeat: Instant::now(),
             wants_snapshot: false,
             wants_stop: false,
             orders: channels.order_receiver()?,
             blocks: channels.block_receiver()?,
             policy: channels.policy_sender()?,
             progress: channels.progress_sender(SEND_DEADLINE)?,
-            snapshot: channels.snapshot_sender(SEND_DEADLINE)?,
+            snapshot: channels.snapshot_sender(PIECE_DEADLINE)?,
             bell: channels.listener(Role::Learner)?,
             _channels: channels,
         })
@@ -202,6 +218,21 @@ impl Ports {
             let duplicate = self.inbox.receive(block)? == Arrival::Duplicate;
             self.progress.send(&Progress::BlockReceived { iteration, shard, duplicate })?;
         }
+        self.send_piece()?;
+        if self.heartbeat.elapsed() >= HEARTBEAT {
+            self.heartbeat = Instant::now();
+            self.progress.send(&Progress::Heartbeat)?;
+        }
+        Ok(())
+    }
+
+    /// Sends the next piece of the oldest snapshot, if there is room for it.
+    fn send_piece(&mut self) -> Result<(), LearnerError> {
+        let Some(Outgoing { header, bytes }) = self.outbox.front_mut() else { return Ok(()) };
+        header.offset = self.snapshot.send(*header, bytes)?;
+        if header.offset >= bytes.len() as u64 {
+            self.outbox.pop_front();
+        }
         Ok(())
     }
 
@@ -218,7 +249,7 @@ impl Ports {
 impl Learner {
     fn serve(&mut self) -> Result<(), LearnerError> {
         let state = &self.trainer.state;
-        if self.overlap > 0 && state.iteration > 0 {
+        if self.run.overlap > 0 && state.iteration > 0 {
             // Workers that overlap act with the version before the newest.
             let previous = &state.previous_policy;
             self.ports.publish(state.iteration - 1, |out| out.copy_from_slice(previous))?;
@@ -237,7 +268,7 @@ impl Learner {
             self.ports.pump()?;
             if self.ports.wants_snapshot {
                 self.ports.wants_snapshot = false;
-                self.send_snapshot()?;
+                self.take_snapshot();
             }
             if self.ports.wants_stop {
                 return Ok(());
@@ -246,19 +277,21 @@ impl Learner {
                 self.iterate(idle_since.elapsed())?;
                 idle_since = Instant::now();
             } else {
-                self.ports.bell.wait(IDLE);
+                let busy = !self.ports.outbox.is_empty();
+                self.ports.bell.wait(if busy { BUSY } else { IDLE });
             }
         }
     }
 
-    fn send_snapshot(&self) -> Result<(), LearnerError> {
+    /// Copies the state; its pieces are sent while training goes on.
+    fn take_snapshot(&mut self) {
         let state = &self.trainer.state;
         let header = SnapshotHeader {
             iteration: state.iteration,
             digest: self.digest.0,
             ..SnapshotHeader::default()
         };
-        Ok(self.ports.snapshot.send(header, &state.to_safetensors())?)
+        self.ports.outbox.push_back(Outgoing { header, bytes: state.to_safetensors() });
     }
 
     /// Trains on the complete iteration, publishes, reports.
@@ -282,6 +315,12 @@ impl Learner {
         let begun = Instant::now();
         self.digest = state.digest();
         let digest_s = begun.elapsed().as_secs_f64();
+        let begun = Instant::now();
+        if self.run.plans_snapshot(self.trainer.state.iteration) {
+            self.take_snapshot();
+        }
+        let copy_s = begun.elapsed().as_secs_f64();
+        let state = &self.trainer.state;
 
         let mut report = report(&update);
         report.iteration = iteration;
@@ -295,6 +334,7 @@ impl Learner {
             update_s,
             publish_s,
             digest_s,
+            copy_s,
             rollout_s: rollout_ns as f64 * 1e-9,
         };
         Ok(self.ports.progress.send(&Progress::IterationDone(Box::new(report)))?)

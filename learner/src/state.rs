@@ -94,14 +94,18 @@ enum Source<'a> {
 }
 
 impl Source<'_> {
-    /// Calls `read` with the bytes.
-    fn with_bytes<T>(&self, read: impl FnOnce(&[u8]) -> T) -> T {
+    /// A tensor, brought to the processor and into one piece if it is not there already.
+    fn tensor(tensor: &Tensor) -> Self {
+        Self::Tensor(tensor.to_device(Device::Cpu).contiguous())
+    }
+
+    fn bytes(&self) -> &[u8] {
         match self {
-            Self::Tensor(tensor) => read(bytes(&tensor.to_device(Device::Cpu).contiguous())),
-            Self::F32(values) => read(bytemuck::cast_slice(values)),
-            Self::F64(values) => read(bytemuck::cast_slice(values)),
-            Self::I64(values) => read(bytemuck::cast_slice(values)),
-            Self::U64(value) => read(bytemuck::bytes_of(value)),
+            Self::Tensor(tensor) => bytes(tensor),
+            Self::F32(values) => bytemuck::cast_slice(values),
+            Self::F64(values) => bytemuck::cast_slice(values),
+            Self::I64(values) => bytemuck::cast_slice(values),
+            Self::U64(value) => bytemuck::bytes_of(value),
         }
     }
 }
@@ -164,7 +168,7 @@ impl TrainingState {
                     let view = parameter.view(flat);
                     let shape = view.size().iter().map(|&n| n as usize).collect();
                     let name = format!("{kind}.{prefix}{}", parameter.name);
-                    add(name, Dtype::F32, shape, Source::Tensor(view));
+                    add(name, Dtype::F32, shape, Source::tensor(&view));
                 }
             }
             let steps = &network.adam.steps;
@@ -176,7 +180,7 @@ impl TrainingState {
             [("mean", &norm.mean), ("mean_square", &norm.mean_square), ("debias", &norm.debias)]
         {
             let shape = vec![moment.numel()];
-            let source = Source::Tensor(moment.shallow_clone());
+            let source = Source::tensor(moment);
             add(format!("value_norm.{name}"), Dtype::F64, shape, source);
         }
         let norms =
@@ -206,9 +210,7 @@ impl TrainingState {
     pub fn digest(&self) -> Digest {
         let mut builder = DigestBuilder::new();
         for entry in self.entries() {
-            entry.source.with_bytes(|bytes| {
-                builder.field(&entry.name, bytes);
-            });
+            builder.field(&entry.name, entry.source.bytes());
         }
         builder.finish()
     }
@@ -216,15 +218,12 @@ impl TrainingState {
     /// The state as the bytes of a safetensors file.
     pub fn to_safetensors(&self) -> Vec<u8> {
         let entries = self.entries();
-        let data: Vec<Vec<u8>> =
-            entries.iter().map(|entry| entry.source.with_bytes(<[u8]>::to_vec)).collect();
         let view = |dtype, shape: &[usize], data| {
             TensorView::new(dtype, shape.to_vec(), data).expect("an entry's bytes fit its shape")
         };
-        let own = entries
-            .iter()
-            .zip(&data)
-            .map(|(entry, data)| (entry.name.clone(), view(entry.dtype, &entry.shape, data)));
+        let own = entries.iter().map(|entry| {
+            (entry.name.clone(), view(entry.dtype, &entry.shape, entry.source.bytes()))
+        });
         let mut policy = vec![0.0; self.policy_layout.len];
         self.write_policy(&mut policy);
         let published = self.policy_layout.tensors.iter().map(|tensor| {
