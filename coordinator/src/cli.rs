@@ -1,5 +1,10 @@
 //! The command line of `octopus`.
 
+pub mod checkpoints;
+pub mod rollout;
+pub mod serve;
+pub mod verify;
+
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -72,7 +77,8 @@ Examples:
 const STATUS_EXAMPLES: &str = "\
 Examples:
   octopus status
-  octopus status runs/trajectory-20260101-120000 --json";
+  octopus status runs/trajectory-20260101-120000 --watch
+  octopus status runs/trajectory-20260101-120000 --json | jq .live.stages";
 
 /// Trains, evaluates and simulates multi-arm space robots.
 #[derive(Debug, Clone, Parser)]
@@ -100,6 +106,16 @@ pub enum Command {
     Doctor(DoctorArgs),
     /// Show how a run is doing, or list all runs.
     Status(StatusArgs),
+    /// Change the number of workers of a live run.
+    Scale(serve::ScaleArgs),
+    /// Make one block of a run again, alone.
+    Rollout(rollout::RolloutArgs),
+    /// Compare two runs bit by bit, or a run with its own repetition.
+    Verify(verify::VerifyArgs),
+    /// List, compare, pin, copy and compose checkpoints.
+    Checkpoints(checkpoints::CheckpointsArgs),
+    /// Serve the checkpoints of a directory over HTTP.
+    Serve(serve::ServeArgs),
     /// Remove what killed runs of this user left in shared memory.
     Clean(CleanArgs),
     /// Removes what a killed coordinator leaves; started by every run beside it.
@@ -138,9 +154,12 @@ pub struct TrainArgs {
     /// Change one key; may be given again: --set algorithm.gamma=0.97.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub sets: Vec<String>,
-    /// Simulator processes; changes nothing that is learned.
-    #[arg(long, value_name = "N")]
+    /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
+    #[arg(long, value_name = "N|auto", value_parser = workers)]
     pub workers: Option<u64>,
+    /// Fix each worker to a processor.
+    #[arg(long)]
+    pub pin: bool,
     /// Environments of the whole run, one episode each per iteration.
     #[arg(long, value_name = "N")]
     pub envs: Option<u64>,
@@ -162,9 +181,32 @@ pub struct TrainArgs {
     /// `paper`, `release`, or a robot file.
     #[arg(long, value_name = "NAME|FILE")]
     pub robot: Option<String>,
+    /// The run's HTTP service.
+    #[command(flatten)]
+    pub http: HttpArgs,
     /// What happens around the training.
     #[command(flatten)]
     pub ending: Ending,
+}
+
+/// The HTTP service beside a run, by which `octopus status` and `octopus scale` reach it.
+#[derive(Debug, Clone, Args)]
+pub struct HttpArgs {
+    /// Where it listens; port 0 takes a free one; `off` has none.
+    #[arg(long, value_name = "ADDRESS:PORT|off", default_value = "127.0.0.1:0", value_parser = listen, help_heading = "Service")]
+    pub listen: Listen,
+    /// A file with the token that clients must show; needed beyond this machine.
+    #[arg(long, value_name = "FILE", help_heading = "Service")]
+    pub token_file: Option<PathBuf>,
+}
+
+/// Where to listen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Listen {
+    /// Nowhere.
+    Off,
+    /// There.
+    At(std::net::SocketAddr),
 }
 
 /// What happens around a training.
@@ -191,12 +233,15 @@ pub struct Ending {
 pub struct ResumeArgs {
     /// The run directory.
     pub run_dir: PathBuf,
-    /// Simulator processes; changes nothing that is learned.
-    #[arg(long, value_name = "N")]
+    /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
+    #[arg(long, value_name = "N|auto", value_parser = workers)]
     pub workers: Option<u64>,
     /// When to stop.
     #[command(flatten)]
     pub limits: Limits,
+    /// The run's HTTP service.
+    #[command(flatten)]
+    pub http: HttpArgs,
     /// What happens around the training.
     #[command(flatten)]
     pub ending: Ending,
@@ -282,7 +327,10 @@ pub struct DoctorArgs {
 pub struct StatusArgs {
     /// The run directory [default: all in runs/].
     pub run_dir: Option<PathBuf>,
-    /// Print as JSON.
+    /// Show it again and again, until the run ends or Ctrl-C.
+    #[arg(long, requires = "run_dir", value_name = "SECONDS", num_args = 0..=1, default_missing_value = "2", value_parser = duration)]
+    pub watch: Option<Duration>,
+    /// Print as JSON; with --watch one line each time.
     #[arg(long)]
     pub json: bool,
 }
@@ -383,6 +431,23 @@ fn positive(text: &str) -> Result<u64, String> {
         Some(value) => Ok(value),
         None => Err("wants a whole number, such as 2000000 or 2e6".to_owned()),
     }
+}
+
+/// A number of workers.
+fn workers(text: &str) -> Result<u64, String> {
+    if text == "auto" {
+        return Ok(std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as u64);
+    }
+    text.parse().map_err(|_| "wants a number or `auto`".to_owned())
+}
+
+/// Where to listen.
+fn listen(text: &str) -> Result<Listen, String> {
+    if text == "off" {
+        return Ok(Listen::Off);
+    }
+    let wrong = |_| "wants an address with a port, such as 127.0.0.1:8270, or `off`".to_owned();
+    text.parse().map(Listen::At).map_err(wrong)
 }
 
 /// A time with units; a bare number is in seconds.

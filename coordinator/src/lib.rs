@@ -18,6 +18,7 @@
 pub mod cli;
 pub mod commands;
 
+pub mod live;
 pub mod session;
 
 pub mod scheduler;
@@ -25,6 +26,10 @@ pub mod supervisor;
 
 pub mod checkpoint;
 pub mod committer;
+pub mod selection;
+
+pub mod client;
+pub mod http;
 
 pub mod janitor;
 pub mod lock;

@@ -15,6 +15,9 @@ pub struct Holder {
     pub pid: u32,
     /// Name of its shared-memory domain.
     pub domain: String,
+    /// Where its HTTP service listens, `127.0.0.1:43210`, once it does.
+    #[serde(default)]
+    pub http: Option<String>,
 }
 
 /// Why a run directory cannot be locked.
@@ -47,6 +50,7 @@ pub enum LockError {
 #[derive(Debug)]
 pub struct RunLock {
     file: File,
+    holder: Holder,
 }
 
 impl RunLock {
@@ -64,10 +68,25 @@ impl RunLock {
             let pid = read(&mut file).map_or(0, |holder| holder.pid);
             return Err(LockError::Held { path: path.to_owned(), pid });
         }
-        let holder = Holder { pid: std::process::id(), domain: domain.as_str().to_owned() };
-        file.set_len(0).map_err(io)?;
-        file.write_all(&serde_json::to_vec(&holder).expect("plain fields")).map_err(io)?;
-        Ok(Self { file })
+        let holder =
+            Holder { pid: std::process::id(), domain: domain.as_str().to_owned(), http: None };
+        let mut lock = Self { file, holder };
+        lock.write().map_err(io)?;
+        Ok(lock)
+    }
+
+    /// Says where the run's HTTP service listens.
+    pub fn announce(&mut self, http: &str) -> std::io::Result<()> {
+        self.holder.http = Some(http.to_owned());
+        self.write()
+    }
+
+    /// One write of more than what was there: a reader finds the old text or the new.
+    fn write(&mut self) -> std::io::Result<()> {
+        let text = serde_json::to_vec(&self.holder).expect("plain fields");
+        self.file.rewind()?;
+        self.file.write_all(&text)?;
+        self.file.set_len(text.len() as u64)
     }
 
     /// Who holds the lock at `path`, if anybody does.

@@ -145,6 +145,21 @@ fn unmounted(name: &'static str, directory: &Path, error: &std::io::Error) -> Ch
 }
 
 /// Where shared memory lives.
+/// Whether there is shared memory for `to` workers where `from` are now.
+pub fn scale(sizes: &ChannelSizes, from: usize, to: usize) -> Result<(), String> {
+    let total = |workers| sizes.shared_memory(workers).iter().map(|(_, bytes)| bytes).sum::<u64>();
+    let more = total(to).saturating_sub(total(from));
+    let free = free_space(&shm_dir()).map_err(|error| format!("shared memory: {error}"))?;
+    if more <= free {
+        return Ok(());
+    }
+    Err(format!(
+        "{to} workers need {} more of shared memory, {} are free; ask for fewer workers",
+        mib(more),
+        mib(free)
+    ))
+}
+
 fn shm_dir() -> PathBuf {
     std::env::var_os(SHM_DIR).map_or_else(|| PathBuf::from("/dev/shm"), PathBuf::from)
 }

@@ -1,13 +1,13 @@
-//! Who rolls out what: a state machine without processes, clocks or channels of its own.
+//! Who does what: a state machine without processes, clocks or channels of its own.
 //!
-//! The scheduler knows the shards that are open, the workers that are ready, and what each of them
-//! has been ordered. Any worker may make any shard and making one twice is harmless, so all it has
-//! to guarantee is that every shard is ordered until the learner has it.
+//! The scheduler knows the shards and evaluations that are open, the workers that are ready, and what
+//! each of them has been ordered. Any worker may make any shard and making one twice is harmless, so
+//! all it has to guarantee is that every shard is ordered until the learner has it.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
-use proto::message::{Order, WorkerId, policy_version_for};
+use proto::message::{EvaluationChunk, Order, WorkerId, policy_version_for};
 
 /// Iteration and shard: the address of a block.
 pub type ShardAddress = (u64, u32);
@@ -16,14 +16,43 @@ pub type ShardAddress = (u64, u32);
 /// idles for the length of a message.
 const QUEUE_DEPTH: usize = 2;
 
+/// What a worker can be ordered to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Task {
+    /// Make a block.
+    Rollout(ShardAddress),
+    /// Play episodes of an evaluation.
+    Evaluation(EvaluationChunk),
+}
+
+impl std::fmt::Display for Task {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Rollout((iteration, shard)) => write!(f, "{iteration}/{shard}"),
+            Self::Evaluation(chunk) => write!(f, "evaluation {}", chunk.policy_version),
+        }
+    }
+}
+
 /// What the scheduler knows of a worker.
 #[derive(Debug)]
 struct Worker {
     incarnation: u32,
-    /// Orders without a received block yet, oldest first.
-    queue: VecDeque<ShardAddress>,
+    /// Orders without a result yet, oldest first.
+    queue: VecDeque<Task>,
     /// When the oldest order of the queue became the oldest.
     since: Instant,
+    /// Gets no further orders.
+    leaving: bool,
+}
+
+/// What a worker that is no more has left undone.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Estate {
+    /// The block that it was busy with.
+    pub at_hand: Option<ShardAddress>,
+    /// All blocks that it had not delivered, that one included.
+    pub undelivered: Vec<ShardAddress>,
 }
 
 /// See the module.
@@ -37,6 +66,8 @@ pub struct Scheduler {
     end: u64,
     /// Shards that nobody has been ordered to make, first one first.
     pending: BTreeSet<ShardAddress>,
+    /// Evaluations that nobody has been ordered to play.
+    evaluations: BTreeSet<EvaluationChunk>,
     /// Shards of iterations not yet trained on that the learner has.
     received: BTreeSet<ShardAddress>,
     /// First iteration whose shards are not open yet.
@@ -53,6 +84,7 @@ impl Scheduler {
             trained,
             end,
             pending: BTreeSet::new(),
+            evaluations: BTreeSet::new(),
             received: BTreeSet::new(),
             next_iteration: trained,
             workers: BTreeMap::new(),
@@ -62,16 +94,55 @@ impl Scheduler {
     /// A worker is up and has no orders.
     pub fn worker_ready(&mut self, worker: WorkerId, incarnation: u32, now: Instant) {
         self.worker_gone(worker);
-        self.workers.insert(worker, Worker { incarnation, queue: VecDeque::new(), since: now });
+        let queue = VecDeque::new();
+        let ready = Worker { incarnation, queue, since: now, leaving: false };
+        self.workers.insert(worker, ready);
     }
 
-    /// A worker is no more; its orders are open again. Returns what it had not delivered.
-    pub fn worker_gone(&mut self, worker: WorkerId) -> Vec<ShardAddress> {
-        let Some(gone) = self.workers.remove(&worker) else { return Vec::new() };
-        let undelivered: Vec<_> =
-            gone.queue.into_iter().filter(|address| self.is_wanted(*address)).collect();
-        self.pending.extend(undelivered.iter().copied());
-        undelivered
+    /// A worker is no more; its orders are open again.
+    pub fn worker_gone(&mut self, worker: WorkerId) -> Estate {
+        let Some(gone) = self.workers.remove(&worker) else { return Estate::default() };
+        let mut estate = Estate::default();
+        for (place, task) in gone.queue.into_iter().enumerate() {
+            if let Task::Rollout(address) = task
+                && self.is_wanted(address)
+            {
+                estate.at_hand = (place == 0).then_some(address).or(estate.at_hand);
+                estate.undelivered.push(address);
+            }
+            self.reopen(task);
+        }
+        estate
+    }
+
+    /// A worker shall finish what it is busy with; the rest of its orders is open again.
+    pub fn retire(&mut self, worker: WorkerId) {
+        let Some(leaving) = self.workers.get_mut(&worker) else { return };
+        leaving.leaving = true;
+        let rest = leaving.queue.split_off(leaving.queue.len().min(1));
+        for task in rest {
+            self.reopen(task);
+        }
+    }
+
+    /// A worker could not make a block; it is open again.
+    pub fn give_back(&mut self, worker: WorkerId, address: ShardAddress, now: Instant) {
+        if let Some(worker) = self.workers.get_mut(&worker) {
+            worker.done(&Task::Rollout(address), now);
+        }
+        self.reopen(Task::Rollout(address));
+    }
+
+    fn reopen(&mut self, task: Task) {
+        match task {
+            Task::Rollout(address) if self.is_wanted(address) => {
+                self.pending.insert(address);
+            }
+            Task::Rollout(_) => {}
+            Task::Evaluation(chunk) => {
+                self.evaluations.insert(chunk);
+            }
+        }
     }
 
     /// The learner has a block.
@@ -81,10 +152,20 @@ impl Scheduler {
         }
         self.pending.remove(&address);
         for worker in self.workers.values_mut() {
-            if worker.queue.front() == Some(&address) {
-                worker.since = now;
-            }
-            worker.queue.retain(|queued| *queued != address);
+            worker.done(&Task::Rollout(address), now);
+        }
+    }
+
+    /// Episodes are to be played, before any further rollout: the policy does not stay for ever.
+    pub fn evaluate(&mut self, chunks: impl IntoIterator<Item = EvaluationChunk>) {
+        self.evaluations.extend(chunks);
+    }
+
+    /// Episodes have been played, or are not wanted any more.
+    pub fn evaluation_done(&mut self, chunk: EvaluationChunk, now: Instant) {
+        self.evaluations.remove(&chunk);
+        for worker in self.workers.values_mut() {
+            worker.done(&Task::Evaluation(chunk), now);
         }
     }
 
@@ -111,9 +192,25 @@ impl Scheduler {
         self.trained
     }
 
-    /// Shards ordered or open, not yet at the learner.
+    /// Shards that nobody has been ordered to make yet.
+    pub fn open(&self) -> usize {
+        self.pending.len()
+    }
+
+    /// Shards ordered, not yet at the learner.
     pub fn in_flight(&self) -> usize {
-        self.pending.len() + self.workers.values().map(|worker| worker.queue.len()).sum::<usize>()
+        let tasks = self.workers.values().flat_map(|worker| &worker.queue);
+        tasks.filter(|task| matches!(task, Task::Rollout(_))).count()
+    }
+
+    /// Blocks at the learner that it has not trained on.
+    pub fn received(&self) -> usize {
+        self.received.len()
+    }
+
+    /// What a worker has been ordered to do.
+    pub fn tasks(&self, worker: WorkerId) -> impl Iterator<Item = &Task> {
+        self.workers.get(&worker).into_iter().flat_map(|worker| &worker.queue)
     }
 
     /// The orders to send now.
@@ -123,15 +220,19 @@ impl Scheduler {
         // One order a worker and round: the shards spread evenly however few there are.
         for depth in 0..QUEUE_DEPTH {
             for (&id, worker) in &mut self.workers {
-                if worker.queue.len() > depth {
+                if worker.leaving || worker.queue.len() > depth {
                     continue;
                 }
-                let Some(address) = self.pending.pop_first() else { return orders };
+                let evaluation = self.evaluations.pop_first().map(Task::Evaluation);
+                let Some(task) = evaluation.or_else(|| self.pending.pop_first().map(Task::Rollout))
+                else {
+                    return orders;
+                };
                 if worker.queue.is_empty() {
                     worker.since = now;
                 }
-                worker.queue.push_back(address);
-                orders.push(order(id, worker.incarnation, address, self.overlap));
+                worker.queue.push_back(task);
+                orders.push(order(id, worker.incarnation, task, self.overlap));
             }
         }
         orders
@@ -148,7 +249,7 @@ impl Scheduler {
             }
             worker.since = now;
             let repeated =
-                worker.queue.iter().map(|address| order(id, worker.incarnation, *address, overlap));
+                worker.queue.iter().map(|task| order(id, worker.incarnation, *task, overlap));
             orders.extend(repeated);
         }
         orders
@@ -179,13 +280,25 @@ impl Scheduler {
     }
 }
 
-fn order(worker: WorkerId, incarnation: u32, address: ShardAddress, overlap: usize) -> Order {
-    Order::Rollout {
-        worker,
-        incarnation,
-        iteration: address.0,
-        policy_version: policy_version_for(address.0, overlap),
-        shards: vec![address.1],
+impl Worker {
+    fn done(&mut self, task: &Task, now: Instant) {
+        if self.queue.front() == Some(task) {
+            self.since = now;
+        }
+        self.queue.retain(|queued| queued != task);
+    }
+}
+
+fn order(worker: WorkerId, incarnation: u32, task: Task, overlap: usize) -> Order {
+    match task {
+        Task::Rollout((iteration, shard)) => Order::Rollout {
+            worker,
+            incarnation,
+            iteration,
+            policy_version: policy_version_for(iteration, overlap),
+            shards: vec![shard],
+        },
+        Task::Evaluation(episodes) => Order::Evaluate { worker, incarnation, episodes },
     }
 }
 
@@ -272,7 +385,8 @@ mod tests {
         scheduler.worker_ready(0, 0, now);
         scheduler.assign(now);
         scheduler.block_received((0, 0), now);
-        assert_eq!(scheduler.worker_gone(0), [(0, 1)]);
+        let estate = Estate { at_hand: Some((0, 1)), undelivered: vec![(0, 1)] };
+        assert_eq!(scheduler.worker_gone(0), estate);
         scheduler.worker_ready(0, 1, now);
         let orders = scheduler.assign(now);
         assert_eq!(addresses(&orders), [(0, 0, 1)]);
@@ -305,5 +419,49 @@ mod tests {
         scheduler.iteration_done(0);
         assert!(scheduler.is_finished());
         assert!(scheduler.assign(now).is_empty());
+    }
+
+    #[test]
+    fn a_leaving_worker_finishes_what_is_at_hand_and_gets_no_more() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(3, 0, 0, 1);
+        scheduler.worker_ready(0, 0, now);
+        scheduler.worker_ready(1, 0, now);
+        scheduler.assign(now);
+        scheduler.retire(0);
+        let tasks: Vec<_> = scheduler.tasks(0).copied().collect();
+        assert_eq!(tasks, [Task::Rollout((0, 0))], "its second order is open again");
+        scheduler.block_received((0, 1), now);
+        assert_eq!(addresses(&scheduler.assign(now)), [(1, 0, 2)]);
+        assert_eq!(scheduler.worker_gone(0).undelivered, [(0, 0)]);
+        scheduler.block_received((0, 2), now);
+        assert_eq!(addresses(&scheduler.assign(now)), [(1, 0, 0)]);
+    }
+
+    #[test]
+    fn evaluations_go_first_and_outlive_their_worker() {
+        let now = Instant::now();
+        let chunk = EvaluationChunk { policy_version: 0, first: 0, episodes: 16 };
+        let mut scheduler = Scheduler::new(1, 0, 0, 1);
+        scheduler.worker_ready(0, 0, now);
+        scheduler.evaluate([chunk]);
+        let orders = scheduler.assign(now);
+        assert_eq!(orders[0], Order::Evaluate { worker: 0, incarnation: 0, episodes: chunk });
+        assert_eq!(scheduler.worker_gone(0).at_hand, None);
+        scheduler.worker_ready(1, 0, now);
+        assert!(matches!(scheduler.assign(now)[0], Order::Evaluate { worker: 1, .. }));
+        scheduler.evaluation_done(chunk, now);
+        assert_eq!(scheduler.tasks(1).count(), 1, "the shard is left");
+    }
+
+    #[test]
+    fn a_block_that_cannot_be_made_is_open_again() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(1, 0, 0, 1);
+        scheduler.worker_ready(0, 0, now);
+        scheduler.assign(now);
+        scheduler.give_back(0, (0, 0), now);
+        assert_eq!((scheduler.open(), scheduler.in_flight()), (1, 0));
+        assert_eq!(addresses(&scheduler.assign(now)), [(0, 0, 0)]);
     }
 }

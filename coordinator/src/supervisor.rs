@@ -8,9 +8,11 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use proto::channel::Domain;
+use proto::config::Run;
 use proto::message::WorkerId;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
+use rustix::process::Signal;
 
 use crate::janitor::Janitor;
 
@@ -45,10 +47,14 @@ fn find(name: &str) -> Result<PathBuf, ExitError> {
         })
 }
 
-/// A worker's process, or the time at which its successor starts.
+/// What there is of a worker.
 #[derive(Debug)]
 enum WorkerState {
-    Running { child: Child, started: Instant },
+    /// A process. `hung` if it was killed for its silence.
+    Running { child: Child, started: Instant, hung: bool },
+    /// A process that has been asked to go, and is killed after a while.
+    Leaving { child: Child, until: Instant },
+    /// The time at which a successor starts.
     BackingOff { until: Instant },
 }
 
@@ -60,13 +66,65 @@ struct WorkerSlot {
     failures: u32,
 }
 
-/// A child that has ended by itself.
+/// Why a process is no more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// It ended by itself: an exit code, or a signal that a program earns, such as SIGSEGV.
+    Crash(ExitStatus),
+    /// It was silent for too long and was killed for it.
+    Hang,
+    /// Somebody outside sent a signal: SIGKILL, also from the kernel when memory is short, SIGTERM,
+    /// SIGINT or SIGHUP. Says nothing about what the process was doing.
+    Killed(ExitStatus),
+}
+
+impl Cause {
+    fn of(status: ExitStatus, hung: bool) -> Self {
+        const SIGNALS: [Signal; 4] = [Signal::KILL, Signal::TERM, Signal::INT, Signal::HUP];
+        let sent = |number| SIGNALS.iter().any(|signal| signal.as_raw() == number);
+        match status.signal() {
+            _ if hung => Self::Hang,
+            Some(number) if sent(number) => Self::Killed(status),
+            _ => Self::Crash(status),
+        }
+    }
+}
+
+impl std::fmt::Display for Cause {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Hang => write!(f, "hung"),
+            Self::Crash(status) | Self::Killed(status) => match (status.code(), status.signal()) {
+                (Some(code), _) => write!(f, "exit code {code}"),
+                (None, Some(signal)) => write!(f, "signal {signal}"),
+                (None, None) => write!(f, "unknown cause"),
+            },
+        }
+    }
+}
+
+/// A child that has ended.
 #[derive(Debug)]
 pub enum Death {
     /// The learner.
-    Learner(ExitStatus),
+    Learner(Cause),
     /// A worker; its slot will start a successor.
-    Worker(WorkerId, ExitStatus),
+    Worker(WorkerId, Cause),
+    /// A worker that had been asked to.
+    Left(WorkerId),
+}
+
+/// A process of the run, for its status.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ProcessView {
+    /// The worker; none for the learner.
+    pub worker: Option<WorkerId>,
+    /// Process id; none while a successor waits for its back-off.
+    pub pid: Option<u32>,
+    /// How often its predecessors were replaced.
+    pub incarnation: u32,
+    /// Whether it has been asked to go.
+    pub leaving: bool,
 }
 
 /// All children of a run. Dropping it kills and reaps them.
@@ -75,60 +133,150 @@ pub struct Supervisor {
     programs: Programs,
     run_dir: RunDir,
     domain: Domain,
+    /// Settings of the learner's numerical libraries.
+    threads: usize,
+    pin: bool,
     janitor: Janitor,
     learner: Option<Child>,
+    learner_hung: bool,
+    learner_incarnation: u32,
     workers: BTreeMap<WorkerId, WorkerSlot>,
+    /// Incarnations that workers will have when they start next; never used twice in a run.
+    incarnations: BTreeMap<WorkerId, u32>,
     restarts: u64,
 }
 
-/// Deaths of one worker in a row, without a block in between, after which the run is given up.
+/// Crashes of one worker in a row, without a block in between, after which the run is given up.
 const MAX_FAILURES: u32 = 5;
+/// The same for deaths by a signal from outside, which say less.
+const MAX_KILLS: u32 = 50;
 /// First back-off; doubles with every failure in a row.
-const BACK_OFF: Duration = Duration::from_millis(100);
+const BACK_OFF: Duration = Duration::from_millis(50);
+/// How long a worker that was asked to go may take for the block at hand.
+const LEAVE_DEADLINE: Duration = Duration::from_secs(30);
+
+/// Variables of the environment that change what libtorch computes. They are removed; what the
+/// promise of equal bits needs is set instead.
+const FOREIGN_SETTINGS: [&str; 12] = [
+    "ATEN_CPU_CAPABILITY",
+    "DNNL_DEFAULT_FPMATH_MODE",
+    "DNNL_MAX_CPU_ISA",
+    "GOMP_CPU_AFFINITY",
+    "KMP_AFFINITY",
+    "KMP_BLOCKTIME",
+    "MKL_ENABLE_INSTRUCTIONS",
+    "OMP_PROC_BIND",
+    "OMP_SCHEDULE",
+    "OMP_THREAD_LIMIT",
+    "ONEDNN_DEFAULT_FPMATH_MODE",
+    "ONEDNN_MAX_CPU_ISA",
+];
 
 impl Supervisor {
     /// No children yet but the janitor.
-    pub fn new(programs: Programs, run_dir: RunDir, domain: Domain) -> Result<Self, ExitError> {
+    pub fn new(
+        programs: Programs,
+        run_dir: RunDir,
+        domain: Domain,
+        run: &Run,
+    ) -> Result<Self, ExitError> {
         let janitor = Janitor::start(&domain).map_err(|error| {
             ExitError::new(ExitCode::Environment, format!("cannot start the janitor: {error}"))
         })?;
-        let (workers, restarts) = (BTreeMap::new(), 0);
-        Ok(Self { programs, run_dir, domain, janitor, learner: None, workers, restarts })
+        Ok(Self {
+            programs,
+            run_dir,
+            domain,
+            threads: run.learner_threads,
+            pin: run.pin,
+            janitor,
+            learner: None,
+            learner_hung: false,
+            learner_incarnation: 0,
+            workers: BTreeMap::new(),
+            incarnations: BTreeMap::new(),
+            restarts: 0,
+        })
     }
 
     /// Starts the learner, from a training state if one is given.
     ///
     /// Children ask the kernel to be killed when the *thread* that started them ends, so this and
-    /// [`Self::start_workers`] must be called from a thread that lives as long as the run.
+    /// [`Self::scale`] must be called from a thread that lives as long as the run.
     pub fn start_learner(&mut self, resume: Option<&Path>) -> Result<(), ExitError> {
         let mut command = Command::new(&self.programs.learner);
         if let Some(state) = resume {
             command.arg("--resume").arg(state);
         }
+        for variable in FOREIGN_SETTINGS {
+            command.env_remove(variable);
+        }
+        let threads = self.threads.to_string();
+        for (variable, value) in [
+            ("OMP_NUM_THREADS", threads.as_str()),
+            ("MKL_NUM_THREADS", &threads),
+            // The libraries shall not choose another number by themselves.
+            ("OMP_DYNAMIC", "FALSE"),
+            ("MKL_DYNAMIC", "FALSE"),
+            // Products that do not depend on how their operands happen to be aligned.
+            ("MKL_CBWR", "AUTO,STRICT"),
+        ] {
+            command.env(variable, value);
+        }
+        self.learner_hung = false;
+        self.learner_incarnation += 1;
         self.learner = Some(self.spawn(command, "learner.log")?);
         Ok(())
     }
 
-    /// Starts workers 0 to `n` − 1.
-    pub fn start_workers(&mut self, n: usize) -> Result<(), ExitError> {
-        for worker in 0..n as WorkerId {
-            let slot = self.start_worker(worker, 0, 0)?;
-            self.workers.insert(worker, slot);
+    /// Starts workers, or picks those that shall go, until `n` stay. Returns those that shall go,
+    /// with their incarnations: the caller asks them to.
+    pub fn scale(&mut self, n: usize) -> Result<Vec<(WorkerId, u32)>, ExitError> {
+        let mut leaving = Vec::new();
+        // The youngest go first, so that numbers stay dense.
+        let staying: Vec<_> = self.staying().collect();
+        for &worker in staying.iter().skip(n).rev() {
+            let Some(slot) = self.workers.remove(&worker) else { continue };
+            if let WorkerState::Running { child, .. } = slot.state {
+                leaving.push((worker, slot.incarnation));
+                let state = WorkerState::Leaving { child, until: Instant::now() + LEAVE_DEADLINE };
+                self.workers.insert(worker, WorkerSlot { state, ..slot });
+            }
         }
-        Ok(())
+        // The number of one that is still on its way out is free only when it is gone.
+        let missing = n.saturating_sub(staying.len());
+        let free: Vec<_> =
+            (0..).filter(|id| !self.workers.contains_key(id)).take(missing).collect();
+        for worker in free {
+            self.start_worker(worker, 0)?;
+        }
+        Ok(leaving)
     }
 
-    fn start_worker(
-        &mut self,
-        worker: WorkerId,
-        incarnation: u32,
-        failures: u32,
-    ) -> Result<WorkerSlot, ExitError> {
+    /// Workers that run or will run again, in order.
+    fn staying(&self) -> impl Iterator<Item = WorkerId> {
+        let stays = |slot: &WorkerSlot| !matches!(slot.state, WorkerState::Leaving { .. });
+        self.workers.iter().filter(move |(_, slot)| stays(slot)).map(|(&worker, _)| worker)
+    }
+
+    /// How many workers run or will run again.
+    pub fn n_workers(&self) -> usize {
+        self.staying().count()
+    }
+
+    fn start_worker(&mut self, worker: WorkerId, failures: u32) -> Result<(), ExitError> {
+        let next = self.incarnations.entry(worker).or_default();
+        let incarnation = *next;
+        *next += 1;
         let mut command = Command::new(&self.programs.sim_worker);
         command.args(["--worker", &worker.to_string(), "--incarnation", &incarnation.to_string()]);
+        if self.pin {
+            command.args(["--pin", &worker.to_string()]);
+        }
         let child = self.spawn(command, &format!("worker-{worker}.log"))?;
-        let state = WorkerState::Running { child, started: Instant::now() };
-        Ok(WorkerSlot { state, incarnation, failures })
+        let state = WorkerState::Running { child, started: Instant::now(), hung: false };
+        self.workers.insert(worker, WorkerSlot { state, incarnation, failures });
+        Ok(())
     }
 
     fn spawn(&mut self, mut command: Command, log: &str) -> Result<Child, ExitError> {
@@ -165,19 +313,37 @@ impl Supervisor {
         let mut deaths = Vec::new();
         if let Some(status) = self.learner.as_mut().and_then(|child| child.try_wait().ok()?) {
             self.learner = None;
-            deaths.push(Death::Learner(status));
+            deaths.push(Death::Learner(Cause::of(status, self.learner_hung)));
         }
+        let now = Instant::now();
+        let mut gone = Vec::new();
         for (&worker, slot) in &mut self.workers {
-            let WorkerState::Running { child, started } = &mut slot.state else { continue };
-            let Ok(Some(status)) = child.try_wait() else { continue };
-            // Who has worked for a while did not die of what killed it before.
-            if started.elapsed() > Duration::from_mins(1) {
-                slot.failures = 0;
+            match &mut slot.state {
+                WorkerState::BackingOff { .. } => {}
+                WorkerState::Leaving { child, until } => {
+                    if let Ok(Some(_)) = child.try_wait() {
+                        gone.push(worker);
+                        deaths.push(Death::Left(worker));
+                    } else if now > *until {
+                        let _ = child.kill();
+                    }
+                }
+                WorkerState::Running { child, started, hung } => {
+                    let Ok(Some(status)) = child.try_wait() else { continue };
+                    let cause = Cause::of(status, *hung);
+                    // Who has worked for a while did not die of what killed it before.
+                    if started.elapsed() > Duration::from_mins(1) {
+                        slot.failures = 0;
+                    }
+                    slot.failures += 1;
+                    let delay = BACK_OFF * 2_u32.pow((slot.failures - 1).min(6));
+                    slot.state = WorkerState::BackingOff { until: now + delay };
+                    deaths.push(Death::Worker(worker, cause));
+                }
             }
-            slot.failures += 1;
-            let delay = BACK_OFF * 2_u32.pow((slot.failures - 1).min(6));
-            slot.state = WorkerState::BackingOff { until: Instant::now() + delay };
-            deaths.push(Death::Worker(worker, status));
+        }
+        for worker in gone {
+            self.workers.remove(&worker);
         }
         deaths
     }
@@ -191,25 +357,32 @@ impl Supervisor {
             .filter(
                 |(_, slot)| matches!(slot.state, WorkerState::BackingOff { until } if until <= now),
             )
-            .map(|(&worker, slot)| (worker, slot.incarnation + 1, slot.failures))
+            .map(|(&worker, slot)| (worker, slot.failures))
             .collect();
-        for &(worker, incarnation, failures) in &due {
-            if failures >= MAX_FAILURES {
-                let log = self.run_dir.logs().join(format!("worker-{worker}.log"));
-                return Err(ExitError::new(
-                    ExitCode::Child,
-                    format!(
-                        "worker {worker} died {failures} times in a row without delivering a \
-                         block; its log is {}",
-                        log.display()
-                    ),
-                ));
-            }
-            let slot = self.start_worker(worker, incarnation, failures)?;
-            self.workers.insert(worker, slot);
+        for &(worker, failures) in &due {
+            self.start_worker(worker, failures)?;
             self.restarts += 1;
         }
-        Ok(due.into_iter().map(|(worker, ..)| worker).collect())
+        Ok(due.into_iter().map(|(worker, _)| worker).collect())
+    }
+
+    /// Refuses to go on with a worker that dies again and again without delivering a block.
+    pub fn check_failures(&self, worker: WorkerId, cause: Cause) -> Result<(), ExitError> {
+        let failures = self.workers.get(&worker).map_or(0, |slot| slot.failures);
+        let killed = matches!(cause, Cause::Killed(_));
+        if failures < if killed { MAX_KILLS } else { MAX_FAILURES } {
+            return Ok(());
+        }
+        let log = self.run_dir.logs().join(format!("worker-{worker}.log"));
+        Err(ExitError::new(
+            ExitCode::Child,
+            format!(
+                "worker {worker} died {failures} times in a row without delivering a block \
+                 ({cause}); the end of {}:\n{}",
+                log.display(),
+                log_tail(&log, 5)
+            ),
+        ))
     }
 
     /// A worker has delivered: what killed its predecessors is over.
@@ -228,9 +401,18 @@ impl Supervisor {
 
     /// Kills a worker that does not answer; [`Self::reap`] will find it.
     pub fn kill_worker(&mut self, worker: WorkerId) {
-        if let Some(WorkerSlot { state: WorkerState::Running { child, .. }, .. }) =
+        if let Some(WorkerSlot { state: WorkerState::Running { child, hung, .. }, .. }) =
             self.workers.get_mut(&worker)
         {
+            *hung = true;
+            let _ = child.kill();
+        }
+    }
+
+    /// Kills a learner that does not answer; [`Self::reap`] will find it.
+    pub fn kill_learner(&mut self) {
+        if let Some(child) = &mut self.learner {
+            self.learner_hung = true;
             let _ = child.kill();
         }
     }
@@ -238,6 +420,25 @@ impl Supervisor {
     /// How many workers have been replaced.
     pub fn restarts(&self) -> u64 {
         self.restarts
+    }
+
+    /// Every process, and every one to come.
+    pub fn processes(&self) -> Vec<ProcessView> {
+        let learner = ProcessView {
+            worker: None,
+            pid: self.learner.as_ref().map(Child::id),
+            incarnation: self.learner_incarnation.saturating_sub(1),
+            leaving: false,
+        };
+        let workers = self.workers.iter().map(|(&worker, slot)| {
+            let (pid, leaving) = match &slot.state {
+                WorkerState::Running { child, .. } => (Some(child.id()), false),
+                WorkerState::Leaving { child, .. } => (Some(child.id()), true),
+                WorkerState::BackingOff { .. } => (None, false),
+            };
+            ProcessView { worker: Some(worker), pid, incarnation: slot.incarnation, leaving }
+        });
+        std::iter::once(learner).chain(workers).collect()
     }
 
     /// Waits up to `patience` for all children to end by themselves, then kills the rest.
@@ -251,7 +452,7 @@ impl Supervisor {
 
     fn running(&mut self) -> impl Iterator<Item = &mut Child> {
         let workers = self.workers.values_mut().filter_map(|slot| match &mut slot.state {
-            WorkerState::Running { child, .. } => Some(child),
+            WorkerState::Running { child, .. } | WorkerState::Leaving { child, .. } => Some(child),
             WorkerState::BackingOff { .. } => None,
         });
         self.learner.iter_mut().chain(workers)
@@ -278,15 +479,6 @@ impl Supervisor {
             tracing::warn!(%error, "shared memory of this run could not be removed");
         }
         self.janitor.dismiss();
-    }
-}
-
-/// How a child ended, in words.
-pub fn describe(status: ExitStatus) -> String {
-    match (status.code(), status.signal()) {
-        (Some(code), _) => format!("exit code {code}"),
-        (None, Some(signal)) => format!("signal {signal}"),
-        (None, None) => "unknown cause".to_owned(),
     }
 }
 

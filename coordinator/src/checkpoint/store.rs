@@ -1,35 +1,59 @@
 //! A directory of checkpoints.
 
-use std::collections::{BTreeMap, HashMap};
-use std::fs::{self, File};
-use std::io::Write;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use proto::Digest;
 use proto::config::Config;
-use safetensors::SafeTensors;
-use safetensors::tensor::TensorView;
 
+use super::disk::Disk;
+use super::entry::{Entry, Survey, directories};
+use super::guard::{Guard, Scratch, unique};
+use super::labels::Labels;
+use super::manifest::{FileEntry, Manifest};
+use super::name::Name;
+use super::read::{self, Checkpoint};
 use super::{
-    CONFIG, Checkpoint, CheckpointError, FORMAT, FileEntry, MANIFEST, Manifest, POLICY,
-    POLICY_PREFIX, ROBOT, STATE, Snapshot,
+    CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE, Snapshot, catalogue, tensors,
 };
 
-/// Prefix of a committed checkpoint's directory.
-const COMMITTED: &str = "iteration-";
-/// Prefix of a directory that is being written.
-const TEMPORARY: &str = ".writing-";
+/// Prefix of a checkpoint that another one has replaced.
+const REPLACED: &str = ".replaced-";
 
-/// The checkpoints of a run. One process writes, any number read.
+/// The checkpoints of a run, or any directory of checkpoints.
+///
+/// Any number of processes may read and change it at the same time. Readers never wait; they find
+/// a checkpoint whole or not at all. Changes happen one after the other, under a lock.
 #[derive(Debug, Clone)]
 pub struct CheckpointStore {
-    root: PathBuf,
+    pub(super) root: PathBuf,
+    pub(super) disk: Disk,
+}
+
+/// What to do with another checkpoint that has the name already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Clash {
+    /// Put it aside.
+    Replace,
+    /// Leave it, unless it is damaged.
+    Refuse,
 }
 
 impl CheckpointStore {
     /// A store in `root`, which is made with the first commit.
     pub fn new(root: impl Into<PathBuf>) -> Self {
-        Self { root: root.into() }
+        Self { root: root.into(), disk: Disk::default() }
+    }
+
+    /// Its directory.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The directory of the checkpoint called `name`, whether or not there is one.
+    pub fn dir(&self, name: &Name) -> PathBuf {
+        self.root.join(name)
     }
 
     /// Commits a snapshot: every file is written and synced, the manifest last, then the directory
@@ -43,17 +67,10 @@ impl CheckpointStore {
         robot_toml: &str,
         provenance: &serde_json::Value,
     ) -> Result<PathBuf, CheckpointError> {
-        let name = format!("{COMMITTED}{:08}", snapshot.iteration);
-        let target = self.root.join(&name);
-        let temporary = self.root.join(format!("{TEMPORARY}{name}"));
-        if temporary.exists() {
-            fs::remove_dir_all(&temporary).map_err(CheckpointError::io(&temporary, "remove"))?;
-        }
-        fs::create_dir_all(&temporary).map_err(CheckpointError::io(&temporary, "create"))?;
-
+        let name = Name::of_iteration(snapshot.iteration);
         let (state, policy) =
-            split(&snapshot.bytes).map_err(|reason| CheckpointError::Damaged {
-                path: target.clone(),
+            tensors::split(&snapshot.bytes).map_err(|reason| CheckpointError::Damaged {
+                path: self.dir(&name),
                 reason: format!("the learner's snapshot is no training state: {reason}"),
             })?;
         let config_toml = config.to_toml();
@@ -63,69 +80,114 @@ impl CheckpointStore {
             (CONFIG, config_toml.as_bytes()),
             (ROBOT, robot_toml.as_bytes()),
         ];
-        let mut files = BTreeMap::new();
-        for (file, bytes) in contents {
-            write_synced(&temporary.join(file), bytes)?;
-            let blake3 = blake3::hash(bytes).to_hex().to_string();
-            files.insert(file.to_owned(), FileEntry { len: bytes.len() as u64, blake3 });
-        }
         let manifest = Manifest {
             format: FORMAT,
             iteration: snapshot.iteration,
             env_steps: snapshot.iteration * config.steps_per_iteration(),
             digest: snapshot.digest,
-            created_unix_s: SystemTime::now()
-                .duration_since(UNIX_EPOCH)
-                .map_or(0, |elapsed| elapsed.as_secs()),
+            created_unix_s: now(),
             provenance: provenance.clone(),
-            files,
+            files: BTreeMap::new(),
+            origins: Vec::new(),
         };
-        let text = serde_json::to_vec_pretty(&manifest).expect("a manifest has a JSON form");
-        write_synced(&temporary.join(MANIFEST), &text)?;
-        sync_dir(&temporary)?;
+        self.write(&name, &contents, manifest, Clash::Replace)
+    }
 
-        if target.exists() {
-            if self.load(&target).is_ok_and(|there| there.manifest.digest == snapshot.digest) {
-                fs::remove_dir_all(&temporary)
-                    .map_err(CheckpointError::io(&temporary, "remove"))?;
-                return Ok(target);
-            }
-            // Damaged, or of a run whose limits were changed: out of the way, but not lost.
-            let aside = self.root.join(format!(".replaced-{name}-{}", manifest.created_unix_s));
-            fs::rename(&target, &aside).map_err(CheckpointError::io(&target, "rename"))?;
+    /// Writes a new checkpoint under any name and publishes it. `manifest` lists no files yet.
+    pub(super) fn write(
+        &self,
+        name: &Name,
+        contents: &[(&str, &[u8])],
+        mut manifest: Manifest,
+        clash: Clash,
+    ) -> Result<PathBuf, CheckpointError> {
+        let scratch = Scratch::new(&self.disk, &self.root, name.as_str())?;
+        for (file, bytes) in contents {
+            self.disk.write_file(&scratch.path().join(file), bytes)?;
+            let blake3 = blake3::hash(bytes).to_hex().to_string();
+            manifest
+                .files
+                .insert((*file).to_owned(), FileEntry { len: bytes.len() as u64, blake3 });
         }
-        fs::rename(&temporary, &target).map_err(CheckpointError::io(&target, "rename"))?;
-        sync_dir(&self.root)?;
+        self.disk.write_file(&scratch.path().join(MANIFEST), &manifest.to_json())?;
+        self.publish(scratch, name, manifest.digest, clash)
+    }
+
+    /// Gives a whole directory its final name; the same checkpoint twice stays as it was.
+    pub(super) fn publish(
+        &self,
+        scratch: Scratch<'_>,
+        name: &Name,
+        digest: Digest,
+        clash: Clash,
+    ) -> Result<PathBuf, CheckpointError> {
+        self.disk.sync_dir(scratch.path())?;
+        let target = self.dir(name);
+        let guard = self.guard()?;
+        let mut aside = None;
+        if target.symlink_metadata().is_ok() {
+            match read::load(&target) {
+                Ok(there) if there.manifest.digest == digest => {
+                    scratch.discard()?;
+                    return Ok(target);
+                }
+                Ok(there) if clash == Clash::Refuse => {
+                    let reason = format!(
+                        "is another checkpoint already, with digest {} instead of {digest}; \
+                         choose another name, or delete that one first",
+                        there.manifest.digest
+                    );
+                    return Err(CheckpointError::Conflict { path: target, reason });
+                }
+                Err(error @ CheckpointError::Io { .. }) if !error.is_absence() => {
+                    return Err(error);
+                }
+                // Damaged, or of a run whose limits were changed: out of the way, but not lost.
+                there => {
+                    if there.is_err()
+                        && let Ok(labels) = Labels::try_read(&target)
+                        && labels != Labels::default()
+                    {
+                        // Mended, it is what its users have pinned and tagged.
+                        labels.write(&self.disk, scratch.path())?;
+                    }
+                    let away = unique(&self.root, REPLACED, name.as_str());
+                    self.disk.rename(&target, &away)?;
+                    aside = Some(away);
+                }
+            }
+        }
+        if let Err(error) = scratch.publish(&target, &guard) {
+            if let Some(away) = aside {
+                // The error above is the one to report.
+                let _ = self.disk.rename(&away, &target);
+            }
+            return Err(error);
+        }
+        self.disk.sync_dir(&self.root)?;
+        self.finish(&guard, &[name]);
         Ok(target)
     }
 
-    /// Directories of all committed checkpoints, oldest iteration first.
+    /// Directories of the run's own checkpoints, `iteration-*`, oldest iteration first.
     pub fn list(&self) -> Result<Vec<PathBuf>, CheckpointError> {
-        let entries = match fs::read_dir(&self.root) {
-            Ok(entries) => entries,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
-            Err(error) => return Err(CheckpointError::io(&self.root, "read")(error)),
-        };
-        let mut found = Vec::new();
-        for entry in entries {
-            let path = entry.map_err(CheckpointError::io(&self.root, "read"))?.path();
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let number = name.strip_prefix(COMMITTED).and_then(|digits| digits.parse::<u64>().ok());
-            if let Some(iteration) = number {
-                found.push((iteration, path));
-            }
-        }
-        found.sort();
-        Ok(found.into_iter().map(|(_, path)| path).collect())
+        let own = |(name, dir): (Name, PathBuf)| name.iteration().map(|_| dir);
+        Ok(directories(&self.root)?.into_iter().filter_map(own).collect())
     }
 
-    /// The newest checkpoint that is whole. A damaged one is reported through the log and the one
-    /// before is taken; if all are damaged, that is an error, never a silent start from nothing.
+    /// The newest of the run's own checkpoints from which training can go on and that is whole. A
+    /// damaged one is reported through the log and the one before is taken; if all are damaged,
+    /// that is an error, never a silent start from nothing.
     pub fn latest(&self) -> Result<Checkpoint, CheckpointError> {
         let mut last_error = None;
         for dir in self.list()?.into_iter().rev() {
-            match self.load(&dir) {
+            if Manifest::read(&dir).is_ok_and(|manifest| !manifest.has_state()) {
+                continue;
+            }
+            match read::load(&dir) {
                 Ok(checkpoint) => return Ok(checkpoint),
+                // Removed since it was listed.
+                Err(_) if !dir.exists() => {}
                 Err(error) => {
                     tracing::error!(%error, "damaged checkpoint, taking the one before");
                     last_error = Some(error);
@@ -140,103 +202,80 @@ impl CheckpointStore {
 
     /// Reads a checkpoint's small files and checks every file against the manifest.
     pub fn load(&self, dir: &Path) -> Result<Checkpoint, CheckpointError> {
-        load(dir)
+        read::load(dir)
     }
 
-    /// Removes all but the `kept` newest checkpoints, and what killed commits left.
-    pub fn prune(&self, kept: usize) -> Result<(), CheckpointError> {
-        let mut doomed = self.list()?;
-        doomed.truncate(doomed.len().saturating_sub(kept));
-        for entry in fs::read_dir(&self.root).map_err(CheckpointError::io(&self.root, "read"))? {
-            let path = entry.map_err(CheckpointError::io(&self.root, "read"))?.path();
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if name.starts_with(TEMPORARY) {
-                doomed.push(path);
-            }
+    /// All checkpoints at a glance, the run's own last and in order of iteration. Those whose
+    /// manifest is unreadable are left out and reported through the log.
+    pub fn entries(&self) -> Result<Vec<Entry>, CheckpointError> {
+        let survey = self.survey()?;
+        for damaged in &survey.damaged {
+            tracing::warn!(reason = damaged.reason, "damaged checkpoint");
         }
-        for dir in doomed {
-            fs::remove_dir_all(&dir).map_err(CheckpointError::io(&dir, "remove"))?;
+        Ok(survey.entries)
+    }
+
+    /// All checkpoints at a glance, and what is damaged.
+    pub fn survey(&self) -> Result<Survey, CheckpointError> {
+        Survey::of(&self.root)
+    }
+
+    /// The checkpoint called `name` at a glance.
+    pub fn entry(&self, name: &Name) -> Result<Entry, CheckpointError> {
+        let dir = self.dir(name);
+        if !dir.is_dir() {
+            return Err(CheckpointError::absent(&self.root, name));
         }
-        Ok(())
+        Entry::read(&dir, name.clone())
+    }
+
+    /// Rebuilds the catalogue from the manifests, puts the tag `best` where the scores say, and
+    /// returns the number of checkpoints.
+    pub fn rebuild(&self) -> Result<usize, CheckpointError> {
+        let guard = self.guard()?;
+        self.settle_best(&guard)?;
+        let survey = self.survey()?;
+        catalogue::rebuild(&self.root, &survey.entries)?;
+        Ok(survey.entries.len())
+    }
+
+    /// Brings the catalogue up to date if it is not and nobody is changing the store meanwhile.
+    pub fn heal_catalogue(&self) {
+        if self.root.is_dir()
+            && let Some(guard) = Guard::try_acquire(&self.root)
+        {
+            self.index(&guard, &[]);
+        }
+    }
+
+    /// The exclusive right to change the store.
+    pub(super) fn guard(&self) -> Result<Guard, CheckpointError> {
+        Guard::acquire(&self.disk, &self.root)
+    }
+
+    /// Ends a change of the checkpoints in `touched`: the tag `best` and the catalogue follow.
+    /// What was done stands, so a failure is a warning.
+    pub(super) fn finish(&self, guard: &Guard, touched: &[&Name]) {
+        if let Err(error) = self.settle_best(guard) {
+            tracing::warn!(%error, "the tag `best` could not be moved");
+        }
+        self.index(guard, touched);
+    }
+
+    /// Writes the catalogue. It is an index, never the truth, so a failure is a warning.
+    fn index(&self, _: &Guard, touched: &[&Name]) {
+        let path = self.root.join(catalogue::CATALOGUE);
+        let written = self.survey().and_then(|survey| {
+            self.disk.step("index", &path, || Ok(()))?;
+            catalogue::refresh(&self.root, &survey.entries, touched)
+        });
+        if let Err(error) = written {
+            tracing::warn!(%error, "the catalogue could not be written");
+        }
     }
 }
 
-/// Reads a checkpoint directory and checks every file of it.
-pub(super) fn load(dir: &Path) -> Result<Checkpoint, CheckpointError> {
-    let path = dir.join(MANIFEST);
-    let bytes = match fs::read(&path) {
-        Ok(bytes) => bytes,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            return Err(CheckpointError::NotFound {
-                path: dir.to_owned(),
-                what: format!("is no checkpoint: it has no {MANIFEST}"),
-            });
-        }
-        Err(error) => return Err(CheckpointError::io(&path, "read")(error)),
-    };
-    let manifest: Manifest = serde_json::from_slice(&bytes)
-        .map_err(|error| CheckpointError::damaged(&path, format!("not a manifest: {error}")))?;
-    if manifest.format != FORMAT {
-        let reason = format!("format {}, this version reads {FORMAT}", manifest.format);
-        return Err(CheckpointError::damaged(&path, reason));
-    }
-    let mut texts: HashMap<&str, String> = HashMap::new();
-    for required in [STATE, POLICY, CONFIG, ROBOT] {
-        let path = dir.join(required);
-        let entry = manifest
-            .files
-            .get(required)
-            .ok_or_else(|| CheckpointError::damaged(&path, format!("not listed in {MANIFEST}")))?;
-        let bytes = fs::read(&path).map_err(CheckpointError::io(&path, "read"))?;
-        if bytes.len() as u64 != entry.len {
-            let reason = format!("{} bytes, the manifest says {}", bytes.len(), entry.len);
-            return Err(CheckpointError::damaged(&path, reason));
-        }
-        if blake3::hash(&bytes).to_hex().as_str() != entry.blake3 {
-            return Err(CheckpointError::damaged(&path, "content differs from its BLAKE3 hash"));
-        }
-        if [CONFIG, ROBOT].contains(&required) {
-            let text = String::from_utf8(bytes)
-                .map_err(|_| CheckpointError::damaged(&path, "not UTF-8"))?;
-            texts.insert(required, text);
-        }
-    }
-    let mut text = |name: &str| texts.remove(name).expect("read above");
-    let origin = dir.join(CONFIG).display().to_string();
-    let config = Config::from_resolved_toml(&text(CONFIG), &origin)?;
-    Ok(Checkpoint { dir: dir.to_owned(), manifest, config, robot_toml: text(ROBOT) })
-}
-
-/// Splits a snapshot into the training state and the actors.
-fn split(bytes: &[u8]) -> Result<(Vec<u8>, Vec<u8>), String> {
-    let tensors = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
-    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
-    let mut policy: Vec<(String, TensorView<'_>)> = Vec::new();
-    let mut state = Vec::new();
-    for (name, view) in tensors.tensors() {
-        match name.strip_prefix(POLICY_PREFIX) {
-            Some(name) => policy.push((name.to_owned(), view)),
-            None => state.push((name, view)),
-        }
-    }
-    if policy.is_empty() || state.is_empty() {
-        return Err(format!("{} policy and {} state tensors", policy.len(), state.len()));
-    }
-    let write = |tensors, metadata| {
-        safetensors::serialize(tensors, metadata).map_err(|error| error.to_string())
-    };
-    Ok((write(state, metadata.metadata().clone())?, write(policy, None)?))
-}
-
-fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), CheckpointError> {
-    let write = || {
-        let mut file = File::create(path)?;
-        file.write_all(bytes)?;
-        file.sync_all()
-    };
-    write().map_err(CheckpointError::io(path, "write"))
-}
-
-fn sync_dir(path: &Path) -> Result<(), CheckpointError> {
-    File::open(path).and_then(|dir| dir.sync_all()).map_err(CheckpointError::io(path, "sync"))
+/// Seconds since 1970.
+pub(super) fn now() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs())
 }

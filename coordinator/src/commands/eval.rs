@@ -3,14 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use proto::config::TaskName;
-use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use sim_worker::evaluate::{self, Course, EpisodeResult, EvaluationOptions};
 use sim_worker::robot::Robot;
 use sim_worker::rollout::World;
 
-use crate::checkpoint::{Checkpoint, CheckpointStore, MANIFEST};
+use crate::checkpoint::{Checkpoint, Selector};
 use crate::cli::EvalArgs;
 use crate::output;
 
@@ -36,23 +35,12 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
     ))
 }
 
-/// The checkpoint at `path`, or the newest of the run there.
+/// The checkpoint that a path or a text such as `RUN:best` names.
 fn open(path: &Path) -> anyhow::Result<Checkpoint> {
-    let run_dir = RunDir::new(path);
-    let store = CheckpointStore::new(run_dir.checkpoints());
-    if path.join(MANIFEST).is_file() {
-        return Ok(store.load(path)?);
-    }
-    if run_dir.config().is_file() {
-        return Ok(store.latest()?);
-    }
-    let what = if path.exists() {
-        "is neither a run directory nor a checkpoint"
-    } else {
-        "does not exist"
-    };
-    let message = format!("{}: {what}; `octopus status` lists the runs", path.display());
-    Err(ExitError::new(ExitCode::RunDirectory, message).into())
+    let selector = Selector::from_path(path).map_err(|message| {
+        ExitError::new(ExitCode::Usage, format!("{}: {message}", path.display()))
+    })?;
+    Ok(selector.open()?)
 }
 
 /// Mean, spread and percentiles over a set of errors.

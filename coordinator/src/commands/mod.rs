@@ -1,13 +1,18 @@
 //! The commands of `octopus`, one file each.
 
+pub mod checkpoints;
 pub mod clean;
 pub mod doctor;
 pub mod eval;
 pub mod mjcf;
 pub mod resume;
+pub mod rollout;
+pub mod scale;
+pub mod serve;
 pub mod simulate;
 pub mod status;
 pub mod train;
+pub mod verify;
 
 use std::io::BufReader;
 
@@ -31,6 +36,11 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Doctor(args) => doctor::run(args),
         Command::Status(args) => status::run(&args),
+        Command::Scale(args) => scale::run(&args),
+        Command::Rollout(args) => rollout::run(&args),
+        Command::Verify(args) => verify::run(&args),
+        Command::Checkpoints(args) => checkpoints::run(&args),
+        Command::Serve(args) => serve::run(&args),
         Command::Clean(args) => clean::run(args),
         Command::Janitor(args) => janitor_run(&args),
     }

@@ -30,7 +30,7 @@ pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
         .into());
     }
     let domain = Domain::fresh();
-    let _lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+    let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
 
     let text = read(&run_dir.config())?;
     let before = Config::from_resolved_toml(&text, &run_dir.config().display().to_string())?;
@@ -76,8 +76,12 @@ pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
             format!("{}: cannot be created: {error}", run_dir.logs().display()),
         )
     })?;
-    let start = Start { run_dir, config, robot, resume, programs, domain, provenance };
-    train::run_session(start, args.ending)
+    // Another budget is another course of the learning rate.
+    let same = config.run.env_steps == before.run.env_steps;
+    let service = Some(args.http.clone());
+    let start =
+        Start { run_dir, config, robot, resume, same, programs, domain, provenance, service };
+    train::run_session(start, lock, args.ending)
 }
 
 /// The configuration with the limits of the command line, and what they changed.
@@ -128,15 +132,32 @@ fn check_unchanged(
         ))
     };
     let then = &checkpoint.config;
+    // What changes nothing that is learned.
+    let Run { env_steps, time_limit_s, workers, pin, device, .. } = then.run.clone();
+    let Run { checkpoint_every, checkpoint_every_s, checkpoints_kept, keep_every, .. } = then.run;
+    let Run { milestone_every_s, evaluate_every, evaluation_episodes, .. } = then.run;
+    let Run { evaluation_steps, best_after, order_deadline_s, .. } = then.run;
+    let Run { seed, overlap, precision, learner_threads, .. } = config.run;
     let free = Run {
-        env_steps: then.run.env_steps,
-        time_limit_s: then.run.time_limit_s,
-        workers: then.run.workers,
-        device: then.run.device.clone(),
-        checkpoint_every: then.run.checkpoint_every,
-        checkpoints_kept: then.run.checkpoints_kept,
-        order_deadline_s: then.run.order_deadline_s,
-        ..config.run.clone()
+        seed,
+        env_steps,
+        time_limit_s,
+        workers,
+        pin,
+        overlap,
+        device,
+        precision,
+        learner_threads,
+        checkpoint_every,
+        checkpoint_every_s,
+        checkpoints_kept,
+        keep_every,
+        milestone_every_s,
+        evaluate_every,
+        evaluation_episodes,
+        evaluation_steps,
+        best_after,
+        order_deadline_s,
     };
     let groups = [
         ("task", config.task == then.task),

@@ -1,5 +1,6 @@
 //! `octopus status`: how a run is doing.
 
+use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 
 use proto::config::Config;
@@ -11,10 +12,12 @@ use serde_json::Value;
 use super::train::RUNS;
 use crate::checkpoint::CheckpointStore;
 use crate::cli::StatusArgs;
+use crate::live::{LiveStatus, Role, Stages};
 use crate::lock::RunLock;
-use crate::output;
+use crate::preflight::mib;
 use crate::report::jsonl;
 use crate::report::progress::grouped;
+use crate::{client, output};
 
 /// What can be said about a run from outside.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -35,20 +38,41 @@ pub struct RunStatus {
     pub last: Option<Value>,
     /// Its newest checkpoint.
     pub checkpoint: Option<PathBuf>,
+    /// Its processes and stages, while it runs and its HTTP service answers.
+    pub live: Option<LiveStatus>,
 }
 
 /// Shows one run or all.
 pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
     let Some(run_dir) = &args.run_dir else { return list(args.json) };
-    let status = inspect(run_dir)?;
-    if args.json {
-        return output::json(&status);
+    let Some(interval) = args.watch else {
+        let status = inspect(run_dir)?;
+        return if args.json { output::json(&status) } else { output::line(&show(&status)) };
+    };
+    let clear = std::io::stdout().is_terminal();
+    loop {
+        let status = inspect(run_dir)?;
+        if args.json {
+            output::line(&serde_json::to_string(&status)?)?;
+        } else {
+            // From the top left corner, and nothing of before below it.
+            let (before, after) = if clear { ("\x1b[H\x1b[J", "") } else { ("", "\n") };
+            output::line(&format!("{before}{}{after}", show(&status)))?;
+        }
+        if status.state != "running" {
+            return Ok(());
+        }
+        std::thread::sleep(interval);
     }
+}
+
+/// What a person reads.
+fn show(status: &RunStatus) -> String {
     let number =
         |pointer: &str| status.last.as_ref().and_then(|last| last.pointer(pointer)?.as_f64());
     let mut lines = vec![
         format!("{:14}{}", "run", status.run_dir.display()),
-        format!("{:14}{}", "state", describe(&status)),
+        format!("{:14}{}", "state", describe(status)),
         format!("{:14}{}", "task", status.task),
         format!("{:14}{} of {}", "iterations", status.iterations, status.planned_iterations),
     ];
@@ -76,10 +100,81 @@ pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
     if let Some(checkpoint) = &status.checkpoint {
         lines.push(format!("{:14}{}", "checkpoint", checkpoint.display()));
     }
+    if let Some(live) = &status.live {
+        lines.push(show_live(live));
+    }
     if status.state == "stopped" {
         lines.push(format!("{:14}octopus resume {}", "go on with", status.run_dir.display()));
     }
-    output::line(&lines.join("\n"))
+    lines.join("\n")
+}
+
+/// What only the live run knows.
+fn show_live(live: &LiveStatus) -> String {
+    let Stages { rollout_s, wait_s, update_s, publish_s, digest_s, copy_s, commit_s } = live.stages;
+    let share = |seconds: f64| format!("{seconds:.1} s ({:.1} %)", 100.0 * seconds / live.wall_s);
+    let totals = &live.accounting;
+    let mut lines = vec![
+        format!("{:14}{} open, {} in flight", "shards", live.shards_open, live.shards_in_flight),
+        format!(
+            "{:14}{} produced, {} trained on, {} duplicate, {} lost",
+            "accounting",
+            grouped(totals.produced),
+            grouped(totals.trained),
+            grouped(totals.duplicate),
+            grouped(totals.lost)
+        ),
+        format!(
+            "{:14}{} resident, of it shared {}",
+            "memory",
+            mib(live.resident_bytes),
+            mib(live.shared_memory_bytes)
+        ),
+        format!("{:14}{} committed", "checkpoints", live.commits),
+    ];
+    if let Some((name, score)) = &live.best {
+        lines.push(format!("{:14}{name}, score {score:.3}", "best"));
+    }
+    if let Some(eta) = live.eta_s {
+        lines.push(format!("{:14}{eta:.0} s", "left"));
+    }
+    let stages = [
+        ("rollout", rollout_s),
+        ("wait", wait_s),
+        ("update", update_s),
+        ("publish", publish_s),
+        ("digest", digest_s),
+        ("copy", copy_s),
+        ("commit", commit_s),
+    ];
+    lines.push(String::new());
+    lines.push(output::table(
+        ["stage", "time, share of this session"],
+        stages.map(|(name, seconds)| [name.to_owned(), share(seconds)]),
+    ));
+    lines.push(String::new());
+    let rows = live.processes.iter().map(|process| {
+        let name = match (process.role, process.worker) {
+            (Role::Coordinator, _) => "coordinator".to_owned(),
+            (Role::Learner, _) => "learner".to_owned(),
+            (Role::Worker, worker) => format!("worker {}", worker.unwrap_or_default()),
+        };
+        let rate = process.env_steps as f64 / process.rollout_s;
+        [
+            name,
+            process.pid.map_or_else(|| "-".to_owned(), |pid| pid.to_string()),
+            process.state.clone(),
+            process.restarts.to_string(),
+            format!("{:.1} s", process.cpu_s),
+            mib(process.resident_bytes),
+            if rate.is_finite() { grouped(rate as u64) } else { "-".to_owned() },
+            process.shards.join(" "),
+        ]
+    });
+    let header =
+        ["process", "pid", "state", "replaced", "processor", "memory", "env-steps/s", "shards"];
+    lines.push(output::table(header, rows));
+    lines.join("\n")
 }
 
 fn describe(status: &RunStatus) -> String {
@@ -161,5 +256,6 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         planned_iterations,
         last,
         checkpoint: CheckpointStore::new(run_dir.checkpoints()).list()?.pop(),
+        live: if state == "running" { client::status(path) } else { None },
     })
 }

@@ -15,7 +15,9 @@ use sim_worker::robot::Robot;
 
 use super::eval::{self, Summary};
 use crate::checkpoint::{Checkpoint, CheckpointStore};
-use crate::cli::{Ending, TrainArgs};
+use crate::cli::{Ending, HttpArgs, Listen, TrainArgs};
+use crate::http::{Service, ServiceSpec, Token};
+use crate::live::LiveRun;
 use crate::lock::RunLock;
 use crate::preflight::{self, Verdict};
 use crate::provenance::{self, Provenance};
@@ -40,13 +42,16 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
 
     create(&run_dir)?;
     let domain = Domain::fresh();
-    let _lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+    let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
     let provenance = Provenance::gather();
     files::replace(&run_dir.robot(), robot.to_toml().as_bytes())?;
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     record(&run_dir, &provenance, &[])?;
-    let start = Start { run_dir, config, robot, resume: None, programs, domain, provenance };
-    run_session(start, args.ending)
+    let service = Some(args.http.clone());
+    let same = true;
+    let start =
+        Start { run_dir, config, robot, resume: None, same, programs, domain, provenance, service };
+    run_session(start, lock, args.ending)
 }
 
 /// What a session starts from, of a new run or of an old one.
@@ -55,20 +60,36 @@ pub(super) struct Start {
     pub(super) config: Config,
     pub(super) robot: Robot,
     pub(super) resume: Option<Checkpoint>,
+    /// Whether what is trained on again must end as it did before.
+    pub(super) same: bool,
     pub(super) programs: Programs,
     pub(super) domain: Domain,
     pub(super) provenance: Provenance,
+    pub(super) service: Option<HttpArgs>,
 }
 
-/// Runs a session to its end, evaluates and says where everything is. The caller holds the lock.
-pub(super) fn run_session(start: Start, ending: Ending) -> anyhow::Result<()> {
-    let Start { run_dir, config, robot, resume, programs, domain, provenance } = start;
+/// Runs a session to its end, evaluates and says where everything is.
+pub(super) fn run_session(start: Start, mut lock: RunLock, ending: Ending) -> anyhow::Result<()> {
+    let Start { run_dir, config, robot, resume, same, programs, domain, provenance, service } =
+        start;
     let stop = StopRequests::new();
     stop.listen().context("signals cannot be caught")?;
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
     let mut reporter = Reporter::create(&run_dir, &config, resume_from, ending.quiet)?;
+    if !same {
+        reporter.forget_promised();
+    }
     if !ending.quiet {
         reporter.note(&introduction(&config, &run_dir, resume_from));
+    }
+    let live = LiveRun::new();
+    let service = match service {
+        Some(args) => serve(&args, &run_dir, &live)?,
+        None => None,
+    };
+    if let Some(service) = &service {
+        lock.announce(&service.address().to_string())
+            .with_context(|| format!("{}: cannot be written", run_dir.lock().display()))?;
     }
     let spec = SessionSpec {
         run_dir: run_dir.clone(),
@@ -79,13 +100,31 @@ pub(super) fn run_session(start: Start, ending: Ending) -> anyhow::Result<()> {
         provenance: serde_json::to_value(provenance).context("provenance has no JSON form")?,
         domain,
         stop: stop.clone(),
+        until: None,
+        live,
     };
     let result = session::run(&spec, &mut reporter);
+    if let Some(service) = service {
+        service.stop();
+    }
     // Also after a failure: what was measured until then is worth keeping.
     let finished = reporter.finish();
     let outcome = result?;
     finished?;
     conclude(&run_dir, &outcome, &stop, ending)
+}
+
+/// Starts the run's HTTP service.
+fn serve(args: &HttpArgs, run_dir: &RunDir, live: &LiveRun) -> anyhow::Result<Option<Service>> {
+    let Listen::At(address) = args.listen else { return Ok(None) };
+    let token = match &args.token_file {
+        Some(path) => Some(Token::from_file(path)?),
+        None => Token::from_environment()?,
+    };
+    let store = CheckpointStore::new(run_dir.checkpoints());
+    let live = Some(live.clone());
+    let spec = ServiceSpec { address, token, live, ..ServiceSpec::new(store) };
+    Ok(Some(Service::start(spec)?))
 }
 
 fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
@@ -224,6 +263,7 @@ fn flags(args: &TrainArgs) -> Vec<Flag> {
     let text = |value: &Option<String>| value.clone().map(toml::Value::String);
     let limit = args.limits.time_limit.map(|limit| limit.as_secs_f64().into());
     add("--workers", "run", "workers", integer(args.workers));
+    add("--pin", "run", "pin", args.pin.then_some(true.into()));
     add("--seed", "run", "seed", integer(args.seed));
     add("--overlap", "run", "overlap", integer(args.overlap));
     add("--env-steps", "run", "env_steps", integer(args.limits.env_steps));

@@ -123,7 +123,7 @@ impl Line {
         use Cell::{Count, Double, Single};
         let Errors { position, orientation, base, contact_rate } = self.errors;
         let Accounting { produced, received, trained, duplicate, lost } = self.accounting;
-        let Timing { wait_s, update_s, publish_s, digest_s, rollout_s } = self.timing;
+        let Timing { wait_s, update_s, publish_s, digest_s, copy_s, rollout_s } = self.timing;
         let mut cells = vec![
             ("iteration".into(), Count(self.iteration)),
             ("env_steps".into(), Count(self.env_steps)),
@@ -164,6 +164,7 @@ impl Line {
             ("timing.update_s".into(), Double(update_s)),
             ("timing.publish_s".into(), Double(publish_s)),
             ("timing.digest_s".into(), Double(digest_s)),
+            ("timing.copy_s".into(), Double(copy_s)),
             ("timing.rollout_s".into(), Double(rollout_s)),
         ]);
         cells

@@ -38,7 +38,7 @@
 //! | `accounting.trained` | | env-steps trained on |
 //! | `accounting.duplicate` | | env-steps that arrived twice and were dropped |
 //! | `accounting.lost` | | env-steps that died with a worker: `produced - received` |
-//! | `timing.wait_s`, `.update_s`, `.publish_s`, `.digest_s` | s | where the learner's time went |
+//! | `timing.wait_s`, `.update_s`, `.publish_s`, `.digest_s`, `.copy_s` | s | where the learner's time went |
 //! | `timing.rollout_s` | s | the workers' time for the blocks trained on, summed |
 //!
 //! `errors`, `accounting` and `timing` are objects in the JSON and dotted columns in the table. A
@@ -57,8 +57,11 @@ mod line;
 pub mod progress;
 pub mod tensorboard;
 
+use std::collections::BTreeMap;
+
 use anyhow::Context as _;
 pub use line::{Cell, Line};
+use proto::Digest;
 use proto::config::Config;
 use proto::message::IterationReport;
 use proto::run_dir::RunDir;
@@ -92,6 +95,8 @@ pub struct Reporter {
     progress: Progress,
     /// What earlier sessions of the run took, as the last kept line says (s).
     wall_before_s: f64,
+    /// Digests of the lines that were dropped, by iteration.
+    promised: BTreeMap<u64, Digest>,
 }
 
 impl Reporter {
@@ -104,6 +109,7 @@ impl Reporter {
         quiet: bool,
     ) -> anyhow::Result<Self> {
         let keep = resume_from.unwrap_or(0);
+        let promised = dropped(run_dir, keep)?;
         let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
         let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
         let last = last.unwrap_or_default();
@@ -121,18 +127,45 @@ impl Reporter {
             events,
             progress: Progress::new(config, env_steps, quiet),
             wall_before_s: last["wall_s"].as_f64().unwrap_or(0.0),
+            promised,
         })
     }
 
-    /// Records an iteration.
-    pub fn iteration(&mut self, report: &IterationReport, live: &Live) -> anyhow::Result<()> {
+    /// Digests that iterations to come had when they were trained on before, by iteration.
+    pub fn take_promised(&mut self) -> BTreeMap<u64, Digest> {
+        std::mem::take(&mut self.promised)
+    }
+
+    /// Forgets what iterations to come were before: the configuration has changed what they learn.
+    pub fn forget_promised(&mut self) {
+        self.promised.clear();
+    }
+
+    /// Drops the lines of `iteration` and later, which are to be trained on again; returns their
+    /// digests.
+    pub fn rewind(&mut self, iteration: u64) -> anyhow::Result<BTreeMap<u64, Digest>> {
+        let dropped = dropped(&self.run_dir, iteration)?;
+        let (lines, last) = JsonLines::open(&self.run_dir.metrics_jsonl(), iteration)?;
+        self.lines = lines;
+        self.table = CsvTable::open(&self.run_dir.metrics_csv(), iteration)?;
+        let env_steps = last.and_then(|last| last["env_steps"].as_u64()).unwrap_or(0);
+        self.events.forget_after(env_steps)?;
+        Ok(dropped)
+    }
+
+    /// Records an iteration; returns its line.
+    pub fn iteration(
+        &mut self,
+        report: &IterationReport,
+        live: &Live,
+    ) -> anyhow::Result<serde_json::Value> {
         let live = Live { wall_s: live.wall_s + self.wall_before_s, ..*live };
         let line = Line::new(report, &live);
         self.lines.append(&line)?;
         self.table.append(&line)?;
         self.events.append(&line)?;
         self.progress.iteration(&line);
-        Ok(())
+        serde_json::to_value(&line).context("a line of metrics has no JSON form")
     }
 
     /// Says something that the owner should know: above the bar, or on a line of its own.
@@ -152,6 +185,16 @@ impl Reporter {
         }
         Ok(())
     }
+}
+
+/// Digests of the lines from iteration `keep` on.
+fn dropped(run_dir: &RunDir, keep: u64) -> anyhow::Result<BTreeMap<u64, Digest>> {
+    let lines = jsonl::read(&run_dir.metrics_jsonl())?;
+    let digest = |line: &serde_json::Value| {
+        Some((line["iteration"].as_u64()?, line["digest"].as_str()?.parse().ok()?))
+    };
+    let digests = lines.iter().filter_map(|(_, line)| digest(line));
+    Ok(digests.filter(|(iteration, _)| *iteration >= keep).collect())
 }
 
 #[cfg(test)]

@@ -1,0 +1,159 @@
+//! Who may change a store: one at a time, whichever process or thread it is.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::retry_on_intr;
+
+use super::CheckpointError;
+use super::disk::Disk;
+
+/// Name of the file that is locked.
+const LOCK: &str = ".lock";
+/// Prefix of a directory that is being written.
+pub(super) const WRITING: &str = ".writing-";
+/// Prefix of a directory that is being removed.
+pub(super) const REMOVED: &str = ".removed-";
+/// Prefix of labels that are being written.
+const STUMP: &str = ".labels.json.";
+
+/// The exclusive right to change a store. The kernel takes it back when the process ends.
+///
+/// It is held for renames and small files only: a checkpoint's bytes are written, synced and
+/// hashed before it is taken, so nobody ever waits for another one's disk.
+#[derive(Debug)]
+pub(super) struct Guard {
+    _file: File,
+}
+
+impl Guard {
+    /// Waits for the right to change the store in `root`, which is made if it does not exist.
+    pub(super) fn acquire(disk: &Disk, root: &Path) -> Result<Self, CheckpointError> {
+        if !root.is_dir() {
+            disk.step("create", root, || fs::create_dir_all(root))?;
+            if let Some(parent) = root.parent().filter(|path| !path.as_os_str().is_empty()) {
+                disk.sync_dir(parent)?;
+            }
+        }
+        let path = root.join(LOCK);
+        let file = disk.step("lock", &path, || {
+            let file = File::options().write(true).create(true).truncate(false).open(&path)?;
+            retry_on_intr(|| flock(&file, FlockOperation::LockExclusive))?;
+            Ok(file)
+        })?;
+        Ok(Self { _file: file })
+    }
+
+    /// Takes the right to change the store in `root` if it exists and nobody has it.
+    pub(super) fn try_acquire(root: &Path) -> Option<Self> {
+        let path = root.join(LOCK);
+        let file = File::options().write(true).create(true).truncate(false).open(path).ok()?;
+        flock(&file, FlockOperation::NonBlockingLockExclusive).ok()?;
+        Some(Self { _file: file })
+    }
+}
+
+/// A directory that is being written, inside the store but invisible to readers.
+///
+/// While it lives it holds a lock on the directory itself. That is how [`sweep`] tells it from
+/// what a killed process has left. Dropped, it is removed, unless it was published.
+#[derive(Debug)]
+pub(super) struct Scratch<'a> {
+    disk: &'a Disk,
+    path: PathBuf,
+    published: bool,
+    _hold: File,
+}
+
+impl<'a> Scratch<'a> {
+    /// Makes one.
+    pub(super) fn new(disk: &'a Disk, root: &Path, label: &str) -> Result<Self, CheckpointError> {
+        // Without the guard a sweep could come between making and locking it.
+        let _guard = Guard::acquire(disk, root)?;
+        let path = unique(root, WRITING, label);
+        disk.create_dir(&path)?;
+        let hold = disk.step("lock", &path, || {
+            let hold = File::open(&path)?;
+            flock(&hold, FlockOperation::NonBlockingLockExclusive)?;
+            Ok(hold)
+        });
+        match hold {
+            Ok(hold) => Ok(Self { disk, path, published: false, _hold: hold }),
+            Err(error) => {
+                let _ = disk.remove_dir(&path);
+                Err(error)
+            }
+        }
+    }
+
+    /// Where it is.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Gives it its final name.
+    pub(super) fn publish(mut self, target: &Path, _: &Guard) -> Result<(), CheckpointError> {
+        self.disk.rename(&self.path, target)?;
+        self.published = true;
+        Ok(())
+    }
+
+    /// Removes it.
+    pub(super) fn discard(mut self) -> Result<(), CheckpointError> {
+        self.published = true;
+        self.disk.remove_dir(&self.path)
+    }
+}
+
+impl Drop for Scratch<'_> {
+    fn drop(&mut self) {
+        if !self.published {
+            // The error that led here is the one to report; a sweep takes what stays.
+            let _ = self.disk.remove_dir(&self.path);
+        }
+    }
+}
+
+/// Removes what killed processes have left in the store.
+pub(super) fn sweep(disk: &Disk, root: &Path, _: &Guard) -> Result<(), CheckpointError> {
+    for entry in fs::read_dir(root).map_err(CheckpointError::io(root, "read"))? {
+        let path = entry.map_err(CheckpointError::io(root, "read"))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if name.starts_with(WRITING) {
+            let alive = File::open(&path)
+                .is_ok_and(|dir| flock(&dir, FlockOperation::NonBlockingLockExclusive).is_err());
+            if !alive && path.is_dir() {
+                disk.remove_dir(&path)?;
+            }
+        } else if name.starts_with(REMOVED) {
+            disk.remove_dir(&path)?;
+        } else if !name.starts_with('.') && !path.is_symlink() && path.is_dir() {
+            sweep_labels(disk, &path)?;
+        }
+    }
+    Ok(())
+}
+
+/// Removes the stump of labels whose writer was killed; the guard keeps living ones away.
+fn sweep_labels(disk: &Disk, dir: &Path) -> Result<(), CheckpointError> {
+    let Ok(entries) = fs::read_dir(dir) else { return Ok(()) };
+    for entry in entries.flatten() {
+        // As `files::temporary` calls them; a checkpoint has no other hidden file.
+        if entry.file_name().to_string_lossy().starts_with(STUMP) {
+            disk.remove_file(&entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// A path in `root` that nobody else uses: prefix, label, process, moment.
+pub(super) fn unique(root: &Path, prefix: &str, label: &str) -> PathBuf {
+    static COUNTER: AtomicU64 = AtomicU64::new(0);
+    let counter = COUNTER.fetch_add(1, Ordering::Relaxed);
+    let nanos = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .map_or(0, |elapsed| elapsed.as_nanos());
+    root.join(format!("{prefix}{label}-{}-{counter}-{nanos:x}", std::process::id()))
+}

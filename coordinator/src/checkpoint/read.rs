@@ -1,0 +1,121 @@
+//! Reading checkpoints: nothing is believed that the manifest does not confirm.
+
+use std::fs::File;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use proto::config::Config;
+use proto::layout::{ActorLayout, Dimensions};
+use safetensors::{Dtype, SafeTensors};
+
+use super::manifest::{FileEntry, Manifest};
+use super::{CONFIG, CheckpointError, MANIFEST, POLICY, ROBOT, STATE};
+
+/// Bytes that are hashed at a time.
+const BUFFER: usize = 1 << 20;
+
+/// A checkpoint that was found whole.
+#[derive(Debug, Clone)]
+pub struct Checkpoint {
+    /// Its directory.
+    pub dir: PathBuf,
+    /// Its manifest.
+    pub manifest: Manifest,
+    /// Its configuration.
+    pub config: Config,
+    /// Its robot, as TOML.
+    pub robot_toml: String,
+}
+
+impl Checkpoint {
+    /// Path of the training state. There is such a file only if the manifest
+    /// [has it](Manifest::has_state).
+    pub fn state(&self) -> PathBuf {
+        self.dir.join(STATE)
+    }
+
+    /// The actors' parameters, flat, in the order of [`ActorLayout`].
+    pub fn actors(&self, n_arms: usize) -> Result<Vec<f32>, CheckpointError> {
+        let layout = ActorLayout::new(&self.config, &Dimensions::new(&self.config, n_arms));
+        read_policy(&self.dir.join(POLICY), &layout)
+    }
+}
+
+/// Reads a file of actors: their parameters, flat, in the order of `layout`.
+pub fn read_policy(path: &Path, layout: &ActorLayout) -> Result<Vec<f32>, CheckpointError> {
+    let bytes = std::fs::read(path).map_err(CheckpointError::io(path, "read"))?;
+    let tensors = SafeTensors::deserialize(&bytes)
+        .map_err(|error| CheckpointError::damaged(path, error.to_string()))?;
+    let mut flat = vec![0.0; layout.len];
+    for spec in &layout.tensors {
+        let tensor = tensors.tensor(&spec.name).map_err(|_| {
+            CheckpointError::damaged(path, format!("tensor `{}` is missing", spec.name))
+        })?;
+        if tensor.dtype() != Dtype::F32 || tensor.shape() != spec.shape {
+            let reason = format!(
+                "tensor `{}` is {:?} {:?}, the configuration wants F32 {:?}",
+                spec.name,
+                tensor.dtype(),
+                tensor.shape(),
+                spec.shape
+            );
+            return Err(CheckpointError::damaged(path, reason));
+        }
+        for (slot, bytes) in flat[spec.range()].iter_mut().zip(tensor.data().chunks_exact(4)) {
+            *slot = f32::from_le_bytes(bytes.try_into().expect("chunks of four"));
+            if !slot.is_finite() {
+                let reason = format!("tensor `{}` holds a number that is not finite", spec.name);
+                return Err(CheckpointError::damaged(path, reason));
+            }
+        }
+    }
+    Ok(flat)
+}
+
+/// Reads a checkpoint directory and checks every listed file of it.
+pub(super) fn load(dir: &Path) -> Result<Checkpoint, CheckpointError> {
+    let manifest = Manifest::read(dir)?;
+    for (name, entry) in &manifest.files {
+        check_file(&dir.join(name), entry)?;
+    }
+    let path = dir.join(CONFIG);
+    let config = Config::from_resolved_toml(&text(&path)?, &path.display().to_string())?;
+    let robot_toml = text(&dir.join(ROBOT))?;
+    Ok(Checkpoint { dir: dir.to_owned(), manifest, config, robot_toml })
+}
+
+/// Compares a file with its entry in the manifest, in pieces.
+pub(super) fn check_file(path: &Path, entry: &FileEntry) -> Result<(), CheckpointError> {
+    let mut file = File::open(path).map_err(CheckpointError::io(path, "read"))?;
+    let len = file.metadata().map_err(CheckpointError::io(path, "read"))?.len();
+    if len != entry.len {
+        let reason = format!("{len} bytes, the manifest says {}", entry.len);
+        return Err(CheckpointError::damaged(path, reason));
+    }
+    let mut hasher = blake3::Hasher::new();
+    let mut buffer = vec![0; BUFFER];
+    loop {
+        let read = file.read(&mut buffer).map_err(CheckpointError::io(path, "read"))?;
+        if read == 0 {
+            break;
+        }
+        hasher.update(&buffer[..read]);
+    }
+    if hasher.finalize().to_hex().as_str() != entry.blake3 {
+        return Err(CheckpointError::damaged(path, "content differs from its BLAKE3 hash"));
+    }
+    Ok(())
+}
+
+/// Whether all listed files are there with the right length; hashes nothing.
+pub(super) fn looks_whole(dir: &Path) -> bool {
+    let Ok(manifest) = Manifest::read(dir) else { return false };
+    manifest.files.iter().all(|(name, entry)| {
+        std::fs::metadata(dir.join(name)).is_ok_and(|file| file.len() == entry.len)
+    }) && dir.join(MANIFEST).is_file()
+}
+
+fn text(path: &Path) -> Result<String, CheckpointError> {
+    let bytes = std::fs::read(path).map_err(CheckpointError::io(path, "read"))?;
+    String::from_utf8(bytes).map_err(|_| CheckpointError::damaged(path, "not UTF-8"))
+}

@@ -1,0 +1,105 @@
+//! Which checkpoints stay, and the removal of the others.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::CheckpointError;
+use super::entry::{Entry, Kind, Survey};
+use super::guard::{Guard, REMOVED, sweep, unique};
+use super::labelling::BEST;
+use super::labels::Labels;
+use super::name::Name;
+use super::read::looks_whole;
+use super::store::CheckpointStore;
+
+/// Which of the run's own checkpoints stay. Pinned ones, milestones and tagged ones always do, and
+/// so do all that are not the run's own: imported and composed ones are for users to remove.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Retention {
+    /// The newest whole ones; at least one stays.
+    pub latest: usize,
+    /// Those whose iteration is a multiple of this; 0 is none.
+    pub every: u64,
+    /// The one with the lowest score.
+    pub best: bool,
+}
+
+impl CheckpointStore {
+    /// Removes the run's own checkpoints that `retention` does not keep, and what killed processes
+    /// have left; returns the names of the former.
+    pub fn retain(&self, retention: &Retention) -> Result<Vec<Name>, CheckpointError> {
+        let guard = self.guard()?;
+        let doomed = doomed(&self.survey()?, retention);
+        for name in &doomed {
+            self.put_away(&guard, name)?;
+        }
+        if !doomed.is_empty() {
+            self.disk.sync_dir(&self.root)?;
+        }
+        sweep(&self.disk, &self.root, &guard)?;
+        self.finish(&guard, &doomed.iter().collect::<Vec<_>>());
+        Ok(doomed)
+    }
+
+    /// What [`Self::retain`] would remove.
+    pub fn doomed(&self, retention: &Retention) -> Result<Vec<Name>, CheckpointError> {
+        Ok(doomed(&self.survey()?, retention))
+    }
+
+    /// Removes a checkpoint, damaged or not; refuses a pinned one.
+    pub fn delete(&self, name: &Name) -> Result<(), CheckpointError> {
+        let guard = self.guard()?;
+        let survey = self.survey()?;
+        let known = survey.entries.iter().map(|entry| &entry.name);
+        if !known.chain(survey.damaged.iter().map(|entry| &entry.name)).any(|there| there == name) {
+            return Err(CheckpointError::absent(&self.root, name));
+        }
+        let dir = self.dir(name);
+        if Labels::read(&dir).pinned {
+            return Err(CheckpointError::Pinned { path: dir });
+        }
+        let away = self.put_away(&guard, name)?;
+        self.disk.sync_dir(&self.root)?;
+        self.disk.remove_dir(&away)?;
+        self.finish(&guard, &[name]);
+        Ok(())
+    }
+
+    /// Makes a checkpoint vanish at once: removing its files takes many steps, a rename one.
+    fn put_away(&self, _: &Guard, name: &Name) -> Result<std::path::PathBuf, CheckpointError> {
+        let away = unique(&self.root, REMOVED, name.as_str());
+        self.disk.rename(&self.dir(name), &away)?;
+        Ok(away)
+    }
+}
+
+/// Names of the run's own checkpoints that go.
+fn doomed(survey: &Survey, retention: &Retention) -> Vec<Name> {
+    let own = || survey.entries.iter().filter(|entry| entry.name.iteration().is_some());
+    let mut whole: Vec<u64> = own()
+        .filter(|entry| entry.kind == Kind::Training && looks_whole(&entry.dir))
+        .filter_map(|entry| entry.name.iteration())
+        .collect();
+    whole.sort_unstable_by(|a, b| b.cmp(a));
+    whole.truncate(retention.latest.max(1));
+    // Whatever is newer than the oldest of these is one of them, or damaged and worth a look.
+    let Some(&oldest_kept) = whole.last() else { return Vec::new() };
+    let kept = |entry: &Entry| {
+        let Labels { pinned, milestone, tags, .. } = &entry.labels;
+        let periodic = retention.every > 0 && entry.iteration.is_multiple_of(retention.every);
+        let tagged = tags.iter().any(|tag| retention.best || tag.as_str() != BEST);
+        periodic || *pinned || *milestone || tagged
+    };
+    let old = |name: &Name| name.iteration().is_some_and(|iteration| iteration < oldest_kept);
+    let mut names: Vec<Name> = own()
+        .filter(|entry| old(&entry.name) && !kept(entry))
+        .map(|entry| entry.name.clone())
+        .collect();
+    let damaged = survey.damaged.iter().filter(|damaged| {
+        let Labels { pinned, milestone, tags, .. } = Labels::read(&damaged.dir);
+        old(&damaged.name) && !pinned && !milestone && tags.is_empty()
+    });
+    names.extend(damaged.map(|damaged| damaged.name.clone()));
+    names.sort();
+    names
+}

@@ -1,0 +1,133 @@
+use safetensors::SafeTensors;
+
+use super::*;
+
+/// A checkpoint of another run, whose actors count up from `first`.
+fn trained(dir: &TempDir, run: &str, set: &[&str], first: f32) -> Checkpoint {
+    let store = CheckpointStore::new(dir.path().join(run));
+    let config = config_with(set);
+    commit_of(&store, &config, &snapshot_of(&config, first as u64 + 1, first, 10));
+    store.latest().expect("whole")
+}
+
+fn part(arms: &[usize], checkpoint: &Checkpoint) -> Part {
+    Part { arms: arms.to_vec(), checkpoint: checkpoint.clone() }
+}
+
+fn refused(parts: &[Part]) -> String {
+    Composition::new(parts).expect_err("they do not fit").to_string()
+}
+
+#[test]
+fn every_arm_keeps_its_own_rows_and_its_origin() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let (a, b) = (trained(&dir, "a", &[], 0.0), trained(&dir, "b", &["run.seed=9"], 5000.0));
+    let parts = [part(&[2, 0], &a), part(&[1, 3], &b)];
+    let composition = Composition::new(&parts).expect("they fit");
+    assert!(composition.notes.is_empty(), "{:?}", composition.notes);
+    let store = CheckpointStore::new(dir.path().join("shared"));
+    let provenance = serde_json::json!({});
+    let entry = store.compose(&name("mixed"), &composition, &provenance).expect("commits");
+    assert_eq!((entry.kind, entry.iteration), (Kind::Composed, 5001));
+    let origins: Vec<_> =
+        entry.origins.iter().map(|o| (o.agent, o.source_agent, o.digest)).collect();
+    let (x, y) = (a.manifest.digest, b.manifest.digest);
+    let expected: Vec<_> =
+        [x, x, y, y, x, x, y, y].into_iter().enumerate().map(|(i, d)| (i, i, d)).collect();
+    assert_eq!(origins, expected);
+
+    let composed = store.load(&entry.dir).expect("whole");
+    assert!(!composed.manifest.has_state());
+    assert!(store.verify(&entry.name).expect("there").is_whole());
+    let (actors, from_a, from_b) = (composed.actors(4), a.actors(4), b.actors(4));
+    let (actors, from_a, from_b) =
+        (actors.expect("actors"), from_a.expect("actors"), from_b.expect("actors"));
+    let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), 4));
+    for tensor in &layout.tensors {
+        let len = tensor.len() / 8;
+        for agent in 0..8 {
+            let row = tensor.offset + agent * len..tensor.offset + (agent + 1) * len;
+            let source = if [0, 1, 4, 5].contains(&agent) { &from_a } else { &from_b };
+            assert_eq!(actors[row.clone()], source[row], "{} of agent {agent}", tensor.name);
+        }
+    }
+
+    // The digest is what anybody computes from the file.
+    let bytes = std::fs::read(entry.dir.join(POLICY)).expect("read");
+    let tensors = SafeTensors::deserialize(&bytes).expect("whole");
+    let mut names: Vec<_> = tensors.names();
+    names.sort_unstable();
+    let mut digest = DigestBuilder::new();
+    for name in names {
+        digest.field(name, tensors.tensor(name).expect("there").data());
+    }
+    assert_eq!(entry.digest, digest.finish());
+
+    // It is no run's own: not the latest, and no retention removes it.
+    assert!(store.latest().is_err());
+    let again = store.compose(&name("mixed"), &composition, &provenance).expect("the same again");
+    assert_eq!(again, entry);
+    let other = Composition::new(&[part(&[0, 1, 2, 3], &a)]).expect("fits");
+    let error = store.compose(&name("mixed"), &other, &provenance).expect_err("another");
+    assert!(matches!(error, CheckpointError::Conflict { .. }), "{error}");
+    assert!(store.compose(&nth(1), &composition, &provenance).is_err(), "a run's name");
+}
+
+#[test]
+fn every_arm_is_given_once() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let a = trained(&dir, "a", &[], 0.0);
+    assert!(refused(&[]).contains("at least one"));
+    let message = refused(&[part(&[0, 2], &a)]);
+    assert!(message.contains("no part has arm 2, 4"), "{message}");
+    let message = refused(&[part(&[0, 1, 2, 3], &a), part(&[2], &a)]);
+    assert!(message.contains("arm 3 is given twice"), "{message}");
+    let message = refused(&[part(&[0, 1, 2, 3, 4], &a)]);
+    assert!(message.contains("no arm 5") && message.contains("has 4"), "{message}");
+}
+
+#[test]
+fn what_does_not_go_together_is_refused_with_both_sides() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let a = trained(&dir, "a", &[], 0.0);
+    for (index, (set, key)) in [
+        ("task.observation=\"paper\"", "task.observation"),
+        ("task.action_scale=0.123", "task.action_scale"),
+        ("env.control_period=0.2", "env.control_period"),
+        ("network.hidden=[5]", "network.hidden"),
+        ("network.activation=\"elu\"", "network.activation"),
+        ("network.layer_norm=true", "network.layer_norm"),
+        ("network.squash_mean=false", "network.squash_mean"),
+        ("network.input_clip=77.0", "network.input_clip"),
+        ("network.input_norm=\"none\"", "network.input_norm"),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let b = trained(&dir, &format!("b{index}"), &[set], 0.0);
+        assert_ne!(b.config, a.config, "{set} is the preset's own value");
+        let message = refused(&[part(&[0, 1, 2], &a), part(&[3], &b)]);
+        for word in [key, "arms 1,2,3 (", "arm 4 (", "must be equal"] {
+            assert!(message.contains(word), "{set}: `{word}` is not in: {message}");
+        }
+    }
+    let b = trained(&dir, "c", &["task.name=\"reorientation\""], 0.0);
+    let message = refused(&[part(&[0, 1, 2], &a), part(&[3], &b)]);
+    assert!(message.contains("different tasks cannot be mixed"), "{message}");
+    assert!(message.contains("`trajectory`") && message.contains("`reorientation`"), "{message}");
+
+    let mut b = trained(&dir, "d", &[], 0.0);
+    b.robot_toml = Robot::builtin("release").expect("built in").to_toml();
+    let message = refused(&[part(&[0, 1, 2], &a), part(&[3], &b)]);
+    assert!(message.contains("different robots"), "{message}");
+}
+
+#[test]
+fn what_only_matters_for_training_is_noted() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let a = trained(&dir, "a", &[], 0.0);
+    let b = trained(&dir, "b", &["task.episode_steps=77", "algorithm.gamma=0.5"], 0.0);
+    let parts = [part(&[0, 1], &a), part(&[2, 3], &b)];
+    let composition = Composition::new(&parts).expect("they fit");
+    assert_eq!(composition.notes, ["task.episode_steps"]);
+}

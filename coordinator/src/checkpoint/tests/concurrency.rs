@@ -1,0 +1,96 @@
+//! Several writers and readers at once.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rusqlite::Connection;
+
+use super::*;
+
+#[test]
+fn writers_of_every_kind_end_in_a_consistent_store() {
+    let (_dir, store) = store_with(&[1]);
+    let archive = packed(&store, &nth(1));
+    let retention = Retention { latest: 2, every: 0, best: true };
+    let done = AtomicBool::new(false);
+    // Each thread has a store of its own, as each process would.
+    let root = store.root().to_owned();
+    let own = || CheckpointStore::new(&root);
+    std::thread::scope(|scope| {
+        let mut writers = vec![scope.spawn(|| {
+            let store = own();
+            for iteration in 2..14 {
+                commit(&store, iteration);
+                let value = 1.0 / iteration as f64;
+                // Pruned meanwhile by another thread, unless it is the newest, which it is.
+                store.record_score(&nth(iteration), score(value)).expect("scores");
+                store.retain(&retention).expect("retains");
+            }
+        })];
+        writers.push(scope.spawn(|| {
+            let store = own();
+            for round in 0..20 {
+                let newest = store.latest().expect("always one").manifest.iteration;
+                // It may have been removed since.
+                let tagged = store.tag(&nth(newest), "mine");
+                assert!(!matches!(tagged, Err(CheckpointError::Damaged { .. })), "{tagged:?}");
+                let pinned = store.pin(&nth(newest), round % 2 == 0);
+                assert!(!matches!(pinned, Err(CheckpointError::Damaged { .. })), "{pinned:?}");
+            }
+        }));
+        for thread in 0..2 {
+            let (archive, own) = (&archive, &own);
+            writers.push(scope.spawn(move || {
+                let store = own();
+                for round in 0..6 {
+                    let name = name(&format!("import-{}", round % 3));
+                    store.import(&archive[..], Some(name.clone())).expect("the same checkpoint");
+                    if thread == 0 {
+                        store.retain(&retention).expect("retains");
+                    }
+                }
+            }));
+        }
+        let reader = scope.spawn(|| {
+            let store = own();
+            let mut rounds = 0;
+            while !done.load(Ordering::Relaxed) {
+                let survey = store.survey().expect("readable");
+                assert_eq!(survey.damaged, []);
+                store.latest().expect("always one");
+                rounds += 1;
+            }
+            rounds
+        });
+        let results: Vec<_> =
+            writers.into_iter().map(std::thread::ScopedJoinHandle::join).collect();
+        done.store(true, Ordering::Relaxed);
+        for result in results {
+            result.expect("no writer failed");
+        }
+        assert!(reader.join().expect("the reader never failed") > 0);
+    });
+
+    store.retain(&retention).expect("retains");
+    let entries = store.entries().expect("readable");
+    for entry in &entries {
+        assert!(store.verify(&entry.name).expect("there").is_whole(), "{}", entry.name);
+    }
+    assert_eq!(store.latest().expect("whole").manifest.iteration, 13);
+    assert_eq!(store.best().expect("reads").expect("scored").name, nth(13));
+    for tag in ["mine", BEST] {
+        let holders = entries.iter().filter(|entry| entry.labels.has_tag(tag)).count();
+        assert!(holders <= 1, "{tag} is on {holders}");
+    }
+    let left: Vec<_> =
+        contents(store.root()).into_iter().filter(|name| name.starts_with('.')).collect();
+    assert!(left.is_empty(), "{left:?}");
+
+    let database = Connection::open(store.root().join(CATALOGUE)).expect("opens");
+    let mut statement = database.prepare("select name from checkpoints").expect("a table");
+    let mut rows: Vec<String> =
+        statement.query_map([], |row| row.get(0)).and_then(Iterator::collect).expect("reads");
+    let mut names = names(&store);
+    rows.sort();
+    names.sort();
+    assert_eq!(rows, names);
+}

@@ -1,0 +1,93 @@
+use super::*;
+
+const fn keep(latest: usize, every: u64, best: bool) -> Retention {
+    Retention { latest, every, best }
+}
+
+fn iterations(store: &CheckpointStore) -> Vec<u64> {
+    let entries = store.entries().expect("readable").into_iter();
+    entries.filter_map(|entry| entry.name.iteration()).collect()
+}
+
+#[test]
+fn the_newest_stay_and_killed_commits_are_swept() {
+    let (_dir, store) = store_with(&[100, 3, 20]);
+    for left in [".writing-iteration-00000200", ".removed-iteration-00000001-5"] {
+        std::fs::create_dir(store.root().join(left)).expect("mkdir");
+        std::fs::write(store.root().join(left).join(STATE), "a part").expect("write");
+    }
+    std::fs::write(store.dir(&nth(20)).join(".labels.json.77.tmp"), "{").expect("write");
+    assert_eq!(store.retain(&keep(2, 0, true)).expect("retains"), [nth(3)]);
+    assert_eq!(contents(store.root()), ["iteration-00000020", "iteration-00000100"]);
+    assert!(!contents(&store.dir(&nth(20))).iter().any(|file| file.contains("tmp")));
+}
+
+#[test]
+fn a_commit_under_way_is_not_swept() {
+    let (_dir, store) = store_with(&[1]);
+    let scratch =
+        super::super::guard::Scratch::new(&store.disk, store.root(), "slow").expect("makes");
+    store.retain(&keep(1, 0, true)).expect("retains");
+    assert!(scratch.path().is_dir(), "its writer is alive");
+    let path = scratch.path().to_owned();
+    drop(scratch);
+    assert!(!path.exists());
+}
+
+#[test]
+fn what_is_pinned_tagged_best_periodic_or_a_milestone_stays() {
+    let all: Vec<u64> = (1..=10).collect();
+    let (_dir, store) = store_with(&all);
+    store.pin(&nth(1), true).expect("pins");
+    store.tag(&nth(2), "mine").expect("tags");
+    store.set_milestone(&nth(3), true).expect("marks");
+    store.record_score(&nth(5), score(0.1)).expect("scores");
+    let planned = store.doomed(&keep(2, 4, true)).expect("plans");
+    assert_eq!(planned, [6, 7].map(nth));
+    assert_eq!(iterations(&store), all, "a plan removes nothing");
+    assert_eq!(store.retain(&keep(2, 4, true)).expect("retains"), planned);
+    assert_eq!(iterations(&store), [1, 2, 3, 4, 5, 8, 9, 10]);
+    assert_eq!(store.retain(&keep(2, 0, false)).expect("retains"), [4, 5, 8].map(nth));
+    assert_eq!(store.retain(&keep(0, 0, false)).expect("retains"), [nth(9)]);
+    assert_eq!(iterations(&store), [1, 2, 3, 10], "the newest always stays");
+}
+
+#[test]
+fn a_damaged_newest_one_does_not_count() {
+    let (_dir, store) = store_with(&[1, 2, 3, 4]);
+    let state = store.dir(&nth(3)).join(STATE);
+    let bytes = std::fs::read(&state).expect("read");
+    std::fs::write(&state, &bytes[1..]).expect("write");
+    std::fs::remove_file(store.dir(&nth(4)).join(MANIFEST)).expect("remove");
+    assert_eq!(store.retain(&keep(1, 0, true)).expect("retains"), [nth(1)]);
+    assert_eq!(store.latest().expect("whole").manifest.iteration, 2);
+    // As training goes on, the damaged ones go like others.
+    for iteration in [5, 6] {
+        commit(&store, iteration);
+    }
+    assert_eq!(store.retain(&keep(2, 0, true)).expect("retains"), [2, 3, 4].map(nth));
+}
+
+#[test]
+fn nothing_is_removed_while_none_is_whole() {
+    let (_dir, store) = store_with(&[1, 2]);
+    for iteration in [1, 2] {
+        std::fs::write(store.dir(&nth(iteration)).join(STATE), "damaged").expect("write");
+    }
+    assert_eq!(store.retain(&keep(1, 0, true)).expect("retains"), []);
+}
+
+#[test]
+fn imported_ones_are_for_users_to_remove() {
+    let (_dir, store) = store_with(&[1, 2]);
+    let bytes = packed(&store, &nth(1));
+    store.import(&bytes[..], Some(name("foreign"))).expect("imports");
+    store.retain(&keep(1, 0, true)).expect("retains");
+    assert_eq!(names(&store), ["foreign", "iteration-00000002"]);
+    store.pin(&name("foreign"), true).expect("pins");
+    assert!(matches!(store.delete(&name("foreign")), Err(CheckpointError::Pinned { .. })));
+    store.pin(&name("foreign"), false).expect("unpins");
+    store.delete(&name("foreign")).expect("removes");
+    assert!(matches!(store.delete(&name("foreign")), Err(CheckpointError::NotFound { .. })));
+    assert_eq!(contents(store.root()), ["iteration-00000002"]);
+}

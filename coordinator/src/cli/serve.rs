@@ -1,0 +1,66 @@
+//! Options of `octopus serve` and of commands that talk to a live run.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::Args;
+
+const SERVE_EXAMPLES: &str = "\
+Examples:
+  octopus serve --store checkpoints --create
+  octopus serve --store runs/trajectory-20260101-120000
+  octopus serve --store checkpoints --listen 0.0.0.0:8270 --token-file token.txt
+  curl -s http://127.0.0.1:8270/v1/checkpoints | jq .
+  curl -s http://127.0.0.1:8270/v1/checkpoints/latest/archive | \\
+      curl -T - http://127.0.0.1:8271/v1/checkpoints/copy
+
+GET /openapi.json describes all requests. Without a token only this machine may ask, and no web page
+in its browsers. The token comes from --token-file or the environment variable SPACEOCTOPUS_TOKEN,
+and goes into the header `Authorization: Bearer TOKEN`. There is no TLS: beyond a network that you
+trust, put a proxy with TLS in front. Ctrl-C ends the service.";
+
+const SCALE_EXAMPLES: &str = "\
+Examples:
+  octopus scale runs/trajectory-20260101-120000 8
+  octopus scale runs/trajectory-20260101-120000 1 --json
+
+The number of workers changes nothing that is learned. New workers start at once; surplus ones leave
+after the shards that they have begun.";
+
+/// Options of `octopus serve`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = SERVE_EXAMPLES)]
+pub struct ServeArgs {
+    /// A directory of checkpoints, or a run directory.
+    #[arg(long, value_name = "DIR")]
+    pub store: PathBuf,
+    /// Make the directory if it does not exist.
+    #[arg(long)]
+    pub create: bool,
+    /// Where to listen; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8270")]
+    pub listen: SocketAddr,
+    /// A file with the token that clients must show.
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+    /// Largest archive that may be uploaded.
+    #[arg(long, value_name = "BYTES", default_value_t = 4 << 30, value_parser = super::positive)]
+    pub max_upload: u64,
+    /// Print the address as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of `octopus scale`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = SCALE_EXAMPLES)]
+pub struct ScaleArgs {
+    /// The run directory.
+    pub run_dir: PathBuf,
+    /// Workers from now on.
+    #[arg(value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub workers: u32,
+    /// Print as JSON.
+    #[arg(long)]
+    pub json: bool,
+}

@@ -1,0 +1,36 @@
+//! `compose`.
+
+use std::path::Path;
+
+use proto::{ExitCode, ExitError};
+
+use super::{refused, report};
+use crate::checkpoint::{Composition, Name, Part, store_to_be};
+use crate::cli::checkpoints::ComposeArgs;
+use crate::provenance::Provenance;
+
+/// Builds one policy set from the arms of several checkpoints.
+pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
+    let usage = |message: String| ExitError::new(ExitCode::Usage, message);
+    let out = &args.out;
+    let name = out.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let name: Name =
+        name.parse().map_err(|error| usage(format!("--out {}: {error}", out.display())))?;
+    let store = match out.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => store_to_be(parent),
+        _ => store_to_be(Path::new(".")),
+    };
+    let mut parts = Vec::new();
+    for from in &args.arms {
+        parts.push(Part { arms: from.arms.clone(), checkpoint: from.checkpoint.open()? });
+    }
+    let composition = Composition::new(&parts).map_err(refused(ExitCode::BadInput))?;
+    if !composition.notes.is_empty() {
+        let first = parts[0].checkpoint.dir.display();
+        eprintln!("note: the parts differ in {}; {first} decides", composition.notes.join(", "));
+    }
+    let provenance = serde_json::to_value(Provenance::gather())?;
+    let entry =
+        store.compose(&name, &composition, &provenance).map_err(refused(ExitCode::BadInput))?;
+    report(&entry, args.json, &format!("composed of {} checkpoints", parts.len()))
+}

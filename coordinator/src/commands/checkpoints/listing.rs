@@ -1,0 +1,200 @@
+//! `list` and `show`.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::Context as _;
+use safetensors::SafeTensors;
+use serde::Serialize;
+
+use crate::checkpoint::{
+    CheckpointError, Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, store_at,
+};
+use crate::cli::checkpoints::{ListArgs, ShowArgs};
+use crate::output;
+use crate::provenance::utc;
+use crate::report::progress::grouped;
+
+/// Lists a store.
+pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
+    let store = store_at(&args.store)?;
+    let survey = store.survey()?;
+    store.heal_catalogue();
+    if args.json {
+        return output::json(&survey);
+    }
+    let Survey { entries, damaged } = &survey;
+    if entries.is_empty() && damaged.is_empty() {
+        return output::line(&format!("no checkpoints in {}", store.root().display()));
+    }
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs());
+    let rows = entries.iter().map(|entry| {
+        let score = entry.labels.score.as_ref();
+        [
+            entry.name.to_string(),
+            grouped(entry.iteration),
+            grouped(entry.env_steps),
+            size(entry.bytes),
+            score.map_or_else(|| "-".to_owned(), |score| format!("{:.4}", score.value)),
+            labels(&entry.labels, entry.kind),
+            age(now.saturating_sub(entry.created_unix_s)),
+        ]
+    });
+    let header = ["name", "iteration", "env-steps", "size", "score", "labels", "age"];
+    let mut lines = Vec::new();
+    if !entries.is_empty() {
+        lines.push(output::table(header, rows));
+    }
+    lines.extend(damaged.iter().map(|entry| format!("{}: damaged: {}", entry.name, entry.reason)));
+    output::line(&lines.join("\n"))
+}
+
+/// A tensor of a checkpoint.
+#[derive(Debug, Serialize)]
+struct Tensor {
+    file: &'static str,
+    name: String,
+    dtype: String,
+    shape: Vec<usize>,
+}
+
+/// Everything about a checkpoint; the form of `show --json`.
+#[derive(Debug, Serialize)]
+struct Shown {
+    #[serde(flatten)]
+    entry: Entry,
+    manifest: Manifest,
+    tensors: Vec<Tensor>,
+}
+
+/// Shows one checkpoint.
+pub(super) fn show(args: &ShowArgs) -> anyhow::Result<()> {
+    let (store, name) = args.checkpoint.locate()?;
+    let entry = store.entry(&name)?;
+    let manifest = Manifest::read(&entry.dir)?;
+    let mut tensors = Vec::new();
+    for file in [POLICY, STATE] {
+        if !manifest.files.contains_key(file) {
+            continue;
+        }
+        let path = entry.dir.join(file);
+        let bytes =
+            std::fs::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
+        let content = SafeTensors::deserialize(&bytes).map_err(|error| {
+            CheckpointError::Damaged { path: path.clone(), reason: error.to_string() }
+        })?;
+        let mut found = content.tensors();
+        found.sort_by(|(a, _), (b, _)| a.cmp(b));
+        tensors.extend(found.into_iter().map(|(name, view)| Tensor {
+            file,
+            name,
+            dtype: format!("{:?}", view.dtype()),
+            shape: view.shape().to_vec(),
+        }));
+    }
+    let shown = Shown { entry, manifest, tensors };
+    if args.json { output::json(&shown) } else { output::line(&describe(&shown)) }
+}
+
+fn describe(shown: &Shown) -> String {
+    let Shown { entry, manifest, tensors } = shown;
+    let committed = utc(UNIX_EPOCH + std::time::Duration::from_secs(entry.created_unix_s));
+    let mut lines = vec![
+        format!("{:12}{}", "checkpoint", entry.dir.display()),
+        format!("{:12}{}", "kind", entry.kind.as_str()),
+        format!("{:12}{}", "iteration", grouped(entry.iteration)),
+        format!("{:12}{}", "env-steps", grouped(entry.env_steps)),
+        format!("{:12}{}", "digest", entry.digest),
+        format!("{:12}{committed}", "committed"),
+        format!("{:12}{}", "labels", labels(&entry.labels, entry.kind)),
+    ];
+    if let Some(score) = &entry.labels.score {
+        let errors: Vec<String> =
+            score.errors.iter().map(|(name, error)| format!("{name} {error:.4}")).collect();
+        lines.push(format!(
+            "{:12}{:.6} over {} episodes of {} steps, seed {} ({})",
+            "score",
+            score.value,
+            score.episodes,
+            score.steps,
+            score.seed,
+            errors.join(", ")
+        ));
+    }
+    for key in ["version", "commit", "host", "processor", "started"] {
+        if let Some(value) = manifest.provenance.get(key).and_then(|value| value.as_str()) {
+            lines.push(format!("{key:12}{value}"));
+        }
+    }
+    for origin in &manifest.origins {
+        lines.push(format!(
+            "{:12}agent {} is agent {} of {}, iteration {}, {}",
+            "origin",
+            origin.agent,
+            origin.source_agent,
+            origin.run,
+            origin.iteration,
+            origin.digest
+        ));
+    }
+    lines.push(String::new());
+    let files = manifest
+        .files
+        .iter()
+        .map(|(name, file)| [name.clone(), grouped(file.len), file.blake3.clone()]);
+    lines.push(output::table(["file", "bytes", "BLAKE3"], files));
+    lines.push(String::new());
+    let rows = tensors.iter().map(|tensor| {
+        let shape: Vec<String> = tensor.shape.iter().map(ToString::to_string).collect();
+        let file = tensor.file.trim_end_matches(".safetensors");
+        [format!("{file}/{}", tensor.name), tensor.dtype.clone(), shape.join(" × ")]
+    });
+    lines.push(output::table(["tensor", "type", "shape"], rows));
+    lines.join("\n")
+}
+
+/// Labels in a few words.
+fn labels(labels: &Labels, kind: Kind) -> String {
+    let mut words: Vec<&str> = Vec::new();
+    if kind != Kind::Training {
+        words.push(kind.as_str());
+    }
+    if labels.pinned {
+        words.push("pinned");
+    }
+    if labels.milestone {
+        words.push("milestone");
+    }
+    words.extend(labels.tags.iter().map(crate::checkpoint::Name::as_str));
+    if words.is_empty() { "-".to_owned() } else { words.join(", ") }
+}
+
+/// Bytes with a unit of powers of ten.
+pub(super) fn size(bytes: u64) -> String {
+    let bytes = bytes as f64;
+    let units = [(1e9, "GB"), (1e6, "MB"), (1e3, "kB")];
+    match units.into_iter().find(|(unit, _)| bytes >= *unit) {
+        Some((unit, name)) => format!("{:.1} {name}", bytes / unit),
+        None => format!("{bytes} B"),
+    }
+}
+
+/// A duration in its largest unit.
+fn age(seconds: u64) -> String {
+    match seconds {
+        0..60 => format!("{seconds} s"),
+        60..3600 => format!("{} min", seconds / 60),
+        3600..86400 => format!("{} h", seconds / 3600),
+        _ => format!("{} d", seconds / 86400),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_and_ages_have_their_largest_unit() {
+        assert_eq!([size(999), size(1000), size(12_345_678)], ["999 B", "1.0 kB", "12.3 MB"]);
+        assert_eq!([age(59), age(60), age(7200), age(200_000)], ["59 s", "1 min", "2 h", "2 d"]);
+    }
+}

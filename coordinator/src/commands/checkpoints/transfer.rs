@@ -1,0 +1,75 @@
+//! `import` and `export`.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Write as _};
+use std::path::Path;
+
+use anyhow::Context as _;
+use proto::{ExitCode, ExitError};
+
+use super::{refused, report};
+use crate::checkpoint::{CheckpointError, CheckpointStore, Name, store_to_be};
+use crate::cli::checkpoints::{ExportArgs, ImportArgs};
+use crate::files;
+
+/// Unpacks an archive into a store.
+pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
+    let store = store_to_be(&args.store);
+    let name = args.name.clone();
+    let imported = if args.archive == Path::new("-") {
+        store.import(std::io::stdin().lock(), name)
+    } else {
+        let file = File::open(&args.archive).map_err(|error| {
+            let message = format!("{}: cannot be read: {error}", args.archive.display());
+            ExitError::new(ExitCode::BadInput, message)
+        })?;
+        store.import(BufReader::new(file), name)
+    };
+    let entry = imported.map_err(|error| match error {
+        // The archive is the input file here; nothing of the store is damaged.
+        CheckpointError::Archive { .. } => {
+            let message = format!("{}: {error}", args.archive.display());
+            anyhow::Error::from(ExitError::new(ExitCode::BadInput, message))
+        }
+        other => refused(ExitCode::BadInput)(other),
+    })?;
+    report(&entry, args.json, "imported")
+}
+
+/// Packs a checkpoint into an archive.
+pub(super) fn export(args: &ExportArgs) -> anyhow::Result<()> {
+    let (store, name) = args.checkpoint.locate()?;
+    if args.out == Path::new("-") {
+        let mut stdout = BufWriter::new(std::io::stdout().lock());
+        store.export(&name, &mut stdout)?;
+        return stdout.flush().context("standard output cannot be written");
+    }
+    write(&store, &name, &args.out)?;
+    report(&store.entry(&name)?, args.json, &format!("exported to {}", args.out.display()))
+}
+
+/// Writes the archive beside its place first: a reader finds a whole one or none.
+fn write(store: &CheckpointStore, name: &Name, out: &Path) -> anyhow::Result<()> {
+    let failed = |error: &dyn std::fmt::Display| {
+        let message = format!("{}: cannot be written: {error}", out.display());
+        ExitError::new(ExitCode::Failure, message)
+    };
+    if std::fs::metadata(out).is_ok_and(|there| !there.is_file()) {
+        // `/dev/stdout`, a pipe: written to as it is.
+        let file = File::options().write(true).open(out).map_err(|error| failed(&error))?;
+        return Ok(store.export(name, BufWriter::new(file))?);
+    }
+    let temporary = files::temporary(out);
+    let written = (|| {
+        let file = File::create(&temporary).map_err(|error| failed(&error))?;
+        store.export(name, BufWriter::new(&file))?;
+        file.sync_all().map_err(|error| failed(&error))?;
+        std::fs::rename(&temporary, out).map_err(|error| failed(&error))?;
+        Ok(())
+    })();
+    if written.is_err() {
+        // The first error is the one to report.
+        let _ = std::fs::remove_file(&temporary);
+    }
+    written
+}

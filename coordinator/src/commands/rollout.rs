@@ -1,0 +1,214 @@
+//! `octopus rollout`: one block of a run, made again alone.
+
+use std::time::Instant;
+
+use anyhow::Context as _;
+use proto::config::Config;
+use proto::layout::{ActorLayout, BlockLayout, Dimensions};
+use proto::message::policy_version_for;
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use safetensors::Dtype;
+use safetensors::tensor::TensorView;
+use serde::Serialize;
+use serde_json::json;
+use sim_worker::env::Moment;
+use sim_worker::robot::Robot;
+use sim_worker::rollout::{RolloutError, RolloutSpec, World, rollout};
+
+use crate::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
+use crate::cli::rollout::{BlockAddress, RolloutArgs};
+use crate::report::progress::grouped;
+use crate::session::failures;
+use crate::{files, output};
+
+/// What a block is.
+#[derive(Debug, Serialize)]
+struct Summary {
+    seed: u64,
+    iteration: u64,
+    shard: u32,
+    policy_version: u64,
+    /// Where the policy was found.
+    policy: String,
+    env_steps: u64,
+    /// BLAKE3 of the block's numbers.
+    blake3: String,
+    /// Undiscounted return of an episode, mean over environments, an agent each.
+    returns: Vec<f64>,
+    seconds: f64,
+}
+
+/// Makes the block.
+pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
+    let run_dir = RunDir::new(&args.run_dir);
+    let BlockAddress { seed, iteration, shard } = args.address;
+    let config = read_config(&run_dir)?;
+    let text = std::fs::read_to_string(run_dir.robot())
+        .with_context(|| format!("{}: cannot be read", run_dir.robot().display()))?;
+    let robot = Robot::from_toml(&text, &run_dir.robot())?;
+    let world = World::new(&config, &robot);
+    let version = policy_version_for(iteration, config.run.overlap);
+    let (found, parameters) = find_policy(args, &run_dir, &config, &world.dimensions, version)?;
+    let policy = world
+        .policy(&parameters)
+        .map_err(|error| ExitError::new(ExitCode::RunDirectory, format!("{found}: {error}")))?;
+
+    let spec = RolloutSpec { seed, iteration, shard, policy: &policy };
+    let layout = BlockLayout::new(&world.dimensions);
+    let mut block = vec![0.0; layout.len];
+    let begun = Instant::now();
+    let stats = match rollout(&world, &spec, &mut block, &mut || {}) {
+        Ok(stats) => stats,
+        Err(error) => return Err(refuse(args, &error)),
+    };
+    let seconds = begun.elapsed().as_secs_f64();
+    let summary = Summary {
+        seed,
+        iteration,
+        shard,
+        policy_version: version,
+        policy: found,
+        env_steps: stats.env_steps,
+        blake3: blake3::hash(bytemuck::cast_slice(&block)).to_hex().to_string(),
+        returns: returns(&world.dimensions, &layout, &block),
+        seconds,
+    };
+    if let Some(path) = &args.out {
+        files::replace_output(path, &to_safetensors(&world.dimensions, &layout, &block)?)?;
+    }
+    if args.json {
+        return output::json(&summary);
+    }
+    let mean = summary.returns.iter().sum::<f64>() / summary.returns.len().max(1) as f64;
+    output::line(&format!(
+        "block       seed {seed}, iteration {iteration}, shard {shard}\n\
+         policy      version {version}, {}\n\
+         env-steps   {} in {seconds:.3} s\n\
+         return      {mean:.3}\n\
+         blake3      {}",
+        summary.policy,
+        grouped(summary.env_steps),
+        summary.blake3,
+    ))
+}
+
+fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
+    let path = run_dir.config();
+    let text = std::fs::read_to_string(&path).map_err(|error| {
+        ExitError::new(
+            ExitCode::RunDirectory,
+            format!(
+                "{}: is no run directory: config.toml: {error}; `octopus status` lists the runs",
+                run_dir.path().display()
+            ),
+        )
+    })?;
+    Ok(Config::from_resolved_toml(&text, &path.display().to_string())?)
+}
+
+/// Where the policy is, in words, and its parameters.
+fn find_policy(
+    args: &RolloutArgs,
+    run_dir: &RunDir,
+    config: &Config,
+    dimensions: &Dimensions,
+    version: u64,
+) -> anyhow::Result<(String, Vec<f32>)> {
+    let layout = ActorLayout::new(config, dimensions);
+    if let Some(path) = &args.policy {
+        let selector = Selector::from_path(path)
+            .map_err(|message| ExitError::new(ExitCode::Usage, message))?;
+        let checkpoint = selector.open()?;
+        let path = checkpoint.dir.join(POLICY);
+        return Ok((path.display().to_string(), read_policy(&path, &layout)?));
+    }
+    let address = (args.address.iteration, args.address.shard);
+    let beside = failures::directory(run_dir, address).join(POLICY);
+    if beside.is_file() {
+        return Ok((beside.display().to_string(), read_policy(&beside, &layout)?));
+    }
+    let store = CheckpointStore::new(run_dir.checkpoints());
+    let path = store.dir(&Name::of_iteration(version)).join(POLICY);
+    if path.is_file() {
+        return Ok((path.display().to_string(), read_policy(&path, &layout)?));
+    }
+    let there: Vec<_> = store.entries()?.iter().map(|entry| entry.name.to_string()).collect();
+    Err(ExitError::new(
+        ExitCode::RunDirectory,
+        format!(
+            "{}: the policy that iteration {} acted with, version {version}, was not kept; there \
+             are {}; --policy names another one",
+            run_dir.path().display(),
+            args.address.iteration,
+            if there.is_empty() { "no checkpoints".to_owned() } else { there.join(", ") },
+        ),
+    )
+    .into())
+}
+
+/// The block cannot be made: says why, and prints the environment.
+fn refuse(args: &RolloutArgs, error: &RolloutError) -> anyhow::Error {
+    let failure = match error {
+        RolloutError::Episode { source, .. } => {
+            let environment = source.moment().map(Moment::arrays);
+            let report = json!({
+                "message": error.to_string(),
+                "environment_index": source.env(),
+                "step": source.step(),
+                "environment": environment,
+            });
+            let printed = if args.json {
+                output::json(&report)
+            } else {
+                let arrays = environment.into_iter().flatten();
+                let lines = arrays.map(|(name, values)| format!("{name:28} {values:?}"));
+                output::line(&lines.collect::<Vec<_>>().join("\n"))
+            };
+            if let Err(error) = printed {
+                return error;
+            }
+            ExitCode::Child
+        }
+        // Not a failure of the block, but of the address.
+        _ => ExitCode::Usage,
+    };
+    ExitError::new(failure, error.to_string()).into()
+}
+
+fn returns(dimensions: &Dimensions, layout: &BlockLayout, block: &[f32]) -> Vec<f64> {
+    let per_agent = dimensions.n_steps * dimensions.n_envs;
+    block[layout.reward.clone()]
+        .chunks_exact(per_agent)
+        .map(|rewards| {
+            rewards.iter().map(|&reward| f64::from(reward)).sum::<f64>() / dimensions.n_envs as f64
+        })
+        .collect()
+}
+
+fn to_safetensors(
+    dimensions: &Dimensions,
+    layout: &BlockLayout,
+    block: &[f32],
+) -> anyhow::Result<Vec<u8>> {
+    let Dimensions { n_agents: a, n_steps: t, n_envs: n, observation: o, state: s, .. } =
+        *dimensions;
+    let arrays = [
+        ("observation", &layout.observation, vec![a, t + 1, n, o]),
+        ("state", &layout.state, vec![t + 1, n, s]),
+        ("action", &layout.action, vec![a, t, n, proto::layout::JOINTS_PER_AGENT]),
+        ("log_prob", &layout.log_prob, vec![a, t, n]),
+        ("reward", &layout.reward, vec![a, t, n]),
+        ("terminated", &layout.terminated, vec![t, n]),
+        ("truncated", &layout.truncated, vec![t, n]),
+        ("metrics", &layout.metrics, vec![n, dimensions.n_metrics]),
+    ];
+    let views = arrays
+        .into_iter()
+        .map(|(name, range, shape)| {
+            let bytes = bytemuck::cast_slice(&block[range.clone()]);
+            Ok((name.to_owned(), TensorView::new(Dtype::F32, shape, bytes)?))
+        })
+        .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
+    Ok(safetensors::serialize(views, None)?)
+}

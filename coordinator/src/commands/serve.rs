@@ -1,0 +1,70 @@
+//! `octopus serve`: checkpoints of a directory over HTTP, without a run.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::Context as _;
+use proto::{ExitCode, ExitError};
+use serde_json::json;
+
+use crate::checkpoint::{CheckpointStore, store_to_be};
+use crate::cli::serve::ServeArgs;
+use crate::http::{Limits, Service, ServiceSpec, Token};
+use crate::output;
+use crate::signals::StopRequests;
+
+/// How often to look whether the user wants to stop.
+const TICK: Duration = Duration::from_millis(50);
+
+/// Serves until Ctrl-C.
+pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
+    let token = match &args.token_file {
+        Some(path) => Some(Token::from_file(path)?),
+        None => Token::from_environment()?,
+    };
+    let store = store(&args.store, args.create)?;
+    let root = store.root().to_owned();
+    let stop = StopRequests::new();
+    stop.listen().context("signals cannot be caught")?;
+    let service = Service::start(ServiceSpec {
+        address: args.listen,
+        token,
+        store,
+        live: None,
+        limits: Limits { upload_bytes: args.max_upload, ..Limits::default() },
+    })?;
+    let address = service.address();
+    if args.json {
+        output::line(&json!({ "address": address, "store": root }).to_string())?;
+    } else {
+        output::line(&format!("http://{address} serves {}", root.display()))?;
+    }
+    while stop.count() == 0 {
+        if !service.is_running() {
+            return Err(ExitError::new(
+                ExitCode::Failure,
+                "the HTTP service has ended by itself; RUST_LOG=debug shows more",
+            )
+            .into());
+        }
+        std::thread::sleep(TICK);
+    }
+    service.stop();
+    Ok(())
+}
+
+/// The store that `path` means, made if that is wanted.
+fn store(path: &Path, create: bool) -> Result<CheckpointStore, ExitError> {
+    let store = store_to_be(path);
+    let failure =
+        |what: &str| ExitError::new(ExitCode::RunDirectory, format!("{}: {what}", path.display()));
+    if path.exists() && !path.is_dir() {
+        return Err(failure("is no directory"));
+    }
+    if !path.exists() && !create {
+        return Err(failure("does not exist; --create makes it"));
+    }
+    std::fs::create_dir_all(store.root())
+        .map_err(|error| failure(&format!("cannot be made: {error}")))?;
+    Ok(store)
+}

@@ -1,0 +1,215 @@
+//! In what two runs differ that could make, or excuse, different digests.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Serialize;
+use serde_json::Value;
+
+use super::record::Record;
+
+/// Keys that change nothing that is learned: how many processes work and how they are watched, when
+/// the run stops, and what is measured and kept beside the training.
+const HARMLESS: &[&str] = &[
+    "run.best_after",
+    "run.checkpoint_every",
+    "run.checkpoint_every_s",
+    "run.checkpoints_kept",
+    "run.evaluate_every",
+    "run.evaluation_episodes",
+    "run.evaluation_steps",
+    "run.keep_every",
+    "run.milestone_every_s",
+    "run.order_deadline_s",
+    "run.pin",
+    "run.time_limit_s",
+    "run.workers",
+];
+
+/// What the promise does not extend over, as `provenance.json` names it.
+const EXCLUDED: &[&str] = &["version", "commit", "build", "processor", "vector_extensions"];
+
+/// A key of the configuration with two values; `robot.toml` stands for the robot's whole text.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct ConfigDifference {
+    /// The dotted key.
+    pub(super) key: String,
+    /// The value in the first run, as TOML; none if the key is absent.
+    pub(super) a: Option<String>,
+    /// The value in the second.
+    pub(super) b: Option<String>,
+    /// Whether it changes what is learned.
+    pub(super) matters: bool,
+}
+
+/// A fact about program or machine that is not the same everywhere.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct ProvenanceDifference {
+    /// Its name in `provenance.json`.
+    pub(super) field: &'static str,
+    /// Its values over the sessions of the first run.
+    pub(super) a: BTreeSet<String>,
+    /// Its values over the sessions of the second.
+    pub(super) b: BTreeSet<String>,
+}
+
+/// Compares what two runs were told to do.
+pub(super) fn of_configuration(a: &Record, b: &Record) -> Vec<ConfigDifference> {
+    let (mut left, mut right) = (flatten(&a.config), flatten(&b.config));
+    let scheduled = [&left, &right].iter().any(|config| {
+        config.get("optimizer.schedule").is_none_or(|schedule| schedule != "\"constant\"")
+    });
+    if a.robot == b.robot {
+        // Two names of one robot.
+        left.remove("robot.description");
+        right.remove("robot.description");
+    } else {
+        left.insert("robot.toml".to_owned(), fingerprint(&a.robot));
+        right.insert("robot.toml".to_owned(), fingerprint(&b.robot));
+    }
+    let keys: BTreeSet<&String> = left.keys().chain(right.keys()).collect();
+    keys.into_iter()
+        .filter(|key| left.get(*key) != right.get(*key))
+        .map(|key| ConfigDifference {
+            key: key.clone(),
+            a: left.get(key).cloned(),
+            b: right.get(key).cloned(),
+            matters: match key.as_str() {
+                // The learning rate falls over the budget.
+                "run.env_steps" => scheduled,
+                key => !HARMLESS.contains(&key),
+            },
+        })
+        .collect()
+}
+
+/// Compares with what, and on what, two runs were made. A run whose own sessions differ is
+/// reported, too: the promise does not extend over it either.
+pub(super) fn of_provenance(a: &[Value], b: &[Value]) -> Vec<ProvenanceDifference> {
+    let values = |sessions: &[Value], field: &str| -> BTreeSet<String> {
+        sessions.iter().map(|session| shown(&session[field])).collect()
+    };
+    EXCLUDED
+        .iter()
+        .map(|field| ProvenanceDifference { field, a: values(a, field), b: values(b, field) })
+        .filter(|difference| difference.a.union(&difference.b).count() > 1)
+        .collect()
+}
+
+/// Whether a run's learner computed on a GPU, which the promise excludes.
+pub(super) fn on_gpu(run: &Record) -> bool {
+    flatten(&run.config).get("run.device").is_some_and(|device| device.starts_with("\"cuda"))
+}
+
+fn shown(value: &Value) -> String {
+    match value {
+        Value::Null => "unknown".to_owned(),
+        Value::String(text) => text.clone(),
+        Value::Array(values) => values.iter().map(shown).collect::<Vec<_>>().join(" "),
+        other => other.to_string(),
+    }
+}
+
+fn fingerprint(text: &str) -> String {
+    format!("blake3:{}", &blake3::hash(text.as_bytes()).to_hex()[..16])
+}
+
+/// Dotted keys and their values as TOML.
+fn flatten(table: &toml::Table) -> BTreeMap<String, String> {
+    fn walk(prefix: &str, table: &toml::Table, into: &mut BTreeMap<String, String>) {
+        for (name, value) in table {
+            let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+            match value {
+                toml::Value::Table(inner) => walk(&key, inner, into),
+                value => {
+                    into.insert(key, value.to_string());
+                }
+            }
+        }
+    }
+    let mut flat = BTreeMap::new();
+    walk("", table, &mut flat);
+    flat
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use proto::config::{Layers, Preset};
+    use serde_json::json;
+
+    use super::*;
+
+    fn record(sets: &[&str], robot: &str) -> Record {
+        let config = sets
+            .iter()
+            .try_fold(Layers::new(Preset::Tuned, None), |layers, set| layers.set(set))
+            .and_then(|layers| layers.resolve())
+            .expect("valid");
+        Record {
+            path: PathBuf::new(),
+            iterations: Vec::new(),
+            config: config.to_toml().parse().expect("TOML"),
+            robot: robot.to_owned(),
+            sessions: Vec::new(),
+        }
+    }
+
+    fn verdicts(a: &Record, b: &Record) -> Vec<(String, bool)> {
+        of_configuration(a, b)
+            .into_iter()
+            .map(|difference| (difference.key, difference.matters))
+            .collect()
+    }
+
+    #[test]
+    fn keys_are_told_apart_by_whether_they_change_what_is_learned() {
+        let plain = record(&[], "x");
+        let other = record(&["run.workers=5", "run.seed=9", "network.hidden=[8]"], "y");
+        let expected = [
+            ("network.hidden", true),
+            ("robot.toml", true),
+            ("run.seed", true),
+            ("run.workers", false),
+        ];
+        let expected = expected.map(|(key, matters)| (key.to_owned(), matters));
+        assert_eq!(verdicts(&plain, &other), expected);
+        assert_eq!(verdicts(&plain, &plain), []);
+    }
+
+    #[test]
+    fn a_budget_matters_where_the_learning_rate_falls_over_it() {
+        let budget = ("run.env_steps".to_owned(), true);
+        let (linear, longer) = (record(&[], "x"), record(&["run.env_steps=2e6"], "x"));
+        assert_eq!(verdicts(&linear, &longer), [budget]);
+        let constant = "optimizer.schedule=constant";
+        let (constant, longer) =
+            (record(&[constant], "x"), record(&[constant, "run.env_steps=2e6"], "x"));
+        assert_eq!(verdicts(&constant, &longer), [("run.env_steps".to_owned(), false)]);
+    }
+
+    #[test]
+    fn every_key_of_the_run_is_known_to_matter_or_not() {
+        // A new key must be put in one of the two lists by whoever adds it.
+        let matter = ["seed", "env_steps", "overlap", "device", "precision", "learner_threads"];
+        let flat = flatten(&record(&[], "x").config);
+        let keys: BTreeSet<&str> =
+            flat.keys().map(String::as_str).filter(|key| key.starts_with("run.")).collect();
+        let matter: Vec<String> = matter.iter().map(|key| format!("run.{key}")).collect();
+        let known: BTreeSet<&str> =
+            HARMLESS.iter().copied().chain(matter.iter().map(String::as_str)).collect();
+        assert_eq!(keys, known);
+    }
+
+    #[test]
+    fn sessions_on_two_machines_are_a_difference_within_one_run() {
+        let session =
+            |processor: &str| json!({"processor": processor, "version": "1", "host": "h"});
+        let (one, two) = (session("Xeon"), session("EPYC"));
+        assert_eq!(of_provenance(std::slice::from_ref(&one), std::slice::from_ref(&one)), []);
+        let found = of_provenance(&[one.clone(), two], &[one]);
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].field, "processor");
+        assert_eq!(found[0].a.len(), 2);
+    }
+}

@@ -1,0 +1,133 @@
+//! What a run left behind that can be compared: digests, configuration, robot, provenance.
+
+use std::path::{Path, PathBuf};
+
+use proto::run_dir::RunDir;
+use proto::{Digest, ExitCode, ExitError};
+use serde::Deserialize;
+use serde_json::Value;
+
+/// What a line of `metrics.jsonl` says about the training state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[expect(clippy::struct_field_names, reason = "the keys of the file")]
+pub(super) struct Iteration {
+    /// The iteration, from 0.
+    pub(super) iteration: u64,
+    /// Env-steps trained on, this iteration included.
+    pub(super) env_steps: u64,
+    /// Digest of the training state after it.
+    pub(super) digest: Digest,
+}
+
+/// A run, read whole and strictly: what cannot be compared is an error, never left out.
+#[derive(Debug)]
+pub(super) struct Record {
+    /// Its directory.
+    pub(super) path: PathBuf,
+    /// Its iterations, in order.
+    pub(super) iterations: Vec<Iteration>,
+    /// Its configuration, untyped: another version may have had other keys.
+    pub(super) config: toml::Table,
+    /// Its robot.
+    pub(super) robot: String,
+    /// Where its sessions ran.
+    pub(super) sessions: Vec<Value>,
+}
+
+impl Record {
+    /// Reads the run at `path`.
+    pub(super) fn read(path: &Path) -> Result<Self, ExitError> {
+        let run_dir = RunDir::new(path);
+        if !run_dir.config().is_file() {
+            let message = format!(
+                "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
+                path.display()
+            );
+            return Err(ExitError::new(ExitCode::RunDirectory, message));
+        }
+        let iterations = read_iterations(&run_dir.metrics_jsonl(), 0)?;
+        if iterations.is_empty() {
+            let what = "holds no iteration yet; there is nothing to compare";
+            return Err(damaged(&run_dir.metrics_jsonl(), what));
+        }
+        let config = text(&run_dir.config())?
+            .parse()
+            .map_err(|error| damaged(&run_dir.config(), &format!("not valid TOML: {error}")))?;
+        let provenance: Value = serde_json::from_str(&text(&run_dir.provenance())?)
+            .map_err(|error| damaged(&run_dir.provenance(), &format!("not valid JSON: {error}")))?;
+        let sessions = provenance["sessions"]
+            .as_array()
+            .cloned()
+            .ok_or_else(|| damaged(&run_dir.provenance(), "has no list `sessions`"))?;
+        let robot = text(&run_dir.robot())?;
+        Ok(Self { path: path.to_owned(), iterations, config, robot, sessions })
+    }
+}
+
+/// The iterations of a `metrics.jsonl`, which follow each other from `first` on. A last line
+/// without an end is being written, or was cut by a crash, and is no iteration yet.
+pub(super) fn read_iterations(path: &Path, first: u64) -> Result<Vec<Iteration>, ExitError> {
+    let text = text(path)?;
+    let lines = text.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
+    lines
+        .zip(first..)
+        .enumerate()
+        .map(|(index, (line, expected))| {
+            let number = index + 1;
+            let found: Iteration = serde_json::from_str(line)
+                .map_err(|error| damaged(path, &format!("line {number}: {error}")))?;
+            if found.iteration != expected {
+                let what =
+                    format!("line {number}: iteration {} instead of {expected}", found.iteration);
+                return Err(damaged(path, &what));
+            }
+            Ok(found)
+        })
+        .collect()
+}
+
+/// A text file of a run directory.
+pub(super) fn text(path: &Path) -> Result<String, ExitError> {
+    std::fs::read_to_string(path)
+        .map_err(|error| damaged(path, &format!("cannot be read: {error}")))
+}
+
+/// Something that belongs to a run is not as it should be.
+pub(super) fn damaged(path: &Path, what: &str) -> ExitError {
+    ExitError::new(ExitCode::RunDirectory, format!("{}: {what}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DIGEST: &str = "000102030405060708090a0b0c0d0e0f";
+
+    fn read(text: &str) -> Result<Vec<Iteration>, String> {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("metrics.jsonl");
+        std::fs::write(&path, text).expect("writable");
+        read_iterations(&path, 0).map_err(|error| error.to_string())
+    }
+
+    fn line(iteration: u64) -> String {
+        format!("{{\"iteration\": {iteration}, \"env_steps\": 8, \"digest\": \"{DIGEST}\"}}\n")
+    }
+
+    #[test]
+    fn a_line_that_is_being_written_is_no_iteration_and_no_damage() {
+        let whole = format!("{}{}", line(0), line(1));
+        assert_eq!(read(&whole).map(|lines| lines.len()), Ok(2));
+        assert_eq!(read(&whole[..whole.len() - 5]).map(|lines| lines.len()), Ok(1));
+    }
+
+    #[test]
+    fn a_damaged_line_is_named_and_never_ends_the_comparison_quietly() {
+        let error = read(&format!("{}rubbish\n{}", line(0), line(2))).expect_err("damaged");
+        assert!(error.contains("metrics.jsonl: line 2: "), "{error}");
+        let error = read(&format!("{}{}", line(0), line(2))).expect_err("a gap");
+        assert!(error.contains("line 2: iteration 2 instead of 1"), "{error}");
+        let error = read(&line(0).replace("0f\"", "xx\"")).expect_err("no digest");
+        assert!(error.contains("32 hexadecimal digits"), "{error}");
+    }
+}

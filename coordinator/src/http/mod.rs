@@ -1,0 +1,55 @@
+//! The checkpoint service over HTTP, beside a live run or alone.
+//!
+//! ```text
+//! GET    /health                               alive
+//! GET    /metrics                              Prometheus
+//! GET    /openapi.json                         this list, for programs
+//! GET    /v1/checkpoints                       all checkpoints
+//! POST   /v1/checkpoints                       commit one now (live run)
+//! GET    /v1/checkpoints/{name}                one; also `latest`, `best` or a tag
+//! PUT    /v1/checkpoints/{name}                upload one as a tar archive
+//! DELETE /v1/checkpoints/{name}                remove one
+//! GET    /v1/checkpoints/{name}/archive        download one as a tar archive
+//! GET    /v1/checkpoints/{name}/files/{file}   download one file, or a range of its bytes
+//! PUT    /v1/checkpoints/{name}/pin            keep one for ever; DELETE lets go of it
+//! PUT    /v1/checkpoints/{name}/tags/{tag}     give one a name; DELETE takes it away
+//! GET    /v1/status                            what the live run is doing
+//! PUT    /v1/workers                           change the live run's number of workers
+//! ```
+//!
+//! A [`Service`] owns one thread, on which a runtime serves all connections; work on disks goes to
+//! threads of that runtime's pool. Whoever may connect is decided in `access`, how long and
+//! how much a client may take in `connections`, `pace` and `intake`. Every failure is a `Problem`,
+//! JSON with a status code.
+
+mod access;
+mod archives;
+mod bodies;
+mod checkpoints;
+mod connections;
+mod context;
+mod exposition;
+mod files;
+mod intake;
+mod limits;
+mod metrics;
+mod pace;
+mod params;
+mod problem;
+mod ranges;
+mod requests;
+mod router;
+mod run;
+mod service;
+mod token;
+mod uploads;
+
+pub use checkpoints::{CheckpointDetail, CheckpointList};
+pub use limits::Limits;
+pub use problem::ErrorBody;
+pub use run::{CommitAnswer, ScaleAnswer, ScaleRequest};
+pub use service::{Service, ServiceSpec};
+pub use token::{TOKEN_VARIABLE, Token};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,129 @@
+//! All routes, each with its description.
+
+use std::sync::LazyLock;
+
+use axum::extract::Request;
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{HeaderValue, StatusCode};
+use axum::middleware::{from_fn, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
+use axum::{Json, Router};
+use serde::{Deserialize, Serialize};
+use utoipa::openapi::OpenApi as Document;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
+use utoipa::{Modify, OpenApi, ToSchema};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use super::context::Shared;
+use super::problem::Problem;
+use super::{access, archives, checkpoints, files, metrics, requests, run, uploads};
+
+/// The document's head; the routes add themselves.
+#[derive(Debug, OpenApi)]
+#[openapi(
+    info(
+        title = "SpaceOctopus checkpoint service",
+        description = "Checkpoints of multi-arm space robots' training, beside a live run or alone."
+    ),
+    servers((url = "/", description = "This service")),
+    tags(
+        (name = "checkpoints", description = "Committed training states"),
+        (name = "run", description = "The live run beside the service"),
+        (name = "service", description = "The service itself"),
+    ),
+    security((), ("token" = [])),
+    modifiers(&TokenScheme),
+)]
+struct Head;
+
+struct TokenScheme;
+
+impl Modify for TokenScheme {
+    fn modify(&self, document: &mut Document) {
+        let scheme = HttpBuilder::new()
+            .scheme(HttpAuthScheme::Bearer)
+            .description(Some("Needed by services that were started with a token"))
+            .build();
+        let components = document.components.get_or_insert_default();
+        components.add_security_scheme("token", SecurityScheme::Http(scheme));
+    }
+}
+
+/// All routes and the document that describes them.
+fn routes() -> OpenApiRouter<Shared> {
+    OpenApiRouter::with_openapi(Head::openapi())
+        .routes(routes!(health))
+        .routes(routes!(metrics::metrics))
+        .routes(routes!(openapi))
+        .routes(routes!(checkpoints::list, run::commit))
+        .routes(routes!(checkpoints::show, uploads::upload, checkpoints::delete))
+        .routes(routes!(archives::download))
+        .routes(routes!(files::download))
+        .routes(routes!(checkpoints::pin, checkpoints::unpin))
+        .routes(routes!(checkpoints::tag, checkpoints::untag))
+        .routes(routes!(run::status))
+        .routes(routes!(run::scale))
+}
+
+/// The whole service: routes, refusals, and the layers around them.
+pub(super) fn router(context: Shared) -> Router {
+    Router::from(routes())
+        .fallback(no_route)
+        .method_not_allowed_fallback(no_method)
+        .layer(from_fn_with_state(context.clone(), access::layer))
+        .layer(from_fn_with_state(context.clone(), requests::layer))
+        .layer(from_fn(caution))
+        .with_state(context)
+}
+
+/// How the service is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub(super) struct Health {
+    /// `ok`.
+    status: String,
+    /// Version of the program.
+    version: String,
+}
+
+/// Says that the service is alive. Needs no token.
+#[utoipa::path(get, path = "/health", tag = "service", security(()), responses(
+    (status = 200, description = "Alive", body = Health),
+))]
+async fn health() -> Json<Health> {
+    Json(Health { status: "ok".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() })
+}
+
+/// This document.
+#[utoipa::path(get, path = "/openapi.json", tag = "service", responses(
+    (status = 200, description = "OpenAPI 3.1", body = Object),
+))]
+async fn openapi() -> impl IntoResponse {
+    static DOCUMENT: LazyLock<String> = LazyLock::new(|| {
+        routes().into_openapi().to_pretty_json().expect("the document has a JSON form")
+    });
+    ([(CONTENT_TYPE, "application/json")], DOCUMENT.as_str())
+}
+
+async fn no_route(request: Request) -> Problem {
+    let message = format!("no `{}` here; GET /openapi.json lists what is", request.uri().path());
+    Problem::new(StatusCode::NOT_FOUND, message)
+}
+
+async fn no_method(request: Request) -> Problem {
+    let message = format!(
+        "`{}` has no method {}; the Allow header lists its methods",
+        request.uri().path(),
+        request.method()
+    );
+    Problem::new(StatusCode::METHOD_NOT_ALLOWED, message)
+}
+
+/// Whatever is served, no browser shall take it for a page or keep what a token protects.
+async fn caution(request: Request, next: axum::middleware::Next) -> Response {
+    let mut response = next.run(request).await;
+    let headers = response.headers_mut();
+    headers.insert("x-content-type-options", HeaderValue::from_static("nosniff"));
+    headers.entry("cache-control").or_insert(HeaderValue::from_static("no-store"));
+    response
+}

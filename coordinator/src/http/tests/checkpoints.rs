@@ -1,0 +1,153 @@
+//! Lists, entries, pins, tags, removal, and what is no route.
+
+use axum::http::StatusCode;
+
+use super::Bench;
+use crate::checkpoint::{Name, Score};
+
+#[tokio::test]
+async fn an_empty_store_is_an_empty_list() {
+    let bench = Bench::new(&[]);
+    let answer = bench.ask("GET /v1/checkpoints").await;
+    assert_eq!(answer.status, StatusCode::OK);
+    assert_eq!(answer.json(), serde_json::json!({ "checkpoints": [], "damaged": [] }));
+    let answer = bench.ask("GET /v1/checkpoints/latest").await;
+    assert_eq!(answer.status, StatusCode::NOT_FOUND);
+    assert!(answer.error().contains("latest"));
+}
+
+#[tokio::test]
+async fn checkpoints_are_listed_and_found_by_every_name() {
+    let bench = Bench::new(&[5, 10]);
+    let score = |value| Score { value, errors: [].into(), episodes: 1, steps: 1, seed: 0 };
+    let name = |iteration| Name::of_iteration(iteration);
+    bench.store.record_score(&name(5), score(1.0)).expect("scored");
+    bench.store.record_score(&name(10), score(2.0)).expect("scored");
+    bench.store.tag(&name(5), "paper").expect("tagged");
+
+    let list = bench.ask("GET /v1/checkpoints").await.json();
+    let names: Vec<_> = list["checkpoints"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|entry| entry["name"].as_str().expect("a name"))
+        .collect();
+    assert_eq!(names, ["iteration-00000005", "iteration-00000010"]);
+    for (asked, found) in [
+        ("iteration-00000005", 5),
+        ("iteration-00000010", 10),
+        ("latest", 10),
+        ("best", 5),
+        ("paper", 5),
+    ] {
+        let answer = bench.ask(&format!("GET /v1/checkpoints/{asked}")).await;
+        assert_eq!(answer.status, StatusCode::OK, "{asked}: {answer:?}");
+        assert_eq!(answer.json()["iteration"], found, "{asked}");
+        assert_eq!(answer.json()["manifest"]["iteration"], found, "{asked}");
+    }
+}
+
+#[tokio::test]
+async fn what_is_no_checkpoint_is_not_found_and_what_is_no_name_is_refused() {
+    let bench = Bench::new(&[1]);
+    for name in ["iteration-00000002", "nothing", "best"] {
+        for line in [
+            format!("GET /v1/checkpoints/{name}"),
+            format!("GET /v1/checkpoints/{name}/archive"),
+            format!("GET /v1/checkpoints/{name}/files/manifest.json"),
+            format!("DELETE /v1/checkpoints/{name}"),
+            format!("PUT /v1/checkpoints/{name}/pin"),
+            format!("DELETE /v1/checkpoints/{name}/pin"),
+            format!("PUT /v1/checkpoints/{name}/tags/t"),
+        ] {
+            let answer = bench.ask(&line).await;
+            assert_eq!(answer.status, StatusCode::NOT_FOUND, "{line}: {answer:?}");
+            assert!(answer.error().contains(name), "{line}");
+        }
+    }
+    for name in ["..", "%2e%2e", "..%2fx", "a%2fb", ".lock", "%00", "a%20b", "-x", "%c3%bc"] {
+        for line in [
+            format!("GET /v1/checkpoints/{name}"),
+            format!("GET /v1/checkpoints/{name}/archive"),
+            format!("GET /v1/checkpoints/{name}/files/manifest.json"),
+            format!("DELETE /v1/checkpoints/{name}"),
+            format!("PUT /v1/checkpoints/{name}"),
+            format!("PUT /v1/checkpoints/{name}/pin"),
+            format!("PUT /v1/checkpoints/iteration-00000001/tags/{name}"),
+        ] {
+            let answer = bench.ask(&line).await;
+            assert_eq!(answer.status, StatusCode::BAD_REQUEST, "{line}: {answer:?}");
+            assert!(!answer.error().is_empty(), "{line}");
+        }
+    }
+    assert_eq!(bench.ask("GET /v1/checkpoints/%ff").await.status, StatusCode::BAD_REQUEST);
+    assert_eq!(bench.inventory(), ["iteration-00000001"]);
+}
+
+#[tokio::test]
+async fn a_pinned_checkpoint_is_not_removed() {
+    let bench = Bench::new(&[1]);
+    let base = "/v1/checkpoints/iteration-00000001";
+    let pinned = bench.ask(&format!("PUT {base}/pin")).await;
+    assert_eq!(pinned.status, StatusCode::OK);
+    assert_eq!(pinned.json()["labels"]["pinned"], true);
+    let refused = bench.ask(&format!("DELETE {base}")).await;
+    assert_eq!(refused.status, StatusCode::CONFLICT);
+    assert!(refused.error().contains("pinned"));
+    assert_eq!(bench.ask(&format!("DELETE {base}/pin")).await.json()["labels"]["pinned"], false);
+    assert_eq!(bench.ask(&format!("DELETE {base}")).await.status, StatusCode::NO_CONTENT);
+    assert_eq!(bench.ask(&format!("DELETE {base}")).await.status, StatusCode::NOT_FOUND);
+    assert_eq!(bench.inventory(), [""; 0]);
+}
+
+#[tokio::test]
+async fn tags_come_and_go() {
+    let bench = Bench::new(&[1, 2]);
+    let tag = |iteration: u64, tag: &str| {
+        format!("/v1/checkpoints/{}/tags/{tag}", Name::of_iteration(iteration))
+    };
+    let answer = bench.ask(&format!("PUT {}", tag(1, "demo"))).await;
+    assert_eq!(answer.json()["labels"]["tags"], serde_json::json!(["demo"]));
+    let answer = bench.ask(&format!("PUT {}", tag(2, "demo"))).await;
+    assert_eq!(answer.status, StatusCode::OK, "it moves");
+    assert_eq!(bench.ask("GET /v1/checkpoints/demo").await.json()["iteration"], 2);
+    for reserved in ["latest", "best", "7", "iteration-00000001"] {
+        let answer = bench.ask(&format!("PUT {}", tag(1, reserved))).await;
+        assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{reserved}: {answer:?}");
+    }
+    assert_eq!(bench.ask(&format!("DELETE {}", tag(2, "demo"))).await.status, StatusCode::OK);
+    let gone = bench.ask(&format!("DELETE {}", tag(2, "demo"))).await;
+    assert_eq!(gone.status, StatusCode::UNPROCESSABLE_ENTITY);
+    assert_eq!(bench.ask("GET /v1/checkpoints/demo").await.status, StatusCode::NOT_FOUND);
+}
+
+#[tokio::test]
+async fn a_damaged_manifest_is_said_to_be_damaged() {
+    let bench = Bench::new(&[1, 2]);
+    let path = bench.store.dir(&Name::of_iteration(2)).join("manifest.json");
+    std::fs::write(path, "{").expect("writable");
+    let list = bench.ask("GET /v1/checkpoints").await.json();
+    assert_eq!(list["checkpoints"].as_array().map(Vec::len), Some(1));
+    assert_eq!(list["damaged"][0]["name"], "iteration-00000002");
+    let answer = bench.ask("GET /v1/checkpoints/iteration-00000002").await;
+    assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR);
+    assert!(answer.error().contains("manifest"));
+    assert_eq!(bench.ask("GET /v1/checkpoints/latest").await.json()["iteration"], 1);
+}
+
+#[tokio::test]
+async fn what_is_no_route_or_method_is_said_in_json() {
+    let bench = Bench::new(&[]);
+    for path in
+        ["/", "/v1", "/v2/checkpoints", "/v1/checkpoints/a/b", "/v1/checkpoints/a/files/b/c"]
+    {
+        let answer = bench.ask(&format!("GET {path}")).await;
+        assert_eq!(answer.status, StatusCode::NOT_FOUND, "{path}");
+        assert!(answer.error().contains("openapi.json"), "{path}");
+    }
+    let answer = bench.ask("DELETE /v1/checkpoints").await;
+    assert_eq!(answer.status, StatusCode::METHOD_NOT_ALLOWED);
+    assert!(answer.error().contains("DELETE"));
+    assert!(answer.header("allow").contains("POST"), "{answer:?}");
+    assert_eq!(answer.header("x-content-type-options"), "nosniff");
+}

@@ -1,0 +1,193 @@
+//! The service on a socket: start, address, stop; and its description.
+
+use std::collections::BTreeSet;
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::time::Duration;
+
+use super::Bench;
+use crate::checkpoint::CheckpointStore;
+use crate::client::Client;
+use crate::http::{Limits, Service, ServiceSpec};
+use crate::live::{LiveRun, LiveStatus};
+
+fn start(limits: Limits) -> Service {
+    let store = CheckpointStore::new("/nonexistent/store");
+    Service::start(ServiceSpec { limits, ..ServiceSpec::new(store) }).expect("starts")
+}
+
+fn exchange(address: SocketAddr, request: &str) -> String {
+    let mut stream = TcpStream::connect(address).expect("connects");
+    stream.write_all(request.as_bytes()).expect("sends");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("reads");
+    answer
+}
+
+const HEALTH: &str = "GET /health HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+
+/// Threads of this process that carry the name.
+fn threads(name: &str) -> usize {
+    std::fs::read_dir("/proc/self/task")
+        .expect("Linux")
+        .flatten()
+        .filter_map(|task| std::fs::read_to_string(task.path().join("comm")).ok())
+        .filter(|comm| comm.trim_end() == name)
+        .count()
+}
+
+#[test]
+fn it_answers_and_is_gone_after_it_was_stopped() {
+    let service = start(Limits::default());
+    let address = service.address();
+    assert!(exchange(address, HEALTH).starts_with("HTTP/1.1 200 OK"));
+    assert!(service.is_running());
+    // A client that only sits there does not keep it.
+    let mut idle = TcpStream::connect(address).expect("connects");
+    idle.write_all(b"GET /hea").expect("sends");
+    service.stop();
+    assert!(TcpStream::connect(address).is_err(), "nobody listens");
+    let mut rest = Vec::new();
+    let _ = idle.read_to_end(&mut rest);
+    // The port is free again.
+    drop(idle);
+    TcpListener::bind(address).expect("free");
+}
+
+#[test]
+fn no_thread_is_left() {
+    // Other tests run services of their own meanwhile; a name of one's own would be as good.
+    let service = start(Limits::default());
+    assert!(threads("http") >= 1);
+    drop(service);
+    let patience = std::time::Instant::now() + Duration::from_secs(60);
+    while threads("http") > 0 && std::time::Instant::now() < patience {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(threads("http"), 0);
+}
+
+#[test]
+fn a_port_that_is_taken_is_named() {
+    let first = start(Limits::default());
+    let store = CheckpointStore::new("/nonexistent/store");
+    let spec = ServiceSpec { address: first.address(), ..ServiceSpec::new(store) };
+    let error = Service::start(spec).expect_err("taken");
+    assert!(error.message.contains(&first.address().to_string()), "{error}");
+}
+
+#[test]
+fn slow_heads_are_cut_off_and_hold_nobody_up() {
+    let limits =
+        Limits { head_time: Duration::from_millis(200), connections: 4, ..Limits::default() };
+    let service = start(limits);
+    let address = service.address();
+    let mut slow: Vec<TcpStream> =
+        (0..16).map(|_| TcpStream::connect(address).expect("connects")).collect();
+    for stream in &mut slow {
+        let _ = stream.write_all(b"GET /health HTTP/1.1\r\nX: ");
+    }
+    // Four at a time are waited for; the others wait in the queue, and so does this one.
+    assert!(exchange(address, HEALTH).starts_with("HTTP/1.1 200 OK"));
+    for stream in &mut slow {
+        let mut rest = Vec::new();
+        let _ = stream.read_to_end(&mut rest);
+    }
+}
+
+#[test]
+fn a_reader_that_does_not_read_is_cut_off() {
+    let bench = Bench::new(&[1]);
+    let limits = Limits { pace_time: Duration::from_millis(200), ..Limits::default() };
+    let spec = ServiceSpec { limits, ..ServiceSpec::new(bench.store.clone()) };
+    let service = Service::start(spec).expect("starts");
+    let mut stream = TcpStream::connect(service.address()).expect("connects");
+    let line = "GET /v1/checkpoints/latest/files/state.safetensors HTTP/1.1\r\nHost: localhost\r\n";
+    // Answers pile up: far more than the system's buffers take.
+    for _ in 0..200 {
+        stream.write_all(format!("{line}\r\n").as_bytes()).expect("sends");
+    }
+    std::thread::sleep(Duration::from_secs(2));
+    let mut rest = Vec::new();
+    let end = stream.read_to_end(&mut rest);
+    let all = 200 * 800_000;
+    assert!(end.is_err() || rest.len() < all, "{end:?} after {} bytes", rest.len());
+}
+
+#[test]
+fn large_heads_are_refused() {
+    let service = start(Limits::default());
+    let head =
+        format!("GET /health HTTP/1.1\r\nHost: localhost\r\nX: {}\r\n\r\n", "x".repeat(20_000));
+    assert!(exchange(service.address(), &head).starts_with("HTTP/1.1 431"));
+    let many = "X: y\r\n".repeat(100);
+    let head = format!("GET /health HTTP/1.1\r\nHost: localhost\r\n{many}\r\n");
+    assert!(exchange(service.address(), &head).starts_with("HTTP/1.1 431"));
+    assert!(exchange(service.address(), "what is this?\r\n\r\n").starts_with("HTTP/1.1 400"));
+}
+
+#[test]
+fn the_client_understands_the_service() {
+    let live = LiveRun::new();
+    live.publish(LiveStatus { iterations: 3, ..LiveStatus::default() });
+    let spec = ServiceSpec::new(CheckpointStore::new("/nonexistent/store"));
+    let service = Service::start(ServiceSpec { live: Some(live.clone()), ..spec }).expect("starts");
+    let client = Client::new(&service.address().to_string());
+    assert_eq!(client.status().expect("answers").iterations, 3);
+    live.close();
+    let error = client.scale(2).expect_err("the run has ended");
+    assert!(error.to_string().contains("ending"), "{error}");
+    let error = client.checkpoint_now().expect_err("the run has ended");
+    assert!(error.to_string().contains("ending"), "{error}");
+    service.stop();
+    let error = client.status().expect_err("nobody listens").to_string();
+    assert!(error.contains("no answer"), "{error}");
+}
+
+#[tokio::test]
+async fn the_description_holds_every_route() {
+    let bench = Bench::new(&[]);
+    let document = bench.ask("GET /openapi.json").await.json();
+    assert_eq!(document["openapi"], "3.1.0");
+    let mut described: Vec<String> = Vec::new();
+    let mut names = BTreeSet::new();
+    for (path, methods) in document["paths"].as_object().expect("paths") {
+        for (method, operation) in methods.as_object().expect("methods") {
+            if ["parameters", "summary", "description", "servers"].contains(&method.as_str()) {
+                continue;
+            }
+            assert!(operation["summary"].is_string(), "{method} {path} says what it does");
+            let name = operation["operationId"].as_str().expect("a name");
+            assert!(names.insert(name.to_owned()), "{name} names one operation");
+            for (status, response) in operation["responses"].as_object().expect("responses") {
+                assert!(response["description"].is_string(), "{method} {path}: {status}");
+            }
+            described.push(format!("{} {path}", method.to_uppercase()));
+        }
+    }
+    described.sort();
+    // The list that the module's documentation gives.
+    let mut listed: Vec<String> = include_str!("../mod.rs")
+        .lines()
+        .filter_map(|line| line.strip_prefix("//! "))
+        .filter(|line| line.contains(" /"))
+        .filter_map(|line| {
+            let mut words = line.split_whitespace();
+            let (method, path) = (words.next()?, words.next()?);
+            let known = ["GET", "POST", "PUT", "DELETE"].contains(&method);
+            known.then(|| format!("{method} {path}"))
+        })
+        .collect();
+    for path in ["/v1/checkpoints/{name}/pin", "/v1/checkpoints/{name}/tags/{tag}"] {
+        listed.push(format!("DELETE {path}"));
+    }
+    listed.sort();
+    assert_eq!(described, listed);
+    // And each is there: whatever it answers, it is not that there is no such route or method.
+    for line in described {
+        let line = line.replace("{name}", "x").replace("{file}", "y").replace("{tag}", "z");
+        let answer = bench.ask(&line).await;
+        let routed = answer.status.is_success() || !answer.error().contains("openapi.json");
+        assert!(routed && answer.status.as_u16() != 405, "{line}: {answer:?}");
+    }
+}

@@ -1,0 +1,205 @@
+//! Which checkpoint is the best: held-out episodes, played by the workers as ordinary orders.
+//!
+//! The learner sends a snapshot with every policy that is to be evaluated. The snapshot waits here
+//! until its episodes have been played, and is committed if they are better than all before it. The
+//! goals are always the same ([`SELECTION_SEED`]), the actions the policy's means, so the score of a
+//! policy is a pure function of its parameters; nothing of it flows back into the training.
+
+use std::collections::BTreeMap;
+
+use proto::config::{Config, TaskName};
+use proto::message::{EpisodeErrors, EvaluationChunk};
+use sim_worker::evaluate::SELECTION_SEED;
+use sim_worker::scalar::LANES;
+
+use crate::checkpoint::{Score, Snapshot};
+
+/// Errors that the paper reports for its best policies: position (m), orientation (rad), and
+/// attitude of the base (rad). Scores are in these units, so that 1 is as good as the paper.
+const PAPER: EpisodeErrors = EpisodeErrors { position: 0.025, orientation: 0.04, base: 0.03 };
+
+/// What became of an evaluation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Verdict {
+    /// Iterations that the policy was trained on.
+    pub iteration: u64,
+    /// How good it is.
+    pub score: Score,
+    /// Its training state, if it has not been committed anyway.
+    pub candidate: Option<Snapshot>,
+    /// Whether it is better than all before it.
+    pub improved: bool,
+}
+
+/// The evaluation under way, and the best score so far.
+#[derive(Debug)]
+pub struct Selection {
+    task: TaskName,
+    episodes: u32,
+    steps: u32,
+    best: Option<f64>,
+    current: Option<Current>,
+}
+
+#[derive(Debug)]
+struct Current {
+    iteration: u64,
+    candidate: Option<Snapshot>,
+    open: Vec<EvaluationChunk>,
+    /// By first episode, so that the order of arrival does not matter.
+    errors: BTreeMap<u32, Vec<EpisodeErrors>>,
+}
+
+impl Selection {
+    /// Nothing evaluated; `best` is the best score of the run's earlier sessions.
+    pub fn new(config: &Config, best: Option<f64>) -> Self {
+        let run = &config.run;
+        Self {
+            task: config.task.name,
+            episodes: run.evaluation_episodes,
+            steps: run.evaluation_steps,
+            best,
+            current: None,
+        }
+    }
+
+    /// Begins the evaluation of a policy; returns the episodes to be ordered. One that is still
+    /// under way is given up, see [`Self::open`].
+    pub fn begin(&mut self, iteration: u64, candidate: Option<Snapshot>) -> Vec<EvaluationChunk> {
+        let open: Vec<_> = (0..self.episodes)
+            .step_by(LANES)
+            .map(|first| EvaluationChunk {
+                policy_version: iteration,
+                first,
+                episodes: (self.episodes - first).min(LANES as u32),
+            })
+            .collect();
+        let errors = BTreeMap::new();
+        self.current = Some(Current { iteration, candidate, open: open.clone(), errors });
+        open
+    }
+
+    /// Episodes that are not played yet.
+    pub fn open(&self) -> Vec<EvaluationChunk> {
+        self.current.as_ref().map_or_else(Vec::new, |current| current.open.clone())
+    }
+
+    /// Whether nothing is being evaluated.
+    pub fn is_idle(&self) -> bool {
+        self.current.is_none()
+    }
+
+    /// Gives up what is being evaluated.
+    pub fn abandon(&mut self) {
+        self.current = None;
+    }
+
+    /// Takes in played episodes. Without errors the policy could not be played: given up.
+    pub fn played(
+        &mut self,
+        chunk: EvaluationChunk,
+        errors: Vec<EpisodeErrors>,
+    ) -> Option<Verdict> {
+        let current = self.current.as_mut()?;
+        let place = current.open.iter().position(|open| *open == chunk)?;
+        if errors.len() != chunk.episodes as usize {
+            self.current = None;
+            return None;
+        }
+        current.open.swap_remove(place);
+        current.errors.insert(chunk.first, errors);
+        if !current.open.is_empty() {
+            return None;
+        }
+        let Current { iteration, candidate, errors, .. } = self.current.take()?;
+        let score = self.score(&errors.into_values().flatten().collect::<Vec<_>>());
+        let improved = self.best.is_none_or(|best| score.value < best);
+        if improved {
+            self.best = Some(score.value);
+        }
+        Some(Verdict { iteration, score, candidate, improved })
+    }
+
+    fn score(&self, episodes: &[EpisodeErrors]) -> Score {
+        let mean = |error: fn(&EpisodeErrors) -> f32| {
+            episodes.iter().map(|errors| f64::from(error(errors))).sum::<f64>()
+                / episodes.len() as f64
+        };
+        let position = mean(|errors| errors.position);
+        let orientation = mean(|errors| errors.orientation);
+        let base = mean(|errors| errors.base);
+        let (value, errors) = match self.task {
+            TaskName::Trajectory => (
+                0.5 * (position / f64::from(PAPER.position)
+                    + orientation / f64::from(PAPER.orientation)),
+                [("position_m", position), ("orientation_rad", orientation)].to_vec(),
+            ),
+            TaskName::Reorientation => {
+                (base / f64::from(PAPER.base), [("base_rad", base)].to_vec())
+            }
+        };
+        Score {
+            value,
+            errors: errors.into_iter().map(|(name, error)| (name.to_owned(), error)).collect(),
+            episodes: episodes.len() as u64,
+            steps: u64::from(self.steps),
+            seed: SELECTION_SEED,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+
+    use super::*;
+
+    fn selection(best: Option<f64>) -> Selection {
+        let layers = Layers::new(Preset::Tuned, None).set("run.evaluation_episodes=18");
+        let config = layers.and_then(|layers| layers.resolve()).expect("valid");
+        Selection::new(&config, best)
+    }
+
+    fn errors(count: u32, position: f32) -> Vec<EpisodeErrors> {
+        vec![EpisodeErrors { position, orientation: 0.02, base: 9.0 }; count as usize]
+    }
+
+    #[test]
+    fn a_score_does_not_depend_on_the_order_of_arrival() {
+        let mut verdicts = Vec::new();
+        for order in [[0, 1], [1, 0]] {
+            let mut selection = selection(None);
+            let chunks = selection.begin(10, None);
+            assert_eq!(chunks.iter().map(|chunk| chunk.episodes).collect::<Vec<_>>(), [16, 2]);
+            let [first, last] = order.map(|place| chunks[place]);
+            let play =
+                |chunk: EvaluationChunk| errors(chunk.episodes, 0.01 + 1e-4 * chunk.first as f32);
+            assert_eq!(selection.played(first, play(first)), None);
+            // A repeated answer changes nothing.
+            assert_eq!(selection.played(first, play(first)), None);
+            verdicts.push(selection.played(last, play(last)).expect("complete"));
+            assert!(selection.is_idle());
+        }
+        assert_eq!(verdicts[0], verdicts[1]);
+        // (16 · 10 mm + 2 · 11.6 mm) / 18 of 25 mm, 20 mrad of 40 mrad.
+        let expected = 0.5 * ((16.0 * 0.01 + 2.0 * 0.0116) / 18.0 / 0.025 + 0.5);
+        assert!((verdicts[0].score.value - expected).abs() < 1e-6, "{:?}", verdicts[0]);
+        assert!(verdicts[0].improved);
+    }
+
+    #[test]
+    fn only_a_better_one_improves_and_a_policy_that_is_gone_is_given_up() {
+        let mut selection = selection(Some(0.5));
+        for (position, improved) in [(0.03, false), (0.001, true), (0.001, false)] {
+            let chunks = selection.begin(1, None);
+            let verdict = chunks
+                .into_iter()
+                .find_map(|chunk| selection.played(chunk, errors(chunk.episodes, position)))
+                .expect("complete");
+            assert_eq!(verdict.improved, improved, "{position}");
+        }
+        let chunks = selection.begin(2, None);
+        assert_eq!(selection.played(chunks[0], Vec::new()), None);
+        assert!(selection.is_idle());
+    }
+}
