@@ -30,7 +30,14 @@ pub struct Provenance {
     pub processors: usize,
     /// Memory of the machine (bytes).
     pub memory: u64,
+    /// What the digests of the run can be compared with.
+    pub promise: &'static str,
 }
+
+/// Stands in every run: what equal digests depend on.
+const PROMISE: &str = "digests are equal for the same configuration, seed, build (version, commit, \
+    build) and processor type (processor, vector_extensions), whatever the number of workers, kills \
+    and resumes; other processors, builds, learner threads, precisions and GPUs may round differently";
 
 impl Provenance {
     /// Looks around.
@@ -52,6 +59,7 @@ impl Provenance {
             vector_extensions: vector_extensions(),
             processors: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
             memory: memory(),
+            promise: PROMISE,
         }
     }
 }
