@@ -55,7 +55,8 @@ impl ChannelSizes {
     pub fn shared_memory(&self, workers: usize) -> [(&'static str, u64); 4] {
         let bytes = |slots: usize, len: usize| (slots * (len + 256)) as u64;
         let blocks = bytes(self.block_buffer + self.block_borrowed + 1, 4 * self.block_len);
-        let policies = (self.max_workers + 1) * (POLICY_BUFFER + POLICY_BORROWED) + POLICY_BUFFER + 1;
+        let policies =
+            (self.max_workers + 1) * (POLICY_BUFFER + POLICY_BORROWED) + POLICY_BUFFER + 1;
         let messages =
             |receivers: usize, len: usize| bytes(receivers * (MESSAGE_BUFFER + 1) + 1, len);
         let orders = messages(self.max_workers + 2, ORDER_LEN);
