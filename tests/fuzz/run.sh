@@ -1,0 +1,81 @@
+#!/usr/bin/env bash
+# Builds the fuzz targets for coverage on stable Rust, as cargo-fuzz does on nightly but without its
+# sanitizer, and runs each of them:  run.sh SECONDS [TARGET ...]
+set -euo pipefail
+
+seconds=${1:-60}
+shift || true
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+root=$here/../..
+base=${CARGO_TARGET_DIR:-$root/target}/fuzz
+mkdir -p "$base"
+base=$(cd "$base" && pwd)
+cargo=${CARGO:-cargo}
+# Named even though it is this machine's: the flags then stay out of build scripts and macros.
+host=$(cd "$here" && rustc -vV | sed -n 's/^host: //p')
+flags=(
+    --cfg fuzzing
+    -Cpasses=sancov-module
+    -Cllvm-args=-sanitizer-coverage-level=4
+    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters
+    -Cllvm-args=-sanitizer-coverage-pc-table
+    -Ccodegen-units=1
+)
+(cd "$here" && RUSTFLAGS="${flags[*]}" "$cargo" build --release --bins \
+    ${CI:+--locked} --target "$host" --target-dir "$base/build")
+programs=$base/build/$host/release
+
+targets=("$@")
+if [ ${#targets[@]} -eq 0 ]; then
+    mapfile -t targets < <(cd "$here/targets" && printf '%s\n' *.rs | sed 's/\.rs$//')
+fi
+
+# Files that targets read and write lie in memory: commits wait for the disk otherwise.
+scratch=$(mktemp -d "$([ -w /dev/shm ] && echo /dev/shm || echo /tmp)/spaceoctopus-fuzz-XXXXXX")
+running=
+finish() {
+    [ -z "$running" ] || kill "$running" 2>/dev/null || true
+    rm -rf "$scratch"
+}
+trap finish EXIT
+trap 'exit 130' INT TERM
+export TMPDIR=$scratch
+
+failed=()
+for target in "${targets[@]}"; do
+    corpus=$base/corpus/$target
+    artifacts=$base/artifacts/$target
+    log=$base/$target.log
+    mkdir -p "$corpus" "$artifacts"
+    "$programs/$target" --seeds "$corpus"
+    printf '==> %s: %d s\n' "$target" "$seconds"
+    # Longest inputs: the longest seed four times over, at least 4 KiB.
+    longest=$(find "$corpus" -name 'seed-*' -printf '%s\n' | sort -n | tail -1)
+    length=$((longest * 4 > 4096 ? longest * 4 : 4096))
+    "$programs/$target" -max_total_time="$seconds" -timeout=25 -rss_limit_mb=4096 \
+        -max_len=$length -print_final_stats=1 -artifact_prefix="$artifacts/" "$corpus" \
+        >"$log" 2>&1 &
+    running=$!
+    status=0
+    wait "$running" || status=$?
+    running=
+    # First and last state: `cov:` counts places of the program that were reached.
+    first=$(grep -m1 'INITED' "$log" || true)
+    last=$(grep -E '^#[0-9]+.*cov:' "$log" | tail -1 || true)
+    printf '    %s\n    %s\n' "$first" "$last"
+    reached=$(sed -nE 's/.*cov: ([0-9]+).*/\1/p' <<<"$last")
+    if [ "$status" -eq 0 ] && [ "${reached:-0}" -lt 100 ]; then
+        echo '    coverage is not seen: the flags of this script no longer instrument the program'
+        status=1
+    fi
+    if [ "$status" -ne 0 ]; then
+        failed+=("$target")
+        grep -vE '^#[0-9]+' "$log" | tail -30
+        artifact=$(find "$artifacts" -type f -newer "$scratch" -printf '%T@ %p\n' | sort -n | tail -1 | cut -d' ' -f2-)
+        printf '==> %s: FAILED; again with\n    %s %s\n' "$target" "$programs/$target" "${artifact:-}"
+    fi
+done
+if [ ${#failed[@]} -gt 0 ]; then
+    printf '==> failed: %s\n' "${failed[*]}"
+    exit 1
+fi

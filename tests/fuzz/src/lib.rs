@@ -1,0 +1,104 @@
+//! What several fuzz targets need: a place for files, a small valid checkpoint, seeds.
+//!
+//! Every target writes its own seeds: run as `TARGET --seeds DIR` it fills the directory with valid
+//! inputs and ends. So no binary corpus is kept, and none grows stale.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use coordinator::checkpoint::CheckpointStore;
+use proto::config::{Config, Layers, Preset};
+use proto::layout::{ActorLayout, Dimensions};
+use safetensors::tensor::{Dtype, TensorView};
+use serde_json::{Value, json};
+
+/// A directory of this process for files. `make fuzz` puts it into memory by `TMPDIR` and removes
+/// it, because libFuzzer ends processes without unwinding.
+pub fn scratch() -> &'static Path {
+    static PATH: OnceLock<PathBuf> = OnceLock::new();
+    PATH.get_or_init(|| {
+        let path = std::env::temp_dir().join(format!("octopus-fuzz-{}", std::process::id()));
+        std::fs::create_dir_all(&path).expect("temporary files can be written");
+        path
+    })
+}
+
+/// Fills the directory after `--seeds` on the command line and ends the process, if it is there.
+pub fn write_seeds(seeds: impl FnOnce() -> Vec<Vec<u8>>) {
+    let mut arguments = std::env::args().skip_while(|argument| argument != "--seeds").skip(1);
+    let Some(directory) = arguments.next() else { return };
+    std::fs::create_dir_all(&directory).expect("the seed directory can be made");
+    for (index, seed) in seeds().iter().enumerate() {
+        std::fs::write(Path::new(&directory).join(format!("seed-{index}")), seed)
+            .expect("the seed directory can be written");
+    }
+    let _ = std::fs::remove_dir_all(scratch());
+    std::process::exit(0);
+}
+
+/// A configuration with networks of a few numbers.
+pub fn small_config() -> Config {
+    let sets = [
+        "env.n_envs=2",
+        "env.n_shards=1",
+        "task.episode_steps=2",
+        "network.hidden=[2]",
+        "algorithm.mini_batches=1",
+    ];
+    sets.iter()
+        .try_fold(Layers::new(Preset::Tuned, None), |layers, set| layers.set(set))
+        .and_then(|layers| layers.resolve())
+        .expect("a valid configuration")
+}
+
+/// A robot as a checkpoint holds it.
+pub fn robot_toml() -> String {
+    sim_worker::robot::Robot::load("paper").expect("built in").to_toml()
+}
+
+/// The place of the actors' parameters under [`small_config`].
+pub fn layout() -> ActorLayout {
+    let config = small_config();
+    ActorLayout::new(&config, &Dimensions::new(&config, 4))
+}
+
+/// Actors of zeros as safetensors, their names after `prefix`, and `more` tensors of one number.
+pub fn tensors(prefix: &str, more: &[&str]) -> Vec<u8> {
+    let layout = layout();
+    let zeros = vec![0; 4 * layout.len];
+    let view = |shape: Vec<usize>| {
+        let bytes = &zeros[..4 * shape.iter().product::<usize>()];
+        TensorView::new(Dtype::F32, shape, bytes).expect("as long as its shape says")
+    };
+    let actors = layout
+        .tensors
+        .iter()
+        .map(|spec| (format!("{prefix}{}", spec.name), view(spec.shape.to_vec())));
+    let more = more.iter().map(|name| ((*name).to_owned(), view(vec![1])));
+    safetensors::serialize(actors.chain(more), None).expect("well formed")
+}
+
+/// A manifest that lists `files` with their true lengths and hashes.
+pub fn manifest(files: &[(&str, &[u8])]) -> Value {
+    let entries = files.iter().map(|(name, bytes)| {
+        let hash = blake3::hash(bytes).to_hex().to_string();
+        ((*name).to_owned(), json!({ "len": bytes.len(), "blake3": hash }))
+    });
+    json!({
+        "format": 1,
+        "iteration": 1,
+        "env_steps": 4,
+        "digest": "000102030405060708090a0b0c0d0e0f",
+        "created_unix_s": 1_767_225_600,
+        "provenance": {},
+        "files": entries.collect::<serde_json::Map<_, _>>(),
+    })
+}
+
+/// A store in the scratch directory, empty.
+pub fn empty_store(name: &str) -> CheckpointStore {
+    let root = scratch().join(name);
+    let _ = std::fs::remove_dir_all(&root);
+    std::fs::create_dir_all(&root).expect("temporary files can be written");
+    CheckpointStore::new(root)
+}
