@@ -18,6 +18,11 @@ LIBTORCH_DIR = $(or $(LIBTORCH),.libtorch)
 # Looked up when a recipe runs, after set-up: a libtorch with CUDA asks for the learner's feature.
 FEATURES = $(shell test -e "$(LIBTORCH_DIR)/lib/libtorch_cuda.so" && echo "--features learner/cuda")
 
+# How long each fuzz target runs, and which do: all by default. bash has a SECONDS of its own, which it
+# does not export, so only a given one is taken.
+FUZZ_SECONDS = $(if $(filter command line environment,$(origin SECONDS)),$(SECONDS),60)
+FUZZ_TARGETS ?=
+
 # $(call step,heading,command): runs one step of a longer list and says how long it took.
 define step
 @printf '\n==> %s\n' $(1); start=$$SECONDS; $(2) || { status=$$?; printf '==> %s: FAILED\n' $(1); exit $$status; }; \
@@ -49,8 +54,26 @@ test: setup venv ## everything that must hold: format, lints, documentation, tes
 	$(call step,'format',$(CARGO) fmt --all --check)
 	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets $(FEATURES) -- -D warnings)
 	$(call step,'documentation',RUSTDOCFLAGS='-D warnings' $(CARGO) doc $(LOCKED) --workspace --no-deps $(FEATURES))
-	$(call step,'programs',$(CARGO) build $(LOCKED) --workspace $(FEATURES))
+	# With the tests in one call: features of dependencies are united over what is built together, and
+	# sim-worker, which takes minutes, would be built twice otherwise.
+	$(call step,'programs',$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES))
 	$(call step,'tests',$(CARGO) test $(LOCKED) --workspace $(FEATURES))
+
+# Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run.
+KILLS ?= 200
+RESTARTS ?= 1000
+LEARNER_RESTARTS ?= 50
+SEED ?= 1
+
+.PHONY: chaos
+chaos: setup ## kill runs at random and compare bits (KILLS=200 RESTARTS=1000 SEED=1)
+	$(CARGO) build $(LOCKED) --workspace $(FEATURES)
+	$(CARGO) run $(LOCKED) -p tests --example chaos -- --seed $(SEED) --kills $(KILLS) \
+		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS)
+
+.PHONY: fuzz
+fuzz: ## fuzz everything that reads bytes from outside (SECONDS=60 for each target)
+	tests/fuzz/run.sh $(FUZZ_SECONDS) $(FUZZ_TARGETS)
 
 .PHONY: clean
 clean: ## remove what was built; set-up and runs are kept

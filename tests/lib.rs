@@ -9,6 +9,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
+pub mod chaos;
+
 /// Path of a built program: programs lie beside the directory of the test executables.
 pub fn program(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("a running test has a path");
@@ -56,6 +58,7 @@ pub const SMALL: &[&str] = &[
     "--set=algorithm.mini_batches=2",
     "--set=run.learner_threads=1",
     "--set=run.checkpoint_every=5",
+    "--set=run.evaluate_every=0",
 ];
 
 /// A run in a directory that goes away with it.
@@ -63,6 +66,8 @@ pub const SMALL: &[&str] = &[
 pub struct Run {
     dir: TempDir,
     process: Option<Child>,
+    log_filter: Option<&'static str>,
+    variables: Vec<(&'static str, String)>,
 }
 
 impl Default for Run {
@@ -74,7 +79,28 @@ impl Default for Run {
 impl Run {
     /// An empty directory, nothing started.
     pub fn new() -> Self {
-        Self { dir: tempfile::tempdir().expect("a temporary directory"), process: None }
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        Self { dir, process: None, log_filter: None, variables: Vec::new() }
+    }
+
+    /// An empty directory whose workers will log every block that they send.
+    pub fn with_logged_blocks() -> Self {
+        let mut run = Self::new();
+        run.log_filter = Some("warn,sim_worker=debug");
+        run
+    }
+
+    /// An empty directory whose processes will see these environment variables.
+    pub fn with_variables(variables: &[(&'static str, &str)]) -> Self {
+        let mut run = Self::new();
+        run.variables =
+            variables.iter().map(|(name, value)| (*name, (*value).to_owned())).collect();
+        run
+    }
+
+    /// From the next start on the environment is the test's own.
+    pub fn forget_variables(&mut self) {
+        self.variables.clear();
     }
 
     /// The run directory.
@@ -85,11 +111,16 @@ impl Run {
     /// Starts `octopus train trajectory` with the small flags and `more` of them.
     pub fn train(more: &[&str]) -> Self {
         let mut run = Self::new();
-        let dir = format!("--run-dir={}", run.path().display());
+        run.start_training(more);
+        run
+    }
+
+    /// Starts `octopus train trajectory` in this directory, as [`Self::train`] does.
+    pub fn start_training(&mut self, more: &[&str]) {
+        let dir = format!("--run-dir={}", self.path().display());
         let args: Vec<&str> =
             ["train", "trajectory", &dir].iter().chain(SMALL).chain(more).copied().collect();
-        run.start(&args);
-        run
+        self.start(&args);
     }
 
     /// Starts `octopus resume` on this directory.
@@ -106,14 +137,13 @@ impl Run {
             .append(true)
             .open(self.dir.path().join("octopus.log"))
             .expect("the log can be written");
-        let process = Command::new(program("octopus"))
-            .args(args)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .expect("octopus can be started");
-        self.process = Some(process);
+        let mut command = Command::new(program("octopus"));
+        command.args(args).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
+        command.envs(self.variables.iter().map(|(name, value)| (name, value)));
+        if let Some(filter) = self.log_filter {
+            command.env("RUST_LOG", filter);
+        }
+        self.process = Some(command.spawn().expect("octopus can be started"));
     }
 
     /// What the run wrote to standard error.
@@ -129,6 +159,12 @@ impl Run {
     /// Sends a signal to the coordinator.
     pub fn signal(&self, signal: Signal) {
         kill(self.pid(), signal);
+    }
+
+    /// How the coordinator ended, if it has: its exit code, or `None` if a signal ended it.
+    pub fn ended(&mut self) -> Option<Option<i32>> {
+        let status = self.process.as_mut()?.try_wait().expect("own child")?;
+        Some(status.code())
     }
 
     /// Waits for the end; returns the exit code, or `None` if a signal ended it.
@@ -190,6 +226,19 @@ impl Run {
             .collect()
     }
 
+    /// Name of the run's shared-memory domain, as soon as the run has one.
+    pub fn domain_when_there(&mut self) -> String {
+        let watchdog = Instant::now() + Duration::from_mins(1);
+        loop {
+            let text = std::fs::read_to_string(self.path().join("run.lock")).unwrap_or_default();
+            if let Ok(holder) = serde_json::from_str::<Value>(&text) {
+                return holder["domain"].as_str().expect("a name").to_owned();
+            }
+            assert!(Instant::now() < watchdog, "no run; log:\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
     /// Name of the run's shared-memory domain, while it lives.
     pub fn domain(&self) -> String {
         let text = std::fs::read_to_string(self.path().join("run.lock")).expect("a live run");
@@ -200,11 +249,19 @@ impl Run {
 
 impl Drop for Run {
     fn drop(&mut self) {
-        if let Some(mut process) = self.process.take() {
-            let _ = process.kill();
-            let _ = process.wait();
-            // The janitor needs a moment to remove the shared memory.
-            std::thread::sleep(Duration::from_millis(500));
+        let Some(mut process) = self.process.take() else { return };
+        let lock = self.path().join("run.lock");
+        let _ = process.kill();
+        let _ = process.wait();
+        // The janitor needs a moment to end the children and remove the shared memory. Whoever is
+        // killed leaves in the lock file which it is.
+        let holder = std::fs::read(lock).ok().and_then(|text| serde_json::from_slice(&text).ok());
+        let domain = holder.and_then(|holder: Value| Some(holder["domain"].as_str()?.to_owned()));
+        let patience = Instant::now() + Duration::from_secs(5);
+        while domain.as_ref().is_some_and(|domain| !leftovers(domain).is_empty())
+            && Instant::now() < patience
+        {
+            std::thread::sleep(Duration::from_millis(20));
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The same bits whatever happens.
 
 use rustix::process::Signal;
-use tests::{Run, assert_nothing_left, kill};
+use tests::{Run, assert_nothing_left, kill, octopus, stderr};
 
 /// Digests of a calm run with `workers` workers.
 fn calm(workers: &str, overlap: &str, iterations: &str) -> Vec<String> {
@@ -20,7 +20,9 @@ fn the_number_of_workers_changes_no_bit() {
         let one = calm("1", overlap, "6");
         assert_eq!(one.len(), 6);
         assert_ne!(one[0], one[1], "training moves the parameters");
-        assert_eq!(calm("3", overlap, "6"), one, "overlap {overlap}");
+        for workers in ["2", "3", "5"] {
+            assert_eq!(calm(workers, overlap, "6"), one, "{workers} workers, overlap {overlap}");
+        }
     }
 }
 
@@ -84,20 +86,120 @@ fn a_killed_coordinator_leaves_nothing_and_its_run_resumes_to_the_same_bits() {
 }
 
 #[test]
-fn a_killed_learner_ends_the_run_with_a_message_and_it_resumes_to_the_same_bits() {
-    let expected = calm("2", "0", "40");
-    let mut run = Run::train(&["--workers=2", "--overlap=0", "--iterations=40"]);
-    run.wait_for_iterations(12);
-    let domain = run.domain();
-    for learner in run.children("learner") {
-        kill(learner, Signal::KILL);
+fn a_killed_learner_is_started_again_from_the_last_checkpoint() {
+    for overlap in ["0", "1"] {
+        let overlap_flag = format!("--overlap={overlap}");
+        let expected = calm("2", overlap, "40");
+        let mut run = Run::train(&["--workers=2", &overlap_flag, "--iterations=40"]);
+        let domain = run.domain_when_there();
+        for at in [3, 12, 23] {
+            run.wait_for_iterations(at);
+            for learner in run.children("learner") {
+                kill(learner, Signal::KILL);
+            }
+        }
+        run.succeed();
+        assert!(run.log().contains("the learner died (signal 9)"), "{}", run.log());
+        assert_eq!(run.digests(), expected, "overlap {overlap}");
+        assert_nothing_left(&domain);
     }
-    assert_eq!(run.wait(), Some(6), "{}", run.log());
-    assert!(run.log().contains("octopus resume"), "{}", run.log());
+}
+
+#[test]
+fn processes_that_hang_are_replaced_and_change_no_bit() {
+    let expected = calm("2", "0", "40");
+    let deadline = "--set=run.order_deadline_s=3.0";
+    let mut run = Run::train(&["--workers=2", "--overlap=0", "--iterations=40", deadline]);
+    let domain = run.domain_when_there();
+    for (at, program) in [(3, "sim-worker"), (14, "learner")] {
+        run.wait_for_iterations(at);
+        kill(run.children(program)[0], Signal::STOP);
+    }
+    run.succeed();
+    assert!(run.log().contains("has been silent for 3 s"), "{}", run.log());
+    assert!(run.log().contains("the learner died (hung)"), "{}", run.log());
+    assert_eq!(run.digests(), expected);
     assert_nothing_left(&domain);
-    run.resume(&[]);
+}
+
+#[test]
+fn scaling_a_live_run_changes_no_bit() {
+    let expected = calm("2", "1", "60");
+    let mut run = Run::train(&["--workers=1", "--overlap=1", "--iterations=60"]);
+    let domain = run.domain_when_there();
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    for (at, workers) in [(4, 5), (14, 2), (24, 3)] {
+        run.wait_for_iterations(at);
+        let output = octopus(&["scale", path, &workers.to_string(), "--json"]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let answer: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!(answer["workers"], workers);
+    }
+    let refused = octopus(&["scale", path, "1000"]);
+    assert!(!refused.status.success());
+    assert!(stderr(&refused).contains("1000 workers"), "{}", stderr(&refused));
     run.succeed();
     assert_eq!(run.digests(), expected);
+    let workers: Vec<_> =
+        run.metrics().iter().map(|line| line["workers"].as_u64().expect("a count")).collect();
+    for wanted in [1, 5, 2, 3] {
+        assert!(workers.contains(&wanted), "{workers:?}");
+    }
+    assert_nothing_left(&domain);
+}
+
+#[test]
+fn foreign_settings_of_numerical_libraries_change_no_bit() {
+    let expected = calm("2", "0", "6");
+    let mut run = Run::with_variables(&[
+        ("OMP_NUM_THREADS", "3"),
+        ("MKL_NUM_THREADS", "2"),
+        ("OMP_SCHEDULE", "dynamic,1"),
+        ("ATEN_CPU_CAPABILITY", "default"),
+        ("MKL_CBWR", "COMPATIBLE"),
+        ("ONEDNN_MAX_CPU_ISA", "AVX2"),
+    ]);
+    run.start_training(&["--workers=2", "--overlap=0", "--iterations=6"]);
+    run.succeed();
+    assert_eq!(run.digests(), expected);
+}
+
+#[test]
+fn an_evaluation_on_the_workers_changes_no_bit_and_finds_a_best_checkpoint() {
+    let expected = calm("2", "1", "30");
+    let flags = [
+        "--workers=2",
+        "--overlap=1",
+        "--iterations=30",
+        "--set=run.evaluate_every=4",
+        "--set=run.checkpoint_every=10",
+        "--set=run.evaluation_episodes=18",
+        "--set=run.evaluation_steps=10",
+        "--set=run.best_after=600",
+    ];
+    let mut scores = Vec::new();
+    for _ in 0..2 {
+        let mut run = Run::train(&flags);
+        run.succeed();
+        assert_eq!(run.digests(), expected);
+        let show = |name: &str| {
+            let selector = format!("{}:{name}", run.path().display());
+            let output = octopus(&["checkpoints", "show", &selector, "--json"]);
+            assert!(output.status.success(), "{}", stderr(&output));
+            serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("JSON")
+        };
+        let best = show("best");
+        // 600 env-steps are reached by the fifth iteration of 128.
+        assert!(best["iteration"].as_u64().is_some_and(|iteration| iteration >= 5), "{best}");
+        let score = |checkpoint: &serde_json::Value| checkpoint["labels"]["score"].clone();
+        // The last policy is evaluated whatever its iteration.
+        let last = score(&show("iteration-00000030"));
+        let value = |score: &serde_json::Value| score["value"].as_f64().expect("a score");
+        assert!(value(&score(&best)) <= value(&last), "{best}");
+        scores.push(last);
+    }
+    assert_eq!(scores[0], scores[1], "a score is a pure function of the policy");
 }
 
 #[test]

@@ -1,6 +1,11 @@
 //! End-to-end tests of the built programs: runs, crashes, bad input.
 
 mod bad_input;
+mod chaos;
+mod checkpoints;
 mod exactness;
+mod failures;
+mod http;
 mod mujoco;
 mod run_directory;
+mod verify;

@@ -1,7 +1,9 @@
 //! What a run leaves in its directory, read with the tools that a user would take.
 
 use std::process::Command;
+use std::time::{Duration, Instant};
 
+use rustix::process::Signal;
 use tests::{Run, assert_nothing_left, crosscheck, octopus, python, stderr};
 
 #[test]
@@ -59,6 +61,59 @@ fn a_run_leaves_metrics_checkpoints_events_and_a_curve() {
 }
 
 #[test]
+fn checkpoints_by_time_and_milestones_outlive_the_newest() {
+    let mut run = Run::train(&[
+        "--workers=2",
+        "--iterations=100000",
+        "--set=run.checkpoint_every=0",
+        "--set=run.checkpoint_every_s=0.2",
+        "--set=run.milestone_every_s=0.5",
+        "--set=run.checkpoints_kept=1",
+    ]);
+    let names = || -> Vec<String> {
+        let entries = std::fs::read_dir(run.path().join("checkpoints")).into_iter().flatten();
+        let names = entries.flatten().map(|entry| entry.file_name().into_string().expect("UTF-8"));
+        names.filter(|name| name.starts_with("iteration-")).collect()
+    };
+    // One milestone and one newer: without milestones there would never be two for long.
+    let milestone = |name: &String| {
+        let labels = run.path().join("checkpoints").join(name).join("labels.json");
+        std::fs::read_to_string(labels).is_ok_and(|text| text.contains("\"milestone\": true"))
+    };
+    let watchdog = Instant::now() + Duration::from_mins(2);
+    while names().iter().filter(|name| milestone(name)).count() < 2 {
+        assert!(Instant::now() < watchdog, "{:?}; log:\n{}", names(), run.log());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    run.signal(Signal::INT);
+    run.succeed();
+}
+
+#[test]
+fn a_disk_that_refuses_a_checkpoint_does_not_end_the_training() {
+    let mut run = Run::train(&["--workers=2", "--iterations=100000"]);
+    run.wait_for_iterations(7);
+    // A file where the directory was: nothing can be written there, by nobody.
+    let (path, aside) = (run.path().join("checkpoints"), run.path().join("aside"));
+    std::fs::rename(&path, &aside).expect("renames");
+    std::fs::write(&path, "no directory").expect("writes");
+    let watchdog = Instant::now() + Duration::from_mins(2);
+    while !run.log().contains("the training goes on without it") {
+        assert!(Instant::now() < watchdog, "no warning; log:\n{}", run.log());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::fs::remove_file(&path).expect("removes");
+    std::fs::rename(&aside, &path).expect("renames");
+    let done = run.metrics().len();
+    run.wait_for_iterations(done + 12);
+    run.signal(Signal::INT);
+    run.succeed();
+    let shown = run.path();
+    let verified = octopus(&["checkpoints", "verify", shown.to_str().expect("UTF-8")]);
+    assert!(verified.status.success(), "{}", stderr(&verified));
+}
+
+#[test]
 fn an_evaluation_reads_a_run_and_a_checkpoint() {
     let mut run = Run::train(&["--workers=1", "--iterations=2"]);
     run.succeed();
@@ -94,7 +149,21 @@ fn an_evaluation_reads_a_run_and_a_checkpoint() {
 fn help_names_every_command() {
     let help = octopus(&["--help"]);
     let text = String::from_utf8_lossy(&help.stdout).into_owned();
-    for command in ["train", "resume", "eval", "simulate", "mjcf", "doctor", "status", "clean"] {
+    for command in [
+        "train",
+        "resume",
+        "eval",
+        "simulate",
+        "mjcf",
+        "doctor",
+        "status",
+        "scale",
+        "verify",
+        "rollout",
+        "checkpoints",
+        "serve",
+        "clean",
+    ] {
         assert!(text.contains(command), "{command} is not in\n{text}");
         assert!(octopus(&[command, "--help"]).status.success(), "{command} --help");
     }

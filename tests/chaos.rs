@@ -1,0 +1,387 @@
+//! Chaos: a run is killed, stopped, hung and scaled at random moments, and must end with the same
+//! bits as one that was left alone, every env-step accounted for, and nothing left behind.
+//!
+//! [`plan`] draws what happens from a seed, [`Chaos::run`] lets it happen, and [`restarts`] kills
+//! workers of one live run a thousand times. Nothing here depends on luck to pass: the moments
+//! fall differently on every machine, the bits must not.
+
+pub mod measure;
+pub mod observe;
+pub mod plan;
+pub mod restarts;
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use coordinator::signals::StopRequests;
+use rustix::process::Signal;
+use serde_json::{Value, json};
+
+use self::measure::Times;
+use self::observe::{FirstBlock, domain_of, iterations, workers};
+use self::plan::{Act, Event, Plan};
+use crate::{Run, assert_nothing_left, kill, octopus, stderr};
+
+/// Flags of every run here, calm or not; a hung process is noticed after three seconds.
+const FLAGS: &[&str] = &["--workers=2", "--set=run.order_deadline_s=3", "--quiet"];
+/// How long anything that must happen may take before the run counts as hung.
+const PATIENCE: Duration = Duration::from_mins(2);
+/// How often a run is looked at.
+const TICK: Duration = Duration::from_millis(5);
+/// A run gives up a worker that dies five times in a row without a block; so often it is killed in
+/// a row before a block must be seen.
+const KILLS_IN_A_ROW: u32 = 3;
+
+/// What was done to a run and what came of it.
+#[derive(Debug, Default)]
+pub struct Report {
+    /// What was done, by name, and how often.
+    pub acts: BTreeMap<&'static str, usize>,
+    /// Iterations of the run.
+    pub iterations: usize,
+    /// Coordinators that the run had.
+    pub coordinators: usize,
+    /// How often a killed learner ended the run, so that it had to be resumed.
+    pub ended_by_learner: usize,
+    /// From a learner's death until the run was further than before.
+    pub recoveries: Times,
+    /// Time that the run took.
+    pub wall: Duration,
+}
+
+impl Report {
+    /// As one JSON object.
+    pub fn to_json(&self) -> Value {
+        json!({
+            "acts": self.acts,
+            "iterations": self.iterations,
+            "coordinators": self.coordinators,
+            "ended_by_learner": self.ended_by_learner,
+            "learner_recovery": self.recoveries.to_json(),
+            "seconds": self.wall.as_secs_f64(),
+        })
+    }
+}
+
+/// A run and what it is put through.
+#[derive(Debug)]
+pub struct Chaos<'a> {
+    run: Run,
+    stop: &'a StopRequests,
+    /// Every shared-memory domain that the run has used.
+    domains: Vec<String>,
+    /// Whether the learner has been killed since the run last got further.
+    learner_killed: bool,
+    /// When the learner was killed, and the iterations done then.
+    recovering: Option<(Instant, usize)>,
+    /// Of the workers' logs, when this session of the run began.
+    log_lengths: BTreeMap<u32, u64>,
+    /// By worker: kills in a row, and how the successor's first block is seen.
+    unproven: BTreeMap<u32, (u32, FirstBlock)>,
+    report: Report,
+}
+
+/// Digests of a run with `overlap` that is left alone for `iterations` iterations.
+pub fn calm(overlap: usize, iterations: usize, stop: &StopRequests) -> Result<Vec<String>> {
+    let mut run = Run::new();
+    run.start_training(&flags(overlap, iterations).iter().map(String::as_str).collect::<Vec<_>>());
+    let mut watch = Watch::new(stop);
+    loop {
+        match run.ended() {
+            Some(Some(0)) => return Ok(run.digests()),
+            Some(code) => bail!("the calm run ended with {code:?}:\n{}", run.log()),
+            None => watch.pause(observe::iterations(&run) as u64, &run)?,
+        }
+    }
+}
+
+fn flags(overlap: usize, iterations: usize) -> Vec<String> {
+    let own = [format!("--overlap={overlap}"), format!("--iterations={iterations}")];
+    FLAGS.iter().map(|&flag| flag.to_owned()).chain(own).collect()
+}
+
+impl<'a> Chaos<'a> {
+    /// Puts a run with `overlap` through `plan`. `narrate` is told of everything that happens.
+    /// Fails if the bits are not `expected`, if an env-step is missing, or if anything is left.
+    pub fn run(
+        plan: &Plan,
+        overlap: usize,
+        expected: &[String],
+        stop: &'a StopRequests,
+        narrate: &mut dyn FnMut(&str),
+    ) -> Result<Report> {
+        let started = Instant::now();
+        let mut run = Run::with_logged_blocks();
+        let flags = flags(overlap, plan.iterations);
+        run.start_training(&flags.iter().map(String::as_str).collect::<Vec<_>>());
+        let mut chaos = Chaos {
+            run,
+            stop,
+            domains: Vec::new(),
+            learner_killed: false,
+            recovering: None,
+            log_lengths: BTreeMap::new(),
+            unproven: BTreeMap::new(),
+            report: Report { coordinators: 1, ..Report::default() },
+        };
+        for (number, event) in plan.events.iter().enumerate() {
+            chaos.reach(event.at)?;
+            let moment = Instant::now() + event.delay;
+            while Instant::now() < moment {
+                chaos.tend()?;
+                std::thread::sleep(TICK.min(moment.saturating_duration_since(Instant::now())));
+            }
+            let done =
+                chaos.act(event).with_context(|| format!("event {}: {event}", number + 1))?;
+            narrate(&format!("{:3}/{} {event}: {done}", number + 1, plan.events.len()));
+        }
+        chaos.reach(plan.iterations)?;
+        chaos.end(expected, overlap)?;
+        chaos.report.wall = started.elapsed();
+        chaos.report.iterations = plan.iterations;
+        Ok(chaos.report)
+    }
+
+    /// Waits until `n` iterations are done, whatever it takes.
+    fn reach(&mut self, n: usize) -> Result<()> {
+        let mut watch = Watch::new(self.stop);
+        while iterations(&self.run) < n {
+            self.tend()?;
+            watch.pause(iterations(&self.run) as u64, &self.run)?;
+        }
+        Ok(())
+    }
+
+    /// Looks after the run: learns its domain, resumes it if a killed learner ended it.
+    fn tend(&mut self) -> Result<()> {
+        if let Some(domain) = domain_of(&self.run, self.run.pid())
+            && !self.domains.contains(&domain)
+        {
+            self.domains.push(domain);
+        }
+        if let Some((killed, before)) = self.recovering
+            // The iteration that was under way may still have been reported.
+            && iterations(&self.run) > before + 1
+        {
+            self.report.recoveries.push(killed.elapsed());
+            self.recovering = None;
+            self.learner_killed = false;
+        }
+        match self.run.ended() {
+            Some(Some(6)) if self.learner_killed => {
+                self.report.ended_by_learner += 1;
+                let recovering = self.recovering;
+                self.resume(2);
+                self.recovering = recovering;
+                Ok(())
+            }
+            // The run may be done before its last event.
+            None | Some(Some(0)) => Ok(()),
+            Some(code) => bail!("the run ended with {code:?}; its log:\n{}", self.run.log()),
+        }
+    }
+
+    fn act(&mut self, event: &Event) -> Result<String> {
+        let count = |report: &mut Report, name| *report.acts.entry(name).or_default() += 1;
+        match event.act {
+            Act::KillWorker => {
+                count(&mut self.report, "workers_killed");
+                let worker = self.choose_worker(event.victim, false)?;
+                let first_block = FirstBlock::of_successor(&self.run, worker);
+                kill(worker.pid, Signal::KILL);
+                let in_a_row = self.unproven.get(&worker.worker).map_or(0, |(kills, _)| *kills) + 1;
+                self.unproven.insert(worker.worker, (in_a_row, first_block));
+                Ok(format!("worker {} process {}", worker.worker, worker.pid))
+            }
+            Act::HangWorker => {
+                count(&mut self.report, "workers_hung");
+                // One that hangs before it is ready costs the run's deadline for starting, which
+                // is minutes.
+                let worker = self.choose_worker(event.victim, true)?;
+                kill(worker.pid, Signal::STOP);
+                Ok(format!("worker {} process {}", worker.worker, worker.pid))
+            }
+            Act::KillLearner => {
+                count(&mut self.report, "learners_killed");
+                let learner = self.learner()?;
+                self.recovering = Some((Instant::now(), iterations(&self.run)));
+                self.learner_killed = true;
+                kill(learner, Signal::KILL);
+                Ok(format!("process {learner}"))
+            }
+            Act::KillCoordinator(workers) => {
+                count(&mut self.report, "coordinators_killed");
+                let pid = self.run.pid();
+                self.run.signal(Signal::KILL);
+                let code = self.run.wait();
+                // Whoever is killed leaves its name in the lock.
+                self.domains.extend(domain_of(&self.run, pid));
+                self.domains.dedup();
+                self.wait_until_gone()?;
+                self.resume(workers);
+                Ok(format!("process {pid} ended with {code:?}"))
+            }
+            Act::Interrupt(workers) => {
+                count(&mut self.report, "interrupts");
+                let pid = self.run.pid();
+                self.run.signal(Signal::INT);
+                let code = self.run.wait();
+                self.domains.extend(domain_of(&self.run, pid));
+                self.domains.dedup();
+                // A signal that comes before the program listens ends it at once.
+                let fine = matches!(code, Some(0) | None) || code == Some(6) && self.learner_killed;
+                ensure!(fine, "Ctrl-C ended with {code:?}; log:\n{}", self.run.log());
+                self.wait_until_gone()?;
+                self.resume(workers);
+                Ok(format!("process {pid} ended with {code:?}"))
+            }
+            Act::Scale(workers) => {
+                count(&mut self.report, "scalings");
+                self.scale(workers)?;
+                Ok("accepted".to_owned())
+            }
+        }
+    }
+
+    /// The learner, as soon as there is one.
+    fn learner(&mut self) -> Result<u32> {
+        let mut watch = Watch::new(self.stop);
+        loop {
+            self.tend()?;
+            if let Some(&learner) = self.run.children("learner").first() {
+                return Ok(learner);
+            }
+            watch.pause(0, &self.run)?;
+        }
+    }
+
+    /// A worker to be killed, as soon as there is one that has sent a block since the last kill or
+    /// was not killed too often in a row.
+    /// With `ready` it is one that has come up.
+    fn choose_worker(&mut self, victim: u32, ready: bool) -> Result<observe::WorkerProcess> {
+        let mut watch = Watch::new(self.stop);
+        loop {
+            self.tend()?;
+            self.unproven.retain(|_, (_, first_block)| !first_block.is_sent());
+            let mut candidates = workers(&self.run);
+            candidates.retain(|candidate| {
+                let killed = self.unproven.get(&candidate.worker);
+                killed.is_none_or(|(kills, _)| *kills < KILLS_IN_A_ROW)
+                    && (!ready || observe::is_ready(&self.run, *candidate, &self.log_lengths))
+            });
+            if let Some(index) = (victim as usize).checked_rem(candidates.len()) {
+                return Ok(candidates[index]);
+            }
+            watch.pause(0, &self.run)?;
+        }
+    }
+
+    /// Scales, again and again until the run is there to hear it.
+    fn scale(&mut self, workers: usize) -> Result<()> {
+        let path = self.run.path().display().to_string();
+        let mut watch = Watch::new(self.stop);
+        loop {
+            let output = octopus(&["scale", &path, &workers.to_string()]);
+            if output.status.success() {
+                return Ok(());
+            }
+            let refused = stderr(&output);
+            self.tend()?;
+            watch.pause(0, &self.run).context(refused)?;
+        }
+    }
+
+    /// Waits until no process of the run lives, its janitor included.
+    fn wait_until_gone(&self) -> Result<()> {
+        let mut watch = Watch::new(self.stop);
+        while !observe::everybody(&self.run, &self.domains).is_empty() {
+            watch.pause(0, &self.run)?;
+        }
+        Ok(())
+    }
+
+    fn resume(&mut self, workers: usize) {
+        self.learner_killed = false;
+        self.recovering = None;
+        self.unproven.clear();
+        self.log_lengths = observe::log_lengths(&self.run);
+        self.report.coordinators += 1;
+        self.run.resume(&[&format!("--workers={workers}"), "--quiet"]);
+    }
+
+    /// Lets the run end and checks everything that it leaves and must not leave.
+    fn end(&mut self, expected: &[String], overlap: usize) -> Result<()> {
+        let mut watch = Watch::new(self.stop);
+        loop {
+            self.tend()?;
+            match self.run.ended() {
+                Some(Some(0)) => break,
+                _ => watch.pause(iterations(&self.run) as u64, &self.run)?,
+            }
+        }
+        check_lines(&self.run.metrics())?;
+        let digests = self.run.digests();
+        let part = digests.iter().zip(expected).position(|(found, expected)| found != expected);
+        ensure!(part.is_none(), "overlap {overlap}: the digests part at iteration {part:?}");
+        ensure!(
+            digests.len() == expected.len(),
+            "{} iterations instead of {}",
+            digests.len(),
+            expected.len()
+        );
+        self.wait_until_gone()?;
+        for domain in &self.domains {
+            assert_nothing_left(domain);
+        }
+        ensure!(!self.domains.is_empty(), "no domain was ever seen, so none was checked");
+        Ok(())
+    }
+}
+
+/// Every line of the metrics accounts for every env-step.
+pub fn check_lines(lines: &[Value]) -> Result<()> {
+    for line in lines {
+        let steps = |key: &str| {
+            line["accounting"][key].as_u64().with_context(|| format!("no count `{key}` in {line}"))
+        };
+        let (produced, received) = (steps("produced")?, steps("received")?);
+        let (trained, duplicate, lost) = (steps("trained")?, steps("duplicate")?, steps("lost")?);
+        ensure!(
+            produced == trained + duplicate + lost && received == trained + duplicate,
+            "{line} does not add up"
+        );
+        ensure!(trained == 128, "{trained} of 128 env-steps were trained on: {line}");
+    }
+    Ok(())
+}
+
+/// Waits in small steps, and notices when nothing changes any more or when Ctrl-C was pressed.
+#[derive(Debug)]
+struct Watch<'a> {
+    stop: &'a StopRequests,
+    state: u64,
+    since: Instant,
+}
+
+impl<'a> Watch<'a> {
+    fn new(stop: &'a StopRequests) -> Self {
+        Self { stop, state: 0, since: Instant::now() }
+    }
+
+    /// Sleeps for a tick; `state` is what should change.
+    fn pause(&mut self, state: u64, run: &Run) -> Result<()> {
+        ensure!(self.stop.count() == 0, "interrupted");
+        if state != self.state {
+            (self.state, self.since) = (state, Instant::now());
+        }
+        ensure!(
+            self.since.elapsed() < PATIENCE,
+            "nothing has happened for {} s; the log of the run:\n{}",
+            PATIENCE.as_secs(),
+            run.log()
+        );
+        std::thread::sleep(TICK);
+        Ok(())
+    }
+}

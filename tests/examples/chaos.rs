@@ -1,0 +1,73 @@
+//! The long form of the chaos tests: `make chaos`.
+
+use std::io::Write as _;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use clap::Parser as _;
+use coordinator::signals::StopRequests;
+use serde_json::json;
+use tests::chaos::plan::Plan;
+use tests::chaos::{Chaos, calm, restarts};
+
+/// Kills, hangs, stops and scales runs at random, and checks that it changes no bit and leaves
+/// nothing. Progress goes to standard error, a summary as JSON to standard output.
+#[derive(Debug, clap::Parser)]
+#[command(name = "chaos")]
+struct Arguments {
+    /// Kills of workers, learners and coordinators, half of them with overlap 0, half with 1.
+    #[arg(long, default_value_t = 200)]
+    kills: usize,
+    /// Kills of workers of one live run, after that.
+    #[arg(long, default_value_t = 1000)]
+    worker_restarts: usize,
+    /// Kills of the learner of the same run, after that.
+    #[arg(long, default_value_t = 50)]
+    learner_restarts: usize,
+    /// What the plans are drawn from.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+fn main() -> anyhow::Result<()> {
+    let arguments = Arguments::parse();
+    let stop = StopRequests::new();
+    stop.listen().context("signals cannot be caught")?;
+    let begun = Instant::now();
+    let mut narrate = |line: &str| {
+        let _ = writeln!(std::io::stderr(), "{:7.1} s  {line}", begun.elapsed().as_secs_f64());
+    };
+
+    let mut runs = Vec::new();
+    for overlap in [0, 1] {
+        let kills = usize::midpoint(arguments.kills, overlap);
+        if kills == 0 {
+            continue;
+        }
+        // Two plans of one seed: the overlap is part of what is drawn from.
+        let plan = Plan::new(arguments.seed * 2 + overlap as u64, kills);
+        narrate(&format!("overlap {overlap}, {plan}"));
+        narrate("the calm run");
+        let expected = calm(overlap, plan.iterations, &stop)?;
+        let report = Chaos::run(&plan, overlap, &expected, &stop, &mut narrate)
+            .with_context(|| format!("overlap {overlap}, plan of seed {}", plan.seed))?;
+        narrate(&format!("overlap {overlap}: {} iterations, the same bits", report.iterations));
+        runs.push(
+            json!({ "overlap": overlap, "plan_seed": plan.seed, "result": report.to_json() }),
+        );
+    }
+    let restarts = match (arguments.worker_restarts, arguments.learner_restarts) {
+        (0, 0) => None,
+        (workers, learners) => {
+            Some(restarts::run(workers, learners, &stop, &mut narrate)?.to_json())
+        }
+    };
+    let summary = json!({
+        "seed": arguments.seed,
+        "runs": runs,
+        "restarts": restarts,
+        "seconds": begun.elapsed().as_secs_f64(),
+    });
+    writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&summary)?)?;
+    Ok(())
+}
