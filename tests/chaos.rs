@@ -42,8 +42,6 @@ pub struct Report {
     pub iterations: usize,
     /// Coordinators that the run had.
     pub coordinators: usize,
-    /// How often a killed learner ended the run, so that it had to be resumed.
-    pub ended_by_learner: usize,
     /// From a learner's death until the run was further than before.
     pub recoveries: Times,
     /// Time that the run took.
@@ -57,7 +55,6 @@ impl Report {
             "acts": self.acts,
             "iterations": self.iterations,
             "coordinators": self.coordinators,
-            "ended_by_learner": self.ended_by_learner,
             "learner_recovery": self.recoveries.to_json(),
             "seconds": self.wall.as_secs_f64(),
         })
@@ -71,12 +68,8 @@ pub struct Chaos<'a> {
     stop: &'a StopRequests,
     /// Every shared-memory domain that the run has used.
     domains: Vec<String>,
-    /// Whether the learner has been killed since the run last got further.
-    learner_killed: bool,
     /// When the learner was killed, and the iterations done then.
     recovering: Option<(Instant, usize)>,
-    /// Of the workers' logs, when this session of the run began.
-    log_lengths: BTreeMap<u32, u64>,
     /// By worker: kills in a row, and how the successor's first block is seen.
     unproven: BTreeMap<u32, (u32, FirstBlock)>,
     report: Report,
@@ -119,9 +112,7 @@ impl<'a> Chaos<'a> {
             run,
             stop,
             domains: Vec::new(),
-            learner_killed: false,
             recovering: None,
-            log_lengths: BTreeMap::new(),
             unproven: BTreeMap::new(),
             report: Report { coordinators: 1, ..Report::default() },
         };
@@ -166,16 +157,8 @@ impl<'a> Chaos<'a> {
         {
             self.report.recoveries.push(killed.elapsed());
             self.recovering = None;
-            self.learner_killed = false;
         }
         match self.run.ended() {
-            Some(Some(6)) if self.learner_killed => {
-                self.report.ended_by_learner += 1;
-                let recovering = self.recovering;
-                self.resume(2);
-                self.recovering = recovering;
-                Ok(())
-            }
             // The run may be done before its last event.
             None | Some(Some(0)) => Ok(()),
             Some(code) => bail!("the run ended with {code:?}; its log:\n{}", self.run.log()),
@@ -187,7 +170,7 @@ impl<'a> Chaos<'a> {
         match event.act {
             Act::KillWorker => {
                 count(&mut self.report, "workers_killed");
-                let worker = self.choose_worker(event.victim, false)?;
+                let worker = self.choose_worker(event.victim)?;
                 let first_block = FirstBlock::of_successor(&self.run, worker);
                 kill(worker.pid, Signal::KILL);
                 let in_a_row = self.unproven.get(&worker.worker).map_or(0, |(kills, _)| *kills) + 1;
@@ -196,9 +179,8 @@ impl<'a> Chaos<'a> {
             }
             Act::HangWorker => {
                 count(&mut self.report, "workers_hung");
-                // One that hangs before it is ready costs the run's deadline for starting, which
-                // is minutes.
-                let worker = self.choose_worker(event.victim, true)?;
+                // Also one that is not ready yet, which costs the deadline for starting.
+                let worker = self.choose_worker(event.victim)?;
                 kill(worker.pid, Signal::STOP);
                 Ok(format!("worker {} process {}", worker.worker, worker.pid))
             }
@@ -206,7 +188,6 @@ impl<'a> Chaos<'a> {
                 count(&mut self.report, "learners_killed");
                 let learner = self.learner()?;
                 self.recovering = Some((Instant::now(), iterations(&self.run)));
-                self.learner_killed = true;
                 kill(learner, Signal::KILL);
                 Ok(format!("process {learner}"))
             }
@@ -230,8 +211,11 @@ impl<'a> Chaos<'a> {
                 self.domains.extend(domain_of(&self.run, pid));
                 self.domains.dedup();
                 // A signal that comes before the program listens ends it at once.
-                let fine = matches!(code, Some(0) | None) || code == Some(6) && self.learner_killed;
-                ensure!(fine, "Ctrl-C ended with {code:?}; log:\n{}", self.run.log());
+                ensure!(
+                    matches!(code, Some(0) | None),
+                    "Ctrl-C ended with {code:?}; log:\n{}",
+                    self.run.log()
+                );
                 self.wait_until_gone()?;
                 self.resume(workers);
                 Ok(format!("process {pid} ended with {code:?}"))
@@ -258,8 +242,7 @@ impl<'a> Chaos<'a> {
 
     /// A worker to be killed, as soon as there is one that has sent a block since the last kill or
     /// was not killed too often in a row.
-    /// With `ready` it is one that has come up.
-    fn choose_worker(&mut self, victim: u32, ready: bool) -> Result<observe::WorkerProcess> {
+    fn choose_worker(&mut self, victim: u32) -> Result<observe::WorkerProcess> {
         let mut watch = Watch::new(self.stop);
         loop {
             self.tend()?;
@@ -268,7 +251,6 @@ impl<'a> Chaos<'a> {
             candidates.retain(|candidate| {
                 let killed = self.unproven.get(&candidate.worker);
                 killed.is_none_or(|(kills, _)| *kills < KILLS_IN_A_ROW)
-                    && (!ready || observe::is_ready(&self.run, *candidate, &self.log_lengths))
             });
             if let Some(index) = (victim as usize).checked_rem(candidates.len()) {
                 return Ok(candidates[index]);
@@ -302,10 +284,8 @@ impl<'a> Chaos<'a> {
     }
 
     fn resume(&mut self, workers: usize) {
-        self.learner_killed = false;
         self.recovering = None;
         self.unproven.clear();
-        self.log_lengths = observe::log_lengths(&self.run);
         self.report.coordinators += 1;
         self.run.resume(&[&format!("--workers={workers}"), "--quiet"]);
     }

@@ -1,6 +1,7 @@
 //! Writes checkpoints on a thread of its own: the run's loop never waits for a disk.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -12,10 +13,17 @@ use crate::checkpoint::{CheckpointError, CheckpointStore, Name, Retention, Score
 /// What the thread is told to do, one after the other.
 #[derive(Debug)]
 enum Job {
-    Commit(Snapshot),
+    Commit(Waiting),
     Score(u64, Score),
     /// Nothing; the answer says that everything before is done.
     Report(Sender<()>),
+}
+
+/// A snapshot to be committed, and the score of its policy if that is the best so far.
+#[derive(Debug)]
+struct Waiting {
+    snapshot: Arc<Snapshot>,
+    score: Option<Score>,
 }
 
 /// What it has done.
@@ -39,21 +47,41 @@ pub enum Committed {
         /// Whether it is the best so far.
         best: bool,
     },
-    /// Something could not be written; what was there before is as it was.
+    /// A snapshot was not committed; what was there before is as it was.
     Failed {
+        /// Its iteration.
+        iteration: u64,
+        /// Why.
+        error: CheckpointError,
+    },
+    /// A checkpoint is whole, but its score could not be written.
+    ScoreFailed {
         /// The checkpoint's iteration.
         iteration: u64,
         /// Why.
         error: CheckpointError,
     },
+    /// A newer snapshot came before the disk was ready for this one.
+    GivenUp {
+        /// Its iteration.
+        iteration: u64,
+    },
 }
 
 /// The thread. Dropping it waits for the work under way.
+///
+/// While one snapshot is being written, only the newest other one waits, and the newest of those
+/// with a score: a disk that is slower than the training costs checkpoints, not memory.
 #[derive(Debug)]
 pub struct Committer {
     jobs: Option<Sender<Job>>,
-    results: Receiver<Committed>,
+    inbox: Receiver<Committed>,
     thread: Option<JoinHandle<()>>,
+    /// Whether the thread has a snapshot.
+    writing: bool,
+    waiting: Option<Waiting>,
+    waiting_best: Option<Waiting>,
+    results: Vec<Committed>,
 }
 
 impl Committer {
@@ -64,36 +92,105 @@ impl Committer {
         robot_toml: String,
         provenance: serde_json::Value,
     ) -> Self {
-        let (jobs, inbox) = channel();
-        let (outbox, results) = channel();
+        let (jobs, orders) = channel();
+        let (outbox, inbox) = channel();
         let thread = std::thread::spawn(move || {
-            let mut writer = Writer { milestone_at: None, store, config, robot_toml, provenance };
-            for job in inbox {
-                let result = match job {
-                    Job::Commit(snapshot) => writer.commit(&snapshot),
+            let mut writer =
+                Writer { milestone_at: None, store, config, robot_toml, provenance, outbox };
+            for job in orders {
+                match job {
+                    Job::Commit(waiting) => writer.commit(waiting),
                     Job::Score(iteration, score) => writer.score(iteration, score),
                     Job::Report(done) => {
                         // Whoever asked may have gone.
                         let _ = done.send(());
-                        continue;
                     }
-                };
-                if outbox.send(result).is_err() {
-                    break;
                 }
             }
         });
-        Self { jobs: Some(jobs), results, thread: Some(thread) }
+        Self {
+            jobs: Some(jobs),
+            inbox,
+            thread: Some(thread),
+            writing: false,
+            waiting: None,
+            waiting_best: None,
+            results: Vec::new(),
+        }
     }
 
-    /// Hands a snapshot over.
-    pub fn commit(&self, snapshot: Snapshot) {
-        self.send(Job::Commit(snapshot));
+    /// Has a snapshot committed, as the best so far if it has a score. One that is committed
+    /// already only gets its score.
+    pub fn commit(&mut self, snapshot: Arc<Snapshot>, score: Option<Score>) {
+        let place = match score {
+            Some(_) => &mut self.waiting_best,
+            None => &mut self.waiting,
+        };
+        if let Some(older) = place.replace(Waiting { snapshot, score }) {
+            self.results.push(Committed::GivenUp { iteration: older.snapshot.iteration });
+        }
+        self.hand_over();
     }
 
-    /// Has a score written to the checkpoint of `iteration`, which has been handed over before.
-    pub fn score(&self, iteration: u64, score: Score) {
-        self.send(Job::Score(iteration, score));
+    /// Has a score written to the checkpoint of `iteration`, if that is still there.
+    pub fn score(&mut self, iteration: u64, score: Score) {
+        match &mut self.waiting {
+            Some(waiting) if waiting.snapshot.iteration == iteration => waiting.score = Some(score),
+            _ => self.send(Job::Score(iteration, score)),
+        }
+    }
+
+    /// Whether a snapshot is being written or waits to be.
+    pub fn is_busy(&self) -> bool {
+        self.writing || self.waiting.is_some() || self.waiting_best.is_some()
+    }
+
+    /// What has been done since the last call, in order.
+    pub fn results(&mut self) -> Vec<Committed> {
+        self.collect();
+        std::mem::take(&mut self.results)
+    }
+
+    /// Waits until everything handed over is written.
+    pub fn settle(&mut self) {
+        loop {
+            let (done, wait) = channel();
+            self.send(Job::Report(done));
+            let reported = wait.recv();
+            self.collect();
+            if !self.is_busy() || reported.is_err() {
+                return;
+            }
+        }
+    }
+
+    fn collect(&mut self) {
+        for result in self.inbox.try_iter() {
+            if matches!(result, Committed::Checkpoint { .. } | Committed::Failed { .. }) {
+                self.writing = false;
+            }
+            self.results.push(result);
+        }
+        self.hand_over();
+    }
+
+    /// Gives the thread the snapshot that waits longest, if it has none.
+    fn hand_over(&mut self) {
+        if self.writing {
+            return;
+        }
+        let iteration = |waiting: &Option<Waiting>| {
+            waiting.as_ref().map_or(u64::MAX, |waiting| waiting.snapshot.iteration)
+        };
+        let first = if iteration(&self.waiting_best) < iteration(&self.waiting) {
+            self.waiting_best.take()
+        } else {
+            self.waiting.take()
+        };
+        if let Some(next) = first {
+            self.writing = true;
+            self.send(Job::Commit(next));
+        }
     }
 
     fn send(&self, job: Job) {
@@ -102,22 +199,11 @@ impl Committer {
             let _ = jobs.send(job);
         }
     }
-
-    /// What has been done since the last call.
-    pub fn results(&self) -> impl Iterator<Item = Committed> {
-        self.results.try_iter()
-    }
-
-    /// Waits until everything handed over is written.
-    pub fn settle(&self) {
-        let (done, wait) = channel();
-        self.send(Job::Report(done));
-        let _ = wait.recv();
-    }
 }
 
 impl Drop for Committer {
     fn drop(&mut self) {
+        self.settle();
         self.jobs = None;
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -131,25 +217,52 @@ struct Writer {
     config: Config,
     robot_toml: String,
     provenance: serde_json::Value,
+    outbox: Sender<Committed>,
     /// When the newest milestone was committed (seconds since 1970); none before the first look.
     milestone_at: Option<f64>,
 }
 
 impl Writer {
-    fn commit(&mut self, snapshot: &Snapshot) -> Committed {
+    fn commit(&mut self, Waiting { snapshot, score }: Waiting) {
         let iteration = snapshot.iteration;
         let begun = Instant::now();
-        let result = self.store.commit(snapshot, &self.config, &self.robot_toml, &self.provenance);
+        let result = self.store.commit(&snapshot, &self.config, &self.robot_toml, &self.provenance);
         match result {
             Ok(dir) => {
+                // The score first: what is the best must not be tidied up for want of it.
+                let scored = score.map(|score| self.record(iteration, score));
                 // The checkpoint is safe; what is left is housekeeping, and done again next time.
                 if let Err(error) = self.mark_milestone(iteration).and_then(|()| self.retain()) {
                     tracing::warn!(%error, "checkpoints could not be tidied up");
                 }
-                Committed::Checkpoint { iteration, dir, elapsed: begun.elapsed() }
+                self.tell(Committed::Checkpoint { iteration, dir, elapsed: begun.elapsed() });
+                if let Some(scored) = scored {
+                    self.tell(scored);
+                }
             }
-            Err(error) => Committed::Failed { iteration, error },
+            Err(error) => self.tell(Committed::Failed { iteration, error }),
         }
+    }
+
+    fn score(&self, iteration: u64, score: Score) {
+        let dir = self.store.dir(&Name::of_iteration(iteration));
+        // Not the best, so it may have been tidied up meanwhile.
+        if dir.exists() {
+            self.tell(self.record(iteration, score));
+        }
+    }
+
+    fn record(&self, iteration: u64, score: Score) -> Committed {
+        let value = score.value;
+        match self.store.record_score(&Name::of_iteration(iteration), score) {
+            Ok(best) => Committed::Score { iteration, value, best },
+            Err(error) => Committed::ScoreFailed { iteration, error },
+        }
+    }
+
+    fn tell(&self, result: Committed) {
+        // Nobody listens only while the run is being given up.
+        let _ = self.outbox.send(result);
     }
 
     /// Marks the first checkpoint of every stretch of time.
@@ -176,18 +289,6 @@ impl Writer {
             self.milestone_at = Some(now);
         }
         Ok(())
-    }
-
-    fn score(&self, iteration: u64, score: Score) -> Committed {
-        let value = score.value;
-        let result = self
-            .store
-            .record_score(&Name::of_iteration(iteration), score)
-            .and_then(|best| self.retain().map(|()| best));
-        match result {
-            Ok(best) => Committed::Score { iteration, value, best },
-            Err(error) => Committed::Failed { iteration, error },
-        }
     }
 
     fn retain(&self) -> Result<(), CheckpointError> {

@@ -6,6 +6,7 @@
 //! policy is a pure function of its parameters; nothing of it flows back into the training.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use proto::config::{Config, TaskName};
 use proto::message::{EpisodeErrors, EvaluationChunk};
@@ -21,12 +22,12 @@ const PAPER: EpisodeErrors = EpisodeErrors { position: 0.025, orientation: 0.04,
 /// What became of an evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verdict {
-    /// Iterations that the policy was trained on.
-    pub iteration: u64,
-    /// How good it is.
+    /// The training state that the policy belongs to.
+    pub snapshot: Arc<Snapshot>,
+    /// Whether that has been handed over for a commit already.
+    pub committed: bool,
+    /// How good the policy is.
     pub score: Score,
-    /// Its training state, if it has not been committed anyway.
-    pub candidate: Option<Snapshot>,
     /// Whether it is better than all before it.
     pub improved: bool,
 }
@@ -43,8 +44,8 @@ pub struct Selection {
 
 #[derive(Debug)]
 struct Current {
-    iteration: u64,
-    candidate: Option<Snapshot>,
+    snapshot: Arc<Snapshot>,
+    committed: bool,
     open: Vec<EvaluationChunk>,
     /// By first episode, so that the order of arrival does not matter.
     errors: BTreeMap<u32, Vec<EpisodeErrors>>,
@@ -63,9 +64,11 @@ impl Selection {
         }
     }
 
-    /// Begins the evaluation of a policy; returns the episodes to be ordered. One that is still
-    /// under way is given up, see [`Self::open`].
-    pub fn begin(&mut self, iteration: u64, candidate: Option<Snapshot>) -> Vec<EvaluationChunk> {
+    /// Begins the evaluation of a snapshot's policy; returns the episodes to be ordered. One that is
+    /// still under way is given up, see [`Self::open`]. `committed` says whether the snapshot is
+    /// committed anyway.
+    pub fn begin(&mut self, snapshot: Arc<Snapshot>, committed: bool) -> Vec<EvaluationChunk> {
+        let iteration = snapshot.iteration;
         let open: Vec<_> = (0..self.episodes)
             .step_by(LANES)
             .map(|first| EvaluationChunk {
@@ -75,7 +78,7 @@ impl Selection {
             })
             .collect();
         let errors = BTreeMap::new();
-        self.current = Some(Current { iteration, candidate, open: open.clone(), errors });
+        self.current = Some(Current { snapshot, committed, open: open.clone(), errors });
         open
     }
 
@@ -111,13 +114,18 @@ impl Selection {
         if !current.open.is_empty() {
             return None;
         }
-        let Current { iteration, candidate, errors, .. } = self.current.take()?;
+        let Current { snapshot, committed, errors, .. } = self.current.take()?;
         let score = self.score(&errors.into_values().flatten().collect::<Vec<_>>());
         let improved = self.best.is_none_or(|best| score.value < best);
         if improved {
             self.best = Some(score.value);
         }
-        Some(Verdict { iteration, score, candidate, improved })
+        Some(Verdict { snapshot, committed, score, improved })
+    }
+
+    /// The best could not be kept: this is the score of the best that there is.
+    pub fn set_best(&mut self, best: Option<f64>) {
+        self.best = best;
     }
 
     fn score(&self, episodes: &[EpisodeErrors]) -> Score {
@@ -150,6 +158,7 @@ impl Selection {
 
 #[cfg(test)]
 mod tests {
+    use proto::Digest;
     use proto::config::{Layers, Preset};
 
     use super::*;
@@ -158,6 +167,10 @@ mod tests {
         let layers = Layers::new(Preset::Tuned, None).set("run.evaluation_episodes=18");
         let config = layers.and_then(|layers| layers.resolve()).expect("valid");
         Selection::new(&config, best)
+    }
+
+    fn snapshot(iteration: u64) -> Arc<Snapshot> {
+        Arc::new(Snapshot { iteration, digest: Digest([0; 16]), bytes: Vec::new() })
     }
 
     fn errors(count: u32, position: f32) -> Vec<EpisodeErrors> {
@@ -169,7 +182,7 @@ mod tests {
         let mut verdicts = Vec::new();
         for order in [[0, 1], [1, 0]] {
             let mut selection = selection(None);
-            let chunks = selection.begin(10, None);
+            let chunks = selection.begin(snapshot(10), false);
             assert_eq!(chunks.iter().map(|chunk| chunk.episodes).collect::<Vec<_>>(), [16, 2]);
             let [first, last] = order.map(|place| chunks[place]);
             let play =
@@ -191,14 +204,14 @@ mod tests {
     fn only_a_better_one_improves_and_a_policy_that_is_gone_is_given_up() {
         let mut selection = selection(Some(0.5));
         for (position, improved) in [(0.03, false), (0.001, true), (0.001, false)] {
-            let chunks = selection.begin(1, None);
+            let chunks = selection.begin(snapshot(1), false);
             let verdict = chunks
                 .into_iter()
                 .find_map(|chunk| selection.played(chunk, errors(chunk.episodes, position)))
                 .expect("complete");
             assert_eq!(verdict.improved, improved, "{position}");
         }
-        let chunks = selection.begin(2, None);
+        let chunks = selection.begin(snapshot(2), false);
         assert_eq!(selection.played(chunks[0], Vec::new()), None);
         assert!(selection.is_idle());
     }

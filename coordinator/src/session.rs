@@ -19,6 +19,7 @@ pub mod failures;
 
 mod books;
 mod monitor;
+mod snapshots;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -32,22 +33,21 @@ use proto::config::Config;
 use proto::layout::Dimensions;
 use proto::message::{IterationReport, Order, Progress, Status, WorkerId};
 use proto::run_dir::RunDir;
-use proto::{Digest, ExitCode, ExitError};
+use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
-use tokio::sync::oneshot;
 
 use self::books::Books;
 use self::failures::Failures;
 use self::monitor::Monitor;
-use crate::checkpoint::{Assembly, Checkpoint, CheckpointError, CheckpointStore, Name, Snapshot};
-use crate::committer::{Committed, Committer};
+use self::snapshots::{Evaluation, Phase, Snapshots};
+use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore, Name};
+use crate::committer::Committed;
 use crate::live::{Command, LiveRun, LiveStatus};
 use crate::preflight;
 use crate::report::{Live, Reporter};
 use crate::scheduler::Scheduler;
-use crate::selection::{Selection, Verdict};
 use crate::signals::StopRequests;
-use crate::supervisor::{Cause, Death, Programs, Supervisor, log_tail};
+use crate::supervisor::{Cause, Death, Deaths, Programs, Supervisor, log_tail};
 
 /// Everything that a run needs to start or to go on. The run directory exists, holds
 /// `config.toml` and `robot.toml`, and is locked.
@@ -101,13 +101,14 @@ pub struct Outcome {
 
 /// How long the loop sleeps at most: bounds the time until a death is noticed.
 const TICK: Duration = Duration::from_millis(20);
-/// How long a learner or worker may take to come up.
-const START_DEADLINE: Duration = Duration::from_mins(2);
+/// How long a learner or worker may take at least until it is ready, however short the deadline is
+/// for one that has been heard.
+const START_DEADLINE: Duration = Duration::from_secs(10);
 /// How long the last snapshot may take, from the request to the committed checkpoint.
 const FINISH_DEADLINE: Duration = Duration::from_mins(5);
 /// How long children may take to exit after [`Order::Stop`].
 const EXIT_DEADLINE: Duration = Duration::from_secs(5);
-/// Crashes of the learner in a row, without a new iteration in between, that end the run.
+/// Deaths of the learner in a row, without a new iteration in between, that end the run.
 const MAX_LEARNER_CRASHES: u32 = 3;
 /// The same for deaths by a signal from outside.
 const MAX_LEARNER_KILLS: u32 = 50;
@@ -115,13 +116,16 @@ const MAX_LEARNER_KILLS: u32 = 50;
 /// Runs until the budget, the time limit, a signal or an error ends it. Whatever happens, no
 /// process and no shared memory is left when this returns.
 pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitError> {
+    let dimensions = Dimensions::new(&spec.config, spec.robot.n_arms);
+    let sizes = ChannelSizes::new(&spec.config, &dimensions);
     let mut supervisor = Supervisor::new(
         spec.programs.clone(),
         spec.run_dir.clone(),
         spec.domain.clone(),
         &spec.config.run,
+        sizes.max_workers,
     )?;
-    let result = Session::start(spec, &mut supervisor)
+    let result = Session::start(spec, &dimensions, sizes, &mut supervisor)
         .and_then(|mut session| session.run(&mut supervisor, reporter));
     spec.live.close();
     supervisor.close();
@@ -138,9 +142,7 @@ struct Session<'a> {
     progress: MessageReceiver<Progress>,
     status: MessageReceiver<Status>,
     pieces: PieceReceiver,
-    assembly: Assembly,
-    committer: Committer,
-    selection: Selection,
+    snapshots: Snapshots,
     failures: Failures,
     books: Books,
     monitor: Monitor,
@@ -156,17 +158,7 @@ struct Session<'a> {
     origin: u64,
     /// Iterations reported.
     reported: u64,
-    /// Digests of iterations that were trained on before and are trained on again.
-    promised: BTreeMap<u64, Digest>,
-    /// Iterations of the newest committed checkpoint, and its directory.
-    committed: Option<(u64, PathBuf)>,
-    committed_at: Instant,
-    /// A checkpoint is wanted of the state after at least so many iterations.
-    asked: Option<u64>,
-    /// Who wants to know of it.
-    askers: Vec<(u64, oneshot::Sender<Result<String, String>>)>,
-    /// Deaths of the learner in a row, without a new iteration in between.
-    learner_failures: u32,
+    learner_deaths: Deaths,
     learner_restarts: u64,
     workers: usize,
     steps_per_block: u64,
@@ -178,17 +170,19 @@ struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    fn start(spec: &'a SessionSpec, supervisor: &mut Supervisor) -> Result<Self, ExitError> {
+    fn start(
+        spec: &'a SessionSpec,
+        dimensions: &Dimensions,
+        sizes: ChannelSizes,
+        supervisor: &mut Supervisor,
+    ) -> Result<Self, ExitError> {
         let config = &spec.config;
-        let dimensions = Dimensions::new(config, spec.robot.n_arms);
-        let sizes = ChannelSizes::new(config, &dimensions);
         let channels = Channels::create(&spec.domain, sizes)?;
         let store = CheckpointStore::new(spec.run_dir.checkpoints());
         let best = store.best().ok().flatten();
-        let best = best
-            .and_then(|entry| Some((entry.name.to_string(), entry.labels.score.as_ref()?.value)));
         let mut monitor = Monitor::new();
-        monitor.best.clone_from(&best);
+        monitor.best = best
+            .and_then(|entry| Some((entry.name.to_string(), entry.labels.score.as_ref()?.value)));
         let now = Instant::now();
         let mut session = Self {
             bell: channels.listener(Role::Coordinator)?,
@@ -196,20 +190,13 @@ impl<'a> Session<'a> {
             progress: channels.progress_receiver()?,
             status: channels.status_receiver()?,
             pieces: channels.snapshot_receiver()?,
-            assembly: Assembly::new(),
-            committer: Committer::start(
-                store.clone(),
-                config.clone(),
+            snapshots: Snapshots::new(
+                config,
                 spec.robot.to_toml(),
                 spec.provenance.clone(),
+                store.clone(),
             ),
-            selection: Selection::new(config, best.map(|(_, score)| score)),
-            failures: Failures::new(
-                &spec.run_dir,
-                config,
-                &dimensions,
-                channels.policy_receiver()?,
-            ),
+            failures: Failures::new(&spec.run_dir, config, dimensions, channels.policy_receiver()?),
             books: Books::default(),
             monitor,
             store,
@@ -220,12 +207,7 @@ impl<'a> Session<'a> {
             early: Vec::new(),
             origin: 0,
             reported: 0,
-            promised: BTreeMap::new(),
-            committed: None,
-            committed_at: now,
-            asked: None,
-            askers: Vec::new(),
-            learner_failures: 0,
+            learner_deaths: Deaths::default(),
             learner_restarts: 0,
             workers: config.run.workers,
             steps_per_block: (dimensions.n_envs * dimensions.n_steps) as u64,
@@ -247,10 +229,10 @@ impl<'a> Session<'a> {
     ) -> Result<(), ExitError> {
         self.origin = from.map_or(0, |checkpoint| checkpoint.manifest.iteration);
         self.reported = self.origin;
-        self.committed = from.map(|checkpoint| (self.origin, checkpoint.dir.clone()));
+        self.snapshots.begin_from(from.map(|checkpoint| (self.origin, checkpoint.dir.clone())));
         self.learner_heard = Instant::now();
         supervisor.start_learner(from.map(Checkpoint::state).as_deref())?;
-        supervisor.scale(self.workers)?;
+        supervisor.scale(self.workers, |_| false)?;
         Ok(())
     }
 
@@ -259,13 +241,12 @@ impl<'a> Session<'a> {
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<Outcome, ExitError> {
-        self.promised = reporter.take_promised();
         loop {
             self.bell.wait(TICK);
             self.tick(supervisor, reporter)?;
             self.check_stop(reporter);
             if self.scheduler.as_ref().is_some_and(Scheduler::is_finished)
-                && let Some(checkpoint) = self.finish()?
+                && let Some(checkpoint) = self.finish(reporter)?
             {
                 self.orders.send(&Order::Stop)?;
                 supervisor.wait_for_all(EXIT_DEADLINE);
@@ -295,7 +276,7 @@ impl<'a> Session<'a> {
         // Before the deaths: what a process said before it died still counts.
         self.hear_workers(supervisor, reporter)?;
         self.hear_learner(supervisor, reporter)?;
-        self.collect_pieces()?;
+        self.collect_pieces(supervisor, reporter)?;
         self.hear_committer(reporter)?;
         self.bury(supervisor, reporter)?;
         self.obey(supervisor, reporter)?;
@@ -344,9 +325,7 @@ impl<'a> Session<'a> {
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.evaluation_done(chunk, now);
                     }
-                    if let Some(verdict) = self.selection.played(chunk, errors) {
-                        self.judge(verdict);
-                    }
+                    self.snapshots.played(chunk, errors);
                 }
                 Status::Failed { worker, incarnation, message, fault } => {
                     reporter.note(&format!("worker {worker}: {message}"));
@@ -433,18 +412,7 @@ impl<'a> Session<'a> {
     ) -> Result<(), ExitError> {
         let iteration = report.iteration;
         self.books.close(&mut report, self.spec.config.steps_per_iteration())?;
-        if let Some(before) = self.promised.remove(&iteration)
-            && before != report.digest
-        {
-            return Err(ExitError::new(
-                ExitCode::Failure,
-                format!(
-                    "iteration {iteration} was trained on again and ended with digest {}, before \
-                     it was {before}: this machine, or this build, is not the one of before",
-                    report.digest
-                ),
-            ));
-        }
+        reporter.check_promised(iteration, report.digest)?;
         let elapsed = self.last_report.elapsed().as_secs_f64();
         self.last_report = Instant::now();
         let live = Live {
@@ -460,98 +428,53 @@ impl<'a> Session<'a> {
         self.monitor.env_steps_per_s = live.env_steps_per_s;
         self.monitor.last = line;
         self.reported = iteration + 1;
-        self.learner_failures = 0;
+        self.learner_deaths = Deaths::default();
         if let Some(scheduler) = &mut self.scheduler {
             scheduler.iteration_done(iteration);
         }
-        let every = self.spec.config.run.checkpoint_every_s;
-        if every > 0.0 && self.asked.is_none() && self.committed_at.elapsed().as_secs_f64() > every
-        {
-            self.ask()?;
-        }
+        self.snapshots.iteration_done(self.reported);
         Ok(())
     }
 
-    /// Asks the learner for a snapshot that will be committed.
-    fn ask(&mut self) -> Result<(), ExitError> {
-        self.asked = Some(self.reported);
-        Ok(self.orders.send(&Order::Snapshot)?)
-    }
-
-    fn collect_pieces(&mut self) -> Result<(), ExitError> {
+    fn collect_pieces(
+        &mut self,
+        supervisor: &Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
         while let Some(piece) = self.pieces.try_receive()? {
-            match self.assembly.add(piece.header(), piece.payload()) {
-                Ok(Some(snapshot)) => self.snapshot_arrived(snapshot),
-                Ok(None) => {}
-                Err(reason) => tracing::warn!(reason, "a snapshot was cut short"),
+            let Some(snapshot) = self.snapshots.add(piece.header(), piece.payload()) else {
+                continue;
+            };
+            // No checkpoint without the lines of its iterations: the learner reported them before
+            // it sent the snapshot, and they are durable before that is.
+            self.hear_learner(supervisor, reporter)?;
+            reporter.sync()?;
+            let phase = match self.finishing {
+                None => Phase::Training,
+                Some(_) => {
+                    Phase::Finishing { evaluate: self.stopped_by != Some(StoppedBy::Signal) }
+                }
+            };
+            let Evaluation { play, drop } = self.snapshots.arrived(snapshot, phase);
+            if let Some(scheduler) = &mut self.scheduler {
+                for chunk in drop {
+                    scheduler.evaluation_done(chunk, Instant::now());
+                }
+                scheduler.evaluate(play);
             }
         }
         Ok(())
     }
 
-    /// Commits a snapshot, has its policy evaluated, or both.
-    fn snapshot_arrived(&mut self, snapshot: Snapshot) {
-        let run = &self.spec.config.run;
-        let iteration = snapshot.iteration;
-        let asked = self.asked.is_some_and(|asked| iteration >= asked);
-        if asked {
-            self.asked = None;
-        }
-        let env_steps = iteration * self.spec.config.steps_per_iteration();
-        // A policy that nobody would call the best is not worth an evaluation.
-        let last = self.finishing.is_some() && self.stopped_by != Some(StoppedBy::Signal);
-        let evaluates = run.evaluate_every > 0
-            && (run.plans_evaluation(iteration) || last)
-            && env_steps >= run.best_after;
-        let commits = asked || run.plans_checkpoint(iteration);
-        let candidate = if commits {
-            self.committer.commit(snapshot);
-            None
-        } else {
-            Some(snapshot)
-        };
-        if !evaluates {
-            return;
-        }
-        let Some(scheduler) = &mut self.scheduler else { return };
-        for chunk in self.selection.open() {
-            scheduler.evaluation_done(chunk, Instant::now());
-        }
-        scheduler.evaluate(self.selection.begin(iteration, candidate));
-    }
-
-    /// Keeps what is the best so far.
-    fn judge(&mut self, verdict: Verdict) {
-        let Verdict { iteration, score, candidate, improved } = verdict;
-        let is_candidate = candidate.is_some();
-        if improved && let Some(snapshot) = candidate {
-            self.committer.commit(snapshot);
-        }
-        if improved || !is_candidate {
-            self.committer.score(iteration, score);
-        }
-    }
-
     fn hear_committer(&mut self, reporter: &mut Reporter) -> Result<(), ExitError> {
-        for result in self.committer.results() {
+        for result in self.snapshots.results() {
             match result {
-                Committed::Checkpoint { iteration, dir, elapsed } => {
+                Committed::Checkpoint { iteration, elapsed, .. } => {
                     self.monitor.commits += 1;
                     self.monitor.stages.commit_s += elapsed.as_secs_f64();
                     let name = Name::of_iteration(iteration).to_string();
                     tracing::info!(name, seconds = elapsed.as_secs_f64(), "checkpoint committed");
-                    self.monitor.checkpoint = Some(name.clone());
-                    self.committed_at = Instant::now();
-                    if self.committed.as_ref().is_none_or(|(newest, _)| iteration >= *newest) {
-                        self.committed = Some((iteration, dir));
-                    }
-                    let (done, waiting) =
-                        self.askers.drain(..).partition(|(asked, _)| iteration >= *asked);
-                    self.askers = waiting;
-                    let done: Vec<(u64, oneshot::Sender<_>)> = done;
-                    for (_, asker) in done {
-                        let _ = asker.send(Ok(name.clone()));
-                    }
+                    self.monitor.checkpoint = Some(name);
                 }
                 Committed::Score { iteration, value, best } => {
                     tracing::info!(iteration, value, best, "checkpoint scored");
@@ -562,15 +485,19 @@ impl<'a> Session<'a> {
                 }
                 Committed::Failed { iteration, error } => {
                     let message = format!("checkpoint {iteration} not committed: {error}");
-                    for (_, asker) in self.askers.drain(..) {
-                        let _ = asker.send(Err(message.clone()));
-                    }
                     if self.finishing.is_some() && iteration == self.reported {
                         return Err(ExitError::new(ExitCode::RunDirectory, message));
                     }
                     // What was committed before is whole, and there may be room again next time.
                     reporter.note(&format!("WARNING: {message}; the training goes on without it"));
                 }
+                Committed::ScoreFailed { iteration, error } => reporter.note(&format!(
+                    "WARNING: the score of checkpoint {iteration} was not written: {error}"
+                )),
+                Committed::GivenUp { iteration } => reporter.note(&format!(
+                    "WARNING: checkpoint {iteration} not committed: the disk was still busy with \
+                     the one before when the next one came"
+                )),
             }
         }
         Ok(())
@@ -620,11 +547,11 @@ impl<'a> Session<'a> {
                         let message = format!("its worker died ({cause})");
                         self.failures.failed(address, &message, None)?;
                     }
-                    supervisor.check_failures(worker, cause)?;
+                    supervisor.check_deaths(worker, cause)?;
                 }
             }
         }
-        for worker in supervisor.replace_the_dead()? {
+        for worker in supervisor.start_due()? {
             reporter.note(&format!("worker {worker} has been replaced"));
         }
         Ok(())
@@ -637,10 +564,10 @@ impl<'a> Session<'a> {
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
-        self.learner_failures += 1;
-        let killed = matches!(cause, Cause::Killed(_));
-        let most = if killed { MAX_LEARNER_KILLS } else { MAX_LEARNER_CRASHES };
-        if self.learner_failures >= most || (self.scheduler.is_none() && !killed) {
+        self.learner_deaths.count(cause);
+        // One that cannot even come up will not come up the next time.
+        let is_hopeless = self.scheduler.is_none() && matches!(cause, Cause::Crash(_));
+        if is_hopeless || self.learner_deaths.are_too_many(MAX_LEARNER_CRASHES, MAX_LEARNER_KILLS) {
             let log = self.spec.run_dir.logs().join("learner.log");
             return Err(ExitError::new(
                 ExitCode::Child,
@@ -655,7 +582,7 @@ impl<'a> Session<'a> {
         }
         // Workers hold orders and policies of the future that is now undone.
         supervisor.kill_all();
-        self.committer.settle();
+        self.snapshots.learner_gone();
         self.hear_committer(reporter)?;
         while self.status.try_receive()?.is_some() {}
         while self.progress.try_receive()?.is_some() {}
@@ -663,16 +590,14 @@ impl<'a> Session<'a> {
         self.failures.take_policies()?;
         self.failures.forget_policies();
         self.channels.clean_up_after_the_dead();
-        self.assembly = Assembly::new();
-        self.selection.abandon();
         let received = self.scheduler.take().map_or(0, |scheduler| scheduler.received());
         self.books.all_lost(received as u64 * self.steps_per_block);
         self.early.clear();
         self.heard.clear();
-        self.asked = None;
         self.finishing = None;
 
-        let from = match self.store.latest() {
+        // A newer one is of a future that the metrics have lost, see `octopus resume`.
+        let from = match self.store.latest_until(self.reported) {
             Ok(checkpoint) => Some(checkpoint),
             Err(CheckpointError::NotFound { .. }) => None,
             Err(error) => return Err(ExitError::new(ExitCode::RunDirectory, error.to_string())),
@@ -682,13 +607,11 @@ impl<'a> Session<'a> {
             "the learner died ({cause}); going on from iteration {iteration} of {}",
             self.reported
         ));
-        self.promised.extend(reporter.rewind(iteration).map_err(|error| {
+        reporter.rewind(iteration).map_err(|error| {
             ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be rewound: {error:#}"))
-        })?);
+        })?;
         self.learner_restarts += 1;
-        if !self.askers.is_empty() {
-            self.asked = Some(iteration);
-        }
+        self.snapshots.go_on_from(iteration);
         self.start_children(from.as_ref(), supervisor)
     }
 
@@ -705,7 +628,10 @@ impl<'a> Session<'a> {
                     let answer = match self.may_scale(workers) {
                         Ok(()) => {
                             self.workers = workers;
-                            for (worker, incarnation) in supervisor.scale(workers)? {
+                            let heard = &self.heard;
+                            let asked =
+                                supervisor.scale(workers, |worker| heard.contains_key(&worker))?;
+                            for (worker, incarnation) in asked {
                                 self.heard.remove(&worker);
                                 if let Some(scheduler) = &mut self.scheduler {
                                     scheduler.retire(worker);
@@ -721,18 +647,7 @@ impl<'a> Session<'a> {
                     // Who asked may have gone.
                     let _ = reply.send(answer);
                 }
-                Command::Checkpoint { reply } => match &self.committed {
-                    // Nothing was trained since, and nothing is being trained now.
-                    Some((iteration, _))
-                        if *iteration == self.reported && self.finishing.is_some() =>
-                    {
-                        let _ = reply.send(Ok(Name::of_iteration(*iteration).to_string()));
-                    }
-                    _ => {
-                        self.askers.push((self.reported, reply));
-                        self.ask()?;
-                    }
-                },
+                Command::Checkpoint { reply } => self.snapshots.ask_for(self.reported, reply),
             }
         }
         Ok(())
@@ -751,6 +666,9 @@ impl<'a> Session<'a> {
 
     fn send_orders(&mut self) -> Result<(), ExitError> {
         let Some(scheduler) = &mut self.scheduler else { return Ok(()) };
+        if self.snapshots.must_tell_learner() {
+            self.orders.send(&Order::Snapshot)?;
+        }
         let now = Instant::now();
         let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
         let repeated = scheduler.repeat_overdue(now, deadline);
@@ -770,35 +688,31 @@ impl<'a> Session<'a> {
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
         let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
-        let silent: Vec<_> = self
-            .heard
-            .iter()
-            .filter(|(_, heard)| heard.elapsed() > deadline)
-            .map(|(&worker, _)| worker)
+        let start_deadline = deadline.max(START_DEADLINE);
+        // When it was heard last, or started, and how long it may be silent.
+        let silent: Vec<_> = supervisor
+            .running_since()
+            .filter_map(|(worker, started)| {
+                let (since, deadline) = match self.heard.get(&worker) {
+                    Some(&heard) => (heard, deadline),
+                    None => (started, start_deadline),
+                };
+                (since.elapsed() > deadline).then_some((worker, deadline.as_secs_f64()))
+            })
             .collect();
-        let seconds = deadline.as_secs_f64();
-        for worker in silent {
-            reporter
-                .note(&format!("worker {worker} has been silent for {seconds} s and is replaced"));
-            self.heard.remove(&worker);
-            supervisor.kill_worker(worker);
+        for (worker, seconds) in silent {
+            if supervisor.kill_worker(worker) {
+                reporter.note(&format!(
+                    "worker {worker} has been silent for {seconds} s and is replaced"
+                ));
+            }
         }
-        if self.scheduler.is_some() && self.learner_heard.elapsed() > deadline {
+        let deadline = if self.scheduler.is_some() { deadline } else { start_deadline };
+        if self.learner_heard.elapsed() > deadline {
+            let seconds = deadline.as_secs_f64();
             reporter.note(&format!("the learner has been silent for {seconds} s and is replaced"));
             self.learner_heard = Instant::now();
             supervisor.kill_learner();
-        }
-        if self.scheduler.is_none() && self.learner_heard.elapsed() > START_DEADLINE {
-            let log = self.spec.run_dir.logs().join("learner.log");
-            return Err(ExitError::new(
-                ExitCode::Child,
-                format!(
-                    "the learner was not ready after {} s; the end of {}:\n{}",
-                    START_DEADLINE.as_secs(),
-                    log.display(),
-                    log_tail(&log, 5)
-                ),
-            ));
         }
         Ok(())
     }
@@ -825,19 +739,17 @@ impl<'a> Session<'a> {
     }
 
     /// Has the final state committed and evaluated; returns its directory once that is done.
-    fn finish(&mut self) -> Result<Option<PathBuf>, ExitError> {
+    fn finish(&mut self, reporter: &mut Reporter) -> Result<Option<PathBuf>, ExitError> {
         let Some(deadline) = self.finishing else {
             self.finishing = Some(Instant::now() + FINISH_DEADLINE);
-            self.ask()?;
+            self.snapshots.ask(self.reported);
             return Ok(None);
         };
-        if self.asked.is_none()
-            && self.selection.is_idle()
-            && let Some((iteration, path)) = &self.committed
-            && *iteration == self.reported
-        {
-            self.committer.settle();
-            return Ok(Some(path.clone()));
+        if let Some(checkpoint) = self.snapshots.settled_at(self.reported) {
+            let checkpoint = checkpoint.to_owned();
+            // What came with the last word of the committer.
+            self.hear_committer(reporter)?;
+            return Ok(Some(checkpoint));
         }
         if Instant::now() > deadline {
             return Err(ExitError::new(

@@ -54,8 +54,8 @@ enum WorkerState {
     Running { child: Child, started: Instant, hung: bool },
     /// A process that has been asked to go, and is killed after a while.
     Leaving { child: Child, until: Instant },
-    /// The time at which a successor starts.
-    BackingOff { until: Instant },
+    /// None yet: a process starts after this time, as soon as there is room for one.
+    Due { after: Instant },
 }
 
 #[derive(Debug)]
@@ -63,7 +63,7 @@ struct WorkerSlot {
     state: WorkerState,
     incarnation: u32,
     /// Deaths in a row without a delivered block.
-    failures: u32,
+    deaths: Deaths,
 }
 
 /// Why a process is no more.
@@ -103,6 +103,34 @@ impl std::fmt::Display for Cause {
     }
 }
 
+/// Deaths of a process and its successors in a row, with nothing achieved in between. Those by a
+/// signal from outside say less about the program than crashes do, so each kind has its own count.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Deaths {
+    crashes: u32,
+    kills: u32,
+}
+
+impl Deaths {
+    /// One more.
+    pub fn count(&mut self, cause: Cause) {
+        match cause {
+            Cause::Killed(_) => self.kills += 1,
+            Cause::Crash(_) | Cause::Hang => self.crashes += 1,
+        }
+    }
+
+    /// All of them.
+    pub fn total(self) -> u32 {
+        self.crashes + self.kills
+    }
+
+    /// Whether there are as many crashes or as many kills as end a run.
+    pub fn are_too_many(self, crashes: u32, kills: u32) -> bool {
+        self.crashes >= crashes || self.kills >= kills
+    }
+}
+
 /// A child that has ended.
 #[derive(Debug)]
 pub enum Death {
@@ -136,6 +164,8 @@ pub struct Supervisor {
     /// Settings of the learner's numerical libraries.
     threads: usize,
     pin: bool,
+    /// Workers that the channels have room for, those on their way out included.
+    max_workers: usize,
     janitor: Janitor,
     learner: Option<Child>,
     learner_hung: bool,
@@ -147,7 +177,7 @@ pub struct Supervisor {
 }
 
 /// Crashes of one worker in a row, without a block in between, after which the run is given up.
-const MAX_FAILURES: u32 = 5;
+const MAX_CRASHES: u32 = 5;
 /// The same for deaths by a signal from outside, which say less.
 const MAX_KILLS: u32 = 50;
 /// First back-off; doubles with every failure in a row.
@@ -179,6 +209,7 @@ impl Supervisor {
         run_dir: RunDir,
         domain: Domain,
         run: &Run,
+        max_workers: usize,
     ) -> Result<Self, ExitError> {
         let janitor = Janitor::start(&domain).map_err(|error| {
             ExitError::new(ExitCode::Environment, format!("cannot start the janitor: {error}"))
@@ -189,6 +220,7 @@ impl Supervisor {
             domain,
             threads: run.learner_threads,
             pin: run.pin,
+            max_workers,
             janitor,
             learner: None,
             learner_hung: false,
@@ -229,28 +261,39 @@ impl Supervisor {
         Ok(())
     }
 
-    /// Starts workers, or picks those that shall go, until `n` stay. Returns those that shall go,
-    /// with their incarnations: the caller asks them to.
-    pub fn scale(&mut self, n: usize) -> Result<Vec<(WorkerId, u32)>, ExitError> {
-        let mut leaving = Vec::new();
+    /// Has `n` workers stay: starts what is missing as soon as the channels have room for it, and
+    /// lets the youngest go. Returns those that the caller must ask to go, with their incarnations;
+    /// one that is not ready would not hear it, has nothing to finish, and is killed.
+    pub fn scale(
+        &mut self,
+        n: usize,
+        is_ready: impl Fn(WorkerId) -> bool,
+    ) -> Result<Vec<(WorkerId, u32)>, ExitError> {
+        let mut asked = Vec::new();
         // The youngest go first, so that numbers stay dense.
         let staying: Vec<_> = self.staying().collect();
         for &worker in staying.iter().skip(n).rev() {
             let Some(slot) = self.workers.remove(&worker) else { continue };
-            if let WorkerState::Running { child, .. } = slot.state {
-                leaving.push((worker, slot.incarnation));
-                let state = WorkerState::Leaving { child, until: Instant::now() + LEAVE_DEADLINE };
-                self.workers.insert(worker, WorkerSlot { state, ..slot });
+            let WorkerState::Running { mut child, .. } = slot.state else { continue };
+            if is_ready(worker) {
+                asked.push((worker, slot.incarnation));
+            } else {
+                let _ = child.kill();
             }
+            let state = WorkerState::Leaving { child, until: Instant::now() + LEAVE_DEADLINE };
+            self.workers.insert(worker, WorkerSlot { state, ..slot });
         }
         // The number of one that is still on its way out is free only when it is gone.
         let missing = n.saturating_sub(staying.len());
         let free: Vec<_> =
             (0..).filter(|id| !self.workers.contains_key(id)).take(missing).collect();
         for worker in free {
-            self.start_worker(worker, 0)?;
+            let state = WorkerState::Due { after: Instant::now() };
+            let slot = WorkerSlot { state, incarnation: 0, deaths: Deaths::default() };
+            self.workers.insert(worker, slot);
         }
-        Ok(leaving)
+        self.start_due()?;
+        Ok(asked)
     }
 
     /// Workers that run or will run again, in order.
@@ -264,7 +307,7 @@ impl Supervisor {
         self.staying().count()
     }
 
-    fn start_worker(&mut self, worker: WorkerId, failures: u32) -> Result<(), ExitError> {
+    fn start_worker(&mut self, worker: WorkerId, deaths: Deaths) -> Result<(), ExitError> {
         let next = self.incarnations.entry(worker).or_default();
         let incarnation = *next;
         *next += 1;
@@ -275,7 +318,7 @@ impl Supervisor {
         }
         let child = self.spawn(command, &format!("worker-{worker}.log"))?;
         let state = WorkerState::Running { child, started: Instant::now(), hung: false };
-        self.workers.insert(worker, WorkerSlot { state, incarnation, failures });
+        self.workers.insert(worker, WorkerSlot { state, incarnation, deaths });
         Ok(())
     }
 
@@ -319,7 +362,7 @@ impl Supervisor {
         let mut gone = Vec::new();
         for (&worker, slot) in &mut self.workers {
             match &mut slot.state {
-                WorkerState::BackingOff { .. } => {}
+                WorkerState::Due { .. } => {}
                 WorkerState::Leaving { child, until } => {
                     if let Ok(Some(_)) = child.try_wait() {
                         gone.push(worker);
@@ -333,11 +376,11 @@ impl Supervisor {
                     let cause = Cause::of(status, *hung);
                     // Who has worked for a while did not die of what killed it before.
                     if started.elapsed() > Duration::from_mins(1) {
-                        slot.failures = 0;
+                        slot.deaths = Deaths::default();
                     }
-                    slot.failures += 1;
-                    let delay = BACK_OFF * 2_u32.pow((slot.failures - 1).min(6));
-                    slot.state = WorkerState::BackingOff { until: now + delay };
+                    slot.deaths.count(cause);
+                    let delay = BACK_OFF * 2_u32.pow((slot.deaths.total() - 1).min(6));
+                    slot.state = WorkerState::Due { after: now + delay };
                     deaths.push(Death::Worker(worker, cause));
                 }
             }
@@ -348,37 +391,45 @@ impl Supervisor {
         deaths
     }
 
-    /// Starts the successors whose back-off is over. Returns them.
-    pub fn replace_the_dead(&mut self) -> Result<Vec<WorkerId>, ExitError> {
+    /// Starts the workers that are due, as far as there is room for them. Returns those that
+    /// replace a dead one.
+    pub fn start_due(&mut self) -> Result<Vec<WorkerId>, ExitError> {
         let now = Instant::now();
+        let lives = |slot: &&WorkerSlot| !matches!(slot.state, WorkerState::Due { .. });
+        let room = self.max_workers.saturating_sub(self.workers.values().filter(lives).count());
+        let is_due =
+            |slot: &WorkerSlot| matches!(slot.state, WorkerState::Due { after } if after <= now);
         let due: Vec<_> = self
             .workers
             .iter()
-            .filter(
-                |(_, slot)| matches!(slot.state, WorkerState::BackingOff { until } if until <= now),
-            )
-            .map(|(&worker, slot)| (worker, slot.failures))
+            .filter(|(_, slot)| is_due(slot))
+            .map(|(&worker, slot)| (worker, slot.deaths))
+            .take(room)
             .collect();
-        for &(worker, failures) in &due {
-            self.start_worker(worker, failures)?;
-            self.restarts += 1;
+        let mut replaced = Vec::new();
+        for (worker, deaths) in due {
+            self.start_worker(worker, deaths)?;
+            if deaths.total() > 0 {
+                self.restarts += 1;
+                replaced.push(worker);
+            }
         }
-        Ok(due.into_iter().map(|(worker, _)| worker).collect())
+        Ok(replaced)
     }
 
     /// Refuses to go on with a worker that dies again and again without delivering a block.
-    pub fn check_failures(&self, worker: WorkerId, cause: Cause) -> Result<(), ExitError> {
-        let failures = self.workers.get(&worker).map_or(0, |slot| slot.failures);
-        let killed = matches!(cause, Cause::Killed(_));
-        if failures < if killed { MAX_KILLS } else { MAX_FAILURES } {
+    pub fn check_deaths(&self, worker: WorkerId, cause: Cause) -> Result<(), ExitError> {
+        let deaths = self.workers.get(&worker).map_or(Deaths::default(), |slot| slot.deaths);
+        if !deaths.are_too_many(MAX_CRASHES, MAX_KILLS) {
             return Ok(());
         }
         let log = self.run_dir.logs().join(format!("worker-{worker}.log"));
         Err(ExitError::new(
             ExitCode::Child,
             format!(
-                "worker {worker} died {failures} times in a row without delivering a block \
-                 ({cause}); the end of {}:\n{}",
+                "worker {worker} died {} times in a row without delivering a block ({cause}); the \
+                 end of {}:\n{}",
+                deaths.total(),
                 log.display(),
                 log_tail(&log, 5)
             ),
@@ -388,8 +439,16 @@ impl Supervisor {
     /// A worker has delivered: what killed its predecessors is over.
     pub fn worker_delivered(&mut self, worker: WorkerId) {
         if let Some(slot) = self.workers.get_mut(&worker) {
-            slot.failures = 0;
+            slot.deaths = Deaths::default();
         }
+    }
+
+    /// Workers that run and are to stay, and when they were started.
+    pub fn running_since(&self) -> impl Iterator<Item = (WorkerId, Instant)> {
+        self.workers.iter().filter_map(|(&worker, slot)| match slot.state {
+            WorkerState::Running { started, .. } => Some((worker, started)),
+            _ => None,
+        })
     }
 
     /// Whether `incarnation` is the one that runs now: messages of the dead arrive late.
@@ -399,14 +458,17 @@ impl Supervisor {
         })
     }
 
-    /// Kills a worker that does not answer; [`Self::reap`] will find it.
-    pub fn kill_worker(&mut self, worker: WorkerId) {
+    /// Kills a worker that does not answer; [`Self::reap`] will find it. Whether it had to be.
+    pub fn kill_worker(&mut self, worker: WorkerId) -> bool {
         if let Some(WorkerSlot { state: WorkerState::Running { child, hung, .. }, .. }) =
             self.workers.get_mut(&worker)
+            && !*hung
         {
             *hung = true;
             let _ = child.kill();
+            return true;
         }
+        false
     }
 
     /// Kills a learner that does not answer; [`Self::reap`] will find it.
@@ -434,7 +496,7 @@ impl Supervisor {
             let (pid, leaving) = match &slot.state {
                 WorkerState::Running { child, .. } => (Some(child.id()), false),
                 WorkerState::Leaving { child, .. } => (Some(child.id()), true),
-                WorkerState::BackingOff { .. } => (None, false),
+                WorkerState::Due { .. } => (None, false),
             };
             ProcessView { worker: Some(worker), pid, incarnation: slot.incarnation, leaving }
         });
@@ -453,7 +515,7 @@ impl Supervisor {
     fn running(&mut self) -> impl Iterator<Item = &mut Child> {
         let workers = self.workers.values_mut().filter_map(|slot| match &mut slot.state {
             WorkerState::Running { child, .. } | WorkerState::Leaving { child, .. } => Some(child),
-            WorkerState::BackingOff { .. } => None,
+            WorkerState::Due { .. } => None,
         });
         self.learner.iter_mut().chain(workers)
     }

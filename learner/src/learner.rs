@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use proto::channel::{
@@ -218,7 +219,11 @@ impl Ports {
             let duplicate = self.inbox.receive(block)? == Arrival::Duplicate;
             self.progress.send(&Progress::BlockReceived { iteration, shard, duplicate })?;
         }
-        self.send_piece()?;
+        self.send_piece()
+    }
+
+    /// Says once in a while that the process is alive.
+    fn beat(&mut self) -> Result<(), LearnerError> {
         if self.heartbeat.elapsed() >= HEARTBEAT {
             self.heartbeat = Instant::now();
             self.progress.send(&Progress::Heartbeat)?;
@@ -266,6 +271,7 @@ impl Learner {
         let mut idle_since = Instant::now();
         loop {
             self.ports.pump()?;
+            self.ports.beat()?;
             if self.ports.wants_snapshot {
                 self.ports.wants_snapshot = false;
                 self.take_snapshot();
@@ -343,12 +349,21 @@ impl Learner {
     /// Updates on a thread of its own, and keeps receiving meanwhile.
     fn train(&mut self, shards: &[&[f32]]) -> Result<UpdateReport, LearnerError> {
         let Self { trainer: Trainer { mappo, state }, ports, .. } = self;
+        let work = mappo.work();
         std::thread::scope(|scope| {
             let update = scope.spawn(move || mappo.update(state, shards));
             let mut received = Ok(());
+            let mut worked = work.load(Ordering::Relaxed);
             while !update.is_finished() {
                 if received.is_ok() {
                     received = ports.pump();
+                }
+                // An update that stands still shall be found out, so it is no sign of life that
+                // this thread is well.
+                let now = work.load(Ordering::Relaxed);
+                if received.is_ok() && now != worked {
+                    worked = now;
+                    received = ports.beat();
                 }
                 ports.bell.wait(BUSY);
             }

@@ -21,6 +21,8 @@
 //! `O` observation, `S` critic state, `U` actions, `B` samples of a chunk.
 
 use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use proto::config::{Config, CriticState, InputNorm as InputNormKind, Schedule};
 use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
@@ -115,6 +117,7 @@ pub struct Mappo {
     options: Options,
     groups: Vec<Group>,
     threads_per_group: usize,
+    work: Arc<AtomicU64>,
 }
 
 /// Agents that are computed together.
@@ -151,6 +154,8 @@ struct Job<'a> {
     layout: &'a BlockLayout,
     dimensions: &'a Dimensions,
     options: &'a Options,
+    /// Counts the mini-batches begun.
+    work: &'a AtomicU64,
     iteration: u64,
     actor_lr: f64,
     critic_lr: f64,
@@ -264,7 +269,14 @@ impl Mappo {
             options,
             groups,
             threads_per_group: (threads / n_groups).max(1),
+            work: Arc::default(),
         }
+    }
+
+    /// A counter that grows with every mini-batch, to be watched from another thread: while an
+    /// update is under way and it stands still, nothing is computed.
+    pub fn work(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.work)
     }
 
     /// Trains `state` on the blocks of one iteration, ordered by shard.
@@ -301,6 +313,7 @@ impl Mappo {
             layout: &self.layout,
             dimensions: &self.dimensions,
             options: &self.options,
+            work: &self.work,
             iteration: state.iteration,
             actor_lr,
             critic_lr,
@@ -443,6 +456,7 @@ impl Group {
                 let start = bound(mini_batch);
                 let rows = order.narrow(0, start, bound(mini_batch + 1) - start);
                 let step = (epoch, mini_batch);
+                job.work.fetch_add(1, Ordering::Relaxed);
                 self.actor_step(job, &mut actor, &samples, &rows, &mut active, &mut sums, step)?;
                 self.critic_step(
                     job,

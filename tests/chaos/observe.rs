@@ -1,6 +1,5 @@
 //! A run seen from outside, cheaply enough to be looked at every few milliseconds.
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -69,22 +68,6 @@ pub fn domain_of(run: &Run, pid: u32) -> Option<String> {
     let holder: Value = serde_json::from_str(&text).ok()?;
     (holder["pid"] == pid).then(|| holder["domain"].as_str().map(str::to_owned))?
 }
-
-/// Lengths of the workers' logs, which all sessions of a run append to.
-pub fn log_lengths(run: &Run) -> BTreeMap<u32, u64> {
-    let length = |worker| std::fs::metadata(log_of(run, worker)).map_or(0, |log| log.len());
-    (0..MAX_WORKERS).map(|worker| (worker, length(worker))).collect()
-}
-
-/// Whether a worker has said that it is ready, after `lengths` of the logs.
-pub fn is_ready(run: &Run, worker: WorkerProcess, lengths: &BTreeMap<u32, u64>) -> bool {
-    let offset = lengths.get(&worker.worker).copied().unwrap_or(0);
-    let text = read_from(&log_of(run, worker.worker), offset);
-    text.contains(&format!(" incarnation={} ", worker.incarnation))
-}
-
-/// More workers than any run here has.
-const MAX_WORKERS: u32 = 16;
 
 fn log_of(run: &Run, worker: u32) -> PathBuf {
     run.path().join(format!("logs/worker-{worker}.log"))

@@ -150,6 +150,51 @@ fn scaling_a_live_run_changes_no_bit() {
 }
 
 #[test]
+fn scaling_up_and_down_and_up_again_at_once_waits_for_room() {
+    let expected = calm("2", "1", "60");
+    let mut run = Run::train(&["--workers=1", "--overlap=1", "--iterations=60"]);
+    let domain = run.domain_when_there();
+    run.wait_for_iterations(4);
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    // As many as the channels have room for: those that come up are told to go before they are
+    // ready, and those on their way out still hold their ports when the next ones are wanted.
+    let status = octopus(&["status", path, "--json"]);
+    let status: serde_json::Value = serde_json::from_slice(&status.stdout).expect("JSON");
+    let most = status["live"]["max_workers"].as_u64().expect("a count").to_string();
+    for workers in [&most, "1", &most, "2", &most, "2"] {
+        let output = octopus(&["scale", path, workers]);
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+    run.succeed();
+    assert_eq!(run.digests(), expected);
+    assert_eq!(run.metrics().last().expect("lines")["workers"], 2);
+    assert!(!run.log().contains("died"), "{}", run.log());
+    assert_nothing_left(&domain);
+}
+
+#[test]
+fn processes_that_hang_before_they_are_ready_are_replaced() {
+    let expected = calm("2", "0", "40");
+    let deadline = "--set=run.order_deadline_s=3.0";
+    let mut run = Run::train(&["--workers=1", "--overlap=0", "--iterations=40", deadline]);
+    let domain = run.domain_when_there();
+    // As soon as they exist: they have loaded nothing yet.
+    for program in ["sim-worker", "learner"] {
+        let hung = loop {
+            if let Some(&process) = run.children(program).first() {
+                break process;
+            }
+        };
+        kill(hung, Signal::STOP);
+    }
+    run.succeed();
+    assert!(run.log().contains("the learner died (hung)"), "{}", run.log());
+    assert_eq!(run.digests(), expected);
+    assert_nothing_left(&domain);
+}
+
+#[test]
 fn foreign_settings_of_numerical_libraries_change_no_bit() {
     let expected = calm("2", "0", "6");
     let mut run = Run::with_variables(&[

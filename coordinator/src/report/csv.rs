@@ -21,8 +21,9 @@ impl CsvTable {
     /// Opens the file for appending after the rows of iterations before `keep`; the rest is cut
     /// off.
     pub fn open(path: &Path, keep: u64) -> anyhow::Result<Self> {
-        let old = match std::fs::read_to_string(path) {
-            Ok(text) => text,
+        let old = match std::fs::read(path) {
+            // What a power cut has spoiled is no row and ends the kept ones.
+            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => {
                 return Err(error).with_context(|| format!("{}: cannot be read", path.display()));

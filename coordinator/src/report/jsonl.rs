@@ -53,19 +53,21 @@ impl JsonLines {
 }
 
 /// All whole lines of a file, with their parsed form; none if there is no file. Reading ends at
-/// the first line that is no JSON, which is where a crash cut the file.
+/// the first line that is no JSON, which is where a crash or a power cut spoiled the file.
 pub fn read(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
-    let text = match std::fs::read_to_string(path) {
-        Ok(text) => text,
+    let bytes = match std::fs::read(path) {
+        Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => {
             return Err(error).with_context(|| format!("{}: cannot be read", path.display()));
         }
     };
-    let parsed = text
-        .split_inclusive('\n')
-        .filter_map(|line| line.strip_suffix('\n'))
-        .map_while(|line| Some((line.to_owned(), serde_json::from_str(line).ok()?)))
+    let parsed = bytes
+        .split_inclusive(|&byte| byte == b'\n')
+        .filter_map(|line| line.strip_suffix(b"\n"))
+        .map_while(|line| {
+            Some((str::from_utf8(line).ok()?.to_owned(), serde_json::from_slice(line).ok()?))
+        })
         .collect();
     Ok(parsed)
 }

@@ -47,28 +47,33 @@
 //! # Resuming
 //!
 //! A run that continues at iteration k drops the lines of k and later, so no iteration stands
-//! twice in a file, and drops a last line that a crash cut short. TensorBoard's files are never
+//! twice in a file, and drops a last line that a crash cut short. What it drops is [`promised`]: the
+//! iterations that are trained on again must end with the same digests. TensorBoard's files are never
 //! rewritten: the new one begins with the mark that makes TensorBoard forget what follows it.
+//!
+//! Before a checkpoint is committed the lines of its iterations are made durable ([`Reporter::sync`]),
+//! so that they do not end before it after a power cut; a resume takes none that they do not reach
+//! ([`recorded`]).
 
 pub mod csv;
 pub mod curve;
 pub mod jsonl;
 mod line;
 pub mod progress;
+pub mod promised;
 pub mod tensorboard;
-
-use std::collections::BTreeMap;
 
 use anyhow::Context as _;
 pub use line::{Cell, Line};
-use proto::Digest;
 use proto::config::Config;
 use proto::message::IterationReport;
 use proto::run_dir::RunDir;
+use proto::{Digest, ExitCode, ExitError};
 
 use self::csv::CsvTable;
 use self::jsonl::JsonLines;
 use self::progress::Progress;
+use self::promised::Promised;
 use self::tensorboard::EventWriter;
 
 /// What only the coordinator knows about the iteration that has just ended.
@@ -95,8 +100,7 @@ pub struct Reporter {
     progress: Progress,
     /// What earlier sessions of the run took, as the last kept line says (s).
     wall_before_s: f64,
-    /// Digests of the lines that were dropped, by iteration.
-    promised: BTreeMap<u64, Digest>,
+    promised: Promised,
 }
 
 impl Reporter {
@@ -109,7 +113,9 @@ impl Reporter {
         quiet: bool,
     ) -> anyhow::Result<Self> {
         let keep = resume_from.unwrap_or(0);
-        let promised = dropped(run_dir, keep)?;
+        // Before the cut: a kill in between loses nothing.
+        let mut promised = Promised::read(run_dir)?;
+        promised.add(digests_from(run_dir, keep)?)?;
         let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
         let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
         let last = last.unwrap_or_default();
@@ -131,26 +137,26 @@ impl Reporter {
         })
     }
 
-    /// Digests that iterations to come had when they were trained on before, by iteration.
-    pub fn take_promised(&mut self) -> BTreeMap<u64, Digest> {
-        std::mem::take(&mut self.promised)
+    /// Refuses a digest that is not the one with which the iteration ended when it was trained on
+    /// before.
+    pub fn check_promised(&self, iteration: u64, digest: Digest) -> Result<(), ExitError> {
+        self.promised.check(iteration, digest)
     }
 
     /// Forgets what iterations to come were before: the configuration has changed what they learn.
-    pub fn forget_promised(&mut self) {
-        self.promised.clear();
+    pub fn forget_promised(&mut self) -> anyhow::Result<()> {
+        self.promised.clear()
     }
 
-    /// Drops the lines of `iteration` and later, which are to be trained on again; returns their
-    /// digests.
-    pub fn rewind(&mut self, iteration: u64) -> anyhow::Result<BTreeMap<u64, Digest>> {
-        let dropped = dropped(&self.run_dir, iteration)?;
+    /// Drops the lines of `iteration` and later, which are to be trained on again.
+    pub fn rewind(&mut self, iteration: u64) -> anyhow::Result<()> {
+        self.promised.add(digests_from(&self.run_dir, iteration)?)?;
         let (lines, last) = JsonLines::open(&self.run_dir.metrics_jsonl(), iteration)?;
         self.lines = lines;
         self.table = CsvTable::open(&self.run_dir.metrics_csv(), iteration)?;
         let env_steps = last.and_then(|last| last["env_steps"].as_u64()).unwrap_or(0);
         self.events.forget_after(env_steps)?;
-        Ok(dropped)
+        Ok(())
     }
 
     /// Records an iteration; returns its line.
@@ -165,12 +171,25 @@ impl Reporter {
         self.table.append(&line)?;
         self.events.append(&line)?;
         self.progress.iteration(&line);
+        if self.promised.is_passed(line.iteration + 1) {
+            // Only once the digests are safe in the lines again.
+            self.lines.sync()?;
+            self.promised.clear()?;
+        }
         serde_json::to_value(&line).context("a line of metrics has no JSON form")
     }
 
     /// Says something that the owner should know: above the bar, or on a line of its own.
     pub fn note(&mut self, line: &str) {
         self.progress.note(line);
+    }
+
+    /// Makes all lines durable. Called before a checkpoint of their iterations is committed.
+    pub fn sync(&self) -> Result<(), ExitError> {
+        self.lines
+            .sync()
+            .and_then(|()| self.table.sync())
+            .map_err(|error| ExitError::new(ExitCode::RunDirectory, format!("metrics: {error:#}")))
     }
 
     /// Makes everything durable and draws the learning curve.
@@ -187,8 +206,15 @@ impl Reporter {
     }
 }
 
-/// Digests of the lines from iteration `keep` on.
-fn dropped(run_dir: &RunDir, keep: u64) -> anyhow::Result<BTreeMap<u64, Digest>> {
+/// How many iterations the metrics of a run hold, counted from the first up to a gap.
+pub fn recorded(run_dir: &RunDir) -> anyhow::Result<u64> {
+    let lines = jsonl::read(&run_dir.metrics_jsonl())?;
+    let follow = |((_, line), index): &((_, serde_json::Value), u64)| line["iteration"] == *index;
+    Ok(lines.into_iter().zip(0..).take_while(follow).count() as u64)
+}
+
+/// Iterations from `keep` on that the metrics hold, and their digests.
+fn digests_from(run_dir: &RunDir, keep: u64) -> anyhow::Result<Vec<(u64, Digest)>> {
     let lines = jsonl::read(&run_dir.metrics_jsonl())?;
     let digest = |line: &serde_json::Value| {
         Some((line["iteration"].as_u64()?, line["digest"].as_str()?.parse().ok()?))

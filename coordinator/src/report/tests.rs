@@ -104,6 +104,79 @@ fn a_resumed_run_drops_what_its_checkpoint_does_not_hold() {
     assert!(run_dir.curve().is_file());
 }
 
+/// A reporter as a kill leaves it: nothing is finished.
+fn killed(run_dir: &RunDir, resume_from: Option<u64>, iterations: std::ops::Range<u64>) {
+    let mut reporter = Reporter::create(run_dir, &config(), resume_from, true).expect("creates");
+    for iteration in iterations {
+        reporter.check_promised(iteration, report(iteration).digest).expect("the same");
+        reporter.iteration(&report(iteration), &live(1.0)).expect("writes");
+    }
+}
+
+/// Digests once lived in memory between the cut of the lines and the comparison, and were gone with
+/// the second process.
+#[test]
+fn what_was_cut_off_is_compared_even_after_a_second_kill() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    killed(&run_dir, None, 0..9);
+    killed(&run_dir, Some(4), 4..6);
+    assert_eq!(iterations(&run_dir), [0, 1, 2, 3, 4, 5]);
+
+    let mut reporter =
+        Reporter::create(&run_dir, &config(), Some(5), true).expect("creates, a third time");
+    let error = reporter.check_promised(8, Digest([9; 16])).expect_err("another digest");
+    assert!(error.to_string().contains("promised.jsonl"), "{error}");
+    // Also when the learner dies in between.
+    reporter.iteration(&report(5), &live(1.0)).expect("writes");
+    reporter.rewind(5).expect("rewinds");
+    for iteration in 5..9 {
+        let other = reporter.check_promised(iteration, Digest([77; 16]));
+        assert!(other.is_err(), "iteration {iteration}");
+        assert!(run_dir.promised().is_file(), "iteration {iteration}");
+        reporter.check_promised(iteration, report(iteration).digest).expect("the same");
+        reporter.iteration(&report(iteration), &live(1.0)).expect("writes");
+    }
+    assert!(!run_dir.promised().exists(), "all is passed");
+    reporter.check_promised(9, Digest([77; 16])).expect("nothing is known of it");
+    assert_eq!(iterations(&run_dir), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
+}
+
+#[test]
+fn promises_that_cannot_be_read_are_an_error_and_forgotten_ones_are_gone() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    killed(&run_dir, None, 0..4);
+    let mut reporter = Reporter::create(&run_dir, &config(), Some(2), true).expect("creates");
+    reporter.forget_promised().expect("forgets");
+    reporter.check_promised(3, Digest([77; 16])).expect("another budget, another course");
+    assert!(!run_dir.promised().exists());
+
+    fs::write(run_dir.promised(), "{\"iteration\":3,\"digest\":\"12\"}\n").expect("writable");
+    let error = Reporter::create(&run_dir, &config(), Some(2), true).expect_err("damaged");
+    let error = format!("{error:#}");
+    assert!(error.contains("promised.jsonl: line 1: ") && error.contains("without the file"));
+}
+
+#[test]
+fn iterations_count_as_recorded_up_to_a_gap() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    assert_eq!(recorded(&run_dir).expect("readable"), 0);
+    session(&run_dir, None, 0..5);
+    assert_eq!(recorded(&run_dir).expect("readable"), 5);
+    let text = fs::read_to_string(run_dir.metrics_jsonl()).expect("readable");
+    let lines: Vec<_> = text.split_inclusive('\n').collect();
+    let write = |parts: &[&str]| fs::write(run_dir.metrics_jsonl(), parts.concat());
+    write(&[lines[0], lines[1], lines[3], lines[4]]).expect("writable");
+    assert_eq!(recorded(&run_dir).expect("readable"), 2, "a line is missing");
+    write(&[lines[0], "\0\0\0\0\n", lines[1]]).expect("writable");
+    assert_eq!(recorded(&run_dir).expect("readable"), 1, "a block of zeros");
+    let spoiled = [lines[0].as_bytes(), b"\"\xff\xfe\"\n", lines[1].as_bytes()].concat();
+    fs::write(run_dir.metrics_jsonl(), spoiled).expect("writable");
+    assert_eq!(recorded(&run_dir).expect("readable"), 1, "no text");
+}
+
 #[test]
 fn checksums_are_those_of_the_reference() {
     // RFC 3720, B.4: 32 bytes of zeros.
