@@ -19,9 +19,19 @@ impl DigestBuilder {
     /// Adds a named field; name and length are part of the hash, so no two states collide by
     /// moving a byte from one field to the next.
     pub fn field(&mut self, name: &str, bytes: &[u8]) -> &mut Self {
+        self.begin(name, bytes.len() as u64).piece(bytes)
+    }
+
+    /// Begins a field of `len` bytes, which follow in [pieces](Self::piece) of any length.
+    pub fn begin(&mut self, name: &str, len: u64) -> &mut Self {
         self.0.update(&(name.len() as u64).to_le_bytes());
         self.0.update(name.as_bytes());
-        self.0.update(&(bytes.len() as u64).to_le_bytes());
+        self.0.update(&len.to_le_bytes());
+        self
+    }
+
+    /// Adds the next bytes of the field that was begun last.
+    pub fn piece(&mut self, bytes: &[u8]) -> &mut Self {
         self.0.update(bytes);
         self
     }
@@ -72,6 +82,14 @@ impl std::str::FromStr for Digest {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_field_in_pieces_is_the_same_field() {
+        let whole = DigestBuilder::new().field("a", b"bytes").field("b", b"").finish();
+        let mut pieces = DigestBuilder::new();
+        pieces.begin("a", 5).piece(b"by").piece(b"").piece(b"tes").begin("b", 0);
+        assert_eq!(pieces.finish(), whole);
+    }
 
     #[test]
     fn text_and_bytes_round_trip() {

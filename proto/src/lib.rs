@@ -10,7 +10,7 @@
 //! * [`run_dir`]: the files of a run directory;
 //! * [`rng`]: random numbers that are pure functions of their address;
 //! * [`Digest`]: the fingerprint of a training state;
-//! * [`child`]: what learner and workers do first;
+//! * [`child`] and [`logging`]: what learner and workers do first;
 //! * [`ExitCode`]: how programs end.
 //!
 //! Read [`message`] next: it tells the story of an iteration.
@@ -21,6 +21,7 @@ pub mod config;
 mod digest;
 mod error;
 pub mod layout;
+pub mod logging;
 pub mod message;
 pub mod rng;
 pub mod run_dir;

@@ -124,7 +124,7 @@ pub enum Progress {
         /// The arithmetic in use: `f32` or `bf16`.
         precision: String,
     },
-    /// The learner is alive, sent at least once a second.
+    /// The learner is alive: sent about once a second while it waits, and while its update moves on.
     Heartbeat,
     /// A block has arrived.
     BlockReceived {

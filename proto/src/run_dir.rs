@@ -12,6 +12,7 @@
 //!   logs/              standard error of the learner and each worker
 //!   checkpoints/       one directory a checkpoint
 //!   failures/          blocks that could not be made, if there are any: environment and policy
+//!   promised.jsonl     digests of iterations that are being trained on again, until they are passed
 //!   run.lock           held by the coordinator while the run is alive
 //! ```
 
@@ -52,6 +53,8 @@ impl RunDir {
         metrics_jsonl = "metrics.jsonl";
         /// The same as comma-separated values.
         metrics_csv = "metrics.csv";
+        /// Digests with which iterations to come must end.
+        promised = "promised.jsonl";
         /// TensorBoard's event files.
         events = "events";
         /// The learning curve.

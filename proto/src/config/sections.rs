@@ -361,6 +361,59 @@ pub struct Run {
 }
 
 impl Run {
+    /// The keys of the group that change nothing that is learned: how many processes work and how
+    /// they are watched, when the run stops, and what is measured and kept beside the training.
+    ///
+    /// Two runs that differ in nothing else end with the same bits, and a run may change them when
+    /// it is resumed. All other keys matter, new ones too until they are listed here; `env_steps`
+    /// does where the learning rate falls over it.
+    pub const HARMLESS: [&str; 13] = [
+        "best_after",
+        "checkpoint_every",
+        "checkpoint_every_s",
+        "checkpoints_kept",
+        "evaluate_every",
+        "evaluation_episodes",
+        "evaluation_steps",
+        "keep_every",
+        "milestone_every_s",
+        "order_deadline_s",
+        "pin",
+        "time_limit_s",
+        "workers",
+    ];
+
+    /// The keys that matter and may be changed all the same when a run is resumed: another budget
+    /// and another device.
+    pub const CHANGEABLE: [&str; 2] = ["env_steps", "device"];
+
+    /// Whether a run that was made with `other` may go on with this.
+    pub fn continues(&self, other: &Self) -> bool {
+        let fixed = |run: &Self| {
+            let mut keys = toml::Table::try_from(run).expect("a typed group has a TOML form");
+            keys.retain(|key, _| {
+                !Self::HARMLESS.contains(&key) && !Self::CHANGEABLE.contains(&key)
+            });
+            keys
+        };
+        fixed(self) == fixed(other)
+    }
+
+    /// The same without those [harmless](Self::HARMLESS) things that only cost time: checkpoints and
+    /// evaluations on the way, and a time limit.
+    #[must_use]
+    pub fn without_housekeeping(self) -> Self {
+        Self {
+            time_limit_s: 0.0,
+            checkpoint_every: 0,
+            checkpoint_every_s: 0.0,
+            evaluate_every: 0,
+            keep_every: 0,
+            milestone_every_s: 0.0,
+            ..self
+        }
+    }
+
     /// Whether the learner sends a snapshot after `iterations` iterations without being asked.
     pub fn plans_snapshot(&self, iterations: u64) -> bool {
         self.plans_checkpoint(iterations) || self.plans_evaluation(iterations)

@@ -1,3 +1,5 @@
+use std::collections::BTreeSet;
+
 use super::*;
 use crate::ConfigError;
 
@@ -83,6 +85,41 @@ fn errors_name_the_layer_the_key_and_the_cure() {
 
     let nan = message(&["algorithm.gamma=nan"]);
     assert!(nan.contains("algorithm.gamma"), "{nan}");
+}
+
+/// What may differ between two runs that end with the same bits is decided by whoever adds a key.
+#[test]
+fn every_key_of_the_run_is_known_to_matter_or_not() {
+    let run = resolve(&[]).expect("valid").run;
+    let table = toml::Table::try_from(&run).expect("TOML");
+    let matter = ["seed", "env_steps", "overlap", "device", "precision", "learner_threads"];
+    let keys: BTreeSet<&str> = table.keys().map(String::as_str).collect();
+    assert_eq!(keys, Run::HARMLESS.into_iter().chain(matter).collect());
+    assert!(Run::CHANGEABLE.iter().all(|key| matter.contains(key)));
+}
+
+#[test]
+fn a_run_goes_on_with_other_housekeeping_but_not_with_another_course() {
+    let run = |assignment: &str| resolve(&[assignment]).expect("valid").run;
+    let plain = resolve(&[]).expect("valid").run;
+    for harmless in ["run.workers=7", "run.pin=true", "run.evaluate_every=3", "run.env_steps=9e9"] {
+        assert!(run(harmless).continues(&plain), "{harmless}");
+    }
+    for fixed in ["run.seed=9", "run.overlap=0", "run.precision=bf16", "run.learner_threads=7"] {
+        assert!(!run(fixed).continues(&plain), "{fixed}");
+    }
+}
+
+#[test]
+fn without_housekeeping_only_harmless_keys_change() {
+    let run = resolve(&["run.time_limit_s=9", "run.milestone_every_s=9", "run.keep_every=9"]);
+    let run = run.expect("valid").run;
+    let table = |run: &Run| toml::Table::try_from(run).expect("TOML");
+    let (before, after) = (table(&run), table(&run.clone().without_housekeeping()));
+    let changed: Vec<&String> =
+        before.iter().filter(|(key, value)| after[*key] != **value).map(|(key, _)| key).collect();
+    assert!(changed.len() >= 3, "{changed:?}");
+    assert!(changed.iter().all(|key| Run::HARMLESS.contains(&key.as_str())), "{changed:?}");
 }
 
 #[test]
