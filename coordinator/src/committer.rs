@@ -8,7 +8,9 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use proto::config::Config;
 
-use crate::checkpoint::{CheckpointError, CheckpointStore, Name, Retention, Score, Snapshot};
+use crate::checkpoint::{
+    CheckpointError, CheckpointStore, Name, Placement, Retention, Score, Snapshot,
+};
 
 /// What the thread is told to do, one after the other.
 #[derive(Debug)]
@@ -75,7 +77,8 @@ pub enum Committed {
 #[derive(Debug)]
 pub struct Committer {
     jobs: Option<Sender<Job>>,
-    inbox: Receiver<Committed>,
+    /// What the thread has done; nothing once it has dealt with a snapshot.
+    inbox: Receiver<Option<Committed>>,
     thread: Option<JoinHandle<()>>,
     /// Whether the thread has a snapshot.
     writing: bool,
@@ -99,7 +102,11 @@ impl Committer {
                 Writer { milestone_at: None, store, config, robot_toml, provenance, outbox };
             for job in orders {
                 match job {
-                    Job::Commit(waiting) => writer.commit(waiting),
+                    Job::Commit(waiting) => {
+                        writer.commit(waiting);
+                        // Nobody listens only while the run is being given up.
+                        let _ = writer.outbox.send(None);
+                    }
                     Job::Score(iteration, score) => writer.score(iteration, score),
                     Job::Report(done) => {
                         // Whoever asked may have gone.
@@ -166,10 +173,10 @@ impl Committer {
 
     fn collect(&mut self) {
         for result in self.inbox.try_iter() {
-            if matches!(result, Committed::Checkpoint { .. } | Committed::Failed { .. }) {
-                self.writing = false;
+            match result {
+                Some(result) => self.results.push(result),
+                None => self.writing = false,
             }
-            self.results.push(result);
         }
         self.hand_over();
     }
@@ -217,7 +224,7 @@ struct Writer {
     config: Config,
     robot_toml: String,
     provenance: serde_json::Value,
-    outbox: Sender<Committed>,
+    outbox: Sender<Option<Committed>>,
     /// When the newest milestone was committed (seconds since 1970); none before the first look.
     milestone_at: Option<f64>,
 }
@@ -226,19 +233,28 @@ impl Writer {
     fn commit(&mut self, Waiting { snapshot, score }: Waiting) {
         let iteration = snapshot.iteration;
         let begun = Instant::now();
-        let result = self.store.commit(&snapshot, &self.config, &self.robot_toml, &self.provenance);
+        let is_there = self.store.dir(&Name::of_iteration(iteration)).exists();
+        let value = score.as_ref().map(|score| score.value);
+        let result = self.store.commit_scored(
+            &snapshot,
+            &self.config,
+            &self.robot_toml,
+            &self.provenance,
+            score,
+        );
         match result {
-            Ok(dir) => {
-                // The score first: what is the best must not be tidied up for want of it.
-                let scored = score.map(|score| self.record(iteration, score));
+            Ok(Placement { dir, best }) => {
                 // The checkpoint is safe; what is left is housekeeping, and done again next time.
                 if let Err(error) = self.mark_milestone(iteration).and_then(|()| self.retain()) {
                     tracing::warn!(%error, "checkpoints could not be tidied up");
                 }
                 self.tell(Committed::Checkpoint { iteration, dir, elapsed: begun.elapsed() });
-                if let Some(scored) = scored {
-                    self.tell(scored);
+                if let Some(value) = value {
+                    self.tell(Committed::Score { iteration, value, best });
                 }
+            }
+            Err(error) if is_there && value.is_some() => {
+                self.tell(Committed::ScoreFailed { iteration, error })
             }
             Err(error) => self.tell(Committed::Failed { iteration, error }),
         }
@@ -261,8 +277,7 @@ impl Writer {
     }
 
     fn tell(&self, result: Committed) {
-        // Nobody listens only while the run is being given up.
-        let _ = self.outbox.send(result);
+        let _ = self.outbox.send(Some(result));
     }
 
     /// Marks the first checkpoint of every stretch of time.

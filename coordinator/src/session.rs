@@ -4,7 +4,7 @@
 //! with the thread that started them). It sleeps until the bell rings or a tick is over, then
 //! looks at everything: status, progress, snapshot pieces, deaths, deadlines, stop requests. All
 //! decisions about shards are the [`Scheduler`]'s, all handling of processes the [`Supervisor`]'s;
-//! commits are written by a [`Committer`] thread, so the loop never waits for a disk.
+//! commits are written by a [committer](crate::committer) thread, so the loop never waits for a disk.
 //!
 //! What can happen to a process, and what becomes of it:
 //!
@@ -281,7 +281,7 @@ impl<'a> Session<'a> {
         self.bury(supervisor, reporter)?;
         self.obey(supervisor, reporter)?;
         self.send_orders()?;
-        self.check_deadlines(supervisor, reporter)?;
+        self.check_deadlines(supervisor, reporter);
         if self.monitor.is_due() {
             self.spec.live.publish(self.look(supervisor));
         }
@@ -682,11 +682,7 @@ impl<'a> Session<'a> {
     }
 
     /// Kills who has not been heard for too long.
-    fn check_deadlines(
-        &mut self,
-        supervisor: &mut Supervisor,
-        reporter: &mut Reporter,
-    ) -> Result<(), ExitError> {
+    fn check_deadlines(&mut self, supervisor: &mut Supervisor, reporter: &mut Reporter) {
         let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
         let start_deadline = deadline.max(START_DEADLINE);
         // When it was heard last, or started, and how long it may be silent.
@@ -714,7 +710,6 @@ impl<'a> Session<'a> {
             self.learner_heard = Instant::now();
             supervisor.kill_learner();
         }
-        Ok(())
     }
 
     /// Begins the end if it is time.

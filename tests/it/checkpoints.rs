@@ -266,8 +266,16 @@ fn a_checkpoint_travels_as_one_file() {
     let last: Value = serde_json::from_str(lines.lines().last().expect("a line")).expect("JSON");
     assert_eq!((&run.metrics()[6]["digest"], &last["iteration"]), (&last["digest"], &6.into()));
 
-    // Damaged archives are bad input, and nothing of them stays.
-    let bytes = std::fs::read(&archive).expect("read");
+    refused(&["export", &format!("{dir}:6"), "--out", &at("no/such/dir.tar")], 1, &["dir.tar"]);
+}
+
+#[test]
+fn damaged_archives_are_bad_input_and_nothing_of_them_stays() {
+    let (_run, dir) = run(&[]);
+    let place = tempfile::tempdir().expect("tempdir");
+    let at = |name: &str| place.path().join(name).to_str().expect("UTF-8").to_owned();
+    let shared = at("shared");
+    let bytes = checkpoints(&["export", &dir, "--out", "-"], 0).stdout;
     let broken = at("broken.tar");
     for (content, word) in [
         (&bytes[..bytes.len() / 2], "ends within"),
@@ -282,9 +290,34 @@ fn a_checkpoint_travels_as_one_file() {
     flip(Path::new(&broken));
     refused(&["import", &broken, "--store", &shared], 3, &["BLAKE3"]);
     refused(&["import", &at("none.tar"), "--store", &shared], 3, &["none.tar"]);
-    assert_eq!(names(&shared), ["from-alice"]);
+    assert_eq!(names(&shared), [""; 0]);
     assert_eq!(temporary(Path::new(&shared)), Vec::<PathBuf>::new());
-    refused(&["export", &format!("{dir}:6"), "--out", &at("no/such/dir.tar")], 1, &["dir.tar"]);
+}
+
+#[test]
+fn what_means_something_else_or_is_of_another_run_is_not_taken_in() {
+    let (_run, dir) = run(&[]);
+    let (_other, other) = run(&["--set=run.seed=8"]);
+    let place = tempfile::tempdir().expect("tempdir");
+    let archive = place.path().join("foreign.tar").to_str().expect("UTF-8").to_owned();
+    text(&["export", &format!("{other}:6"), "--out", &archive]);
+    for (name, word) in [
+        ("best", "always selects"),
+        ("17", "look like an iteration"),
+        ("catalogue.sqlite", "files"),
+    ] {
+        let import = ["import", &archive, "--store", &dir, "--name", name];
+        refused(&import, 3, &[word, "choose another name"]);
+    }
+    // Also where nothing is left to compare it with but the run itself.
+    for iteration in [2, 4, 6] {
+        let import = ["import", &archive, "--store", &dir];
+        refused(&import, 3, &["of another run", "another name"]);
+        text(&["delete", &format!("{dir}:{iteration}")]);
+    }
+    refused(&["import", &archive, "--store", &dir], 3, &["of another run", "another name"]);
+    text(&["import", &archive, "--store", &dir, "--name", "foreign"]);
+    assert_eq!(names(&dir), ["foreign"]);
 }
 
 #[test]
@@ -384,8 +417,16 @@ fn arms_of_several_runs_are_put_together_and_evaluated() {
         5,
         &["another checkpoint already"],
     );
+}
 
-    // What does not go together.
+#[test]
+fn arms_that_do_not_go_together_are_not_put_together() {
+    let (_a, a) = run(&[]);
+    let (_b, b) = run(&["--set=run.seed=8"]);
+    let place = tempfile::tempdir().expect("tempdir");
+    let at =
+        |name: &str| place.path().join("shared").join(name).to_str().expect("UTF-8").to_owned();
+    let whole = ["--arm", &format!("1,2,3,4={a}:4")];
     let out = ["--out", &at("no")];
     let refuse = |arms: &[&str], code: i32, words: &[&str]| {
         refused(&[&["compose"], arms, &out[..]].concat(), code, words);
@@ -415,12 +456,12 @@ fn arms_of_several_runs_are_put_together_and_evaluated() {
     refuse(&mixed, 3, &["`reorientation`", "cannot be mixed"]);
     assert!(!Path::new(&at("no")).exists());
     refused(
-        &[&["compose"][..], &whole[..2], &["--out", &at("iteration-00000001")]].concat(),
+        &[&["compose"][..], &whole, &["--out", &at("iteration-00000001")]].concat(),
         3,
         &["a run's own"],
     );
     refused(
-        &[&["compose"][..], &whole[..2], &["--out", &at(".hidden")]].concat(),
+        &[&["compose"][..], &whole, &["--out", &at(".hidden")]].concat(),
         2,
         &["cannot be a name"],
     );

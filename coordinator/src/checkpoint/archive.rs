@@ -16,11 +16,11 @@
 //! a limit; after it, nothing is written that it does not announce.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use proto::config::Config;
+use proto::run_dir::RunDir;
 use tar::{Archive, Builder, EntryType, Header};
 
 use super::disk::{CHUNK, Disk};
@@ -28,32 +28,26 @@ use super::entry::Entry;
 use super::guard::Scratch;
 use super::manifest::{FileEntry, MAX_MANIFEST, Manifest};
 use super::name::Name;
-use super::store::{CheckpointStore, Clash};
-use super::{CONFIG, CheckpointError, MANIFEST, ROBOT, read, verify};
+use super::read::{self, MAX_TEXT, small_files};
+use super::store::{Arrival, CheckpointStore, Clash};
+use super::{CONFIG, CheckpointError, MANIFEST, ROBOT, opening, verify};
 
 /// Longest content of an archive (bytes).
 pub const MAX_CONTENT: u64 = 4 << 30;
-/// Longest configuration or robot in an archive (bytes).
-const MAX_TEXT: u64 = 1 << 20;
 
 impl CheckpointStore {
     /// Writes a checkpoint as an archive, after checking that it is whole.
     pub fn export(&self, name: &Name, writer: impl Write) -> Result<(), CheckpointError> {
-        let dir = self.dir(name);
-        if !dir.is_dir() {
-            return Err(CheckpointError::absent(&self.root, name));
-        }
+        let dir = self.existing(name)?;
         let manifest = read::load(&dir)?.manifest;
         let manifest_path = dir.join(MANIFEST);
-        let text =
-            std::fs::read(&manifest_path).map_err(CheckpointError::io(&manifest_path, "read"))?;
+        let text = opening::bytes(&manifest_path, MAX_MANIFEST)?;
         // Opened before the first byte is written: a checkpoint that is removed meanwhile stays
         // readable through these.
         let mut files = Vec::new();
         for (file, entry) in &manifest.files {
             let path = dir.join(file);
-            let open = File::open(&path).map_err(CheckpointError::io(&path, "read"))?;
-            files.push((file, entry.len, open));
+            files.push((file, entry.len, opening::file(&path)?));
         }
         let sink = |source| CheckpointError::Io { path: dir.clone(), action: "export", source };
         let mut builder = Builder::new(writer);
@@ -68,8 +62,9 @@ impl CheckpointStore {
     ///
     /// The same checkpoint twice is no error; another one of that name is, unless it is damaged:
     /// then the archive replaces it. A name `iteration-N` makes it one of the run's own checkpoints,
-    /// which `octopus resume` takes up, so it must be of iteration N and fit the others.
+    /// which `octopus resume` takes up, so it must be of iteration N and of the same run.
     pub fn import(&self, reader: impl Read, name: Option<Name>) -> Result<Entry, CheckpointError> {
+        name.iter().try_for_each(|name| self.check_free(name))?;
         let scratch = Scratch::new(&self.disk, &self.root, "import")?;
         let (inner, manifest) = unpack(&self.disk, reader, &scratch)?;
         let found = verify::examine(scratch.path());
@@ -77,14 +72,17 @@ impl CheckpointStore {
             return Err(CheckpointError::archive(problem.clone()));
         }
         let name = name.unwrap_or(inner);
-        if name.iteration().is_some() {
+        let imported = name.iteration().is_some();
+        if imported {
             self.check_own(&name, &manifest, scratch.path())?;
         }
-        self.publish(scratch, &name, manifest.digest, Clash::Refuse)?;
+        let (digest, clash) = (manifest.digest, Clash::Refuse);
+        self.publish(scratch, Arrival { name: &name, digest, clash, score: None, imported })?;
         self.entry(&name)
     }
 
-    /// Refuses, as one of the run's own checkpoints, what is of another run.
+    /// Refuses, as one of the run's own checkpoints, what is of another run: than the one whose
+    /// directory holds this store, and than the newest of its checkpoints that can say so.
     fn check_own(
         &self,
         name: &Name,
@@ -100,30 +98,30 @@ impl CheckpointStore {
             return refuse(format!("`{name}` cannot name a checkpoint of iteration {is}"));
         }
         let (config, robot) = small_files(dir)?;
-        for other in self.list()?.into_iter().rev() {
-            // A damaged one cannot say what run it is of.
-            let Ok((its_config, its_robot)) = small_files(&other) else { continue };
+        let mut others = self.list()?;
+        // A damaged one cannot say what run it is of.
+        others.retain(|other| small_files(other).is_ok());
+        let run = self.run();
+        for other in run.iter().map(RunDir::path).chain(others.last().map(PathBuf::as_path)) {
+            // Of the run itself that must not be unknown.
+            let (its_config, its_robot) = small_files(other)?;
             if !(same_run(&config, &its_config) && robot == its_robot) {
-                let reason = format!(
+                return refuse(format!(
                     "`{name}` is of another run than {}: robot, configuration or seed differ",
                     other.display()
-                );
-                return refuse(reason);
+                ));
             }
-            break;
         }
         Ok(())
     }
-}
 
-/// Configuration and robot of the checkpoint in `dir`.
-fn small_files(dir: &Path) -> Result<(Config, String), CheckpointError> {
-    let text = |name: &str| {
-        let path = dir.join(name);
-        std::fs::read_to_string(&path).map_err(CheckpointError::io(&path, "read"))
-    };
-    let config = Config::from_resolved_toml(&text(CONFIG)?, &dir.display().to_string())?;
-    Ok((config, text(ROBOT)?))
+    /// The run that this store belongs to, if it belongs to one.
+    fn run(&self) -> Option<RunDir> {
+        // A store may be named by a relative path, or through a link.
+        let root = self.root.canonicalize().ok()?;
+        let run = RunDir::new(root.parent()?);
+        (run.checkpoints() == root && run.config().exists()).then_some(run)
+    }
 }
 
 /// Whether two configurations can be of one run. Budgets, processes and what is kept may change
@@ -131,7 +129,7 @@ fn small_files(dir: &Path) -> Result<(Config, String), CheckpointError> {
 fn same_run(a: &Config, b: &Config) -> bool {
     (&a.task, &a.robot, &a.env) == (&b.task, &b.robot, &b.env)
         && (&a.network, &a.algorithm, &a.optimizer) == (&b.network, &b.algorithm, &b.optimizer)
-        && a.run.seed == b.run.seed
+        && a.run.continues(&b.run)
 }
 
 /// The header of a file of a checkpoint.

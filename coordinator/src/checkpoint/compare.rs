@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::read::Checkpoint;
 use super::verify::numbers;
-use super::{CheckpointError, POLICY, STATE};
+use super::{CheckpointError, POLICY, STATE, opening};
 
 /// A configuration key with two values.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
@@ -114,7 +114,7 @@ fn content(checkpoint: &Checkpoint, file: &str) -> Result<Option<Vec<u8>>, Check
         return Ok(None);
     }
     let path = checkpoint.dir.join(file);
-    std::fs::read(&path).map(Some).map_err(CheckpointError::io(&path, "read"))
+    opening::bytes(&path, u64::MAX).map(Some)
 }
 
 fn parse<'a>(
@@ -145,7 +145,8 @@ fn difference(a: Option<&TensorView<'_>>, b: Option<&TensorView<'_>>) -> Option<
     if a.data() == b.data() {
         return None;
     }
-    if let (Some(left), Some(right)) = (numbers(a), numbers(b)) {
+    if let (Some(left), Some(right)) = (numbers(a.dtype(), a.data()), numbers(b.dtype(), b.data()))
+    {
         let (mut max, mut squares) = (0.0_f64, 0.0);
         for (x, y) in left.zip(right) {
             max = max.max((x - y).abs());

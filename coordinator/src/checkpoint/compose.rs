@@ -12,7 +12,7 @@ use super::entry::Entry;
 use super::manifest::{Manifest, Origin};
 use super::name::Name;
 use super::read::Checkpoint;
-use super::store::{CheckpointStore, Clash, now};
+use super::store::{Arrival, CheckpointStore, Clash, now};
 use super::{CONFIG, CheckpointError, FORMAT, POLICY, ROBOT, tensors};
 
 /// Arms that come from one checkpoint.
@@ -155,7 +155,10 @@ impl CheckpointStore {
         let config_toml = config.to_toml();
         let contents: [(&str, &[u8]); 3] =
             [(POLICY, policy), (CONFIG, config_toml.as_bytes()), (ROBOT, robot_toml.as_bytes())];
-        self.write(name, &contents, manifest, Clash::Refuse)?;
+        let clash = Clash::Refuse;
+        let arrival =
+            Arrival { name, digest: manifest.digest, clash, score: None, imported: false };
+        self.write(arrival, &contents, manifest)?;
         self.entry(name)
     }
 }

@@ -105,15 +105,23 @@ impl Disk {
         self.step("remove", path, || fs::remove_file(path))
     }
 
-    /// Removes a directory with everything in it.
+    /// Removes a directory with everything in it. What somebody else removes meanwhile is gone too.
     pub(super) fn remove_dir(&self, path: &Path) -> Result<(), CheckpointError> {
-        for entry in fs::read_dir(path).map_err(CheckpointError::io(path, "read"))? {
+        let gone = |outcome: Result<(), CheckpointError>| match outcome {
+            Err(error) if error.is_absence() => Ok(()),
+            outcome => outcome,
+        };
+        let entries = match fs::read_dir(path).map_err(CheckpointError::io(path, "read")) {
+            Err(error) if error.is_absence() => return Ok(()),
+            entries => entries?,
+        };
+        for entry in entries {
             let entry = entry.map_err(CheckpointError::io(path, "read"))?;
             if entry.file_type().is_ok_and(|kind| !kind.is_dir()) {
-                self.remove_file(&entry.path())?;
+                gone(self.remove_file(&entry.path()))?;
             }
         }
-        self.step("remove", path, || fs::remove_dir_all(path))
+        gone(self.step("remove", path, || fs::remove_dir_all(path)))
     }
 
     /// Replaces a small file at once.

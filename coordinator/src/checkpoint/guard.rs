@@ -3,12 +3,15 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::retry_on_intr;
 
 use super::CheckpointError;
 use super::disk::Disk;
+use super::labels::Labels;
+use super::opening::is_directory;
 
 /// Name of the file that is locked.
 const LOCK: &str = ".lock";
@@ -16,13 +19,18 @@ const LOCK: &str = ".lock";
 pub(super) const WRITING: &str = ".writing-";
 /// Prefix of a directory that is being removed.
 pub(super) const REMOVED: &str = ".removed-";
+/// Prefix of a checkpoint that another one has replaced.
+pub(super) const REPLACED: &str = ".replaced-";
+/// How long such a one is kept.
+const REPLACED_TIME: Duration = Duration::from_hours(7 * 24);
 /// Prefix of labels that are being written.
 const STUMP: &str = ".labels.json.";
 
 /// The exclusive right to change a store. The kernel takes it back when the process ends.
 ///
-/// It is held for renames and small files only: a checkpoint's bytes are written, synced and
-/// hashed before it is taken, so nobody ever waits for another one's disk.
+/// It is held for renames and small files only: a checkpoint's bytes are written, synced and hashed
+/// before it is taken, and removed after it is given back. So nobody waits for another one's
+/// checkpoint, however large.
 #[derive(Debug)]
 pub(super) struct Guard {
     _file: File,
@@ -116,24 +124,45 @@ impl Drop for Scratch<'_> {
     }
 }
 
-/// Removes what killed processes have left in the store.
-pub(super) fn sweep(disk: &Disk, root: &Path, _: &Guard) -> Result<(), CheckpointError> {
+/// Puts away what killed processes have left in the store and what has been replaced long ago;
+/// returns the directories that are to be [removed](Disk::remove_dir) when the guard is given back.
+pub(super) fn sweep(disk: &Disk, root: &Path, _: &Guard) -> Result<Vec<PathBuf>, CheckpointError> {
+    let mut doomed = Vec::new();
     for entry in fs::read_dir(root).map_err(CheckpointError::io(root, "read"))? {
         let path = entry.map_err(CheckpointError::io(root, "read"))?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if name.starts_with(WRITING) {
-            let alive = File::open(&path)
-                .is_ok_and(|dir| flock(&dir, FlockOperation::NonBlockingLockExclusive).is_err());
-            if !alive && path.is_dir() {
-                disk.remove_dir(&path)?;
+        if !is_directory(&path) {
+            continue;
+        }
+        if name.starts_with(REMOVED) {
+            doomed.push(path);
+        } else if name.starts_with(WRITING) || name.starts_with(REPLACED) {
+            let stale = if name.starts_with(WRITING) { !is_held(&path) } else { is_stale(&path) };
+            if stale {
+                let away = unique(root, REMOVED, "stale");
+                disk.rename(&path, &away)?;
+                doomed.push(away);
             }
-        } else if name.starts_with(REMOVED) {
-            disk.remove_dir(&path)?;
-        } else if !name.starts_with('.') && !path.is_symlink() && path.is_dir() {
+        } else if !name.starts_with('.') {
             sweep_labels(disk, &path)?;
         }
     }
-    Ok(())
+    Ok(doomed)
+}
+
+/// Whether the writer of a scratch directory is alive.
+fn is_held(path: &Path) -> bool {
+    File::open(path).is_ok_and(|dir| flock(&dir, FlockOperation::NonBlockingLockExclusive).is_err())
+}
+
+/// Whether a replaced checkpoint was put aside long ago, and nobody had said to keep it.
+fn is_stale(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let made = name.rsplit_once('-').and_then(|(_, nanos)| u128::from_str_radix(nanos, 16).ok());
+    let age = made.and_then(|made| since_1970().as_nanos().checked_sub(made));
+    let labels = Labels::read(path);
+    age.is_some_and(|age| age > REPLACED_TIME.as_nanos())
+        && !(labels.pinned || labels.milestone || !labels.tags.is_empty())
 }
 
 /// Removes the stump of labels whose writer was killed; the guard keeps living ones away.
@@ -152,8 +181,10 @@ fn sweep_labels(disk: &Disk, dir: &Path) -> Result<(), CheckpointError> {
 pub(super) fn unique(root: &Path, prefix: &str, label: &str) -> PathBuf {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     let counter = COUNTER.fetch_add(1, Ordering::Relaxed);
-    let nanos = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .map_or(0, |elapsed| elapsed.as_nanos());
+    let nanos = since_1970().as_nanos();
     root.join(format!("{prefix}{label}-{}-{counter}-{nanos:x}", std::process::id()))
+}
+
+fn since_1970() -> Duration {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
 }

@@ -46,7 +46,7 @@ impl CheckpointStore {
         }
         let guard = self.guard()?;
         let survey = self.survey()?;
-        if tag.iteration().is_some() || survey.entries.iter().any(|entry| entry.name == tag) {
+        if tag.iteration().is_some() || self.existing(&tag).is_ok() {
             let reason = format!("`{tag}` is the name of a checkpoint; choose another tag");
             return Err(CheckpointError::refused(reason));
         }
@@ -87,12 +87,7 @@ impl CheckpointStore {
     /// Records how good a checkpoint was found to be. If it is the lowest score of the run's own
     /// checkpoints the tag `best` moves to it; returns whether it has that tag now.
     pub fn record_score(&self, name: &Name, score: Score) -> Result<bool, CheckpointError> {
-        // JSON has no other numbers, so they could be written but not read back.
-        let errors = score.errors.values().copied();
-        if let Some(wrong) = errors.chain([score.value]).find(|value| !value.is_finite()) {
-            let reason = format!("the score of `{name}` holds {wrong}, which is no finite number");
-            return Err(CheckpointError::refused(reason));
-        }
+        score.check(name)?;
         let guard = self.guard()?;
         self.edit_held(&guard, name, |labels| {
             labels.score = Some(score);
@@ -153,16 +148,13 @@ impl CheckpointStore {
         Ok(())
     }
 
-    fn edit_held(
+    pub(super) fn edit_held(
         &self,
         _: &Guard,
         name: &Name,
         change: impl FnOnce(&mut Labels) -> Result<(), CheckpointError>,
     ) -> Result<(), CheckpointError> {
-        let dir = self.dir(name);
-        if !dir.is_dir() {
-            return Err(CheckpointError::absent(&self.root, name));
-        }
+        let dir = self.existing(name)?;
         // A damaged checkpoint may be unpinned too, or it could never be deleted; but a directory
         // that is none stays as it is.
         if name.iteration().is_none()

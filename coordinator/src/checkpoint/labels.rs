@@ -10,6 +10,7 @@ use utoipa::ToSchema;
 use super::CheckpointError;
 use super::disk::Disk;
 use super::name::Name;
+use super::opening;
 
 /// Name of the file; beside the manifest, and not listed in it, because it changes.
 pub const LABELS: &str = "labels.json";
@@ -35,6 +36,18 @@ pub struct Score {
     pub seed: u64,
 }
 
+impl Score {
+    /// Refuses numbers that are not finite: JSON has none, so they could be written but not read
+    /// back.
+    pub(super) fn check(&self, name: &Name) -> Result<(), CheckpointError> {
+        let mut numbers = self.errors.values().chain([&self.value]);
+        numbers.find(|number| !number.is_finite()).map_or(Ok(()), |wrong| {
+            let reason = format!("the score of `{name}` holds {wrong}, which is no finite number");
+            Err(CheckpointError::refused(reason))
+        })
+    }
+}
+
 /// What users and runs say about a checkpoint after its commit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -51,6 +64,10 @@ pub struct Labels {
     /// Kept by every retention, because the run reached something with it.
     #[serde(default)]
     pub milestone: bool,
+    /// It has come from outside under a name of the run's own. Retention neither counts it, or an
+    /// upload could crowd out what the run has made, nor removes it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub imported: bool,
 }
 
 impl Labels {
@@ -69,12 +86,10 @@ impl Labels {
     /// Reads the labels of the checkpoint in `dir`; no file means no labels.
     pub fn try_read(dir: &Path) -> Result<Self, CheckpointError> {
         let path = dir.join(LABELS);
-        let file = match std::fs::File::open(&path) {
+        let file = match opening::file(&path) {
             Ok(file) => file,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Ok(Self::default());
-            }
-            Err(error) => return Err(CheckpointError::io(&path, "read")(error)),
+            Err(error) if error.is_absence() => return Ok(Self::default()),
+            Err(error) => return Err(error),
         };
         let mut bytes = Vec::new();
         file.take(MAX_LEN).read_to_end(&mut bytes).map_err(CheckpointError::io(&path, "read"))?;

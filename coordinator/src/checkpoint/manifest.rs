@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::Read as _;
+use std::io::{Read as _, Seek as _};
 use std::path::Path;
 
 use proto::Digest;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE};
+use super::{CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE, opening};
 
 /// Longest manifest that is read (bytes).
 pub(super) const MAX_MANIFEST: u64 = 1 << 20;
@@ -73,22 +73,27 @@ pub struct Manifest {
 impl Manifest {
     /// Reads the manifest of the checkpoint in `dir`.
     pub fn read(dir: &Path) -> Result<Self, CheckpointError> {
+        let (_, bytes) = Self::open(dir)?;
+        Self::parse(&bytes).map_err(|reason| CheckpointError::damaged(&dir.join(MANIFEST), reason))
+    }
+
+    /// The manifest of the checkpoint in `dir` as it is: open, and its bytes.
+    pub fn open(dir: &Path) -> Result<(File, Vec<u8>), CheckpointError> {
         let path = dir.join(MANIFEST);
-        let file = match File::open(&path) {
-            Ok(file) => file,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Err(CheckpointError::NotFound {
-                    path: dir.to_owned(),
-                    what: format!("is no checkpoint: it has no {MANIFEST}"),
-                });
-            }
-            Err(error) => return Err(CheckpointError::io(&path, "read")(error)),
-        };
+        let file = opening::file(&path).map_err(|error| match error {
+            error if error.is_absence() => CheckpointError::NotFound {
+                path: dir.to_owned(),
+                what: format!("is no checkpoint: it has no {MANIFEST}"),
+            },
+            error => error,
+        })?;
         let mut bytes = Vec::new();
-        file.take(MAX_MANIFEST + 1)
+        (&file)
+            .take(MAX_MANIFEST + 1)
             .read_to_end(&mut bytes)
+            .and_then(|_| (&file).rewind())
             .map_err(CheckpointError::io(&path, "read"))?;
-        Self::parse(&bytes).map_err(|reason| CheckpointError::damaged(&path, reason))
+        Ok((file, bytes))
     }
 
     /// Reads a manifest and checks that it lists what a checkpoint must have and nothing else.

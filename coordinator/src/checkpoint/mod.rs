@@ -22,8 +22,10 @@
 //! | `store` | committing, listing, loading |
 //! | `manifest`, `labels`, `name`, `entry` | what is said about a checkpoint, and by whom |
 //! | `disk`, `guard` | how a store is changed: step by step, by one at a time |
+//! | `opening` | how files of a store are opened: no link is followed |
 //! | `labelling`, `retention` | pins, tags, scores; what stays and what goes |
 //! | `catalogue` | the index |
+//! | `checked` | which files were found whole |
 //! | `archive` | a checkpoint as one file |
 //! | `verify`, `compare` | the thorough check; two checkpoints side by side |
 //! | `compose` | one policy set from several checkpoints |
@@ -32,6 +34,7 @@
 mod archive;
 mod assembly;
 mod catalogue;
+mod checked;
 mod compare;
 mod compose;
 mod disk;
@@ -42,6 +45,7 @@ mod labelling;
 mod labels;
 mod manifest;
 mod name;
+mod opening;
 mod read;
 mod retention;
 mod selector;
@@ -52,6 +56,7 @@ mod verify;
 pub use archive::MAX_CONTENT;
 pub use assembly::{Assembly, Snapshot};
 pub use catalogue::CATALOGUE;
+pub use checked::Checked;
 pub use compare::{Difference, KeyDifference, TensorDifference, compare};
 pub use compose::{Composition, Part};
 pub use entry::{DamagedEntry, Entry, Kind, Survey};
@@ -63,7 +68,7 @@ pub use name::{ITERATION, Name, NameError};
 pub use read::{Checkpoint, read_policy};
 pub use retention::Retention;
 pub use selector::{Selector, store_at, store_to_be};
-pub use store::CheckpointStore;
+pub use store::{CheckpointStore, Placement};
 pub use verify::Verification;
 
 /// The format that this version writes.
@@ -80,4 +85,4 @@ pub const CONFIG: &str = "config.toml";
 pub const ROBOT: &str = "robot.toml";
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

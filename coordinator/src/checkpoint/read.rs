@@ -9,8 +9,11 @@ use proto::layout::{ActorLayout, Dimensions};
 use safetensors::{Dtype, SafeTensors};
 
 use super::manifest::{FileEntry, Manifest};
-use super::{CONFIG, CheckpointError, MANIFEST, POLICY, ROBOT, STATE};
+use super::tensors::MAX_HEADER;
+use super::{CONFIG, CheckpointError, POLICY, ROBOT, STATE, opening};
 
+/// Longest configuration or robot that is read (bytes).
+pub(super) const MAX_TEXT: u64 = 1 << 20;
 /// Bytes that are hashed at a time.
 const BUFFER: usize = 1 << 20;
 
@@ -43,7 +46,9 @@ impl Checkpoint {
 
 /// Reads a file of actors: their parameters, flat, in the order of `layout`.
 pub fn read_policy(path: &Path, layout: &ActorLayout) -> Result<Vec<f32>, CheckpointError> {
-    let bytes = std::fs::read(path).map_err(CheckpointError::io(path, "read"))?;
+    // Room for tensors that are not asked for, but not for any number of them.
+    let limit = 8 * layout.len as u64 + MAX_HEADER;
+    let bytes = opening::bytes(path, limit)?;
     let tensors = SafeTensors::deserialize(&bytes)
         .map_err(|error| CheckpointError::damaged(path, error.to_string()))?;
     let mut flat = vec![0.0; layout.len];
@@ -78,15 +83,29 @@ pub(super) fn load(dir: &Path) -> Result<Checkpoint, CheckpointError> {
     for (name, entry) in &manifest.files {
         check_file(&dir.join(name), entry)?;
     }
-    let path = dir.join(CONFIG);
-    let config = Config::from_resolved_toml(&text(&path)?, &path.display().to_string())?;
-    let robot_toml = text(&dir.join(ROBOT))?;
+    let (config, robot_toml) = small_files(dir)?;
     Ok(Checkpoint { dir: dir.to_owned(), manifest, config, robot_toml })
+}
+
+/// Configuration, and robot as TOML, of the checkpoint or the run in `dir`.
+pub(super) fn small_files(dir: &Path) -> Result<(Config, String), CheckpointError> {
+    let path = dir.join(CONFIG);
+    let text = opening::text(&path, MAX_TEXT)?;
+    let config = Config::from_resolved_toml(&text, &path.display().to_string())?;
+    Ok((config, opening::text(&dir.join(ROBOT), MAX_TEXT)?))
 }
 
 /// Compares a file with its entry in the manifest, in pieces.
 pub(super) fn check_file(path: &Path, entry: &FileEntry) -> Result<(), CheckpointError> {
-    let mut file = File::open(path).map_err(CheckpointError::io(path, "read"))?;
+    check_open(&mut opening::file(path)?, path, entry)
+}
+
+/// Compares an open file with its entry in the manifest, from its beginning to its end.
+pub(super) fn check_open(
+    file: &mut File,
+    path: &Path,
+    entry: &FileEntry,
+) -> Result<(), CheckpointError> {
     let len = file.metadata().map_err(CheckpointError::io(path, "read"))?.len();
     if len != entry.len {
         let reason = format!("{len} bytes, the manifest says {}", entry.len);
@@ -109,13 +128,10 @@ pub(super) fn check_file(path: &Path, entry: &FileEntry) -> Result<(), Checkpoin
 
 /// Whether all listed files are there with the right length; hashes nothing.
 pub(super) fn looks_whole(dir: &Path) -> bool {
-    let Ok(manifest) = Manifest::read(dir) else { return false };
-    manifest.files.iter().all(|(name, entry)| {
-        std::fs::metadata(dir.join(name)).is_ok_and(|file| file.len() == entry.len)
-    }) && dir.join(MANIFEST).is_file()
-}
-
-fn text(path: &Path) -> Result<String, CheckpointError> {
-    let bytes = std::fs::read(path).map_err(CheckpointError::io(path, "read"))?;
-    String::from_utf8(bytes).map_err(|_| CheckpointError::damaged(path, "not UTF-8"))
+    let whole = |name: &String, entry: &FileEntry| {
+        let there = dir.join(name).symlink_metadata();
+        there.is_ok_and(|there| there.is_file() && there.len() == entry.len)
+    };
+    Manifest::read(dir)
+        .is_ok_and(|manifest| manifest.files.iter().all(|(name, entry)| whole(name, entry)))
 }

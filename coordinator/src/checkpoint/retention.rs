@@ -13,7 +13,8 @@ use super::read::looks_whole;
 use super::store::CheckpointStore;
 
 /// Which of the run's own checkpoints stay. Pinned ones, milestones and tagged ones always do, and
-/// so do all that are not the run's own: imported and composed ones are for users to remove.
+/// so do all that are not the run's own: imported and composed ones, whatever their name, are for
+/// users to remove.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Retention {
     /// The newest whole ones; at least one stays.
@@ -36,8 +37,10 @@ impl CheckpointStore {
         if !doomed.is_empty() {
             self.disk.sync_dir(&self.root)?;
         }
-        sweep(&self.disk, &self.root, &guard)?;
+        let removed = sweep(&self.disk, &self.root, &guard)?;
         self.finish(&guard, &doomed.iter().collect::<Vec<_>>());
+        drop(guard);
+        removed.iter().try_for_each(|dir| self.disk.remove_dir(dir))?;
         Ok(doomed)
     }
 
@@ -60,9 +63,9 @@ impl CheckpointStore {
         }
         let away = self.put_away(&guard, name)?;
         self.disk.sync_dir(&self.root)?;
-        self.disk.remove_dir(&away)?;
         self.finish(&guard, &[name]);
-        Ok(())
+        drop(guard);
+        self.disk.remove_dir(&away)
     }
 
     /// Makes a checkpoint vanish at once: removing its files takes many steps, a rename one.
@@ -75,7 +78,10 @@ impl CheckpointStore {
 
 /// Names of the run's own checkpoints that go.
 fn doomed(survey: &Survey, retention: &Retention) -> Vec<Name> {
-    let own = || survey.entries.iter().filter(|entry| entry.name.iteration().is_some());
+    let own = || {
+        let entries = survey.entries.iter();
+        entries.filter(|entry| entry.name.iteration().is_some() && !entry.labels.imported)
+    };
     let mut whole: Vec<u64> = own()
         .filter(|entry| entry.kind == Kind::Training && looks_whole(&entry.dir))
         .filter_map(|entry| entry.name.iteration())
@@ -96,8 +102,8 @@ fn doomed(survey: &Survey, retention: &Retention) -> Vec<Name> {
         .map(|entry| entry.name.clone())
         .collect();
     let damaged = survey.damaged.iter().filter(|damaged| {
-        let Labels { pinned, milestone, tags, .. } = Labels::read(&damaged.dir);
-        old(&damaged.name) && !pinned && !milestone && tags.is_empty()
+        let Labels { pinned, milestone, tags, imported, .. } = Labels::read(&damaged.dir);
+        old(&damaged.name) && !(pinned || milestone || imported) && tags.is_empty()
     });
     names.extend(damaged.map(|damaged| damaged.name.clone()));
     names.sort();

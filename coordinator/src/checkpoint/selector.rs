@@ -81,8 +81,9 @@ impl Selector {
     /// The checkpoint whose directory the path is, damaged or not.
     fn directory(&self) -> Result<Option<(CheckpointStore, Name)>, CheckpointError> {
         let path = &self.path;
-        // `.` and `..` have no name of their own.
-        let whole = if path.file_name().is_none() && path.exists() {
+        // `.` and `..` have no name of their own, and that of a link is not the checkpoint's.
+        let elsewhere = path.file_name().is_none() || path.is_symlink();
+        let whole = if elsewhere && path.exists() {
             path.canonicalize().map_err(CheckpointError::io(path, "read"))?
         } else {
             path.clone()

@@ -9,17 +9,16 @@ use proto::config::Config;
 
 use super::disk::Disk;
 use super::entry::{Entry, Survey, directories};
-use super::guard::{Guard, Scratch, unique};
-use super::labels::Labels;
+use super::guard::{Guard, REPLACED, Scratch, unique};
+use super::labelling::{BEST, LATEST};
+use super::labels::{Labels, Score};
 use super::manifest::{FileEntry, Manifest};
 use super::name::Name;
+use super::opening::{Stamp, is_directory};
 use super::read::{self, Checkpoint};
 use super::{
     CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE, Snapshot, catalogue, tensors,
 };
-
-/// Prefix of a checkpoint that another one has replaced.
-const REPLACED: &str = ".replaced-";
 
 /// The checkpoints of a run, or any directory of checkpoints.
 ///
@@ -38,6 +37,41 @@ pub(super) enum Clash {
     Replace,
     /// Leave it, unless it is damaged.
     Refuse,
+}
+
+/// A checkpoint that is to be published.
+#[derive(Debug)]
+pub(super) struct Arrival<'a> {
+    pub(super) name: &'a Name,
+    pub(super) digest: Digest,
+    pub(super) clash: Clash,
+    /// What is known about it already.
+    pub(super) score: Option<Score>,
+    /// Whether it comes from outside.
+    pub(super) imported: bool,
+}
+
+/// Where a commit ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Placement {
+    /// The checkpoint's directory.
+    pub dir: PathBuf,
+    /// Whether it has the tag `best` now.
+    pub best: bool,
+}
+
+/// What has a name already.
+#[derive(Debug)]
+enum Occupant {
+    Nobody,
+    /// The same checkpoint, whole.
+    Same,
+    /// Another one, whole, with this digest.
+    Other(Digest),
+    /// A checkpoint that cannot be read.
+    Damaged,
+    /// What never was a checkpoint.
+    Stranger,
 }
 
 impl CheckpointStore {
@@ -67,6 +101,23 @@ impl CheckpointStore {
         robot_toml: &str,
         provenance: &serde_json::Value,
     ) -> Result<PathBuf, CheckpointError> {
+        let placement = self.commit_scored(snapshot, config, robot_toml, provenance, None)?;
+        Ok(placement.dir)
+    }
+
+    /// Commits a snapshot together with its score, in one step: the checkpoint appears with its
+    /// labels, and the tag `best` has moved before anybody else may change the store. So a
+    /// [retention](Self::retain) after it never takes the new best for an unscored one.
+    ///
+    /// Of a checkpoint that is there already the score is replaced, if one is given.
+    pub fn commit_scored(
+        &self,
+        snapshot: &Snapshot,
+        config: &Config,
+        robot_toml: &str,
+        provenance: &serde_json::Value,
+        score: Option<Score>,
+    ) -> Result<Placement, CheckpointError> {
         let name = Name::of_iteration(snapshot.iteration);
         let (state, policy) =
             tensors::split(&snapshot.bytes).map_err(|reason| CheckpointError::Damaged {
@@ -90,18 +141,23 @@ impl CheckpointStore {
             files: BTreeMap::new(),
             origins: Vec::new(),
         };
-        self.write(&name, &contents, manifest, Clash::Replace)
+        if let Some(score) = &score {
+            score.check(&name)?;
+        }
+        let clash = Clash::Replace;
+        let arrival =
+            Arrival { name: &name, digest: manifest.digest, clash, score, imported: false };
+        self.write(arrival, &contents, manifest)
     }
 
-    /// Writes a new checkpoint under any name and publishes it. `manifest` lists no files yet.
+    /// Writes a new checkpoint and publishes it. `manifest` lists no files yet.
     pub(super) fn write(
         &self,
-        name: &Name,
+        arrival: Arrival<'_>,
         contents: &[(&str, &[u8])],
         mut manifest: Manifest,
-        clash: Clash,
-    ) -> Result<PathBuf, CheckpointError> {
-        let scratch = Scratch::new(&self.disk, &self.root, name.as_str())?;
+    ) -> Result<Placement, CheckpointError> {
+        let scratch = Scratch::new(&self.disk, &self.root, arrival.name.as_str())?;
         for (file, bytes) in contents {
             self.disk.write_file(&scratch.path().join(file), bytes)?;
             let blake3 = blake3::hash(bytes).to_hex().to_string();
@@ -110,51 +166,65 @@ impl CheckpointStore {
                 .insert((*file).to_owned(), FileEntry { len: bytes.len() as u64, blake3 });
         }
         self.disk.write_file(&scratch.path().join(MANIFEST), &manifest.to_json())?;
-        self.publish(scratch, name, manifest.digest, clash)
+        self.publish(scratch, arrival)
     }
 
-    /// Gives a whole directory its final name; the same checkpoint twice stays as it was.
+    /// Gives a whole directory its final name; the same checkpoint twice stays as it was, but for
+    /// its score.
     pub(super) fn publish(
         &self,
         scratch: Scratch<'_>,
-        name: &Name,
-        digest: Digest,
-        clash: Clash,
-    ) -> Result<PathBuf, CheckpointError> {
+        arrival: Arrival<'_>,
+    ) -> Result<Placement, CheckpointError> {
+        let Arrival { name, digest, clash, score, imported } = arrival;
+        let mut labels = Labels { score, imported, ..Labels::default() };
+        if labels != Labels::default() {
+            labels.write(&self.disk, scratch.path())?;
+        }
         self.disk.sync_dir(scratch.path())?;
         let target = self.dir(name);
-        let guard = self.guard()?;
+        let (guard, occupant) = self.occupant(name, digest)?;
+        self.check_free(name)?;
+        let conflict = |reason| CheckpointError::Conflict { path: target.clone(), reason };
         let mut aside = None;
-        if target.symlink_metadata().is_ok() {
-            match read::load(&target) {
-                Ok(there) if there.manifest.digest == digest => {
-                    scratch.discard()?;
-                    return Ok(target);
+        match (occupant, clash) {
+            (Occupant::Nobody, _) => {}
+            (Occupant::Same, _) => {
+                self.edit_held(&guard, name, |there| {
+                    there.score = labels.score.or(there.score.take());
+                    // What the run has come to itself is its own, wherever it was first.
+                    there.imported &= imported;
+                    Ok(())
+                })?;
+                let placement = self.placement(&guard, name)?;
+                drop(guard);
+                scratch.discard()?;
+                return Ok(placement);
+            }
+            (Occupant::Other(other), Clash::Refuse) => {
+                return Err(conflict(format!(
+                    "is another checkpoint already, with digest {other} instead of {digest}; \
+                     choose another name, or delete that one first"
+                )));
+            }
+            (Occupant::Stranger, Clash::Refuse) => {
+                let reason = "is there and no checkpoint; choose another name, or move it away";
+                return Err(conflict(reason.to_owned()));
+            }
+            // Damaged, or of a run whose limits were changed: out of the way, but not lost.
+            (occupant, _) => {
+                if matches!(occupant, Occupant::Damaged)
+                    && let Ok(there) = Labels::try_read(&target)
+                    && there != Labels::default()
+                {
+                    // Mended, it is what its users have pinned and tagged.
+                    let score = labels.score.or(there.score.clone());
+                    labels = Labels { score, imported, ..there };
+                    labels.write(&self.disk, scratch.path())?;
                 }
-                Ok(there) if clash == Clash::Refuse => {
-                    let reason = format!(
-                        "is another checkpoint already, with digest {} instead of {digest}; \
-                         choose another name, or delete that one first",
-                        there.manifest.digest
-                    );
-                    return Err(CheckpointError::Conflict { path: target, reason });
-                }
-                Err(error @ CheckpointError::Io { .. }) if !error.is_absence() => {
-                    return Err(error);
-                }
-                // Damaged, or of a run whose limits were changed: out of the way, but not lost.
-                there => {
-                    if there.is_err()
-                        && let Ok(labels) = Labels::try_read(&target)
-                        && labels != Labels::default()
-                    {
-                        // Mended, it is what its users have pinned and tagged.
-                        labels.write(&self.disk, scratch.path())?;
-                    }
-                    let away = unique(&self.root, REPLACED, name.as_str());
-                    self.disk.rename(&target, &away)?;
-                    aside = Some(away);
-                }
+                let away = unique(&self.root, REPLACED, name.as_str());
+                self.disk.rename(&target, &away)?;
+                aside = Some(away);
             }
         }
         if let Err(error) = scratch.publish(&target, &guard) {
@@ -165,8 +235,76 @@ impl CheckpointStore {
             return Err(error);
         }
         self.disk.sync_dir(&self.root)?;
-        self.finish(&guard, &[name]);
-        Ok(target)
+        if let Some(away) = aside {
+            tracing::warn!(
+                checkpoint = %target.display(),
+                before = %away.display(),
+                "another checkpoint had this name; it is kept aside for a week, longer if pinned"
+            );
+        }
+        self.placement(&guard, name)
+    }
+
+    /// Ends the publication of a checkpoint.
+    fn placement(&self, guard: &Guard, name: &Name) -> Result<Placement, CheckpointError> {
+        self.finish(guard, &[name]);
+        Ok(Placement {
+            dir: self.dir(name),
+            best: self.best()?.is_some_and(|best| best.name == *name),
+        })
+    }
+
+    /// Takes the right to change the store and says what has the name `name` then. Whatever is
+    /// there is hashed before, and again if it was changed meanwhile.
+    fn occupant(&self, name: &Name, digest: Digest) -> Result<(Guard, Occupant), CheckpointError> {
+        let target = self.dir(name);
+        loop {
+            let before = Stamp::of_dir(&target);
+            let occupant = match target.symlink_metadata() {
+                Err(_) => Occupant::Nobody,
+                Ok(there) if !there.is_dir() => Occupant::Stranger,
+                Ok(_) => match read::load(&target) {
+                    Ok(there) if there.manifest.digest == digest => Occupant::Same,
+                    Ok(there) => Occupant::Other(there.manifest.digest),
+                    Err(error) if error.is_absence() => {
+                        let own = name.iteration().is_some() || target.join(MANIFEST).exists();
+                        if own { Occupant::Damaged } else { Occupant::Stranger }
+                    }
+                    Err(error @ CheckpointError::Io { .. }) => return Err(error),
+                    Err(_) => Occupant::Damaged,
+                },
+            };
+            let guard = self.guard()?;
+            if Stamp::of_dir(&target) == before {
+                return Ok((guard, occupant));
+            }
+        }
+    }
+
+    /// Refuses a name that a checkpoint cannot get here: one that always selects another, one of
+    /// the store's own files, and a tag.
+    pub fn check_free(&self, name: &Name) -> Result<(), CheckpointError> {
+        let text = name.as_str();
+        let refuse = |why: String| {
+            Err(CheckpointError::refused(format!("`{name}` {why}; choose another name")))
+        };
+        if [BEST, LATEST].contains(&text) {
+            return refuse("always selects another checkpoint".to_owned());
+        }
+        if text.bytes().all(|byte| byte.is_ascii_digit()) {
+            return refuse(format!("would look like an iteration, as in RUN:{name}"));
+        }
+        if text.starts_with(catalogue::CATALOGUE) {
+            return refuse("is a name of the catalogue's files".to_owned());
+        }
+        // A run's own name is never a tag, so commits need not look.
+        if name.iteration().is_none()
+            && let Some(holder) = self.survey()?.entries.iter().find(|e| e.labels.has_tag(text))
+        {
+            let holder = &holder.name;
+            return refuse(format!("is a tag of {holder}, `untag` takes it away"));
+        }
+        Ok(())
     }
 
     /// Directories of the run's own checkpoints, `iteration-*`, oldest iteration first.
@@ -179,9 +317,16 @@ impl CheckpointStore {
     /// damaged one is reported through the log and the one before is taken; if all are damaged,
     /// that is an error, never a silent start from nothing.
     pub fn latest(&self) -> Result<Checkpoint, CheckpointError> {
+        self.latest_until(u64::MAX)
+    }
+
+    /// Like [`Self::latest`], of those of at most `most` iterations.
+    pub fn latest_until(&self, most: u64) -> Result<Checkpoint, CheckpointError> {
         let mut last_error = None;
         for dir in self.list()?.into_iter().rev() {
-            if Manifest::read(&dir).is_ok_and(|manifest| !manifest.has_state()) {
+            let passed_over =
+                |manifest: Manifest| !manifest.has_state() || manifest.iteration > most;
+            if Manifest::read(&dir).is_ok_and(passed_over) {
                 continue;
             }
             match read::load(&dir) {
@@ -222,11 +367,13 @@ impl CheckpointStore {
 
     /// The checkpoint called `name` at a glance.
     pub fn entry(&self, name: &Name) -> Result<Entry, CheckpointError> {
+        Entry::read(&self.existing(name)?, name.clone())
+    }
+
+    /// The directory called `name`. A link is none: what it leads to is not the store's.
+    pub(super) fn existing(&self, name: &Name) -> Result<PathBuf, CheckpointError> {
         let dir = self.dir(name);
-        if !dir.is_dir() {
-            return Err(CheckpointError::absent(&self.root, name));
-        }
-        Entry::read(&dir, name.clone())
+        if is_directory(&dir) { Ok(dir) } else { Err(CheckpointError::absent(&self.root, name)) }
     }
 
     /// Rebuilds the catalogue from the manifests, puts the tag `best` where the scores say, and

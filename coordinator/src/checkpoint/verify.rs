@@ -3,19 +3,19 @@
 
 use std::path::{Path, PathBuf};
 
-use proto::config::Config;
 use proto::layout::{ActorLayout, Dimensions};
-use safetensors::tensor::TensorView;
-use safetensors::{Dtype, SafeTensors};
+use proto::{Digest, DigestBuilder};
+use safetensors::Dtype;
 use serde::Serialize;
 use sim_worker::robot::Robot;
 use utoipa::ToSchema;
 
 use super::manifest::Manifest;
 use super::name::Name;
+use super::read::{self, small_files};
 use super::store::CheckpointStore;
-use super::tensors::{self, POLICY_PREFIX};
-use super::{CONFIG, CheckpointError, POLICY, ROBOT, STATE, read};
+use super::tensors::{POLICY_PREFIX, TensorFile};
+use super::{CheckpointError, POLICY, ROBOT, STATE};
 
 /// What a thorough check found.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
@@ -46,11 +46,7 @@ impl CheckpointStore {
     /// asks for; that the digest in the manifest is that of the tensors, and its counters theirs.
     /// An error means that there is no such checkpoint.
     pub fn verify(&self, name: &Name) -> Result<Verification, CheckpointError> {
-        let dir = self.dir(name);
-        if !dir.is_dir() {
-            return Err(CheckpointError::absent(&self.root, name));
-        }
-        Ok(examine(&dir))
+        Ok(examine(&self.existing(name)?))
     }
 }
 
@@ -76,12 +72,10 @@ pub(super) fn examine(dir: &Path) -> Verification {
         // What follows would only say the same again, in more words.
         return found;
     }
-    let layout = match small_files(dir) {
-        Ok((config, robot)) => {
-            Some(ActorLayout::new(&config, &Dimensions::new(&config, robot.n_arms)))
-        }
-        Err(reason) => {
-            found.problems.push(reason);
+    let layout = match layout(dir) {
+        Ok(layout) => Some(layout),
+        Err(error) => {
+            found.problems.push(error.to_string());
             None
         }
     };
@@ -90,32 +84,26 @@ pub(super) fn examine(dir: &Path) -> Verification {
         files.push(STATE);
     }
     for file in files {
-        let mut problems = Vec::new();
-        let outcome =
-            std::fs::read(dir.join(file)).map_err(|error| error.to_string()).and_then(|bytes| {
-                let tensors =
-                    SafeTensors::deserialize(&bytes).map_err(|error| error.to_string())?;
-                found.tensors += tensors.len();
-                finite(&tensors, &mut problems);
-                if file == POLICY {
-                    if let Some(layout) = &layout {
-                        fits(&tensors, layout, &mut problems);
-                    }
-                } else {
-                    counters(&tensors, &manifest, &mut problems);
-                }
-                let described = if manifest.has_state() { STATE } else { POLICY };
-                if file == described {
-                    let digest = tensors::digest(&tensors);
-                    if digest != manifest.digest {
-                        let said = manifest.digest;
-                        problems.push(format!("digest {digest}, the manifest says {said}"));
-                    }
-                }
-                Ok(())
-            });
-        problems.extend(outcome.err());
         let path = dir.join(file);
+        let mut problems = Vec::new();
+        let outcome = TensorFile::open(&path).and_then(|tensors| {
+            found.tensors += tensors.tensors.len();
+            let digest = read_through(&tensors, &mut problems)?;
+            if file == POLICY {
+                if let Some(layout) = &layout {
+                    fits(&tensors, layout, &mut problems);
+                }
+            } else {
+                counters(&tensors, &manifest, &mut problems)?;
+            }
+            let described = if manifest.has_state() { STATE } else { POLICY };
+            if file == described && digest != manifest.digest {
+                let said = manifest.digest;
+                problems.push(format!("digest {digest}, the manifest says {said}"));
+            }
+            Ok(())
+        });
+        problems.extend(outcome.err());
         found
             .problems
             .extend(problems.into_iter().map(|problem| format!("{}: {problem}", path.display())));
@@ -123,73 +111,76 @@ pub(super) fn examine(dir: &Path) -> Verification {
     found
 }
 
-/// Configuration and robot, if both make sense.
-fn small_files(dir: &Path) -> Result<(Config, Robot), String> {
-    let text = |name: &str| {
-        let path = dir.join(name);
-        let text = std::fs::read_to_string(&path);
-        text.map(|text| (text, path.clone()))
-            .map_err(|error| format!("{}: {error}", path.display()))
-    };
-    let (config, path) = text(CONFIG)?;
-    let config = Config::from_resolved_toml(&config, &path.display().to_string())
-        .map_err(|error| error.to_string())?;
-    let (robot, path) = text(ROBOT)?;
-    let robot = Robot::from_toml(&robot, &path).map_err(|error| error.to_string())?;
-    Ok((config, robot))
+/// The place of the actors' tensors, if configuration and robot make sense.
+fn layout(dir: &Path) -> Result<ActorLayout, CheckpointError> {
+    let (config, robot) = small_files(dir)?;
+    let path = dir.join(ROBOT);
+    let robot = Robot::from_toml(&robot, &path)
+        .map_err(|error| CheckpointError::damaged(&path, error.to_string()))?;
+    Ok(ActorLayout::new(&config, &Dimensions::new(&config, robot.n_arms)))
 }
 
-/// Reports every tensor with a number that is not finite.
-fn finite(tensors: &SafeTensors<'_>, problems: &mut Vec<String>) {
-    for (name, view) in tensors::sorted(tensors) {
-        if numbers(&view).is_some_and(|mut numbers| numbers.any(|number| !number.is_finite())) {
+/// Reads all tensors once: their digest, and a report of every one with a number that is not finite.
+fn read_through(file: &TensorFile, problems: &mut Vec<String>) -> Result<Digest, String> {
+    let mut digest = DigestBuilder::new();
+    for (name, info) in &file.tensors {
+        let (from, to) = info.data_offsets;
+        digest.begin(name, (to - from) as u64);
+        let mut finite = true;
+        file.pieces(info, |piece| {
+            digest.piece(piece);
+            let mut numbers = numbers(info.dtype, piece).into_iter().flatten();
+            finite = finite && numbers.all(f64::is_finite);
+        })?;
+        if !finite {
             problems.push(format!("tensor `{name}` holds a number that is not finite"));
         }
     }
+    Ok(digest.finish())
 }
 
 /// Reports what is missing in, too much in, or of another shape than the actors' layout.
-fn fits(tensors: &SafeTensors<'_>, layout: &ActorLayout, problems: &mut Vec<String>) {
+fn fits(file: &TensorFile, layout: &ActorLayout, problems: &mut Vec<String>) {
     for spec in &layout.tensors {
         let expected = (Dtype::F32, spec.shape.as_slice());
-        match tensors.tensor(&spec.name) {
-            Ok(view) if (view.dtype(), view.shape()) == expected => {}
-            Ok(view) => problems.push(format!(
+        match file.tensors.get(&spec.name) {
+            Some(info) if (info.dtype, info.shape.as_slice()) == expected => {}
+            Some(info) => problems.push(format!(
                 "tensor `{}` is {:?} {:?}, the configuration wants F32 {:?}",
-                spec.name,
-                view.dtype(),
-                view.shape(),
-                spec.shape
+                spec.name, info.dtype, info.shape, spec.shape
             )),
-            Err(_) => problems.push(format!("tensor `{}` is missing", spec.name)),
+            None => problems.push(format!("tensor `{}` is missing", spec.name)),
         }
     }
-    for (name, _) in tensors::sorted(tensors) {
-        if layout.get(&name).is_none() {
-            problems.push(format!("tensor `{name}` is unknown to the configuration"));
-        }
+    for name in file.tensors.keys().filter(|name| layout.get(name).is_none()) {
+        problems.push(format!("tensor `{name}` is unknown to the configuration"));
     }
 }
 
 /// Compares the counters in the training state with those of the manifest.
-fn counters(tensors: &SafeTensors<'_>, manifest: &Manifest, problems: &mut Vec<String>) {
+fn counters(
+    file: &TensorFile,
+    manifest: &Manifest,
+    problems: &mut Vec<String>,
+) -> Result<(), String> {
     for (name, said) in
         [("counters.iteration", manifest.iteration), ("counters.env_steps", manifest.env_steps)]
     {
-        let Ok(view) = tensors.tensor(name) else { continue };
-        if view.data() != said.to_le_bytes() {
+        let Some(info) = file.tensors.get(name) else { continue };
+        let mut same = info.data_offsets.1 - info.data_offsets.0 == size_of::<u64>();
+        file.pieces(info, |piece| same = same && piece == said.to_le_bytes())?;
+        if !same {
             problems.push(format!("`{name}` is not {said}, as the manifest says"));
         }
     }
-    for (name, _) in tensors::sorted(tensors) {
-        if name.starts_with(POLICY_PREFIX) {
-            problems.push(format!("tensor `{name}` belongs into {POLICY}"));
-        }
+    for name in file.tensors.keys().filter(|name| name.starts_with(POLICY_PREFIX)) {
+        problems.push(format!("tensor `{name}` belongs into {POLICY}"));
     }
+    Ok(())
 }
 
-/// A tensor's numbers, if they are of a type that training states have.
-pub(super) fn numbers<'a>(view: &TensorView<'a>) -> Option<Box<dyn Iterator<Item = f64> + 'a>> {
+/// The numbers in a tensor's bytes, if they are of a type that training states have.
+pub(super) fn numbers(dtype: Dtype, data: &[u8]) -> Option<Box<dyn Iterator<Item = f64> + '_>> {
     fn chunks<'a, const N: usize>(
         data: &'a [u8],
         number: fn([u8; N]) -> f64,
@@ -197,8 +188,7 @@ pub(super) fn numbers<'a>(view: &TensorView<'a>) -> Option<Box<dyn Iterator<Item
         let bytes = |chunk: &[u8]| <[u8; N]>::try_from(chunk).expect("chunks have N bytes");
         Box::new(data.chunks_exact(N).map(move |chunk| number(bytes(chunk))))
     }
-    let data = view.data();
-    Some(match view.dtype() {
+    Some(match dtype {
         Dtype::F32 => chunks::<4>(data, |bytes| f64::from(f32::from_le_bytes(bytes))),
         Dtype::F64 => chunks::<8>(data, f64::from_le_bytes),
         Dtype::I64 => chunks::<8>(data, |bytes| i64::from_le_bytes(bytes) as f64),

@@ -23,6 +23,7 @@ const SCALE_EXAMPLES: &str = "\
 Examples:
   octopus scale runs/trajectory-20260101-120000 8
   octopus scale runs/trajectory-20260101-120000 1 --json
+  octopus scale runs/trajectory-20260101-120000 4 --token-file token.txt
 
 The number of workers changes nothing that is learned. New workers start at once; surplus ones leave
 after the shards that they have begun.";
@@ -60,6 +61,9 @@ pub struct ScaleArgs {
     /// Workers from now on.
     #[arg(value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub workers: u32,
+    /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
     /// Print as JSON.
     #[arg(long)]
     pub json: bool,

@@ -26,7 +26,8 @@ const TAR: &str = "application/x-tar";
     params(("name" = String, Path, description = "Name, tag, `latest` or `best`")),
     responses(
         (status = 200, description = "The archive", body = [u8],
-            content_type = "application/x-tar"),
+            content_type = "application/x-tar", headers(("octopus-passed-over" = String,
+                description = "Newer ones than `latest` that are damaged"))),
         (status = 400, description = "Not a name", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
         (status = 500, description = "It is damaged", body = ErrorBody),
@@ -38,11 +39,15 @@ pub(super) async fn download(
     Params(name): Params<String>,
     method: Method,
 ) -> Result<Response, Problem> {
-    let entry = context.with_store(move |store| checkpoints::find(store, &name)).await?;
+    let choice = context
+        .with_checked(move |store, checked| checkpoints::find(store, checked, &name))
+        .await?;
+    let passed_over = choice.header();
+    let entry = choice.entry;
     let disposition = format!("attachment; filename=\"{}.tar\"", entry.name);
     let headers = [(CONTENT_TYPE, TAR.to_owned()), (CONTENT_DISPOSITION, disposition)];
     if method == Method::HEAD {
-        return Ok(headers.into_response());
+        return Ok((passed_over, headers).into_response());
     }
     let place = Arc::clone(&context.archives).try_acquire_owned().map_err(|_| {
         Problem::busy("too many archives are being downloaded; try again in a moment")
@@ -59,7 +64,7 @@ pub(super) async fn download(
     });
     // The store checks a checkpoint before it writes the first byte, so damage is told in time.
     match body.started().await {
-        Ok(body) => Ok((headers, Body::new(body)).into_response()),
+        Ok(body) => Ok((passed_over, headers, Body::new(body)).into_response()),
         Err(error) => Err(match error.downcast::<CheckpointError>() {
             Ok(error) => error.into(),
             Err(error) => Problem::internal(&error),

@@ -2,7 +2,8 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
+use axum::http::{HeaderName, StatusCode};
+use axum::response::{IntoResponse as _, Response};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -10,7 +11,7 @@ use super::context::Shared;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
 use crate::checkpoint::{
-    CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name,
+    Checked, CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name,
 };
 
 /// Everything in the store.
@@ -46,7 +47,9 @@ pub(super) async fn list(State(context): State<Shared>) -> Result<Json<Checkpoin
 #[utoipa::path(get, path = "/v1/checkpoints/{name}", tag = "checkpoints",
     params(("name" = String, Path, description = "Name, tag, `latest` or `best`")),
     responses(
-        (status = 200, description = "It and its manifest", body = CheckpointDetail),
+        (status = 200, description = "It and its manifest", body = CheckpointDetail,
+            headers(("octopus-passed-over" = String,
+                description = "Newer ones than `latest` that are damaged"))),
         (status = 400, description = "Not a name", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
         (status = 500, description = "Its manifest is damaged", body = ErrorBody),
@@ -55,15 +58,16 @@ pub(super) async fn list(State(context): State<Shared>) -> Result<Json<Checkpoin
 pub(super) async fn show(
     State(context): State<Shared>,
     Params(name): Params<String>,
-) -> Result<Json<CheckpointDetail>, Problem> {
-    let detail = context
-        .with_store(move |store| {
-            let entry = find(store, &name)?;
-            let manifest = Manifest::read(&entry.dir)?;
-            Ok(CheckpointDetail { entry, manifest })
+) -> Result<Response, Problem> {
+    let (choice, manifest) = context
+        .with_checked(move |store, checked| {
+            let choice = find(store, checked, &name)?;
+            let manifest = Manifest::read(&choice.entry.dir)?;
+            Ok((choice, manifest))
         })
         .await?;
-    Ok(Json(detail))
+    let header = choice.header();
+    Ok((header, Json(CheckpointDetail { entry: choice.entry, manifest })).into_response())
 }
 
 /// Removes a checkpoint. Wants its own name, because what a tag means may change meanwhile.
@@ -172,19 +176,76 @@ async fn change(
     Ok(Json(entry))
 }
 
+/// Names the damaged checkpoints that were newer than the one that `latest` gave.
+pub(super) const PASSED_OVER: HeaderName = HeaderName::from_static("octopus-passed-over");
+/// Most names in that header.
+const MAX_PASSED: usize = 16;
+
+/// What a path names.
+#[derive(Debug)]
+pub(super) struct Choice {
+    pub(super) entry: Entry,
+    /// Newer ones that `latest` would be if they were not damaged.
+    passed_over: Vec<Name>,
+}
+
+impl Choice {
+    /// The header that says what was passed over, if anything was.
+    pub(super) fn header(&self) -> Option<[(HeaderName, String); 1]> {
+        let names: Vec<&str> = self.passed_over.iter().map(Name::as_str).take(MAX_PASSED).collect();
+        (!names.is_empty()).then(|| [(PASSED_OVER, names.join(", "))])
+    }
+}
+
 /// The checkpoint that a path names: by its own name, a tag, `latest` or `best`. Unlike a
-/// [`Selector`](crate::checkpoint::Selector) this reads manifests only, as every request does it.
-pub(super) fn find(store: &CheckpointStore, text: &str) -> Result<Entry, CheckpointError> {
+/// [`Selector`](crate::checkpoint::Selector) this hashes nothing twice, as every request does it.
+pub(super) fn find(
+    store: &CheckpointStore,
+    checked: &Checked,
+    text: &str,
+) -> Result<Choice, CheckpointError> {
     let name: Name = text.parse()?;
-    let there = store.entry(&name);
-    if let Err(CheckpointError::NotFound { .. }) = &there {
-        let own = |entry: &Entry| entry.name.iteration().is_some() && entry.kind == Kind::Training;
-        let entries = store.entries()?;
-        let latest = entries.iter().rfind(|entry| text == LATEST && own(entry));
-        let tagged = || entries.iter().find(|entry| entry.labels.has_tag(text));
-        if let Some(entry) = latest.or_else(tagged) {
-            return Ok(entry.clone());
+    if text == LATEST {
+        return latest(store, checked);
+    }
+    let entry = match store.entry(&name) {
+        Err(absent @ CheckpointError::NotFound { .. }) => {
+            let mut entries = store.entries()?.into_iter();
+            entries.find(|entry| entry.labels.has_tag(text)).ok_or(absent)?
+        }
+        there => there?,
+    };
+    Ok(Choice { entry, passed_over: Vec::new() })
+}
+
+/// The newest of the run's own checkpoints from which training can go on and that is whole.
+fn latest(store: &CheckpointStore, checked: &Checked) -> Result<Choice, CheckpointError> {
+    let survey = store.survey()?;
+    let damaged = survey.damaged.into_iter().map(|damaged| {
+        let DamagedEntry { name, dir, reason } = damaged;
+        (name, Err(CheckpointError::Damaged { path: dir, reason }))
+    });
+    let whole = survey.entries.into_iter().filter(|entry| entry.kind == Kind::Training);
+    let mut own: Vec<(Name, Result<Entry, CheckpointError>)> =
+        whole.map(|entry| (entry.name.clone(), Ok(entry))).chain(damaged).collect();
+    own.retain(|(name, _)| name.iteration().is_some());
+    own.sort_by_key(|(name, _)| name.iteration());
+    let mut passed_over = Vec::new();
+    let mut newest_damage = None;
+    for (name, entry) in own.into_iter().rev() {
+        match entry.and_then(|entry| checked.check(&entry.dir).map(|()| entry)) {
+            Ok(entry) => return Ok(Choice { entry, passed_over }),
+            // Removed meanwhile.
+            Err(_) if !store.dir(&name).exists() => {}
+            Err(error) => {
+                tracing::debug!(%error, "`latest` is the one before");
+                passed_over.push(name);
+                newest_damage.get_or_insert(error);
+            }
         }
     }
-    there
+    Err(newest_damage.unwrap_or_else(|| CheckpointError::NotFound {
+        path: store.root().to_owned(),
+        what: "has no `latest`: no checkpoint of a run from which training can go on".to_owned(),
+    }))
 }

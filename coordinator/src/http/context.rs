@@ -9,7 +9,7 @@ use super::limits::Limits;
 use super::problem::Problem;
 use super::requests::Requests;
 use super::token::Token;
-use crate::checkpoint::{CheckpointError, CheckpointStore};
+use crate::checkpoint::{Checked, CheckpointError, CheckpointStore};
 use crate::live::LiveRun;
 
 /// The state that handlers are given.
@@ -22,6 +22,8 @@ pub(super) struct Context {
     pub(super) live: Option<LiveRun>,
     pub(super) token: Option<Token>,
     pub(super) limits: Limits,
+    /// Which files were found whole.
+    pub(super) checked: Arc<Checked>,
     /// Counts requests.
     pub(super) requests: Requests,
     /// Bounds uploads.
@@ -43,6 +45,7 @@ impl Context {
             store,
             live,
             token,
+            checked: Arc::default(),
             requests: Requests::default(),
             uploads: Semaphore::new(limits.uploads),
             archives: Arc::new(Semaphore::new(limits.archives)),
@@ -58,6 +61,32 @@ impl Context {
     ) -> Result<T, Problem> {
         let store = self.store.clone();
         Ok(blocking(move || work(&store)).await??)
+    }
+
+    /// Likewise, with the knowledge of which files are whole.
+    pub(super) async fn with_checked<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&CheckpointStore, &Checked) -> Result<T, CheckpointError> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let checked = Arc::clone(&self.checked);
+        self.with_store(move |store| work(store, &checked)).await
+    }
+
+    /// Largest upload that is taken (bytes). Beside a live run it is a few times that run's state:
+    /// an upload takes from the run's disk and processor.
+    pub(super) async fn upload_limit(&self) -> Result<u64, Problem> {
+        let limits = &self.limits;
+        if self.live.is_none() {
+            return Ok(limits.upload_bytes);
+        }
+        let survey = self.with_store(CheckpointStore::survey).await?;
+        let own = survey
+            .entries
+            .iter()
+            .filter(|entry| entry.name.iteration().is_some() && !entry.labels.imported);
+        let state = own.map(|entry| entry.bytes).max().unwrap_or(0);
+        let beside = limits.live_upload_states.saturating_mul(state);
+        Ok(beside.max(limits.live_upload_bytes).min(limits.upload_bytes))
     }
 
     /// The live run, or an answer that says that there is none.

@@ -17,7 +17,7 @@ use super::context::Shared;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
 use super::ranges::{self, Selection};
-use crate::checkpoint::{CheckpointError, MANIFEST, Manifest};
+use crate::checkpoint::{Checked, CheckpointError, MANIFEST, Manifest};
 
 /// A file to send: open, so that it is whole even if the checkpoint is removed meanwhile.
 struct Found {
@@ -38,13 +38,16 @@ struct Found {
     responses(
         (status = 200, description = "The whole file", body = [u8],
             content_type = "application/octet-stream",
-            headers(("etag" = String), ("accept-ranges" = String))),
+            headers(("etag" = String), ("accept-ranges" = String),
+                ("octopus-passed-over" = String,
+                    description = "Newer ones than `latest` that are damaged"))),
         (status = 206, description = "The range asked for", body = [u8],
             content_type = "application/octet-stream", headers(("content-range" = String))),
         (status = 304, description = "The client has it"),
         (status = 404, description = "No such checkpoint or file", body = ErrorBody),
         (status = 412, description = "Not what If-Match names", body = ErrorBody),
         (status = 416, description = "The file has no such bytes", body = ErrorBody),
+        (status = 500, description = "The file is damaged", body = ErrorBody),
     )
 )]
 pub(super) async fn download(
@@ -54,10 +57,10 @@ pub(super) async fn download(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let wanted = file.clone();
-    let found = context
-        .with_store(move |store| {
-            let entry = checkpoints::find(store, &name)?;
-            open(&entry.dir, &wanted)
+    let (passed_over, found) = context
+        .with_checked(move |store, checked| {
+            let choice = checkpoints::find(store, checked, &name)?;
+            Ok((choice.header(), open(&choice.entry.dir, &wanted, checked)?))
         })
         .await?;
     let Some(Found { file: opened, len, blake3 }) = found else {
@@ -75,7 +78,9 @@ pub(super) async fn download(
         (CACHE_CONTROL, "private, no-cache".to_owned()),
     ];
     let (status, part) = match selection {
-        Selection::NotModified => return Ok((StatusCode::NOT_MODIFIED, common).into_response()),
+        Selection::NotModified => {
+            return Ok((StatusCode::NOT_MODIFIED, passed_over, common).into_response());
+        }
         Selection::Whole => (StatusCode::OK, 0..len),
         Selection::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
     };
@@ -91,31 +96,21 @@ pub(super) async fn download(
     };
     let place = place.map(|place| [(CONTENT_RANGE, place)]);
     Ok(match place {
-        Some(place) => (status, common, described, place, body).into_response(),
-        None => (status, common, described, body).into_response(),
+        Some(place) => (status, passed_over, common, described, place, body).into_response(),
+        None => (status, passed_over, common, described, body).into_response(),
     })
 }
 
-/// Opens a file of the checkpoint in `dir`, if its manifest lists it. Whatever a client writes for
-/// a file name, only listed names become paths.
-fn open(dir: &Path, name: &str) -> Result<Option<Found>, CheckpointError> {
-    let path = dir.join(MANIFEST);
+/// Opens a file of the checkpoint in `dir`, if its manifest lists it, and says if it is damaged.
+/// Whatever a client writes for a file name, only listed names become paths.
+fn open(dir: &Path, name: &str, checked: &Checked) -> Result<Option<Found>, CheckpointError> {
     if name == MANIFEST {
-        let io = |source| CheckpointError::Io { path: path.clone(), action: "read", source };
-        let bytes = std::fs::read(&path).map_err(io)?;
+        let (file, bytes) = Manifest::open(dir)?;
         let blake3 = blake3::hash(&bytes).to_hex().to_string();
-        let file = File::open(&path).map_err(io)?;
         return Ok(Some(Found { file, len: bytes.len() as u64, blake3 }));
     }
     let Some(listed) = Manifest::read(dir)?.files.remove(name) else { return Ok(None) };
-    let path = dir.join(name);
-    let io = |source| CheckpointError::Io { path: path.clone(), action: "read", source };
-    let file = File::open(&path).map_err(io)?;
-    let there = file.metadata().map_err(io)?.len();
-    if there != listed.len {
-        let reason = format!("{there} bytes, the manifest says {}", listed.len);
-        return Err(CheckpointError::Damaged { path, reason });
-    }
+    let file = checked.open(&dir.join(name), &listed)?;
     Ok(Some(Found { file, len: listed.len, blake3: listed.blake3 }))
 }
 

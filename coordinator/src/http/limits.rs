@@ -20,6 +20,10 @@ pub struct Limits {
     pub archives: usize,
     /// Largest uploaded archive (bytes).
     pub upload_bytes: u64,
+    /// Beside a live run: that many times the largest checkpoint that it has made,
+    pub live_upload_states: u64,
+    /// but at least this (bytes), and never more than [`upload_bytes`](Self::upload_bytes).
+    pub live_upload_bytes: u64,
     /// Largest JSON body (bytes).
     pub json_bytes: u64,
     /// Time for a live run to do what it is asked.
@@ -47,6 +51,8 @@ impl Default for Limits {
             uploads: 8,
             archives: 16,
             upload_bytes: 4 << 30,
+            live_upload_states: 4,
+            live_upload_bytes: 64 << 20,
             json_bytes: 64 * 1024,
             command_time: Duration::from_mins(1),
             stop_time: Duration::from_secs(2),

@@ -68,6 +68,14 @@ impl From<CheckpointError> for Problem {
                 }
                 _ => return Self::internal(&error),
             },
+            CheckpointError::Damaged { .. } => {
+                let cure = "GET /v1/checkpoints lists the others; `octopus checkpoints verify` \
+                            says what is wrong with it";
+                return Self::new(
+                    StatusCode::INTERNAL_SERVER_ERROR,
+                    format!("the checkpoint is damaged: {error}; {cure}"),
+                );
+            }
             _ => return Self::internal(&error),
         };
         Self::new(status, error.to_string())

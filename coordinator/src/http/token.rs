@@ -60,6 +60,14 @@ impl Token {
         }
     }
 
+    /// The token that the command line names, or that of the environment.
+    pub fn find(file: Option<&Path>) -> Result<Option<Self>, ExitError> {
+        match file {
+            Some(path) => Self::from_file(path).map(Some),
+            None => Self::from_environment(),
+        }
+    }
+
     /// Whether `offered` is the token. How long this takes says nothing about where they differ,
     /// nor, as hashes are compared, about the token's length.
     pub(super) fn matches(&self, offered: &[u8]) -> bool {

@@ -16,7 +16,7 @@ use super::context::{Context, Shared, blocking};
 use super::intake::Intake;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
-use crate::checkpoint::{BEST, CheckpointError, Entry, LATEST, Name};
+use crate::checkpoint::{CheckpointError, Entry, Name};
 
 /// Buffer between the file and the reader of archives (bytes).
 const BUFFER: usize = 1 << 20;
@@ -42,7 +42,8 @@ pub(super) async fn upload(
     Params(name): Params<String>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let mut intake = Intake::new(request, context.limits.upload_bytes, &context.limits);
+    let limit = context.upload_limit().await?;
+    let mut intake = Intake::new(request, limit, &context.limits);
     let (name, file) = match receive(&context, &name, &mut intake).await {
         Ok(received) => received,
         Err(problem) => {
@@ -70,10 +71,8 @@ async fn receive(
     intake: &mut Intake,
 ) -> Result<(Name, File), Problem> {
     let name: Name = name.parse().map_err(CheckpointError::from)?;
-    if [BEST, LATEST].contains(&name.as_str()) {
-        let message = format!("`{name}` always selects another checkpoint; choose another name");
-        return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message));
-    }
+    let wanted = name.clone();
+    context.with_store(move |store| store.check_free(&wanted)).await?;
     intake.check_announced()?;
     let _place = context
         .uploads

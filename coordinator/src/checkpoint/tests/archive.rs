@@ -26,7 +26,11 @@ fn files_of(dir: &Path) -> Vec<(String, Vec<u8>)> {
 }
 
 fn pack(files: &[(String, Vec<u8>)]) -> Vec<u8> {
-    let paths: Vec<String> = files.iter().map(|(file, _)| format!("x/{file}")).collect();
+    pack_into("x", files)
+}
+
+fn pack_into(folder: &str, files: &[(String, Vec<u8>)]) -> Vec<u8> {
+    let paths: Vec<String> = files.iter().map(|(file, _)| format!("{folder}/{file}")).collect();
     let entries: Vec<_> = paths
         .iter()
         .zip(files)
@@ -63,7 +67,8 @@ fn a_checkpoint_goes_through_an_archive_unchanged() {
 
     let (_other_dir, other) = super::store();
     let entry = other.import(&bytes[..], None).expect("imports");
-    assert_eq!((entry.name, entry.labels), (nth(7), Labels::default()));
+    let expected = Labels { imported: true, ..Labels::default() };
+    assert_eq!((entry.name, entry.labels), (nth(7), expected), "labels do not travel");
     assert_eq!(files_of(&other.dir(&nth(7))), files_of(&store.dir(&nth(7))));
     assert!(other.verify(&nth(7)).expect("there").is_whole());
     assert_eq!(other.latest().expect("a training state").manifest.iteration, 7);
@@ -120,6 +125,77 @@ fn what_resume_would_take_up_must_be_of_the_run() {
     let bytes = packed(&other, &nth(9));
     store.import(&bytes[..], None).expect("its own");
     assert_eq!(store.latest().expect("its own").manifest.iteration, 9);
+}
+
+#[test]
+fn what_resume_would_take_up_is_compared_with_the_run_itself() {
+    let (dir, store) = super::store();
+    let (_other_dir, other) = super::store();
+    let foreign = config_with(&["run.seed=99"]);
+    commit_of(&other, &foreign, &snapshot_of(&foreign, 5, 0.0, 10));
+    let bytes = packed(&other, &nth(5));
+    // A run that has no checkpoint yet.
+    std::fs::write(dir.path().join(CONFIG), config().to_toml()).expect("write");
+    std::fs::write(dir.path().join(ROBOT), robot().to_toml()).expect("write");
+    let error = store.import(&bytes[..], None).expect_err("another run's").to_string();
+    assert!(error.contains("of another run") && error.contains("another name"), "{error}");
+    let robot_of_another = robot().to_toml().replacen("name = ", "# other\nname = ", 1);
+    std::fs::write(dir.path().join(CONFIG), foreign.to_toml()).expect("write");
+    std::fs::write(dir.path().join(ROBOT), robot_of_another).expect("write");
+    let error = store.import(&bytes[..], None).expect_err("another robot").to_string();
+    assert!(error.contains("of another run"), "{error}");
+    std::fs::write(dir.path().join(ROBOT), robot().to_toml()).expect("write");
+    store.import(&bytes[..], None).expect("the run's own");
+
+    // A run that cannot say what it is.
+    store.delete(&nth(5)).expect("removes");
+    std::fs::write(dir.path().join(CONFIG), "[run").expect("write");
+    assert!(store.import(&bytes[..], None).is_err());
+    assert!(contents(store.root()).is_empty());
+}
+
+#[test]
+fn a_name_that_means_something_else_is_given_to_no_checkpoint() {
+    let (_dir, store) = store_with(&[1]);
+    store.tag(&nth(1), "mine").expect("tags");
+    let bytes = packed(&store, &nth(1));
+    let files = files_of(&store.dir(&nth(1)));
+    let before = contents(store.root());
+    for (reserved, word) in [
+        ("best", "always selects"),
+        ("latest", "always selects"),
+        ("0", "look like an iteration"),
+        ("0017", "look like an iteration"),
+        ("catalogue.sqlite", "catalogue"),
+        ("catalogue.sqlite-wal", "catalogue"),
+        ("mine", "is a tag of iteration-00000001"),
+    ] {
+        let given = store.import(&bytes[..], Some(name(reserved)));
+        let inside = store.import(&pack_into(reserved, &files)[..], None);
+        for error in [given, inside].map(|outcome| outcome.expect_err(reserved).to_string()) {
+            assert!(error.contains(word) && error.contains("choose another"), "{error}");
+        }
+        assert_eq!(contents(store.root()), before, "{reserved}");
+    }
+    store.untag(&nth(1), "mine").expect("untags");
+    store.import(&bytes[..], Some(name("mine"))).expect("free now");
+    let error = store.tag(&nth(1), "mine").expect_err("a name").to_string();
+    assert!(error.contains("name of a checkpoint"), "{error}");
+    // One whose manifest is damaged has its name still.
+    std::fs::write(store.dir(&name("mine")).join(MANIFEST), "{}").expect("write");
+    assert!(store.tag(&nth(1), "mine").is_err());
+}
+
+#[test]
+fn a_directory_that_is_no_checkpoint_is_left_alone() {
+    let (_dir, store) = store_with(&[1]);
+    let notes = store.root().join("notes");
+    std::fs::create_dir(&notes).expect("mkdir");
+    std::fs::write(notes.join("ideas"), "precious").expect("write");
+    let error = store.import(&packed(&store, &nth(1))[..], Some(name("notes")));
+    let error = error.expect_err("somebody's directory").to_string();
+    assert!(error.contains("no checkpoint") && error.contains("another name"), "{error}");
+    assert_eq!(contents(store.root()), ["iteration-00000001", "notes"]);
 }
 
 #[test]
@@ -275,5 +351,24 @@ fn an_archive_whose_parts_make_no_sense_is_refused() {
         let error = other.import(&pack(&files)[..], None).expect_err(file).to_string();
         assert!(error.contains(file), "{file}: {error}");
         assert!(contents(other.root()).is_empty(), "{file}");
+    }
+}
+
+/// Only the seed was compared once: a run could take up a state that it cannot go on from.
+#[test]
+fn keys_of_the_run_that_change_what_is_learned_make_another_run() {
+    let overlap = 1 - config().run.overlap;
+    for (key, taken_up) in [
+        (format!("run.overlap={overlap}"), false),
+        ("run.learner_threads=7".to_owned(), false),
+        ("run.workers=7".to_owned(), true),
+        ("run.env_steps=9e9".to_owned(), true),
+    ] {
+        let (_dir, store) = store_with(&[1]);
+        let (_other_dir, other) = super::store();
+        let changed = config_with(&[&key]);
+        commit_of(&other, &changed, &snapshot_of(&changed, 5, 0.0, 10));
+        let imported = store.import(&packed(&other, &nth(5))[..], None);
+        assert_eq!(imported.is_ok(), taken_up, "{key}: {imported:?}");
     }
 }

@@ -1,6 +1,7 @@
 //! Several writers and readers at once.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 use rusqlite::Connection;
 
@@ -93,4 +94,71 @@ fn writers_of_every_kind_end_in_a_consistent_store() {
     rows.sort();
     names.sort();
     assert_eq!(rows, names);
+}
+
+/// What is done to a store while somebody else might be waiting for it.
+fn under_the_lock(
+    prepare: impl Fn(&CheckpointStore),
+    change: impl Fn(&CheckpointStore),
+) -> Vec<String> {
+    let (_dir, plain) = store();
+    prepare(&plain);
+    let seen = Arc::new(Mutex::new(Vec::new()));
+    let (root, steps) = (plain.root().to_owned(), Arc::clone(&seen));
+    let observer = move |step: super::super::disk::Step<'_>| {
+        if super::super::guard::Guard::try_acquire(&root).is_none() {
+            let path = step.path.strip_prefix(&root).unwrap_or(step.path);
+            let text = format!("{} {}", step.action, path.display());
+            steps.lock().expect("no panic").push(text);
+        }
+        Ok(())
+    };
+    let disk = super::super::disk::Disk::observed(Arc::new(observer));
+    change(&CheckpointStore { disk, ..plain });
+    let steps = seen.lock().expect("no panic").clone();
+    assert!(steps.iter().any(|step| step.starts_with("rename")), "{steps:?}");
+    steps
+}
+
+#[test]
+fn no_tree_is_removed_while_others_wait() {
+    let removed = |steps: Vec<String>| {
+        assert!(!steps.iter().any(|step| step.starts_with("remove")), "{steps:#?}");
+    };
+    let three = |store: &CheckpointStore| {
+        for iteration in [1, 2, 3] {
+            commit(store, iteration);
+        }
+        let stale = store.root().join(".writing-stale-1-0-0");
+        std::fs::create_dir(&stale).expect("mkdir");
+        std::fs::write(stale.join(STATE), "a part").expect("write");
+    };
+    removed(under_the_lock(three, |store| {
+        let retention = Retention { latest: 1, every: 0, best: true };
+        store.retain(&retention).expect("retains");
+        assert_eq!(contents(store.root()), ["iteration-00000003"]);
+    }));
+    removed(under_the_lock(three, |store| store.delete(&nth(2)).expect("removes")));
+}
+
+#[test]
+fn what_changes_while_it_is_hashed_is_hashed_again() {
+    let (_dir, plain) = store_with(&[1]);
+    let bytes = packed(&plain, &nth(1));
+    plain.import(&bytes[..], Some(name("x"))).expect("imports");
+    let state = plain.dir(&name("x")).join(STATE);
+    let whole = std::fs::read(&state).expect("read");
+    // Damaged after it was found the same, before the lock is taken to say so.
+    let (path, locks) = (state.clone(), AtomicUsize::new(0));
+    let observer = move |step: super::super::disk::Step<'_>| {
+        // The first lock is that of the scratch directory's parent, the second its own.
+        if step.action == "lock" && locks.fetch_add(1, Ordering::Relaxed) == 2 {
+            std::fs::write(&path, "damaged")?;
+        }
+        Ok(())
+    };
+    let disk = super::super::disk::Disk::observed(Arc::new(observer));
+    let store = CheckpointStore { disk, ..plain };
+    store.import(&bytes[..], Some(name("x"))).expect("mends");
+    assert!(std::fs::read(&state).expect("read") == whole);
 }

@@ -44,7 +44,12 @@ fn robot() -> Robot {
 
 /// A snapshot whose actors count up from `first`, with a training state of `n_weights` numbers and
 /// the digest that the learner would compute for it.
-fn snapshot_of(config: &Config, iteration: u64, first: f32, n_weights: usize) -> Snapshot {
+pub(crate) fn snapshot_of(
+    config: &Config,
+    iteration: u64,
+    first: f32,
+    n_weights: usize,
+) -> Snapshot {
     let layout = ActorLayout::new(config, &Dimensions::new(config, robot().n_arms));
     let actors: Vec<u8> =
         (0..layout.len).flat_map(|index| (first + index as f32).to_le_bytes()).collect();

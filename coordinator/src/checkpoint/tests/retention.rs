@@ -91,3 +91,74 @@ fn imported_ones_are_for_users_to_remove() {
     assert!(matches!(store.delete(&name("foreign")), Err(CheckpointError::NotFound { .. })));
     assert_eq!(contents(store.root()), ["iteration-00000002"]);
 }
+
+#[test]
+fn an_upload_of_a_later_iteration_crowds_nothing_out() {
+    let (_dir, store) = store_with(&[1, 2]);
+    let (_other_dir, other) = store_with(&[90, 91]);
+    for iteration in [90, 91] {
+        store.import(&packed(&other, &nth(iteration))[..], None).expect("imports");
+    }
+    assert_eq!(store.retain(&keep(1, 0, true)).expect("retains"), [nth(1)]);
+    assert_eq!(iterations(&store), [2, 90, 91], "the run's newest, and what users brought");
+    // What the run comes to itself is its own.
+    commit(&store, 91);
+    assert_eq!(store.retain(&keep(1, 0, true)).expect("retains"), [nth(2)]);
+    assert_eq!(iterations(&store), [90, 91]);
+}
+
+#[test]
+fn the_new_best_survives_the_retention_of_its_own_commit() {
+    let (_dir, store) = store();
+    let put = |iteration, value: Option<f64>| {
+        let snapshot = snapshot_of(&config(), iteration, 0.0, 10);
+        let provenance = serde_json::json!({});
+        let robot = robot().to_toml();
+        let placement =
+            store.commit_scored(&snapshot, &config(), &robot, &provenance, value.map(score));
+        placement.expect("commits").best
+    };
+    assert!(put(10, Some(0.5)));
+    assert!(!put(20, None));
+    // Found to be the best only when newer ones are there.
+    assert!(put(15, Some(0.25)));
+    store.retain(&keep(1, 0, true)).expect("retains");
+    assert_eq!(iterations(&store), [15, 20]);
+    let entry = store.entry(&nth(15)).expect("there");
+    assert_eq!(entry.labels.score, Some(score(0.25)));
+    assert!(entry.labels.has_tag(BEST));
+
+    // One that is there already only gets its score, and keeps it when it is committed again.
+    assert!(put(20, Some(0.125)) && put(20, None));
+    assert_eq!(store.entry(&nth(20)).expect("there").labels.score, Some(score(0.125)));
+    let snapshot = snapshot_of(&config(), 30, 0.0, 10);
+    let nan = Some(score(f64::NAN));
+    let refused = store.commit_scored(&snapshot, &config(), "", &serde_json::json!({}), nan);
+    assert!(matches!(refused, Err(CheckpointError::Refused { .. })), "{refused:?}");
+}
+
+#[test]
+fn what_was_replaced_stays_a_week_and_longer_if_it_was_pinned() {
+    let (_dir, store) = store_with(&[1, 5]);
+    let aside = |label: &str, days: u64, labels: &str| {
+        let age = std::time::Duration::from_hours(24 * days);
+        let made = std::time::SystemTime::now() - age;
+        let nanos = made.duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_nanos();
+        let dir = store.root().join(format!(".replaced-{label}-77-0-{nanos:x}"));
+        std::fs::create_dir(&dir).expect("mkdir");
+        std::fs::write(dir.join(LABELS), labels).expect("write");
+        dir
+    };
+    let fresh = aside("iteration-00000001", 6, "{}");
+    let stale = aside("iteration-00000001", 8, "{}");
+    let pinned = aside("x", 8, r#"{"pinned": true}"#);
+    let tagged = aside("x", 9, r#"{"tags": ["mine"]}"#);
+    let unreadable = aside("x", 10, "[");
+    let unknown = store.root().join(".replaced-by-hand");
+    std::fs::create_dir(&unknown).expect("mkdir");
+    store.retain(&keep(1, 0, true)).expect("retains");
+    assert!(!stale.exists());
+    for dir in [fresh, pinned, tagged, unreadable, unknown] {
+        assert!(dir.exists(), "{}", dir.display());
+    }
+}

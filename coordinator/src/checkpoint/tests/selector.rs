@@ -124,3 +124,14 @@ fn a_tag_on_two_is_told_apart_by_the_user() {
     store.tag(&nth(2), "mine").expect("tags");
     assert_eq!(located(&text).as_deref(), Ok("iteration-00000002"));
 }
+
+#[test]
+fn a_link_from_elsewhere_is_the_checkpoint_that_it_leads_to() {
+    let (dir, store) = store_with(&[5]);
+    let link = dir.path().join("favourite");
+    std::os::unix::fs::symlink(store.dir(&nth(5)), &link).expect("link");
+    let (found, found_name) = Selector::from_path(&link).expect("a path").locate().expect("there");
+    assert_eq!(found_name, nth(5));
+    found.pin(&found_name, true).expect("pins");
+    assert!(store.entry(&nth(5)).expect("there").labels.pinned);
+}

@@ -76,6 +76,44 @@ fn a_link_is_no_checkpoint() {
     store.retain(&retention).expect("retains");
     assert!(store.delete(&nth(1)).is_err());
     assert!(precious.join(MANIFEST).exists(), "nothing is removed through a link");
+
+    // Nor is anything read or labelled through one.
+    std::os::unix::fs::symlink(&precious, store.dir(&name("linked"))).expect("link");
+    for link in [nth(1), name("linked")] {
+        let absent = |outcome: Result<(), CheckpointError>| {
+            let error = outcome.expect_err("a link");
+            assert!(matches!(error, CheckpointError::NotFound { .. }), "{error}");
+        };
+        absent(store.entry(&link).map(drop));
+        absent(store.pin(&link, true));
+        absent(store.tag(&link, "mine"));
+        absent(store.record_score(&link, score(0.0)).map(drop));
+        absent(store.export(&link, std::io::sink()));
+        absent(store.verify(&link).map(drop));
+    }
+    assert!(!precious.join(LABELS).exists());
+}
+
+#[test]
+fn no_file_is_read_through_a_link_and_no_pipe_is_waited_for() {
+    let (dir, store) = store_with(&[5]);
+    let checkpoint = store.dir(&nth(5));
+    for file in [STATE, POLICY, CONFIG, ROBOT, MANIFEST] {
+        let (path, elsewhere) = (checkpoint.join(file), dir.path().join(file));
+        std::fs::rename(&path, &elsewhere).expect("rename");
+        std::os::unix::fs::symlink(&elsewhere, &path).expect("link");
+        let error = store.load(&checkpoint).expect_err(file).to_string();
+        assert!(error.contains(file) && error.contains("is a link"), "{error}");
+        assert!(store.export(&nth(5), std::io::sink()).is_err(), "{file}");
+        std::fs::remove_file(&path).expect("remove");
+        let status = std::process::Command::new("mkfifo").arg(&path).status().expect("starts");
+        assert!(status.success());
+        let error = store.load(&checkpoint).expect_err(file).to_string();
+        assert!(error.contains("no regular file"), "{error}");
+        std::fs::remove_file(&path).expect("remove");
+        std::fs::rename(&elsewhere, &path).expect("rename");
+    }
+    store.load(&checkpoint).expect("whole again");
 }
 
 #[test]

@@ -94,17 +94,75 @@ fn a_flip_in_the_manifest_is_noticed_where_it_means_something() {
 }
 
 #[test]
-fn what_was_wrong_before_the_commit_is_found_too() {
-    let nan = |data: &mut Vec<u8>| data[..4].copy_from_slice(&f32::NAN.to_le_bytes());
-    let problems = problems_after(POLICY, |bytes| {
-        edited(bytes, |name, data| {
-            if name == "head.bias" {
-                nan(data);
-            }
-        })
-    });
-    assert!(problems.contains("head.bias") && problems.contains("not finite"), "{problems}");
+fn a_number_that_is_not_finite_is_found_wherever_it_is() {
+    for (file, tensor, last) in [
+        (POLICY, "head.bias", false),
+        (STATE, "actor.head.weight", false),
+        (STATE, "actor.head.weight", true),
+    ] {
+        let problems = problems_after(file, |bytes| {
+            edited(bytes, |name, data| {
+                if name == tensor {
+                    let at = if last { data.len() - 4 } else { 0 };
+                    data[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+                }
+            })
+        });
+        assert!(problems.contains(tensor) && problems.contains("not finite"), "{problems}");
+    }
+}
 
+#[test]
+fn a_tensor_of_several_pieces_is_read_to_its_end() {
+    let (_dir, store) = store();
+    let large = snapshot_of(&config(), 1, 0.0, 700_001);
+    let dir = commit_of(&store, &config(), &large);
+    assert!(store.verify(&nth(1)).expect("there").is_whole());
+    let bytes = std::fs::read(dir.join(STATE)).expect("read");
+    for position in [1 << 20, 2 << 20, 2_800_000] {
+        let changed = edited(&bytes, |name, data| {
+            if name == "actor.head.weight" {
+                data[position..position + 4].copy_from_slice(&f32::INFINITY.to_le_bytes());
+            }
+        });
+        recommit(&dir, STATE, &changed);
+        let problems = store.verify(&nth(1)).expect("there").problems.join("\n");
+        assert!(problems.contains("not finite") && problems.contains("digest"), "{problems}");
+    }
+}
+
+#[test]
+fn a_header_that_lies_is_refused() {
+    let header = |text: &str, data: usize| {
+        let mut bytes = (text.len() as u64).to_le_bytes().to_vec();
+        bytes.extend_from_slice(text.as_bytes());
+        bytes.resize(bytes.len() + data, 0);
+        bytes
+    };
+    let one = |from: usize, to: usize| {
+        format!(r#"{{"a":{{"dtype":"F32","shape":[1],"data_offsets":[{from},{to}]}}}}"#)
+    };
+    let huge =
+        r#"{"a":{"dtype":"F32","shape":[4294967296,4294967296,4294967296],"data_offsets":[0,4]}}"#;
+    for (what, bytes, word) in [
+        ("no bytes", Vec::new(), "fill"),
+        ("a longer header than the file", [&9_u64.to_le_bytes()[..], b"{}"].concat(), "fill"),
+        ("an endless header", u64::MAX.to_le_bytes().to_vec(), "more than"),
+        ("no JSON", header("what", 0), "not that of safetensors"),
+        ("a gap", header(&one(4, 8), 8), "not that of safetensors"),
+        ("another length", header(&one(0, 8), 8), "not that of safetensors"),
+        ("too many numbers", header(huge, 4), "not that of safetensors"),
+        ("bytes too many", header(&one(0, 4), 5), "its header says"),
+        ("bytes too few", header(&one(0, 4), 3), "its header says"),
+    ] {
+        let problems = problems_after(STATE, |_| bytes.clone());
+        assert!(problems.contains(word), "{what}: {problems}");
+    }
+    problems_after(STATE, |_| header(&one(0, 4), 4));
+}
+
+#[test]
+fn a_policy_that_does_not_fit_is_found() {
     let problems = problems_after(POLICY, |bytes| {
         edited(bytes, |name, _| {
             if name == "head.bias" {
@@ -115,40 +173,74 @@ fn what_was_wrong_before_the_commit_is_found_too() {
     assert!(problems.contains("`head.bias` is missing"), "{problems}");
     assert!(problems.contains("`extra` is unknown"), "{problems}");
 
-    let problems = problems_after(STATE, |bytes| {
-        edited(bytes, |name, data| {
-            if name.starts_with("actor") {
-                data[0] ^= 1;
-            }
-        })
-    });
-    assert!(problems.contains("digest") && problems.contains("manifest says"), "{problems}");
-
-    let problems = problems_after(STATE, |bytes| {
-        edited(bytes, |name, data| {
-            if name == "counters.iteration" {
-                data[0] = 9;
-            }
-        })
-    });
-    assert!(problems.contains("`counters.iteration` is not 1"), "{problems}");
-
-    let problems = problems_after(STATE, |bytes| {
-        edited(bytes, |name, _| {
-            if name.starts_with("actor") {
-                *name = "policy.x".to_owned();
-            }
-        })
-    });
-    assert!(problems.contains("`policy.x` belongs into policy.safetensors"), "{problems}");
-
-    let problems = problems_after(STATE, |bytes| bytes[..bytes.len() - 1].to_vec());
-    assert!(problems.contains(STATE), "{problems}");
-
     let problems =
         problems_after(CONFIG, |_| config_with(&["network.hidden=[8]"]).to_toml().into_bytes());
     assert!(problems.contains("the configuration wants F32 [8, 49, 8]"), "{problems}");
-
     let problems = problems_after(ROBOT, |_| b"name = 3".to_vec());
     assert!(problems.contains(ROBOT), "{problems}");
+}
+
+#[test]
+fn a_state_that_is_not_what_the_manifest_says_is_found() {
+    let change = |tensor: &'static str, change: fn(&mut String, &mut Vec<u8>)| {
+        problems_after(STATE, move |bytes| {
+            edited(bytes, |name, data| {
+                if name.starts_with(tensor) {
+                    change(name, data);
+                }
+            })
+        })
+    };
+    let problems = change("actor", |_, data| data[0] ^= 1);
+    assert!(problems.contains("digest") && problems.contains("manifest says"), "{problems}");
+    let problems = change("counters.iteration", |_, data| data[0] = 9);
+    assert!(problems.contains("`counters.iteration` is not 1"), "{problems}");
+    let problems = change("actor", |name, _| *name = "policy.x".to_owned());
+    assert!(problems.contains("`policy.x` belongs into policy.safetensors"), "{problems}");
+    let problems = problems_after(STATE, |bytes| bytes[..bytes.len() - 1].to_vec());
+    assert!(problems.contains(STATE), "{problems}");
+}
+
+#[test]
+fn a_large_state_takes_no_memory() {
+    const LARGE: usize = 64 << 20;
+    let peak = || -> u64 {
+        let status = std::fs::read_to_string("/proc/self/status").expect("readable");
+        let line = status.lines().find(|line| line.starts_with("VmHWM:")).expect("a peak");
+        line.split_whitespace().nth(1).and_then(|kib| kib.parse().ok()).expect("a number")
+    };
+    let (_dir, store) = store_with(&[1]);
+    let dir = store.dir(&nth(1));
+    // A state of zeros, never in memory as a whole: a header, and a hole in the file.
+    let header = format!(
+        r#"{{"weights":{{"dtype":"F32","shape":[{LARGE}],"data_offsets":[0,{}]}}}}"#,
+        4 * LARGE
+    );
+    let start = [&(header.len() as u64).to_le_bytes()[..], header.as_bytes()].concat();
+    std::fs::write(dir.join(STATE), &start).expect("write");
+    let len = (start.len() + 4 * LARGE) as u64;
+    std::fs::File::options()
+        .write(true)
+        .open(dir.join(STATE))
+        .and_then(|file| file.set_len(len))
+        .expect("a hole");
+    let (mut hash, mut digest) = (blake3::Hasher::new(), DigestBuilder::new());
+    hash.update(&start);
+    digest.begin("weights", 4 * LARGE as u64);
+    let zeros = vec![0; 1 << 20];
+    for _ in 0..4 * LARGE / zeros.len() {
+        hash.update(&zeros);
+        digest.piece(&zeros);
+    }
+    let mut manifest = Manifest::read(&dir).expect("reads");
+    manifest.digest = digest.finish();
+    let entry = FileEntry { len, blake3: hash.finalize().to_hex().to_string() };
+    manifest.files.insert(STATE.to_owned(), entry);
+    std::fs::write(dir.join(MANIFEST), manifest.to_json()).expect("write");
+
+    let before = peak();
+    let found = store.verify(&nth(1)).expect("there");
+    assert!(found.is_whole(), "{:?}", found.problems);
+    // Other tests share this process; none of them needs a tenth of this.
+    assert!(peak() - before < 64 << 10, "{} KiB more", peak() - before);
 }

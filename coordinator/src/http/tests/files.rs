@@ -142,3 +142,98 @@ async fn an_archive_holds_every_file() {
     }
     assert_eq!(files, 5);
 }
+
+/// Flips a bit in the middle of a file, which keeps its length.
+fn damage(bench: &Bench, iteration: u64, file: &str) {
+    let path = bench.store.dir(&Name::of_iteration(iteration)).join(file);
+    let mut bytes = std::fs::read(&path).expect("readable");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(path, bytes).expect("writable");
+}
+
+#[tokio::test]
+async fn latest_steps_over_what_is_damaged_and_says_so() {
+    let bench = Bench::new(&[1, 2, 3]);
+    let paths = ["", "/archive", "/files/state.safetensors", "/files/manifest.json"];
+    let latest = async |path: &str, iteration: u64, passed_over: &str| {
+        let own = format!("/v1/checkpoints/{}{path}", Name::of_iteration(iteration));
+        let expected = bench.ask(&format!("GET {own}")).await;
+        assert_eq!(expected.status, StatusCode::OK, "{path}: {expected:?}");
+        let answer = bench.ask(&format!("GET /v1/checkpoints/latest{path}")).await;
+        assert_eq!(answer.status, StatusCode::OK, "{path}: {answer:?}");
+        assert!(answer.body == expected.body, "{path}");
+        assert_eq!(answer.header("octopus-passed-over"), passed_over, "{path}");
+        let head = bench.ask(&format!("HEAD /v1/checkpoints/latest{path}")).await;
+        assert_eq!(head.header("octopus-passed-over"), passed_over, "{path}");
+    };
+    for path in paths {
+        latest(path, 3, "").await;
+    }
+    // Found whole before, so that the change is what is noticed.
+    damage(&bench, 3, "state.safetensors");
+    for path in paths {
+        latest(path, 2, "iteration-00000003").await;
+    }
+    std::fs::write(bench.store.dir(&Name::of_iteration(2)).join("manifest.json"), "{}")
+        .expect("writable");
+    for path in paths {
+        latest(path, 1, "iteration-00000003, iteration-00000002").await;
+    }
+    damage(&bench, 1, "policy.safetensors");
+    for path in paths {
+        let answer = bench.ask(&format!("GET /v1/checkpoints/latest{path}")).await;
+        assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR, "{path}");
+        assert!(answer.error().contains("iteration-00000003"), "{}", answer.error());
+    }
+    // Mended it is served again.
+    damage(&bench, 3, "state.safetensors");
+    latest("", 3, "").await;
+}
+
+#[tokio::test]
+async fn a_damaged_file_is_not_served_by_any_name() {
+    let bench = Bench::new(&[1]);
+    bench.store.tag(&Name::of_iteration(1), "mine").expect("tags");
+    damage(&bench, 1, "policy.safetensors");
+    for name in ["iteration-00000001", "mine"] {
+        for _ in 0..2 {
+            let path = format!("/v1/checkpoints/{name}/files");
+            let answer = bench.ask(&format!("GET {path}/policy.safetensors")).await;
+            assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR, "{answer:?}");
+            let error = answer.error();
+            for word in ["policy.safetensors", "BLAKE3", "checkpoints verify"] {
+                assert!(error.contains(word), "{error}");
+            }
+            let answer = bench.ask(&format!("GET {path}/state.safetensors")).await;
+            assert_eq!(answer.status, StatusCode::OK, "the others are whole");
+        }
+    }
+}
+
+#[tokio::test]
+async fn nothing_is_reached_through_a_link() {
+    let bench = Bench::new(&[1]);
+    let precious = bench.dir.path().join("precious");
+    std::fs::create_dir(&precious).expect("mkdir");
+    let own = bench.store.dir(&Name::of_iteration(1));
+    for file in std::fs::read_dir(&own).expect("readable").flatten() {
+        std::fs::copy(file.path(), precious.join(file.file_name())).expect("copy");
+    }
+    std::os::unix::fs::symlink(&precious, bench.store.root().join("linked")).expect("link");
+    for line in [
+        "GET /v1/checkpoints/linked",
+        "GET /v1/checkpoints/linked/files/manifest.json",
+        "GET /v1/checkpoints/linked/archive",
+        "PUT /v1/checkpoints/linked/pin",
+        "DELETE /v1/checkpoints/linked",
+    ] {
+        let answer = bench.ask(line).await;
+        assert_eq!(answer.status, StatusCode::NOT_FOUND, "{line}: {answer:?}");
+    }
+    std::fs::remove_file(own.join("config.toml")).expect("remove");
+    std::os::unix::fs::symlink("/etc/passwd", own.join("config.toml")).expect("link");
+    let answer = bench.ask("GET /v1/checkpoints/iteration-00000001/files/config.toml").await;
+    assert!(answer.error().contains("is a link"), "{}", answer.error());
+    assert!(!precious.join("labels.json").exists());
+}

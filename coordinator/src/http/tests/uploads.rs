@@ -158,3 +158,39 @@ async fn words_that_always_mean_something_else_are_no_names() {
     }
     assert_eq!(bench.inventory(), [""; 0]);
 }
+
+#[tokio::test]
+async fn a_name_that_means_something_else_is_refused_before_the_body_is_read() {
+    let bench = Bench::new(&[1]);
+    bench.store.tag(&Name::of_iteration(1), "mine").expect("tags");
+    for name in ["best", "latest", "17", "catalogue.sqlite", "mine"] {
+        let answer = bench.send(&format!("PUT /v1/checkpoints/{name}"), &[], "no archive").await;
+        assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{name}: {answer:?}");
+        assert!(answer.error().contains("choose another name"), "{}", answer.error());
+    }
+}
+
+#[tokio::test]
+async fn beside_a_live_run_an_upload_is_at_most_a_few_times_its_state() {
+    let source = Bench::new(&[1, 2]);
+    let (one, two) = (archive(&source, 1).await, archive(&source, 2).await);
+    for (states, least, status) in [
+        (4, 0, StatusCode::CREATED),
+        (1, 0, StatusCode::PAYLOAD_TOO_LARGE),
+        (0, 0, StatusCode::PAYLOAD_TOO_LARGE),
+        (0, 2 * two.len() as u64, StatusCode::CREATED),
+    ] {
+        let limits =
+            Limits { live_upload_states: states, live_upload_bytes: least, ..Limits::default() };
+        let live = Some(crate::live::LiveRun::new());
+        let bench = Bench::with(&[1], live, None, limits.clone());
+        // What others brought is no measure.
+        let foreign = bench.store.import(&two[..], None);
+        assert!(foreign.expect("imports").labels.imported);
+        let answer = bench.send("PUT /v1/checkpoints/new", &[], one.clone()).await;
+        assert_eq!(answer.status, status, "{states} {least}: {answer:?}");
+        let alone = Bench::with(&[], None, None, limits);
+        let answer = alone.send("PUT /v1/checkpoints/new", &[], one.clone()).await;
+        assert_eq!(answer.status, StatusCode::CREATED, "alone: {answer:?}");
+    }
+}
