@@ -9,6 +9,8 @@ use std::sync::OnceLock;
 use coordinator::checkpoint::CheckpointStore;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
+use proto::{Digest, DigestBuilder};
+use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value, json};
 
@@ -78,21 +80,36 @@ pub fn tensors(prefix: &str, more: &[&str]) -> Vec<u8> {
     safetensors::serialize(actors.chain(more), None).expect("well formed")
 }
 
-/// A manifest that lists `files` with their true lengths and hashes.
+/// A manifest that lists `files` with their true lengths and hashes, and their true digest if they
+/// are readable.
 pub fn manifest(files: &[(&str, &[u8])]) -> Value {
     let entries = files.iter().map(|(name, bytes)| {
         let hash = blake3::hash(bytes).to_hex().to_string();
         ((*name).to_owned(), json!({ "len": bytes.len(), "blake3": hash }))
     });
+    let content = |wanted| files.iter().find(|(name, _)| *name == wanted).map(|(_, bytes)| *bytes);
+    let described = content("state.safetensors").or(content("policy.safetensors"));
     json!({
         "format": 1,
         "iteration": 1,
         "env_steps": 4,
-        "digest": "000102030405060708090a0b0c0d0e0f",
+        "digest": digest(described.unwrap_or_default()).to_string(),
         "created_unix_s": 1_767_225_600,
         "provenance": {},
         "files": entries.collect::<serde_json::Map<_, _>>(),
     })
+}
+
+/// The digest of a safetensors file; of what is none, that of nothing.
+fn digest(bytes: &[u8]) -> Digest {
+    let mut tensors =
+        SafeTensors::deserialize(bytes).map(|file| file.tensors()).unwrap_or_default();
+    tensors.sort_by(|(a, _), (b, _)| a.cmp(b));
+    let mut digest = DigestBuilder::new();
+    for (name, view) in tensors {
+        digest.field(&name, view.data());
+    }
+    digest.finish()
 }
 
 /// A store in the scratch directory, empty.

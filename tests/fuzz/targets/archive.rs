@@ -4,6 +4,8 @@
 
 #![no_main]
 
+use std::borrow::Cow;
+
 use libfuzzer_sys::fuzz_target;
 use tar::{Builder, Header};
 
@@ -60,20 +62,35 @@ fn seeds() -> Vec<Vec<u8>> {
     vec![raw, all, without_state]
 }
 
+/// The tar file that an input stands for.
+fn tar(input: &[u8]) -> Option<Cow<'_, [u8]>> {
+    let (kind, bytes) = input.split_first()?;
+    if *kind == b'r' {
+        return Some(bytes.into());
+    }
+    let files: Vec<(&str, &[u8])> = FILES.into_iter().zip(parts(bytes)).collect();
+    Some(archive(&files, fuzz::manifest(&files).to_string().as_bytes()).into())
+}
+
+/// Every seed is a whole checkpoint: otherwise nothing behind a successful import is reached.
+fn check_seeds() {
+    for seed in seeds() {
+        let tar = tar(&seed).expect("a seed is not empty");
+        if let Err(error) = fuzz::empty_store("archives").import(&tar[..], None) {
+            panic!("a seed is refused: {error}");
+        }
+    }
+}
+
 fuzz_target!(
-    init: fuzz::write_seeds(seeds),
+    init: {
+        check_seeds();
+        fuzz::write_seeds(seeds);
+    },
     |bytes: &[u8]| {
-        let Some((kind, bytes)) = bytes.split_first() else { return };
-        let made;
-        let tar = if *kind == b'r' {
-            bytes
-        } else {
-            let files: Vec<(&str, &[u8])> = FILES.into_iter().zip(parts(bytes)).collect();
-            made = archive(&files, fuzz::manifest(&files).to_string().as_bytes());
-            &made
-        };
+        let Some(tar) = tar(bytes) else { return };
         let store = fuzz::empty_store("archives");
-        let imported = store.import(tar, None);
+        let imported = store.import(&tar[..], None);
         let entries = store.entries().expect("the store is readable whatever came");
         match imported {
             Ok(entry) => {
