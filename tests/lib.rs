@@ -93,9 +93,14 @@ impl Run {
     /// An empty directory whose processes will see these environment variables.
     pub fn with_variables(variables: &[(&'static str, &str)]) -> Self {
         let mut run = Self::new();
-        run.variables =
-            variables.iter().map(|(name, value)| (*name, (*value).to_owned())).collect();
+        run.set_variables(variables);
         run
+    }
+
+    /// From the next start on the processes will see these environment variables instead.
+    pub fn set_variables(&mut self, variables: &[(&'static str, &str)]) {
+        self.variables =
+            variables.iter().map(|(name, value)| (*name, (*value).to_owned())).collect();
     }
 
     /// From the next start on the environment is the test's own.

@@ -78,7 +78,26 @@ const STATUS_EXAMPLES: &str = "\
 Examples:
   octopus status
   octopus status runs/trajectory-20260101-120000 --watch
-  octopus status runs/trajectory-20260101-120000 --json | jq .live.stages";
+  octopus status runs/trajectory-20260101-120000 --json | jq .live.stages
+  octopus status runs/trajectory-20260101-120000 --token-file token.txt
+
+Processes, shards and stages come from the run's HTTP service; if it cannot be asked, standard error
+and the key `live_error` say why.";
+
+const DOCTOR_EXAMPLES: &str = "\
+Examples:
+  octopus doctor
+  octopus doctor --json | jq '.[] | select(.verdict != \"good\")'
+
+Exits with 4 if anything stands in the way of a training.";
+
+const CLEAN_EXAMPLES: &str = "\
+Examples:
+  octopus clean --dry-run
+  octopus clean
+
+A run that is killed is cleaned up after by its janitor; this is for what is left when that was
+killed, too. What a living process uses is never touched.";
 
 /// Trains, evaluates and simulates multi-arm space robots.
 #[derive(Debug, Clone, Parser)]
@@ -315,6 +334,7 @@ pub struct MjcfArgs {
 
 /// Options of `octopus doctor`.
 #[derive(Debug, Clone, Copy, Args)]
+#[command(after_help = DOCTOR_EXAMPLES)]
 pub struct DoctorArgs {
     /// Print the checks as JSON.
     #[arg(long)]
@@ -330,6 +350,9 @@ pub struct StatusArgs {
     /// Show it again and again, until the run ends or Ctrl-C.
     #[arg(long, requires = "run_dir", value_name = "SECONDS", num_args = 0..=1, default_missing_value = "2", value_parser = duration)]
     pub watch: Option<Duration>,
+    /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
     /// Print as JSON; with --watch one line each time.
     #[arg(long)]
     pub json: bool,
@@ -337,6 +360,7 @@ pub struct StatusArgs {
 
 /// Options of `octopus clean`.
 #[derive(Debug, Clone, Copy, Args)]
+#[command(after_help = CLEAN_EXAMPLES)]
 pub struct CleanArgs {
     /// Only say what would be removed.
     #[arg(long)]
@@ -517,6 +541,21 @@ mod tests {
         assert!(parse("octopus train --iterations 3 --time-limit 1m").is_err());
         assert!(parse("octopus train --iterations 3").is_ok());
         assert!(parse("octopus train --no-eval --eval").is_ok());
+    }
+
+    /// The README promises it.
+    #[test]
+    fn every_command_has_examples() {
+        fn check(command: &clap::Command, path: &str) {
+            let shown = command.get_subcommands().filter(|command| !command.is_hide_set());
+            for command in shown {
+                let path = format!("{path} {}", command.get_name());
+                let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+                assert!(after.contains("Examples:\n  octopus"), "{path}: {after}");
+                check(command, &path);
+            }
+        }
+        check(&Cli::command(), "octopus");
     }
 
     #[test]

@@ -12,7 +12,7 @@ use serde::de::DeserializeOwned;
 use ureq::http::Response;
 use ureq::{Agent, Body};
 
-use crate::http::{CommitAnswer, ErrorBody, ScaleAnswer, ScaleRequest, Token};
+use crate::http::{CommitAnswer, ErrorBody, ScaleAnswer, ScaleRequest, TOKEN_VARIABLE, Token};
 use crate::live::LiveStatus;
 use crate::lock::{Holder, RunLock};
 
@@ -65,7 +65,15 @@ pub enum ClientError {
 
 impl From<ClientError> for ExitError {
     fn from(error: ClientError) -> Self {
-        Self::new(ExitCode::Failure, error.to_string())
+        match error {
+            ClientError::Refused { status: 401, message } => Self::new(
+                ExitCode::Usage,
+                format!(
+                    "{message}; the run's own is given by --token-file FILE or {TOKEN_VARIABLE}"
+                ),
+            ),
+            error => Self::new(ExitCode::Failure, error.to_string()),
+        }
     }
 }
 
@@ -90,9 +98,8 @@ impl Client {
         self
     }
 
-    /// A client of the service beside the run that goes on in `run_dir`; it shows the token of
-    /// the environment, if there is one.
-    pub fn of_run(run_dir: &Path) -> Result<Self, ExitError> {
+    /// A client of the service beside the run that goes on in `run_dir`; it shows `token`.
+    pub fn of_run(run_dir: &Path, token: Option<Token>) -> Result<Self, ExitError> {
         let refused = |what: &str| {
             ExitError::new(ExitCode::RunDirectory, format!("{}: {what}", run_dir.display()))
         };
@@ -106,7 +113,7 @@ impl Client {
                  without one",
             )
         })?;
-        Ok(client.with_token(Token::from_environment()?))
+        Ok(client.with_token(token))
     }
 
     /// A client of the service of the run that holds a lock, if it has one.
@@ -153,16 +160,6 @@ impl Client {
         let request = self.agent.configure_request(request.body(body)?);
         self.agent.run(request.timeout_global(Some(time)).build())
     }
-}
-
-/// What the live run in `run_dir` is doing; `None` if none is going on there or it does not say.
-pub fn status(run_dir: &Path) -> Option<LiveStatus> {
-    Client::of_run(run_dir).ok()?.status().ok()
-}
-
-/// Has the live run in `run_dir` commit a checkpoint now; see [`Client::checkpoint_now`].
-pub fn checkpoint_now(run_dir: &Path) -> Result<CommitAnswer, ExitError> {
-    Ok(Client::of_run(run_dir)?.checkpoint_now()?)
 }
 
 fn answer<T: DeserializeOwned>(

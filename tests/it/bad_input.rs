@@ -50,7 +50,15 @@ fn run_directories_that_are_taken() {
     train(dir.path(), &["--iterations=1"], 5, &["run", "not empty"]);
     let kept = std::fs::read_to_string(dir.path().join("run/thesis.tex"));
     assert_eq!(kept.expect("still there"), "precious");
-    refused(&["resume", "/no/such/run"], 5, &["/no/such/run"]);
+    let words = ["/no/such/run: is no run directory: it has no config.toml", "octopus status"];
+    for args in [
+        &["resume", "/no/such/run"][..],
+        &["status", "/no/such/run"],
+        &["rollout", "/no/such/run", "--address=1/0/0"],
+        &["verify", "/no/such/run", "/no/such/run"],
+    ] {
+        refused(args, 5, &words);
+    }
     refused(&["eval", "/no/such/run"], 5, &["/no/such/run"]);
 }
 

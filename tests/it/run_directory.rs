@@ -168,3 +168,126 @@ fn help_names_every_command() {
         assert!(octopus(&[command, "--help"]).status.success(), "{command} --help");
     }
 }
+
+/// A run that crashed at iteration `at` after it was stopped by nothing else, and so without a last
+/// checkpoint: the newest is that of the last multiple of five.
+fn crashed(at: &'static str) -> Run {
+    let mut run = Run::with_variables(&[("SPACEOCTOPUS_TEST_FAULT", at)]);
+    run.start_training(&["--workers=2", "--overlap=0", "--iterations=20"]);
+    assert_eq!(run.wait(), Some(6), "{}", run.log());
+    run
+}
+
+fn calm() -> Vec<String> {
+    let mut run = Run::train(&["--workers=1", "--overlap=0", "--iterations=20"]);
+    run.succeed();
+    run.digests()
+}
+
+#[test]
+fn what_was_trained_before_the_first_kill_is_compared_after_the_second() {
+    let mut run = crashed("crash@14/2");
+    let honest = run.digests();
+    assert_eq!(honest.len(), 14);
+    // As if the first session had computed something else.
+    let metrics = run.path().join("metrics.jsonl");
+    let other: String = honest[13].chars().rev().collect();
+    let text = std::fs::read_to_string(&metrics).expect("readable");
+    std::fs::write(&metrics, text.replace(&honest[13], &other)).expect("writable");
+
+    run.set_variables(&[("SPACEOCTOPUS_TEST_FAULT", "crash@12/1")]);
+    run.resume(&[]);
+    assert_eq!(run.wait(), Some(6), "{}", run.log());
+    assert_eq!(run.digests().len(), 12, "it went on from checkpoint 10");
+    let promised = run.path().join("promised.jsonl");
+    assert!(promised.is_file());
+
+    run.forget_variables();
+    run.resume(&[]);
+    assert_eq!(run.wait(), Some(1), "{}", run.log());
+    let log = run.log();
+    assert!(log.contains("iteration 13 was trained on again"), "{log}");
+    assert!(log.contains(&other) && log.contains("promised.jsonl"), "{log}");
+
+    // The way out that the message names.
+    std::fs::remove_file(&promised).expect("removable");
+    run.resume(&[]);
+    run.succeed();
+    assert_eq!(run.digests(), calm());
+    assert!(!promised.exists(), "it is passed");
+}
+
+#[test]
+fn metrics_that_end_before_the_newest_checkpoint_leave_no_gap() {
+    let mut run = crashed("crash@14/2");
+    let metrics = run.path().join("metrics.jsonl");
+    let keep = |lines: usize| {
+        let text = std::fs::read_to_string(&metrics).expect("readable");
+        let kept: String = text.split_inclusive('\n').take(lines).collect();
+        std::fs::write(&metrics, kept).expect("writable");
+    };
+    run.forget_variables();
+    keep(8);
+    run.resume(&[]);
+    run.succeed();
+    let log = run.log();
+    assert!(log.contains("iterations from 8 on are missing"), "{log}");
+    assert!(log.contains("going on from checkpoint 5 instead"), "{log}");
+    assert_eq!(run.digests(), calm());
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    let verified = octopus(&["verify", path, path]);
+    assert!(verified.status.success(), "{}", stderr(&verified));
+
+    // No checkpoint is so old.
+    keep(2);
+    let refused = octopus(&["resume", path]);
+    assert_eq!(refused.status.code(), Some(5), "{}", stderr(&refused));
+    for word in ["metrics.jsonl", "from 2 on are missing", "octopus train --config"] {
+        assert!(stderr(&refused).contains(word), "{word}: {}", stderr(&refused));
+    }
+    assert_eq!(run.digests().len(), 2, "nothing is lost");
+}
+
+#[test]
+fn a_run_that_wants_a_token_says_so_to_who_asks_without() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let file = |name: &str, token: &str| {
+        let path = dir.path().join(name);
+        std::fs::write(&path, token).expect("writable");
+        path.to_str().expect("UTF-8").to_owned()
+    };
+    let token = file("token.txt", "correct-horse-battery");
+    let wrong = file("wrong.txt", "staple-staple-staple");
+    let mut run = Run::train(&["--workers=1", "--iterations=100000", "--token-file", &token]);
+    run.wait_for_iterations(2);
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    let ask = |args: &[&str]| {
+        let output = octopus(args);
+        let answer = serde_json::from_slice::<serde_json::Value>(&output.stdout);
+        (output.status.code(), answer.unwrap_or_default(), stderr(&output))
+    };
+    for more in [&[][..], &["--token-file", &wrong]] {
+        let args = [&["status", path, "--json"], more].concat();
+        let (code, status, message) = ask(&args);
+        assert_eq!((code, &status["state"]), (Some(0), &"running".into()), "{message}");
+        assert!(status["live"].is_null(), "{status}");
+        assert!(message.contains("are not known") && message.contains("--token-file"), "{message}");
+        assert!(message.contains(status["live_error"].as_str().expect("a reason")), "{message}");
+        let args = [&["scale", path, "1"], more].concat();
+        let (code, _, message) = ask(&args);
+        assert_eq!(code, Some(2), "{message}");
+        assert!(message.contains("--token-file"), "{message}");
+    }
+    let (code, status, message) = ask(&["status", path, "--json", "--token-file", &token]);
+    assert_eq!((code, message.as_str()), (Some(0), ""));
+    assert_eq!(status["live"]["processes"].as_array().map(Vec::len), Some(3), "{status}");
+    let (code, answer, message) = ask(&["scale", path, "2", "--json", "--token-file", &token]);
+    assert_eq!((code, &answer["workers"]), (Some(0), &2.into()), "{message}");
+    run.signal(Signal::INT);
+    run.succeed();
+    let (code, status, message) = ask(&["status", path, "--json"]);
+    assert_eq!((code, message.as_str()), (Some(0), ""), "nobody is asked any more");
+    assert!(status["live_error"].is_null(), "{status}");
+}

@@ -76,6 +76,21 @@ Examples:
 Always kept: the newest whole one, the best, pinned and tagged ones, milestones, and everything that
 is not named iteration-N.";
 
+const REBUILD_EXAMPLES: &str = "\
+Examples:
+  octopus checkpoints rebuild runs/trajectory-20260101-120000
+  octopus checkpoints rebuild shared --json
+
+Makes STORE/catalogue.sqlite from the manifests and labels and puts the tag `best` where the scores
+say. Commands do so by themselves; this is for files that were copied or deleted by hand.";
+
+const DELETE_EXAMPLES: &str = "\
+Examples:
+  octopus checkpoints delete runs/trajectory-20260101-120000:50
+  octopus checkpoints delete shared/mixed
+
+A pinned checkpoint is not removed; `unpin` lets it go. `prune` removes several at once.";
+
 const EXPORT_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints export runs/trajectory-20260101-120000:best --out best.tar
@@ -259,6 +274,7 @@ pub struct PruneArgs {
 
 /// Options of `octopus checkpoints rebuild`.
 #[derive(Debug, Clone, Args)]
+#[command(after_help = REBUILD_EXAMPLES)]
 pub struct RebuildArgs {
     /// A run directory or a directory of checkpoints.
     #[arg(value_name = "STORE")]
@@ -318,6 +334,7 @@ pub struct ComposeArgs {
 
 /// Options of `octopus checkpoints delete`.
 #[derive(Debug, Clone, Args)]
+#[command(after_help = DELETE_EXAMPLES)]
 pub struct DeleteArgs {
     /// The checkpoint, as RUN:WHICH or a checkpoint's directory.
     #[arg(value_name = "CHECKPOINT")]

@@ -15,9 +15,12 @@ pub mod train;
 pub mod verify;
 
 use std::io::BufReader;
+use std::path::Path;
 
 use anyhow::Context as _;
 use proto::channel::Domain;
+use proto::config::Config;
+use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use sim_worker::robot::{Robot, RobotError};
 
@@ -58,6 +61,33 @@ pub fn exit_code(error: &anyhow::Error) -> ExitCode {
         (cause.is::<CheckpointError>() || cause.is::<LockError>()).then_some(ExitCode::RunDirectory)
     };
     error.chain().find_map(code).unwrap_or(ExitCode::Failure)
+}
+
+/// The run directory at `path`, if it is one.
+fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
+    let run_dir = RunDir::new(path);
+    if run_dir.config().is_file() {
+        return Ok(run_dir);
+    }
+    let message = format!(
+        "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
+        path.display()
+    );
+    Err(ExitError::new(ExitCode::RunDirectory, message))
+}
+
+/// A text file of a run directory.
+fn read_text(path: &Path) -> Result<String, ExitError> {
+    std::fs::read_to_string(path).map_err(|error| {
+        let message = format!("{}: cannot be read: {error}", path.display());
+        ExitError::new(ExitCode::RunDirectory, message)
+    })
+}
+
+/// The resolved configuration of a run.
+fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
+    let path = run_dir.config();
+    Ok(Config::from_resolved_toml(&read_text(&path)?, &path.display().to_string())?)
 }
 
 /// The robot called `name`, or described by the file of that name.

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use anyhow::Context as _;
 use proto::channel::Domain;
-use proto::config::{Config, Run};
+use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
@@ -14,40 +15,25 @@ use crate::cli::ResumeArgs;
 use crate::files;
 use crate::lock::RunLock;
 use crate::provenance::Provenance;
+use crate::report;
+use crate::report::promised::Promised;
 use crate::supervisor::Programs;
 
 /// Resumes.
 pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
-    let run_dir = RunDir::new(&args.run_dir);
-    if !run_dir.config().is_file() {
-        return Err(ExitError::new(
-            ExitCode::RunDirectory,
-            format!(
-                "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
-                args.run_dir.display()
-            ),
-        )
-        .into());
-    }
+    let run_dir = super::run_directory(&args.run_dir)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
 
-    let text = read(&run_dir.config())?;
-    let before = Config::from_resolved_toml(&text, &run_dir.config().display().to_string())?;
-    let robot_text = read(&run_dir.robot())?;
+    let before = super::read_config(&run_dir)?;
+    let robot_text = super::read_text(&run_dir.robot())?;
     let robot = Robot::from_toml(&robot_text, &run_dir.robot())?;
-    let resume = match CheckpointStore::new(run_dir.checkpoints()).latest() {
-        Ok(checkpoint) => {
-            check_unchanged(&run_dir, &before, &robot_text, &checkpoint)?;
-            Some(checkpoint)
-        }
+    let resume = find_start(&run_dir)?;
+    match &resume {
+        Some(checkpoint) => check_unchanged(&run_dir, &before, &robot_text, checkpoint)?,
         // Nothing was lost: the same seed gives the same run from the beginning.
-        Err(CheckpointError::NotFound { .. }) => {
-            eprintln!("note: the run was stopped before its first checkpoint and starts anew");
-            None
-        }
-        Err(error) => return Err(error.into()),
-    };
+        None => eprintln!("note: the run was stopped before its first checkpoint and starts anew"),
+    }
 
     let (config, overrides) = override_limits(&before, args)?;
     for change in &overrides {
@@ -82,6 +68,52 @@ pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
     let start =
         Start { run_dir, config, robot, resume, same, programs, domain, provenance, service };
     train::run_session(start, lock, args.ending)
+}
+
+/// The newest checkpoint that the metrics reach; none if the run has none at all.
+///
+/// They reach every one: a checkpoint is committed after its lines are durable. Only where a file
+/// was lost or cut by other means does the run go further back, so that no iteration is left out.
+fn find_start(run_dir: &RunDir) -> anyhow::Result<Option<Checkpoint>> {
+    let store = CheckpointStore::new(run_dir.checkpoints());
+    let newest = match store.latest() {
+        Ok(checkpoint) => checkpoint,
+        Err(CheckpointError::NotFound { .. }) => return Ok(None),
+        Err(error) => return Err(error.into()),
+    };
+    let recorded = report::recorded(run_dir)?;
+    let iteration = newest.manifest.iteration;
+    if iteration <= recorded {
+        return Ok(Some(newest));
+    }
+    let metrics = run_dir.metrics_jsonl();
+    let lost = format!(
+        "{}: the iterations from {recorded} on are missing, but the newest checkpoint is of {iteration}",
+        metrics.display(),
+    );
+    match store.latest_until(recorded) {
+        Ok(older) => {
+            eprintln!(
+                "WARNING: {lost}; going on from checkpoint {} instead, so that there is no gap",
+                older.manifest.iteration
+            );
+            // That one's digest is known all the same.
+            Promised::read(run_dir)?.add([(iteration - 1, newest.manifest.digest)])?;
+            Ok(Some(older))
+        }
+        Err(CheckpointError::NotFound { .. }) => Err(ExitError::new(
+            ExitCode::RunDirectory,
+            format!(
+                "{lost}, and there is none of {recorded} or fewer to go on from without a gap; put \
+                 the file back from a copy, or make the same run again: `octopus train --config {}`. \
+                 `octopus eval {}` measures what was learned",
+                run_dir.config().display(),
+                newest.dir.display(),
+            ),
+        )
+        .into()),
+        Err(error) => Err(error).context(format!("{lost}, and the one before cannot be taken")),
+    }
 }
 
 /// The configuration with the limits of the command line, and what they changed.
@@ -132,33 +164,6 @@ fn check_unchanged(
         ))
     };
     let then = &checkpoint.config;
-    // What changes nothing that is learned.
-    let Run { env_steps, time_limit_s, workers, pin, device, .. } = then.run.clone();
-    let Run { checkpoint_every, checkpoint_every_s, checkpoints_kept, keep_every, .. } = then.run;
-    let Run { milestone_every_s, evaluate_every, evaluation_episodes, .. } = then.run;
-    let Run { evaluation_steps, best_after, order_deadline_s, .. } = then.run;
-    let Run { seed, overlap, precision, learner_threads, .. } = config.run;
-    let free = Run {
-        seed,
-        env_steps,
-        time_limit_s,
-        workers,
-        pin,
-        overlap,
-        device,
-        precision,
-        learner_threads,
-        checkpoint_every,
-        checkpoint_every_s,
-        checkpoints_kept,
-        keep_every,
-        milestone_every_s,
-        evaluate_every,
-        evaluation_episodes,
-        evaluation_steps,
-        best_after,
-        order_deadline_s,
-    };
     let groups = [
         ("task", config.task == then.task),
         ("robot", config.robot == then.robot),
@@ -166,7 +171,7 @@ fn check_unchanged(
         ("network", config.network == then.network),
         ("algorithm", config.algorithm == then.algorithm),
         ("optimizer", config.optimizer == then.optimizer),
-        ("run", free == then.run),
+        ("run", config.run.continues(&then.run)),
     ];
     if let Some((group, _)) = groups.iter().find(|(_, same)| !same) {
         return refuse(&run_dir.config(), &format!("group `{group}` was changed"));
@@ -175,13 +180,4 @@ fn check_unchanged(
         return refuse(&run_dir.robot(), "was changed");
     }
     Ok(())
-}
-
-fn read(path: &Path) -> Result<String, ExitError> {
-    std::fs::read_to_string(path).map_err(|error| {
-        ExitError::new(
-            ExitCode::RunDirectory,
-            format!("{}: cannot be read: {error}", path.display()),
-        )
-    })
 }

@@ -2,7 +2,6 @@
 
 use std::time::Instant;
 
-use anyhow::Context as _;
 use proto::config::Config;
 use proto::layout::{ActorLayout, BlockLayout, Dimensions};
 use proto::message::policy_version_for;
@@ -41,12 +40,10 @@ struct Summary {
 
 /// Makes the block.
 pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
-    let run_dir = RunDir::new(&args.run_dir);
+    let run_dir = super::run_directory(&args.run_dir)?;
     let BlockAddress { seed, iteration, shard } = args.address;
-    let config = read_config(&run_dir)?;
-    let text = std::fs::read_to_string(run_dir.robot())
-        .with_context(|| format!("{}: cannot be read", run_dir.robot().display()))?;
-    let robot = Robot::from_toml(&text, &run_dir.robot())?;
+    let config = super::read_config(&run_dir)?;
+    let robot = Robot::from_toml(&super::read_text(&run_dir.robot())?, &run_dir.robot())?;
     let world = World::new(&config, &robot);
     let version = policy_version_for(iteration, config.run.overlap);
     let (found, parameters) = find_policy(args, &run_dir, &config, &world.dimensions, version)?;
@@ -91,20 +88,6 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         grouped(summary.env_steps),
         summary.blake3,
     ))
-}
-
-fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
-    let path = run_dir.config();
-    let text = std::fs::read_to_string(&path).map_err(|error| {
-        ExitError::new(
-            ExitCode::RunDirectory,
-            format!(
-                "{}: is no run directory: config.toml: {error}; `octopus status` lists the runs",
-                run_dir.path().display()
-            ),
-        )
-    })?;
-    Ok(Config::from_resolved_toml(&text, &path.display().to_string())?)
 }
 
 /// Where the policy is, in words, and its parameters.

@@ -4,18 +4,16 @@ use proto::{ExitCode, ExitError};
 
 use crate::cli::serve::ScaleArgs;
 use crate::client::{Client, ClientError};
+use crate::http::Token;
 use crate::output;
 
 /// Tells the run and says what changed.
 pub fn run(args: &ScaleArgs) -> anyhow::Result<()> {
-    let client = Client::of_run(&args.run_dir)?;
+    let token = Token::find(args.token_file.as_deref())?;
+    let client = Client::of_run(&args.run_dir, token)?;
     let answer = client.scale(args.workers as usize).map_err(|error| match error {
         // A number that the run cannot have is the command line's fault.
         ClientError::Refused { status: 422, message } => ExitError::new(ExitCode::Usage, message),
-        ClientError::Refused { status: 401, message } => ExitError::new(
-            ExitCode::Usage,
-            format!("{message}; set SPACEOCTOPUS_TOKEN to the token of the run"),
-        ),
         error => error.into(),
     })?;
     if args.json {

@@ -18,10 +18,7 @@ const TICK: Duration = Duration::from_millis(50);
 
 /// Serves until Ctrl-C.
 pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
-    let token = match &args.token_file {
-        Some(path) => Some(Token::from_file(path)?),
-        None => Token::from_environment()?,
-    };
+    let token = Token::find(args.token_file.as_deref())?;
     let store = store(&args.store, args.create)?;
     let root = store.root().to_owned();
     let stop = StopRequests::new();

@@ -3,21 +3,22 @@
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 
-use proto::config::Config;
+use proto::ExitError;
 use proto::run_dir::RunDir;
-use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use serde_json::Value;
 
 use super::train::RUNS;
 use crate::checkpoint::CheckpointStore;
 use crate::cli::StatusArgs;
+use crate::client::Client;
+use crate::http::Token;
 use crate::live::{LiveStatus, Role, Stages};
 use crate::lock::RunLock;
+use crate::output;
 use crate::preflight::mib;
 use crate::report::jsonl;
 use crate::report::progress::grouped;
-use crate::{client, output};
 
 /// What can be said about a run from outside.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -40,24 +41,66 @@ pub struct RunStatus {
     pub checkpoint: Option<PathBuf>,
     /// Its processes and stages, while it runs and its HTTP service answers.
     pub live: Option<LiveStatus>,
+    /// Why there is no `live`, although the run goes on.
+    pub live_error: Option<String>,
+}
+
+impl RunStatus {
+    /// Asks the run, if it goes on, what only it knows.
+    fn ask(&mut self, token: Option<&Token>) {
+        if self.state != "running" {
+            return;
+        }
+        let answer = Client::of_run(&self.run_dir, token.cloned())
+            .and_then(|client| client.status().map_err(ExitError::from));
+        match answer {
+            Ok(live) => self.live = Some(live),
+            Err(error) => self.live_error = Some(error.to_string()),
+        }
+    }
+
+    /// Says on standard error what is missing and why.
+    fn complain(&self) {
+        if let Some(reason) = &self.live_error {
+            eprintln!("note: processes, shards and stages are not known: {reason}");
+        }
+    }
 }
 
 /// Shows one run or all.
 pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
-    let Some(run_dir) = &args.run_dir else { return list(args.json) };
-    let Some(interval) = args.watch else {
-        let status = inspect(run_dir)?;
-        return if args.json { output::json(&status) } else { output::line(&show(&status)) };
+    let token = Token::find(args.token_file.as_deref())?;
+    let Some(run_dir) = &args.run_dir else { return list(args.json, token.as_ref()) };
+    let look = || -> anyhow::Result<RunStatus> {
+        let mut status = inspect(run_dir)?;
+        status.ask(token.as_ref());
+        Ok(status)
     };
-    let clear = std::io::stdout().is_terminal();
+    let Some(interval) = args.watch else {
+        let status = look()?;
+        if args.json {
+            output::json(&status)?;
+        } else {
+            output::line(&show(&status))?;
+        }
+        status.complain();
+        return Ok(());
+    };
+    let clear = std::io::stdout().is_terminal() && !args.json;
+    let mut complained = None;
     loop {
-        let status = inspect(run_dir)?;
+        let status = look()?;
         if args.json {
             output::line(&serde_json::to_string(&status)?)?;
         } else {
             // From the top left corner, and nothing of before below it.
             let (before, after) = if clear { ("\x1b[H\x1b[J", "") } else { ("", "\n") };
             output::line(&format!("{before}{}{after}", show(&status)))?;
+        }
+        // Once, unless it is cleared away with the rest.
+        if clear || complained != status.live_error {
+            status.complain();
+            complained.clone_from(&status.live_error);
         }
         if status.state != "running" {
             return Ok(());
@@ -185,7 +228,7 @@ fn describe(status: &RunStatus) -> String {
 }
 
 /// Shows every run in `runs/`.
-fn list(json: bool) -> anyhow::Result<()> {
+fn list(json: bool, token: Option<&Token>) -> anyhow::Result<()> {
     let mut directories: Vec<PathBuf> = match std::fs::read_dir(RUNS) {
         Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.path())).collect(),
         Err(_) => Vec::new(),
@@ -201,6 +244,10 @@ fn list(json: bool) -> anyhow::Result<()> {
         }
     }
     if json {
+        for status in &mut runs {
+            status.ask(token);
+            status.complain();
+        }
         return output::json(&runs);
     }
     if runs.is_empty() {
@@ -224,20 +271,10 @@ fn list(json: bool) -> anyhow::Result<()> {
     output::line(&output::table(header, rows))
 }
 
-/// Reads what a run left and whether it lives.
+/// Reads what a run left and whether it lives; does not ask it.
 pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
-    let run_dir = RunDir::new(path);
-    let config_path = run_dir.config();
-    let text = std::fs::read_to_string(&config_path).map_err(|error| {
-        ExitError::new(
-            ExitCode::RunDirectory,
-            format!(
-                "{}: is no run directory: config.toml: {error}; `octopus status` lists the runs",
-                path.display()
-            ),
-        )
-    })?;
-    let config = Config::from_resolved_toml(&text, &config_path.display().to_string())?;
+    let run_dir = super::run_directory(path)?;
+    let config = super::read_config(&run_dir)?;
     let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
     let holder = RunLock::holder(&run_dir.lock());
@@ -256,6 +293,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         planned_iterations,
         last,
         checkpoint: CheckpointStore::new(run_dir.checkpoints()).list()?.pop(),
-        live: if state == "running" { client::status(path) } else { None },
+        live: None,
+        live_error: None,
     })
 }

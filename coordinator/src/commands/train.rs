@@ -77,7 +77,7 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, ending: Ending) -> an
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
     let mut reporter = Reporter::create(&run_dir, &config, resume_from, ending.quiet)?;
     if !same {
-        reporter.forget_promised();
+        reporter.forget_promised()?;
     }
     if !ending.quiet {
         reporter.note(&introduction(&config, &run_dir, resume_from));
@@ -117,10 +117,7 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, ending: Ending) -> an
 /// Starts the run's HTTP service.
 fn serve(args: &HttpArgs, run_dir: &RunDir, live: &LiveRun) -> anyhow::Result<Option<Service>> {
     let Listen::At(address) = args.listen else { return Ok(None) };
-    let token = match &args.token_file {
-        Some(path) => Some(Token::from_file(path)?),
-        None => Token::from_environment()?,
-    };
+    let token = Token::find(args.token_file.as_deref())?;
     let store = CheckpointStore::new(run_dir.checkpoints());
     let live = Some(live.clone());
     let spec = ServiceSpec { address, token, live, ..ServiceSpec::new(store) };

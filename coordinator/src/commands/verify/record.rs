@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use serde::Deserialize;
 use serde_json::Value;
+
+use crate::commands::{read_text, run_directory};
 
 /// What a line of `metrics.jsonl` says about the training state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -37,29 +38,22 @@ pub(super) struct Record {
 impl Record {
     /// Reads the run at `path`.
     pub(super) fn read(path: &Path) -> Result<Self, ExitError> {
-        let run_dir = RunDir::new(path);
-        if !run_dir.config().is_file() {
-            let message = format!(
-                "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
-                path.display()
-            );
-            return Err(ExitError::new(ExitCode::RunDirectory, message));
-        }
+        let run_dir = run_directory(path)?;
         let iterations = read_iterations(&run_dir.metrics_jsonl(), 0)?;
         if iterations.is_empty() {
             let what = "holds no iteration yet; there is nothing to compare";
             return Err(damaged(&run_dir.metrics_jsonl(), what));
         }
-        let config = text(&run_dir.config())?
+        let config = read_text(&run_dir.config())?
             .parse()
             .map_err(|error| damaged(&run_dir.config(), &format!("not valid TOML: {error}")))?;
-        let provenance: Value = serde_json::from_str(&text(&run_dir.provenance())?)
+        let provenance: Value = serde_json::from_str(&read_text(&run_dir.provenance())?)
             .map_err(|error| damaged(&run_dir.provenance(), &format!("not valid JSON: {error}")))?;
         let sessions = provenance["sessions"]
             .as_array()
             .cloned()
             .ok_or_else(|| damaged(&run_dir.provenance(), "has no list `sessions`"))?;
-        let robot = text(&run_dir.robot())?;
+        let robot = read_text(&run_dir.robot())?;
         Ok(Self { path: path.to_owned(), iterations, config, robot, sessions })
     }
 }
@@ -67,7 +61,7 @@ impl Record {
 /// The iterations of a `metrics.jsonl`, which follow each other from `first` on. A last line
 /// without an end is being written, or was cut by a crash, and is no iteration yet.
 pub(super) fn read_iterations(path: &Path, first: u64) -> Result<Vec<Iteration>, ExitError> {
-    let text = text(path)?;
+    let text = read_text(path)?;
     let lines = text.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
     lines
         .zip(first..)
@@ -84,12 +78,6 @@ pub(super) fn read_iterations(path: &Path, first: u64) -> Result<Vec<Iteration>,
             Ok(found)
         })
         .collect()
-}
-
-/// A text file of a run directory.
-pub(super) fn text(path: &Path) -> Result<String, ExitError> {
-    std::fs::read_to_string(path)
-        .map_err(|error| damaged(path, &format!("cannot be read: {error}")))
 }
 
 /// Something that belongs to a run is not as it should be.

@@ -16,7 +16,7 @@ use super::differences::{self, ProvenanceDifference};
 use super::record::{self, Record, damaged};
 use super::{Comparison, iterations, promise, provenance_table};
 use crate::checkpoint::{Checkpoint, CheckpointStore};
-use crate::commands::train;
+use crate::commands::{read_config, train};
 use crate::live::LiveRun;
 use crate::provenance::Provenance;
 use crate::report::Reporter;
@@ -116,10 +116,9 @@ fn train_again(
     provenance: serde_json::Value,
 ) -> anyhow::Result<StoppedBy> {
     let origin = RunDir::new(&run.path);
-    let text = record::text(&origin.config())?;
-    let recorded = Config::from_resolved_toml(&text, &origin.config().display().to_string())?;
+    let recorded = read_config(&origin)?;
     let robot = Robot::from_toml(&run.robot, &origin.robot())?;
-    let config = without_housekeeping(recorded);
+    let config = Config { run: recorded.run.clone().without_housekeeping(), ..recorded };
 
     let programs = Programs::find()?;
     train::check_machine(&config, &robot, scratch, &programs)?;
@@ -147,17 +146,6 @@ fn train_again(
     let outcome = outcome?;
     finished?;
     Ok(outcome.stopped_by)
-}
-
-/// The configuration without what costs time and changes nothing that is learned.
-fn without_housekeeping(mut config: Config) -> Config {
-    config.run.time_limit_s = 0.0;
-    config.run.checkpoint_every = 0;
-    config.run.checkpoint_every_s = 0.0;
-    config.run.evaluate_every = 0;
-    config.run.keep_every = 0;
-    config.run.milestone_every_s = 0.0;
-    config
 }
 
 /// The newest whole checkpoint from which iteration `last` is still to come.
