@@ -96,10 +96,18 @@ pub struct FirstBlock {
 impl FirstBlock {
     /// To be called before `worker` is killed.
     pub fn of_successor(run: &Run, worker: WorkerProcess) -> Self {
-        let log = log_of(run, worker.worker);
+        Self::of(run, worker.worker, &format!(" incarnation={} ", worker.incarnation + 1))
+    }
+
+    /// To be called before the run is scaled up; `worker` does not live.
+    pub fn of_new(run: &Run, worker: u32) -> Self {
+        Self::of(run, worker, " incarnation=")
+    }
+
+    fn of(run: &Run, worker: u32, successor: &str) -> Self {
+        let log = log_of(run, worker);
         let offset = std::fs::metadata(&log).map_or(0, |metadata| metadata.len());
-        let successor = format!(" incarnation={} ", worker.incarnation + 1);
-        Self { log, offset, successor }
+        Self { log, offset, successor: successor.to_owned() }
     }
 
     /// Whether the block has been sent.
