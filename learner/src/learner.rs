@@ -24,6 +24,7 @@ use crate::ingest::{Arrival, Inbox, errors};
 use crate::mappo::{Mappo, UpdateReport};
 use crate::precision::Arithmetic;
 use crate::state::TrainingState;
+use crate::state::image::Image;
 
 /// How long the coordinator may take to make room.
 const SEND_DEADLINE: Duration = Duration::from_mins(1);
@@ -76,8 +77,12 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
             state
         }
     };
+    let mut ports = Ports::open(&arguments.domain, &config, &dimensions, state.iteration)?;
+    let image;
+    (image, ports.spare) = Image::new(&state);
     let mut learner = Learner {
-        ports: Ports::open(&arguments.domain, &config, &dimensions, state.iteration)?,
+        ports,
+        image,
         dimensions,
         run: config.run.clone(),
         digest: state.digest(),
@@ -144,6 +149,7 @@ pub fn device(name: &str) -> Result<Device, LearnerError> {
 struct Learner {
     trainer: Trainer,
     ports: Ports,
+    image: Image,
     dimensions: Dimensions,
     run: Run,
     digest: Digest,
@@ -160,6 +166,8 @@ struct Ports {
     inbox: Inbox<ArraySample<BlockHeader>>,
     /// Snapshots on their way, oldest first.
     outbox: VecDeque<Outgoing>,
+    /// Memory of a snapshot that has been sent, for the next one.
+    spare: Vec<u8>,
     heartbeat: Instant,
     wants_snapshot: bool,
     wants_stop: bool,
@@ -191,6 +199,7 @@ impl Ports {
         Ok(Self {
             inbox: Inbox::new(config, dimensions, iteration),
             outbox: VecDeque::new(),
+            spare: Vec::new(),
             heartbeat: Instant::now(),
             wants_snapshot: false,
             wants_stop: false,
@@ -235,8 +244,10 @@ impl Ports {
     fn send_piece(&mut self) -> Result<(), LearnerError> {
         let Some(Outgoing { header, bytes }) = self.outbox.front_mut() else { return Ok(()) };
         header.offset = self.snapshot.send(*header, bytes)?;
-        if header.offset >= bytes.len() as u64 {
-            self.outbox.pop_front();
+        if header.offset >= bytes.len() as u64
+            && let Some(sent) = self.outbox.pop_front()
+        {
+            self.spare = sent.bytes;
         }
         Ok(())
     }
@@ -297,7 +308,9 @@ impl Learner {
             digest: self.digest.0,
             ..SnapshotHeader::default()
         };
-        self.ports.outbox.push_back(Outgoing { header, bytes: state.to_safetensors() });
+        let mut bytes = std::mem::take(&mut self.ports.spare);
+        self.image.write(state, &mut bytes);
+        self.ports.outbox.push_back(Outgoing { header, bytes });
     }
 
     /// Trains on the complete iteration, publishes, reports.

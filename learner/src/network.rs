@@ -35,6 +35,11 @@ impl Parameter {
         self.len() == 0
     }
 
+    /// Its columns in an array `[A, P]`.
+    pub fn columns(&self) -> std::ops::Range<usize> {
+        self.offset as usize..(self.offset + self.len()) as usize
+    }
+
     /// The parameter's part `[A, …]` of `flat` `[A, P]`, in the same memory.
     pub fn view(&self, flat: &Tensor) -> Tensor {
         let mut shape = vec![flat.size()[0]];

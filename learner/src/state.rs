@@ -21,7 +21,10 @@
 //! The [`Digest`] is that of all other names in alphabetical order, each with its array's little-endian
 //! bytes, so anyone can recompute it from the file.
 
+pub mod image;
+
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use proto::config::{Config, CriticState, InputNorm as InputNormKind};
 use proto::layout::{ActorLayout, Dimensions};
@@ -39,6 +42,9 @@ use crate::value_norm::ValueNorm;
 
 /// The `format` entry of a state's metadata.
 pub const FORMAT: &str = "spaceoctopus training state 1";
+
+/// What the names of the repeated policies begin with.
+const POLICY_PREFIX: &str = "policy.";
 
 /// The parameters of one kind of network and their optimiser.
 #[derive(Debug)]
@@ -85,7 +91,19 @@ struct Entry<'a> {
     source: Source<'a>,
 }
 
+impl Entry<'_> {
+    /// Number of bytes.
+    fn len(&self) -> usize {
+        self.shape.iter().product::<usize>() * self.dtype.bitsize() / 8
+    }
+}
+
 enum Source<'a> {
+    /// Some columns of a row-major `[A, P]` array in the processor's memory.
+    Columns {
+        flat: Tensor,
+        columns: Range<usize>,
+    },
     Tensor(Tensor),
     F32(&'a [f32]),
     F64(&'a [f64]),
@@ -99,14 +117,23 @@ impl Source<'_> {
         Self::Tensor(tensor.to_device(Device::Cpu).contiguous())
     }
 
-    fn bytes(&self) -> &[u8] {
-        match self {
-            Self::Tensor(tensor) => bytes(tensor),
-            Self::F32(values) => bytemuck::cast_slice(values),
-            Self::F64(values) => bytemuck::cast_slice(values),
-            Self::I64(values) => bytemuck::cast_slice(values),
-            Self::U64(value) => bytemuck::bytes_of(value),
+    /// The bytes, in order; those of columns are one piece a row, where they lie.
+    fn pieces(&self) -> impl Iterator<Item = &[u8]> {
+        fn whole(memory: &[u8]) -> (&[u8], usize, Range<usize>) {
+            (memory, memory.len(), 0..memory.len())
         }
+        let (memory, row_len, piece) = match self {
+            Self::Columns { flat, columns } => {
+                let of = |column: usize| column * size_of::<f32>();
+                (bytes(flat), of(flat.size()[1] as usize), of(columns.start)..of(columns.end))
+            }
+            Self::Tensor(tensor) => whole(bytes(tensor)),
+            Self::F32(values) => whole(bytemuck::cast_slice(values)),
+            Self::F64(values) => whole(bytemuck::cast_slice(values)),
+            Self::I64(values) => whole(bytemuck::cast_slice(values)),
+            Self::U64(value) => whole(bytemuck::bytes_of(value)),
+        };
+        memory.chunks_exact(row_len.max(1)).map(move |row| &row[piece.clone()])
     }
 }
 
@@ -163,12 +190,17 @@ impl TrainingState {
             let kind = network.spec.kind.as_str();
             let parts =
                 [("", &network.flat), ("adam.m.", &network.adam.m), ("adam.v.", &network.adam.v)];
-            for parameter in &network.spec.parameters {
-                for (prefix, flat) in parts {
-                    let view = parameter.view(flat);
-                    let shape = view.size().iter().map(|&n| n as usize).collect();
+            for (prefix, flat) in parts {
+                let flat = flat.to_device(Device::Cpu);
+                for parameter in &network.spec.parameters {
+                    let rows = flat.size()[0];
+                    let shape = std::iter::once(&rows).chain(&parameter.shape).map(|&n| n as usize);
                     let name = format!("{kind}.{prefix}{}", parameter.name);
-                    add(name, Dtype::F32, shape, Source::tensor(&view));
+                    let source = Source::Columns {
+                        flat: flat.shallow_clone(),
+                        columns: parameter.columns(),
+                    };
+                    add(name, Dtype::F32, shape.collect(), source);
                 }
             }
             let steps = &network.adam.steps;
@@ -210,25 +242,34 @@ impl TrainingState {
     pub fn digest(&self) -> Digest {
         let mut builder = DigestBuilder::new();
         for entry in self.entries() {
-            builder.field(&entry.name, entry.source.bytes());
+            builder.begin(&entry.name, entry.len() as u64);
+            for piece in entry.source.pieces() {
+                builder.piece(piece);
+            }
         }
         builder.finish()
     }
 
-    /// The state as the bytes of a safetensors file.
+    /// The state as the bytes of a safetensors file. [`image::Image`] makes the same faster.
     pub fn to_safetensors(&self) -> Vec<u8> {
-        let entries = self.entries();
         let view = |dtype, shape: &[usize], data| {
             TensorView::new(dtype, shape.to_vec(), data).expect("an entry's bytes fit its shape")
         };
-        let own = entries.iter().map(|entry| {
-            (entry.name.clone(), view(entry.dtype, &entry.shape, entry.source.bytes()))
-        });
+        let own: Vec<_> = self
+            .entries()
+            .into_iter()
+            .map(|entry| {
+                let data: Vec<u8> = entry.source.pieces().flatten().copied().collect();
+                (entry.name, entry.dtype, entry.shape, data)
+            })
+            .collect();
+        let own =
+            own.iter().map(|(name, dtype, shape, data)| (name.clone(), view(*dtype, shape, data)));
         let mut policy = vec![0.0; self.policy_layout.len];
         self.write_policy(&mut policy);
         let published = self.policy_layout.tensors.iter().map(|tensor| {
             let data = bytemuck::cast_slice(&policy[tensor.range()]);
-            (format!("policy.{}", tensor.name), view(Dtype::F32, &tensor.shape, data))
+            (format!("{POLICY_PREFIX}{}", tensor.name), view(Dtype::F32, &tensor.shape, data))
         });
         let views = own.chain(published);
         // One entry only: the order of several would differ from run to run.
@@ -282,7 +323,7 @@ impl TrainingState {
         if let Some(name) = file
             .names()
             .into_iter()
-            .find(|name| !name.starts_with("policy.") && !arrays.contains_key(*name))
+            .find(|name| !name.starts_with(POLICY_PREFIX) && !arrays.contains_key(*name))
         {
             return Err(refuse(format!(
                 "tensor `{name}` is unknown; was it trained with another configuration?"
@@ -354,15 +395,20 @@ impl TrainingState {
         let layout = &self.policy_layout;
         assert_eq!(out.len(), layout.len, "a policy has {} numbers", layout.len);
         let norm = self.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std);
+        let flat = self.actor.flat.to_device(Device::Cpu);
+        let parameters: &[f32] = bytemuck::cast_slice(bytes(&flat));
+        let row_len = flat.size()[1] as usize;
         for tensor in &layout.tensors {
             let slot = &mut out[tensor.range()];
             match (tensor.name.as_str(), &norm) {
                 ("input.mean", Some((mean, _))) => slot.copy_from_slice(mean),
                 ("input.inverse_std", Some((_, inverse_std))) => slot.copy_from_slice(inverse_std),
                 (name, _) => {
-                    let view = self.actor.spec.view(name, &self.actor.flat);
-                    let view = view.to_device(Device::Cpu).contiguous();
-                    slot.copy_from_slice(bytemuck::cast_slice(bytes(&view)));
+                    let columns = self.actor.spec.get(name).columns();
+                    let rows = parameters.chunks_exact(row_len);
+                    for (part, row) in slot.chunks_exact_mut(columns.len().max(1)).zip(rows) {
+                        part.copy_from_slice(&row[columns.clone()]);
+                    }
                     if name == "log_std" {
                         for x in slot {
                             *x = x.max(self.min_log_std as f32);

@@ -89,6 +89,18 @@ fn a_resumed_run_goes_on_as_if_it_had_never_stopped() {
 }
 
 #[test]
+fn an_update_counts_its_mini_batches_while_it_makes_them() {
+    let config = config(&["run.learner_threads=1"]);
+    let mut run = Run::new(&config, Arithmetic::F32);
+    let work = run.mappo.work();
+    run.update(1);
+    let planned = (config.algorithm.epochs * config.algorithm.mini_batches) as u64;
+    assert_eq!(work.load(Ordering::Relaxed), planned);
+    run.update(2);
+    assert_eq!(work.load(Ordering::Relaxed), 2 * planned);
+}
+
+#[test]
 fn a_shared_network_stays_one_network() {
     let mut run = Run::new(&config(VARIANTS[1]), Arithmetic::F32);
     run.update(1);

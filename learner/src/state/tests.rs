@@ -1,5 +1,6 @@
 use proto::config::{Layers, Preset};
 
+use super::image::Image;
 use super::*;
 
 fn config(assignments: &[&str]) -> Config {
@@ -99,4 +100,21 @@ fn a_published_policy_holds_floored_deviations_and_the_normaliser() {
     assert!((get("input.inverse_std")[0] - 1.0).abs() < 1e-6);
     let weight = state.actor.spec.view("hidden.0.weight", &state.actor.flat).get(1).get(2).get(3);
     assert_eq!(f64::from(get("hidden.0.weight")[(49 + 2) * 8 + 3]), weight.double_value(&[]));
+}
+
+#[test]
+fn an_image_is_the_file_that_the_library_writes() {
+    for settings in [&[][..], &["network.shared_parameters=true", "network.input_norm=running"]] {
+        let (mut state, _) = state(&config(settings));
+        let (mut image, first) = Image::new(&state);
+        assert_eq!(first, state.to_safetensors());
+        state.iteration += 1;
+        let _ = state.actor.flat.fill_(0.25);
+        let _ = state.critic.adam.v.get(1).get(3).fill_(1e-30);
+        // Memory that is too long, too short, and just right.
+        for mut out in [vec![7; first.len() + 5], Vec::new(), first.clone()] {
+            image.write(&state, &mut out);
+            assert!(out == state.to_safetensors(), "{settings:?}");
+        }
+    }
 }
