@@ -67,8 +67,8 @@ SEED ?= 1
 
 .PHONY: chaos
 chaos: setup ## kill runs at random and compare bits (KILLS=200 RESTARTS=1000 SEED=1)
-	$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
-	$(TARGET)/debug/examples/chaos --seed $(SEED) --kills $(KILLS) \
+	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
+	@$(TARGET)/debug/examples/chaos --seed $(SEED) --kills $(KILLS) \
 		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS)
 
 .PHONY: fuzz

@@ -3,6 +3,7 @@
 pub mod checkpoints;
 pub mod rollout;
 pub mod serve;
+mod values;
 pub mod verify;
 
 use std::path::PathBuf;
@@ -11,11 +12,13 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use proto::config::{Preset, TaskName};
 
+use self::values::{assignment, duration, listen, positive, seconds, whole, workers};
+
 /// Exit codes, as `octopus --help` lists them.
 const EXIT_CODES: &str = "\
 Exit codes:
   0    all went well
-  1    something failed while running; the message says what
+  1    something failed while running; the message says what. Or what was compared is not the same
   2    the command line is wrong
   3    a configuration, robot, actions or other input file is wrong
   4    the machine lacks something: shared memory, descriptors, libtorch, a device
@@ -50,7 +53,8 @@ that is learned; another budget does when the learning rate falls over it.";
 const EVAL_EXAMPLES: &str = "\
 Examples:
   octopus eval runs/trajectory-20260101-120000
-  octopus eval runs/trajectory-20260101-120000/checkpoints/iteration-00000130 --episodes 200
+  octopus eval runs/trajectory-20260101-120000:best
+  octopus eval runs/trajectory-20260101-120000:130 --episodes 200
   octopus eval runs/trajectory-20260101-120000 --json | jq .overall
 
 Of every episode three numbers are taken for each error: its minimum over time (`min`), its value
@@ -147,13 +151,13 @@ pub enum Command {
 #[group(multiple = false)]
 pub struct Limits {
     /// Stop after this many iterations.
-    #[arg(long, value_name = "N", value_parser = positive, help_heading = "Limits")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = positive, help_heading = "Limits")]
     pub iterations: Option<u64>,
     /// Stop after this many env-steps, rounded up to whole iterations: 2000000, 2e6.
-    #[arg(long, value_name = "N", value_parser = positive, help_heading = "Limits")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = positive, help_heading = "Limits")]
     pub env_steps: Option<u64>,
     /// Stop after this much time: 90s, 10m, 1h30m. Changes nothing that is learned until then.
-    #[arg(long, value_name = "TIME", value_parser = duration, help_heading = "Limits")]
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true, value_parser = duration, help_heading = "Limits")]
     pub time_limit: Option<Duration>,
 }
 
@@ -171,19 +175,19 @@ pub struct TrainArgs {
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Change one key; may be given again: --set algorithm.gamma=0.97.
-    #[arg(long = "set", value_name = "KEY=VALUE")]
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment)]
     pub sets: Vec<String>,
     /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
-    #[arg(long, value_name = "N|auto", value_parser = workers)]
+    #[arg(long, value_name = "N|auto", allow_negative_numbers = true, value_parser = workers)]
     pub workers: Option<u64>,
     /// Fix each worker to a processor.
     #[arg(long)]
     pub pin: bool,
     /// Environments of the whole run, one episode each per iteration.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<u64>(1, u64::MAX))]
     pub envs: Option<u64>,
     /// Seed of every random number.
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = whole::<u64>(0, i64::MAX as u64))]
     pub seed: Option<u64>,
     /// When to stop.
     #[command(flatten)]
@@ -192,7 +196,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
     /// 1 rolls out the next iteration while the learner trains on this one.
-    #[arg(long, value_name = "0|1")]
+    #[arg(long, value_name = "0|1", allow_negative_numbers = true, value_parser = whole::<u64>(0, 1))]
     pub overlap: Option<u64>,
     /// Where the learner computes: cpu, cuda:0.
     #[arg(long, value_name = "DEVICE")]
@@ -253,7 +257,7 @@ pub struct ResumeArgs {
     /// The run directory.
     pub run_dir: PathBuf,
     /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
-    #[arg(long, value_name = "N|auto", value_parser = workers)]
+    #[arg(long, value_name = "N|auto", allow_negative_numbers = true, value_parser = workers)]
     pub workers: Option<u64>,
     /// When to stop.
     #[command(flatten)]
@@ -270,17 +274,18 @@ pub struct ResumeArgs {
 #[derive(Debug, Clone, Args)]
 #[command(after_help = EVAL_EXAMPLES)]
 pub struct EvalArgs {
-    /// A run directory, whose last checkpoint is taken, or a checkpoint's directory.
+    /// A run directory, whose last checkpoint is taken; RUN_DIR:best for the one with the lowest
+    /// score; or any other checkpoint, as `octopus checkpoints --help` lists them.
     #[arg(value_name = "RUN_DIR|CHECKPOINT")]
     pub path: PathBuf,
     /// Episodes, each with a goal of its own.
-    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 30, allow_negative_numbers = true, value_parser = whole::<u32>(1, 1_000_000))]
     pub episodes: u32,
     /// Control steps of an episode.
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 200, allow_negative_numbers = true, value_parser = whole::<u32>(1, 100_000))]
     pub steps: u32,
     /// Seed of the goals.
-    #[arg(long, value_name = "S", default_value_t = 0)]
+    #[arg(long, value_name = "S", default_value_t = 0, allow_negative_numbers = true, value_parser = whole::<u64>(0, u64::MAX))]
     pub seed: u64,
     /// Print the result as JSON, every episode included.
     #[arg(long)]
@@ -307,10 +312,10 @@ pub struct SimulateArgs {
     #[arg(long, value_enum, default_value_t = IntegratorArg::Rk4)]
     pub integrator: IntegratorArg,
     /// Duration of an integration step; divides the control period.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.01)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.01, allow_negative_numbers = true, value_parser = seconds)]
     pub substep: f64,
     /// Duration of a control step.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.4)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.4, allow_negative_numbers = true, value_parser = seconds)]
     pub control_period: f64,
     /// Whether touching bodies push each other.
     #[arg(long, value_name = "on|off", value_enum, default_value_t = Switch::On)]
@@ -444,70 +449,6 @@ pub enum Switch {
     Off,
 }
 
-/// A count of at least one; large ones may be written as `2e6`.
-fn positive(text: &str) -> Result<u64, String> {
-    let value = text.parse::<u64>().ok().or_else(|| {
-        let value = text.parse::<f64>().ok()?;
-        (value.fract() == 0.0 && (0.0..9e15).contains(&value)).then_some(value as u64)
-    });
-    match value {
-        Some(0) => Err("wants at least 1".to_owned()),
-        Some(value) => Ok(value),
-        None => Err("wants a whole number, such as 2000000 or 2e6".to_owned()),
-    }
-}
-
-/// A number of workers.
-fn workers(text: &str) -> Result<u64, String> {
-    if text == "auto" {
-        return Ok(std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as u64);
-    }
-    text.parse().map_err(|_| "wants a number or `auto`".to_owned())
-}
-
-/// Where to listen.
-fn listen(text: &str) -> Result<Listen, String> {
-    if text == "off" {
-        return Ok(Listen::Off);
-    }
-    let wrong = |_| "wants an address with a port, such as 127.0.0.1:8270, or `off`".to_owned();
-    text.parse().map(Listen::At).map_err(wrong)
-}
-
-/// A time with units; a bare number is in seconds.
-fn duration(text: &str) -> Result<Duration, String> {
-    let wrong = || "wants a time such as 90s, 10m or 1h30m".to_owned();
-    if let Ok(seconds) = text.parse::<u32>() {
-        return nonzero(f64::from(seconds));
-    }
-    let mut seconds = 0.0;
-    let mut rest = text;
-    while !rest.is_empty() {
-        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').ok_or_else(wrong)?;
-        let number: f64 = rest[..end].parse().map_err(|_| wrong())?;
-        let unit_end =
-            rest[end..].find(|c: char| c.is_ascii_digit()).map_or(rest.len(), |len| end + len);
-        seconds += number
-            * match &rest[end..unit_end] {
-                "s" => 1.0,
-                "m" | "min" => 60.0,
-                "h" => 3600.0,
-                "d" => 86400.0,
-                _ => return Err(wrong()),
-            };
-        rest = &rest[unit_end..];
-    }
-    nonzero(seconds)
-}
-
-fn nonzero(seconds: f64) -> Result<Duration, String> {
-    if (1e-3..1e9).contains(&seconds) {
-        Ok(Duration::from_secs_f64(seconds))
-    } else {
-        Err("wants more than nothing and less than 30 years".to_owned())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory as _;
@@ -517,22 +458,6 @@ mod tests {
     #[test]
     fn the_definition_is_consistent() {
         Cli::command().debug_assert();
-    }
-
-    #[test]
-    fn times_and_counts() {
-        let seconds = |text| duration(text).map(|time| time.as_secs_f64());
-        assert_eq!(seconds("10m"), Ok(600.0));
-        assert_eq!(seconds("1h30m"), Ok(5400.0));
-        assert_eq!(seconds("1.5s"), Ok(1.5));
-        assert_eq!(seconds("90"), Ok(90.0));
-        for wrong in ["", "m", "10x", "0", "-3s", "1e400s", "10m5"] {
-            assert!(duration(wrong).is_err(), "{wrong}");
-        }
-        assert_eq!(positive("2e6"), Ok(2_000_000));
-        for wrong in ["0", "-1", "1.5", "nan", "inf", "many"] {
-            assert!(positive(wrong).is_err(), "{wrong}");
-        }
     }
 
     #[test]

@@ -63,17 +63,24 @@ pub enum ClientError {
     },
 }
 
-impl From<ClientError> for ExitError {
-    fn from(error: ClientError) -> Self {
-        match error {
-            ClientError::Refused { status: 401, message } => Self::new(
-                ExitCode::Usage,
-                format!(
-                    "{message}; the run's own is given by --token-file FILE or {TOKEN_VARIABLE}"
-                ),
-            ),
-            error => Self::new(ExitCode::Failure, error.to_string()),
-        }
+impl ClientError {
+    /// What ends the program, or is told instead of an answer. `token_file` is where the command
+    /// line said that the token is.
+    pub fn explained(self, token_file: Option<&Path>) -> ExitError {
+        let message = match self {
+            Self::Refused { status: 401, message } => message,
+            error => return ExitError::new(ExitCode::Failure, error.to_string()),
+        };
+        let shown = match token_file {
+            Some(path) => format!("{}: {message}", path.display()),
+            None if std::env::var_os(TOKEN_VARIABLE).is_some_and(|token| !token.is_empty()) => {
+                format!("{TOKEN_VARIABLE}: {message}")
+            }
+            None => "the run asks for a token".to_owned(),
+        };
+        let cure =
+            format!("--token-file FILE or {TOKEN_VARIABLE} gives the one it was started with");
+        ExitError::new(ExitCode::Usage, format!("{shown}; {cure}"))
     }
 }
 

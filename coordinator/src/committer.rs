@@ -254,7 +254,7 @@ impl Writer {
                 }
             }
             Err(error) if is_there && value.is_some() => {
-                self.tell(Committed::ScoreFailed { iteration, error })
+                self.tell(Committed::ScoreFailed { iteration, error });
             }
             Err(error) => self.tell(Committed::Failed { iteration, error }),
         }

@@ -36,7 +36,7 @@ pub struct ProcessStatus {
     pub pid: Option<u32>,
     /// `starting`, `ready`, `leaving` or `backing off`.
     pub state: String,
-    /// How often its predecessors were replaced.
+    /// How often it has died and been replaced.
     pub restarts: u32,
     /// Resident memory, shared memory included (bytes).
     pub resident_bytes: u64,
@@ -95,6 +95,15 @@ impl Totals {
     }
 }
 
+/// The checkpoint with the lowest score.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Best {
+    /// Its name.
+    pub name: String,
+    /// Its score; lower is better, and 1 as good as the paper.
+    pub score: f64,
+}
+
 /// What a live run is doing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct LiveStatus {
@@ -143,8 +152,8 @@ pub struct LiveStatus {
     pub commits: u64,
     /// Name of the newest checkpoint.
     pub checkpoint: Option<String>,
-    /// Name of the best checkpoint and its score.
-    pub best: Option<(String, f64)>,
+    /// The best checkpoint.
+    pub best: Option<Best>,
     /// The last line of the metrics.
     #[schema(value_type = Object)]
     pub last: serde_json::Value,

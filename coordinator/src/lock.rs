@@ -26,9 +26,10 @@ pub struct Holder {
 pub enum LockError {
     /// Another coordinator runs there.
     #[error(
-        "{path}: a run is going on in this directory (process {pid}); stop it first, \
-         or choose another with --run-dir",
-        path = path.display()
+        "{path}: a run is going on in this directory (process {pid}); stop it first; \
+         `octopus status {dir}` shows how it is doing",
+        path = path.display(),
+        dir = path.parent().unwrap_or(path).display()
     )]
     Held {
         /// The lock file.

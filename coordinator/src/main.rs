@@ -11,6 +11,10 @@ fn main() -> ExitCode {
     match commands::run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
+            // The answer has been printed.
+            if error.is::<commands::NotTheSame>() {
+                return ExitCode::from(commands::exit_code(&error) as u8);
+            }
             eprintln!("error: {}", format!("{error:#}").trim_end());
             ExitCode::from(commands::exit_code(&error) as u8)
         }

@@ -6,6 +6,8 @@ use anyhow::Context as _;
 use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
+use crate::report::progress::grouped;
+
 /// Writes a text with a line end.
 pub fn line(text: &str) -> anyhow::Result<()> {
     write(format!("{text}\n").as_bytes())
@@ -27,6 +29,11 @@ pub fn write(bytes: &[u8]) -> anyhow::Result<()> {
         }
         _ => Ok(()),
     }
+}
+
+/// A count and what is counted: `1 worker`, `1,200 workers`.
+pub fn counted(count: u64, noun: &str) -> String {
+    format!("{} {noun}{}", grouped(count), if count == 1 { "" } else { "s" })
 }
 
 /// A table whose first column holds names and whose others hold numbers.

@@ -42,7 +42,7 @@ use self::monitor::Monitor;
 use self::snapshots::{Evaluation, Phase, Snapshots};
 use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore, Name};
 use crate::committer::Committed;
-use crate::live::{Command, LiveRun, LiveStatus};
+use crate::live::{Best, Command, LiveRun, LiveStatus};
 use crate::preflight;
 use crate::report::{Live, Reporter};
 use crate::scheduler::Scheduler;
@@ -355,7 +355,7 @@ impl<'a> Session<'a> {
             match progress {
                 Progress::Ready { iteration, digest, precision, .. } => {
                     tracing::info!(iteration, %digest, precision, "learner is ready");
-                    self.learner_ready(iteration, now)?;
+                    self.learner_ready(iteration, now, reporter)?;
                 }
                 Progress::Heartbeat => {}
                 Progress::BlockReceived { iteration, shard, .. } => {
@@ -376,7 +376,12 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    fn learner_ready(&mut self, iteration: u64, now: Instant) -> Result<(), ExitError> {
+    fn learner_ready(
+        &mut self,
+        iteration: u64,
+        now: Instant,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
         let expected = self.origin;
         if iteration != expected {
             return Err(ExitError::new(
@@ -398,6 +403,9 @@ impl<'a> Session<'a> {
         }
         if self.stopped_by.is_some() {
             scheduler.stop_after_current();
+        }
+        if self.learner_restarts > 0 {
+            reporter.note(&format!("the learner has been replaced, at iteration {iteration}"));
         }
         self.scheduler = Some(scheduler);
         self.last_report = now;
@@ -489,13 +497,13 @@ impl<'a> Session<'a> {
                         return Err(ExitError::new(ExitCode::RunDirectory, message));
                     }
                     // What was committed before is whole, and there may be room again next time.
-                    reporter.note(&format!("WARNING: {message}; the training goes on without it"));
+                    reporter.note(&format!("warning: {message}; the training goes on without it"));
                 }
                 Committed::ScoreFailed { iteration, error } => reporter.note(&format!(
-                    "WARNING: the score of checkpoint {iteration} was not written: {error}"
+                    "warning: the score of checkpoint {iteration} was not written: {error}"
                 )),
                 Committed::GivenUp { iteration } => reporter.note(&format!(
-                    "WARNING: checkpoint {iteration} not committed: the disk was still busy with \
+                    "warning: checkpoint {iteration} not committed: the disk was still busy with \
                      the one before when the next one came"
                 )),
             }
@@ -569,16 +577,18 @@ impl<'a> Session<'a> {
         let is_hopeless = self.scheduler.is_none() && matches!(cause, Cause::Crash(_));
         if is_hopeless || self.learner_deaths.are_too_many(MAX_LEARNER_CRASHES, MAX_LEARNER_KILLS) {
             let log = self.spec.run_dir.logs().join("learner.log");
-            return Err(ExitError::new(
-                ExitCode::Child,
-                format!(
-                    "the learner died ({cause}); the end of {}:\n{}\n`octopus resume {}` goes on \
-                     from the last checkpoint",
-                    log.display(),
-                    log_tail(&log, 5),
-                    self.spec.run_dir.path().display(),
-                ),
-            ));
+            let cure = if self.store.latest_until(self.reported).is_ok() {
+                let run_dir = self.spec.run_dir.path().display();
+                format!("\n`octopus resume {run_dir}` goes on from the last checkpoint")
+            } else {
+                String::new()
+            };
+            let message = format!(
+                "the learner died ({cause}); the end of {}:\n{}{cure}",
+                log.display(),
+                log_tail(&log, 5)
+            );
+            return Err(ExitError::new(cause.exit_code(), message));
         }
         // Workers hold orders and policies of the future that is now undone.
         supervisor.kill_all();
@@ -638,8 +648,12 @@ impl<'a> Session<'a> {
                                 }
                                 self.orders.send(&Order::Leave { worker, incarnation })?;
                             }
-                            reporter
-                                .note(&format!("{workers} workers from now on, before {before}"));
+                            if workers != before {
+                                let s = if workers == 1 { "" } else { "s" };
+                                reporter.note(&format!(
+                                    "{workers} worker{s} from now on, before {before}"
+                                ));
+                            }
                             Ok(before)
                         }
                         Err(reason) => Err(reason),
@@ -805,7 +819,7 @@ impl<'a> Session<'a> {
             shared_memory_bytes: monitor::shared_memory(&self.spec.domain),
             commits: self.monitor.commits,
             checkpoint: self.monitor.checkpoint.clone(),
-            best: self.monitor.best.clone(),
+            best: self.monitor.best.clone().map(|(name, score)| Best { name, score }),
             last: self.monitor.last.clone(),
         }
     }

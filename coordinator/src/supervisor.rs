@@ -88,6 +88,19 @@ impl Cause {
             _ => Self::Crash(status),
         }
     }
+
+    /// What the coordinator ends with if this ends the run: what the child said, where that is about
+    /// the machine or the files, or that a child failed.
+    pub fn exit_code(self) -> ExitCode {
+        let said = match self {
+            Self::Crash(status) => status.code(),
+            Self::Hang | Self::Killed(_) => None,
+        };
+        [ExitCode::BadInput, ExitCode::Environment, ExitCode::RunDirectory]
+            .into_iter()
+            .find(|code| said == Some(*code as i32))
+            .unwrap_or(ExitCode::Child)
+    }
 }
 
 impl std::fmt::Display for Cause {
@@ -149,8 +162,8 @@ pub struct ProcessView {
     pub worker: Option<WorkerId>,
     /// Process id; none while a successor waits for its back-off.
     pub pid: Option<u32>,
-    /// How often its predecessors were replaced.
-    pub incarnation: u32,
+    /// How often it has died and been replaced.
+    pub replaced: u32,
     /// Whether it has been asked to go.
     pub leaving: bool,
 }
@@ -169,10 +182,12 @@ pub struct Supervisor {
     janitor: Janitor,
     learner: Option<Child>,
     learner_hung: bool,
-    learner_incarnation: u32,
+    learner_replaced: u32,
     workers: BTreeMap<WorkerId, WorkerSlot>,
     /// Incarnations that workers will have when they start next; never used twice in a run.
     incarnations: BTreeMap<WorkerId, u32>,
+    /// How often each worker has died and been replaced, and all together.
+    replaced: BTreeMap<WorkerId, u32>,
     restarts: u64,
 }
 
@@ -224,9 +239,10 @@ impl Supervisor {
             janitor,
             learner: None,
             learner_hung: false,
-            learner_incarnation: 0,
+            learner_replaced: 0,
             workers: BTreeMap::new(),
             incarnations: BTreeMap::new(),
+            replaced: BTreeMap::new(),
             restarts: 0,
         })
     }
@@ -256,7 +272,6 @@ impl Supervisor {
             command.env(variable, value);
         }
         self.learner_hung = false;
-        self.learner_incarnation += 1;
         self.learner = Some(self.spawn(command, "learner.log")?);
         Ok(())
     }
@@ -356,6 +371,7 @@ impl Supervisor {
         let mut deaths = Vec::new();
         if let Some(status) = self.learner.as_mut().and_then(|child| child.try_wait().ok()?) {
             self.learner = None;
+            self.learner_replaced += 1;
             deaths.push(Death::Learner(Cause::of(status, self.learner_hung)));
         }
         let now = Instant::now();
@@ -411,6 +427,7 @@ impl Supervisor {
             self.start_worker(worker, deaths)?;
             if deaths.total() > 0 {
                 self.restarts += 1;
+                *self.replaced.entry(worker).or_default() += 1;
                 replaced.push(worker);
             }
         }
@@ -489,7 +506,7 @@ impl Supervisor {
         let learner = ProcessView {
             worker: None,
             pid: self.learner.as_ref().map(Child::id),
-            incarnation: self.learner_incarnation.saturating_sub(1),
+            replaced: self.learner_replaced,
             leaving: false,
         };
         let workers = self.workers.iter().map(|(&worker, slot)| {
@@ -498,7 +515,8 @@ impl Supervisor {
                 WorkerState::Leaving { child, .. } => (Some(child.id()), true),
                 WorkerState::Due { .. } => (None, false),
             };
-            ProcessView { worker: Some(worker), pid, incarnation: slot.incarnation, leaving }
+            let replaced = self.replaced.get(&worker).copied().unwrap_or(0);
+            ProcessView { worker: Some(worker), pid, replaced, leaving }
         });
         std::iter::once(learner).chain(workers).collect()
     }

@@ -30,7 +30,6 @@ fn configurations_that_cannot_be() {
     train(at, &["--set=algorithm.gama=0.9"], 3, &["algorithm.gama", "did you mean `gamma`"]);
     train(at, &["--set=algorithm.gamma=high"], 3, &["algorithm.gamma", "float"]);
     train(at, &["--set=algorithm.gamma=1.5"], 3, &["algorithm.gamma", "0 to 1"]);
-    train(at, &["--workers=0"], 3, &["workers", "0"]);
     train(at, &["--set=env.n_shards=32"], 3, &["env.n_shards", "divides"]);
     train(at, &["--set=env.substep=0.03"], 3, &["env.substep", "control period"]);
     train(at, &["--device=tpu"], 3, &["tpu", "cuda:0"]);
@@ -40,6 +39,39 @@ fn configurations_that_cannot_be() {
     let flag = format!("--config={}", file.display());
     train(at, &[&flag], 3, &["my.toml", "network.hiden", "did you mean `hidden`"]);
     assert!(!at.join("run").exists(), "a refused run leaves no directory");
+}
+
+/// Whatever a value is wrong with, the message says what is wanted, in words.
+#[test]
+fn values_that_are_none() {
+    let run = "/no/such/run";
+    let seed = "from 0 to 9,223,372,036,854,775,807";
+    for (args, wanted) in [
+        (&["train", "--workers", "0"][..], "1 to 256, or `auto`"),
+        (&["train", "--workers", "xx"], "1 to 256, or `auto`"),
+        (&["resume", run, "--workers", "-1"], "1 to 256, or `auto`"),
+        (&["train", "--seed", "-1"], seed),
+        (&["train", "--iterations", "-1"], "1 or more"),
+        (&["train", "--time-limit", "-3"], "such as 90s"),
+        (&["train", "--envs", "many"], "1 or more"),
+        (&["train", "--overlap", "2"], "0 or 1"),
+        (
+            &["train", "--set", "env.n_envs"],
+            "'env.n_envs' for '--set <KEY=VALUE>': wants KEY=VALUE",
+        ),
+        (&["train", "--listen", "foo"], "127.0.0.1:8270, or `off`"),
+        (&["serve", "--store", run, "--listen", "localhost:0"], "127.0.0.1:8270"),
+        (&["scale", run, "many"], "or `auto`"),
+        (&["scale", run, "-1"], "or `auto`"),
+        (&["eval", run, "--episodes", "0"], "from 1 to 1,000,000"),
+        (&["eval", run, "--seed", "-1"], "0 or more"),
+        (&["verify", run, "--replay", "abc"], "0 or more"),
+        (&["checkpoints", "prune", run, "--keep-latest", "0"], "from 1 to"),
+        (&["simulate", "--robot=paper", "--actions=-", "--out=-", "--substep", "x"], "seconds"),
+    ] {
+        refused(args, 2, &["invalid value", "wants", wanted]);
+    }
+    refused(&["scale", run, "auto"], 5, &["no run is going on"]);
 }
 
 #[test]
@@ -67,7 +99,13 @@ fn a_second_run_in_the_same_directory() {
     let mut run = Run::train(&["--iterations=100000"]);
     run.wait_for_iterations(6);
     let path = run.path();
-    refused(&["resume", path.to_str().expect("UTF-8")], 5, &["a run is going on"]);
+    let path = path.to_str().expect("UTF-8");
+    let advice = format!("stop it first; `octopus status {path}`");
+    refused(&["resume", path], 5, &["a run is going on", &advice]);
+    // Its room is said by the run, and why it is no larger.
+    for workers in ["0", "100"] {
+        refused(&["scale", path, workers], 2, &[workers, "1 to 16", "when it started"]);
+    }
     run.signal(rustix::process::Signal::INT);
     run.succeed();
 }
@@ -88,7 +126,9 @@ fn a_checkpoint_truncated_or_edited_by_hand() {
     // The run as a whole falls back to the checkpoint before, loudly.
     let output = octopus(&["eval", path.to_str().expect("UTF-8"), "--episodes=1", "--steps=2"]);
     assert!(output.status.success(), "{}", stderr(&output));
-    assert!(stderr(&output).contains("damaged"), "{}", stderr(&output));
+    let warning = stderr(&output);
+    assert!(warning.starts_with("error: damaged checkpoint, taking the one before: "), "{warning}");
+    assert!(warning.contains("state.safetensors") && warning.lines().count() == 1, "{warning}");
 
     let mut edited = bytes.clone();
     let last = edited.len() - 1;
@@ -140,4 +180,23 @@ fn robots_that_cannot_be() {
     check(&format!("{good}\ncolour = \"red\"\n"), &["robot.toml", "colour"]);
     check("name = 3", &["robot.toml"]);
     check("", &["robot.toml"]);
+}
+
+#[test]
+fn what_a_finished_run_cannot_do_is_said_before_anything_else() {
+    let mut run = Run::train(&["--iterations=7", "--overlap=0"]);
+    run.succeed();
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    refused(&["rollout", path, "--address=9/5/1"], 2, &["9/5/1", "the run's seed is 7, not 9"]);
+    refused(&["rollout", path, "--address=7/5/77"], 2, &["no shard 77", "4 shards"]);
+    let words = ["iteration 3", "version 3, was not kept", "only iteration 5 can be made"];
+    refused(&["rollout", path, "--address=7/3/1"], 5, &words);
+    let output = octopus(&["rollout", path, "--address=7/5/1"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    // A smaller budget changes nothing, and is not said to.
+    let output = octopus(&["resume", path, "--iterations=3"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let note = "note: nothing to do: 7 iterations are done, 3 wanted; ";
+    assert!(stderr(&output).starts_with(note), "{}", stderr(&output));
 }

@@ -218,6 +218,10 @@ fn a_checkpoint_travels_as_one_file() {
     text(&["export", &format!("{dir}:6"), "--out", &archive]);
     let piped = checkpoints(&["export", &format!("{dir}:6"), "--out", "-"], 0).stdout;
     assert_eq!(std::fs::read(&archive).expect("read"), piped, "the same bytes each time");
+    let again = ["export", &format!("{dir}:2"), "--out", &archive];
+    refused(&again, 5, &["is there already", "--force"]);
+    assert_eq!(std::fs::read(&archive).expect("read"), piped);
+    text(&["export", &format!("{dir}:6"), "--out", &archive, "--force"]);
     let script = "import sys, tarfile\n\
                   for m in tarfile.open(sys.argv[1]): print(m.name, m.isreg(), m.mtime, oct(m.mode))";
     let listed = ask_python(script, &[&archive]);
@@ -247,8 +251,9 @@ fn a_checkpoint_travels_as_one_file() {
     let untouched = at("untouched");
     let copied = Command::new("cp").args(["-r", &dir, &untouched]).status().expect("cp starts");
     assert!(copied.success());
-    text(&["delete", &format!("{dir}:6")]);
-    text(&["delete", &format!("{dir}:4")]);
+    refused(&["delete", &format!("{dir}:latest")], 5, &["newest whole", "resume", "--force"]);
+    text(&["delete", &format!("{dir}:6"), "--force"]);
+    text(&["delete", &format!("{dir}:4"), "--force"]);
     let mut import = Command::new(program("octopus"))
         .args(["checkpoints", "import", "-", "--store", &dir])
         .stdin(Stdio::piped())
@@ -290,8 +295,7 @@ fn damaged_archives_are_bad_input_and_nothing_of_them_stays() {
     flip(Path::new(&broken));
     refused(&["import", &broken, "--store", &shared], 3, &["BLAKE3"]);
     refused(&["import", &at("none.tar"), "--store", &shared], 3, &["none.tar"]);
-    assert_eq!(names(&shared), [""; 0]);
-    assert_eq!(temporary(Path::new(&shared)), Vec::<PathBuf>::new());
+    assert!(!Path::new(&shared).exists());
 }
 
 #[test]
@@ -313,7 +317,7 @@ fn what_means_something_else_or_is_of_another_run_is_not_taken_in() {
     for iteration in [2, 4, 6] {
         let import = ["import", &archive, "--store", &dir];
         refused(&import, 3, &["of another run", "another name"]);
-        text(&["delete", &format!("{dir}:{iteration}")]);
+        text(&["delete", &format!("{dir}:{iteration}"), "--force"]);
     }
     refused(&["import", &archive, "--store", &dir], 3, &["of another run", "another name"]);
     text(&["import", &archive, "--store", &dir, "--name", "foreign"]);
@@ -473,7 +477,11 @@ fn damage_is_found_named_and_stepped_over() {
     let at = |iteration: u64, file: &str| {
         Path::new(&dir).join(format!("checkpoints/iteration-{iteration:08}/{file}"))
     };
+    assert!(text(&["show", &dir]).contains("files       whole"));
     flip(&at(6, "state.safetensors"));
+    let shown = checkpoints(&["show", &format!("{dir}:6"), "--json"], 5);
+    let shown: Value = serde_json::from_slice(&shown.stdout).expect("JSON");
+    assert_eq!(shown["problems"].as_array().map(Vec::len), Some(1), "{shown}");
     refused(&["verify", &format!("{dir}:6")], 5, &["the checkpoint is damaged"]);
     let found = checkpoints(&["verify", &dir, "--json"], 5);
     let found: Value = serde_json::from_slice(&found.stdout).expect("JSON");
@@ -504,7 +512,8 @@ fn damage_is_found_named_and_stepped_over() {
     text(&["unpin", &format!("{dir}:2")]);
     text(&["delete", &format!("{dir}:4")]);
     text(&["verify", &format!("{dir}:2")]);
-    text(&["delete", &format!("{dir}:2")]);
+    refused(&["delete", &format!("{dir}:2")], 5, &["newest whole", "--force"]);
+    text(&["delete", &format!("{dir}:2"), "--force"]);
     let output = octopus(&["eval", &dir]);
     assert_eq!(output.status.code(), Some(5), "all are damaged: {}", stderr(&output));
 }
@@ -523,6 +532,19 @@ fn what_does_not_exist_is_answered_with_what_does() {
     refused(&["list", &format!("{dir}/none")], 5, &["does not exist"]);
     refused(&["list", &format!("{dir}/config.toml")], 5, &["is no directory"]);
     refused(&["verify", &format!("{dir}/logs")], 5, &["no checkpoint"]);
+    assert!(text(&["list", &format!("{dir}/logs")]).contains("no checkpoints"));
+    assert!(!Path::new(&dir).join("logs/.lock").exists());
+    let own = format!("{dir}/checkpoints/iteration-00000006");
+    refused(&["list", &own], 5, &["is a checkpoint", "checkpoints show"]);
+    assert!(!Path::new(&own).join(".lock").exists());
+    let above = Path::new(&dir).parent().expect("it has one").to_str().expect("UTF-8");
+    assert!(text(&["list", above]).contains("no checkpoints in"));
+    refused(
+        &["compose", "--arm", &format!("1,2,3,4={dir}"), "--out", "mixed"],
+        2,
+        &["STORE/NAME", "./mixed"],
+    );
+    refused(&["prune", &dir, "--keep-every", "0"], 2, &["keep-every"]);
     refused(&["prune", &dir, "--keep-latest", "0"], 2, &["keep-latest"]);
     let output = octopus(&["eval", &format!("{dir}:7")]);
     assert_eq!(output.status.code(), Some(5));

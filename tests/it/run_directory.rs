@@ -1,5 +1,7 @@
 //! What a run leaves in its directory, read with the tools that a user would take.
 
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -255,6 +257,7 @@ fn a_run_that_wants_a_token_says_so_to_who_asks_without() {
     let file = |name: &str, token: &str| {
         let path = dir.path().join(name);
         std::fs::write(&path, token).expect("writable");
+        std::fs::set_permissions(&path, Permissions::from_mode(0o600)).expect("ours");
         path.to_str().expect("UTF-8").to_owned()
     };
     let token = file("token.txt", "correct-horse-battery");
@@ -268,7 +271,11 @@ fn a_run_that_wants_a_token_says_so_to_who_asks_without() {
         let answer = serde_json::from_slice::<serde_json::Value>(&output.stdout);
         (output.status.code(), answer.unwrap_or_default(), stderr(&output))
     };
-    for more in [&[][..], &["--token-file", &wrong]] {
+    let refusals = [
+        (&[][..], "the run asks for a token"),
+        (&["--token-file", &wrong], "wrong.txt: the token"),
+    ];
+    for (more, which) in refusals {
         let args = [&["status", path, "--json"], more].concat();
         let (code, status, message) = ask(&args);
         assert_eq!((code, &status["state"]), (Some(0), &"running".into()), "{message}");
@@ -278,7 +285,7 @@ fn a_run_that_wants_a_token_says_so_to_who_asks_without() {
         let args = [&["scale", path, "1"], more].concat();
         let (code, _, message) = ask(&args);
         assert_eq!(code, Some(2), "{message}");
-        assert!(message.contains("--token-file"), "{message}");
+        assert!(message.contains("--token-file") && message.contains(which), "{message}");
     }
     let (code, status, message) = ask(&["status", path, "--json", "--token-file", &token]);
     assert_eq!((code, message.as_str()), (Some(0), ""));

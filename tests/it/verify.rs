@@ -102,6 +102,8 @@ fn two_runs_that_differ_in_harmless_keys_are_the_same() {
 fn two_runs_of_other_seeds_part_at_once_and_it_says_why() {
     let a = finished(&["--iterations=4"]);
     let b = finished(&["--iterations=2", "--set=run.seed=8"]);
+    let output = octopus(&["verify", &shown(&a), &shown(&b)]);
+    assert_eq!((output.status.code(), stderr(&output).as_str()), (Some(1), ""), "it is an answer");
     let result = verify(&[&shown(&a), &shown(&b)], 1);
     assert_eq!(result["parting"]["iteration"], 0);
     assert_eq!(result["only_in_one"], serde_json::json!([2, 0]));

@@ -17,7 +17,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use proto::config::Config;
 use proto::run_dir::RunDir;
@@ -69,7 +69,9 @@ impl CheckpointStore {
         let (inner, manifest) = unpack(&self.disk, reader, &scratch)?;
         let found = verify::examine(scratch.path());
         if let Some(problem) = found.problems.first() {
-            return Err(CheckpointError::archive(problem.clone()));
+            // The directory's name says nothing to anybody.
+            let inside = format!("{}/", scratch.path().display());
+            return Err(CheckpointError::archive(problem.replace(&inside, "")));
         }
         let name = name.unwrap_or(inner);
         let imported = name.iteration().is_some();
@@ -102,13 +104,15 @@ impl CheckpointStore {
         // A damaged one cannot say what run it is of.
         others.retain(|other| small_files(other).is_ok());
         let run = self.run();
-        for other in run.iter().map(RunDir::path).chain(others.last().map(PathBuf::as_path)) {
+        let newest = others.last().map(|dir| (dir.as_path(), "its newest checkpoint"));
+        for (other, what) in
+            run.iter().map(|run| (run.path(), "the one of this store")).chain(newest)
+        {
             // Of the run itself that must not be unknown.
             let (its_config, its_robot) = small_files(other)?;
             if !(same_run(&config, &its_config) && robot == its_robot) {
                 return refuse(format!(
-                    "`{name}` is of another run than {}: robot, configuration or seed differ",
-                    other.display()
+                    "`{name}` is of another run than {what}: robot, configuration or seed differ"
                 ));
             }
         }
@@ -116,7 +120,7 @@ impl CheckpointStore {
     }
 
     /// The run that this store belongs to, if it belongs to one.
-    fn run(&self) -> Option<RunDir> {
+    pub(super) fn run(&self) -> Option<RunDir> {
         // A store may be named by a relative path, or through a link.
         let root = self.root.canonicalize().ok()?;
         let run = RunDir::new(root.parent()?);

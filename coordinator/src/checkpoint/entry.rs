@@ -108,6 +108,11 @@ pub struct Survey {
 }
 
 impl Survey {
+    /// Whether nothing is there, not even a damaged checkpoint.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty() && self.damaged.is_empty()
+    }
+
     /// Looks at every directory in `root`; one that vanishes meanwhile is left out.
     pub(super) fn of(root: &Path) -> Result<Self, CheckpointError> {
         let mut survey = Self::default();

@@ -10,6 +10,17 @@ use super::name::{Name, NameError};
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CheckpointError {
+    /// There is none of this name.
+    #[error(
+        "{root}: has no checkpoint `{name}`; `octopus checkpoints list` shows what it has",
+        root = root.display()
+    )]
+    Absent {
+        /// The store.
+        root: PathBuf,
+        /// The name.
+        name: Name,
+    },
     /// There is none.
     #[error("{path}: {what}", path = path.display())]
     NotFound {
@@ -59,6 +70,18 @@ pub enum CheckpointError {
         /// The checkpoint.
         path: PathBuf,
     },
+    /// It is the one from which its run goes on, so it is not removed.
+    #[error(
+        "{path}: {reason}",
+        path = path.display(),
+        reason = newest(*live, "--force removes it all the same")
+    )]
+    Newest {
+        /// The checkpoint.
+        path: PathBuf,
+        /// Whether the run is going on.
+        live: bool,
+    },
     /// What was asked for cannot be; nothing was changed.
     #[error("{reason}")]
     Refused {
@@ -95,20 +118,25 @@ impl CheckpointError {
     }
 
     pub(super) fn absent(root: &Path, name: &Name) -> Self {
-        Self::NotFound {
-            path: root.to_owned(),
-            what: format!(
-                "has no checkpoint `{name}`; `octopus checkpoints list` shows what it has"
-            ),
-        }
+        Self::Absent { root: root.to_owned(), name: name.clone() }
     }
 
     /// Whether the file that could not be read does not exist.
     pub(super) fn is_absence(&self) -> bool {
         match self {
-            Self::NotFound { .. } => true,
+            Self::Absent { .. } | Self::NotFound { .. } => true,
             Self::Io { source, .. } => source.kind() == std::io::ErrorKind::NotFound,
             _ => false,
         }
+    }
+}
+
+/// Why the newest whole checkpoint of a run stays; `cure` is what to do while nobody needs it.
+pub(crate) fn newest(live: bool, cure: &str) -> String {
+    let is = "is the newest whole checkpoint of its run";
+    if live {
+        format!("{is}, which is going on and falls back to it; stop the run first")
+    } else {
+        format!("{is}, from which `octopus resume` goes on; {cure}")
     }
 }

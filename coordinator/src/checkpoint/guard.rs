@@ -11,7 +11,7 @@ use rustix::io::retry_on_intr;
 use super::CheckpointError;
 use super::disk::Disk;
 use super::labels::Labels;
-use super::opening::is_directory;
+use super::opening::{Stamp, is_directory};
 
 /// Name of the file that is locked.
 const LOCK: &str = ".lock";
@@ -47,9 +47,13 @@ impl Guard {
         }
         let path = root.join(LOCK);
         let file = disk.step("lock", &path, || {
-            let file = File::options().write(true).create(true).truncate(false).open(&path)?;
-            retry_on_intr(|| flock(&file, FlockOperation::LockExclusive))?;
-            Ok(file)
+            loop {
+                let file = File::options().write(true).create(true).truncate(false).open(&path)?;
+                retry_on_intr(|| flock(&file, FlockOperation::LockExclusive))?;
+                if is_at(&file, &path) {
+                    return Ok(file);
+                }
+            }
         })?;
         Ok(Self { _file: file })
     }
@@ -59,8 +63,48 @@ impl Guard {
         let path = root.join(LOCK);
         let file = File::options().write(true).create(true).truncate(false).open(path).ok()?;
         flock(&file, FlockOperation::NonBlockingLockExclusive).ok()?;
-        Some(Self { _file: file })
+        is_at(&file, &root.join(LOCK)).then_some(Self { _file: file })
     }
+
+    /// Whether anybody has ever changed the store in `root`.
+    pub(super) fn was_taken(root: &Path) -> bool {
+        root.join(LOCK).exists()
+    }
+}
+
+/// Whether `path` still names the open file: the lock of a store that was not to be is [removed](tidy).
+fn is_at(file: &File, path: &Path) -> bool {
+    let open = file.metadata().map(|there| Stamp::of(&there).identity());
+    let there = path.metadata().map(|there| Stamp::of(&there).identity());
+    matches!((open, there), (Ok(open), Ok(there)) if open == there)
+}
+
+/// Removes the lock from a store that holds nothing else, and then the directories in `made`, the
+/// innermost first. Somebody who is about to use them finds them again or makes them anew.
+fn tidy(disk: &Disk, root: &Path, made: &[PathBuf]) {
+    let empty = || {
+        let names = fs::read_dir(root).into_iter().flatten().flatten();
+        names.map(|entry| entry.file_name()).all(|name| name == LOCK)
+    };
+    let lock = root.join(LOCK);
+    if !empty() || !lock.exists() {
+        return;
+    }
+    // Whoever holds it uses the store.
+    let Some(_guard) = Guard::try_acquire(root) else { return };
+    if empty() && disk.remove_file(&lock).is_ok() {
+        for dir in made {
+            if disk.step("remove", dir, || fs::remove_dir(dir)).is_err() {
+                return;
+            }
+        }
+    }
+}
+
+/// The directories that must be made for `path` to be one, the innermost first.
+fn missing(path: &Path) -> Vec<PathBuf> {
+    let named = path.ancestors().filter(|dir| !dir.as_os_str().is_empty());
+    named.take_while(|dir| !dir.exists()).map(Path::to_owned).collect()
 }
 
 /// A directory that is being written, inside the store but invisible to readers.
@@ -70,7 +114,10 @@ impl Guard {
 #[derive(Debug)]
 pub(super) struct Scratch<'a> {
     disk: &'a Disk,
+    root: PathBuf,
     path: PathBuf,
+    /// What was made for it, and goes with it.
+    made: Vec<PathBuf>,
     published: bool,
     _hold: File,
 }
@@ -78,6 +125,7 @@ pub(super) struct Scratch<'a> {
 impl<'a> Scratch<'a> {
     /// Makes one.
     pub(super) fn new(disk: &'a Disk, root: &Path, label: &str) -> Result<Self, CheckpointError> {
+        let made = missing(root);
         // Without the guard a sweep could come between making and locking it.
         let _guard = Guard::acquire(disk, root)?;
         let path = unique(root, WRITING, label);
@@ -88,7 +136,10 @@ impl<'a> Scratch<'a> {
             Ok(hold)
         });
         match hold {
-            Ok(hold) => Ok(Self { disk, path, published: false, _hold: hold }),
+            Ok(hold) => {
+                let root = root.to_owned();
+                Ok(Self { disk, root, path, made, published: false, _hold: hold })
+            }
             Err(error) => {
                 let _ = disk.remove_dir(&path);
                 Err(error)
@@ -120,6 +171,7 @@ impl Drop for Scratch<'_> {
         if !self.published {
             // The error that led here is the one to report; a sweep takes what stays.
             let _ = self.disk.remove_dir(&self.path);
+            tidy(self.disk, &self.root, &self.made);
         }
     }
 }

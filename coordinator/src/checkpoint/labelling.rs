@@ -44,6 +44,7 @@ impl CheckpointStore {
             let reason = format!("the tag `{tag}` would look like an iteration; choose another");
             return Err(CheckpointError::refused(reason));
         }
+        self.existing(name)?;
         let guard = self.guard()?;
         let survey = self.survey()?;
         if tag.iteration().is_some() || self.existing(&tag).is_ok() {
@@ -78,7 +79,8 @@ impl CheckpointStore {
             let before = labels.tags.len();
             labels.tags.retain(|there| *there != tag);
             if labels.tags.len() == before {
-                return Err(CheckpointError::refused(format!("`{name}` has no tag `{tag}`")));
+                let what = format!("`{name}` has no tag `{tag}`");
+                return Err(CheckpointError::NotFound { path: self.root.clone(), what });
             }
             Ok(())
         })
@@ -142,6 +144,8 @@ impl CheckpointStore {
         name: &Name,
         change: impl FnOnce(&mut Labels) -> Result<(), CheckpointError>,
     ) -> Result<(), CheckpointError> {
+        // Where there is none, not even a lock is made.
+        self.existing(name)?;
         let guard = self.guard()?;
         self.edit_held(&guard, name, change)?;
         self.finish(&guard, &[name]);

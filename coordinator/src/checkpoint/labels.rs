@@ -66,7 +66,7 @@ pub struct Labels {
     pub milestone: bool,
     /// It has come from outside under a name of the run's own. Retention neither counts it, or an
     /// upload could crowd out what the run has made, nor removes it.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default)]
     pub imported: bool,
 }
 

@@ -61,13 +61,14 @@ pub use compare::{Difference, KeyDifference, TensorDifference, compare};
 pub use compose::{Composition, Part};
 pub use entry::{DamagedEntry, Entry, Kind, Survey};
 pub use error::CheckpointError;
+pub(crate) use error::newest;
 pub use labelling::{BEST, LATEST};
 pub use labels::{LABELS, Labels, MAX_TAGS, Score};
 pub use manifest::{FileEntry, Manifest, Origin};
 pub use name::{ITERATION, Name, NameError};
 pub use read::{Checkpoint, read_policy};
 pub use retention::Retention;
-pub use selector::{Selector, store_at, store_to_be};
+pub use selector::{Selector, runs_in, store_at, store_to_be};
 pub use store::{CheckpointStore, Placement};
 pub use verify::Verification;
 

@@ -62,6 +62,11 @@ pub(super) struct Stamp {
 }
 
 impl Stamp {
+    /// What makes it this file and no other.
+    pub(super) fn identity(&self) -> (u64, u64) {
+        (self.device, self.inode)
+    }
+
     /// The stamp of one file.
     pub(super) fn of(there: &Metadata) -> Self {
         Self {

@@ -9,8 +9,9 @@ use super::guard::{Guard, REMOVED, sweep, unique};
 use super::labelling::BEST;
 use super::labels::Labels;
 use super::name::Name;
-use super::read::looks_whole;
+use super::read::{self, looks_whole};
 use super::store::CheckpointStore;
+use crate::lock::RunLock;
 
 /// Which of the run's own checkpoints stay. Pinned ones, milestones and tagged ones always do, and
 /// so do all that are not the run's own: imported and composed ones, whatever their name, are for
@@ -29,6 +30,9 @@ impl CheckpointStore {
     /// Removes the run's own checkpoints that `retention` does not keep, and what killed processes
     /// have left; returns the names of the former.
     pub fn retain(&self, retention: &Retention) -> Result<Vec<Name>, CheckpointError> {
+        if !Guard::was_taken(&self.root) && self.survey()?.is_empty() {
+            return Ok(Vec::new());
+        }
         let guard = self.guard()?;
         let doomed = doomed(&self.survey()?, retention);
         for name in &doomed {
@@ -49,23 +53,56 @@ impl CheckpointStore {
         Ok(doomed(&self.survey()?, retention))
     }
 
-    /// Removes a checkpoint, damaged or not; refuses a pinned one.
+    /// Removes a checkpoint, damaged or not; refuses a pinned one, and the one from which the run
+    /// goes on.
     pub fn delete(&self, name: &Name) -> Result<(), CheckpointError> {
+        self.remove(name, false)
+    }
+
+    /// Like [`Self::delete`], also the one from which the run would go on, unless it is going on.
+    pub fn delete_even_newest(&self, name: &Name) -> Result<(), CheckpointError> {
+        self.remove(name, true)
+    }
+
+    fn remove(&self, name: &Name, even_newest: bool) -> Result<(), CheckpointError> {
+        let dir = self.existing(name)?;
+        // Before the guard is taken, because it hashes. Whatever comes meanwhile is newer, and what
+        // goes meanwhile was not the newest.
+        let mut needed = None;
+        if let Some(run) = self.run()
+            && self.newest_own()?.as_ref() == Some(name)
+        {
+            let live = RunLock::holder(&run.lock()).is_some();
+            needed =
+                (live || !even_newest).then(|| CheckpointError::Newest { path: dir.clone(), live });
+        }
         let guard = self.guard()?;
         let survey = self.survey()?;
         let known = survey.entries.iter().map(|entry| &entry.name);
         if !known.chain(survey.damaged.iter().map(|entry| &entry.name)).any(|there| there == name) {
             return Err(CheckpointError::absent(&self.root, name));
         }
-        let dir = self.dir(name);
         if Labels::read(&dir).pinned {
             return Err(CheckpointError::Pinned { path: dir });
+        }
+        if let Some(error) = needed {
+            return Err(error);
         }
         let away = self.put_away(&guard, name)?;
         self.disk.sync_dir(&self.root)?;
         self.finish(&guard, &[name]);
         drop(guard);
         self.disk.remove_dir(&away)
+    }
+
+    /// The newest whole one that the run has made itself; where it has none, that it was given.
+    fn newest_own(&self) -> Result<Option<Name>, CheckpointError> {
+        let mut own = self.survey()?.entries;
+        own.retain(|entry| entry.name.iteration().is_some() && entry.kind == Kind::Training);
+        own.reverse();
+        // A stable sort: what was imported comes last, and the newest first among equals.
+        own.sort_by_key(|entry| entry.labels.imported);
+        Ok(own.into_iter().find(|entry| read::load(&entry.dir).is_ok()).map(|entry| entry.name))
     }
 
     /// Makes a checkpoint vanish at once: removing its files takes many steps, a rename one.

@@ -132,7 +132,7 @@ impl fmt::Display for Selector {
 
 /// The store that `path` means: that of a run directory, or the directory itself.
 pub fn store_at(path: &Path) -> Result<CheckpointStore, CheckpointError> {
-    let store = store_to_be(path);
+    let store = store_to_be(path)?;
     if store.root().is_dir() || path.is_dir() {
         return Ok(store);
     }
@@ -141,11 +141,27 @@ pub fn store_at(path: &Path) -> Result<CheckpointStore, CheckpointError> {
     Err(CheckpointError::NotFound { path: path.to_owned(), what })
 }
 
-/// Like [`store_at`], for a store that need not exist yet.
-pub fn store_to_be(path: &Path) -> CheckpointStore {
+/// Like [`store_at`], for a store that need not exist yet. A checkpoint's own directory is none.
+pub fn store_to_be(path: &Path) -> Result<CheckpointStore, CheckpointError> {
+    if path.join(MANIFEST).exists() {
+        let what = format!(
+            "is a checkpoint, not a directory of them; `octopus checkpoints show {}` shows it",
+            path.display()
+        );
+        return Err(CheckpointError::NotFound { path: path.to_owned(), what });
+    }
     let run = RunDir::new(path);
-    let is_run = run.config().is_file() && !path.join(MANIFEST).exists();
-    CheckpointStore::new(if is_run { run.checkpoints() } else { path.to_owned() })
+    let is_run = run.config().is_file();
+    Ok(CheckpointStore::new(if is_run { run.checkpoints() } else { path.to_owned() }))
+}
+
+/// How many run directories lie in `path`.
+pub fn runs_in(path: &Path) -> usize {
+    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+    entries
+        .map(|entry| entry.path())
+        .filter(|path| RunDir::new(path).config().is_file() && !path.join(MANIFEST).exists())
+        .count()
 }
 
 /// Name of the newest checkpoint from which training can go on.
@@ -160,6 +176,9 @@ fn explain(store: &CheckpointStore, error: CheckpointError) -> CheckpointError {
     match error {
         CheckpointError::NotFound { path, .. } => {
             let what = match inventory(store).as_str() {
+                "" if runs_in(&path) > 0 => {
+                    "holds runs, not checkpoints; name one of them".to_owned()
+                }
                 "" => "holds no checkpoint; `octopus status` lists the runs".to_owned(),
                 inventory => format!("holds no checkpoint of a run's own; it has {inventory}"),
             };

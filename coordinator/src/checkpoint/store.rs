@@ -388,9 +388,10 @@ impl CheckpointStore {
 
     /// Brings the catalogue up to date if it is not and nobody is changing the store meanwhile.
     pub fn heal_catalogue(&self) {
-        if self.root.is_dir()
-            && let Some(guard) = Guard::try_acquire(&self.root)
-        {
+        // Where there is nothing to index, nothing is written.
+        let used = self.root.join(catalogue::CATALOGUE).exists()
+            || self.survey().is_ok_and(|survey| !survey.is_empty());
+        if used && let Some(guard) = Guard::try_acquire(&self.root) {
             self.index(&guard, &[]);
         }
     }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use super::values::whole;
 use crate::checkpoint::{Name, Selector};
 
 const GROUP_EXAMPLES: &str = "\
@@ -27,13 +28,18 @@ Examples:
   octopus checkpoints list runs/trajectory-20260101-120000
   octopus checkpoints list runs/trajectory-20260101-120000 --json | jq '.entries[].name'
 
-The same is in STORE/catalogue.sqlite:
-  select c.name, c.score from checkpoints c join tags t on t.name = c.name where t.tag = 'best';";
+The same is in STORE/catalogue.sqlite, for a run in RUN/checkpoints/catalogue.sqlite:
+  select c.name, c.score from checkpoints c join tags t on t.name = c.name where t.tag = 'best';
+
+Reads manifests and labels only. One whose manifest cannot be read is listed as damaged, and the
+command still exits with 0; `verify` and `show` look at all files and exit with 5 then.";
 
 const SHOW_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints show runs/trajectory-20260101-120000:best
-  octopus checkpoints show runs/trajectory-20260101-120000:50 --json | jq .manifest.provenance";
+  octopus checkpoints show runs/trajectory-20260101-120000:50 --json | jq .manifest.provenance
+
+Checks the files as `verify` does, and exits with 5 if anything is wrong.";
 
 const VERIFY_EXAMPLES: &str = "\
 Examples:
@@ -81,15 +87,18 @@ Examples:
   octopus checkpoints rebuild runs/trajectory-20260101-120000
   octopus checkpoints rebuild shared --json
 
-Makes STORE/catalogue.sqlite from the manifests and labels and puts the tag `best` where the scores
-say. Commands do so by themselves; this is for files that were copied or deleted by hand.";
+Makes STORE/catalogue.sqlite, for a run RUN/checkpoints/catalogue.sqlite, from the manifests and
+labels and puts the tag `best` where the scores say. Commands do so by themselves; this is for files
+that were copied or deleted by hand.";
 
 const DELETE_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints delete runs/trajectory-20260101-120000:50
   octopus checkpoints delete shared/mixed
 
-A pinned checkpoint is not removed; `unpin` lets it go. `prune` removes several at once.";
+A pinned checkpoint is not removed; `unpin` lets it go. Nor is the newest whole one of a run, from
+which the run goes on after a failure and `octopus resume` after its end; --force removes it, but
+never while the run is going on. `prune` removes several at once.";
 
 const EXPORT_EXAMPLES: &str = "\
 Examples:
@@ -259,11 +268,11 @@ pub struct PruneArgs {
     #[arg(value_name = "STORE")]
     pub store: PathBuf,
     /// How many of the newest stay.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 3, allow_negative_numbers = true, value_parser = whole::<u32>(1, 1_000_000_000))]
     pub keep_latest: u32,
     /// Those whose iteration is a multiple of this stay too.
-    #[arg(long, value_name = "K", default_value_t = 0, hide_default_value = true)]
-    pub keep_every: u64,
+    #[arg(long, value_name = "K", allow_negative_numbers = true, value_parser = whole::<u64>(1, u64::MAX))]
+    pub keep_every: Option<u64>,
     /// Only say what would be removed.
     #[arg(long)]
     pub dry_run: bool,
@@ -312,6 +321,9 @@ pub struct ExportArgs {
     /// The archive; `-` writes standard output.
     #[arg(long, value_name = "FILE.tar")]
     pub out: PathBuf,
+    /// Write over a file that is there already.
+    #[arg(long)]
+    pub force: bool,
     /// Print what was exported as JSON, unless the archive goes to standard output.
     #[arg(long)]
     pub json: bool,
@@ -339,6 +351,9 @@ pub struct DeleteArgs {
     /// The checkpoint, as RUN:WHICH or a checkpoint's directory.
     #[arg(value_name = "CHECKPOINT")]
     pub checkpoint: Selector,
+    /// Remove even the newest whole one of a run, unless the run is going on.
+    #[arg(long)]
+    pub force: bool,
     /// Print as JSON.
     #[arg(long)]
     pub json: bool,

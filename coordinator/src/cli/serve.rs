@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::values::{address, positive, workers_wanted};
+
 const SERVE_EXAMPLES: &str = "\
 Examples:
   octopus serve --store checkpoints --create
@@ -22,11 +24,13 @@ trust, put a proxy with TLS in front. Ctrl-C ends the service.";
 const SCALE_EXAMPLES: &str = "\
 Examples:
   octopus scale runs/trajectory-20260101-120000 8
+  octopus scale runs/trajectory-20260101-120000 auto
   octopus scale runs/trajectory-20260101-120000 1 --json
   octopus scale runs/trajectory-20260101-120000 4 --token-file token.txt
 
 The number of workers changes nothing that is learned. New workers start at once; surplus ones leave
-after the shards that they have begun.";
+after the shards that they have begun. A run has room for 16 workers, or for twice as many as it was
+started or resumed with if that is more.";
 
 /// Options of `octopus serve`.
 #[derive(Debug, Clone, Args)]
@@ -39,13 +43,13 @@ pub struct ServeArgs {
     #[arg(long)]
     pub create: bool,
     /// Where to listen; port 0 takes a free one.
-    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8270")]
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8270", value_parser = address)]
     pub listen: SocketAddr,
     /// A file with the token that clients must show.
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
     /// Largest archive that may be uploaded.
-    #[arg(long, value_name = "BYTES", default_value_t = 4 << 30, value_parser = super::positive)]
+    #[arg(long, value_name = "BYTES", default_value_t = 4 << 30, allow_negative_numbers = true, value_parser = positive)]
     pub max_upload: u64,
     /// Print the address as JSON.
     #[arg(long)]
@@ -58,9 +62,9 @@ pub struct ServeArgs {
 pub struct ScaleArgs {
     /// The run directory.
     pub run_dir: PathBuf,
-    /// Workers from now on.
-    #[arg(value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub workers: u32,
+    /// Workers from now on, `auto` for one a processor.
+    #[arg(value_name = "N|auto", allow_negative_numbers = true, value_parser = workers_wanted)]
+    pub workers: u64,
     /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args};
 
+use super::values::whole;
+
 /// Both forms of the command, also shown when neither is complete.
 const USAGE: &str = "\
 octopus verify [--json] RUN RUN_B
@@ -46,7 +48,7 @@ pub struct VerifyArgs {
     #[arg(value_name = "RUN_B")]
     pub other: Option<PathBuf>,
     /// Train again through iteration K, counted from 0 as in metrics.jsonl, and compare.
-    #[arg(long, value_name = "K")]
+    #[arg(long, value_name = "K", allow_negative_numbers = true, value_parser = whole::<u64>(0, u64::MAX))]
     pub replay: Option<u64>,
     /// Print the result as JSON.
     #[arg(long)]

@@ -34,7 +34,9 @@ pub fn run(args: CleanArgs) -> anyhow::Result<()> {
     }
     for (domain, removed) in cleaned {
         output::line(&match removed {
-            Some(files) => format!("removed {} ({files} files)", domain.as_str()),
+            Some(files) => {
+                format!("removed {} ({})", domain.as_str(), output::counted(files as u64, "file"))
+            }
             None => format!("would remove {}", domain.as_str()),
         })?;
     }

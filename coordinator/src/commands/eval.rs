@@ -12,6 +12,7 @@ use sim_worker::rollout::World;
 use crate::checkpoint::{Checkpoint, Selector};
 use crate::cli::EvalArgs;
 use crate::output;
+use crate::report::progress::grouped;
 
 /// Evaluates.
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
@@ -30,7 +31,7 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
         "{}\niteration {}, {} env-steps\n\n{}",
         summary.checkpoint.display(),
         summary.iteration,
-        summary.env_steps,
+        grouped(summary.env_steps),
         summary.table()
     ))
 }
@@ -279,15 +280,16 @@ impl Summary {
                 [name, percent(success.goals), percent(success.episodes)]
             }),
         );
+        let episodes = output::counted(self.episodes.len() as u64, "episode");
         format!(
-            "{} episodes of {} steps, seed {}; std and percentiles are those of tail\n{errors}\n\n\
-             {success}\n\ncontact in {} of steps, in {} of {} episodes",
-            self.episodes.len(),
-            self.steps,
+            "{} of {}, seed {}; std and percentiles are those of tail\n{errors}\n\n\
+             {success}\n\ncontact in {} of steps, in {} of {}",
+            episodes,
+            output::counted(self.steps as u64, "step"),
             self.seed,
             percent(self.contact_rate),
             self.episodes_with_contact,
-            self.episodes.len(),
+            episodes,
         )
     }
 }

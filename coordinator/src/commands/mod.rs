@@ -29,6 +29,12 @@ use crate::cli::{Command, JanitorArgs};
 use crate::janitor;
 use crate::lock::LockError;
 
+/// Two things that were compared are not the same. No failure but the answer, which standard output
+/// holds: the program ends with exit code 1 and says no more.
+#[derive(Debug, thiserror::Error)]
+#[error("not the same")]
+pub struct NotTheSame;
+
 /// Does what the command line says.
 pub fn run(command: Command) -> anyhow::Result<()> {
     match command {

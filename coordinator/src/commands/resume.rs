@@ -9,15 +9,15 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
 
-use super::train::{self, Start};
+use super::train::{self, Counter, Start};
 use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore};
 use crate::cli::ResumeArgs;
-use crate::files;
 use crate::lock::RunLock;
 use crate::provenance::Provenance;
 use crate::report;
 use crate::report::promised::Promised;
 use crate::supervisor::Programs;
+use crate::{files, output};
 
 /// Resumes.
 pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
@@ -36,21 +36,23 @@ pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
     }
 
     let (config, overrides) = override_limits(&before, args)?;
-    for change in &overrides {
-        eprintln!("note: {change}");
-    }
     let done = resume.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
     if done >= config.planned_iterations() {
         eprintln!(
-            "note: nothing to do, {done} of {} planned iterations are done; a larger --iterations \
-             or --env-steps goes on",
+            "note: nothing to do: {} {} done, {} wanted; a larger --iterations or --env-steps goes on",
+            output::counted(done, "iteration"),
+            if done == 1 { "is" } else { "are" },
             config.planned_iterations()
         );
         return Ok(());
     }
+    for change in &overrides {
+        eprintln!("note: {change}");
+    }
 
     let programs = Programs::find()?;
     train::check_machine(&config, &robot, &run_dir, &programs)?;
+    let counter = Counter::open(&args.http, &run_dir)?;
     let provenance = Provenance::gather();
     if !overrides.is_empty() {
         files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
@@ -64,9 +66,8 @@ pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
     })?;
     // Another budget is another course of the learning rate.
     let same = config.run.env_steps == before.run.env_steps;
-    let service = Some(args.http.clone());
     let start =
-        Start { run_dir, config, robot, resume, same, programs, domain, provenance, service };
+        Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter };
     train::run_session(start, lock, args.ending)
 }
 
@@ -94,7 +95,7 @@ fn find_start(run_dir: &RunDir) -> anyhow::Result<Option<Checkpoint>> {
     match store.latest_until(recorded) {
         Ok(older) => {
             eprintln!(
-                "WARNING: {lost}; going on from checkpoint {} instead, so that there is no gap",
+                "warning: {lost}; going on from checkpoint {} instead, so that there is no gap",
                 older.manifest.iteration
             );
             // That one's digest is known all the same.

@@ -1,5 +1,6 @@
 //! `octopus rollout`: one block of a run, made again alone.
 
+use std::collections::BTreeSet;
 use std::time::Instant;
 
 use proto::config::Config;
@@ -45,6 +46,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let config = super::read_config(&run_dir)?;
     let robot = Robot::from_toml(&super::read_text(&run_dir.robot())?, &run_dir.robot())?;
     let world = World::new(&config, &robot);
+    check_address(args, &config)?;
     let version = policy_version_for(iteration, config.run.overlap);
     let (found, parameters) = find_policy(args, &run_dir, &config, &world.dimensions, version)?;
     let policy = world
@@ -90,6 +92,31 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     ))
 }
 
+/// Refuses a block that the run never makes. With a policy of one's own, any seed will do.
+fn check_address(args: &RolloutArgs, config: &Config) -> Result<(), ExitError> {
+    let BlockAddress { seed, iteration, shard } = args.address;
+    let refuse = |what: String| {
+        Err(ExitError::new(
+            ExitCode::Usage,
+            format!("--address {seed}/{iteration}/{shard}: {what}"),
+        ))
+    };
+    let n_shards = config.env.n_shards as u64;
+    if u64::from(shard) >= n_shards {
+        return refuse(format!(
+            "there is no shard {shard}: the run has {}, counted from 0",
+            output::counted(n_shards, "shard")
+        ));
+    }
+    if args.policy.is_none() && seed != config.run.seed {
+        let own = config.run.seed;
+        return refuse(format!(
+            "the run's seed is {own}, not {seed}; with --policy any seed can be rolled out"
+        ));
+    }
+    Ok(())
+}
+
 /// Where the policy is, in words, and its parameters.
 fn find_policy(
     args: &RolloutArgs,
@@ -116,18 +143,44 @@ fn find_policy(
     if path.is_file() {
         return Ok((path.display().to_string(), read_policy(&path, &layout)?));
     }
-    let there: Vec<_> = store.entries()?.iter().map(|entry| entry.name.to_string()).collect();
+    let versions = store.entries()?.into_iter().filter_map(|entry| {
+        (entry.name == Name::of_iteration(entry.iteration)).then_some(entry.iteration)
+    });
+    let possible = reproducible(versions, config.run.overlap, config.planned_iterations());
+    let possible: Vec<String> = possible.iter().map(ToString::to_string).collect();
+    let possible = match possible.as_slice() {
+        [] => "no iteration can be made from the checkpoints that there are".to_owned(),
+        [one] => format!("only iteration {one} can be made from the checkpoints that there are"),
+        all => {
+            format!(
+                "from the checkpoints that there are, iterations {} can be made",
+                all.join(", ")
+            )
+        }
+    };
     Err(ExitError::new(
         ExitCode::RunDirectory,
         format!(
-            "{}: the policy that iteration {} acted with, version {version}, was not kept; there \
-             are {}; --policy names another one",
+            "{}: the policy that iteration {} acted with, version {version}, was not kept; \
+             {possible}; --policy acts with another one",
             run_dir.path().display(),
             args.address.iteration,
-            if there.is_empty() { "no checkpoints".to_owned() } else { there.join(", ") },
         ),
     )
     .into())
+}
+
+/// The iterations before `planned` that acted with one of these policy versions, in order.
+fn reproducible(
+    versions: impl IntoIterator<Item = u64>,
+    overlap: usize,
+    planned: u64,
+) -> BTreeSet<u64> {
+    let acted = |version: u64| {
+        (version..=version.saturating_add(overlap as u64))
+            .filter(move |&iteration| policy_version_for(iteration, overlap) == version)
+    };
+    versions.into_iter().flat_map(acted).filter(|&iteration| iteration < planned).collect()
 }
 
 /// The block cannot be made: says why, and prints the environment.
@@ -194,4 +247,19 @@ fn to_safetensors(
         })
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
     Ok(safetensors::serialize(views, None)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_policy_was_used_for() {
+        let of = |versions: &[u64], overlap| {
+            reproducible(versions.iter().copied(), overlap, 20).into_iter().collect::<Vec<_>>()
+        };
+        assert_eq!(of(&[5, 10, 20], 0), [5, 10], "iteration 20 would be the 21st of 20");
+        assert_eq!(of(&[0, 5, 10], 1), [0, 1, 6, 11]);
+        assert!(of(&[], 1).is_empty());
+    }
 }

@@ -11,6 +11,7 @@ use crate::checkpoint::{CheckpointStore, store_to_be};
 use crate::cli::serve::ServeArgs;
 use crate::http::{Limits, Service, ServiceSpec, Token};
 use crate::output;
+use crate::output::counted;
 use crate::signals::StopRequests;
 
 /// How often to look whether the user wants to stop.
@@ -21,6 +22,7 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     let token = Token::find(args.token_file.as_deref())?;
     let store = store(&args.store, args.create)?;
     let root = store.root().to_owned();
+    let checkpoints = store.survey()?.entries.len();
     let stop = StopRequests::new();
     stop.listen().context("signals cannot be caught")?;
     let service = Service::start(ServiceSpec {
@@ -32,9 +34,12 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     })?;
     let address = service.address();
     if args.json {
-        output::line(&json!({ "address": address, "store": root }).to_string())?;
+        output::line(
+            &json!({ "address": address, "store": root, "checkpoints": checkpoints }).to_string(),
+        )?;
     } else {
-        output::line(&format!("http://{address} serves {}", root.display()))?;
+        let holds = counted(checkpoints as u64, "checkpoint");
+        output::line(&format!("http://{address} serves {}: {holds}", root.display()))?;
     }
     while stop.count() == 0 {
         if !service.is_running() {
@@ -51,15 +56,15 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
 }
 
 /// The store that `path` means, made if that is wanted.
-fn store(path: &Path, create: bool) -> Result<CheckpointStore, ExitError> {
-    let store = store_to_be(path);
+fn store(path: &Path, create: bool) -> anyhow::Result<CheckpointStore> {
+    let store = store_to_be(path)?;
     let failure =
         |what: &str| ExitError::new(ExitCode::RunDirectory, format!("{}: {what}", path.display()));
     if path.exists() && !path.is_dir() {
-        return Err(failure("is no directory"));
+        return Err(failure("is no directory").into());
     }
     if !path.exists() && !create {
-        return Err(failure("does not exist; --create makes it"));
+        return Err(failure("does not exist; --create makes it").into());
     }
     std::fs::create_dir_all(store.root())
         .map_err(|error| failure(&format!("cannot be made: {error}")))?;

@@ -3,7 +3,6 @@
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 
-use proto::ExitError;
 use proto::run_dir::RunDir;
 use serde::Serialize;
 use serde_json::Value;
@@ -13,7 +12,7 @@ use crate::checkpoint::CheckpointStore;
 use crate::cli::StatusArgs;
 use crate::client::Client;
 use crate::http::Token;
-use crate::live::{LiveStatus, Role, Stages};
+use crate::live::{Best, LiveStatus, Role, Stages};
 use crate::lock::RunLock;
 use crate::output;
 use crate::preflight::mib;
@@ -45,14 +44,20 @@ pub struct RunStatus {
     pub live_error: Option<String>,
 }
 
+/// The token to show to runs, and the file that it is from.
+struct Key<'a> {
+    token: Option<Token>,
+    file: Option<&'a Path>,
+}
+
 impl RunStatus {
     /// Asks the run, if it goes on, what only it knows.
-    fn ask(&mut self, token: Option<&Token>) {
+    fn ask(&mut self, key: &Key<'_>) {
         if self.state != "running" {
             return;
         }
-        let answer = Client::of_run(&self.run_dir, token.cloned())
-            .and_then(|client| client.status().map_err(ExitError::from));
+        let answer = Client::of_run(&self.run_dir, key.token.clone())
+            .and_then(|client| client.status().map_err(|error| error.explained(key.file)));
         match answer {
             Ok(live) => self.live = Some(live),
             Err(error) => self.live_error = Some(error.to_string()),
@@ -69,11 +74,12 @@ impl RunStatus {
 
 /// Shows one run or all.
 pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
-    let token = Token::find(args.token_file.as_deref())?;
-    let Some(run_dir) = &args.run_dir else { return list(args.json, token.as_ref()) };
+    let file = args.token_file.as_deref();
+    let key = Key { token: Token::find(file)?, file };
+    let Some(run_dir) = &args.run_dir else { return list(args.json, &key) };
     let look = || -> anyhow::Result<RunStatus> {
         let mut status = inspect(run_dir)?;
-        status.ask(token.as_ref());
+        status.ask(&key);
         Ok(status)
     };
     let Some(interval) = args.watch else {
@@ -175,7 +181,7 @@ fn show_live(live: &LiveStatus) -> String {
         ),
         format!("{:14}{} committed", "checkpoints", live.commits),
     ];
-    if let Some((name, score)) = &live.best {
+    if let Some(Best { name, score }) = &live.best {
         lines.push(format!("{:14}{name}, score {score:.3}", "best"));
     }
     if let Some(eta) = live.eta_s {
@@ -195,6 +201,11 @@ fn show_live(live: &LiveStatus) -> String {
         ["stage", "time, share of this session"],
         stages.map(|(name, seconds)| [name.to_owned(), share(seconds)]),
     ));
+    lines.push(
+        "rollout is summed over the workers; it and commit go on beside the rest, so the shares can \
+         add up to more than 100 %"
+            .to_owned(),
+    );
     lines.push(String::new());
     let rows = live.processes.iter().map(|process| {
         let name = match (process.role, process.worker) {
@@ -228,7 +239,7 @@ fn describe(status: &RunStatus) -> String {
 }
 
 /// Shows every run in `runs/`.
-fn list(json: bool, token: Option<&Token>) -> anyhow::Result<()> {
+fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
     let mut directories: Vec<PathBuf> = match std::fs::read_dir(RUNS) {
         Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.path())).collect(),
         Err(_) => Vec::new(),
@@ -245,7 +256,7 @@ fn list(json: bool, token: Option<&Token>) -> anyhow::Result<()> {
     }
     if json {
         for status in &mut runs {
-            status.ask(token);
+            status.ask(key);
             status.complain();
         }
         return output::json(&runs);

@@ -39,6 +39,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
     check_vacant(run_dir.path())?;
     let programs = Programs::find()?;
     check_machine(&config, &robot, &run_dir, &programs)?;
+    let counter = Counter::open(&args.http, &run_dir)?;
 
     create(&run_dir)?;
     let domain = Domain::fresh();
@@ -47,10 +48,9 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
     files::replace(&run_dir.robot(), robot.to_toml().as_bytes())?;
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     record(&run_dir, &provenance, &[])?;
-    let service = Some(args.http.clone());
     let same = true;
     let start =
-        Start { run_dir, config, robot, resume: None, same, programs, domain, provenance, service };
+        Start { run_dir, config, robot, resume: None, same, programs, domain, provenance, counter };
     run_session(start, lock, args.ending)
 }
 
@@ -65,12 +65,33 @@ pub(super) struct Start {
     pub(super) programs: Programs,
     pub(super) domain: Domain,
     pub(super) provenance: Provenance,
-    pub(super) service: Option<HttpArgs>,
+    pub(super) counter: Counter,
+}
+
+/// Where others see the run and ask it for something: its HTTP service, if it is to have one.
+///
+/// Opened before a run writes anything, so that an address or a token that is wrong leaves nothing.
+pub(super) struct Counter {
+    live: LiveRun,
+    service: Option<Service>,
+}
+
+impl Counter {
+    /// Begins to listen.
+    pub(super) fn open(args: &HttpArgs, run_dir: &RunDir) -> anyhow::Result<Self> {
+        let live = LiveRun::new();
+        let Listen::At(address) = args.listen else { return Ok(Self { live, service: None }) };
+        let token = Token::find(args.token_file.as_deref())?;
+        let store = CheckpointStore::new(run_dir.checkpoints());
+        let spec =
+            ServiceSpec { address, token, live: Some(live.clone()), ..ServiceSpec::new(store) };
+        Ok(Self { live, service: Some(Service::start(spec)?) })
+    }
 }
 
 /// Runs a session to its end, evaluates and says where everything is.
 pub(super) fn run_session(start: Start, mut lock: RunLock, ending: Ending) -> anyhow::Result<()> {
-    let Start { run_dir, config, robot, resume, same, programs, domain, provenance, service } =
+    let Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter } =
         start;
     let stop = StopRequests::new();
     stop.listen().context("signals cannot be caught")?;
@@ -82,11 +103,7 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, ending: Ending) -> an
     if !ending.quiet {
         reporter.note(&introduction(&config, &run_dir, resume_from));
     }
-    let live = LiveRun::new();
-    let service = match service {
-        Some(args) => serve(&args, &run_dir, &live)?,
-        None => None,
-    };
+    let Counter { live, service } = counter;
     if let Some(service) = &service {
         lock.announce(&service.address().to_string())
             .with_context(|| format!("{}: cannot be written", run_dir.lock().display()))?;
@@ -114,22 +131,12 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, ending: Ending) -> an
     conclude(&run_dir, &outcome, &stop, ending)
 }
 
-/// Starts the run's HTTP service.
-fn serve(args: &HttpArgs, run_dir: &RunDir, live: &LiveRun) -> anyhow::Result<Option<Service>> {
-    let Listen::At(address) = args.listen else { return Ok(None) };
-    let token = Token::find(args.token_file.as_deref())?;
-    let store = CheckpointStore::new(run_dir.checkpoints());
-    let live = Some(live.clone());
-    let spec = ServiceSpec { address, token, live, ..ServiceSpec::new(store) };
-    Ok(Some(Service::start(spec)?))
-}
-
 fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
     let task = config.task.name.as_str();
     let planned = config.planned_iterations();
     let what = match resume_from {
         Some(iteration) => format!("{task}: iterations {iteration} to {planned}"),
-        None => format!("{task}: {planned} iterations"),
+        None => format!("{task}: {}", output::counted(planned, "iteration")),
     };
     let workers = config.run.workers;
     format!(
@@ -176,8 +183,8 @@ fn conclude(
         }));
     }
     output::line(&format!(
-        "{} iterations, {} env-steps, ended by the {stopped_by}",
-        outcome.iterations,
+        "{}, {} env-steps, ended by the {stopped_by}",
+        output::counted(outcome.iterations, "iteration"),
         grouped(outcome.env_steps)
     ))?;
     if let Some(evaluation) = &evaluation {
@@ -439,10 +446,5 @@ mod tests {
         );
         let error = parse("octopus train --device tpu").expect_err("no device").to_string();
         assert!(error.starts_with("--device tpu: ") && error.contains("cuda:0"), "{error}");
-        let error = parse("octopus train --workers 0").expect_err("nobody works");
-        assert_eq!(
-            error.to_string(),
-            "--workers 0: key `run.workers`: 0 is out of range; choose a value from 1 to 256"
-        );
     }
 }

@@ -6,11 +6,12 @@ mod replay;
 
 use std::path::Path;
 
-use proto::{Digest, ExitCode, ExitError};
+use proto::Digest;
 use serde::Serialize;
 
 use self::differences::{ConfigDifference, ProvenanceDifference};
 use self::record::{Iteration, Record};
+use super::NotTheSame;
 use crate::cli::verify::VerifyArgs;
 use crate::output;
 use crate::report::progress::grouped;
@@ -62,11 +63,9 @@ impl Comparison {
         Self { common, agreeing, parting }
     }
 
-    /// The error that ends the program if the two parted.
+    /// What ends the program if the two parted.
     fn verdict(&self) -> anyhow::Result<()> {
-        let Some(Parting { iteration, .. }) = self.parting else { return Ok(()) };
-        let message = format!("not the same: the digests part at iteration {iteration}");
-        Err(ExitError::new(ExitCode::Failure, message).into())
+        if self.parting.is_some() { Err(NotTheSame.into()) } else { Ok(()) }
     }
 
     fn sentence(&self, names: [&str; 2]) -> String {
@@ -181,7 +180,7 @@ fn promise(promised: bool, same: bool, gpu: bool) -> String {
 
 /// `1 iteration`, `2 iterations`.
 fn iterations(count: u64) -> String {
-    format!("{} iteration{}", grouped(count), if count == 1 { "" } else { "s" })
+    output::counted(count, "iteration")
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ use axum::response::{IntoResponse as _, Response};
 use super::bodies::pipe;
 use super::checkpoints;
 use super::context::Shared;
+use super::document::Bytes;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
 use crate::checkpoint::CheckpointError;
@@ -25,7 +26,7 @@ const TAR: &str = "application/x-tar";
     operation_id = "download_archive",
     params(("name" = String, Path, description = "Name, tag, `latest` or `best`")),
     responses(
-        (status = 200, description = "The archive", body = [u8],
+        (status = 200, description = "The archive", body = inline(Bytes),
             content_type = "application/x-tar", headers(("octopus-passed-over" = String,
                 description = "Newer ones than `latest` that are damaged"))),
         (status = 400, description = "Not a name", body = ErrorBody),

@@ -77,14 +77,15 @@ pub(super) async fn show(
         (status = 204, description = "Removed"),
         (status = 400, description = "Not a name", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
-        (status = 409, description = "It is pinned", body = ErrorBody),
+        (status = 409, description = "It is pinned, it is the newest whole one of its run, or this \
+            is not its own name", body = ErrorBody),
     )
 )]
 pub(super) async fn delete(
     State(context): State<Shared>,
     Params(name): Params<String>,
 ) -> Result<StatusCode, Problem> {
-    context.with_store(move |store| store.delete(&name.parse()?)).await?;
+    own(&context, name, CheckpointStore::delete).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -95,6 +96,7 @@ pub(super) async fn delete(
         (status = 200, description = "As it is now", body = Entry),
         (status = 400, description = "Not a name", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
+        (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
     )
 )]
 pub(super) async fn pin(
@@ -111,6 +113,7 @@ pub(super) async fn pin(
         (status = 200, description = "As it is now", body = Entry),
         (status = 400, description = "Not a name", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
+        (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
     )
 )]
 pub(super) async fn unpin(
@@ -130,6 +133,7 @@ pub(super) async fn unpin(
         (status = 200, description = "As it is now", body = Entry),
         (status = 400, description = "Not a name or tag", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
+        (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
         (status = 422, description = "A tag that cannot be given", body = ErrorBody),
     )
 )]
@@ -149,8 +153,9 @@ pub(super) async fn tag(
     responses(
         (status = 200, description = "As it is now", body = Entry),
         (status = 400, description = "Not a name or tag", body = ErrorBody),
-        (status = 404, description = "No such checkpoint", body = ErrorBody),
-        (status = 422, description = "It has no such tag, or one that moves by itself", body = ErrorBody),
+        (status = 404, description = "No such checkpoint, or it has no such tag", body = ErrorBody),
+        (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
+        (status = 422, description = "A tag that moves by itself", body = ErrorBody),
     )
 )]
 pub(super) async fn untag(
@@ -166,14 +171,38 @@ async fn change(
     name: String,
     work: impl FnOnce(&CheckpointStore, &Name) -> Result<(), CheckpointError> + Send + 'static,
 ) -> Result<Json<Entry>, Problem> {
-    let entry = context
-        .with_store(move |store| {
-            let name: Name = name.parse()?;
-            work(store, &name)?;
-            store.entry(&name)
-        })
-        .await?;
-    Ok(Json(entry))
+    let work = |store: &CheckpointStore, name: &Name| {
+        work(store, name)?;
+        store.entry(name)
+    };
+    Ok(Json(own(context, name, work).await?))
+}
+
+/// Does something to the checkpoint whose own name is `name`. What `latest`, `best` or a tag mean may
+/// change before it is done, so these are refused, with what they mean now.
+async fn own<T: Send + 'static>(
+    context: &Shared,
+    name: String,
+    work: impl FnOnce(&CheckpointStore, &Name) -> Result<T, CheckpointError> + Send + 'static,
+) -> Result<T, Problem> {
+    let done = context.with_checked(move |store, checked| {
+        let name: Name = name.parse()?;
+        match work(store, &name) {
+            Err(absent @ CheckpointError::Absent { .. }) => {
+                match find(store, checked, name.as_str()) {
+                    Ok(choice) => Ok(Err((name, choice.entry.name))),
+                    Err(_) => Err(absent),
+                }
+            }
+            outcome => outcome.map(Ok),
+        }
+    });
+    done.await?.map_err(|(said, now)| {
+        let message = format!(
+            "name the checkpoint itself: `{said}` is now {now}, and may soon be another one"
+        );
+        Problem::new(StatusCode::CONFLICT, message)
+    })
 }
 
 /// Names the damaged checkpoints that were newer than the one that `latest` gave.
@@ -209,7 +238,7 @@ pub(super) fn find(
         return latest(store, checked);
     }
     let entry = match store.entry(&name) {
-        Err(absent @ CheckpointError::NotFound { .. }) => {
+        Err(absent @ CheckpointError::Absent { .. }) => {
             let mut entries = store.entries()?.into_iter();
             entries.find(|entry| entry.labels.has_tag(text)).ok_or(absent)?
         }
@@ -246,6 +275,6 @@ fn latest(store: &CheckpointStore, checked: &Checked) -> Result<Choice, Checkpoi
     }
     Err(newest_damage.unwrap_or_else(|| CheckpointError::NotFound {
         path: store.root().to_owned(),
-        what: "has no `latest`: no checkpoint of a run from which training can go on".to_owned(),
+        what: "no `latest` here: no checkpoint of a run from which training can go on".to_owned(),
     }))
 }

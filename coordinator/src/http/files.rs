@@ -14,6 +14,7 @@ use axum::response::{IntoResponse as _, Response};
 use super::bodies::FileBody;
 use super::checkpoints;
 use super::context::Shared;
+use super::document::Bytes;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
 use super::ranges::{self, Selection};
@@ -36,14 +37,15 @@ struct Found {
         ("if-none-match" = Option<String>, Header, description = "Entity tags that the client has"),
     ),
     responses(
-        (status = 200, description = "The whole file", body = [u8],
+        (status = 200, description = "The whole file", body = inline(Bytes),
             content_type = "application/octet-stream",
             headers(("etag" = String), ("accept-ranges" = String),
                 ("octopus-passed-over" = String,
                     description = "Newer ones than `latest` that are damaged"))),
-        (status = 206, description = "The range asked for", body = [u8],
+        (status = 206, description = "The range asked for", body = inline(Bytes),
             content_type = "application/octet-stream", headers(("content-range" = String))),
         (status = 304, description = "The client has it"),
+        (status = 400, description = "Not a name", body = ErrorBody),
         (status = 404, description = "No such checkpoint or file", body = ErrorBody),
         (status = 412, description = "Not what If-Match names", body = ErrorBody),
         (status = 416, description = "The file has no such bytes", body = ErrorBody),

@@ -104,6 +104,7 @@ impl Intake {
             bytes.extend_from_slice(&piece);
         }
         serde_json::from_slice(&bytes).map_err(|error| {
+            let error = in_words(&error.to_string());
             let message = format!("the body is not the JSON that is expected here: {error}");
             Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message)
         })
@@ -125,5 +126,42 @@ impl Intake {
     fn too_large(&self) -> Problem {
         let message = format!("the body is larger than {} bytes, which is the limit", self.limit);
         Problem::new(StatusCode::PAYLOAD_TOO_LARGE, message)
+    }
+}
+
+/// What serde says, without the names of types that only a programmer of this service knows.
+fn in_words(error: &str) -> String {
+    let types = ["usize", "u64", "u32", "u16", "u8"];
+    let mut words = error.to_owned();
+    for name in types {
+        words = words
+            .replace(&format!("expected {name}"), "expected a whole number that is not negative");
+    }
+    match words.find("expected struct ") {
+        Some(at) => {
+            let rest = words[at..].split_once(" at line").map_or("", |(_, rest)| rest);
+            let place = if rest.is_empty() { String::new() } else { format!(" at line{rest}") };
+            format!("{}expected an object in braces{place}", &words[..at])
+        }
+        None => words,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::in_words;
+
+    #[test]
+    fn types_are_said_in_words() {
+        let error = |text| serde_json::from_str::<crate::http::ScaleRequest>(text).expect_err(text);
+        for (text, words) in [
+            ("{\"workers\": \"4\"}", "expected a whole number that is not negative at line 1"),
+            ("{\"workers\": -1}", "expected a whole number that is not negative at line 1"),
+            ("7", "expected an object in braces at line 1"),
+        ] {
+            let said = in_words(&error(text).to_string());
+            assert!(said.contains(words), "{text}: {said}");
+            assert!(!said.contains("usize") && !said.contains("struct"), "{text}: {said}");
+        }
     }
 }

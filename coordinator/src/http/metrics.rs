@@ -78,8 +78,8 @@ fn run(page: &mut Exposition, status: &LiveStatus) {
     if let Some(eta) = status.eta_s {
         page.single("octopus_eta_seconds", gauge, "Time until the budget is used up.", eta);
     }
-    if let Some((_, score)) = &status.best {
-        page.single("octopus_best_score", gauge, "Score of the best checkpoint.", *score);
+    if let Some(best) = &status.best {
+        page.single("octopus_best_score", gauge, "Score of the best checkpoint.", best.score);
     }
     page.single(
         "octopus_commits_total",

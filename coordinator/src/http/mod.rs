@@ -28,6 +28,7 @@ mod bodies;
 mod checkpoints;
 mod connections;
 mod context;
+mod document;
 mod exposition;
 mod files;
 mod intake;

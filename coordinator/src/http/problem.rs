@@ -1,6 +1,7 @@
 //! What went wrong, as a client sees it.
 
 use std::io::ErrorKind;
+use std::path::Path;
 
 use axum::Json;
 use axum::http::{HeaderName, HeaderValue, StatusCode};
@@ -8,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::checkpoint::CheckpointError;
+use crate::checkpoint::{CONFIG, CheckpointError, LABELS, MANIFEST, POLICY, ROBOT, STATE, newest};
 
 /// Body of every answer that is no success.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -50,35 +51,64 @@ impl Problem {
 }
 
 impl From<CheckpointError> for Problem {
+    /// Says it as a client sees it: no paths of this machine, and routes instead of commands.
     fn from(error: CheckpointError) -> Self {
-        let status = match &error {
-            CheckpointError::NotFound { .. } => StatusCode::NOT_FOUND,
-            CheckpointError::Name(_) => StatusCode::BAD_REQUEST,
-            CheckpointError::Conflict { .. } | CheckpointError::Pinned { .. } => {
-                StatusCode::CONFLICT
+        match &error {
+            CheckpointError::Absent { name, .. } => Self::new(
+                StatusCode::NOT_FOUND,
+                format!("no checkpoint `{name}` here; GET /v1/checkpoints lists what is"),
+            ),
+            CheckpointError::NotFound { what, .. } => Self::new(StatusCode::NOT_FOUND, what),
+            CheckpointError::Name(_) => Self::new(StatusCode::BAD_REQUEST, error.to_string()),
+            CheckpointError::Conflict { path, reason } => {
+                Self::new(StatusCode::CONFLICT, format!("`{}` {reason}", shown(path)))
+            }
+            CheckpointError::Pinned { path } => {
+                let name = shown(path);
+                let cure = format!("`DELETE /v1/checkpoints/{name}/pin` lets it go");
+                Self::new(StatusCode::CONFLICT, format!("`{name}` is pinned; {cure}"))
+            }
+            CheckpointError::Newest { path, live } => {
+                let reason = newest(*live, "this service does not remove it");
+                Self::new(StatusCode::CONFLICT, format!("`{}` {reason}", shown(path)))
             }
             CheckpointError::Refused { .. } | CheckpointError::Archive { .. } => {
-                StatusCode::UNPROCESSABLE_ENTITY
+                Self::new(StatusCode::UNPROCESSABLE_ENTITY, error.to_string())
             }
-            CheckpointError::Io { source, .. } => match source.kind() {
-                // Removed by somebody else meanwhile.
-                ErrorKind::NotFound => StatusCode::NOT_FOUND,
-                ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
-                    StatusCode::INSUFFICIENT_STORAGE
+            CheckpointError::Io { path, action, source } => {
+                let message = format!("{}: cannot {action}: {source}", shown(path));
+                match source.kind() {
+                    // Removed by somebody else meanwhile.
+                    ErrorKind::NotFound => Self::new(StatusCode::NOT_FOUND, message),
+                    ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
+                        Self::new(StatusCode::INSUFFICIENT_STORAGE, message)
+                    }
+                    _ => Self { message, ..Self::internal(&error) },
                 }
-                _ => return Self::internal(&error),
-            },
-            CheckpointError::Damaged { .. } => {
-                let cure = "GET /v1/checkpoints lists the others; `octopus checkpoints verify` \
-                            says what is wrong with it";
-                return Self::new(
-                    StatusCode::INTERNAL_SERVER_ERROR,
-                    format!("the checkpoint is damaged: {error}; {cure}"),
-                );
             }
-            _ => return Self::internal(&error),
-        };
-        Self::new(status, error.to_string())
+            CheckpointError::Damaged { path, reason } => {
+                tracing::debug!(%error, "a damaged checkpoint was asked for");
+                let message = format!(
+                    "the checkpoint is damaged: {}: {reason}; GET /v1/checkpoints lists the others",
+                    shown(path)
+                );
+                Self::new(StatusCode::INTERNAL_SERVER_ERROR, message)
+            }
+            CheckpointError::Config(_) => {
+                let message = "the checkpoint's configuration cannot be read; the log says why";
+                Self { message: message.to_owned(), ..Self::internal(&error) }
+            }
+        }
+    }
+}
+
+/// A path of the store without the place of the store: a checkpoint, or a file of one.
+fn shown(path: &Path) -> String {
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let is_file = [MANIFEST, STATE, POLICY, CONFIG, ROBOT, LABELS].contains(&&*name(path));
+    match path.parent() {
+        Some(dir) if is_file => format!("{}/{}", name(dir), name(path)),
+        _ => name(path),
     }
 }
 

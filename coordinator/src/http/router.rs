@@ -9,50 +9,17 @@ use axum::middleware::{from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::{Json, Router};
 use serde::{Deserialize, Serialize};
-use utoipa::openapi::OpenApi as Document;
-use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
-use utoipa::{Modify, OpenApi, ToSchema};
+use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::context::Shared;
 use super::problem::Problem;
-use super::{access, archives, checkpoints, files, metrics, requests, run, uploads};
-
-/// The document's head; the routes add themselves.
-#[derive(Debug, OpenApi)]
-#[openapi(
-    info(
-        title = "SpaceOctopus checkpoint service",
-        description = "Checkpoints of multi-arm space robots' training, beside a live run or alone."
-    ),
-    servers((url = "/", description = "This service")),
-    tags(
-        (name = "checkpoints", description = "Committed training states"),
-        (name = "run", description = "The live run beside the service"),
-        (name = "service", description = "The service itself"),
-    ),
-    security((), ("token" = [])),
-    modifiers(&TokenScheme),
-)]
-struct Head;
-
-struct TokenScheme;
-
-impl Modify for TokenScheme {
-    fn modify(&self, document: &mut Document) {
-        let scheme = HttpBuilder::new()
-            .scheme(HttpAuthScheme::Bearer)
-            .description(Some("Needed by services that were started with a token"))
-            .build();
-        let components = document.components.get_or_insert_default();
-        components.add_security_scheme("token", SecurityScheme::Http(scheme));
-    }
-}
+use super::{access, archives, checkpoints, document, files, metrics, requests, run, uploads};
 
 /// All routes and the document that describes them.
 fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::with_openapi(Head::openapi())
+    OpenApiRouter::with_openapi(document::head())
         .routes(routes!(health))
         .routes(routes!(metrics::metrics))
         .routes(routes!(openapi))
@@ -100,7 +67,9 @@ async fn health() -> Json<Health> {
 ))]
 async fn openapi() -> impl IntoResponse {
     static DOCUMENT: LazyLock<String> = LazyLock::new(|| {
-        routes().into_openapi().to_pretty_json().expect("the document has a JSON form")
+        let mut document = routes().into_openapi();
+        document::complete(&mut document);
+        document.to_pretty_json().expect("the document has a JSON form")
     });
     ([(CONTENT_TYPE, "application/json")], DOCUMENT.as_str())
 }

@@ -51,7 +51,10 @@ pub(super) async fn status(State(context): State<Shared>) -> Result<Json<LiveSta
 #[utoipa::path(put, path = "/v1/workers", tag = "run", request_body = ScaleRequest, responses(
     (status = 200, description = "Done", body = ScaleAnswer),
     (status = 404, description = "This service stands beside no run", body = ErrorBody),
+    (status = 408, description = "The body came too slowly", body = ErrorBody),
     (status = 409, description = "The run cannot do this now", body = ErrorBody),
+    (status = 413, description = "The body is larger than the service takes", body = ErrorBody),
+    (status = 415, description = "The body is not `application/json`", body = ErrorBody),
     (status = 422, description = "Not a number of workers that the run can have", body = ErrorBody),
     (status = 504, description = "The run did not answer in time", body = ErrorBody),
 ))]

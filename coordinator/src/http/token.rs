@@ -1,6 +1,7 @@
 //! The secret that a client of the service must know.
 
 use std::fmt;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
 use proto::{ExitCode, ExitError};
@@ -44,6 +45,13 @@ impl Token {
             let message = format!("{}: the token cannot be read: {error}", path.display());
             ExitError::new(ExitCode::BadInput, message)
         })?;
+        // Only a warning: a container's secret may be readable to all who are in the container.
+        if path.metadata().is_ok_and(|there| there.mode() & 0o004 != 0) {
+            tracing::warn!(
+                file = %path.display(),
+                "every user of this machine can read the token; `chmod 600` lets only you"
+            );
+        }
         Self::parse(&text, &path.display().to_string())
     }
 

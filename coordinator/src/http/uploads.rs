@@ -13,6 +13,7 @@ use rustix::fs::{Mode, OFlags};
 use tokio::io::AsyncWriteExt as _;
 
 use super::context::{Context, Shared, blocking};
+use super::document::Bytes;
 use super::intake::Intake;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
@@ -24,12 +25,13 @@ const BUFFER: usize = 1 << 20;
 /// Takes a checkpoint in, from an archive as `/archive` gives it. It appears whole or not at all.
 #[utoipa::path(put, path = "/v1/checkpoints/{name}", tag = "checkpoints",
     params(("name" = String, Path, description = "Name that it gets here")),
-    request_body(content = [u8], content_type = "application/x-tar"),
+    request_body(content = inline(Bytes), content_type = "application/x-tar"),
     responses(
         (status = 200, description = "The same checkpoint was there already", body = Entry),
         (status = 201, description = "Taken in", body = Entry),
         (status = 400, description = "Not a name, or the body ended early", body = ErrorBody),
         (status = 408, description = "The body came too slowly", body = ErrorBody),
+        (status = 404, description = "The store is gone", body = ErrorBody),
         (status = 409, description = "Another checkpoint has this name", body = ErrorBody),
         (status = 413, description = "Larger than the service takes", body = ErrorBody),
         (status = 422, description = "Not an archive of a checkpoint", body = ErrorBody),

@@ -86,7 +86,7 @@ impl Monitor {
             worker: view.worker,
             pid: view.pid,
             state: state.to_owned(),
-            restarts: view.incarnation,
+            restarts: view.replaced,
             resident_bytes: usage.resident_bytes,
             cpu_s: usage.cpu_s,
             shards,

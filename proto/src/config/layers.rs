@@ -193,10 +193,12 @@ fn merge(base: &mut Table, overlay: &Table, origin: &str, prefix: &str) -> Resul
             }
             (slot, value) if slot.same_type(value) => *slot = value.clone(),
             (slot, value) => {
+                let kind = slot.type_str();
+                let article = if kind.starts_with(['a', 'i']) { "an" } else { "a" };
                 return Err(ConfigError::WrongType {
                     origin: origin.to_owned(),
                     key,
-                    expected: format!("a {} such as {slot}", slot.type_str()),
+                    expected: format!("{article} {kind} such as {slot}"),
                     found: format!("the {} {value}", value.type_str()),
                 });
             }

@@ -148,7 +148,7 @@ fn what_resume_would_take_up_is_compared_with_the_run_itself() {
     store.import(&bytes[..], None).expect("the run's own");
 
     // A run that cannot say what it is.
-    store.delete(&nth(5)).expect("removes");
+    store.delete_even_newest(&nth(5)).expect("removes");
     std::fs::write(dir.path().join(CONFIG), "[run").expect("write");
     assert!(store.import(&bytes[..], None).is_err());
     assert!(contents(store.root()).is_empty());
@@ -205,7 +205,7 @@ fn a_damaged_checkpoint_is_not_exported() {
     let mut bytes = Vec::new();
     assert!(store.export(&nth(1), &mut bytes).is_err());
     assert!(bytes.is_empty());
-    assert!(matches!(store.export(&nth(2), &mut bytes), Err(CheckpointError::NotFound { .. })));
+    assert!(matches!(store.export(&nth(2), &mut bytes), Err(CheckpointError::Absent { .. })));
 }
 
 #[test]

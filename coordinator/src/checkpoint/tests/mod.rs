@@ -122,8 +122,11 @@ fn names(store: &CheckpointStore) -> Vec<String> {
     store.entries().expect("readable").iter().map(|entry| entry.name.to_string()).collect()
 }
 
-/// Everything in a directory but the lock and the catalogue.
+/// Everything in a directory but the lock and the catalogue; of none, nothing.
 fn contents(dir: &Path) -> Vec<String> {
+    if !dir.exists() {
+        return Vec::new();
+    }
     let mut found: Vec<String> = std::fs::read_dir(dir)
         .expect("readable")
         .map(|entry| entry.expect("entry").file_name().into_string().expect("UTF-8"))

@@ -88,7 +88,7 @@ fn imported_ones_are_for_users_to_remove() {
     assert!(matches!(store.delete(&name("foreign")), Err(CheckpointError::Pinned { .. })));
     store.pin(&name("foreign"), false).expect("unpins");
     store.delete(&name("foreign")).expect("removes");
-    assert!(matches!(store.delete(&name("foreign")), Err(CheckpointError::NotFound { .. })));
+    assert!(matches!(store.delete(&name("foreign")), Err(CheckpointError::Absent { .. })));
     assert_eq!(contents(store.root()), ["iteration-00000002"]);
 }
 
@@ -161,4 +161,38 @@ fn what_was_replaced_stays_a_week_and_longer_if_it_was_pinned() {
     for dir in [fresh, pinned, tagged, unreadable, unknown] {
         assert!(dir.exists(), "{}", dir.display());
     }
+}
+
+#[test]
+fn the_checkpoint_that_a_run_falls_back_to_is_not_removed() {
+    let (dir, store) = store_with(&[1, 2, 3]);
+    let needed = |iteration, is_live| matches!(store.delete(&nth(iteration)), Err(CheckpointError::Newest { live, .. }) if live == is_live);
+    let run = proto::run_dir::RunDir::new(dir.path());
+    std::fs::write(run.config(), config().to_toml()).expect("write");
+    assert!(needed(3, false));
+    // Damaged it is of no use, and the one before is what is needed.
+    std::fs::write(store.dir(&nth(3)).join(STATE), "damaged").expect("write");
+    assert!(needed(2, false));
+    store.delete(&nth(3)).expect("removes");
+    // What was given to the run is no replacement for its own.
+    let (_other, other) = store_with(&[9]);
+    store.import(&packed(&other, &nth(9))[..], None).expect_err("the robot is missing");
+    std::fs::write(run.robot(), robot().to_toml()).expect("write");
+    store.import(&packed(&other, &nth(9))[..], None).expect("imports");
+    assert!(needed(2, false));
+    store.pin(&nth(2), true).expect("pins");
+    assert!(matches!(store.delete_even_newest(&nth(2)), Err(CheckpointError::Pinned { .. })));
+    store.pin(&nth(2), false).expect("unpins");
+    let lock = crate::lock::RunLock::acquire(&run.lock(), &proto::channel::Domain::fresh());
+    assert!(needed(2, true));
+    assert!(matches!(
+        store.delete_even_newest(&nth(2)),
+        Err(CheckpointError::Newest { live: true, .. })
+    ));
+    drop(lock.expect("free"));
+    store.delete_even_newest(&nth(2)).expect("removes");
+    store.delete(&nth(1)).expect_err("the last of its own");
+    store.delete_even_newest(&nth(1)).expect("removes");
+    assert!(needed(9, false), "all that there is");
+    store.delete_even_newest(&nth(9)).expect("removes");
 }

@@ -135,3 +135,18 @@ fn a_link_from_elsewhere_is_the_checkpoint_that_it_leads_to() {
     found.pin(&found_name, true).expect("pins");
     assert!(store.entry(&nth(5)).expect("there").labels.pinned);
 }
+
+#[test]
+fn a_checkpoint_is_no_store() {
+    let (dir, store) = store_with(&[5]);
+    let checkpoint = store.dir(&nth(5));
+    for error in [store_at(&checkpoint), store_to_be(&checkpoint)] {
+        let error = error.expect_err("a checkpoint").to_string();
+        assert!(error.contains("is a checkpoint") && error.contains("show"), "{error}");
+    }
+    std::fs::write(dir.path().join("config.toml"), "").expect("write");
+    assert_eq!(
+        (runs_in(dir.path().parent().expect("it has one")) > 0, runs_in(dir.path())),
+        (true, 0)
+    );
+}

@@ -31,7 +31,7 @@ fn an_entry_says_what_the_manifest_says() {
     assert_eq!(json["name"], "iteration-00000007");
     assert_eq!(serde_json::from_value::<Entry>(json).expect("back"), entry);
     let error = store.entry(&name("other")).expect_err("absent");
-    assert!(matches!(error, CheckpointError::NotFound { .. }), "{error}");
+    assert!(matches!(error, CheckpointError::Absent { .. }), "{error}");
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn a_link_is_no_checkpoint() {
     for link in [nth(1), name("linked")] {
         let absent = |outcome: Result<(), CheckpointError>| {
             let error = outcome.expect_err("a link");
-            assert!(matches!(error, CheckpointError::NotFound { .. }), "{error}");
+            assert!(matches!(error, CheckpointError::Absent { .. }), "{error}");
         };
         absent(store.entry(&link).map(drop));
         absent(store.pin(&link, true));
@@ -203,4 +203,24 @@ fn copy(from: &Path, to: &Path) {
     for file in contents(from) {
         std::fs::copy(from.join(&file), to.join(&file)).expect("copy");
     }
+}
+
+#[test]
+fn what_finds_nothing_leaves_nothing() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let inventory = || std::fs::read_dir(dir.path()).expect("readable").count();
+    let store = CheckpointStore::new(dir.path());
+    store.heal_catalogue();
+    assert!(store.pin(&nth(1), true).is_err() && store.tag(&nth(1), "x").is_err());
+    assert!(store.delete(&nth(1)).is_err());
+    assert_eq!(store.retain(&Retention { latest: 1, every: 0, best: true }).expect("nothing"), []);
+    assert!(store.import(&b"no archive"[..], None).is_err());
+    assert_eq!(inventory(), 0);
+    let deep = CheckpointStore::new(dir.path().join("a/b"));
+    assert!(deep.import(&b"no archive"[..], None).is_err());
+    assert_eq!(inventory(), 0);
+    // What was there before stays.
+    std::fs::write(dir.path().join("notes"), "mine").expect("write");
+    assert!(store.import(&b"no archive"[..], None).is_err());
+    assert!(dir.path().join("notes").exists());
 }

@@ -47,7 +47,7 @@ fn a_whole_checkpoint_passes() {
     assert!(found.is_whole(), "{:?}", found.problems);
     let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), 4));
     assert_eq!((found.files, found.tensors), (4, 3 + layout.tensors.len()));
-    assert!(matches!(store.verify(&nth(2)), Err(CheckpointError::NotFound { .. })));
+    assert!(matches!(store.verify(&nth(2)), Err(CheckpointError::Absent { .. })));
 }
 
 #[test]

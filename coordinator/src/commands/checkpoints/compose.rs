@@ -1,12 +1,11 @@
 //! `compose`.
 
-use std::path::Path;
-
 use proto::{ExitCode, ExitError};
 
 use super::{refused, report};
 use crate::checkpoint::{Composition, Name, Part, store_to_be};
 use crate::cli::checkpoints::ComposeArgs;
+use crate::output::counted;
 use crate::provenance::Provenance;
 
 /// Builds one policy set from the arms of several checkpoints.
@@ -16,10 +15,15 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
     let name = out.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let name: Name =
         name.parse().map_err(|error| usage(format!("--out {}: {error}", out.display())))?;
-    let store = match out.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => store_to_be(parent),
-        _ => store_to_be(Path::new(".")),
+    // A name alone would make this directory a store, which few mean.
+    let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) else {
+        return Err(usage(format!(
+            "--out {name}: wants STORE/NAME, such as shared/{name}; ./{name} makes this directory \
+             the store"
+        ))
+        .into());
     };
+    let store = store_to_be(parent)?;
     let mut parts = Vec::new();
     for from in &args.arms {
         parts.push(Part { arms: from.arms.clone(), checkpoint: from.checkpoint.open()? });
@@ -32,5 +36,5 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
     let provenance = serde_json::to_value(Provenance::gather())?;
     let entry =
         store.compose(&name, &composition, &provenance).map_err(refused(ExitCode::BadInput))?;
-    report(&entry, args.json, &format!("composed of {} checkpoints", parts.len()))
+    report(&entry, args.json, &format!("composed of {}", counted(parts.len() as u64, "checkpoint")))
 }

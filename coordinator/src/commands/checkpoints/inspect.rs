@@ -5,7 +5,9 @@ use proto::{ExitCode, ExitError};
 use super::listing::size;
 use crate::checkpoint::{Difference, Selector, Verification, compare, store_at};
 use crate::cli::checkpoints::{DiffArgs, VerifyArgs};
+use crate::commands::NotTheSame;
 use crate::output;
+use crate::output::counted;
 
 /// Checks checkpoints thoroughly.
 pub(super) fn verify(args: &VerifyArgs) -> anyhow::Result<()> {
@@ -25,7 +27,10 @@ pub(super) fn verify(args: &VerifyArgs) -> anyhow::Result<()> {
     }
     let message = match found.len() {
         1 => "the checkpoint is damaged".to_owned(),
-        all => format!("{damaged} of {all} checkpoints are damaged"),
+        all => {
+            let are = if damaged == 1 { "is" } else { "are" };
+            format!("{damaged} of {all} checkpoints {are} damaged")
+        }
     };
     Err(ExitError::new(ExitCode::RunDirectory, message).into())
 }
@@ -51,7 +56,11 @@ fn describe(found: &Verification) -> String {
     let dir = found.dir.display();
     if found.is_whole() {
         let Verification { files, bytes, tensors, .. } = found;
-        return format!("{dir}: whole, {files} files, {}, {tensors} tensors", size(*bytes));
+        return format!(
+            "{dir}: whole, {files} files, {}, {}",
+            size(*bytes),
+            counted(*tensors as u64, "tensor")
+        );
     }
     let problems: Vec<String> =
         found.problems.iter().map(|problem| format!("\n  {problem}")).collect();
@@ -70,8 +79,7 @@ pub(super) fn diff(args: &DiffArgs) -> anyhow::Result<()> {
     if difference.same {
         return Ok(());
     }
-    let message = format!("{} and {} differ", a.dir.display(), b.dir.display());
-    Err(ExitError::new(ExitCode::Failure, message).into())
+    Err(NotTheSame.into())
 }
 
 fn tell(difference: &Difference) -> String {
@@ -100,6 +108,9 @@ fn tell(difference: &Difference) -> String {
         });
         parts.push(output::table(["tensor", "type and shape (A | B)", "max |Δ|", "‖Δ‖"], rows));
     }
-    parts.push(format!("{equal_tensors} tensors are equal, {} differ", tensors.len()));
+    let are = if *equal_tensors == 1 { "is" } else { "are" };
+    let differ = if tensors.len() == 1 { "differs" } else { "differ" };
+    let equal = counted(*equal_tensors as u64, "tensor");
+    parts.push(format!("{equal} {are} equal, {} {differ}", tensors.len()));
     parts.join("\n\n")
 }

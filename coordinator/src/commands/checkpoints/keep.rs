@@ -5,12 +5,16 @@ use proto::{ExitCode, ExitError};
 use crate::checkpoint::{CATALOGUE, Name, Retention, store_at};
 use crate::cli::checkpoints::{DeleteArgs, PruneArgs, RebuildArgs};
 use crate::output;
+use crate::output::counted;
 
 /// Removes old checkpoints.
 pub(super) fn prune(args: &PruneArgs) -> anyhow::Result<()> {
     let store = store_at(&args.store)?;
-    let retention =
-        Retention { latest: args.keep_latest as usize, every: args.keep_every, best: true };
+    let retention = Retention {
+        latest: args.keep_latest as usize,
+        every: args.keep_every.unwrap_or(0),
+        best: true,
+    };
     let removed =
         if args.dry_run { store.doomed(&retention)? } else { store.retain(&retention)? };
     if args.json {
@@ -27,14 +31,18 @@ pub(super) fn prune(args: &PruneArgs) -> anyhow::Result<()> {
 /// Rebuilds the catalogue.
 pub(super) fn rebuild(args: &RebuildArgs) -> anyhow::Result<()> {
     let store = store_at(&args.store)?;
-    let checkpoints = store.rebuild()?;
     let catalogue = store.root().join(CATALOGUE);
+    if !catalogue.exists() && store.survey()?.is_empty() {
+        let message = format!("{}: holds no checkpoint", store.root().display());
+        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+    }
+    let checkpoints = store.rebuild()?;
     if args.json {
         return output::json(
             &serde_json::json!({ "catalogue": catalogue, "checkpoints": checkpoints }),
         );
     }
-    output::line(&format!("{}: {checkpoints} checkpoints", catalogue.display()))
+    output::line(&format!("{}: {}", catalogue.display(), counted(checkpoints as u64, "checkpoint")))
 }
 
 /// Removes one checkpoint.
@@ -47,7 +55,11 @@ pub(super) fn delete(args: &DeleteArgs) -> anyhow::Result<()> {
         return Err(ExitError::new(ExitCode::Usage, message).into());
     }
     let (store, name) = selector.locate()?;
-    store.delete(&name)?;
+    if args.force {
+        store.delete_even_newest(&name)?;
+    } else {
+        store.delete(&name)?;
+    }
     if args.json {
         return output::json(&serde_json::json!({ "removed": name }));
     }

@@ -2,15 +2,14 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use anyhow::Context as _;
+use proto::{ExitCode, ExitError};
 use safetensors::SafeTensors;
 use serde::Serialize;
 
-use crate::checkpoint::{
-    CheckpointError, Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, store_at,
-};
+use crate::checkpoint::{Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, runs_in, store_at};
 use crate::cli::checkpoints::{ListArgs, ShowArgs};
 use crate::output;
+use crate::output::counted;
 use crate::provenance::utc;
 use crate::report::progress::grouped;
 
@@ -22,10 +21,18 @@ pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
     if args.json {
         return output::json(&survey);
     }
-    let Survey { entries, damaged } = &survey;
-    if entries.is_empty() && damaged.is_empty() {
-        return output::line(&format!("no checkpoints in {}", store.root().display()));
+    if survey.is_empty() {
+        let root = store.root().display();
+        return output::line(&match runs_in(store.root()) {
+            0 => format!("no checkpoints in {root}"),
+            runs => format!(
+                "no checkpoints in {root}, but {}; name one of them, as in \
+                 `octopus checkpoints list {root}/RUN`",
+                counted(runs as u64, "run")
+            ),
+        });
     }
+    let Survey { entries, damaged } = &survey;
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs());
     let rows = entries.iter().map(|entry| {
         let score = entry.labels.score.as_ref();
@@ -64,6 +71,8 @@ struct Shown {
     entry: Entry,
     manifest: Manifest,
     tensors: Vec<Tensor>,
+    /// What is wrong with it, as `verify` says it.
+    problems: Vec<String>,
 }
 
 /// Shows one checkpoint.
@@ -71,17 +80,15 @@ pub(super) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     let (store, name) = args.checkpoint.locate()?;
     let entry = store.entry(&name)?;
     let manifest = Manifest::read(&entry.dir)?;
+    let problems = store.verify(&name)?.problems;
     let mut tensors = Vec::new();
     for file in [POLICY, STATE] {
         if !manifest.files.contains_key(file) {
             continue;
         }
-        let path = entry.dir.join(file);
-        let bytes =
-            std::fs::read(&path).with_context(|| format!("{} cannot be read", path.display()))?;
-        let content = SafeTensors::deserialize(&bytes).map_err(|error| {
-            CheckpointError::Damaged { path: path.clone(), reason: error.to_string() }
-        })?;
+        // What cannot be read is among the problems.
+        let Ok(bytes) = std::fs::read(entry.dir.join(file)) else { continue };
+        let Ok(content) = SafeTensors::deserialize(&bytes) else { continue };
         let mut found = content.tensors();
         found.sort_by(|(a, _), (b, _)| a.cmp(b));
         tensors.extend(found.into_iter().map(|(name, view)| Tensor {
@@ -91,12 +98,32 @@ pub(super) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             shape: view.shape().to_vec(),
         }));
     }
-    let shown = Shown { entry, manifest, tensors };
-    if args.json { output::json(&shown) } else { output::line(&describe(&shown)) }
+    let damaged = !problems.is_empty();
+    let shown = Shown { entry, manifest, tensors, problems };
+    if args.json {
+        output::json(&shown)?;
+    } else {
+        output::line(&describe(&shown))?;
+    }
+    if damaged {
+        let message = "the checkpoint is damaged";
+        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+    }
+    Ok(())
+}
+
+/// An error of an evaluation in the unit that it is read in: its name ends in that of the unit that
+/// it has, metres or radians.
+fn error_in_words(name: &str, error: f64) -> String {
+    match (name.strip_suffix("_m"), name.strip_suffix("_rad")) {
+        (Some(name), _) => format!("{name} {:.1} mm", 1e3 * error),
+        (_, Some(name)) => format!("{name} {:.1} mrad", 1e3 * error),
+        _ => format!("{name} {error:.4}"),
+    }
 }
 
 fn describe(shown: &Shown) -> String {
-    let Shown { entry, manifest, tensors } = shown;
+    let Shown { entry, manifest, tensors, problems } = shown;
     let committed = utc(UNIX_EPOCH + std::time::Duration::from_secs(entry.created_unix_s));
     let mut lines = vec![
         format!("{:12}{}", "checkpoint", entry.dir.display()),
@@ -109,7 +136,7 @@ fn describe(shown: &Shown) -> String {
     ];
     if let Some(score) = &entry.labels.score {
         let errors: Vec<String> =
-            score.errors.iter().map(|(name, error)| format!("{name} {error:.4}")).collect();
+            score.errors.iter().map(|(name, error)| error_in_words(name, *error)).collect();
         lines.push(format!(
             "{:12}{:.6} over {} episodes of {} steps, seed {} ({})",
             "score",
@@ -120,6 +147,9 @@ fn describe(shown: &Shown) -> String {
             errors.join(", ")
         ));
     }
+    let checked = if problems.is_empty() { "whole" } else { "damaged:" };
+    lines.push(format!("{:12}{checked}", "files"));
+    lines.extend(problems.iter().map(|problem| format!("{:12}{problem}", "")));
     for key in ["version", "commit", "host", "processor", "started"] {
         if let Some(value) = manifest.provenance.get(key).and_then(|value| value.as_str()) {
             lines.push(format!("{key:12}{value}"));

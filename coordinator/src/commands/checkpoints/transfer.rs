@@ -14,7 +14,7 @@ use crate::files;
 
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
-    let store = store_to_be(&args.store);
+    let store = store_to_be(&args.store)?;
     let name = args.name.clone();
     let imported = if args.archive == Path::new("-") {
         store.import(std::io::stdin().lock(), name)
@@ -43,6 +43,10 @@ pub(super) fn export(args: &ExportArgs) -> anyhow::Result<()> {
         let mut stdout = BufWriter::new(std::io::stdout().lock());
         store.export(&name, &mut stdout)?;
         return stdout.flush().context("standard output cannot be written");
+    }
+    if !args.force && args.out.is_file() {
+        let message = format!("{}: is there already; --force writes over it", args.out.display());
+        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
     }
     write(&store, &name, &args.out)?;
     report(&store.entry(&name)?, args.json, &format!("exported to {}", args.out.display()))

@@ -93,7 +93,7 @@ async fn a_pinned_checkpoint_is_not_removed() {
     assert_eq!(pinned.json()["labels"]["pinned"], true);
     let refused = bench.ask(&format!("DELETE {base}")).await;
     assert_eq!(refused.status, StatusCode::CONFLICT);
-    assert!(refused.error().contains("pinned"));
+    assert!(refused.error().contains("`DELETE /v1/checkpoints/iteration-00000001/pin`"));
     assert_eq!(bench.ask(&format!("DELETE {base}/pin")).await.json()["labels"]["pinned"], false);
     assert_eq!(bench.ask(&format!("DELETE {base}")).await.status, StatusCode::NO_CONTENT);
     assert_eq!(bench.ask(&format!("DELETE {base}")).await.status, StatusCode::NOT_FOUND);
@@ -117,7 +117,8 @@ async fn tags_come_and_go() {
     }
     assert_eq!(bench.ask(&format!("DELETE {}", tag(2, "demo"))).await.status, StatusCode::OK);
     let gone = bench.ask(&format!("DELETE {}", tag(2, "demo"))).await;
-    assert_eq!(gone.status, StatusCode::UNPROCESSABLE_ENTITY);
+    assert_eq!(gone.status, StatusCode::NOT_FOUND);
+    assert!(gone.error().contains("has no tag `demo`"), "{gone:?}");
     assert_eq!(bench.ask("GET /v1/checkpoints/demo").await.status, StatusCode::NOT_FOUND);
 }
 
@@ -150,4 +151,52 @@ async fn what_is_no_route_or_method_is_said_in_json() {
     assert!(answer.error().contains("DELETE"));
     assert!(answer.header("allow").contains("POST"), "{answer:?}");
     assert_eq!(answer.header("x-content-type-options"), "nosniff");
+}
+
+#[tokio::test]
+async fn changes_want_the_checkpoints_own_name() {
+    let bench = Bench::new(&[1, 2]);
+    let score = Score { value: 1.0, errors: [].into(), episodes: 1, steps: 1, seed: 0 };
+    bench.store.record_score(&Name::of_iteration(1), score).expect("scored");
+    bench.store.tag(&Name::of_iteration(1), "demo").expect("tagged");
+    for (said, now) in [("latest", 2), ("best", 1), ("demo", 1)] {
+        for line in [
+            format!("DELETE /v1/checkpoints/{said}"),
+            format!("PUT /v1/checkpoints/{said}/pin"),
+            format!("DELETE /v1/checkpoints/{said}/pin"),
+            format!("PUT /v1/checkpoints/{said}/tags/t"),
+            format!("DELETE /v1/checkpoints/{said}/tags/demo"),
+        ] {
+            let answer = bench.ask(&line).await;
+            assert_eq!(answer.status, StatusCode::CONFLICT, "{line}: {answer:?}");
+            let words = format!("`{said}` is now {}", Name::of_iteration(now));
+            assert!(answer.error().contains(&words), "{line}: {}", answer.error());
+        }
+    }
+    let list = bench.ask("GET /v1/checkpoints").await.json();
+    assert_eq!(list["checkpoints"][1]["labels"]["imported"], false, "{list}");
+}
+
+#[tokio::test]
+async fn the_newest_of_a_run_is_not_removed_and_nobody_hears_of_paths() {
+    let bench = Bench::new(&[1, 2]);
+    let root = bench.store.root();
+    std::fs::write(root.parent().expect("a run").join("config.toml"), "").expect("write");
+    let refused = bench.ask("DELETE /v1/checkpoints/iteration-00000002").await;
+    assert_eq!(refused.status, StatusCode::CONFLICT);
+    assert!(refused.error().contains("newest whole checkpoint of its run"), "{refused:?}");
+    let older = bench.ask("DELETE /v1/checkpoints/iteration-00000001").await;
+    assert_eq!(older.status, StatusCode::NO_CONTENT);
+    std::fs::write(root.join("iteration-00000002/policy.safetensors"), "x").expect("write");
+    let path = root.to_str().expect("UTF-8");
+    for line in [
+        "DELETE /v1/checkpoints/iteration-00000001",
+        "GET /v1/checkpoints/latest",
+        "GET /v1/checkpoints/iteration-00000002/archive",
+        "GET /v1/checkpoints/iteration-00000002/files/policy.safetensors",
+        "DELETE /v1/checkpoints/iteration-00000002/tags/x",
+    ] {
+        let error = bench.ask(line).await.error();
+        assert!(!error.contains(path) && !error.contains("octopus "), "{line}: {error}");
+    }
 }

@@ -202,7 +202,7 @@ async fn a_damaged_file_is_not_served_by_any_name() {
             let answer = bench.ask(&format!("GET {path}/policy.safetensors")).await;
             assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR, "{answer:?}");
             let error = answer.error();
-            for word in ["policy.safetensors", "BLAKE3", "checkpoints verify"] {
+            for word in ["policy.safetensors", "BLAKE3", "GET /v1/checkpoints"] {
                 assert!(error.contains(word), "{error}");
             }
             let answer = bench.ask(&format!("GET {path}/state.safetensors")).await;

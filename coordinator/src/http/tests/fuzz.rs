@@ -105,6 +105,9 @@ proptest! {
         let status = status("PUT", "/v1/checkpoints/iteration-00000001", b"", archive);
         prop_assert!(status.is_some_and(|status| status < 500), "{at} {byte}: {status:?}");
         let (_, bench) = &*BENCH;
-        prop_assert_eq!(bench.inventory(), ["iteration-00000001"]);
+        let mut names = bench.inventory();
+        // Of the other tests here, which send to the same store meanwhile.
+        names.retain(|name| !name.starts_with(".writing-"));
+        prop_assert_eq!(names, ["iteration-00000001"]);
     }
 }

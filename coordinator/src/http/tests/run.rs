@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::Bench;
 use crate::http::limits::Limits;
-use crate::live::{Command, LiveRun, LiveStatus, ProcessStatus, Role, Totals};
+use crate::live::{Best, Command, LiveRun, LiveStatus, ProcessStatus, Role, Totals};
 
 /// A run's loop that does what it is asked at once.
 struct FakeRun {
@@ -90,7 +90,7 @@ fn status() -> LiveStatus {
             process(Role::Worker, Some(1), None),
         ],
         accounting: Totals { produced: 10, received: 9, trained: 8, duplicate: 1, lost: 1 },
-        best: Some(("iteration-00000001".to_owned(), 0.5)),
+        best: Some(Best { name: "iteration-00000001".to_owned(), score: 0.5 }),
         eta_s: Some(3.0),
         ..LiveStatus::default()
     }
@@ -127,7 +127,7 @@ async fn workers_are_scaled_within_the_limit() {
     for (body, status, word) in [
         (r#"{"workers": 0}"#, 422, "1 to 8"),
         (r#"{"workers": 9}"#, 422, "1 to 8"),
-        (r#"{"workers": -1}"#, 422, "-1"),
+        (r#"{"workers": -1}"#, 422, "`-1`, expected a whole number"),
         (r#"{"workers": 1.5}"#, 422, "floating point"),
         (r#"{"workers": 99999999999999999999999}"#, 422, "JSON"),
         (r#"{"worker": 1}"#, 422, "worker"),

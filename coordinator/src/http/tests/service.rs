@@ -193,3 +193,24 @@ async fn the_description_holds_every_route() {
         assert!(routed && answer.status.as_u16() != 405, "{line}: {answer:?}");
     }
 }
+
+#[tokio::test]
+async fn the_description_knows_refusals_and_bytes() {
+    let document = Bench::new(&[]).ask("GET /openapi.json").await.json();
+    let upload = &document["paths"]["/v1/checkpoints/{name}"]["put"];
+    let body = &upload["requestBody"]["content"]["application/x-tar"]["schema"];
+    assert_eq!(*body, serde_json::json!({ "type": "string", "format": "binary" }));
+    let file = &document["paths"]["/v1/checkpoints/{name}/files/{file}"]["get"];
+    let body = &file["responses"]["200"]["content"]["application/octet-stream"]["schema"];
+    assert_eq!(body["format"], "binary");
+    assert!(document["components"]["schemas"]["ErrorBody"].is_object());
+    for (path, methods) in document["paths"].as_object().expect("paths") {
+        for (method, operation) in methods.as_object().expect("methods") {
+            for status in ["401", "403", "431"] {
+                let known = operation["responses"][status].is_object();
+                assert_eq!(known, path != "/health" || status != "401", "{method} {path} {status}");
+            }
+        }
+    }
+    assert!(document["paths"]["/v1/workers"]["put"]["responses"]["415"].is_object());
+}

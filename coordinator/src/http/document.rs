@@ -1,0 +1,100 @@
+//! What `/openapi.json` says beside the routes: its head, and what every route may answer.
+
+use utoipa::openapi::path::Operation;
+use utoipa::openapi::schema::{KnownFormat, SchemaFormat, Type};
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
+use utoipa::openapi::{
+    ContentBuilder, ObjectBuilder, OpenApi as Document, Ref, RefOr, Response, ResponseBuilder,
+    Schema,
+};
+use utoipa::{Modify, OpenApi, PartialSchema, ToSchema};
+
+const DESCRIPTION: &str = "\
+Checkpoints of multi-arm space robots' training, and the run that makes them if the service stands \
+beside one (`octopus train`); `octopus serve` serves a directory of checkpoints alone, and then the \
+routes of the tag `run` answer 404.
+
+Where a route reads, NAME is a checkpoint's own name, a tag, `latest` (the newest whole one from \
+which training can go on) or `best` (the one with the lowest score). Where a route changes \
+something it is the checkpoint's own name; anything else is answered with 409 and what it means now.
+
+Every failure is `{\"error\": \"...\"}`, but for what is wrong with a request's head. A path that is \
+not listed here is answered with 404, a method that is not listed for its path with 405 and the \
+header `Allow`.";
+
+/// The document's head; the routes add themselves.
+#[derive(Debug, OpenApi)]
+#[openapi(
+    info(
+        title = "SpaceOctopus checkpoint service",
+        description = DESCRIPTION
+    ),
+    servers((url = "/", description = "This service")),
+    tags(
+        (name = "checkpoints", description = "Committed training states"),
+        (name = "run", description = "The live run beside the service"),
+        (name = "service", description = "The service itself"),
+    ),
+    security((), ("token" = [])),
+    modifiers(&TokenScheme),
+)]
+struct Head;
+
+struct TokenScheme;
+
+impl Modify for TokenScheme {
+    fn modify(&self, document: &mut Document) {
+        let scheme = HttpBuilder::new()
+            .scheme(HttpAuthScheme::Bearer)
+            .description(Some("Needed by services that were started with a token"))
+            .build();
+        let components = document.components.get_or_insert_default();
+        components.add_security_scheme("token", SecurityScheme::Http(scheme));
+    }
+}
+
+/// The document before the routes add themselves.
+pub(super) fn head() -> Document {
+    Head::openapi()
+}
+
+/// Bytes as they are: of a file or an archive.
+#[derive(Debug)]
+pub(super) struct Bytes;
+
+impl PartialSchema for Bytes {
+    fn schema() -> RefOr<Schema> {
+        let format = SchemaFormat::KnownFormat(KnownFormat::Binary);
+        ObjectBuilder::new().schema_type(Type::String).format(Some(format)).into()
+    }
+}
+
+impl ToSchema for Bytes {}
+
+/// Adds to every route what the layers around it may answer.
+pub(super) fn complete(document: &mut Document) {
+    for (path, item) in &mut document.paths.paths {
+        let operations = [&mut item.get, &mut item.put, &mut item.post, &mut item.delete];
+        for operation in operations.into_iter().flatten() {
+            if path != "/health" {
+                let needed = "The service has a token, and the request does not show it";
+                answer(operation, "401", problem(needed));
+            }
+            let foreign = "The service has no token, and the request names another host than this \
+                           machine, or would change something for another web site";
+            answer(operation, "403", problem(foreign));
+            let large = "The request's head is too large; the answer has no body";
+            answer(operation, "431", ResponseBuilder::new().description(large).build());
+        }
+    }
+}
+
+fn answer(operation: &mut Operation, status: &str, response: Response) {
+    operation.responses.responses.entry(status.to_owned()).or_insert(RefOr::T(response));
+}
+
+fn problem(description: &str) -> Response {
+    let schema = Ref::from_schema_name("ErrorBody");
+    let content = ContentBuilder::new().schema(Some(schema)).build();
+    ResponseBuilder::new().description(description).content("application/json", content).build()
+}
