@@ -232,7 +232,7 @@ impl<'a> Session<'a> {
         self.snapshots.begin_from(from.map(|checkpoint| (self.origin, checkpoint.dir.clone())));
         self.learner_heard = Instant::now();
         supervisor.start_learner(from.map(Checkpoint::state).as_deref())?;
-        supervisor.scale(self.workers, |_| false)?;
+        supervisor.scale(self.workers)?;
         Ok(())
     }
 
@@ -297,6 +297,9 @@ impl<'a> Session<'a> {
         while let Some(status) = self.status.try_receive()? {
             match status {
                 Status::Ready { worker, incarnation } => {
+                    if supervisor.is_leaving(worker, incarnation) {
+                        self.orders.send(&Order::Leave { worker, incarnation })?;
+                    }
                     if !supervisor.is_current(worker, incarnation) {
                         continue;
                     }
@@ -517,8 +520,12 @@ impl<'a> Session<'a> {
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
-        for death in supervisor.reap() {
+        let deaths = supervisor.reap();
+        if !deaths.is_empty() {
+            // Once for all of them: it waits where one has died in the middle of something.
             self.channels.clean_up_after_the_dead();
+        }
+        for death in deaths {
             match death {
                 Death::Learner(cause) => {
                     // Its last words may still be on the way.
@@ -638,10 +645,7 @@ impl<'a> Session<'a> {
                     let answer = match self.may_scale(workers) {
                         Ok(()) => {
                             self.workers = workers;
-                            let heard = &self.heard;
-                            let asked =
-                                supervisor.scale(workers, |worker| heard.contains_key(&worker))?;
-                            for (worker, incarnation) in asked {
+                            for (worker, incarnation) in supervisor.scale(workers)? {
                                 self.heard.remove(&worker);
                                 if let Some(scheduler) = &mut self.scheduler {
                                     scheduler.retire(worker);

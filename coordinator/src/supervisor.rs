@@ -277,24 +277,17 @@ impl Supervisor {
     }
 
     /// Has `n` workers stay: starts what is missing as soon as the channels have room for it, and
-    /// lets the youngest go. Returns those that the caller must ask to go, with their incarnations;
-    /// one that is not ready would not hear it, has nothing to finish, and is killed.
-    pub fn scale(
-        &mut self,
-        n: usize,
-        is_ready: impl Fn(WorkerId) -> bool,
-    ) -> Result<Vec<(WorkerId, u32)>, ExitError> {
+    /// lets the youngest go. Returns those that the caller must ask to go, with their incarnations:
+    /// now, and again when one [becomes ready](Self::is_leaving) that was not, for it hears nothing
+    /// before.
+    pub fn scale(&mut self, n: usize) -> Result<Vec<(WorkerId, u32)>, ExitError> {
         let mut asked = Vec::new();
         // The youngest go first, so that numbers stay dense.
         let staying: Vec<_> = self.staying().collect();
         for &worker in staying.iter().skip(n).rev() {
             let Some(slot) = self.workers.remove(&worker) else { continue };
-            let WorkerState::Running { mut child, .. } = slot.state else { continue };
-            if is_ready(worker) {
-                asked.push((worker, slot.incarnation));
-            } else {
-                let _ = child.kill();
-            }
+            let WorkerState::Running { child, .. } = slot.state else { continue };
+            asked.push((worker, slot.incarnation));
             let state = WorkerState::Leaving { child, until: Instant::now() + LEAVE_DEADLINE };
             self.workers.insert(worker, WorkerSlot { state, ..slot });
         }
@@ -472,6 +465,13 @@ impl Supervisor {
     pub fn is_current(&self, worker: WorkerId, incarnation: u32) -> bool {
         self.workers.get(&worker).is_some_and(|slot| {
             slot.incarnation == incarnation && matches!(slot.state, WorkerState::Running { .. })
+        })
+    }
+
+    /// Whether `incarnation` is to go, and still runs.
+    pub fn is_leaving(&self, worker: WorkerId, incarnation: u32) -> bool {
+        self.workers.get(&worker).is_some_and(|slot| {
+            slot.incarnation == incarnation && matches!(slot.state, WorkerState::Leaving { .. })
         })
     }
 

@@ -214,7 +214,7 @@ impl Channels {
     /// Frees what processes that died without a goodbye still hold. The coordinator calls it after
     /// it has reaped a child; a zombie still looks alive.
     pub fn clean_up_after_the_dead(&self) {
-        let _ = self.node.blocking_cleanup_dead_nodes(Duration::from_secs(2));
+        let _ = self.node.blocking_cleanup_dead_nodes(Duration::from_millis(500));
     }
 
     /// A bell at the door of `role`.
