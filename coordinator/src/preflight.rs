@@ -144,7 +144,6 @@ fn unmounted(name: &'static str, directory: &Path, error: &std::io::Error) -> Ch
     )
 }
 
-/// Where shared memory lives.
 /// Whether there is shared memory for `to` workers where `from` are now.
 pub fn scale(sizes: &ChannelSizes, from: usize, to: usize) -> Result<(), String> {
     let total = |workers| sizes.shared_memory(workers).iter().map(|(_, bytes)| bytes).sum::<u64>();
@@ -160,6 +159,7 @@ pub fn scale(sizes: &ChannelSizes, from: usize, to: usize) -> Result<(), String>
     ))
 }
 
+/// Where shared memory lives.
 fn shm_dir() -> PathBuf {
     std::env::var_os(SHM_DIR).map_or_else(|| PathBuf::from("/dev/shm"), PathBuf::from)
 }

@@ -187,11 +187,6 @@ impl Scheduler {
         self.trained >= self.end
     }
 
-    /// Iterations trained on.
-    pub fn trained(&self) -> u64 {
-        self.trained
-    }
-
     /// Shards that nobody has been ordered to make yet.
     pub fn open(&self) -> usize {
         self.pending.len()

@@ -310,11 +310,6 @@ impl Supervisor {
         self.workers.iter().filter(move |(_, slot)| stays(slot)).map(|(&worker, _)| worker)
     }
 
-    /// How many workers run or will run again.
-    pub fn n_workers(&self) -> usize {
-        self.staying().count()
-    }
-
     fn start_worker(&mut self, worker: WorkerId, deaths: Deaths) -> Result<(), ExitError> {
         let next = self.incarnations.entry(worker).or_default();
         let incarnation = *next;
