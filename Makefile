@@ -31,7 +31,7 @@ endef
 
 .PHONY: help
 help: ## list the commands
-	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 18
+	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
 
 .PHONY: setup
 setup: ## fetch libtorch (once; DEVICE=cpu or DEVICE=cuda overrides the detection)
@@ -40,6 +40,10 @@ setup: ## fetch libtorch (once; DEVICE=cpu or DEVICE=cuda overrides the detectio
 .PHONY: venv
 venv: ## install the Python packages of the cross-checks (once)
 	@$(PYTHON) deploy/setup.py venv
+
+.PHONY: venv-benches
+venv-benches: ## install the Python packages of the benchmarks' peers (once)
+	@$(PYTHON) deploy/setup.py benches
 
 .PHONY: build
 build: setup ## build the programs: octopus, learner, sim-worker
@@ -81,4 +85,4 @@ clean: ## remove what was built; set-up and runs are kept
 
 .PHONY: distclean
 distclean: clean ## remove what was built and what was set up; runs are kept
-	rm -rf .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .cache
+	rm -rf .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .cache

@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Sets up what cargo cannot fetch: libtorch for the learner, and Python packages for the cross-checks.
+"""Sets up what cargo cannot fetch: libtorch for the learner, and Python packages for cross-checks and benchmarks.
 
     deploy/setup.py [--device auto|cpu|cuda] [--dry-run]    libtorch in .libtorch/
     deploy/setup.py venv [--dry-run]                        the tests' Python in .venv-tests/
+    deploy/setup.py benches [--dry-run]                     the benchmarks' Python in .venv-benches/
 
 Nothing outside the repository is changed. A second run finds its stamp and does nothing.
 
@@ -25,25 +26,23 @@ import sys
 import time
 import zipfile
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCK = ROOT / "deploy" / "libtorch.lock"
 LIBTORCH = ROOT / ".libtorch"
 CACHE = ROOT / ".cache"
-VENV = ROOT / ".venv-tests"
-REQUIREMENTS = ROOT / "tests" / "crosscheck" / "requirements.txt"
 
 USAGE, ENVIRONMENT, DOWNLOAD = 2, 3, 4
 ATTEMPTS = 3
 PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 LAYOUT = 1  # of .libtorch; a change here sets it up anew
-VENV_PYTHONS = ((3, 10), (3, 14))  # the oldest and the newest for which requirements.txt holds wheels
+VENV_PYTHONS = ((3, 10), (3, 14))  # the oldest and the newest for which both requirements.txt hold wheels
 RUST = (1, 95)  # rust-version in Cargo.toml
 MIN_GLIBC = (2, 28)  # the wheels are manylinux_2_28
 
 # Bytes needed at the peak, wheels and unpacked files together.
 SPACE = {"cpu": int(1.3e9), "cuda": int(7.0e9)}
-VENV_SPACE = int(1.5e9)
 
 # Libraries of the torch wheel that a CPU-only learner does without. `libtorch.so` is one of them because the
 # wheel's own wants libtorch_cuda.so; a stub takes its place.
@@ -51,6 +50,12 @@ CUDA_ONLY = re.compile(r"lib(torch|torch_cuda.*|c10_cuda|caffe2_nvrtc|torch_nvsh
 PYTHON_ONLY = re.compile(r"lib(torch_python|shm)\.so$")
 CPU_FROM_NVIDIA = re.compile(r"lib(cudart|cupti)\.so\.\d+$")
 SHARED_LIBRARY = re.compile(r"\.so(\.\d+)*$")
+
+# Libraries of the torch wheel that load CUDA's, CUDA's names for its libraries and for what is in them. The CUDA
+# runtime, cudart, is not among them: two small wheels bring what the CPU part of torch loads too.
+CUDA_USERS = ("libtorch_cuda.so", "libtorch_nvshmem.so", "libtorch_python.so")
+CUDA_LIBRARY = re.compile(r"lib(cu(?!dart\.)|nccl|nv)")
+CUDA_FUNCTION = re.compile(r"(cu(?!da)|nccl|nv)")
 
 
 class Failure(Exception):
@@ -87,10 +92,14 @@ def check_tools():
         missing.append("cargo: install Rust with rustup (https://rustup.rs)")
     elif not shutil.which("cargo"):
         missing.append("cargo is in ~/.cargo/bin, which is not on PATH: run `. ~/.cargo/env`")
-    if find_compiler() is None:
-        name = os.environ.get("CXX") or "a C++ compiler"
-        missing.append(name + ": Debian, Ubuntu: `apt install g++`; Fedora: `dnf install gcc-c++`")
-    require(missing)
+    require(missing + missing_compiler())
+
+
+def missing_compiler():
+    if find_compiler():
+        return []
+    name = os.environ.get("CXX") or "a C++ compiler"
+    return [name + ": Debian, Ubuntu: `apt install g++`; Fedora: `dnf install gcc-c++`"]
 
 
 def check_rust():
@@ -230,12 +239,13 @@ class Progress:
 
     def __init__(self, folder, size):
         self.folder, self.size = folder, size
+        self.complete = False
         self.terminal = sys.stderr.isatty()
         self.start = self.said = time.monotonic()
 
     def __call__(self):
         now = time.monotonic()
-        if not self.terminal and now - self.said < 15:
+        if self.complete or (not self.terminal and now - self.said < 15):
             return
         self.said = now
         have = 0
@@ -246,6 +256,7 @@ class Progress:
                 except OSError:
                     pass  # pip moved it meanwhile
         have = min(have, self.size)
+        self.complete = have == self.size  # pip unpacks now
         text = "setup:   %d of %d MB, %.1f MB/s" % (have / 1e6, self.size / 1e6, have / 1e6 / (now - self.start))
         # Blanks clear what a longer line left.
         sys.stderr.write("\r" + text + "   " if self.terminal else text + "\n")
@@ -347,17 +358,21 @@ def unpack(wheel, tree, device):
 
 def build_stub(library_folder):
     """An empty libtorch.so that needs libtorch_cpu.so and libc10.so, but not CUDA."""
-    source = library_folder / "stub.cpp"
-    # libtorch.so holds no code of its own. The include finds out early whether the C++ headers are there too.
-    source.write_text("#include <string>\n")
-    command = find_compiler() + ["-shared", "-fPIC", "-o", str(library_folder / "libtorch.so"), str(source)]
-    command += ["-Wl,-soname,libtorch.so", "-Wl,--no-as-needed", "-L" + str(library_folder), "-ltorch_cpu", "-lc10"]
+    options = ["-Wl,--no-as-needed", "-L" + str(library_folder), "-ltorch_cpu", "-lc10"]
     # The loader looks up what libtorch_cpu.so needs through its own rpath; so does this linker.
-    command += ["-Wl,-rpath,$ORIGIN", "-Wl,-rpath-link," + str(library_folder)]
+    options += ["-Wl,-rpath,$ORIGIN", "-Wl,-rpath-link," + str(library_folder)]
+    # libtorch.so holds no code of its own. The include finds out early whether the C++ headers are there too.
+    build_library(library_folder / "libtorch.so", "#include <string>\n", options)
+
+
+def build_library(target, text, options):
+    source = target.parent / "stub.cpp"
+    source.write_text(text)
+    command = find_compiler() + ["-shared", "-fPIC", "-o", str(target), str(source), "-Wl,-soname," + target.name] + options
     result = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
     source.unlink()
     if result.returncode:
-        raise Failure(ENVIRONMENT, "the C++ compiler could not link libtorch.so:\n" + result.stdout.strip())
+        raise Failure(ENVIRONMENT, "the C++ compiler could not link %s:\n%s" % (target.name, result.stdout.strip()))
 
 
 def check_loadable(library_folder):
@@ -549,14 +564,52 @@ def build_tree(lock, chosen, pip, device, stamp_text):
     remove(folder)
 
 
-# --- set-up of the tests' Python -------------------------------------------------------------------------
+# --- set-up of Python packages ---------------------------------------------------------------------------
 
 
-def python_for_tests():
+class Packages(NamedTuple):
+    """Python packages in a virtual environment of their own."""
+
+    folder: Path
+    requirements: Path
+    name: str
+    users: str
+    space: float  # bytes needed at the peak
+    download: float  # bytes
+    without_cuda: bool  # torch is among them, CUDA is not
+
+    @property
+    def source(self):
+        return str(self.requirements.relative_to(ROOT))
+
+
+PACKAGES = {
+    "venv": Packages(
+        folder=ROOT / ".venv-tests",
+        requirements=ROOT / "tests" / "crosscheck" / "requirements.txt",
+        name="the tests' Python",
+        users="the cross-checks",
+        space=1.5e9,
+        download=0.2e9,
+        without_cuda=False,
+    ),
+    "benches": Packages(
+        folder=ROOT / ".venv-benches",
+        requirements=ROOT / "tests" / "peers" / "requirements.txt",
+        name="the benchmarks' Python",
+        users="the benchmarks' peers",
+        space=2.5e9,
+        download=0.58e9,
+        without_cuda=True,
+    ),
+}
+
+
+def python_for(packages):
     """This Python where requirements.txt has wheels for it, or the newest on PATH that it has."""
     oldest, newest = VENV_PYTHONS
     if oldest <= sys.version_info[:2] <= newest:
-        # Inside a virtual environment, the Python it was made from: the tests' one should outlive it.
+        # Inside a virtual environment, the Python it was made from: ours should outlive it.
         return getattr(sys, "_base_executable", None) or sys.executable
     for minor in range(newest[1], oldest[1] - 1, -1):
         found = shutil.which("python3.%d" % minor)
@@ -564,54 +617,103 @@ def python_for_tests():
         if found and succeeds([found, "-c", ""]):
             return found
     wanted = "%d.%d to %d.%d" % (oldest + newest)
-    raise Failure(ENVIRONMENT, "the cross-checks need Python %s, found %s" % (wanted, platform.python_version()))
+    raise Failure(ENVIRONMENT, "%s need Python %s, found %s" % (packages.users, wanted, platform.python_version()))
 
 
-def set_up_venv(dry_run):
-    requirements = REQUIREMENTS.read_bytes()
-    python = python_for_tests()
+def set_up_packages(packages, dry_run):
+    folder = packages.folder
+    python = python_for(packages)
     expected = "requirements %s\npython %s\nversion %s\npath %s" % (
-        hashlib.sha256(requirements).hexdigest(),
+        sha256(packages.requirements),
         python,
         platform.python_version(),
-        VENV,
+        folder,
     )
-    if read(VENV / "stamp") == expected and (VENV / "bin" / "python").exists():
-        say("the tests' Python is in place")
+    if read(folder / "stamp") == expected and (folder / "bin" / "python").exists():
+        say("%s is in place" % packages.name)
         return
     if dry_run:
-        say("would install tests/crosscheck/requirements.txt into .venv-tests with " + python)
+        say("would install %s into %s with %s" % (packages.source, folder.name, python))
         return
 
-    with locked("venv"):
-        if read(VENV / "stamp") == expected:
-            say("the tests' Python is in place")
+    if packages.without_cuda:
+        check_platform()
+        require(missing_compiler() + ([] if shutil.which("readelf") else ["readelf: install binutils"]))
+    with locked(folder.name.lstrip(".")):
+        if read(folder / "stamp") == expected:
+            say("%s is in place" % packages.name)
             return
         probe = subprocess.run([python, "-c", "import venv, ensurepip"], stderr=subprocess.DEVNULL)
         if probe.returncode:
             require(["Python's venv and ensurepip modules: Debian, Ubuntu: `apt install python3-venv`"])
-        check_space(VENV_SPACE)
+        check_space(packages.space)
         start = time.monotonic()
         # Scripts in a virtual environment hold its path, so it is built in place; the stamp comes last.
-        remove(VENV)
-        say("creating .venv-tests")
-        if run([python, "-m", "venv", str(VENV)], stdout=sys.stderr):
-            raise Failure(ENVIRONMENT, "could not create .venv-tests")
-        temporary = VENV / "tmp"
-        temporary.mkdir()
-        say("installing tests/crosscheck/requirements.txt")
-        command = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
-        # The file lists the whole closure. Resolving it again would fail: hashes and extras (etils[epath]) do not mix.
-        command += ["--only-binary=:all:", "--require-hashes", "--no-deps", "-r", str(REQUIREMENTS)]
-        for attempt in range(ATTEMPTS):
-            if run(command, stdout=sys.stderr, env=pip_environment(temporary)) == 0:
-                break
-            say("pip failed (%d of %d)" % (attempt + 1, ATTEMPTS))
-        else:
-            raise Failure(DOWNLOAD, "could not install tests/crosscheck/requirements.txt")
+        remove(folder)
+        say("creating %s" % folder.name)
+        if run([python, "-m", "venv", str(folder)], stdout=sys.stderr):
+            raise Failure(ENVIRONMENT, "could not create %s" % folder.name)
+        install(packages)
+        if packages.without_cuda:
+            stand_in_for_cuda(folder)
+        (folder / "stamp").write_text(expected + "\n")
+        say("%s is set up (%.0f s)" % (packages.name, time.monotonic() - start))
+
+
+def install(packages):
+    temporary = packages.folder / "tmp"
+    say("installing %s" % packages.source)
+    command = [str(packages.folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
+    command.append("--no-cache-dir")
+    # The file lists the whole closure. Resolving it again would fail: hashes and extras (etils[epath]) do not mix.
+    command += ["--only-binary=:all:", "--require-hashes", "--no-deps", "-r", str(packages.requirements)]
+    for attempt in range(ATTEMPTS):
         remove(temporary)
-        (VENV / "stamp").write_text(expected + "\n")
-        say("the tests' Python is set up (%.0f s)" % (time.monotonic() - start))
+        temporary.mkdir()
+        progress = Progress(temporary, packages.download)
+        status = run(command, watch=progress, stdout=sys.stderr, env=pip_environment(temporary))
+        progress.end()
+        if status == 0:
+            break
+        say("pip failed (%d of %d)" % (attempt + 1, ATTEMPTS))
+    else:
+        raise Failure(DOWNLOAD, "could not install %s" % packages.source)
+    remove(temporary)
+
+
+def stand_in_for_cuda(folder):
+    """Lets torch load without CUDA's libraries, 2 GB that a measurement on processors does not need.
+
+    One library holds every function that torch would find in them, and a link to it stands for each. A function of it
+    ends the program; none is called while no tensor is on a GPU.
+    """
+    found = list(folder.glob("lib/python*/site-packages/torch/lib"))
+    if len(found) != 1:
+        raise Failure(DOWNLOAD, "%s holds no torch" % folder.name)
+    library_folder = found[0]
+    command = ["readelf", "--wide", "--dynamic", "--dyn-syms"] + [str(library_folder / name) for name in CUDA_USERS]
+    listing = subprocess.run(command, stdout=subprocess.PIPE, universal_newlines=True, env=dict(os.environ, LC_ALL="C")).stdout
+    libraries = sorted(set(filter(CUDA_LIBRARY.match, re.findall(r"\(NEEDED\).*\[(.+)\]", listing))))
+    if not libraries:
+        raise Failure(ENVIRONMENT, "readelf found no CUDA library that torch needs")
+    functions = sorted(set(filter(CUDA_FUNCTION.match, re.findall(r" UND (\S+)", listing))))
+
+    source, versions = ["#include <cstdlib>", 'extern "C" [[noreturn]] void absent() { std::abort(); }'], {}
+    for function in functions:
+        name, _, version = function.partition("@")
+        source.append('__asm__(".globl %s\\n.set %s, absent");' % (name, name))
+        if version:
+            versions.setdefault(version, []).append(name)
+    script = library_folder / "stub.map"
+    script.write_text("".join("%s { %s; };\n" % (version, "; ".join(names)) for version, names in versions.items()))
+    build_library(library_folder / libraries[0], "\n".join(source) + "\n", ["-Wl,--version-script,%s" % script])
+    script.unlink()
+    for name in libraries[1:]:
+        (library_folder / name).symlink_to(libraries[0])
+
+    result = subprocess.run([str(folder / "bin" / "python"), "-c", "import torch"], stderr=subprocess.PIPE, universal_newlines=True)
+    if result.returncode:
+        raise Failure(ENVIRONMENT, "torch does not load:\n" + result.stderr.strip())
 
 
 # --- command line ----------------------------------------------------------------------------------------
@@ -619,13 +721,13 @@ def set_up_venv(dry_run):
 
 def parse(arguments):
     parser = argparse.ArgumentParser(prog="setup.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="?", default="libtorch", choices=("libtorch", "venv"), help="what to set up (libtorch)")
+    parser.add_argument("what", nargs="?", default="libtorch", choices=("libtorch", *PACKAGES), help="what to set up (libtorch)")
     devices = ("auto", "cpu", "cuda")
     parser.add_argument("--device", choices=devices, help="auto: cuda where an NVIDIA GPU is found, cpu elsewhere")
     parser.add_argument("--dry-run", action="store_true", help="say what would be done")
     options = parser.parse_args(arguments)
-    if options.what == "venv" and options.device:
-        parser.error("--device has no meaning for venv")
+    if options.what in PACKAGES and options.device:
+        parser.error("--device has no meaning for %s" % options.what)
     if options.device is None:
         options.device = os.environ.get("SPACEOCTOPUS_DEVICE") or "auto"
         if options.device not in devices:
@@ -637,8 +739,8 @@ def main():
     options = parse(sys.argv[1:])
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        if options.what == "venv":
-            set_up_venv(options.dry_run)
+        if options.what in PACKAGES:
+            set_up_packages(PACKAGES[options.what], options.dry_run)
         else:
             set_up_libtorch(options.device, options.dry_run)
     except Failure as failure:
