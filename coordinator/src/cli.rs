@@ -309,10 +309,10 @@ pub struct SimulateArgs {
     #[arg(long, value_enum, default_value_t = PrecisionArg::F32)]
     pub precision: PrecisionArg,
     /// Integration scheme.
-    #[arg(long, value_enum, default_value_t = IntegratorArg::Rk4)]
+    #[arg(long, value_enum, default_value_t = IntegratorArg::Rk3)]
     pub integrator: IntegratorArg,
     /// Duration of an integration step; divides the control period.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.01, allow_negative_numbers = true, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.016, allow_negative_numbers = true, value_parser = seconds)]
     pub substep: f64,
     /// Duration of a control step.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.4, allow_negative_numbers = true, value_parser = seconds)]
@@ -436,6 +436,8 @@ pub enum PrecisionArg {
 pub enum IntegratorArg {
     /// Classical Runge and Kutta, as training integrates.
     Rk4,
+    /// Runge–Kutta of third order.
+    Rk3,
     /// Semi-implicit Euler, as the robot's authors do.
     Euler,
 }

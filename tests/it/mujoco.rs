@@ -270,7 +270,7 @@ fn summary(mut errors: Vec<f64>) -> (f64, f64) {
     (errors.iter().sum::<f64>() / errors.len() as f64, errors[at])
 }
 
-/// What training integrates (single precision, lanes, 10 ms) is nearer to the converged solution than the authors' own scheme: at base and
+/// What training integrates (single precision, lanes, 16 ms) is nearer to the converged solution than the authors' own scheme: at base and
 /// hands, mean and 99th percentile, over 64 episodes of 20 s with random commands.
 #[test]
 fn training_is_nearer_to_the_converged_solution_than_the_authors_scheme() {

@@ -24,6 +24,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     let options = StepOptions {
         integrator: match args.integrator {
             IntegratorArg::Rk4 => Integrator::Rk4,
+            IntegratorArg::Rk3 => Integrator::Rk3,
             IntegratorArg::Euler => Integrator::Euler,
         },
         control_period: args.control_period,

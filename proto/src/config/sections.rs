@@ -139,6 +139,8 @@ pub struct RobotSection {
 pub enum Integrator {
     /// Classical Runge and Kutta, fourth order.
     Rk4,
+    /// Runge–Kutta of third order: fewer evaluations for contacts as stiff.
+    Rk3,
     /// Semi-implicit Euler, the scheme of the authors' simulator.
     Euler,
 }

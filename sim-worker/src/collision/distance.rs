@@ -1,8 +1,8 @@
-//! Closest points of two cores, without branches on lane data.
+//! Closest points of two shapes, and cheap bounds of their distance, without branches on lane data.
 //!
 //! [Ericson 2005] C. Ericson, Real-Time Collision Detection, Morgan Kaufmann.
 
-use super::shape::{Core, FixedBox, Rounded};
+use super::shape::{Bound, Core, FixedBox, Rounded};
 use crate::scalar::Real;
 use crate::spatial::{Vec3, add, dot, mat_t_vec, mat_vec, mul_add, scale, sub};
 
@@ -22,6 +22,27 @@ const ROUNDS: usize = 6;
 
 /// Below this distance of cores (m) the direction between them says nothing.
 const COINCIDENT: f64 = 1e-5;
+
+/// A distance (m) that the shapes within two capsules are not below; the distance itself, if they are the capsules.
+#[inline(always)]
+pub(crate) fn bound_bound<S: Real>(a: &Bound<S>, b: &Bound<S>) -> S {
+    let (p, q) = segment_segment(a.from, a.to, b.from, b.to);
+    let d = sub(p, q);
+    dot(d, d).sqrt() - (a.radius + b.radius)
+}
+
+/// A distance (m) that the shapes within a capsule are not below from a box: that of a box around the capsule's segment, in the box's axes.
+#[inline(always)]
+pub(crate) fn bound_box<S: Real>(a: &Bound<S>, b: &FixedBox<S>) -> S {
+    let (p, q) = (to_box(b, a.from), to_box(b, a.to));
+    let mut e = [S::zero(); 3];
+    for i in 0..3 {
+        let beyond = p[i].min(q[i]) - b.half[i];
+        let before = -b.half[i] - p[i].max(q[i]);
+        e[i] = beyond.max(before).max(S::zero());
+    }
+    dot(e, e).sqrt() - a.radius
+}
 
 /// Two rounded shapes, cores in the base frame.
 #[inline(always)]

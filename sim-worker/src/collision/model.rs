@@ -1,18 +1,17 @@
-//! Bodies that can touch, the pairs of them, and the spheres by which most pairs are dismissed.
+//! Bodies that can touch, the pairs of them, and the capsules and balls by which most pairs are dismissed.
 
 use nalgebra::Vector3;
 
-use super::shape::{FixedBox, Rounded, bounding_sphere};
-use crate::robot::{ArmBody, BaseBox, JOINTS_PER_ARM, Robot};
+use super::shape::{Bound, FixedBox, Rounded};
+use crate::robot::{ArmBody, BaseBox, JOINTS_PER_ARM, Robot, Shape};
 use crate::scalar::Real;
-use crate::spatial::Vec3;
 
 /// A moving link's shapes, the same for every arm, link frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct MovingBody<S> {
     pub(crate) shapes: Vec<Rounded<S>>,
-    pub(crate) centre: Vec3<S>,
-    pub(crate) radius: S,
+    /// Around all of them.
+    pub(crate) bound: Bound<S>,
 }
 
 /// What is fixed to the base, base frame.
@@ -20,8 +19,8 @@ pub(crate) struct MovingBody<S> {
 pub(crate) enum FixedBody<S> {
     /// A box.
     Box(FixedBox<S>),
-    /// Rounded shapes.
-    Rounded(Vec<Rounded<S>>),
+    /// Rounded shapes, and a capsule around all of them.
+    Rounded(Vec<Rounded<S>>, Bound<S>),
 }
 
 /// The second body of a pair.
@@ -39,8 +38,10 @@ pub(crate) struct Pair<S> {
     /// Link, index over all arms.
     pub(crate) a: usize,
     pub(crate) b: Partner,
-    /// Sum of the bounding radii (m); of A alone where B is a box.
+    /// Sum of the radii of the balls around the bounding capsules (m).
     pub(crate) reach: S,
+    /// Whether A and B are one capsule each, so that their bounds are as good as they are.
+    pub(crate) simple: bool,
 }
 
 /// Everything collisions need of a robot.
@@ -49,8 +50,6 @@ pub(crate) struct CollisionModel<S> {
     /// Six, the same for every arm.
     pub(crate) links: Vec<MovingBody<S>>,
     pub(crate) fixed: Vec<FixedBody<S>>,
-    /// Bounding centre of each fixed body.
-    pub(crate) fixed_centres: Vec<Vec3<S>>,
     pub(crate) pairs: Vec<Pair<S>>,
     /// `[j][l]`: no point of link l is farther than this from joint j's axis, in any pose (m); zero for l < j.
     pub(crate) levers: [[S; JOINTS_PER_ARM]; JOINTS_PER_ARM],
@@ -82,33 +81,29 @@ impl<S: Real> CollisionModel<S> {
     ///
     /// Not pairs: bodies without shapes; bodies fixed to each other; a link with the link or the base that carries it; pairs told by joint angle.
     pub(crate) fn new(robot: &Robot) -> Self {
-        let balls: Vec<Ball> = robot
-            .links
-            .iter()
-            .map(|l| bounding_sphere(&l.shapes).unwrap_or((Vector3::zeros(), 0.0)))
-            .collect();
-        let links = robot.links.iter().zip(&balls).map(|(link, (centre, radius))| MovingBody {
+        let nothing = Bound { from: [0.0; 3], to: [0.0; 3], radius: 0.0 };
+        let bounds: Vec<Bound<f64>> =
+            robot.links.iter().map(|l| Bound::around(&l.shapes).unwrap_or(nothing)).collect();
+        let balls: Vec<Ball> = bounds.iter().map(Bound::ball).collect();
+        let links = robot.links.iter().zip(&bounds).map(|(link, bound)| MovingBody {
             shapes: link.shapes.iter().map(Rounded::new).collect(),
-            centre: (*centre).map(S::splat).into(),
-            radius: S::splat(*radius),
+            bound: Bound::new(bound),
         });
 
         // Fixed bodies: the base's boxes, then mount and pedestal of each arm.
-        let (mut fixed, mut centres, mut fixed_radius) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut fixed, mut fixed_radius) = (Vec::new(), Vec::new());
         let n_boxes = robot.boxes.len();
         for b in &robot.boxes {
             fixed.push(fixed_box(b));
-            centres.push(b.centre);
-            fixed_radius.push(None);
+            fixed_radius.push(0.0);
         }
         for arm in &robot.arms {
             fixed.push(fixed_box(&arm.mount));
-            centres.push(arm.mount.centre);
-            fixed_radius.push(None);
-            let ball = bounding_sphere(&arm.pedestal_shapes).unwrap_or((arm.position, 0.0));
-            fixed.push(FixedBody::Rounded(arm.pedestal_shapes.iter().map(Rounded::new).collect()));
-            centres.push(ball.0);
-            fixed_radius.push(Some(ball.1));
+            fixed_radius.push(0.0);
+            let bound = Bound::around(&arm.pedestal_shapes).unwrap_or(nothing);
+            let shapes = arm.pedestal_shapes.iter().map(Rounded::new).collect();
+            fixed.push(FixedBody::Rounded(shapes, Bound::new(&bound)));
+            fixed_radius.push(bound.ball().1);
         }
         let mount = |arm: usize| n_boxes + 2 * arm;
 
@@ -119,12 +114,18 @@ impl<S: Real> CollisionModel<S> {
         let link_radius: Vec<f64> = balls.iter().map(|b| b.1).collect();
         let mut pairs = Vec::new();
         let mut pair = |a: usize, b: Partner| {
-            let other = match b {
-                Partner::Link(b) => link_radius[b % JOINTS_PER_ARM],
-                Partner::Fixed(b) => fixed_radius[b].unwrap_or(0.0),
+            let (other, shapes) = match b {
+                Partner::Link(b) => (
+                    link_radius[b % JOINTS_PER_ARM],
+                    robot.links[b % JOINTS_PER_ARM].shapes.as_slice(),
+                ),
+                Partner::Fixed(b) => (fixed_radius[b], [].as_slice()),
             };
             let reach = S::splat(link_radius[a % JOINTS_PER_ARM] + other);
-            pairs.push(Pair { a, b, reach });
+            let own = robot.links[a % JOINTS_PER_ARM].shapes.as_slice();
+            let simple =
+                matches!((own, shapes), ([Shape::Capsule { .. }], [Shape::Capsule { .. }]));
+            pairs.push(Pair { a, b, reach, simple });
         };
         let at = |arm: usize, l: usize| arm * JOINTS_PER_ARM + l;
         for arm in 0..robot.n_arms {
@@ -159,12 +160,6 @@ impl<S: Real> CollisionModel<S> {
         }
         let levers =
             std::array::from_fn(|j| std::array::from_fn(|l| S::splat(lever(robot, &balls, j, l))));
-        Self {
-            links: links.collect(),
-            fixed,
-            fixed_centres: centres.iter().map(|c| c.map(S::splat).into()).collect(),
-            pairs,
-            levers,
-        }
+        Self { links: links.collect(), fixed, pairs, levers }
     }
 }

@@ -1,8 +1,10 @@
 //! Convex shapes as a core and a radius around it, and where they stand.
 
+use nalgebra::{Rotation3, Vector3};
+
 use crate::robot::Shape;
 use crate::scalar::Real;
-use crate::spatial::{Mat3, Vec3, add, mat_vec};
+use crate::spatial::{Mat3, Vec3, add, mat_vec, mul_add, scale};
 
 /// Core of a shape, in the frame of its body or, once placed, of the base.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,24 +93,94 @@ impl<S: Real> Core<S> {
     }
 }
 
-/// Centre and radius of a sphere that holds the shapes.
-pub(crate) fn bounding_sphere(shapes: &[Shape]) -> Option<(nalgebra::Vector3<f64>, f64)> {
-    let balls: Vec<(nalgebra::Vector3<f64>, f64)> = shapes
-        .iter()
-        .flat_map(|shape| match shape {
-            Shape::Capsule { from, to, radius } => vec![(*from, *radius), (*to, *radius)],
-            Shape::Disc { centre, radius, half_height, .. } => {
-                vec![(*centre, radius.hypot(*half_height))]
-            }
-        })
-        .collect();
-    let first = balls.first()?.0;
-    let (mut low, mut high) = (first, first);
-    for (c, r) in &balls {
-        low = low.inf(&c.add_scalar(-r));
-        high = high.sup(&c.add_scalar(*r));
+/// A capsule around shapes: what is farther than `radius` from its segment is outside of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Bound<S> {
+    /// One end of the segment (m).
+    pub(crate) from: Vec3<S>,
+    /// The other end (m).
+    pub(crate) to: Vec3<S>,
+    /// Radius (m).
+    pub(crate) radius: S,
+}
+
+impl Bound<f64> {
+    /// A capsule that holds the shapes of a body, along the longest distance within them.
+    pub(crate) fn around(shapes: &[Shape]) -> Option<Self> {
+        // A disc lies within a capsule of its radius along its axis.
+        let balls: Vec<(Vector3<f64>, f64)> = shapes
+            .iter()
+            .flat_map(|shape| match shape {
+                Shape::Capsule { from, to, radius } => [(*from, *radius), (*to, *radius)],
+                Shape::Disc { centre, axis, radius, half_height } => [
+                    (centre - axis * *half_height, *radius),
+                    (centre + axis * *half_height, *radius),
+                ],
+            })
+            .collect();
+        let pairs = balls.iter().flat_map(|a| balls.iter().map(|b| b.0 - a.0));
+        let longest = pairs.max_by(|a, b| a.norm().total_cmp(&b.norm()))?;
+        let axis = longest.try_normalize(1e-9).unwrap_or_else(Vector3::z);
+        // In axes whose x is the capsule's: a box around the centres, and its middle line.
+        let turn = Rotation3::rotation_between(&axis, &Vector3::x()).unwrap_or_else(|| {
+            Rotation3::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI)
+        });
+        let centres: Vec<Vector3<f64>> = balls.iter().map(|(c, _)| turn * c).collect();
+        let low = centres.iter().copied().reduce(|a, b| a.inf(&b))?;
+        let high = centres.iter().copied().reduce(|a, b| a.sup(&b))?;
+        let middle = (low + high) / 2.0;
+        let end = |x: f64| (turn.inverse() * Vector3::new(x, middle.y, middle.z)).into();
+        let radius = centres
+            .iter()
+            .zip(&balls)
+            .map(|(c, (_, r))| (c - middle).yz().norm() + r)
+            .fold(0.0, f64::max);
+        Some(Self { from: end(low.x), to: end(high.x), radius })
     }
-    let centre = (low + high) / 2.0;
-    let radius = balls.iter().map(|(c, r)| (c - centre).norm() + r).fold(0.0, f64::max);
-    Some((centre, radius))
+
+    /// Middle of the segment, and the distance from there that nothing exceeds (m).
+    pub(crate) fn ball(&self) -> (Vector3<f64>, f64) {
+        let (from, to) = (Vector3::from(self.from), Vector3::from(self.to));
+        ((from + to) / 2.0, (to - from).norm() / 2.0 + self.radius)
+    }
+}
+
+impl<S: Real> Bound<S> {
+    /// The same in another scalar.
+    pub(crate) fn new(bound: &Bound<f64>) -> Self {
+        Self {
+            from: bound.from.map(S::splat),
+            to: bound.to.map(S::splat),
+            radius: S::splat(bound.radius),
+        }
+    }
+
+    /// A capsule around a shape: itself, if it is one.
+    #[inline(always)]
+    pub(crate) fn of(shape: &Rounded<S>) -> Self {
+        match shape.core {
+            Core::Segment { from, to } => Self { from, to, radius: shape.radius },
+            Core::Cylinder { centre, axis, radius, half } => Self {
+                from: mul_add(-half, axis, centre),
+                to: mul_add(half, axis, centre),
+                radius: radius + shape.radius,
+            },
+        }
+    }
+
+    /// The capsule in the base frame, given its body's pose.
+    #[inline(always)]
+    pub(crate) fn placed(&self, r: &Mat3<S>, o: Vec3<S>) -> Self {
+        Self {
+            from: add(mat_vec(r, self.from), o),
+            to: add(mat_vec(r, self.to), o),
+            radius: self.radius,
+        }
+    }
+
+    /// Middle of the segment.
+    #[inline(always)]
+    pub(crate) fn middle(&self) -> Vec3<S> {
+        scale(S::splat(0.5), add(self.from, self.to))
+    }
 }

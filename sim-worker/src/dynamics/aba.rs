@@ -4,10 +4,11 @@
 
 use super::articulated::{ArticulatedInertia, PlanarMotion};
 use super::kinematics::{
-    force_from_next, force_to_base, motion_to_arm, motion_to_next, turn, unturn, velocities,
+    for_sparsity, force_from_next, force_to_base, motion_to_arm, motion_to_next, turn, unturn,
+    velocities,
 };
-use super::workspace::Workspace;
-use crate::robot::{JOINTS_PER_ARM, Model, RigidInertia};
+use super::workspace::{LinkScratch, Workspace};
+use crate::robot::{JOINTS_PER_ARM, LinkModel, Model, RigidInertia};
 use crate::scalar::Real;
 use crate::spatial::{
     Vec6, add, cross, cross_add, mat_t_vec, mat_vec, quaternion_to_rotation, scale,
@@ -41,8 +42,8 @@ pub fn forward_dynamics<S: Real>(
     velocities(model, ws, &state.q, &state.qd);
     for (link, &t) in ws.links.iter_mut().zip(tau) {
         link.tau = t;
-        link.f_ext = Vec6::zero();
     }
+    ws.forced.fill(false);
     ws.base_f_ext = Vec6::zero();
     let mut joints = vec![S::zero(); model.n_joints()];
     let a = aba(model, ws, &state.qd, &mut joints);
@@ -65,7 +66,7 @@ pub(crate) fn world_acceleration<S: Real>(
 
 /// Spatial acceleration of the base (base axes) and joint accelerations `qdd`.
 ///
-/// Reads `ws.base_v`, `ws.base_f_ext` and of every link `sin`, `cos`, `v`, `f_ext`, `tau`; fills `u_col`, `d_inv`, `u`.
+/// Reads `ws.base_v`, `ws.base_f_ext` and of every link `sin`, `cos`, `v`, `tau` and, where it is `forced`, `f_ext`; fills `u_col`, `d_inv`, `u`.
 #[inline(always)]
 pub(crate) fn aba<S: Real>(
     model: &Model<S>,
@@ -86,31 +87,18 @@ pub(crate) fn aba<S: Real>(
         let mut j = JOINTS_PER_ARM;
         while j > 0 {
             j -= 1;
-            let body = &model.links[j];
-            let link = &mut ws.links[first + j];
-            if j + 1 < JOINTS_PER_ARM {
-                inertia = inertia.moved_to_previous(body);
-                p = force_from_next(body, p);
-            }
-            inertia.add_body(&body.body);
-            let own = bias_force(&body.body, link.v);
-            p.ang = add(p.ang, sub3(own.ang, link.f_ext.ang));
-            p.lin = add(p.lin, sub3(own.lin, link.f_ext.lin));
-
-            let u_col = inertia.z_column();
-            let d_inv = (u_col.ang[2] + body.armature).recip();
-            let u = link.tau - p.ang[2];
-            link.u_col = u_col;
-            link.d_inv = d_inv;
-            link.u = u;
-            inertia.remove(u_col, d_inv);
-            p = inertia.apply_planar(velocity_product(link.v, qd[first + j]), p);
-            let ud = u * d_inv;
-            p.ang = crate::spatial::mul_add(ud, u_col.ang, p.ang);
-            p.lin = crate::spatial::mul_add(ud, u_col.lin, p.lin);
-            inertia = inertia.turned(link.sin, link.cos);
-            p.ang = turn(link.sin, link.cos, p.ang);
-            p.lin = turn(link.sin, link.cos, p.lin);
+            let (body, i) = (&model.links[j], first + j);
+            let (link, forced, rate) = (&mut ws.links[i], ws.forced[i], qd[i]);
+            // One straight piece of code for each shape: between pieces, the 27 numbers that are carried along would go through memory.
+            (inertia, p) = if j + 1 == JOINTS_PER_ARM {
+                through_joint(body, link, forced, rate, inertia, p)
+            } else {
+                for_sparsity!(body.sparsity, sparsity => {
+                    let inertia = inertia.moved_to_previous(body, sparsity);
+                    let p = force_from_next(body, sparsity, p);
+                    through_joint(body, link, forced, rate, inertia, p)
+                })
+            };
         }
         inertia0.add(&inertia.moved_to_base(&model.arms[arm]));
         let f = force_to_base(&model.arms[arm], p);
@@ -126,7 +114,8 @@ pub(crate) fn aba<S: Real>(
         let mut a = motion_to_arm(&model.arms[arm], a0);
         for j in 0..JOINTS_PER_ARM {
             if j > 0 {
-                a = motion_to_next(&model.links[j - 1], a);
+                let before = &model.links[j - 1];
+                a = for_sparsity!(before.sparsity, sparsity => motion_to_next(before, sparsity, a));
             }
             let link = &ws.links[first + j];
             a.ang = unturn(link.sin, link.cos, a.ang);
@@ -148,6 +137,42 @@ pub(crate) fn aba<S: Real>(
         }
     }
     a0
+}
+
+/// Adds a link to the articulated inertia and bias force of what it carries, both in its frame, and takes the sum through its joint: before the
+/// joint's turn, as the link before carries it.
+#[inline(always)]
+fn through_joint<S: Real>(
+    body: &LinkModel<S>,
+    link: &mut LinkScratch<S>,
+    forced: bool,
+    rate: S,
+    mut inertia: ArticulatedInertia<S>,
+    mut p: Vec6<S>,
+) -> (ArticulatedInertia<S>, Vec6<S>) {
+    inertia.add_body(&body.body);
+    let mut own = bias_force(&body.body, link.v);
+    if forced {
+        own.ang = sub3(own.ang, link.f_ext.ang);
+        own.lin = sub3(own.lin, link.f_ext.lin);
+    }
+    p.ang = add(p.ang, own.ang);
+    p.lin = add(p.lin, own.lin);
+
+    let u_col = inertia.z_column();
+    let d_inv = (u_col.ang[2] + body.armature).recip();
+    let u = link.tau - p.ang[2];
+    link.u_col = u_col;
+    link.d_inv = d_inv;
+    link.u = u;
+    inertia.remove(u_col, d_inv);
+    p = inertia.apply_planar(velocity_product(link.v, rate), p);
+    let ud = u * d_inv;
+    p.ang = crate::spatial::mul_add(ud, u_col.ang, p.ang);
+    p.lin = crate::spatial::mul_add(ud, u_col.lin, p.lin);
+    p.ang = turn(link.sin, link.cos, p.ang);
+    p.lin = turn(link.sin, link.cos, p.lin);
+    (inertia.turned(link.sin, link.cos), p)
 }
 
 #[inline(always)]

@@ -1,7 +1,7 @@
 //! Articulated-body inertia: the symmetric 6 × 6 matrix, kept as its 21 numbers and carried between link frames.
 
 use super::kinematics::twist;
-use crate::robot::{ArmModel, LinkModel, RigidInertia, Twist};
+use crate::robot::{ArmModel, LinkModel, RigidInertia, Sparsity, Twist};
 use crate::scalar::Real;
 use crate::spatial::{Mat3, Vec3, Vec6, cross_add, dot, mat_mat, mat_vec};
 
@@ -52,9 +52,9 @@ fn turn_mat<S: Real>(s: S, c: S, m: &Mat3<S>) -> Mat3<S> {
 
 /// Rx(α) M Rx(α)ᵀ of a symmetric matrix.
 #[inline(always)]
-fn twist_sym<S: Real>(link: &LinkModel<S>, m: Sym3<S>) -> Sym3<S> {
+fn twist_sym<S: Real>(link: &LinkModel<S>, sparsity: Sparsity, m: Sym3<S>) -> Sym3<S> {
     let [xx, yy, zz, xy, xz, yz] = m;
-    match link.twist {
+    match sparsity.twist {
         Twist::None => m,
         Twist::Quarter => [xx, zz, yy, -xz, xy, -yz],
         Twist::MinusQuarter => [xx, zz, yy, xz, -xy, -yz],
@@ -69,17 +69,17 @@ fn twist_sym<S: Real>(link: &LinkModel<S>, m: Sym3<S>) -> Sym3<S> {
 
 /// Rx(α) M Rx(α)ᵀ of any matrix.
 #[inline(always)]
-fn twist_mat<S: Real>(link: &LinkModel<S>, m: &Mat3<S>) -> Mat3<S> {
+fn twist_mat<S: Real>(link: &LinkModel<S>, sparsity: Sparsity, m: &Mat3<S>) -> Mat3<S> {
     // Rows first, then columns.
     let rows = [
-        twist(link, [m[0][0], m[1][0], m[2][0]]),
-        twist(link, [m[0][1], m[1][1], m[2][1]]),
-        twist(link, [m[0][2], m[1][2], m[2][2]]),
+        twist(link, sparsity, [m[0][0], m[1][0], m[2][0]]),
+        twist(link, sparsity, [m[0][1], m[1][1], m[2][1]]),
+        twist(link, sparsity, [m[0][2], m[1][2], m[2][2]]),
     ];
     [
-        twist(link, [rows[0][0], rows[1][0], rows[2][0]]),
-        twist(link, [rows[0][1], rows[1][1], rows[2][1]]),
-        twist(link, [rows[0][2], rows[1][2], rows[2][2]]),
+        twist(link, sparsity, [rows[0][0], rows[1][0], rows[2][0]]),
+        twist(link, sparsity, [rows[0][1], rows[1][1], rows[2][1]]),
+        twist(link, sparsity, [rows[0][2], rows[1][2], rows[2][2]]),
     ]
 }
 
@@ -180,12 +180,12 @@ impl<S: Real> ArticulatedInertia<S> {
     ///
     /// With p the shift: B' = B + [p] C, A' = A + [p] Bᵀ + B' [p]ᵀ.
     #[inline(always)]
-    pub(crate) fn moved_to_previous(&self, link: &LinkModel<S>) -> Self {
-        let mut a = twist_sym(link, self.a);
-        let mut b = twist_mat(link, &self.b);
-        let c = twist_sym(link, self.c);
+    pub(crate) fn moved_to_previous(&self, link: &LinkModel<S>, sparsity: Sparsity) -> Self {
+        let mut a = twist_sym(link, sparsity, self.a);
+        let mut b = twist_mat(link, sparsity, &self.b);
+        let c = twist_sym(link, sparsity, self.c);
         let [c_xx, c_yy, c_zz, c_xy, c_xz, c_yz] = c;
-        if link.has_a {
+        if sparsity.has_a {
             let s = link.a;
             a[1] = s.neg_mul_add(b[1][2], a[1]);
             a[2] = s.mul_add(b[2][1], a[2]);
@@ -202,7 +202,7 @@ impl<S: Real> ArticulatedInertia<S> {
             a[4] = s.mul_add(b[0][1], a[4]);
             a[5] = s.mul_add(b[1][1], a[5]);
         }
-        if link.has_d {
+        if sparsity.has_d {
             let s = link.d;
             a[0] = s.neg_mul_add(b[0][1], a[0]);
             a[1] = s.mul_add(b[1][0], a[1]);

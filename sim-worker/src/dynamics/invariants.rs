@@ -7,7 +7,7 @@
 //! [Hairer, Lubich & Wanner 2006] Geometric Numerical Integration, Springer.
 
 use super::articulated::ArticulatedInertia;
-use super::kinematics::{force_from_next, force_to_base, turn, velocities};
+use super::kinematics::{for_sparsity, force_from_next, force_to_base, turn, velocities};
 use super::workspace::Workspace;
 use crate::robot::{JOINTS_PER_ARM, Model, RigidInertia};
 use crate::scalar::{Kernel, Real};
@@ -82,8 +82,10 @@ impl<S: Real> Kernel<S> for Look<'_, S> {
                 j -= 1;
                 let body = &model.links[j];
                 if j + 1 < JOINTS_PER_ARM {
-                    inertia = inertia.moved_to_previous(body);
-                    h = force_from_next(body, h);
+                    (inertia, h) = for_sparsity!(body.sparsity, sparsity => (
+                        inertia.moved_to_previous(body, sparsity),
+                        force_from_next(body, sparsity, h)
+                    ));
                 }
                 let link = &ws.links[arm * JOINTS_PER_ARM + j];
                 inertia.add_body(&body.body);

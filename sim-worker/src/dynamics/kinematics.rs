@@ -2,15 +2,63 @@
 //! about z.
 
 use super::workspace::{LinkPose, Workspace};
-use crate::robot::{ArmModel, JOINTS_PER_ARM, LinkModel, Model, Twist};
+use crate::robot::{ArmModel, JOINTS_PER_ARM, LinkModel, Model, Sparsity, Twist};
 use crate::scalar::Real;
 use crate::spatial::{Vec3, Vec6, add, cross, cross_add, mat_t_vec, mat_vec, sub};
 
+/// Evaluates an expression with `$sparsity`, the [`Sparsity`] of a link, as a constant where it is one of the UR arms', and as a variable elsewhere.
+///
+/// A macro, because a closure is a function of its own that is compiled without the lane function's processor features.
+macro_rules! for_sparsity {
+    ($of:expr, $sparsity:ident => $value:expr) => {
+        match $of {
+            crate::robot::Sparsity {
+                twist: crate::robot::Twist::None,
+                has_a: true,
+                has_d: false,
+            } => {
+                let $sparsity = crate::robot::Sparsity {
+                    twist: crate::robot::Twist::None,
+                    has_a: true,
+                    has_d: false,
+                };
+                $value
+            }
+            crate::robot::Sparsity {
+                twist: crate::robot::Twist::Quarter,
+                has_a: false,
+                has_d: true,
+            } => {
+                let $sparsity = crate::robot::Sparsity {
+                    twist: crate::robot::Twist::Quarter,
+                    has_a: false,
+                    has_d: true,
+                };
+                $value
+            }
+            crate::robot::Sparsity {
+                twist: crate::robot::Twist::MinusQuarter,
+                has_a: false,
+                has_d: true,
+            } => {
+                let $sparsity = crate::robot::Sparsity {
+                    twist: crate::robot::Twist::MinusQuarter,
+                    has_a: false,
+                    has_d: true,
+                };
+                $value
+            }
+            $sparsity => $value,
+        }
+    };
+}
+pub(crate) use for_sparsity;
+
 /// Rx(−α) v: from the axes before the twist to those behind it.
 #[inline(always)]
-pub(crate) fn untwist<S: Real>(link: &LinkModel<S>, v: Vec3<S>) -> Vec3<S> {
+pub(crate) fn untwist<S: Real>(link: &LinkModel<S>, sparsity: Sparsity, v: Vec3<S>) -> Vec3<S> {
     let [x, y, z] = v;
-    match link.twist {
+    match sparsity.twist {
         Twist::None => v,
         Twist::Quarter => [x, z, -y],
         Twist::MinusQuarter => [x, -z, y],
@@ -23,9 +71,9 @@ pub(crate) fn untwist<S: Real>(link: &LinkModel<S>, v: Vec3<S>) -> Vec3<S> {
 
 /// Rx(α) v: from the axes behind the twist to those before it.
 #[inline(always)]
-pub(crate) fn twist<S: Real>(link: &LinkModel<S>, v: Vec3<S>) -> Vec3<S> {
+pub(crate) fn twist<S: Real>(link: &LinkModel<S>, sparsity: Sparsity, v: Vec3<S>) -> Vec3<S> {
     let [x, y, z] = v;
-    match link.twist {
+    match sparsity.twist {
         Twist::None => v,
         Twist::Quarter => [x, -z, y],
         Twist::MinusQuarter => [x, z, -y],
@@ -50,29 +98,37 @@ pub(crate) fn turn<S: Real>(sin: S, cos: S, v: Vec3<S>) -> Vec3<S> {
 
 /// Motion at a link frame's origin, seen at the next link frame's origin in axes just before that joint's turn.
 #[inline(always)]
-pub(crate) fn motion_to_next<S: Real>(link: &LinkModel<S>, v: Vec6<S>) -> Vec6<S> {
+pub(crate) fn motion_to_next<S: Real>(
+    link: &LinkModel<S>,
+    sparsity: Sparsity,
+    v: Vec6<S>,
+) -> Vec6<S> {
     let mut lin = v.lin;
-    if link.has_a {
+    if sparsity.has_a {
         lin[1] = v.ang[2].mul_add(link.a, lin[1]);
         lin[2] = v.ang[1].neg_mul_add(link.a, lin[2]);
     }
-    if link.has_d {
+    if sparsity.has_d {
         lin[0] = v.ang[1].mul_add(link.d, lin[0]);
         lin[1] = v.ang[0].neg_mul_add(link.d, lin[1]);
     }
-    Vec6 { ang: untwist(link, v.ang), lin: untwist(link, lin) }
+    Vec6 { ang: untwist(link, sparsity, v.ang), lin: untwist(link, sparsity, lin) }
 }
 
 /// Force at the next link frame's origin, in axes just before that joint's turn, seen at this link frame's origin.
 #[inline(always)]
-pub(crate) fn force_from_next<S: Real>(link: &LinkModel<S>, f: Vec6<S>) -> Vec6<S> {
-    let mut ang = twist(link, f.ang);
-    let lin = twist(link, f.lin);
-    if link.has_a {
+pub(crate) fn force_from_next<S: Real>(
+    link: &LinkModel<S>,
+    sparsity: Sparsity,
+    f: Vec6<S>,
+) -> Vec6<S> {
+    let mut ang = twist(link, sparsity, f.ang);
+    let lin = twist(link, sparsity, f.lin);
+    if sparsity.has_a {
         ang[1] = link.a.neg_mul_add(lin[2], ang[1]);
         ang[2] = link.a.mul_add(lin[1], ang[2]);
     }
-    if link.has_d {
+    if sparsity.has_d {
         ang[0] = link.d.neg_mul_add(lin[1], ang[0]);
         ang[1] = link.d.mul_add(lin[0], ang[1]);
     }
@@ -103,7 +159,8 @@ pub(crate) fn velocities<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q: &[
         let mut v = motion_to_arm(&model.arms[arm], ws.base_v);
         for j in 0..JOINTS_PER_ARM {
             if j > 0 {
-                v = motion_to_next(&model.links[j - 1], v);
+                let before = &model.links[j - 1];
+                v = for_sparsity!(before.sparsity, sparsity => motion_to_next(before, sparsity, v));
             }
             let (sin, cos) = q[first + j].sin_cos();
             v.ang = unturn(sin, cos, v.ang);
@@ -121,18 +178,25 @@ pub(crate) fn velocities<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q: &[
 #[inline(always)]
 pub(crate) fn poses<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
     for arm in 0..model.n_arms {
-        let first = arm * JOINTS_PER_ARM;
-        let mut pose = LinkPose { r: model.arms[arm].rotation, o: model.arms[arm].position };
-        for j in 0..JOINTS_PER_ARM {
-            if j > 0 {
-                pose = next_pose(&model.links[j - 1], pose);
-            }
-            let LinkScratchAngles { sin, cos } = angles(ws, first + j);
-            for row in &mut pose.r {
-                *row = unturn(sin, cos, *row);
-            }
-            ws.poses[first + j] = pose;
+        poses_of_arm(model, ws, arm);
+    }
+}
+
+/// [`poses`] of one arm's links.
+#[inline(always)]
+pub(crate) fn poses_of_arm<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, arm: usize) {
+    let first = arm * JOINTS_PER_ARM;
+    let mut pose = LinkPose { r: model.arms[arm].rotation, o: model.arms[arm].position };
+    for j in 0..JOINTS_PER_ARM {
+        if j > 0 {
+            let before = &model.links[j - 1];
+            pose = for_sparsity!(before.sparsity, sparsity => next_pose(before, sparsity, pose));
         }
+        let LinkScratchAngles { sin, cos } = angles(ws, first + j);
+        for row in &mut pose.r {
+            *row = unturn(sin, cos, *row);
+        }
+        ws.poses[first + j] = pose;
     }
 }
 
@@ -148,16 +212,16 @@ fn angles<S: Real>(ws: &Workspace<S>, i: usize) -> LinkScratchAngles<S> {
 
 /// Pose of the next link frame before its joint's turn.
 #[inline(always)]
-fn next_pose<S: Real>(link: &LinkModel<S>, pose: LinkPose<S>) -> LinkPose<S> {
+fn next_pose<S: Real>(link: &LinkModel<S>, sparsity: Sparsity, pose: LinkPose<S>) -> LinkPose<S> {
     let LinkPose { mut r, mut o } = pose;
     for i in 0..3 {
-        if link.has_a {
+        if sparsity.has_a {
             o[i] = link.a.mul_add(r[i][0], o[i]);
         }
-        if link.has_d {
+        if sparsity.has_d {
             o[i] = link.d.mul_add(r[i][2], o[i]);
         }
-        r[i] = untwist(link, r[i]);
+        r[i] = untwist(link, sparsity, r[i]);
     }
     LinkPose { r, o }
 }

@@ -13,7 +13,7 @@ pub(crate) struct LinkScratch<S> {
     pub(crate) cos: S,
     /// Velocity of the link, link frame.
     pub(crate) v: Vec6<S>,
-    /// Force on the link from outside (contacts), link frame at its origin.
+    /// Force on the link from outside (contacts), link frame at its origin; holds nothing where `forced` is not set.
     pub(crate) f_ext: Vec6<S>,
     /// I_A S: the articulated inertia's column of the joint.
     pub(crate) u_col: Vec6<S>,
@@ -41,6 +41,8 @@ pub struct Workspace<S: Real> {
     pub(crate) links: Vec<LinkScratch<S>>,
     /// Six a arm, arm-major; filled where contacts or hands need them.
     pub(crate) poses: Vec<LinkPose<S>>,
+    /// Whether each link feels an outside force in some lane.
+    pub(crate) forced: Vec<bool>,
     /// Outside force on the base, base frame.
     pub(crate) base_f_ext: Vec6<S>,
     /// Velocity of the base, base frame.
@@ -73,6 +75,7 @@ impl<S: Real> Workspace<S> {
         Self {
             links: vec![link; n],
             poses: vec![pose; model.n_arms() * JOINTS_PER_ARM],
+            forced: vec![false; n],
             base_f_ext: Vec6::zero(),
             base_v: Vec6::zero(),
             y0: flat.clone(),

@@ -67,6 +67,7 @@ pub fn step_options(config: &Config) -> StepOptions {
         substep: config.env.substep,
         integrator: match config.env.integrator {
             Integrator::Rk4 => dynamics::Integrator::Rk4,
+            Integrator::Rk3 => dynamics::Integrator::Rk3,
             Integrator::Euler => dynamics::Integrator::Euler,
         },
         contacts: config.env.contacts,

@@ -17,7 +17,7 @@ pub use description::RobotDescription;
 pub use error::RobotError;
 pub use mjcf::MjcfOptions;
 pub use model::Model;
-pub(crate) use model::{ArmModel, LinkModel, RigidInertia, StopModel, Twist};
+pub(crate) use model::{ArmModel, LinkModel, RigidInertia, Sparsity, StopModel, Twist};
 
 use description::{CapsuleDescription, DiscDescription};
 

@@ -20,6 +20,17 @@ pub(crate) enum Twist {
     General,
 }
 
+/// Which parts of a link's step to the next frame there are: the sparsity of its Denavit–Hartenberg row.
+///
+/// Functions of the hot path take it beside the link. Where [`for_sparsity`](crate::dynamics::for_sparsity) makes it a constant, what is not there costs nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Sparsity {
+    pub(crate) twist: Twist,
+    /// Whether the shift along x and along z is other than zero.
+    pub(crate) has_a: bool,
+    pub(crate) has_d: bool,
+}
+
 /// Spatial inertia of a rigid body about its frame's origin [Featherstone 2008, eq. 2.63].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RigidInertia<S> {
@@ -45,12 +56,9 @@ impl<S: Real> RigidInertia<S> {
 /// A moving link: its joint's servo, its inertia, and the step to the next link frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LinkModel<S> {
-    pub(crate) twist: Twist,
+    pub(crate) sparsity: Sparsity,
     /// Cosine and sine of the twist.
     pub(crate) twist_cos_sin: (S, S),
-    /// Whether the shift along x and along z is other than zero.
-    pub(crate) has_a: bool,
-    pub(crate) has_d: bool,
     /// Shift along x and z (m).
     pub(crate) a: S,
     pub(crate) d: S,
@@ -124,15 +132,17 @@ impl<S: Real> Model<S> {
         let links = robot.links.iter().map(|link| {
             let t = &link.twist;
             LinkModel {
-                twist: match (t[(1, 1)], t[(2, 1)]) {
-                    (1.0, 0.0) => Twist::None,
-                    (0.0, 1.0) => Twist::Quarter,
-                    (0.0, -1.0) => Twist::MinusQuarter,
-                    _ => Twist::General,
+                sparsity: Sparsity {
+                    twist: match (t[(1, 1)], t[(2, 1)]) {
+                        (1.0, 0.0) => Twist::None,
+                        (0.0, 1.0) => Twist::Quarter,
+                        (0.0, -1.0) => Twist::MinusQuarter,
+                        _ => Twist::General,
+                    },
+                    has_a: link.shift.x != 0.0,
+                    has_d: link.shift.z != 0.0,
                 },
                 twist_cos_sin: (S::splat(t[(1, 1)]), S::splat(t[(2, 1)])),
-                has_a: link.shift.x != 0.0,
-                has_d: link.shift.z != 0.0,
                 a: S::splat(link.shift.x),
                 d: S::splat(link.shift.z),
                 body: RigidInertia::new(&link.body),
