@@ -11,7 +11,10 @@
 //! Own code, because libtorch's binding cannot save an optimiser's moments. Every agent counts its
 //! own steps: early stopping may hold one back.
 
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
+
+use crate::features::{Features, Loop, mul_add, run_for};
+use crate::memory::{numbers, numbers_mut};
 
 /// β₁, β₂, ε.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,7 +53,7 @@ impl Adam {
     }
 
     /// One step of `flat` against `gradient`, both `[A, P]`, for the agents that are `active`.
-    /// `scratch` is overwritten.
+    /// `scratch` may be overwritten.
     pub fn step(
         &mut self,
         options: &AdamOptions,
@@ -65,21 +68,24 @@ impl Adam {
         for (count, _) in self.steps.iter_mut().zip(active).filter(|(_, active)| **active) {
             *count += 1;
         }
+        let on_cpu = flat.device() == Device::Cpu;
         let apply = |start: usize, len: usize, step: i64| {
             let part = |tensor: &Tensor| tensor.narrow(0, start as i64, len as i64);
-            let (mut m, mut v, g) = (part(&self.m), part(&self.v), part(gradient));
-            let (mut flat, mut denominator) = (part(flat), part(scratch));
+            let parts = [part(flat), part(&self.m), part(&self.v), part(gradient)];
             let correction1 = 1.0 - options.beta1.powf(step as f64);
             let correction2 = 1.0 - options.beta2.powf(step as f64);
-            let _ = m.lerp_(&g, 1.0 - options.beta1);
-            let _ = g.multiply_out(&denominator, &g);
-            let _ = v.lerp_(&denominator, 1.0 - options.beta2);
-            let _ = v.sqrt_out(&denominator);
-            let _ = denominator.g_mul_scalar_(1.0 / correction2.sqrt());
-            let _ = denominator.g_add_scalar_(options.epsilon);
-            let _ = m.divide_out(&denominator, &denominator.shallow_clone());
-            let _ = denominator.g_mul_scalar_(learning_rate / correction1);
-            let _ = flat.g_sub_(&denominator);
+            let rates = Rates {
+                first: 1.0 - options.beta1,
+                second: 1.0 - options.beta2,
+                correction: 1.0 / correction2.sqrt(),
+                epsilon: options.epsilon,
+                length: learning_rate / correction1,
+            };
+            if on_cpu {
+                step_in_one_pass(&rates, parts);
+            } else {
+                step_by_operations(&rates, parts, &part(scratch));
+            }
         };
         let together = active.iter().all(|&active| active)
             && self.steps.iter().all(|&step| step == self.steps[0]);
@@ -89,6 +95,70 @@ impl Adam {
             for agent in (0..agents).filter(|&agent| active[agent]) {
                 apply(agent, 1, self.steps[agent]);
             }
+        }
+    }
+}
+
+/// Factors of a step.
+struct Rates {
+    /// 1 − β₁.
+    first: f64,
+    /// 1 − β₂.
+    second: f64,
+    /// 1 / √(1 − β₂ᵗ).
+    correction: f64,
+    epsilon: f64,
+    /// lr / (1 − β₁ᵗ).
+    length: f64,
+}
+
+/// The step in libtorch's operations, of θ, m, v and g.
+fn step_by_operations(rates: &Rates, parts: [Tensor; 4], denominator: &Tensor) {
+    let [mut flat, mut m, mut v, g] = parts;
+    let mut denominator = denominator.shallow_clone();
+    let _ = m.lerp_(&g, rates.first);
+    let _ = g.multiply_out(&denominator, &g);
+    let _ = v.lerp_(&denominator, rates.second);
+    let _ = v.sqrt_out(&denominator);
+    let _ = denominator.g_mul_scalar_(rates.correction);
+    let _ = denominator.g_add_scalar_(rates.epsilon);
+    let _ = m.divide_out(&denominator, &denominator.shallow_clone());
+    let _ = denominator.g_mul_scalar_(rates.length);
+    let _ = flat.g_sub_(&denominator);
+}
+
+/// The same in one pass over memory, which is what a step costs on a CPU.
+fn step_in_one_pass(rates: &Rates, parts: [Tensor; 4]) {
+    let [mut flat, mut m, mut v, g] = parts;
+    let pass = Pass {
+        rates: [rates.first, rates.second, rates.correction, rates.epsilon, rates.length]
+            .map(|rate| rate as f32),
+        flat: numbers_mut(&mut flat),
+        m: numbers_mut(&mut m),
+        v: numbers_mut(&mut v),
+        g: numbers(&g),
+    };
+    run_for(Features::detect(), pass);
+}
+
+/// The arguments of [`step_in_one_pass`].
+struct Pass<'a> {
+    rates: [f32; 5],
+    flat: &'a mut [f32],
+    m: &'a mut [f32],
+    v: &'a mut [f32],
+    g: &'a [f32],
+}
+
+impl Loop for Pass<'_> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let Self { rates: [first, second, correction, epsilon, length], flat, m, v, g } = self;
+        for (((flat, m), v), &g) in flat.iter_mut().zip(m).zip(v).zip(g) {
+            *m = mul_add::<FMA>(first, g - *m, *m);
+            *v = mul_add::<FMA>(second, mul_add::<FMA>(g, g, -*v), *v);
+            let denominator = mul_add::<FMA>(v.sqrt(), correction, epsilon);
+            *flat -= length * (*m / denominator);
         }
     }
 }
@@ -138,6 +208,28 @@ mod tests {
             let error = (&ours - theirs.detach()).abs().max().double_value(&[]);
             // A few roundings of values of order 1 a step, 2⁻²⁴ each.
             assert!(error < 4.0 * (step + 1) as f64 * 2f64.powi(-24), "step {step}: {error}");
+        }
+    }
+
+    #[test]
+    fn one_pass_is_the_operations() {
+        tch::manual_seed(4);
+        let options = (Kind::Float, Device::Cpu);
+        let parts = || {
+            tch::manual_seed(4);
+            let normal = || Tensor::randn([3, 1001], options);
+            [normal(), normal(), normal().square(), normal()]
+        };
+        let rates =
+            Rates { first: 0.1, second: 0.001, correction: 3.0, epsilon: 1e-5, length: 0.01 };
+        let (ours, theirs) = (parts(), parts());
+        step_in_one_pass(&rates, ours.each_ref().map(Tensor::shallow_clone));
+        let scratch = theirs[0].zeros_like();
+        step_by_operations(&rates, theirs.each_ref().map(Tensor::shallow_clone), &scratch);
+        for (ours, theirs) in ours.iter().zip(&theirs) {
+            let error = (ours - theirs).abs().max().double_value(&[]);
+            // A few roundings of values of order 1, 2⁻²⁴ each; small denominators multiply them.
+            assert!(error < 1e-5, "{error}");
         }
     }
 

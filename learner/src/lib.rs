@@ -37,8 +37,15 @@
 //!
 //! Read [`mappo`] next.
 
+#![expect(
+    clippy::inline_always,
+    reason = "only what is inlined into a function is compiled for its processor features, see `features`"
+)]
+
 pub mod adam;
 mod error;
+mod features;
+mod fused;
 pub mod gae;
 pub mod ingest;
 pub mod input_norm;

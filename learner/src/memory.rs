@@ -1,4 +1,4 @@
-//! Views between Rust slices and libtorch's memory: the only unsafe code of the crate.
+//! Views between Rust slices and libtorch's memory.
 //!
 //! A block that a worker wrote lies in shared memory. [`view`] makes a tensor of it in place, so
 //! the first operation that touches the numbers is already a computation. The borrow checker keeps
@@ -8,6 +8,8 @@
 use std::marker::PhantomData;
 
 use tch::{Device, Kind, Tensor};
+
+use crate::fused::Bf16;
 
 /// A tensor that reads memory which Rust owns.
 #[derive(Debug)]
@@ -55,6 +57,54 @@ pub(crate) fn bytes(tensor: &Tensor) -> &[u8] {
     // SAFETY: a contiguous tensor's memory starts at `data_ptr` and holds `numel` elements; it
     // lives as long as the tensor, which the result borrows. Plain numbers have no invalid bytes.
     unsafe { std::slice::from_raw_parts(tensor.data_ptr().cast::<u8>(), len) }
+}
+
+/// A kind of number that libtorch and Rust hold alike: any bits are one, without gaps.
+///
+/// # Safety
+/// `KIND` names libtorch's kind of the same size and layout.
+pub(crate) unsafe trait Element: Copy {
+    /// libtorch's name.
+    const KIND: Kind;
+}
+
+// SAFETY: IEEE single precision in both.
+unsafe impl Element for f32 {
+    const KIND: Kind = Kind::Float;
+}
+
+// SAFETY: sixteen bits in both.
+unsafe impl Element for Bf16 {
+    const KIND: Kind = Kind::BFloat16;
+}
+
+fn check<T: Element>(tensor: &Tensor) -> usize {
+    assert_eq!((tensor.device(), tensor.kind()), (Device::Cpu, T::KIND), "another memory or kind");
+    assert!(tensor.is_contiguous(), "the numbers must lie one after the other");
+    tensor.numel()
+}
+
+/// The numbers of a contiguous tensor on the CPU, in place.
+///
+/// # Panics
+/// If the tensor is elsewhere, of another kind or has gaps.
+pub(crate) fn numbers<T: Element>(tensor: &Tensor) -> &[T] {
+    let len = check::<T>(tensor);
+    if len == 0 {
+        return &[];
+    }
+    // SAFETY: as for `bytes`; the kind was compared.
+    unsafe { std::slice::from_raw_parts(tensor.data_ptr().cast::<T>(), len) }
+}
+
+/// As [`numbers`], to be written. Other tensors that share the memory must not be used meanwhile.
+pub(crate) fn numbers_mut<T: Element>(tensor: &mut Tensor) -> &mut [T] {
+    let len = check::<T>(tensor);
+    if len == 0 {
+        return &mut [];
+    }
+    // SAFETY: as for `numbers`; the caller holds the only tensor in use of this memory.
+    unsafe { std::slice::from_raw_parts_mut(tensor.data_ptr().cast::<T>(), len) }
 }
 
 #[cfg(test)]

@@ -10,6 +10,9 @@
 //! become those of g, s and W once a step ([`Compute::unfold`]): dW = g ⊙ dW′ + s ⊗ db′,
 //! dg = Σ_out W ⊙ dW′, ds = W db′. No affine map runs over samples.
 //!
+//! **Fused passes.** On a CPU with ReLU, what stands between two products is one pass over the samples, and the head is part of the last
+//! one ([`crate::fused`]). Everything else goes the general way, operation by operation.
+//!
 //! **Precision.** In bf16 the operands of hidden layers' products are bfloat16, as are the activations
 //! between them; parameters, sums over samples, the heads and all losses are f32. Samples go
 //! through in chunks, so that activations stay in cache.
@@ -19,6 +22,8 @@
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
+use crate::fused::{Backward, Bf16, Forward, HeadBackward, HeadForward, Number, Passes, Sizes};
+use crate::memory::{Element, numbers, numbers_mut};
 use crate::network::NetworkSpec;
 
 /// ε of LayerNorm.
@@ -41,7 +46,16 @@ pub struct Compute {
     head_low: Tensor,
     /// `[A, U, 1]`.
     head_bias: Tensor,
+    fused: Option<Fused>,
     buffers: Buffers,
+}
+
+/// What the fused passes need beside the weights.
+#[derive(Debug)]
+struct Fused {
+    passes: Passes,
+    /// `[A, H]` of each hidden layer, folded.
+    bias: Vec<Tensor>,
 }
 
 /// Flat memory for the largest chunk; chunks view its beginning.
@@ -50,7 +64,7 @@ struct Buffers {
     rows: i64,
     /// After the activation, of each layer.
     active: Vec<Tensor>,
-    /// After the standardisation, of each layer; empty without LayerNorm.
+    /// After the standardisation, of each layer; empty without LayerNorm. With the fused passes `active` is before, and this after the activation.
     standard: Vec<Tensor>,
     /// Reciprocal deviations `[A, B, 1]` of the last pass.
     inverse_std: Vec<Tensor>,
@@ -83,6 +97,11 @@ impl Compute {
             width = units;
         }
         let weight_gradient = weight.iter().map(Tensor::zeros_like).collect();
+        let can_fuse = device == Device::Cpu && activation == Activation::Relu;
+        let fused = can_fuse.then(|| Fused {
+            passes: Passes::new(),
+            bias: spec.hidden.iter().map(|&units| zeros(&[a, units], Kind::Float)).collect(),
+        });
         Self {
             spec: spec.clone(),
             activation,
@@ -94,6 +113,7 @@ impl Compute {
             head: zeros(&[a, spec.output, width], Kind::Float),
             head_low: zeros(&[a, spec.output, width], kind),
             head_bias: zeros(&[a, spec.output, 1], Kind::Float),
+            fused,
             buffers: Buffers { weight_gradient, ..Buffers::default() },
         }
     }
@@ -136,7 +156,10 @@ impl Compute {
                 self.head_bias.copy_(&bias.transpose(1, 2));
             } else {
                 self.weight[layer].copy_(&weight);
-                self.bias[layer].copy_(&bias);
+                match &mut self.fused {
+                    Some(fused) => fused.bias[layer].copy_(&bias.squeeze_dim(1)),
+                    None => self.bias[layer].copy_(&bias),
+                }
             }
         }
     }
@@ -150,12 +173,14 @@ impl Compute {
         let widest = self.spec.hidden.iter().copied().max().unwrap_or(1);
         let layers = |kind| self.spec.hidden.iter().map(|&h| flat(h, kind)).collect::<Vec<_>>();
         self.buffers.active = layers(kind);
-        if self.spec.layer_norm {
+        if self.spec.layer_norm || self.fused.is_some() {
             self.buffers.standard = layers(kind);
-            self.buffers.scratch = Some(flat(widest, kind));
         }
         let last_width = self.spec.hidden.last().copied().unwrap_or(1);
-        self.buffers.last = (kind != Kind::Float).then(|| flat(last_width, Kind::Float));
+        if self.fused.is_none() {
+            self.buffers.scratch = self.spec.layer_norm.then(|| flat(widest, kind));
+            self.buffers.last = (kind != Kind::Float).then(|| flat(last_width, Kind::Float));
+        }
         self.buffers.gradient = [Some(flat(widest, kind)), Some(flat(widest, kind))];
         self.buffers.rows = rows;
     }
@@ -165,12 +190,24 @@ impl Compute {
         flat.narrow(0, 0, self.n_agents * rows * width).view([self.n_agents, rows, width])
     }
 
+    /// One of the two buffers between which the gradient by activations alternates.
+    fn gradient_chunk(&self, index: usize, rows: i64, width: i64) -> Tensor {
+        let flat = self.buffers.gradient[index % 2].as_ref().expect("reserved by forward");
+        self.chunk(flat, rows, width)
+    }
+
     /// The outputs `[A, U, B]`, in f32, for standardised inputs `x` `[A, B, in]` in the products'
     /// kind. What the backward pass needs stays in the buffers.
     pub fn forward(&mut self, x: &Tensor) -> Tensor {
         let rows = x.size()[1];
         self.reserve(rows);
         self.buffers.inverse_std.clear();
+        if self.fused.is_some() {
+            return match self.kind {
+                Kind::BFloat16 => self.forward_fused::<Bf16>(x),
+                _ => self.forward_fused::<f32>(x),
+            };
+        }
         let mut input = x.shallow_clone();
         for layer in 0..self.spec.hidden.len() {
             let width = self.spec.hidden[layer];
@@ -194,6 +231,114 @@ impl Compute {
         self.head.bmm(&last.transpose(1, 2)) + &self.head_bias
     }
 
+    /// Sizes of hidden layer `layer`'s arrays.
+    fn sizes(&self, layer: usize, rows: i64) -> Sizes {
+        Sizes {
+            agents: self.n_agents as usize,
+            samples: rows as usize,
+            features: self.spec.hidden[layer] as usize,
+            outputs: self.spec.output as usize,
+        }
+    }
+
+    /// [`Self::forward`] with one pass a layer.
+    fn forward_fused<T: Number + Element>(&mut self, x: &Tensor) -> Tensor {
+        let (a, rows, layers) = (self.n_agents, x.size()[1], self.spec.hidden.len());
+        let float = (Kind::Float, self.device);
+        let mut output = Tensor::empty([a, self.spec.output, rows], float);
+        let mut input = x.shallow_clone();
+        for layer in 0..layers {
+            let width = self.spec.hidden[layer];
+            let product = self.chunk(&self.buffers.active[layer], rows, width);
+            let mut hidden = self.chunk(&self.buffers.standard[layer], rows, width);
+            let _ = input.bmm_out(&product, &self.weight[layer]);
+            let mut inverse_std = self.spec.layer_norm.then(|| Tensor::empty([a, rows], float));
+            let sizes = self.sizes(layer, rows);
+            let fused = self.fused.as_mut().expect("asked before");
+            let head = (layer + 1 == layers).then(|| HeadForward {
+                weight: numbers(&self.head),
+                bias: numbers(&self.head_bias),
+                output: numbers_mut(&mut output),
+            });
+            fused.passes.forward::<T>(
+                sizes,
+                Forward {
+                    product: numbers(&product),
+                    bias: numbers(&fused.bias[layer]),
+                    hidden: numbers_mut(&mut hidden),
+                    inverse_std: inverse_std.as_mut().map(numbers_mut),
+                    head,
+                },
+            );
+            self.buffers.inverse_std.extend(inverse_std);
+            input = hidden;
+        }
+        output
+    }
+
+    /// [`Self::backward`] with one pass a layer.
+    fn backward_fused<T: Number + Element>(
+        &mut self,
+        x: &Tensor,
+        d_output: &Tensor,
+        gradient: &Tensor,
+    ) {
+        let (a, rows, layers) = (self.n_agents, x.size()[1], self.spec.hidden.len());
+        let float = (Kind::Float, self.device);
+        let add = |name: &str, part: &Tensor| {
+            let _ = self.spec.view(name, gradient).g_add_(part);
+        };
+        let d_output = d_output.contiguous();
+        for layer in (0..layers).rev() {
+            let width = self.spec.hidden[layer];
+            let mut d = self.gradient_chunk(layers - 1 - layer, rows, width);
+            let product = self.chunk(&self.buffers.active[layer], rows, width);
+            let hidden = self.chunk(&self.buffers.standard[layer], rows, width);
+            let mut d_bias = Tensor::zeros([a, width], float);
+            let mut d_head = Tensor::zeros([a, self.spec.output, width], float);
+            let mut d_head_bias = Tensor::zeros([a, self.spec.output], float);
+            let is_last = layer + 1 == layers;
+            let head = is_last.then(|| HeadBackward {
+                weight: numbers(&self.head),
+                output_gradient: numbers(&d_output),
+                weight_gradient: numbers_mut(&mut d_head),
+                bias_gradient: numbers_mut(&mut d_head_bias),
+            });
+            let sizes = self.sizes(layer, rows);
+            let fused = self.fused.as_mut().expect("asked before");
+            fused.passes.backward::<T>(
+                sizes,
+                Backward {
+                    product: numbers(&product),
+                    bias: numbers(&fused.bias[layer]),
+                    hidden: numbers(&hidden),
+                    inverse_std: self.buffers.inverse_std.get(layer).map(numbers),
+                    gradient: numbers_mut(&mut d),
+                    bias_gradient: numbers_mut(&mut d_bias),
+                    head,
+                },
+            );
+            if is_last {
+                add("head.weight", &d_head.transpose(1, 2));
+                add("head.bias", &d_head_bias);
+            }
+            let input = if layer == 0 {
+                x.shallow_clone()
+            } else {
+                self.chunk(&self.buffers.standard[layer - 1], rows, self.spec.hidden[layer - 1])
+            };
+            let part = &self.buffers.weight_gradient[layer];
+            let _ = input.transpose(1, 2).bmm_out(part, &d);
+            let (weight_name, bias_name) = self.names(layer);
+            add(&weight_name, part);
+            add(&bias_name, &d_bias);
+            if layer > 0 {
+                let below = self.gradient_chunk(layers - layer, rows, self.spec.hidden[layer - 1]);
+                let _ = d.bmm_out(&below, &self.weight[layer].transpose(1, 2));
+            }
+        }
+    }
+
     /// The head's input in f32.
     fn last_hidden(&self, input: &Tensor, rows: i64) -> Tensor {
         match &self.buffers.last {
@@ -209,6 +354,12 @@ impl Compute {
     /// Adds to `gradient` `[A, P]` the folded gradients for the chunk that went through
     /// [`Self::forward`] last, given its inputs and the loss's gradient `[A, U, B]` by the outputs.
     pub fn backward(&mut self, x: &Tensor, d_output: &Tensor, gradient: &Tensor) {
+        if self.fused.is_some() {
+            return match self.kind {
+                Kind::BFloat16 => self.backward_fused::<Bf16>(x, d_output, gradient),
+                _ => self.backward_fused::<f32>(x, d_output, gradient),
+            };
+        }
         let rows = x.size()[1];
         let layers = self.spec.hidden.len();
         let kind = self.kind;
@@ -229,11 +380,7 @@ impl Compute {
         add("head.weight", &d_output.bmm(&last).transpose(1, 2));
         add("head.bias", &d_output.sum_dim_intlist(&[2i64][..], false, Kind::Float));
 
-        let buffer = |index: usize, width: i64| {
-            let flat = self.buffers.gradient[index % 2].as_ref().expect("reserved by forward");
-            self.chunk(flat, rows, width)
-        };
-        let mut d_hidden = buffer(0, width);
+        let mut d_hidden = self.gradient_chunk(0, rows, width);
         let d_low = d_output.transpose(1, 2).to_kind(kind);
         if kind == Kind::Float && self.spec.output == 1 {
             // One column: a broadcast product is far faster than a matrix product.
@@ -267,7 +414,7 @@ impl Compute {
             add(&weight_name, part);
             add(&bias_name, &d.sum_dim_intlist(&[1i64][..], false, Kind::Float));
             if layer > 0 {
-                let below = buffer(layers - layer, self.spec.hidden[layer - 1]);
+                let below = self.gradient_chunk(layers - layer, rows, self.spec.hidden[layer - 1]);
                 let _ = d_hidden.bmm_out(&below, &self.weight[layer].transpose(1, 2));
                 d_hidden = below;
             }

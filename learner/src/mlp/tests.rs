@@ -54,8 +54,10 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
                     &format!("network.input_norm={input}"),
                     "network.hidden=[24,16,20]",
                 ]);
-                compare(&config, kind, Arithmetic::F32, 3e-6);
-                compare(&config, kind, Arithmetic::Bf16, 0.15);
+                for fused in [true, false] {
+                    compare(&config, kind, Arithmetic::F32, fused, 3e-6);
+                    compare(&config, kind, Arithmetic::Bf16, fused, 0.15);
+                }
             }
         }
     }
@@ -64,7 +66,13 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
 /// Tolerances relative to the norm: in f32 about 50 roundings of 2⁻²⁴ = 6e-8 each. In bf16 a few of
 /// 2⁻⁹ = 2e-3 each along the layers, and pre-activations within a rounding of zero change side: with
 /// ReLU, about one in a hundred units of a sample is on or off where its twin is not.
-fn compare(config: &Config, kind: NetworkKind, arithmetic: Arithmetic, tolerance: f64) {
+fn compare(
+    config: &Config,
+    kind: NetworkKind,
+    arithmetic: Arithmetic,
+    fused: bool,
+    tolerance: f64,
+) {
     let spec = NetworkSpec::new(kind, &config.network, &Dimensions::new(config, 1));
     let (a, b) = (2, 30);
     tch::manual_seed(4);
@@ -80,6 +88,9 @@ fn compare(config: &Config, kind: NetworkKind, arithmetic: Arithmetic, tolerance
     tch::no_grad(|| {
         let mut compute =
             Compute::new(&spec, config.network.activation, 2, arithmetic.kind(), Device::Cpu);
+        if !fused {
+            compute.fused = None;
+        }
         // A larger chunk first: later ones use the beginning of its buffers.
         let larger = Tensor::randn([a, b + 7, spec.input], options).to_kind(arithmetic.kind());
         compute.load(&flat);

@@ -1,0 +1,331 @@
+//! ReLU and LayerNorm (or ReLU alone) of hidden layers, and the head, in one pass over each sample, forward and backward, on a CPU.
+//!
+//! libtorch does the matrix products; what stands between them would be a dozen of its operations, each a pass over activations that
+//! do not fit into the first caches. Here a sample's features are read once and written once, in f32 in between. [`crate::mlp`] holds the
+//! same passes in libtorch's operations, for other activations and devices and as the twin that tests this one.
+//!
+//! The arithmetic is plain Rust ([`crate::features`]). Sums run in sixteen interleaved chains and an order that only the shapes fix.
+//!
+//! Letters as in [`crate::mlp`]: `A` agents, `B` samples, `H` features, `U` outputs of the head. All arrays are row-major.
+
+use crate::features::{Features, Loop, mul_add, run_for};
+use crate::mlp::LAYER_NORM_EPSILON;
+
+/// Interleaved chains of a sum.
+const CHAINS: usize = 16;
+
+/// A number as activations are kept.
+pub(crate) trait Number: Copy {
+    /// Widened exactly.
+    fn widen(self) -> f32;
+    /// Rounded to nearest, ties to even.
+    fn round(x: f32) -> Self;
+}
+
+impl Number for f32 {
+    #[inline(always)]
+    fn widen(self) -> f32 {
+        self
+    }
+    #[inline(always)]
+    fn round(x: f32) -> Self {
+        x
+    }
+}
+
+/// bfloat16: the upper half of an f32.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(transparent)]
+pub(crate) struct Bf16(pub(crate) u16);
+
+impl Number for Bf16 {
+    #[inline(always)]
+    fn widen(self) -> f32 {
+        f32::from_bits(u32::from(self.0) << 16)
+    }
+    #[inline(always)]
+    fn round(x: f32) -> Self {
+        let bits = x.to_bits();
+        // Half of the last place, less one if that is even; NaN stays NaN, because libtorch's has its upper bits set.
+        Self((bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16) as u16)
+    }
+}
+
+/// What a hidden layer makes of its product, `[A, B, H]` each, and reciprocal deviations `[A, B]`.
+#[derive(Debug)]
+pub(crate) struct Forward<'a, T> {
+    /// Products without bias.
+    pub(crate) product: &'a [T],
+    /// `[A, H]`.
+    pub(crate) bias: &'a [f32],
+    /// Activations, standardised if there is a LayerNorm.
+    pub(crate) hidden: &'a mut [T],
+    /// Reciprocal deviations, with LayerNorm.
+    pub(crate) inverse_std: Option<&'a mut [f32]>,
+    /// The head, after the last layer.
+    pub(crate) head: Option<HeadForward<'a>>,
+}
+
+/// The head's outputs.
+#[derive(Debug)]
+pub(crate) struct HeadForward<'a> {
+    /// `[A, U, H]`.
+    pub(crate) weight: &'a [f32],
+    /// `[A, U]`.
+    pub(crate) bias: &'a [f32],
+    /// `[A, U, B]`.
+    pub(crate) output: &'a mut [f32],
+}
+
+/// The way back through a hidden layer.
+#[derive(Debug)]
+pub(crate) struct Backward<'a, T> {
+    /// Products of the way forward, `[A, B, H]`.
+    pub(crate) product: &'a [T],
+    /// `[A, H]`.
+    pub(crate) bias: &'a [f32],
+    /// What the way forward made of them, `[A, B, H]`.
+    pub(crate) hidden: &'a [T],
+    /// Reciprocal deviations, `[A, B]`, with LayerNorm.
+    pub(crate) inverse_std: Option<&'a [f32]>,
+    /// In: gradient by `hidden`, unless `head` gives it; out: gradient by the products. `[A, B, H]`.
+    pub(crate) gradient: &'a mut [T],
+    /// Gains the gradient by the bias, `[A, H]`.
+    pub(crate) bias_gradient: &'a mut [f32],
+    /// The head, of the last layer.
+    pub(crate) head: Option<HeadBackward<'a>>,
+}
+
+/// The way back through the head.
+#[derive(Debug)]
+pub(crate) struct HeadBackward<'a> {
+    /// `[A, U, H]`.
+    pub(crate) weight: &'a [f32],
+    /// Gradient by the outputs, `[A, U, B]`.
+    pub(crate) output_gradient: &'a [f32],
+    /// Gains the gradient by the weights, `[A, U, H]`.
+    pub(crate) weight_gradient: &'a mut [f32],
+    /// Gains the gradient by the bias, `[A, U]`.
+    pub(crate) bias_gradient: &'a mut [f32],
+}
+
+/// Sizes of the arrays.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sizes {
+    pub(crate) agents: usize,
+    pub(crate) samples: usize,
+    pub(crate) features: usize,
+    pub(crate) outputs: usize,
+}
+
+/// Scratch memory of the passes: one sample's features, twice.
+#[derive(Debug)]
+pub(crate) struct Passes {
+    features: Features,
+    rows: [Vec<f32>; 2],
+}
+
+impl Passes {
+    /// Scratch memory, and the features of this processor.
+    pub(crate) fn new() -> Self {
+        Self { features: Features::detect(), rows: [Vec::new(), Vec::new()] }
+    }
+
+    /// ĥ = standardise(relu(product + bias)), or without standardising, and the head's outputs if there is a head.
+    pub(crate) fn forward<T: Number>(&mut self, sizes: Sizes, arrays: Forward<'_, T>) {
+        let rows = self.rows.each_mut().map(|row| {
+            row.resize(sizes.features, 0.0);
+            row.as_mut_slice()
+        });
+        run_for(self.features, Job { sizes, arrays, rows });
+    }
+
+    /// The gradient by the products from that by ĥ (or by the head's outputs); adds the gradients by bias and head.
+    pub(crate) fn backward<T: Number>(&mut self, sizes: Sizes, arrays: Backward<'_, T>) {
+        let rows = self.rows.each_mut().map(|row| {
+            row.resize(sizes.features, 0.0);
+            row.as_mut_slice()
+        });
+        run_for(self.features, Job { sizes, arrays, rows });
+    }
+}
+
+/// The arguments of a pass.
+struct Job<'r, A> {
+    sizes: Sizes,
+    arrays: A,
+    rows: [&'r mut [f32]; 2],
+}
+
+impl<T: Number> Loop for Job<'_, Forward<'_, T>> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        forward_rows::<T, FMA>(self.sizes, self.arrays, self.rows);
+    }
+}
+
+impl<T: Number> Loop for Job<'_, Backward<'_, T>> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        backward_rows::<T, FMA>(self.sizes, self.arrays, self.rows);
+    }
+}
+
+/// The sum of chains, halved until one is left.
+#[inline(always)]
+fn total(mut chains: [f32; CHAINS]) -> f32 {
+    let mut n = CHAINS;
+    while n > 1 {
+        n /= 2;
+        for i in 0..n {
+            chains[i] += chains[i + n];
+        }
+    }
+    chains[0]
+}
+
+/// Σ f over a row, in interleaved chains.
+macro_rules! sum {
+    ($($x:ident in $row:expr),+ => $term:expr) => {{
+        let mut sums = [0.0; CHAINS];
+        sum!(@loop sums, $($x in $row),+ => $term);
+        total(sums)
+    }};
+    (@loop $sums:ident, $x:ident in $row:expr => $term:expr) => {
+        let (chunks, rest) = $row.as_chunks::<CHAINS>();
+        for $x in chunks {
+            for i in 0..CHAINS {
+                let $x = $x[i];
+                $sums[i] = $term($sums[i]);
+            }
+        }
+        for (i, &$x) in rest.iter().enumerate() {
+            $sums[i] = $term($sums[i]);
+        }
+    };
+    (@loop $sums:ident, $x:ident in $row:expr, $y:ident in $other:expr => $term:expr) => {
+        let ((chunks, rest), (others, other_rest)) =
+            ($row.as_chunks::<CHAINS>(), $other.as_chunks::<CHAINS>());
+        for ($x, $y) in chunks.iter().zip(others) {
+            for i in 0..CHAINS {
+                let ($x, $y) = ($x[i], $y[i]);
+                $sums[i] = $term($sums[i]);
+            }
+        }
+        for (i, (&$x, &$y)) in rest.iter().zip(other_rest).enumerate() {
+            $sums[i] = $term($sums[i]);
+        }
+    };
+}
+
+#[inline(always)]
+fn forward_rows<T: Number, const FMA: bool>(
+    sizes: Sizes,
+    arrays: Forward<'_, T>,
+    rows: [&mut [f32]; 2],
+) {
+    let Sizes { agents, samples, features: h, outputs } = sizes;
+    let Forward { product, bias, hidden, mut inverse_std, mut head } = arrays;
+    let (product, hidden) = (&product[..agents * samples * h], &mut hidden[..agents * samples * h]);
+    let row = &mut rows[0][..h];
+    let per_feature = 1.0 / h as f32;
+    for agent in 0..agents {
+        let bias = &bias[agent * h..][..h];
+        for sample in 0..samples {
+            let at = (agent * samples + sample) * h;
+            let (product, hidden) = (&product[at..][..h], &mut hidden[at..][..h]);
+            for i in 0..h {
+                let x = product[i].widen() + bias[i];
+                row[i] = if x > 0.0 { x } else { 0.0 };
+            }
+            if let Some(inverse_std) = &mut inverse_std {
+                let mean = sum!(x in row => |sum| sum + x) * per_feature;
+                for x in &mut *row {
+                    *x -= mean;
+                }
+                let variance = sum!(x in row => |sum| mul_add::<FMA>(x, x, sum)) * per_feature;
+                let inverse = 1.0 / (variance + LAYER_NORM_EPSILON as f32).sqrt();
+                inverse_std[agent * samples + sample] = inverse;
+                for x in &mut *row {
+                    *x *= inverse;
+                }
+            }
+            for i in 0..h {
+                hidden[i] = T::round(row[i]);
+            }
+            if let Some(head) = &mut head {
+                for i in 0..h {
+                    row[i] = hidden[i].widen();
+                }
+                for u in 0..outputs {
+                    let weight = &head.weight[(agent * outputs + u) * h..][..h];
+                    head.output[(agent * outputs + u) * samples + sample] = sum!(x in row, w in weight => |sum| mul_add::<FMA>(x, w, sum))
+                        + head.bias[agent * outputs + u];
+                }
+            }
+        }
+    }
+}
+
+/// With LayerNorm (d − mean(d) − ĥ · mean(d ⊙ ĥ)) / σ, else d, where the activation is positive; 0 elsewhere.
+#[inline(always)]
+fn backward_rows<T: Number, const FMA: bool>(
+    sizes: Sizes,
+    arrays: Backward<'_, T>,
+    rows: [&mut [f32]; 2],
+) {
+    let Sizes { agents, samples, features: h, outputs } = sizes;
+    let Backward { product, bias, hidden, inverse_std, gradient, bias_gradient, mut head } = arrays;
+    let [row, wide] = rows;
+    let (row, wide) = (&mut row[..h], &mut wide[..h]);
+    let per_feature = 1.0 / h as f32;
+    for agent in 0..agents {
+        let bias = &bias[agent * h..][..h];
+        let bias_gradient = &mut bias_gradient[agent * h..][..h];
+        for sample in 0..samples {
+            let at = (agent * samples + sample) * h;
+            let (product, hidden) = (&product[at..][..h], &hidden[at..][..h]);
+            let gradient = &mut gradient[at..][..h];
+            for i in 0..h {
+                wide[i] = hidden[i].widen();
+            }
+            if let Some(head) = &mut head {
+                row.fill(0.0);
+                for u in 0..outputs {
+                    let d = head.output_gradient[(agent * outputs + u) * samples + sample];
+                    let weight = &head.weight[(agent * outputs + u) * h..][..h];
+                    let weight_gradient =
+                        &mut head.weight_gradient[(agent * outputs + u) * h..][..h];
+                    head.bias_gradient[agent * outputs + u] += d;
+                    for i in 0..h {
+                        row[i] = mul_add::<FMA>(d, weight[i], row[i]);
+                    }
+                    for i in 0..h {
+                        weight_gradient[i] = mul_add::<FMA>(d, wide[i], weight_gradient[i]);
+                    }
+                }
+            } else {
+                for i in 0..h {
+                    row[i] = gradient[i].widen();
+                }
+            }
+            if let Some(inverse_std) = inverse_std {
+                let mean = sum!(d in row => |sum| sum + d) * per_feature;
+                let along =
+                    sum!(d in row, x in wide => |sum| mul_add::<FMA>(d, x, sum)) * per_feature;
+                let inverse = inverse_std[agent * samples + sample];
+                for i in 0..h {
+                    row[i] = (row[i] - mul_add::<FMA>(wide[i], along, mean)) * inverse;
+                }
+            }
+            for i in 0..h {
+                let is_on = product[i].widen() + bias[i] > 0.0;
+                row[i] = if is_on { row[i] } else { 0.0 };
+                bias_gradient[i] += row[i];
+            }
+            for i in 0..h {
+                gradient[i] = T::round(row[i]);
+            }
+        }
+    }
+}
