@@ -11,12 +11,14 @@
 //! * [`rng`]: random numbers that are pure functions of their address;
 //! * [`Digest`]: the fingerprint of a training state;
 //! * [`child`] and [`logging`]: what learner and workers do first;
+//! * [`clock`]: clocks, and percentiles of what they measured;
 //! * [`ExitCode`]: how programs end.
 //!
 //! Read [`message`] next: it tells the story of an iteration.
 
 pub mod channel;
 pub mod child;
+pub mod clock;
 pub mod config;
 mod digest;
 mod error;
