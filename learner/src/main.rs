@@ -1,14 +1,38 @@
-//! The learner program; see [`learner::learner`].
+//! The learner program; see [`learner::learner`] and, for the hidden `bench`, [`learner::bench`].
 
 use std::process::ExitCode;
 
 use clap::Parser;
+use learner::bench::{self, Measurement};
 use learner::learner::{Arguments, run};
 
+/// Trains the policies of a SpaceOctopus run; started by `octopus`, not by hand.
+#[derive(Debug, Parser)]
+#[command(name = "learner", version, subcommand_negates_reqs = true)]
+#[command(args_conflicts_with_subcommands = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    arguments: Option<Arguments>,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Measures parts of the learner; started by `octopus bench`.
+    #[command(subcommand, hide = true)]
+    Bench(Measurement),
+}
+
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let cli = Cli::parse();
     proto::logging::init();
-    match run(&arguments) {
+    let result = match (cli.command, cli.arguments) {
+        (Some(Command::Bench(measurement)), _) => bench::run(&measurement),
+        (None, Some(arguments)) => run(&arguments),
+        (None, None) => unreachable!("--run-dir and --domain are required without a subcommand"),
+    };
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             tracing::error!("{error}");

@@ -1,0 +1,54 @@
+//! How many floating-point operations an update needs.
+
+use proto::config::Config;
+use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+
+/// Operations in the matrix products that an update needs for an env-step; everything else counts
+/// nothing.
+///
+/// A product of a row with a matrix of `in × out` takes 2·in·out. Each epoch takes three of them a
+/// layer and network: forwards, for the gradient of the weights, and for that of the layer's input,
+/// which the first layer has no use for. The critics' values before the first epoch take another
+/// pass forwards, over T + 1 of every T steps.
+pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
+    let hidden = &config.network.hidden;
+    let products = |input: usize, output: usize| {
+        let widths: Vec<f64> = std::iter::once(&input)
+            .chain(hidden)
+            .chain(std::iter::once(&output))
+            .map(|&width| width as f64)
+            .collect();
+        let all: f64 = widths.windows(2).map(|pair| 2.0 * pair[0] * pair[1]).sum();
+        (all, 2.0 * widths[0] * widths[1])
+    };
+    let (actor, actor_first) = products(dimensions.observation, JOINTS_PER_AGENT);
+    let (critic, critic_first) = products(dimensions.critic_input(), 1);
+    let epoch = 3.0 * (actor + critic) - actor_first - critic_first;
+    let steps = dimensions.n_steps as f64;
+    let values = critic * (steps + 1.0) / steps;
+    dimensions.n_agents as f64 * (config.algorithm.epochs as f64 * epoch + values)
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+
+    use super::*;
+
+    /// Worked by hand: O = 28, S = 8·28 = 224, two layers of 10, T = 4, 3 epochs, 8 agents.
+    ///
+    /// Actor: 28·10 + 10·10 + 10·3 = 410 weights, 280 of them in the first layer; an epoch is
+    /// 6·410 − 2·280 = 1,900. Critic: 2,240 + 100 + 10 = 2,350 weights, 2,240 in the first; an epoch
+    /// is 6·2,350 − 2·2,240 = 9,620. Values: 2·2,350·5/4 = 5,875. In all 8·(3·11,520 + 5,875).
+    #[test]
+    fn operations_are_those_of_the_hand_worked_example() {
+        let config = Layers::new(Preset::Paper, None)
+            .text("[network]\nhidden = [10, 10]", "test")
+            .and_then(|layers| layers.set("task.episode_steps=4"))
+            .and_then(|layers| layers.set("algorithm.epochs=3"))
+            .and_then(|layers| layers.resolve())
+            .expect("valid");
+        let dimensions = Dimensions::new(&config, 4);
+        assert_eq!(per_env_step(&config, &dimensions), 323_480.0);
+    }
+}
