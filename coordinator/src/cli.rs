@@ -1,5 +1,6 @@
 //! The command line of `octopus`.
 
+pub mod bench;
 pub mod checkpoints;
 pub mod rollout;
 pub mod serve;
@@ -24,7 +25,7 @@ Exit codes:
   4    the machine lacks something: shared memory, descriptors, libtorch, a device
   5    a run directory or checkpoint exists already, is in use, is missing or is damaged
   6    the learner or a worker failed for good
-  130  stopped at once by a second Ctrl-C
+  130  stopped at once by a second Ctrl-C, or in `bench` by the first one
 
 Results go to standard output, progress and logs to standard error (RUST_LOG=info shows more).
 `octopus COMMAND --help` shows options and examples.";
@@ -127,6 +128,8 @@ pub enum Command {
     Mjcf(MjcfArgs),
     /// Check whether this machine can run a training, and say what cures what cannot.
     Doctor(DoctorArgs),
+    /// Measure how fast this machine simulates, learns and transports.
+    Bench(bench::BenchArgs),
     /// Show how a run is doing, or list all runs.
     Status(StatusArgs),
     /// Change the number of workers of a live run.

@@ -217,6 +217,25 @@ const FOREIGN_SETTINGS: [&str; 12] = [
     "ONEDNN_MAX_CPU_ISA",
 ];
 
+/// Gives a learner the environment in which what it computes depends on nothing but its input.
+pub fn set_numerical_environment(command: &mut Command, threads: usize) {
+    for variable in FOREIGN_SETTINGS {
+        command.env_remove(variable);
+    }
+    let threads = threads.to_string();
+    for (variable, value) in [
+        ("OMP_NUM_THREADS", threads.as_str()),
+        ("MKL_NUM_THREADS", &threads),
+        // The libraries shall not choose another number by themselves.
+        ("OMP_DYNAMIC", "FALSE"),
+        ("MKL_DYNAMIC", "FALSE"),
+        // Products that do not depend on how their operands happen to be aligned.
+        ("MKL_CBWR", "AUTO,STRICT"),
+    ] {
+        command.env(variable, value);
+    }
+}
+
 impl Supervisor {
     /// No children yet but the janitor.
     pub fn new(
@@ -256,21 +275,7 @@ impl Supervisor {
         if let Some(state) = resume {
             command.arg("--resume").arg(state);
         }
-        for variable in FOREIGN_SETTINGS {
-            command.env_remove(variable);
-        }
-        let threads = self.threads.to_string();
-        for (variable, value) in [
-            ("OMP_NUM_THREADS", threads.as_str()),
-            ("MKL_NUM_THREADS", &threads),
-            // The libraries shall not choose another number by themselves.
-            ("OMP_DYNAMIC", "FALSE"),
-            ("MKL_DYNAMIC", "FALSE"),
-            // Products that do not depend on how their operands happen to be aligned.
-            ("MKL_CBWR", "AUTO,STRICT"),
-        ] {
-            command.env(variable, value);
-        }
+        set_numerical_environment(&mut command, self.threads);
         self.learner_hung = false;
         self.learner = Some(self.spawn(command, "learner.log")?);
         Ok(())

@@ -77,6 +77,13 @@ pub(super) fn seconds(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "wants a number of seconds, such as 0.01".to_owned())
 }
 
+/// How long to measure, in seconds.
+pub(super) fn measuring_time(text: &str) -> Result<f64, String> {
+    let wanted = "wants a number of seconds above 0 and at most 3600, such as 5";
+    let seconds = text.parse().ok().filter(|s: &f64| *s > 0.0 && *s <= 3600.0);
+    seconds.ok_or_else(|| wanted.to_owned())
+}
+
 /// A time with units; a bare number is in seconds.
 pub(super) fn duration(text: &str) -> Result<Duration, String> {
     let wrong = || "wants a time such as 90s, 10m or 1h30m".to_owned();
@@ -152,6 +159,17 @@ mod tests {
         }
         assert_eq!(workers_wanted("0"), Ok(0), "the run says how many it can have");
         assert!(workers_wanted("-1").is_err());
+    }
+
+    #[test]
+    fn measuring_takes_some_time_but_not_forever() {
+        assert_eq!(measuring_time("0.05"), Ok(0.05));
+        for wrong in ["0", "-1", "nan", "inf", "5s", "3601", ""] {
+            assert!(
+                measuring_time(wrong).is_err_and(|wanted| wanted.contains("above 0")),
+                "{wrong}"
+            );
+        }
     }
 
     #[test]

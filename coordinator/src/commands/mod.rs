@@ -1,5 +1,6 @@
 //! The commands of `octopus`, one file each.
 
+pub mod bench;
 pub mod checkpoints;
 pub mod clean;
 pub mod doctor;
@@ -44,6 +45,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Doctor(args) => doctor::run(args),
+        Command::Bench(args) => bench::run(&args),
         Command::Status(args) => status::run(&args),
         Command::Scale(args) => scale::run(&args),
         Command::Rollout(args) => rollout::run(&args),

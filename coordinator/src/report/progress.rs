@@ -111,6 +111,50 @@ impl Progress {
     }
 }
 
+/// Shows which of several stages is under way, where how long they take is not known.
+#[derive(Debug)]
+pub struct Stages {
+    bar: Option<ProgressBar>,
+}
+
+impl Stages {
+    /// A spinner on a terminal, a line a stage elsewhere.
+    pub fn new() -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+            let style = ProgressStyle::with_template("{spinner:.cyan} {msg}  {elapsed}");
+            bar.set_style(style.expect("the template is valid"));
+            bar.enable_steady_tick(Duration::from_millis(250));
+            *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
+            bar
+        });
+        Self { bar }
+    }
+
+    /// The next stage begins.
+    pub fn begin(&self, stage: String) {
+        match &self.bar {
+            Some(bar) => bar.set_message(stage),
+            None => write_line(&stage),
+        }
+    }
+}
+
+impl Default for Stages {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Drop for Stages {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+            *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        }
+    }
+}
+
 /// One line about an iteration: what a person watches.
 fn describe(line: &Line, task: TaskName, planned_iterations: u64) -> String {
     let errors = match task {

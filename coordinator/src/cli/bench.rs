@@ -1,0 +1,125 @@
+//! Options of `octopus bench`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::PresetArg;
+use super::values::{assignment, measuring_time, workers};
+
+const EXAMPLES: &str = "\
+Examples:
+  octopus bench
+  octopus bench --peer --json > bench.json
+  octopus bench physics --peer
+  octopus bench learner --preset tuned --set network.hidden=[128,128]
+  octopus bench growth --seconds 2 --pictures pictures
+
+Rates of physics and rollout are per second of processor time of one thread, so that other load on the
+machine hardly matters; all others are per second of wall time and want a machine that is idle.
+  physics    control steps under random commands of ±0.8 rad/s, contacts counted and pushing
+  rollout    the same with actors as training initialises them, observations, rewards and the block
+  learner    updates on synthetic blocks, in bf16 and f32 and with smaller networks
+  transport  a block from `send` in one process to its tensors in another, which sleeps until then
+  train      a real run in a directory that goes away; env-steps/s after the first iteration, memory
+  growth     the same over environments, workers, arms and hidden width; not part of `all`
+
+Floor is what this machine allows at best: for physics and rollout, the operations counted in the source
+at the rate of fused multiply-adds of one core; for the learner, its matrix products at the best rate
+of libtorch's own; for the transport, waking a process through a pipe; for the training, its own rollout
+and update without anything around them (if they were measured).
+
+Peers run in Python, `make venv-benches` installs them: MuJoCo with the same robot, commands and contacts
+(400 Euler steps of 1 ms), and MAPPO as it is commonly written in PyTorch (f32). A peer's rollout is
+1 / (1 / MuJoCo + threads / its inference), its training
+1 / (1 / (workers · MuJoCo) + 1 / its learner + 1 / its inference), with no more workers than processors.
+The transport's peers are a pipe and a Unix socket, always measured, each with the same bytes.
+
+Ctrl-C stops at once and leaves nothing behind.";
+
+/// Options of `octopus bench`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct BenchArgs {
+    /// What to measure.
+    #[arg(value_enum, default_value_t = Subject::All)]
+    pub subject: Subject,
+    /// Also measure MuJoCo and PyTorch on the same work.
+    #[arg(long)]
+    pub peer: bool,
+    /// How long each measurement takes, at least.
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measuring_time)]
+    pub seconds: f64,
+    /// The configuration to measure.
+    #[arg(long, value_enum, default_value_t = PresetArg::Paper)]
+    pub preset: PresetArg,
+    /// Change one key; may be given again: --set network.hidden=[256,256].
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment)]
+    pub sets: Vec<String>,
+    /// Simulator processes of the training, `auto` for one a processor.
+    #[arg(long, value_name = "N|auto", default_value = "2", allow_negative_numbers = true, value_parser = workers)]
+    pub workers: u64,
+    /// The Python that has the peers.
+    #[arg(long, value_name = "FILE", default_value = ".venv-benches/bin/python")]
+    pub python: PathBuf,
+    /// Draw the curves of `growth` there, as SVG.
+    #[arg(long, value_name = "DIR")]
+    pub pictures: Option<PathBuf>,
+    /// Print as one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What to measure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Subject {
+    /// The dynamics.
+    Physics,
+    /// Simulation with a policy, as a worker does it.
+    Rollout,
+    /// The update.
+    Learner,
+    /// Blocks from process to process.
+    Transport,
+    /// A whole training, and its memory.
+    Train,
+    /// How all of it grows.
+    Growth,
+    /// All but growth.
+    All,
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    fn parse(line: &str) -> Result<BenchArgs, clap::Error> {
+        let cli = Cli::try_parse_from(line.split(' '))?;
+        let Command::Bench(args) = cli.command else { panic!("not bench") };
+        Ok(args)
+    }
+
+    #[test]
+    fn without_options_all_of_the_paper_is_measured() {
+        let args = parse("octopus bench").expect("valid");
+        assert_eq!((args.subject, args.preset), (Subject::All, PresetArg::Paper));
+        assert_eq!((args.seconds, args.workers), (5.0, 2));
+        assert!(!args.peer && !args.json && args.sets.is_empty());
+        assert_eq!(args.python, PathBuf::from(".venv-benches/bin/python"));
+    }
+
+    #[test]
+    fn subjects_and_numbers_are_checked() {
+        let args = parse("octopus bench growth --seconds 0.05 --set env.n_envs=8").expect("valid");
+        assert_eq!((args.subject, args.seconds), (Subject::Growth, 0.05));
+        for wrong in
+            ["speed", "--seconds 0", "--seconds -1", "--workers 0", "--set x", "--preset a"]
+        {
+            let error = parse(&format!("octopus bench {wrong}")).expect_err(wrong);
+            assert_eq!(error.exit_code(), 2, "{wrong}");
+        }
+    }
+}
