@@ -1,6 +1,7 @@
 //! End-to-end tests of the built programs: runs, crashes, bad input.
 
 mod bad_input;
+mod bench;
 mod chaos;
 mod checkpoints;
 mod exactness;

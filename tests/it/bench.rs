@@ -1,0 +1,152 @@
+//! `octopus bench`: every figure is there, nothing is left behind. How fast is no test's business.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+use serde_json::Value;
+use tests::{assert_nothing_left, kill, octopus, program, stderr};
+
+/// A configuration that is measured in a moment.
+const SMALL: &[&str] = &[
+    "--set=env.n_envs=16",
+    "--set=env.n_shards=4",
+    "--set=task.episode_steps=8",
+    "--set=network.hidden=[16]",
+    "--set=run.learner_threads=1",
+];
+
+/// The command, with temporary files in `dir`.
+fn bench(dir: &Path, args: &[&str]) -> Command {
+    let mut command = Command::new(program("octopus"));
+    command.arg("bench").args(SMALL).args(args).env("TMPDIR", dir).stdin(Stdio::null());
+    command
+}
+
+fn is_empty(dir: &Path) -> bool {
+    std::fs::read_dir(dir).expect("a directory").next().is_none()
+}
+
+/// Names of shared-memory domains in a text.
+fn domains(text: &str) -> Vec<String> {
+    let word = |c: char| !c.is_ascii_alphanumeric() && c != '-';
+    let name = |word: &&str| word.starts_with("octopus-") && word.split('-').count() == 3;
+    let words = text.split(word).filter(name);
+    words.filter(|word| !word.contains("bench")).map(str::to_owned).collect()
+}
+
+#[test]
+fn every_figure_is_measured_and_nothing_is_left() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let output = bench(dir.path(), &["--seconds=0.05", "--workers=1", "--json"])
+        .env("RUST_LOG", "info")
+        .output()
+        .expect("octopus starts");
+    assert!(output.status.success(), "{}", stderr(&output));
+    let figures: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    for key in [
+        "physics.env_steps_per_s_per_core",
+        "physics.floor_env_steps_per_s_per_core",
+        "physics.without_contacts_env_steps_per_s_per_core",
+        "rollout.env_steps_per_s_per_core",
+        "rollout.physics_us",
+        "rollout.policy_us",
+        "rollout.observe_us",
+        "rollout.2x256.env_steps_per_s_per_core",
+        "rollout.2x128.env_steps_per_s_per_core",
+        "learner.env_steps_per_s",
+        "learner.floor_env_steps_per_s",
+        "learner.mflop_per_env_step",
+        "learner.f32.env_steps_per_s",
+        "learner.bf16.env_steps_per_s",
+        "learner.2x256.env_steps_per_s",
+        "learner.2x128.env_steps_per_s",
+        "transport.p50_us",
+        "transport.p99_us",
+        "transport.floor_p99_us",
+        "transport.pipe_p99_us",
+        "transport.unix_socket_p99_us",
+        "transport.sender_cpu_us_per_block",
+        "transport.receiver_cpu_us_per_block",
+        "train.env_steps_per_s",
+        "memory.rss_mib",
+        "memory.pss_mib",
+        "memory.learner.rss_mib",
+        "memory.worker_0.rss_mib",
+        "memory.coordinator.rss_mib",
+    ] {
+        let value = figures[key].as_f64();
+        assert!(value.is_some_and(|value| value > 0.0 && value.is_finite()), "{key}: {value:?}");
+    }
+    let number = |key: &str| figures[key].as_f64().expect("a number");
+    assert!(number("transport.p50_us") <= number("transport.p99_us"));
+    assert!(number("memory.pss_mib") <= number("memory.rss_mib"));
+    assert!(is_empty(dir.path()), "the temporary directory is removed");
+    let domains = domains(&stderr(&output));
+    assert!(!domains.is_empty(), "the log names the domain: {}", stderr(&output));
+    domains.iter().for_each(|domain| assert_nothing_left(domain));
+}
+
+#[test]
+fn ctrl_c_ends_a_measured_training_and_removes_it() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let mut process = bench(dir.path(), &["train", "--seconds=3000", "--workers=1"])
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("octopus starts");
+    let watchdog = Instant::now() + Duration::from_mins(2);
+    let domain = loop {
+        if let Some(domain) = lock_of_a_run(dir.path()) {
+            break domain;
+        }
+        let ended = process.try_wait().expect("own child");
+        assert!(ended.is_none() && Instant::now() < watchdog, "no run begins: {ended:?}");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    kill(process.id(), Signal::INT);
+    while process.try_wait().expect("own child").is_none() {
+        if Instant::now() > watchdog {
+            let _ = process.kill();
+            panic!("it does not end");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(process.wait().expect("own child").code(), Some(130));
+    assert_nothing_left(&domain);
+    assert!(is_empty(dir.path()), "the run directory is removed");
+}
+
+/// The domain of the run below `dir` that has trained on something.
+fn lock_of_a_run(dir: &Path) -> Option<String> {
+    let below = |dir: &Path| Some(std::fs::read_dir(dir).ok()?.flatten().map(|entry| entry.path()));
+    let run = below(dir)?
+        .find_map(|scratch| {
+            below(&scratch)?
+                .find(|path| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("train-")))
+        })?
+        .join("run");
+    let metrics = std::fs::read_to_string(run.join("metrics.jsonl")).ok()?;
+    metrics.lines().next()?;
+    let lock: Value = serde_json::from_slice(&std::fs::read(run.join("run.lock")).ok()?).ok()?;
+    lock["domain"].as_str().map(str::to_owned)
+}
+
+#[test]
+fn bad_input_is_refused_before_anything_is_measured() {
+    for (args, code, said) in [
+        (vec!["bench", "physics", "--peer", "--python=/nonexistent/python"], 4, "make venv-benches"),
+        (vec!["bench", "growth", "--peer"], 2, "--peer"),
+        (vec!["bench", "physics", "--pictures=/tmp/never"], 2, "growth"),
+        (vec!["bench", "--seconds=0"], 2, "above 0"),
+        (vec!["bench", "--set=network.hiden=[1]"], 3, "hidden"),
+        (vec!["bench", "--set=robot.description=none.toml"], 3, "none.toml"),
+        (vec!["bench", "speed"], 2, "growth"),
+    ] {
+        let output = octopus(&args);
+        assert_eq!(output.status.code(), Some(code), "{args:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(said), "{args:?}: {}", stderr(&output));
+        assert!(output.stdout.is_empty());
+    }
+}
