@@ -11,7 +11,7 @@ DEVICE ?= auto
 TARGET := $(or $(CARGO_TARGET_DIR),target)
 # A gate that quietly updates the lock file tests something else than what was committed.
 LOCKED := $(if $(CI),--locked)
-# Arguments of `octopus train`, as in: make train ARGS="--preset paper"
+# Arguments of `octopus train` or `octopus bench`, as in: make train ARGS="--preset paper"
 ARGS ?=
 
 LIBTORCH_DIR = $(or $(LIBTORCH),.libtorch)
@@ -52,6 +52,10 @@ build: setup ## build the programs: octopus, learner, sim-worker
 .PHONY: train
 train: build ## train, with ARGS="..." for octopus train
 	$(TARGET)/release/octopus train $(ARGS)
+
+.PHONY: bench
+bench: build venv-benches ## measure this machine and the peers, with ARGS="..." for octopus bench
+	$(TARGET)/release/octopus bench --peer $(ARGS)
 
 .PHONY: test
 test: setup venv ## everything that must hold: format, lints, documentation, tests
