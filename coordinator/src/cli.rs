@@ -213,6 +213,9 @@ pub struct TrainArgs {
     /// What happens around the training.
     #[command(flatten)]
     pub ending: Ending,
+    /// The process that started this one and that it shall not outlive.
+    #[arg(long, value_name = "PID", hide = true)]
+    pub parent: Option<i32>,
 }
 
 /// The HTTP service beside a run, by which `octopus status` and `octopus scale` reach it.

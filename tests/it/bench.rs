@@ -85,7 +85,9 @@ fn every_figure_is_measured_and_nothing_is_left() {
     assert!(is_empty(dir.path()), "the temporary directory is removed");
     let domains = domains(&stderr(&output));
     assert!(!domains.is_empty(), "the log names the domain: {}", stderr(&output));
-    domains.iter().for_each(|domain| assert_nothing_left(domain));
+    for domain in &domains {
+        assert_nothing_left(domain);
+    }
 }
 
 #[test]
@@ -123,8 +125,9 @@ fn lock_of_a_run(dir: &Path) -> Option<String> {
     let below = |dir: &Path| Some(std::fs::read_dir(dir).ok()?.flatten().map(|entry| entry.path()));
     let run = below(dir)?
         .find_map(|scratch| {
-            below(&scratch)?
-                .find(|path| path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("train-")))
+            below(&scratch)?.find(|path| {
+                path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("train-"))
+            })
         })?
         .join("run");
     let metrics = std::fs::read_to_string(run.join("metrics.jsonl")).ok()?;
@@ -136,7 +139,11 @@ fn lock_of_a_run(dir: &Path) -> Option<String> {
 #[test]
 fn bad_input_is_refused_before_anything_is_measured() {
     for (args, code, said) in [
-        (vec!["bench", "physics", "--peer", "--python=/nonexistent/python"], 4, "make venv-benches"),
+        (
+            vec!["bench", "physics", "--peer", "--python=/nonexistent/python"],
+            4,
+            "make venv-benches",
+        ),
         (vec!["bench", "growth", "--peer"], 2, "--peer"),
         (vec!["bench", "physics", "--pictures=/tmp/never"], 2, "growth"),
         (vec!["bench", "--seconds=0"], 2, "above 0"),

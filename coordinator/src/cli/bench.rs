@@ -22,7 +22,8 @@ machine hardly matters; all others are per second of wall time and want a machin
   learner    updates on synthetic blocks, in bf16 and f32 and with smaller networks
   transport  a block from `send` in one process to its tensors in another, which sleeps until then
   train      a real run in a directory that goes away; env-steps/s after the first iteration, memory
-  growth     the same over environments, workers, arms and hidden width; not part of `all`
+  growth     the same over environments (episodes of 16 steps), workers, arms (more than the robot has are
+             its own, mirrored) and hidden width; not part of `all`
 
 Floor is what this machine allows at best: for physics and rollout, the operations counted in the source
 at the rate of fused multiply-adds of one core; for the learner, its matrix products at the best rate

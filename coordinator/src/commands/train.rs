@@ -33,6 +33,9 @@ pub(super) const RUNS: &str = "runs";
 
 /// Trains.
 pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
+    if args.parent.is_some() {
+        proto::child::die_with_parent(args.parent)?;
+    }
     let config = configure(args)?;
     let robot = super::load_robot(&config.robot.description)?;
     let run_dir = args.run_dir.clone().map_or_else(|| default_dir(&config), RunDir::new);

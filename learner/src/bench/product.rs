@@ -9,6 +9,9 @@ use tch::{Device, Kind, Tensor};
 /// Rows that go through a product at once: a chunk that fits in the cache, and several of them.
 const ROWS: [i64; 2] = [400, 1600];
 
+/// How often each case has its turn: other programs may be busy during one of them.
+const TURNS: usize = 3;
+
 /// The three products of a layer.
 #[derive(Debug, Clone, Copy)]
 enum Product {
@@ -33,10 +36,10 @@ pub(super) fn best_rate(
     groups.dedup();
     let products = [Product::Forward, Product::WeightGradient, Product::InputGradient];
     let cases = groups.len() * ROWS.len() * products.len();
-    let time = Duration::from_secs_f64(seconds / cases as f64);
+    let time = Duration::from_secs_f64(seconds / (TURNS * cases) as f64);
     let [input, output] = widest(config, dimensions);
     let mut best = 0.0_f64;
-    for groups in groups {
+    for &groups in (0..TURNS).flat_map(|_| &groups) {
         let agents = (dimensions.n_agents / groups) as i64;
         for rows in ROWS {
             for product in products {

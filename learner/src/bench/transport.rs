@@ -97,7 +97,7 @@ pub(super) fn receive(arguments: &ReceiveArguments) -> Result<Value, ExitError> 
     let layout = BlockLayout::new(&dimensions);
     let mut source = Source::open(arguments, &config, &dimensions)?;
     let mut latencies = Vec::with_capacity(arguments.blocks);
-    let mut cpu = Duration::ZERO;
+    let mut cpu = 0.0;
     let start = Instant::now();
     for block in 0..arguments.blocks + WARM_UP {
         let counts = block >= WARM_UP;
@@ -123,7 +123,7 @@ pub(super) fn receive(arguments: &ReceiveArguments) -> Result<Value, ExitError> 
         "blocks": blocks,
         "block_bytes": 4 * layout.len,
         "sender_cpu_us": sender_cpu_us,
-        "receiver_cpu_us": cpu.as_secs_f64() * 1e6 / blocks as f64,
+        "receiver_cpu_us": 1e6 * cpu / blocks as f64,
     }))
 }
 
@@ -138,8 +138,15 @@ struct Source {
 }
 
 enum End {
-    Channel { blocks: ArrayReceiver<BlockHeader>, bell: BellListener, _channels: Channels },
+    Channel(Box<ChannelEnd>),
     Stream { stream: Box<dyn Read>, buffer: Vec<f32> },
+}
+
+struct ChannelEnd {
+    blocks: ArrayReceiver<BlockHeader>,
+    bell: BellListener,
+    // Dropped last: ports must not outlive their services.
+    _channels: Channels,
 }
 
 impl Source {
@@ -153,7 +160,7 @@ impl Source {
         let channel = if way == Way::Channel {
             let channels = open_channels(&arguments.domain, config, dimensions)?;
             let (blocks, bell) = (channels.block_receiver()?, channels.listener(Role::Learner)?);
-            Some(End::Channel { blocks, bell, _channels: channels })
+            Some(End::Channel(Box::new(ChannelEnd { blocks, bell, _channels: channels })))
         } else {
             None
         };
@@ -169,12 +176,11 @@ impl Source {
             Some(socket) => Box::new(socket),
             None => Box::new(sender.stdout.take().expect("its standard output is a pipe")),
         };
-        let (end, stdout) = match channel {
-            Some(end) => (end, Some(stream)),
-            None => {
-                let len = if way == Way::Wake { 0 } else { BlockLayout::new(dimensions).len };
-                (End::Stream { stream, buffer: vec![0.0; HEAD + len] }, None)
-            }
+        let (end, stdout) = if let Some(end) = channel {
+            (end, Some(stream))
+        } else {
+            let len = if way == Way::Wake { 0 } else { BlockLayout::new(dimensions).len };
+            (End::Stream { stream, buffer: vec![0.0; HEAD + len] }, None)
         };
         Ok(Self { sender, requests, way, end, stdout })
     }
@@ -191,13 +197,13 @@ impl Source {
         dimensions: &Dimensions,
     ) -> Result<(Duration, Duration), ExitError> {
         match &mut self.end {
-            End::Channel { blocks, bell, .. } => loop {
-                if let Some(block) = blocks.try_receive()? {
+            End::Channel(end) => loop {
+                if let Some(block) = end.blocks.try_receive()? {
                     touch(block.payload(), layout, dimensions);
                     let seen = monotonic();
                     return Ok((Duration::from_nanos(block.header().rollout_ns), seen));
                 }
-                bell.wait(Duration::from_secs(1));
+                end.bell.wait(Duration::from_secs(1));
                 if let Ok(Some(status)) = self.sender.try_wait() {
                     let message = format!("the sender ended early: {status}");
                     return Err(ExitError::new(ExitCode::Failure, message));
@@ -224,7 +230,7 @@ impl Source {
         drop(requests);
         let mut stream = match end {
             End::Stream { stream, .. } => Some(stream),
-            End::Channel { .. } => stdout,
+            End::Channel(_) => stdout,
         };
         let mut answer = [0; 8];
         if let Some(stream) = &mut stream {
@@ -280,7 +286,7 @@ pub(super) fn send(arguments: &SendArguments) -> Result<(), ExitError> {
     let (config, dimensions) = arguments.common.begin()?;
     let mut sink = Sink::open(arguments, &config, &dimensions)?;
     let mut requests = std::io::stdin().lock();
-    let (mut sent, mut cpu) = (0_usize, Duration::ZERO);
+    let (mut sent, mut cpu) = (0_usize, 0.0);
     while requests.read_exact(&mut [0]).is_ok() {
         let used = sink.send(sent as f32)?;
         if sent >= WARM_UP {
@@ -289,14 +295,19 @@ pub(super) fn send(arguments: &SendArguments) -> Result<(), ExitError> {
         sent += 1;
     }
     let blocks = sent.saturating_sub(WARM_UP).max(1) as f64;
-    let answer = (cpu.as_secs_f64() * 1e6 / blocks).to_le_bytes();
+    let answer = (1e6 * cpu / blocks).to_le_bytes();
     stdout()?.write_all(&answer).map_err(|error| failed("the receiver is gone", &error))
 }
 
 /// The sending end.
 enum Sink {
-    Channel { blocks: ArraySender<BlockHeader>, _channels: Channels },
-    Stream { stream: File, buffer: Vec<f32>, sent: usize },
+    /// The services are dropped after their port.
+    Channel(Box<(ArraySender<BlockHeader>, Channels)>),
+    Stream {
+        stream: File,
+        buffer: Vec<f32>,
+        sent: usize,
+    },
 }
 
 impl Sink {
@@ -307,10 +318,7 @@ impl Sink {
     ) -> Result<Self, ExitError> {
         if arguments.way == Way::Channel {
             let channels = open_channels(&arguments.domain, config, dimensions)?;
-            return Ok(Self::Channel {
-                blocks: channels.block_sender(DEADLINE)?,
-                _channels: channels,
-            });
+            return Ok(Self::Channel(Box::new((channels.block_sender(DEADLINE)?, channels))));
         }
         let len = BlockLayout::new(dimensions).len;
         let buffer = vec![0.0; HEAD + len];
@@ -318,11 +326,12 @@ impl Sink {
         Ok(Self::Stream { stream: stdout()?, buffer, sent })
     }
 
-    /// Writes the block as a simulator would, then sends it. Returns the processor time of all but
-    /// the writing, which every way has.
-    fn send(&mut self, number: f32) -> Result<Duration, ExitError> {
+    /// Writes the block as a simulator would, then sends it. Returns the processor time (s) of
+    /// all but the writing, which every way has.
+    fn send(&mut self, number: f32) -> Result<f64, ExitError> {
         match self {
-            Self::Channel { blocks, .. } => {
+            Self::Channel(end) => {
+                let blocks = &end.0;
                 let begun = thread_cpu();
                 let mut sample = blocks.loan()?;
                 let loaned = thread_cpu() - begun;

@@ -8,7 +8,6 @@
 
 use std::cell::Cell;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
-use std::time::Duration;
 
 use proto::clock::thread_cpu;
 use sim_worker::collision::count_contacts;
@@ -21,10 +20,11 @@ use super::physics::{EPISODE, commands};
 
 /// Floating-point operations per second of one core, a fused multiply-add being two.
 pub(super) fn peak(seconds: f64) -> f64 {
-    dispatch(Peak(Duration::from_secs_f64(seconds)))
+    dispatch(Peak(seconds))
 }
 
-struct Peak(Duration);
+/// How long to measure (s).
+struct Peak(f64);
 
 /// Fused multiply-adds in a row between two looks at the clock.
 const ROW: usize = 20_000;
@@ -40,7 +40,7 @@ impl LaneFn for Peak {
 }
 
 #[inline(always)]
-fn chains<S: Real, const N: usize>(time: Duration) -> f64 {
+fn chains<S: Real, const N: usize>(time: f64) -> f64 {
     let mut x = [S::one(); N];
     let (a, b) = (std::hint::black_box(S::splat(0.5)), std::hint::black_box(S::splat(0.25)));
     let mut rows = 0_u32;
@@ -57,12 +57,12 @@ fn chains<S: Real, const N: usize>(time: Duration) -> f64 {
         }
         rows += 1;
         let elapsed = thread_cpu() - start;
-        if elapsed >= time / 3 {
+        if elapsed >= time / 3.0 {
             break elapsed;
         }
     };
     std::hint::black_box(x);
-    2.0 * f64::from(rows) * (ROW * N * S::LANES) as f64 / elapsed.as_secs_f64()
+    2.0 * f64::from(rows) * (ROW * N * S::LANES) as f64 / elapsed
 }
 
 /// Floating-point operations of a control step under random commands. Counted are additions,

@@ -1,6 +1,7 @@
 //! Other programs on the same work: MuJoCo for the physics, PyTorch for learning and acting.
 
 use std::cell::OnceCell;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -54,7 +55,7 @@ impl Peers {
         let mut command = self.script(bench, "mujoco_physics.py", MUJOCO)?;
         command.arg(&model).arg(format!("--home={}", home.join(",")));
         command.args(["--seconds", &seconds.to_string()]);
-        let said = self.ask(bench, command)?;
+        let said = ask(bench, command, None)?;
         said["env_steps_per_s"].as_f64().context("MuJoCo's figures have no rate")
     }
 
@@ -100,8 +101,8 @@ impl Peers {
         let input = bench.scratch.path().join("workload.json");
         write(&input, &workload.to_string())?;
         let command = self.script(bench, "torch_learner.py", TORCH)?;
-        let file = std::fs::File::open(&input).with_context(|| input.display().to_string())?;
-        let said = self.ask_with(bench, command, Some(file))?;
+        let file = File::open(&input).with_context(|| input.display().to_string())?;
+        let said = ask(bench, command, Some(file))?;
         let rate = |key: &str| {
             said[key].as_f64().with_context(|| format!("PyTorch's figures have no {key}"))
         };
@@ -119,29 +120,21 @@ impl Peers {
         command.arg(path);
         Ok(command)
     }
+}
 
-    fn ask(&self, bench: &Bench, command: Command) -> anyhow::Result<Value> {
-        self.ask_with(bench, command, None)
-    }
-
-    fn ask_with(
-        &self,
-        bench: &Bench,
-        command: Command,
-        stdin: Option<std::fs::File>,
-    ) -> anyhow::Result<Value> {
-        let text = child::output_of(bench, command, stdin, |_| {}).map_err(|error| {
-            // Exit code 3 of a script is a package that is missing.
-            match error.downcast::<ExitError>() {
-                Ok(error) if error.code == ExitCode::BadInput => {
-                    child::environment(error.message).into()
-                }
-                Ok(error) => error.into(),
-                Err(error) => error,
+/// Runs a script to its end and reads its figures.
+fn ask(bench: &Bench, command: Command, stdin: Option<File>) -> anyhow::Result<Value> {
+    let text = child::output_of(bench, command, stdin, |_| {}).map_err(|error| {
+        // Exit code 3 of a script is a package that is missing.
+        match error.downcast::<ExitError>() {
+            Ok(error) if error.code == ExitCode::BadInput => {
+                child::environment(error.message).into()
             }
-        })?;
-        serde_json::from_str(&text).context("the peer's figures are no JSON")
-    }
+            Ok(error) => error.into(),
+            Err(error) => error,
+        }
+    })?;
+    serde_json::from_str(&text).context("the peer's figures are no JSON")
 }
 
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {

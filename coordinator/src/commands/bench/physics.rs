@@ -5,8 +5,6 @@
     reason = "only code inlined into a lane function is compiled for the processor's vectors"
 )]
 
-use std::time::Duration;
-
 use proto::clock::thread_cpu;
 use sim_worker::collision::count_contacts;
 use sim_worker::dynamics::{StepOptions, Workspace, step};
@@ -70,8 +68,7 @@ pub(super) fn rate(
     options: StepOptions,
     seconds: f64,
 ) -> anyhow::Result<(f64, f64)> {
-    let time = Duration::from_secs_f64(seconds);
-    let result = dispatch(Run { robot, options, time, stop: &bench.stop });
+    let result = dispatch(Run { robot, options, seconds, stop: &bench.stop });
     bench.go_on()?;
     Ok(result)
 }
@@ -79,7 +76,7 @@ pub(super) fn rate(
 struct Run<'a> {
     robot: &'a Robot,
     options: StepOptions,
-    time: Duration,
+    seconds: f64,
     stop: &'a StopRequests,
 }
 
@@ -107,13 +104,13 @@ impl LaneFn for Run<'_> {
             assert!(state.is_finite(), "the simulation diverged");
             steps += EPISODE;
             let elapsed = thread_cpu() - start;
-            if elapsed >= self.time || self.stop.count() > 0 {
+            if elapsed >= self.seconds || self.stop.count() > 0 {
                 break elapsed;
             }
         };
         let touching = (0..S::LANES).map(|lane| contacts.lane(lane)).sum::<f64>();
         let env_steps = (steps * S::LANES) as f64;
-        (env_steps / elapsed.as_secs_f64(), touching / env_steps)
+        (env_steps / elapsed, touching / env_steps)
     }
 }
 

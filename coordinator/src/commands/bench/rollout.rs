@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use proto::clock::thread_cpu;
 use proto::config::Config;
-use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{ActorLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 use sim_worker::env::step_options;
 use sim_worker::robot::Robot;
@@ -41,6 +41,7 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
     {
         figures.push(Figure::cost(format!("rollout.{part}_us"), "µs/env-step", microseconds));
     }
+    figures.push(Figure::cost("rollout.touching_pairs", "pairs", rates.touching_pairs));
     for (name, change) in OTHERS {
         bench.begin(&format!("rollout {name}"))?;
         let config = bench.config_with(&[change])?;
@@ -58,6 +59,8 @@ pub(super) struct Rates {
     physics_us: f64,
     policy_us: f64,
     observe_us: f64,
+    /// Mean over the last block: exploration touches more than the commands of `physics` do.
+    touching_pairs: f64,
 }
 
 /// Rolls shards out for `seconds`, one at least.
@@ -84,7 +87,11 @@ pub(super) fn rates(
         observe += stats.timing.observe;
         shard = (shard + 1) % world.dimensions.n_shards as u32;
     }
-    let (wall, cpu) = (start.elapsed().as_secs_f64(), (thread_cpu() - cpu).as_secs_f64());
+    let sizes = &world.dimensions;
+    let pairs = EpisodeMetrics::new(sizes.n_arms).contact_pairs;
+    let metrics = &block[world.block_layout().metrics.clone()];
+    let touching: f32 = metrics.chunks_exact(sizes.n_metrics).map(|row| row[pairs]).sum();
+    let (wall, cpu) = (start.elapsed().as_secs_f64(), thread_cpu() - cpu);
     // The rollout's own clock is the wall's, which on a busy machine also counts others' turns.
     let share = |time: Duration| time.as_secs_f64() * cpu / wall / steps as f64 * 1e6;
     Ok(Rates {
@@ -92,6 +99,7 @@ pub(super) fn rates(
         physics_us: share(physics),
         policy_us: share(inference),
         observe_us: share(observe),
+        touching_pairs: f64::from(touching) / (sizes.n_envs * sizes.n_steps) as f64,
     })
 }
 
@@ -103,12 +111,12 @@ fn initial_policy(config: &Config, dimensions: &Dimensions) -> Vec<f32> {
     for (index, tensor) in layout.tensors.iter().enumerate() {
         let fan_in = tensor.shape[1] as f64;
         let part = &mut parameters[tensor.range()];
-        match tensor.name.as_str() {
-            "head.weight" => fill(part, index, config.network.head_gain / fan_in.sqrt()),
-            "log_std" => part.fill(config.network.initial_log_std as f32),
-            "input.inverse_std" => part.fill(1.0),
-            name if name.ends_with(".weight") => fill(part, index, (2.0 / fan_in).sqrt()),
-            name if name.ends_with(".gain") => part.fill(1.0),
+        let name = tensor.name.as_str();
+        match (name, name.rsplit('.').next().unwrap_or_default()) {
+            ("head.weight", _) => fill(part, index, config.network.head_gain / fan_in.sqrt()),
+            ("log_std", _) => part.fill(config.network.initial_log_std as f32),
+            (_, "weight") => fill(part, index, (2.0 / fan_in).sqrt()),
+            (_, "gain" | "inverse_std") => part.fill(1.0),
             _ => {}
         }
     }

@@ -22,7 +22,7 @@ const ITERATIONS: usize = 3;
 /// How often the metrics are looked at.
 const LOOK: Duration = Duration::from_millis(20);
 /// How long a run may take to end.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 
 /// Figures `train.*` and `memory.*`.
 pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()> {
@@ -114,6 +114,8 @@ impl Run {
         let file = File::create(&log).with_context(|| log.display().to_string())?;
         let child = Command::new(std::env::current_exe().context("no program")?)
             .args(["train", "--no-eval", "--quiet", "--listen=off"])
+            // Killed with this process; its janitor then cleans up.
+            .args(["--parent", &std::process::id().to_string()])
             .arg("--run-dir")
             .arg(run_dir.path())
             .args(&bench.train_args)
