@@ -20,7 +20,8 @@ machine hardly matters; all others are per second of wall time and want a machin
   physics    control steps under random commands of ±0.8 rad/s, contacts counted and pushing
   rollout    the same with actors as training initialises them, observations, rewards and the block
   learner    updates on synthetic blocks, in bf16 and f32 and with smaller networks
-  transport  a block from `send` in one process to its tensors in another, which sleeps until then
+  transport  a block from `send` in one process to its tensors in another, which asks for one block at a
+             time and sleeps until it comes; the run's own channel, in which nothing is copied
   train      a real run in a directory that goes away; env-steps/s after the first iteration, memory
   growth     the same over environments (episodes of 16 steps), workers, arms (more than the robot has are
              its own, mirrored) and hidden width; not part of `all`

@@ -38,6 +38,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         if let Some(dir) = &args.pictures {
             picture::draw_all(dir, &curves)?;
         }
+        bench.stages.end();
         return if args.json {
             output::json(&bench.with_context(growth::to_json(&curves)))
         } else {
@@ -61,6 +62,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     if wants(Subject::Train) {
         train::measure(&bench, &mut figures)?;
     }
+    bench.stages.end();
     if args.json {
         output::json(&bench.with_context(figures.to_json()))
     } else {

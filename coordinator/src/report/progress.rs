@@ -138,6 +138,14 @@ impl Stages {
             None => write_line(&stage),
         }
     }
+
+    /// The terminal is free for what comes next.
+    pub fn end(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+            *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        }
+    }
 }
 
 impl Default for Stages {
@@ -148,10 +156,7 @@ impl Default for Stages {
 
 impl Drop for Stages {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-            *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        }
+        self.end();
     }
 }
 

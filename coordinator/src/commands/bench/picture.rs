@@ -28,7 +28,7 @@ pub(super) fn draw_all(dir: &Path, curves: &[Curve]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Abscissas are spaced by their logarithm, and labelled where something was measured.
+/// Abscissas are spaced by their logarithm, and labelled at the powers of two.
 fn render(svg: &mut String, curve: &Curve) -> Result<(), Box<dyn std::error::Error>> {
     let points = || curve.series.iter().flat_map(|series| &series.points);
     let (mut low, mut high, mut top) = (f64::INFINITY, f64::NEG_INFINITY, 0.0_f64);
@@ -50,7 +50,7 @@ fn render(svg: &mut String, curve: &Curve) -> Result<(), Box<dyn std::error::Err
         .bold_line_style(GRID)
         .light_line_style(TRANSPARENT)
         .axis_style(FAINT)
-        .x_labels(8)
+        .x_labels((high - low).round() as usize + 1)
         .y_labels(6)
         .x_label_formatter(&|x| number_of(x.exp2()))
         .y_label_formatter(&|y| number_of(*y))
