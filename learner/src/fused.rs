@@ -227,7 +227,8 @@ fn forward_rows<T: Number, const FMA: bool>(
     let Sizes { agents, samples, features: h, outputs } = sizes;
     let Forward { product, bias, hidden, mut inverse_std, mut head } = arrays;
     let (product, hidden) = (&product[..agents * samples * h], &mut hidden[..agents * samples * h]);
-    let row = &mut rows[0][..h];
+    let [row, _] = rows;
+    let row = &mut row[..h];
     let per_feature = 1.0 / h as f32;
     for agent in 0..agents {
         let bias = &bias[agent * h..][..h];

@@ -93,7 +93,7 @@ fn what_does_not_go_together_is_refused_with_both_sides() {
     for (index, (set, key)) in [
         ("task.observation=\"paper\"", "task.observation"),
         ("task.action_scale=0.123", "task.action_scale"),
-        ("env.control_period=0.2", "env.control_period"),
+        ("env.control_period=0.8", "env.control_period"),
         ("network.hidden=[5]", "network.hidden"),
         ("network.activation=\"elu\"", "network.activation"),
         ("network.layer_norm=true", "network.layer_norm"),
