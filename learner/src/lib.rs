@@ -13,7 +13,7 @@
 //!   compare them with libtorch's own differentiation and with an implementation in JAX and Optax.
 //! * Blocks are viewed where workers wrote them ([`ingest`]); the first operation on them is already a
 //!   computation.
-//! * What `octopus bench` measures of the learner is measured here ([`bench`]).
+//! * What `octopus bench` measures of the learner is measured here ([`mod@bench`]).
 //! * Nothing depends on arrival order, on the clock, or on a generator with a state. The same
 //!   samples give the same bits, and a restored state goes on as if it had never stopped.
 //!

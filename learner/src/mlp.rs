@@ -11,7 +11,7 @@
 //! dg = Σ_out W ⊙ dW′, ds = W db′. No affine map runs over samples.
 //!
 //! **Fused passes.** On a CPU with ReLU, what stands between two products is one pass over the samples, and the head is part of the last
-//! one ([`crate::fused`]). Everything else goes the general way, operation by operation.
+//! one (`fused.rs`). Everything else goes the general way, operation by operation.
 //!
 //! **Precision.** In bf16 the operands of hidden layers' products are bfloat16, as are the activations
 //! between them; parameters, sums over samples, the heads and all losses are f32. Samples go
