@@ -55,7 +55,7 @@ pub struct BenchArgs {
     /// The configuration to measure.
     #[arg(long, value_enum, default_value_t = PresetArg::Paper)]
     pub preset: PresetArg,
-    /// Change one key; may be given again: --set network.hidden=[256,256].
+    /// Change one key; may be given again: --set algorithm.epochs=10.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment)]
     pub sets: Vec<String>,
     /// Simulator processes of the training, `auto` for one a processor.
