@@ -9,7 +9,7 @@
 //!   F = max(0, m (a − ω² g − 2 ζ ω v)), ζ = 0.5, ω as high as the integrator's substep allows, 112 rad/s at 16 ms.
 //!
 //!   m is the mass the joints show at the contact along its normal, so every contact is a damped oscillator of one and the same frequency, whatever
-//!   the lever, and stable for the substep it is made for. a holds against the most part of what torques would accelerate the gap with ([`HELD`]), so that
+//!   the lever, and stable for the substep it is made for. a holds against the most part of what torques would accelerate the gap with (`HELD`), so that
 //!   an arm that presses on indents by little. The damper pushes from a distance of 2 ζ v / ω on, 9 mm per m/s of
 //!   approach, so an arm at full speed is caught about where it touches. Where several contacts work on the same joints their forces are solved for
 //!   together, so that each gap accelerates as it would alone.
