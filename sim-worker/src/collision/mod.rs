@@ -18,15 +18,20 @@
 //! carry the points along with their bodies. A pair that is far sleeps for as long as its gap takes to close. All of this is decided lane by lane, and
 //! forces are sums of the lane's own pairs in a fixed order: work that another lane asks for leaves a lane's bits alone.
 
+mod contact;
 mod distance;
+mod find;
 mod model;
-mod phases;
+mod push;
 pub(crate) mod shape;
+mod touching;
 
+pub(crate) use contact::{ContactSet, any_contact, clear, touches_arm};
+pub(crate) use find::find;
 pub(crate) use model::CollisionModel;
-pub(crate) use phases::{ContactSet, any_contact, clear, find, push, touches_arm};
+pub(crate) use push::push;
 
-pub use phases::{Touching, count_contacts, touching};
+pub use touching::{Touching, count_contacts, touching};
 
 /// Natural frequency of contacts and stops (rad/s), lower where the integrator's substep asks for it.
 pub(crate) const FREQUENCY: f64 = 260.0;

@@ -1,0 +1,168 @@
+//! The contacts of a substep, and what tells when a pair must be looked at again.
+
+use super::shape::Bound;
+use super::{DAMPING_RATIO, FREQUENCY};
+use crate::dynamics::Workspace;
+use crate::robot::{JOINTS_PER_ARM, Model};
+use crate::scalar::Real;
+use crate::spatial::{Vec3, Vec6};
+
+/// A point at which two bodies push each other, for the length of a substep.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Contact<S: Real> {
+    pub(super) pair: usize,
+    /// Lanes in which the pair is near.
+    pub(super) lanes: S::Mask,
+    /// Surface points, fixed to the bodies: A's in its link frame, B's in its link frame or the base frame (m).
+    pub(super) on_a: Vec3<S>,
+    pub(super) on_b: Vec3<S>,
+    /// From B to A, fixed to the base.
+    pub(super) normal: Vec3<S>,
+    /// Mass the joints show along the normal (kg).
+    pub(super) mass: S,
+    /// Acceleration that torques alone would give the gap at the start of the substep, as far as it closes it and is held against (m/s²).
+    pub(super) hold: S,
+    /// A's point in the base frame (m), and the force (N), at the last look.
+    pub(super) point: Vec3<S>,
+    pub(super) force: S,
+    /// Acceleration that the gap shall have at least (m/s²).
+    pub(super) drive: S,
+    /// Where its row of `couplings` begins.
+    pub(super) others: usize,
+    /// What a unit force along the normal leaves at the joints of A's arm, and of B's where that is another (see [`arm_response`]).
+    pub(super) at_a: Response<S>,
+    pub(super) at_b: Response<S>,
+}
+
+/// How long joints take to follow a new command, all but for a small part (s).
+const SETTLING: f64 = 0.06;
+
+/// How long the motion at hand says something about speeds (s).
+pub(super) const OUTLOOK: f64 = 0.1;
+
+/// A force carried up an arm: u at each joint.
+pub(super) type Response<S> = [S; JOINTS_PER_ARM];
+
+/// Contacts of a substep, and what tells when a pair must be looked at again.
+#[derive(Clone, Debug)]
+pub(crate) struct ContactSet<S: Real> {
+    pub(super) contacts: Vec<Contact<S>>,
+    /// Off the diagonal of W (1/kg), contact by contact: which other contact, and how much a unit of its force accelerates the gap.
+    pub(super) couplings: Vec<(usize, S)>,
+    /// ω² (1/s²) and 2 ζ ω (1/s) of contacts and stops.
+    pub(super) stiffness: S,
+    pub(super) damping: S,
+    /// Bounding capsules of the links, base frame, and their middles (m).
+    pub(super) bounds: Vec<Bound<S>>,
+    pub(super) middles: Vec<Vec3<S>>,
+    /// Torques at the joints without the contacts (N m), see [`take_off_forces`].
+    pub(super) free: Vec<S>,
+    /// Rate that no joint is expected to exceed in the period (rad/s).
+    pub(super) rates: Vec<S>,
+    /// Speed against the base that no point of a link is expected to exceed in the period, whatever the pose (m/s).
+    pub(super) speeds: Vec<S>,
+    /// Speed that none is expected to exceed for [`OUTLOOK`] (m/s): from the motion at hand, or `speeds` while joints still follow a new command.
+    pub(super) speeds_ahead: Vec<S>,
+    /// When `speeds_ahead` is looked at again, since the period's start (s).
+    pub(super) next_look: f64,
+    /// When each pair may come into reach, since the period's start (s), and the lowest lane of that.
+    pub(super) wake: Vec<S>,
+    pub(super) wake_lowest: Vec<f64>,
+    /// Pairs with an alarm before `next_scan`, in ascending order; when all are looked through again, since the period's start (s).
+    pub(super) due: Vec<usize>,
+    pub(super) next_scan: f64,
+    /// Whether some contact of the substep is one of each arm.
+    pub(super) touched: Vec<bool>,
+}
+
+impl<S: Real> ContactSet<S> {
+    /// Room for all pairs of `model`.
+    pub(crate) fn new(model: &Model<S>) -> Self {
+        let (n_pairs, n) = (model.collision.pairs.len(), model.n_joints());
+        let zero = S::zero();
+        Self {
+            contacts: Vec::with_capacity(n_pairs),
+            couplings: Vec::with_capacity(n_pairs),
+            stiffness: zero,
+            damping: zero,
+            bounds: vec![Bound { from: [zero; 3], to: [zero; 3], radius: zero }; n],
+            middles: vec![[zero; 3]; n],
+            free: vec![zero; n],
+            rates: vec![zero; n],
+            speeds: vec![zero; n],
+            speeds_ahead: vec![zero; n],
+            next_look: 0.0,
+            wake: vec![zero; n_pairs],
+            wake_lowest: vec![0.0; n_pairs],
+            due: Vec::with_capacity(n_pairs),
+            next_scan: 0.0,
+            touched: vec![false; model.n_arms()],
+        }
+    }
+
+    /// Begins a control period: sets the stiffness of contacts and stops, softer where only frequencies up to `stable` (rad/s) are, and bounds speeds by rates and commands
+    /// (rad/s).
+    #[inline(always)]
+    pub(crate) fn begin_period(&mut self, model: &Model<S>, stable: f64, qd: &[S], command: &[S]) {
+        for i in 0..self.rates.len() {
+            // A quarter more than asked for, because other joints and contacts drag.
+            let rate = qd[i].abs().max(command[i].abs());
+            self.rates[i] = rate.mul_add(S::splat(1.25), S::splat(0.1));
+        }
+        for i in 0..self.speeds.len() {
+            let (first, l) = (i - i % JOINTS_PER_ARM, i % JOINTS_PER_ARM);
+            let mut speed = S::zero();
+            for j in 0..=l {
+                speed = model.collision.levers[j][l].mul_add(self.rates[first + j], speed);
+            }
+            self.speeds[i] = speed;
+            self.speeds_ahead[i] = speed;
+        }
+        self.next_look = SETTLING;
+        self.next_scan = 0.0;
+        self.contacts.clear();
+        for i in 0..self.wake.len() {
+            self.wake[i] = S::zero();
+            self.wake_lowest[i] = 0.0;
+        }
+        let frequency = FREQUENCY.min(stable);
+        self.stiffness = S::splat(frequency * frequency);
+        self.damping = S::splat(2.0 * DAMPING_RATIO * frequency);
+    }
+
+    /// Lists the pairs with an alarm before the next scan.
+    #[inline(always)]
+    pub(super) fn list_due(&mut self) {
+        self.due.clear();
+        for (pair, &wake) in self.wake_lowest.iter().enumerate() {
+            if wake < self.next_scan {
+                self.due.push(pair);
+            }
+        }
+    }
+
+    /// ω² (1/s²) and 2 ζ ω (1/s) of contacts and stops.
+    #[inline(always)]
+    pub(crate) fn rates(&self) -> (S, S) {
+        (self.stiffness, self.damping)
+    }
+}
+
+/// Takes all outside forces off base and links.
+#[inline(always)]
+pub(crate) fn clear<S: Real>(ws: &mut Workspace<S>) {
+    ws.base_f_ext = Vec6::zero();
+    ws.forced.fill(false);
+}
+
+/// Whether the last narrow phase found a contact in some lane.
+#[inline(always)]
+pub(crate) fn any_contact<S: Real>(ws: &Workspace<S>) -> bool {
+    !ws.contacts.contacts.is_empty()
+}
+
+/// Whether some contact is one of this arm.
+#[inline(always)]
+pub(crate) fn touches_arm<S: Real>(ws: &Workspace<S>, arm: usize) -> bool {
+    ws.contacts.touched[arm]
+}

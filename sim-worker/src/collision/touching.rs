@@ -1,0 +1,72 @@
+//! What touches, told without pushing.
+
+use super::find::{coarse_gap, place_bounds, proximity};
+use crate::dynamics::{Workspace, stop_interval};
+use crate::robot::{JOINTS_PER_ARM, Model};
+use crate::scalar::{Kernel, Mask, Real};
+use crate::state::State;
+
+/// What touches, per lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touching<S> {
+    /// Number of touching pairs of bodies, those told by joint angle included.
+    pub pairs: S,
+    /// How deep the deepest pair of shapes overlaps (m); zero where none does.
+    pub penetration: S,
+}
+
+/// Number of touching pairs of bodies, per lane.
+#[inline(always)]
+pub fn count_contacts<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> S {
+    touching(model, ws, state).pairs
+}
+
+/// Number of touching pairs of bodies, and how deep they overlap, per lane.
+#[inline(always)]
+pub fn touching<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> Touching<S> {
+    S::compiled(Look { model, ws, state })
+}
+
+/// The arguments of [`touching`].
+struct Look<'a, S: Real> {
+    model: &'a Model<S>,
+    ws: &'a mut Workspace<S>,
+    state: &'a State<S>,
+}
+
+impl<S: Real> Kernel<S> for Look<'_, S> {
+    type Output = Touching<S>;
+    #[inline(always)]
+    fn run(self) -> Touching<S> {
+        let Self { model, ws, state } = self;
+        look(model, ws, state)
+    }
+}
+
+#[inline(always)]
+fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> Touching<S> {
+    crate::dynamics::kinematics_of(model, ws, state);
+    let mut pairs = S::zero();
+    for stop in &model.stops {
+        for arm in 0..model.n_arms() {
+            let first = arm * JOINTS_PER_ARM;
+            let narrowing = &ws.links[first + stop.narrowing_joint];
+            let q = state.q[first + stop.joint];
+            let (x, half) = stop_interval(stop, q, narrowing.sin, narrowing.cos);
+            pairs += S::select(x.abs().le(half), S::one(), S::zero());
+        }
+    }
+    place_bounds(model, ws);
+    let mut penetration = S::zero();
+    for pair in &model.collision.pairs {
+        let near = coarse_gap(model, ws, pair).lt(S::zero());
+        if !near.any() {
+            continue;
+        }
+        let p = proximity(model, ws, pair, near, S::zero());
+        let touches = near & p.gap.lt(S::zero());
+        pairs += S::select(touches, S::one(), S::zero());
+        penetration = S::select(touches, (-p.gap).max(penetration), penetration);
+    }
+    Touching { pairs, penetration }
+}
