@@ -29,7 +29,7 @@ pub(crate) struct Contact<S: Real> {
     pub(super) drive: S,
     /// Where its row of `couplings` begins.
     pub(super) others: usize,
-    /// What a unit force along the normal leaves at the joints of A's arm, and of B's where that is another (see [`arm_response`]).
+    /// What a unit force along the normal leaves at the joints of A's arm, and of B's where that is another (see [`arm_response`](super::push::arm_response)).
     pub(super) at_a: Response<S>,
     pub(super) at_b: Response<S>,
 }
@@ -55,7 +55,7 @@ pub(crate) struct ContactSet<S: Real> {
     /// Bounding capsules of the links, base frame, and their middles (m).
     pub(super) bounds: Vec<Bound<S>>,
     pub(super) middles: Vec<Vec3<S>>,
-    /// Torques at the joints without the contacts (N m), see [`take_off_forces`].
+    /// Torques at the joints without the contacts (N m), see [`take_off_forces`](super::push::take_off_forces).
     pub(super) free: Vec<S>,
     /// Rate that no joint is expected to exceed in the period (rad/s).
     pub(super) rates: Vec<S>,
