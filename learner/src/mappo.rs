@@ -9,10 +9,13 @@
 //!    the samples into mini-batches; each is one Adam step for actors, then one for critics;
 //! 4. input normalisers take in the iteration's samples.
 //!
-//! **Threads.** Agents with networks of their own have nothing in common, so they are divided
-//! into groups, one thread each, and meet again when the update is over. A shared network is one
-//! group, whose operations libtorch spreads over the threads. Within a group all agents go through
-//! each operation together. For one number of threads the result is always the same to the bit.
+//! **Threads.** Agents with networks of their own have nothing in common, so on a CPU each is a group
+//! of its own, whose parameters, moments and gradients stay in a core's cache for the whole update;
+//! threads take one group after another. What an agent learns does not depend on who computes it, nor
+//! on the number of threads, up to one an agent. A shared network is one group, whose operations
+//! libtorch spreads over the threads, and so are all networks on a GPU; within a group all agents go
+//! through each operation together. For one number of threads the result is always the same to the
+//! bit.
 //!
 //! **Copies.** The first operation that reads a block is the normalisation (of observations) or the
 //! packing of what the loss needs into one row a sample; blocks are not copied before.
@@ -21,8 +24,8 @@
 //! `O` observation, `S` critic state, `U` actions, `B` samples of a chunk.
 
 use std::ops::Range;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use proto::config::{Config, CriticState, InputNorm as InputNormKind, Schedule};
 use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
@@ -40,8 +43,9 @@ use crate::network::NetworkSpec;
 use crate::state::{NetworkState, TrainingState};
 use crate::value_norm::ValueNorm;
 
-/// Samples that go through the networks at once on a CPU: their activations fit in the cache.
-const CHUNK_ROWS: i64 = 400;
+/// Samples that go through the networks at once on a CPU. Activations of so many fit in the cache; of
+/// fewer, the gradients of weights are summed more often.
+const CHUNK_ROWS: i64 = 1600;
 
 /// Losses and diagnostics of an update, one entry an agent.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -116,7 +120,8 @@ pub struct Mappo {
     layout: BlockLayout,
     options: Options,
     groups: Vec<Group>,
-    threads_per_group: usize,
+    /// How many groups are computed at once, and with how many of libtorch's threads each.
+    threads: [usize; 2],
     work: Arc<AtomicU64>,
 }
 
@@ -190,6 +195,21 @@ struct Outcome {
 impl Mappo {
     /// Buffers and options for `config`; `state` says precision and device.
     pub fn new(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
+        let together = config.network.shared_parameters || state.device().is_cuda();
+        Self::in_groups(config, dimensions, state, if together { 1 } else { dimensions.n_agents })
+    }
+
+    /// As [`Mappo::new`], with all agents in one group, so that an update can be traced.
+    pub fn in_one_group(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
+        Self::in_groups(config, dimensions, state, 1)
+    }
+
+    fn in_groups(
+        config: &Config,
+        dimensions: &Dimensions,
+        state: &TrainingState,
+        n_groups: usize,
+    ) -> Self {
         let a = &config.algorithm;
         let options = Options {
             gae: Gae {
@@ -228,11 +248,7 @@ impl Mappo {
         let device = state.device();
         let kind = state.arithmetic.kind();
         let threads = config.run.learner_threads;
-        let n_groups = if config.network.shared_parameters || device.is_cuda() {
-            1
-        } else {
-            threads.min(dimensions.n_agents)
-        };
+        let at_once = threads.min(n_groups);
         let bound = |group: usize| group * dimensions.n_agents / n_groups;
         let groups = (0..n_groups)
             .map(|group| {
@@ -268,7 +284,7 @@ impl Mappo {
             layout: BlockLayout::new(dimensions),
             options,
             groups,
-            threads_per_group: (threads / n_groups).max(1),
+            threads: [at_once, threads / at_once],
             work: Arc::default(),
         }
     }
@@ -320,8 +336,7 @@ impl Mappo {
             observation_norm: state.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std),
             state_norm: state.state_norm.as_ref().map(InputNorm::mean_and_inverse_std),
         };
-        let threads = self.threads_per_group as i32;
-        let outcomes = run_groups(&mut self.groups, state, &job, threads, trace);
+        let outcomes = run_groups(&mut self.groups, state, &job, self.threads, trace);
         let mut report = UpdateReport { actor_lr, critic_lr, ..UpdateReport::default() };
         let mut steps = (Vec::new(), Vec::new());
         for outcome in outcomes {
@@ -370,50 +385,48 @@ pub fn learning_rates(config: &Config, env_steps: u64) -> (f64, f64) {
     (config.optimizer.actor_lr * factor, config.optimizer.critic_lr * factor)
 }
 
-/// Runs every group on its own thread, the first on the caller's.
+/// Runs all groups, `at_once` of them at a time, the caller's thread being one that does; outcomes are
+/// in the groups' order.
 fn run_groups(
     groups: &mut [Group],
     state: &TrainingState,
     job: &Job<'_>,
-    threads: i32,
-    trace: Option<&mut Trace>,
+    [at_once, threads]: [usize; 2],
+    mut trace: Option<&mut Trace>,
 ) -> Vec<Result<Outcome, LearnerError>> {
     let part = |network: &NetworkState, agents: &Range<usize>| {
         let flat = network.flat.narrow(0, agents.start as i64, agents.len() as i64);
         let adam = network.adam.narrow(agents.start, agents.len());
         Learned { spec: network.spec.clone(), flat, adam }
     };
-    let mut parts: Vec<_> = groups
-        .iter()
-        .map(|group| {
+    let mut outcomes: Vec<_> = groups.iter().map(|_| None).collect();
+    let waiting: Vec<_> = groups
+        .iter_mut()
+        .zip(&mut outcomes)
+        .map(|(group, outcome)| {
             let agents = &group.agents;
             let norm = state.value_norm.narrow(agents.start as i64, agents.len() as i64);
-            (part(&state.actor, agents), part(&state.critic, agents), norm)
+            let learned = (part(&state.actor, agents), part(&state.critic, agents));
+            (group, learned, norm, outcome)
         })
         .collect();
-    let (first, others) = groups.split_first_mut().expect("at least one group");
-    let mut parts = parts.drain(..);
-    let (actor, critic, norm) = parts.next().expect("one part a group");
+    let waiting = Mutex::new(waiting.into_iter());
+    let work = |mut trace: Option<&mut Trace>| {
+        tch::set_num_threads(threads as i32);
+        loop {
+            let next = waiting.lock().unwrap_or_else(PoisonError::into_inner).next();
+            let Some((group, (actor, critic), norm, outcome)) = next else { break };
+            let trace = trace.as_deref_mut();
+            *outcome = Some(tch::no_grad(|| group.update(job, actor, critic, norm, trace)));
+        }
+    };
     std::thread::scope(|scope| {
-        let handles: Vec<_> = others
-            .iter_mut()
-            .zip(parts)
-            .map(|(group, (actor, critic, norm))| {
-                scope.spawn(move || {
-                    tch::set_num_threads(threads);
-                    tch::no_grad(|| group.update(job, actor, critic, norm, None))
-                })
-            })
-            .collect();
-        tch::set_num_threads(threads);
-        let mut outcomes = vec![tch::no_grad(|| first.update(job, actor, critic, norm, trace))];
-        outcomes.extend(
-            handles.into_iter().map(|handle| {
-                handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-            }),
-        );
-        outcomes
-    })
+        for _ in 1..at_once {
+            scope.spawn(|| work(None));
+        }
+        work(trace.as_deref_mut());
+    });
+    outcomes.into_iter().map(|outcome| outcome.expect("every group was computed")).collect()
 }
 
 impl Group {

@@ -91,7 +91,7 @@ fn cross_check(assignments: &[&str]) {
     .expect("valid");
     let dimensions = Dimensions::new(&config, 2);
     let mut state = TrainingState::initial(&config, &dimensions, Arithmetic::F32, Device::Cpu);
-    let mut mappo = Mappo::new(&config, &dimensions, &state);
+    let mut mappo = Mappo::in_one_group(&config, &dimensions, &state);
     let layout = BlockLayout::new(&dimensions);
     let samples = |seed| {
         let mut blocks = learner::synthetic::blocks(&dimensions, seed);

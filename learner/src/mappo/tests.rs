@@ -94,10 +94,43 @@ fn an_update_counts_its_mini_batches_while_it_makes_them() {
     let mut run = Run::new(&config, Arithmetic::F32);
     let work = run.mappo.work();
     run.update(1);
-    let planned = (config.algorithm.epochs * config.algorithm.mini_batches) as u64;
+    let a_group = config.algorithm.epochs * config.algorithm.mini_batches;
+    let planned = (run.dimensions.n_agents * a_group) as u64;
     assert_eq!(work.load(Ordering::Relaxed), planned);
     run.update(2);
     assert_eq!(work.load(Ordering::Relaxed), 2 * planned);
+}
+
+#[test]
+fn what_is_learned_does_not_depend_on_the_number_of_threads() {
+    for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
+        let digest = |threads: &str| {
+            let mut run = Run::new(&config(&[threads]), arithmetic);
+            run.update(1);
+            run.update(2);
+            run.state.digest()
+        };
+        let alone = digest("run.learner_threads=1");
+        for threads in ["run.learner_threads=2", "run.learner_threads=3", "run.learner_threads=4"] {
+            assert_eq!(digest(threads), alone, "{threads} {arithmetic:?}");
+        }
+    }
+}
+
+#[test]
+fn agents_learn_together_what_each_learns_alone() {
+    let config = config(&[]);
+    let mut alone = Run::new(&config, Arithmetic::F32);
+    let mut together = Run::new(&config, Arithmetic::F32);
+    together.mappo = Mappo::in_one_group(&config, &together.dimensions, &together.state);
+    let (alone_report, together_report) = (alone.update(1), together.update(1));
+    // Products of another shape sum in another order: some roundings of 2⁻²⁴, which forty steps of
+    // Adam, each of length 1e-3 whatever the size of the gradient, make visible.
+    let difference = (&alone.state.actor.flat - &together.state.actor.flat).abs().max();
+    assert!(difference.double_value(&[]) < 1e-4, "{difference:?}");
+    for (one, other) in alone_report.value_loss.iter().zip(&together_report.value_loss) {
+        assert!((one - other).abs() < 1e-3 * one.abs(), "{one} {other}");
+    }
 }
 
 #[test]
