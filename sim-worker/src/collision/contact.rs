@@ -4,7 +4,7 @@ use super::shape::Bound;
 use super::{DAMPING_RATIO, FREQUENCY};
 use crate::dynamics::Workspace;
 use crate::robot::{JOINTS_PER_ARM, Model};
-use crate::scalar::Real;
+use crate::scalar::{Mask, Real};
 use crate::spatial::{Vec3, Vec6};
 
 /// A point at which two bodies push each other, for the length of a substep.
@@ -65,9 +65,8 @@ pub(crate) struct ContactSet<S: Real> {
     pub(super) speeds_ahead: Vec<S>,
     /// When `speeds_ahead` is looked at again, since the period's start (s).
     pub(super) next_look: f64,
-    /// When each pair may come into reach, since the period's start (s), and the lowest lane of that.
+    /// When each pair may come into reach, since the period's start (s).
     pub(super) wake: Vec<S>,
-    pub(super) wake_lowest: Vec<f64>,
     /// Pairs with an alarm before `next_scan`, in ascending order; when all are looked through again, since the period's start (s).
     pub(super) due: Vec<usize>,
     pub(super) next_scan: f64,
@@ -93,7 +92,6 @@ impl<S: Real> ContactSet<S> {
             speeds_ahead: vec![zero; n],
             next_look: 0.0,
             wake: vec![zero; n_pairs],
-            wake_lowest: vec![0.0; n_pairs],
             due: Vec::with_capacity(n_pairs),
             next_scan: 0.0,
             touched: vec![false; model.n_arms()],
@@ -121,10 +119,7 @@ impl<S: Real> ContactSet<S> {
         self.next_look = SETTLING;
         self.next_scan = 0.0;
         self.contacts.clear();
-        for i in 0..self.wake.len() {
-            self.wake[i] = S::zero();
-            self.wake_lowest[i] = 0.0;
-        }
+        self.wake.fill(S::zero());
         let frequency = FREQUENCY.min(stable);
         self.stiffness = S::splat(frequency * frequency);
         self.damping = S::splat(2.0 * DAMPING_RATIO * frequency);
@@ -134,8 +129,9 @@ impl<S: Real> ContactSet<S> {
     #[inline(always)]
     pub(super) fn list_due(&mut self) {
         self.due.clear();
-        for (pair, &wake) in self.wake_lowest.iter().enumerate() {
-            if wake < self.next_scan {
+        let next_scan = S::splat(self.next_scan);
+        for (pair, wake) in self.wake.iter().enumerate() {
+            if wake.lt(next_scan).any() {
                 self.due.push(pair);
             }
         }

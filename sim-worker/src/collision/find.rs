@@ -205,11 +205,11 @@ pub(crate) fn find<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, now: f64, h
     ws.contacts.touched.fill(false);
     for due in 0..ws.contacts.due.len() {
         let pair = ws.contacts.due[due];
-        if ws.contacts.wake_lowest[pair] > now {
+        let awake = ws.contacts.wake[pair].le(t);
+        if !awake.any() {
             continue;
         }
         let bodies = model.collision.pairs[pair];
-        let awake = ws.contacts.wake[pair].le(t);
         let (speed, ahead) = closing_speeds(model, ws, &bodies);
         let range = horizon.mul_add(ahead, slack);
         let mut gap = coarse_gap(model, ws, &bodies);
@@ -226,9 +226,7 @@ pub(crate) fn find<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, now: f64, h
         let alarm = t + sleep;
         let together = S::splat(OUTLOOK) * (alarm * S::splat(1.0 / OUTLOOK)).floor();
         let alarm = S::select(together.gt(t), together, alarm);
-        let wake = S::select(awake, alarm, ws.contacts.wake[pair]);
-        ws.contacts.wake[pair] = wake;
-        ws.contacts.wake_lowest[pair] = wake.lowest();
+        ws.contacts.wake[pair] = S::select(awake, alarm, ws.contacts.wake[pair]);
         let Some(p) = p else { continue };
         let lanes = close & gap.lt(range);
         if !lanes.any() {
