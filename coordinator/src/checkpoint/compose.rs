@@ -209,7 +209,7 @@ type Dependency = (&'static str, fn(&Config) -> String);
 
 /// Everything of a configuration that the meaning of a policy's numbers depends on, besides the
 /// task: what it sees, what its actions do, and how its network computes.
-const DEPENDENCIES: [Dependency; 9] = [
+const DEPENDENCIES: [Dependency; 10] = [
     ("task.observation", |c| format!("{:?}", c.task.observation).to_lowercase()),
     ("task.action_scale", |c| c.task.action_scale.to_string()),
     ("env.control_period", |c| c.env.control_period.to_string()),
@@ -222,6 +222,7 @@ const DEPENDENCIES: [Dependency; 9] = [
         InputNorm::Running => c.network.input_clip.to_string(),
         InputNorm::None | InputNorm::LayerNorm => "unused".to_owned(),
     }),
+    ("network.inference", |c| format!("{:?}", c.network.inference).to_lowercase()),
     ("network.squash_mean", |c| c.network.squash_mean.to_string()),
 ];
 

@@ -187,6 +187,16 @@ pub enum InputNorm {
     Running,
 }
 
+/// Precision of the policies' products in workers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Inference {
+    /// Single precision.
+    F32,
+    /// Hidden layers after the first multiply bfloat16 and sum in single precision: the same bits on every processor.
+    Bf16,
+}
+
 /// What critics see.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -213,6 +223,8 @@ pub struct Network {
     pub input_norm: InputNorm,
     /// Limit of running-normalised inputs, in standard deviations.
     pub input_clip: f64,
+    /// Precision of the policies' products in workers.
+    pub inference: Inference,
     /// What critics see.
     pub critic_state: CriticState,
     /// One actor and one critic for all agents, told apart by a learned first-layer bias an agent.

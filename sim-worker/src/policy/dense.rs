@@ -1,6 +1,6 @@
 //! One fully connected layer on lanes: packed weights and the register-tiled product.
 
-use crate::scalar::Real;
+use crate::scalar::{PairKernel, Real, WeightPair, bf16_bias};
 
 /// Units of a panel: what one pass over the inputs accumulates in registers.
 ///
@@ -8,49 +8,133 @@ use crate::scalar::Real;
 /// multiply-add on current processors and leave room for operands among 32 vector registers.
 pub(super) const PANEL: usize = 8;
 
-/// Weights of one layer, cut into panels.
+/// Weights of one layer, cut into panels: `W` is `f32`, or a [`WeightPair`] of two inputs' weights in bfloat16.
 #[derive(Debug, Clone)]
-pub(super) struct Dense {
-    /// Inputs of the layer.
-    pub(super) inputs: usize,
+pub(super) struct Dense<W> {
+    /// Rows of weights: inputs of the layer, or pairs of them (an odd last one stands beside zero).
+    rows: usize,
     /// Units of the layer.
     pub(super) outputs: usize,
-    /// `[panel][input][unit of the panel]`; units beyond `outputs` are zero.
-    weights: Vec<[f32; PANEL]>,
+    /// `[panel][row][unit of the panel]`; units beyond `outputs` are zero.
+    weights: Vec<[W; PANEL]>,
     /// `[panel][unit of the panel]`.
     bias: Vec<[f32; PANEL]>,
 }
 
-impl Dense {
+/// What one weight adds to a unit's sum.
+trait Accumulate<S, X, W> {
+    fn add(sum: S, x: X, w: W) -> S;
+}
+
+/// `x · w + sum`, one fused multiply-add.
+struct Single;
+
+impl<S: Real> Accumulate<S, S, f32> for Single {
+    #[inline(always)]
+    fn add(sum: S, x: S, w: f32) -> S {
+        S::splat(f64::from(w)).mul_add(x, sum)
+    }
+}
+
+/// A pair's two products, by the processor's own instruction if `NATIVE`.
+struct Pairs<const NATIVE: bool>;
+
+impl<S: Real, const NATIVE: bool> Accumulate<S, S::Pair, WeightPair> for Pairs<NATIVE> {
+    #[inline(always)]
+    fn add(sum: S, x: S::Pair, w: WeightPair) -> S {
+        sum.add_pair_product::<NATIVE>(x, w)
+    }
+}
+
+impl Dense<f32> {
     /// Packs `weight` (`[inputs, outputs]` row-major) and `bias` (`[outputs]`).
     pub(super) fn pack(weight: &[f32], bias: &[f32]) -> Self {
         let outputs = bias.len();
-        let inputs = weight.len() / outputs;
-        assert_eq!(weight.len(), inputs * outputs, "a weight matrix has whole rows");
+        let rows = weight.len() / outputs;
+        assert_eq!(weight.len(), rows * outputs, "a weight matrix has whole rows");
         let panels = outputs.div_ceil(PANEL);
-        let mut packed = vec![[0.0; PANEL]; panels * inputs];
+        let mut packed = vec![[0.0; PANEL]; panels * rows];
         let mut packed_bias = vec![[0.0; PANEL]; panels];
         for panel in 0..panels {
             let first = panel * PANEL;
             let width = PANEL.min(outputs - first);
             packed_bias[panel][..width].copy_from_slice(&bias[first..first + width]);
             for (input, row) in weight.chunks_exact(outputs).enumerate() {
-                packed[panel * inputs + input][..width].copy_from_slice(&row[first..first + width]);
+                packed[panel * rows + input][..width].copy_from_slice(&row[first..first + width]);
             }
         }
-        Self { inputs, outputs, weights: packed, bias: packed_bias }
+        Self { rows, outputs, weights: packed, bias: packed_bias }
     }
 
-    /// Units, rounded up to whole panels: what [`Dense::apply`] writes.
-    pub(super) fn padded_outputs(&self) -> usize {
-        self.bias.len() * PANEL
-    }
-
-    /// `out = x · weights + bias` for `groups` lane groups, tile after tile (see [`tiles`]).
+    /// `out = x · weights + bias` for `groups` lane groups, tile after tile (see [`tile_groups`]).
     ///
     /// `x` and `out` hold tile `t` from `first group · stride` on, as `[feature][group of the tile]`.
     #[inline(always)]
     pub(super) fn apply<S: Real>(&self, x: &[S], out: &mut [S], groups: usize, stride: usize) {
+        self.tiles::<S, S, Single>(x, out, groups, stride);
+    }
+}
+
+impl Dense<WeightPair> {
+    /// Packs as [`Dense::pack`] does, and rounds to bfloat16.
+    pub(super) fn pack_pairs(weight: &[f32], bias: &[f32]) -> Self {
+        let Dense { rows, outputs, weights, bias } = Dense::pack(weight, bias);
+        let paired = weights.chunks_exact(rows).flat_map(|panel| {
+            panel.chunks(2).map(|rows| {
+                std::array::from_fn(|unit| {
+                    WeightPair::new(rows[0][unit], rows.get(1).map_or(0.0, |row| row[unit]))
+                })
+            })
+        });
+        let bias = bias.iter().map(|panel| panel.map(bf16_bias)).collect();
+        Self { rows: rows.div_ceil(2), outputs, weights: paired.collect(), bias }
+    }
+
+    /// As [`Dense::apply`] of single numbers; `x` is `[pair][group of the tile]`.
+    #[inline(always)]
+    pub(super) fn apply<S: Real>(
+        &self,
+        x: &[S::Pair],
+        out: &mut [S],
+        groups: usize,
+        stride: usize,
+    ) {
+        S::compiled_for_pairs(PairProduct { dense: self, x, out, groups, stride });
+    }
+}
+
+/// The arguments of [`Dense::apply`] of pairs.
+struct PairProduct<'a, S: Real> {
+    dense: &'a Dense<WeightPair>,
+    x: &'a [S::Pair],
+    out: &'a mut [S],
+    groups: usize,
+    stride: usize,
+}
+
+impl<S: Real> PairKernel<S> for PairProduct<'_, S> {
+    type Output = ();
+    #[inline(always)]
+    fn run<const NATIVE: bool>(self) {
+        let Self { dense, x, out, groups, stride } = self;
+        dense.tiles::<S, S::Pair, Pairs<NATIVE>>(x, out, groups, stride);
+    }
+}
+
+impl<W: Copy> Dense<W> {
+    /// Units, rounded up to whole panels: what `apply` writes.
+    pub(super) fn padded_outputs(&self) -> usize {
+        self.bias.len() * PANEL
+    }
+
+    #[inline(always)]
+    fn tiles<S: Real, X: Copy, A: Accumulate<S, X, W>>(
+        &self,
+        x: &[X],
+        out: &mut [S],
+        groups: usize,
+        stride: usize,
+    ) {
         let panels = self.bias.len();
         let mut panel = 0;
         while panel < panels {
@@ -60,16 +144,16 @@ impl Dense {
             while left > 0 {
                 let at = group * stride;
                 if left >= 2 {
-                    self.multiply::<S, 1, 2>(panel, &x[at..], &mut out[at..]);
+                    self.multiply::<S, X, A, 1, 2>(panel, &x[at..], &mut out[at..]);
                     if pair {
-                        self.multiply::<S, 1, 2>(panel + 1, &x[at..], &mut out[at..]);
+                        self.multiply::<S, X, A, 1, 2>(panel + 1, &x[at..], &mut out[at..]);
                     }
                     (group, left) = (group + 2, left - 2);
                 } else {
                     if pair {
-                        self.multiply::<S, 2, 1>(panel, &x[at..], &mut out[at..]);
+                        self.multiply::<S, X, A, 2, 1>(panel, &x[at..], &mut out[at..]);
                     } else {
-                        self.multiply::<S, 1, 1>(panel, &x[at..], &mut out[at..]);
+                        self.multiply::<S, X, A, 1, 1>(panel, &x[at..], &mut out[at..]);
                     }
                     (group, left) = (group + 1, left - 1);
                 }
@@ -80,15 +164,15 @@ impl Dense {
 
     /// `Q` panels from `panel` on for one tile of `G` groups, all sums in registers.
     #[inline(always)]
-    fn multiply<S: Real, const Q: usize, const G: usize>(
+    fn multiply<S: Real, X: Copy, A: Accumulate<S, X, W>, const Q: usize, const G: usize>(
         &self,
         panel: usize,
-        x: &[S],
+        x: &[X],
         out: &mut [S],
     ) {
-        let n = self.inputs;
+        let n = self.rows;
         let x = &x.as_chunks::<G>().0[..n];
-        let weights: [&[[f32; PANEL]]; Q] =
+        let weights: [&[[W; PANEL]]; Q] =
             std::array::from_fn(|q| &self.weights[(panel + q) * n..(panel + q + 1) * n]);
         let mut sums = [[[S::zero(); G]; PANEL]; Q];
         for q in 0..Q {
@@ -101,9 +185,8 @@ impl Dense {
             for q in 0..Q {
                 let row = &weights[q][k];
                 for unit in 0..PANEL {
-                    let w = S::splat(f64::from(row[unit]));
                     for g in 0..G {
-                        sums[q][unit][g] = w.mul_add(x[g], sums[q][unit][g]);
+                        sums[q][unit][g] = A::add(sums[q][unit][g], x[g], row[unit]);
                     }
                 }
             }

@@ -7,18 +7,19 @@ use proto::config::{Activation, InputNorm};
 use proto::layout::JOINTS_PER_AGENT;
 
 use super::dense::tile_groups;
-use super::pack::{Affine, Policy};
+use super::pack::{Affine, Policy, Product};
 use crate::scalar::Real;
 
 /// ε of LayerNorm (Ba, Kiros and Hinton 2016), PyTorch's default.
 const LAYER_NORM_EPSILON: f64 = 1e-5;
 
-/// Activations of one agent's network for all lane groups: two buffers that layers alternate.
+/// Activations of one agent's network for all lane groups: two buffers that layers alternate, and one for pairs.
 #[derive(Debug, Clone)]
-pub struct Scratch<S> {
+pub struct Scratch<S: Real> {
     stride: usize,
     ping: Vec<S>,
     pong: Vec<S>,
+    pairs: Vec<S::Pair>,
 }
 
 impl<S: Real> Scratch<S> {
@@ -26,7 +27,8 @@ impl<S: Real> Scratch<S> {
     pub fn new(policy: &Policy, groups: usize) -> Self {
         let stride = policy.stride();
         let buffer = vec![S::zero(); stride * groups];
-        Self { stride, ping: buffer.clone(), pong: buffer }
+        let pairs = vec![S::pair(S::zero(), S::zero()); stride * groups];
+        Self { stride, ping: buffer.clone(), pong: buffer, pairs }
     }
 }
 
@@ -46,7 +48,7 @@ impl Policy {
         assert_eq!(observations.len(), groups * self.observation, "one row of O a lane group");
         assert!(scratch.ping.len() >= groups * scratch.stride, "scratch is made for fewer groups");
         let actor = &self.actors[agent];
-        let Scratch { stride, ping, pong } = scratch;
+        let Scratch { stride, ping, pong, pairs } = scratch;
         let stride = *stride;
         let mut group = 0;
         while group < groups {
@@ -72,13 +74,27 @@ impl Policy {
                 group += width;
             }
         }
+        let mut features = self.observation;
         for hidden in &actor.hidden {
-            hidden.dense.apply(ping, pong, groups, stride);
+            match &hidden.product {
+                Product::Single(dense) => dense.apply(ping, pong, groups, stride),
+                Product::Pairs(dense) => {
+                    let mut group = 0;
+                    while group < groups {
+                        let width = tile_groups(group, groups);
+                        let from = group * stride;
+                        to_pairs::<S>(&ping[from..], &mut pairs[from..], features, width);
+                        group += width;
+                    }
+                    dense.apply(pairs, pong, groups, stride);
+                }
+            }
+            features = hidden.product.outputs();
             let mut group = 0;
             while group < groups {
                 let width = tile_groups(group, groups);
                 let x = &mut pong[group * stride..];
-                activate(&mut x[..hidden.dense.outputs * width], self.activation);
+                activate(&mut x[..features * width], self.activation);
                 if let Some(affine) = &hidden.norm {
                     layer_norm(x, width, affine);
                 }
@@ -98,6 +114,19 @@ impl Policy {
                 }
             }
             group += width;
+        }
+    }
+}
+
+/// Rounds `features` of a tile to pairs of bfloat16; an odd last one stands beside zero.
+#[inline(always)]
+fn to_pairs<S: Real>(x: &[S], pairs: &mut [S::Pair], features: usize, width: usize) {
+    for pair in 0..features.div_ceil(2) {
+        for g in 0..width {
+            let first = x[2 * pair * width + g];
+            let second =
+                if 2 * pair + 1 < features { x[(2 * pair + 1) * width + g] } else { S::zero() };
+            pairs[pair * width + g] = S::pair(first, second);
         }
     }
 }

@@ -1,10 +1,10 @@
 //! A policy version, checked and packed for inference.
 
-use proto::config::{Activation, Config, InputNorm};
+use proto::config::{Activation, Config, Inference, InputNorm};
 use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
 
 use super::dense::Dense;
-use crate::scalar::elementary;
+use crate::scalar::{WeightPair, elementary};
 
 /// Why flat parameters are no policy of this run.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -39,10 +39,36 @@ pub(super) struct Affine {
     pub(super) second: Vec<f32>,
 }
 
+/// The product of a hidden layer, in the precision of inference.
+#[derive(Debug, Clone)]
+pub(super) enum Product {
+    /// In `f32`: the first layer always, because its inputs are few and their digits are the errors that the task is about.
+    Single(Dense<f32>),
+    /// Of bfloat16, summed in `f32`.
+    Pairs(Dense<WeightPair>),
+}
+
+impl Product {
+    /// Units of the layer.
+    pub(super) fn outputs(&self) -> usize {
+        match self {
+            Self::Single(dense) => dense.outputs,
+            Self::Pairs(dense) => dense.outputs,
+        }
+    }
+
+    fn padded_outputs(&self) -> usize {
+        match self {
+            Self::Single(dense) => dense.padded_outputs(),
+            Self::Pairs(dense) => dense.padded_outputs(),
+        }
+    }
+}
+
 /// A hidden layer.
 #[derive(Debug, Clone)]
 pub(super) struct Hidden {
-    pub(super) dense: Dense,
+    pub(super) product: Product,
     pub(super) norm: Option<Affine>,
 }
 
@@ -51,7 +77,7 @@ pub(super) struct Hidden {
 pub(super) struct Actor {
     pub(super) input: Option<Affine>,
     pub(super) hidden: Vec<Hidden>,
-    pub(super) head: Dense,
+    pub(super) head: Dense<f32>,
     pub(super) log_std: [f32; JOINTS_PER_AGENT],
     pub(super) std: [f32; JOINTS_PER_AGENT],
 }
@@ -116,10 +142,15 @@ impl Policy {
                     },
                     hidden: (0..network.hidden.len())
                         .map(|i| Hidden {
-                            dense: Dense::pack(
-                                row(&format!("hidden.{i}.weight"), agent),
-                                row(&format!("hidden.{i}.bias"), agent),
-                            ),
+                            product: {
+                                let weight = row(&format!("hidden.{i}.weight"), agent);
+                                let bias = row(&format!("hidden.{i}.bias"), agent);
+                                if i > 0 && network.inference == Inference::Bf16 {
+                                    Product::Pairs(Dense::pack_pairs(weight, bias))
+                                } else {
+                                    Product::Single(Dense::pack(weight, bias))
+                                }
+                            },
                             norm: network.layer_norm.then(|| {
                                 affine(
                                     &format!("hidden.{i}.gain"),
@@ -168,7 +199,7 @@ impl Policy {
     /// Numbers that one lane group needs between two layers: the widest layer, in whole panels.
     pub(super) fn stride(&self) -> usize {
         let widths = self.actors.iter().flat_map(|actor| {
-            let hidden = actor.hidden.iter().map(|hidden| hidden.dense.padded_outputs());
+            let hidden = actor.hidden.iter().map(|hidden| hidden.product.padded_outputs());
             hidden.chain([actor.head.padded_outputs()])
         });
         widths.max().unwrap_or(0).max(self.observation)

@@ -1,9 +1,9 @@
-use proto::config::{Activation, Config, InputNorm, Layers, Preset};
+use proto::config::{Activation, Config, Inference, InputNorm, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 
 use super::*;
-use crate::scalar::{LANES, LaneFn, Real, dispatch};
+use crate::scalar::{Backend, LANES, LaneFn, Real, dispatch, dispatch_on};
 
 /// Normal numbers from an address, for parameters and inputs.
 pub(crate) fn normals(seed: u64, n: usize) -> Vec<f32> {
@@ -79,8 +79,14 @@ fn configurations() -> Vec<Config> {
         (Activation::Elu, InputNorm::LayerNorm),
         (Activation::Tanh, InputNorm::None),
     ] {
-        for layer_norm in [false, true] {
+        for (layer_norm, inference) in [
+            (false, Inference::F32),
+            (false, Inference::Bf16),
+            (true, Inference::F32),
+            (true, Inference::Bf16),
+        ] {
             let mut config = base.resolve().expect("valid");
+            config.network.inference = inference;
             config.network.hidden = vec![37, 64, 5];
             config.network.activation = activation;
             config.network.input_norm = norm;
@@ -93,7 +99,8 @@ fn configurations() -> Vec<Config> {
     all
 }
 
-/// The network in plain `f64` loops, straight from the flat parameters.
+/// The network in plain `f64` loops, straight from the flat parameters, rounded where inference in
+/// bfloat16 rounds.
 pub(crate) fn plain_mean(
     config: &Config,
     dimensions: &Dimensions,
@@ -116,8 +123,11 @@ pub(crate) fn plain_mean(
             x[i] = (x[i] - mean) / (variance + 1e-5).sqrt() * gain[i] + shift[i];
         }
     };
-    let dense = |x: &[f64], name: &str| -> Vec<f64> {
+    let dense = |x: &[f64], name: &str, bf16: bool| -> Vec<f64> {
         let (w, b) = (row(&format!("{name}.weight")), row(&format!("{name}.bias")));
+        let round = |x: &f64| if bf16 { f64::from(half::bf16::from_f64(*x)) } else { *x };
+        let (x, w): (Vec<f64>, Vec<f64>) =
+            (x.iter().map(round).collect(), w.iter().map(round).collect());
         (0..b.len())
             .map(|j| b[j] + (0..x.len()).map(|i| x[i] * w[i * b.len() + j]).sum::<f64>())
             .collect()
@@ -136,7 +146,7 @@ pub(crate) fn plain_mean(
         }
     }
     for i in 0..network.hidden.len() {
-        x = dense(&x, &format!("hidden.{i}"));
+        x = dense(&x, &format!("hidden.{i}"), i > 0 && network.inference == Inference::Bf16);
         for value in &mut x {
             *value = match network.activation {
                 Activation::Relu => value.max(0.0),
@@ -149,7 +159,7 @@ pub(crate) fn plain_mean(
             norm(&mut x, row(&format!("hidden.{i}.gain")), row(&format!("hidden.{i}.shift")));
         }
     }
-    let head = dense(&x, "head");
+    let head = dense(&x, "head", false);
     std::array::from_fn(|u| if network.squash_mean { head[u].tanh() } else { head[u] })
 }
 
@@ -161,6 +171,8 @@ fn inference_agrees_with_plain_f64_loops() {
         let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
         let o = dimensions.observation;
         let n = 3 * LANES + 5;
+        let bf16 = config.network.inference == Inference::Bf16;
+        let (mut close, mut all) = (0, 0);
         let observations = normals(77, n * o);
         for agent in [0, 5] {
             let means = dispatch(Means { policy: &policy, agent, observations: &observations });
@@ -171,10 +183,17 @@ fn inference_agrees_with_plain_f64_loops() {
                     // Three layers of sums of at most 64 products of size one: each sum errs by
                     // about √64 · 2⁻²⁴ = 5e-7, LayerNorm over 5 units may amplify by a few; × 10.
                     let error = (f64::from(mean[u]) - plain[u]).abs();
-                    assert!(error < 2e-5, "{:?}: {mean:?} vs {plain:?}", config.network);
+                    // An activation that falls beside the middle between two bfloat16 may round
+                    // to the other one: 2⁻⁸ of it, times a weight of an eighth, amplified alike.
+                    let flip = if bf16 { 1e-2 } else { 0.0 };
+                    assert!(error < 2e-5 + flip, "{:?}: {mean:?} vs {plain:?}", config.network);
+                    close += usize::from(error < 2e-5);
+                    all += 1;
                 }
             }
         }
+        // Such activations are few; without any rounding in the twin hardly one mean would agree.
+        assert!(close * 100 >= all * 85, "{close} of {all}: {:?}", config.network);
     }
 }
 
@@ -193,6 +212,25 @@ fn an_environments_mean_does_not_depend_on_its_company() {
         let all = means(0..70);
         for (start, end) in [(0, 1), (3, 40), (17, 70), (69, 70), (5, 37)] {
             assert_eq!(means(start..end), all[start..end], "rows {start}..{end}");
+        }
+    }
+}
+
+#[test]
+fn every_back_end_gives_the_same_means() {
+    for config in configurations() {
+        let dimensions = Dimensions::new(&config, 4);
+        let flat = parameters(&config, &dimensions, 3);
+        let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
+        let observations = normals(79, 37 * dimensions.observation);
+        let on = |backend| {
+            dispatch_on(backend, Means { policy: &policy, agent: 2, observations: &observations })
+        };
+        let portable = on(Backend::Portable);
+        for backend in [Backend::Avx2, Backend::Avx512] {
+            if backend.is_available() {
+                assert_eq!(on(backend), portable, "{backend:?}, {:?}", config.network);
+            }
         }
     }
 }

@@ -150,6 +150,7 @@ fn actions_and_log_probabilities_follow_from_the_observations() {
     let block = block(&world, 7, 0);
     let layout = world.block_layout();
     let Dimensions { n_agents, n_steps, n_envs, observation: o, .. } = world.dimensions;
+    let (mut close, mut all) = (0, 0);
     for agent in 0..n_agents {
         for step in 0..n_steps {
             for env in 0..n_envs {
@@ -172,8 +173,12 @@ fn actions_and_log_probabilities_follow_from_the_observations() {
                     let std = f64::from(policy.log_std(agent)[u]).exp();
                     let by_hand = mean[u] + std * f64::from(normals[u]);
                     let action = f64::from(block[layout.action.start + row * 3 + u]);
-                    // Sums of tens of products in single precision.
-                    assert!((action - by_hand).abs() < 1e-5, "{action} vs {by_hand}");
+                    // Sums of tens of products in single precision; where an activation rounds to
+                    // the other bfloat16, 2⁻⁸ of it.
+                    let error = (action - by_hand).abs();
+                    assert!(error < 5e-3, "{action} vs {by_hand}");
+                    close += usize::from(error < 1e-5);
+                    all += 1;
                     log_prob -= 0.5 * f64::from(normals[u]).powi(2)
                         + std.ln()
                         + 0.5 * std::f64::consts::TAU.ln();
@@ -184,6 +189,7 @@ fn actions_and_log_probabilities_follow_from_the_observations() {
             }
         }
     }
+    assert!(close * 100 >= all * 90, "{close} of {all} actions");
 }
 
 #[test]

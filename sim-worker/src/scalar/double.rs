@@ -1,10 +1,12 @@
 //! `f64`, the reference scalar. Elementary functions come from `libm` (pure Rust): the same bits on every C library.
 
+use super::bf16::{self, pairs_side_by_side};
 use super::{Kernel, Real, lanes};
 
 impl Real for f64 {
     const LANES: usize = 1;
     type Mask = bool;
+    pairs_side_by_side!(|x: f64| f64::from(bf16::round(x as f32)));
 
     #[inline(always)]
     fn splat(x: f64) -> Self {
@@ -17,10 +19,6 @@ impl Real for f64 {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, x: f64) {
         *self = x;
-    }
-    #[inline(always)]
-    fn lowest(self) -> f64 {
-        self.lane(0)
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {

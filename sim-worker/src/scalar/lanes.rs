@@ -10,24 +10,26 @@
 
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
+use super::bf16::{self, PairKernel, WeightPair, WithoutNative, pairs_side_by_side};
 use super::single::{self, single_precision_functions};
 use super::{Kernel, LANES, Mask, Real, elementary};
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::{
-    __m256, __m512, __mmask16, _CMP_EQ_OQ, _CMP_LE_OQ, _CMP_LT_OQ, _mm256_add_epi32, _mm256_add_ps,
-    _mm256_and_ps, _mm256_and_si256, _mm256_andnot_ps, _mm256_blendv_ps, _mm256_castps_si256,
-    _mm256_castsi256_ps, _mm256_cmp_ps, _mm256_cvtepi32_ps, _mm256_cvtps_epi32, _mm256_div_ps,
-    _mm256_floor_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps, _mm256_loadu_ps, _mm256_max_ps,
-    _mm256_min_ps, _mm256_movemask_ps, _mm256_mul_ps, _mm256_or_ps, _mm256_or_si256,
-    _mm256_round_ps, _mm256_set1_epi32, _mm256_set1_ps, _mm256_slli_epi32, _mm256_sqrt_ps,
-    _mm256_srli_epi32, _mm256_storeu_ps, _mm256_sub_epi32, _mm256_sub_ps, _mm256_xor_ps,
-    _mm512_add_epi32, _mm512_add_ps, _mm512_and_si512, _mm512_andnot_si512, _mm512_castps_si512,
-    _mm512_castsi512_ps, _mm512_cmp_ps_mask, _mm512_cvtepi32_ps, _mm512_cvtps_epi32, _mm512_div_ps,
-    _mm512_fmadd_ps, _mm512_fnmadd_ps, _mm512_loadu_ps, _mm512_mask_blend_ps, _mm512_max_ps,
-    _mm512_min_ps, _mm512_mul_ps, _mm512_or_si512, _mm512_roundscale_ps, _mm512_set1_epi32,
-    _mm512_set1_ps, _mm512_slli_epi32, _mm512_sqrt_ps, _mm512_srli_epi32, _mm512_storeu_ps,
-    _mm512_sub_epi32, _mm512_sub_ps,
+    __m256, __m512, __m512bh, __m512i, __mmask16, _CMP_EQ_OQ, _CMP_LE_OQ, _CMP_LT_OQ, _CMP_NLT_UQ,
+    _mm256_add_epi32, _mm256_add_ps, _mm256_and_ps, _mm256_and_si256, _mm256_andnot_ps,
+    _mm256_blendv_ps, _mm256_castps_si256, _mm256_castsi256_ps, _mm256_cmp_ps, _mm256_cvtepi32_ps,
+    _mm256_cvtps_epi32, _mm256_div_ps, _mm256_floor_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
+    _mm256_loadu_ps, _mm256_max_ps, _mm256_min_ps, _mm256_movemask_ps, _mm256_mul_ps, _mm256_or_ps,
+    _mm256_or_si256, _mm256_round_ps, _mm256_set1_epi32, _mm256_set1_ps, _mm256_slli_epi32,
+    _mm256_sqrt_ps, _mm256_srli_epi32, _mm256_storeu_ps, _mm256_sub_epi32, _mm256_sub_ps,
+    _mm256_xor_ps, _mm512_add_epi32, _mm512_add_ps, _mm512_and_si512, _mm512_andnot_si512,
+    _mm512_castps_si512, _mm512_castsi512_ps, _mm512_cmp_ps_mask, _mm512_cvtepi32_ps,
+    _mm512_cvtps_epi32, _mm512_div_ps, _mm512_dpbf16_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps,
+    _mm512_loadu_ps, _mm512_mask_blend_ps, _mm512_maskz_add_epi32, _mm512_max_ps, _mm512_min_ps,
+    _mm512_mul_ps, _mm512_or_si512, _mm512_roundscale_ps, _mm512_set1_epi32, _mm512_set1_ps,
+    _mm512_slli_epi32, _mm512_sqrt_ps, _mm512_srli_epi32, _mm512_storeu_ps, _mm512_sub_epi32,
+    _mm512_sub_ps,
 };
 
 /// Bits of the sign of an `f32`.
@@ -79,19 +81,6 @@ impl Mask for Mask16 {
     fn set_lane(&mut self, i: usize, value: bool) {
         self.0 = self.0 & !(1 << i) | u16::from(value) << i;
     }
-}
-
-/// The lowest number, halving the list so that the processor compares several at once.
-#[inline(always)]
-fn lowest(mut a: [f32; LANES]) -> f32 {
-    let mut n = LANES;
-    while n > 1 {
-        n /= 2;
-        for i in 0..n {
-            a[i] = single::min(a[i], a[i + n]);
-        }
-    }
-    a[0]
 }
 
 /// The parts of [`Real`] and of its supertraits that follow from a type's few basic operations.
@@ -213,6 +202,7 @@ derive_operators!(F32x16Portable);
 impl Real for F32x16Portable {
     const LANES: usize = LANES;
     type Mask = Mask16;
+    pairs_side_by_side!(|x: Self| x.map(bf16::round));
 
     #[inline(always)]
     fn splat(x: f64) -> Self {
@@ -225,10 +215,6 @@ impl Real for F32x16Portable {
     #[inline(always)]
     fn set_lane(&mut self, i: usize, x: f64) {
         self.0[i] = x as f32;
-    }
-    #[inline(always)]
-    fn lowest(self) -> f64 {
-        f64::from(lowest(self.0))
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
@@ -301,6 +287,11 @@ impl Real for F32x16Portable {
 
 // ---- AVX-512 ------------------------------------------------------------------------------------
 
+/// Two bfloat16 in each of sixteen lanes.
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy, Debug)]
+pub struct PairAvx512(__m512i);
+
 /// Sixteen `f32` in one AVX-512 register.
 #[cfg(target_arch = "x86_64")]
 #[derive(Clone, Copy, Debug)]
@@ -339,6 +330,20 @@ mod avx512 {
     }
 
     impl F32x16Avx512 {
+        /// Bits whose upper half is the nearest bfloat16, ties to even; zero below the smallest that is kept.
+        #[inline(always)]
+        fn rounded_to_bf16(self) -> __m512i {
+            // SAFETY: features as above.
+            unsafe {
+                let bits = _mm512_castps_si512(self.0);
+                let even = _mm512_and_si512(_mm512_srli_epi32::<16>(bits), _mm512_set1_epi32(1));
+                let up = _mm512_add_epi32(even, _mm512_set1_epi32(0x7fff));
+                // Not less, so that what is not a number stays so.
+                let smallest = _mm512_set1_ps(bf16::SMALLEST);
+                let keep = _mm512_cmp_ps_mask::<_CMP_NLT_UQ>(self.abs().0, smallest);
+                _mm512_maskz_add_epi32(keep, bits, up)
+            }
+        }
         #[inline(always)]
         fn to_array(self) -> [f32; LANES] {
             let mut a = [0.0; LANES];
@@ -356,6 +361,45 @@ mod avx512 {
     impl Real for F32x16Avx512 {
         const LANES: usize = LANES;
         type Mask = Mask16;
+        type Pair = PairAvx512;
+
+        #[inline(always)]
+        fn pair(first: Self, second: Self) -> PairAvx512 {
+            // SAFETY: as for `splat`.
+            unsafe {
+                let upper = _mm512_set1_epi32(0xffff_0000_u32 as i32);
+                let low = _mm512_srli_epi32::<16>(first.rounded_to_bf16());
+                PairAvx512(_mm512_or_si512(low, _mm512_and_si512(second.rounded_to_bf16(), upper)))
+            }
+        }
+        #[inline(always)]
+        fn add_pair_product<const NATIVE: bool>(self, x: PairAvx512, w: WeightPair) -> Self {
+            // SAFETY: as for `splat`; `compiled_for_pairs` has found AVX-512 BF16 where `NATIVE` is set. The transmuted types are 512 bits each.
+            unsafe {
+                if NATIVE {
+                    let w = _mm512_set1_epi32(w.0 as i32);
+                    Self(_mm512_dpbf16_ps(
+                        self.0,
+                        std::mem::transmute::<__m512i, __m512bh>(x.0),
+                        std::mem::transmute::<__m512i, __m512bh>(w),
+                    ))
+                } else {
+                    let upper = _mm512_set1_epi32(0xffff_0000_u32 as i32);
+                    let [first, second] = w.widened().map(|w| _mm512_set1_ps(w));
+                    let x_first = _mm512_castsi512_ps(_mm512_slli_epi32::<16>(x.0));
+                    let x_second = _mm512_castsi512_ps(_mm512_and_si512(x.0, upper));
+                    Self(_mm512_fmadd_ps(x_first, first, _mm512_fmadd_ps(x_second, second, self.0)))
+                }
+            }
+        }
+        #[inline(always)]
+        fn compiled_for_pairs<K: PairKernel<Self>>(kernel: K) -> K::Output {
+            if std::arch::is_x86_feature_detected!("avx512bf16") {
+                // SAFETY: as for `splat`, and the feature was just found.
+                return unsafe { run_avx512_bf16(kernel) };
+            }
+            Self::compiled(WithoutNative(kernel))
+        }
 
         #[inline(always)]
         fn splat(x: f64) -> Self {
@@ -371,10 +415,6 @@ mod avx512 {
             let mut a = self.to_array();
             a[i] = x as f32;
             *self = Self::from_array(a);
-        }
-        #[inline(always)]
-        fn lowest(self) -> f64 {
-            f64::from(lowest(self.to_array()))
         }
         #[inline(always)]
         fn mul_add(self, a: Self, b: Self) -> Self {
@@ -655,6 +695,22 @@ mod avx2 {
     impl Real for F32x16Avx2 {
         const LANES: usize = LANES;
         type Mask = Mask2x8;
+        pairs_side_by_side!(|x: Self| {
+            let rounded = both!(
+                |a| {
+                    let bits = _mm256_castps_si256(a);
+                    let even =
+                        _mm256_and_si256(_mm256_srli_epi32::<16>(bits), _mm256_set1_epi32(1));
+                    let up = _mm256_add_epi32(even, _mm256_set1_epi32(0x7fff));
+                    let nearest = _mm256_add_epi32(bits, up);
+                    let upper = _mm256_set1_epi32(0xffff_0000_u32 as i32);
+                    _mm256_castsi256_ps(_mm256_and_si256(nearest, upper))
+                },
+                x
+            );
+            let small = x.abs().lt(Self::splat(f64::from(bf16::SMALLEST)));
+            Self::select(small, Self::splat(0.0), rounded)
+        });
 
         #[inline(always)]
         fn splat(x: f64) -> Self {
@@ -670,10 +726,6 @@ mod avx2 {
             let mut a = self.to_array();
             a[i] = x as f32;
             *self = Self::from_array(a);
-        }
-        #[inline(always)]
-        fn lowest(self) -> f64 {
-            f64::from(lowest(self.to_array()))
         }
         #[inline(always)]
         fn mul_add(self, a: Self, b: Self) -> Self {
@@ -894,6 +946,13 @@ fn run_fma<S: Real, K: Kernel<S>>(kernel: K) -> K::Output {
 #[inline(never)]
 fn run_avx512<K: Kernel<F32x16Avx512>>(kernel: K) -> K::Output {
     kernel.run()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw,avx512bf16,fma")]
+#[inline(never)]
+fn run_avx512_bf16<K: PairKernel<F32x16Avx512>>(kernel: K) -> K::Output {
+    kernel.run::<true>()
 }
 
 #[cfg(target_arch = "x86_64")]

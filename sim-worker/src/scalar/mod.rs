@@ -29,10 +29,13 @@ use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub
 
 pub mod elementary;
 
+mod bf16;
 mod double;
 mod lanes;
 mod single;
 
+pub(crate) use bf16::bias as bf16_bias;
+pub use bf16::{PairKernel, WeightPair};
 pub use lanes::{Backend, F32x16Portable, LaneFn, dispatch, dispatch_on};
 #[cfg(target_arch = "x86_64")]
 pub use lanes::{F32x16Avx2, F32x16Avx512};
@@ -91,15 +94,15 @@ pub trait Real:
     /// Result of comparisons.
     type Mask: Mask;
 
+    /// Two bfloat16 numbers in each lane (see [`bf16`]).
+    type Pair: Copy + Debug + Send + Sync + 'static;
+
     /// The same value in every lane, rounded to the type's precision.
     fn splat(x: f64) -> Self;
     /// Value of lane `i`, widened exactly.
     fn lane(self, i: usize) -> f64;
     /// Replaces the value of lane `i`, rounded to the type's precision.
     fn set_lane(&mut self, i: usize, x: f64);
-
-    /// The lowest of the lanes; no lane may be NaN.
-    fn lowest(self) -> f64;
 
     /// `self · a + b` with one rounding.
     fn mul_add(self, a: Self, b: Self) -> Self;
@@ -175,6 +178,18 @@ pub trait Real:
     fn log10(self) -> Self;
     /// Hyperbolic tangent.
     fn tanh(self) -> Self;
+
+    /// `first` and `second`, rounded to bfloat16.
+    fn pair(first: Self, second: Self) -> Self::Pair;
+    /// `x.first · w.first + (x.second · w.second + self)`, each product and sum with one rounding, second first.
+    ///
+    /// `NATIVE` is that of the [`PairKernel`] around it.
+    fn add_pair_product<const NATIVE: bool>(self, x: Self::Pair, w: WeightPair) -> Self;
+    /// Runs `kernel` as [`Real::compiled`] does, with the processor's own products of pairs where it has them.
+    #[inline(always)]
+    fn compiled_for_pairs<K: PairKernel<Self>>(kernel: K) -> K::Output {
+        Self::compiled(bf16::WithoutNative(kernel))
+    }
 
     /// Runs `kernel` in a function of its own that is compiled for this type's processor features.
     ///

@@ -1,5 +1,6 @@
 //! Lone `f32`: the same bits as one lane of the lane types.
 
+use super::bf16::{self, pairs_side_by_side};
 use super::{Kernel, Real, elementary, lanes};
 
 /// `a < b ? a : b`, as the processors' vector minimum.
@@ -62,6 +63,7 @@ pub(super) use single_precision_functions;
 impl Real for f32 {
     const LANES: usize = 1;
     type Mask = bool;
+    pairs_side_by_side!(bf16::round);
 
     #[inline(always)]
     fn splat(x: f64) -> Self {
@@ -74,10 +76,6 @@ impl Real for f32 {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, x: f64) {
         *self = x as f32;
-    }
-    #[inline(always)]
-    fn lowest(self) -> f64 {
-        self.lane(0)
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {

@@ -100,6 +100,7 @@ fn what_does_not_go_together_is_refused_with_both_sides() {
         ("network.squash_mean=false", "network.squash_mean"),
         ("network.input_clip=77.0", "network.input_clip"),
         ("network.input_norm=\"none\"", "network.input_norm"),
+        ("network.inference=\"f32\"", "network.inference"),
     ]
     .into_iter()
     .enumerate()

@@ -13,7 +13,7 @@ use proto::clock::thread_cpu;
 use sim_worker::collision::count_contacts;
 use sim_worker::dynamics::{StepOptions, Workspace, step};
 use sim_worker::robot::{Model, Robot};
-use sim_worker::scalar::{LaneFn, Real, dispatch, elementary};
+use sim_worker::scalar::{LaneFn, PairKernel, Real, WeightPair, dispatch, elementary};
 use sim_worker::state::State;
 
 use super::physics::{EPISODE, commands};
@@ -23,10 +23,18 @@ pub(super) fn peak(seconds: f64) -> f64 {
     dispatch(Peak(seconds))
 }
 
+/// As [`peak`], of products of bfloat16 pairs, each two multiplications and two additions.
+pub(super) fn pair_peak(seconds: f64) -> f64 {
+    dispatch(PairPeak(seconds))
+}
+
 /// How long to measure (s).
 struct Peak(f64);
 
-/// Fused multiply-adds in a row between two looks at the clock.
+/// How long to measure (s).
+struct PairPeak(f64);
+
+/// Operations of a chain between two looks at the clock.
 const ROW: usize = 20_000;
 
 impl LaneFn for Peak {
@@ -41,8 +49,61 @@ impl LaneFn for Peak {
 
 #[inline(always)]
 fn chains<S: Real, const N: usize>(time: f64) -> f64 {
-    let mut x = [S::one(); N];
     let (a, b) = (std::hint::black_box(S::splat(0.5)), std::hint::black_box(S::splat(0.25)));
+    2.0 * rate::<S, FusedMultiplyAdd, S, S, N>(time, a, b)
+}
+
+impl LaneFn for PairPeak {
+    type Output = f64;
+
+    #[inline(always)]
+    fn call<S: Real>(self) -> f64 {
+        S::compiled_for_pairs(self)
+    }
+}
+
+impl<S: Real> PairKernel<S> for PairPeak {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<const NATIVE: bool>(self) -> f64 {
+        let x = std::hint::black_box(S::pair(S::splat(0.5), S::splat(0.25)));
+        let w = std::hint::black_box(WeightPair::new(0.5, -0.25));
+        4.0 * rate::<S, PairProduct<NATIVE>, S::Pair, WeightPair, 10>(self.0, x, w)
+    }
+}
+
+/// One operation on a chain's number.
+trait Operation<S, A, B> {
+    fn apply(x: S, a: A, b: B) -> S;
+}
+
+struct FusedMultiplyAdd;
+
+impl<S: Real> Operation<S, S, S> for FusedMultiplyAdd {
+    #[inline(always)]
+    fn apply(x: S, a: S, b: S) -> S {
+        x.mul_add(a, b)
+    }
+}
+
+struct PairProduct<const NATIVE: bool>;
+
+impl<S: Real, const NATIVE: bool> Operation<S, S::Pair, WeightPair> for PairProduct<NATIVE> {
+    #[inline(always)]
+    fn apply(x: S, a: S::Pair, b: WeightPair) -> S {
+        x.add_pair_product::<NATIVE>(a, b)
+    }
+}
+
+/// Operations per second on all lanes of `N` chains.
+#[inline(always)]
+fn rate<S: Real, O: Operation<S, A, B>, A: Copy, B: Copy, const N: usize>(
+    time: f64,
+    a: A,
+    b: B,
+) -> f64 {
+    let mut x = [S::one(); N];
     let mut rows = 0_u32;
     let start = thread_cpu();
     let elapsed = loop {
@@ -50,7 +111,7 @@ fn chains<S: Real, const N: usize>(time: f64) -> f64 {
         while i < ROW {
             let mut chain = 0;
             while chain < N {
-                x[chain] = x[chain].mul_add(a, b);
+                x[chain] = O::apply(x[chain], a, b);
                 chain += 1;
             }
             i += 1;
@@ -62,7 +123,7 @@ fn chains<S: Real, const N: usize>(time: f64) -> f64 {
         }
     };
     std::hint::black_box(x);
-    2.0 * f64::from(rows) * (ROW * N * S::LANES) as f64 / elapsed
+    f64::from(rows) * (ROW * N * S::LANES) as f64 / elapsed
 }
 
 /// Floating-point operations of a control step under random commands. Counted are additions,
@@ -136,6 +197,15 @@ impl MulAssign for Counted {
 impl Real for Counted {
     const LANES: usize = 1;
     type Mask = bool;
+    type Pair = [Self; 2];
+
+    fn pair(first: Self, second: Self) -> [Self; 2] {
+        [first, second]
+    }
+    fn add_pair_product<const NATIVE: bool>(self, x: [Self; 2], w: WeightPair) -> Self {
+        let [first, second] = w.widened().map(Self);
+        x[0].mul_add(first, x[1].mul_add(second, self))
+    }
 
     fn splat(x: f64) -> Self {
         Self(x as f32)
@@ -145,9 +215,6 @@ impl Real for Counted {
     }
     fn set_lane(&mut self, _: usize, x: f64) {
         self.0 = x as f32;
-    }
-    fn lowest(self) -> f64 {
-        self.lane(0)
     }
     fn mul_add(self, a: Self, b: Self) -> Self {
         counted(2, f32::mul_add(self.0, a.0, b.0))

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use proto::clock::thread_cpu;
-use proto::config::Config;
+use proto::config::{Config, Inference};
 use proto::layout::{ActorLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 use sim_worker::env::step_options;
@@ -30,9 +30,11 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
             Some(1.0 / (1.0 / mujoco + threads / torch.inference))
         }
     };
-    let flops = arithmetic::physics(&bench.robot, &step_options(&bench.config))
-        + policy_flops(&bench.config, &bench.dimensions);
-    let floor = arithmetic::peak(bench.seconds / 10.0) / flops;
+    let physics = arithmetic::physics(&bench.robot, &step_options(&bench.config));
+    let (single, pairs) = policy_flops(&bench.config, &bench.dimensions);
+    let floor = 1.0
+        / ((physics + single) / arithmetic::peak(bench.seconds / 10.0)
+            + pairs / arithmetic::pair_peak(bench.seconds / 10.0));
     let unit = "env-steps/s";
     let figure = Figure::rate("rollout.env_steps_per_s_per_core", unit, rates.env_steps_per_s);
     figures.push(figure.peer(peer).floor(Some(floor)));
@@ -133,14 +135,21 @@ fn fill(part: &mut [f32], tensor: usize, deviation: f64) {
     }
 }
 
-/// Operations of all actors' matrix products for an env-step.
-fn policy_flops(config: &Config, dimensions: &Dimensions) -> f64 {
+/// Operations of all actors' matrix products for an env-step: those in `f32`, and those of bfloat16.
+fn policy_flops(config: &Config, dimensions: &Dimensions) -> (f64, f64) {
     let widths: Vec<usize> = std::iter::once(dimensions.observation)
         .chain(config.network.hidden.iter().copied())
         .chain(std::iter::once(JOINTS_PER_AGENT))
         .collect();
-    let weights: usize = widths.windows(2).map(|pair| pair[0] * pair[1]).sum();
-    (2 * dimensions.n_agents * weights) as f64
+    let layers: Vec<usize> = widths.windows(2).map(|pair| pair[0] * pair[1]).collect();
+    let all: usize = layers.iter().sum();
+    let pairs: usize = match config.network.inference {
+        Inference::F32 => 0,
+        // All but the first layer and the head.
+        Inference::Bf16 => layers[1..layers.len() - 1].iter().sum(),
+    };
+    let flops = |weights| (2 * dimensions.n_agents * weights) as f64;
+    (flops(all - pairs), flops(pairs))
 }
 
 #[cfg(test)]
@@ -165,6 +174,7 @@ mod tests {
         assert_eq!(square("input.gain"), 1.0);
         assert_eq!(square("hidden.0.bias") + square("log_std"), 0.0);
         // 28·512 + 512·512 + 512·3 weights, two operations each, eight agents.
-        assert_eq!(policy_flops(&config, &dimensions), 16.0 * 278_016.0);
+        let (single, pairs) = policy_flops(&config, &dimensions);
+        assert_eq!((single, pairs), (16.0 * 15_872.0, 16.0 * 262_144.0));
     }
 }

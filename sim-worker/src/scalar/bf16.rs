@@ -1,0 +1,169 @@
+//! Products of bfloat16 pairs, as AVX-512 BF16 computes them, on any processor.
+//!
+//! bfloat16 is the upper half of an `f32`: eight digits of the mantissa. The processor's instruction
+//! (VDPBF16PS) takes two such numbers a lane, multiplies them with two others and adds both products
+//! to an `f32`, the second one first, each with one rounding [Intel, Software Developer's Manual,
+//! vol. 2, VDPBF16PS]: twice the products of a fused multiply-add. Two fused multiply-adds are the
+//! same to the bit, but for subnormal numbers, which the instruction takes for zero. There are none:
+//! numbers below [`SMALLEST`] become zero when they are rounded, so that every product is a multiple
+//! of 2⁻¹¹⁴, and so is every sum of them and of a bias that [`bias`] has let through.
+
+use super::{Kernel, Real};
+
+/// What is smaller becomes zero.
+pub(crate) const SMALLEST: f32 = 1.0 / (1_u64 << 50) as f32;
+
+/// Two weights in bfloat16, the first in the lower half.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[repr(transparent)]
+pub struct WeightPair(pub(super) u32);
+
+impl WeightPair {
+    /// Rounds two weights.
+    pub fn new(first: f32, second: f32) -> Self {
+        Self(round(first).to_bits() >> 16 | round(second).to_bits())
+    }
+
+    /// Both, widened exactly.
+    #[inline(always)]
+    pub fn widened(self) -> [f32; 2] {
+        [f32::from_bits(self.0 << 16), f32::from_bits(self.0 & 0xffff_0000)]
+    }
+}
+
+/// The nearest bfloat16, ties to even; zero where that is below [`SMALLEST`].
+#[inline(always)]
+pub(super) fn round(x: f32) -> f32 {
+    let bits = x.to_bits();
+    let nearest = bits.wrapping_add(0x7fff + (bits >> 16 & 1)) & 0xffff_0000;
+    if x.abs() < SMALLEST { 0.0 } else { f32::from_bits(nearest) }
+}
+
+/// A bias to which products may be added: zero where it is so small that a sum could become subnormal.
+pub(crate) fn bias(x: f32) -> f32 {
+    if x.abs() < SMALLEST * SMALLEST { 0.0 } else { x }
+}
+
+/// A computation with products of pairs, see [`Real::compiled_for_pairs`]. `run` must be `#[inline(always)]`.
+pub trait PairKernel<S: Real> {
+    /// What the computation returns.
+    type Output;
+    /// Computes, with the processor's own products if `NATIVE`.
+    fn run<const NATIVE: bool>(self) -> Self::Output;
+}
+
+/// A kernel on a processor without products of pairs.
+pub(super) struct WithoutNative<K>(pub(super) K);
+
+impl<S: Real, K: PairKernel<S>> Kernel<S> for WithoutNative<K> {
+    type Output = K::Output;
+    #[inline(always)]
+    fn run(self) -> K::Output {
+        self.0.run::<false>()
+    }
+}
+
+/// Pairs as two numbers side by side, for scalars without a packed form. `$round` rounds a number to bfloat16.
+macro_rules! pairs_side_by_side {
+    ($round:expr) => {
+        type Pair = [Self; 2];
+        #[inline(always)]
+        fn pair(first: Self, second: Self) -> [Self; 2] {
+            [$round(first), $round(second)]
+        }
+        #[inline(always)]
+        fn add_pair_product<const NATIVE: bool>(
+            self,
+            x: [Self; 2],
+            w: crate::scalar::WeightPair,
+        ) -> Self {
+            let [first, second] = w.widened().map(|w| Self::splat(f64::from(w)));
+            x[0].mul_add(first, x[1].mul_add(second, self))
+        }
+    };
+}
+pub(super) use pairs_side_by_side;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scalar::{Backend, LaneFn, dispatch_on};
+
+    #[test]
+    fn rounding_is_to_nearest_even_and_small_numbers_vanish() {
+        // 1 + 2⁻⁸ lies between 1 and 1 + 2⁻⁷; the even neighbour is 1.
+        for (x, rounded) in [
+            (1.0, 1.0),
+            (1.0 + 1.0 / 256.0, 1.0),
+            (1.0 + 3.0 / 256.0, 1.0 + 4.0 / 256.0),
+            (-1.0 - 1.1 / 256.0, -1.0 - 2.0 / 256.0),
+            (1e-16, 0.0),
+            (-1e-16, 0.0),
+            (f32::INFINITY, f32::INFINITY),
+        ] {
+            assert_eq!(round(x), rounded, "{x}");
+        }
+        assert_eq!(WeightPair::new(1.0, -2.0).widened(), [1.0, -2.0]);
+        assert!(round(f32::NAN).is_nan());
+    }
+
+    struct Products;
+    impl LaneFn for Products {
+        type Output = Vec<u32>;
+        #[inline(always)]
+        fn call<S: Real>(self) -> Vec<u32> {
+            S::compiled_for_pairs(self)
+        }
+    }
+    impl<S: Real> PairKernel<S> for Products {
+        type Output = Vec<u32>;
+        #[inline(always)]
+        fn run<const NATIVE: bool>(self) -> Vec<u32> {
+            let mut word = 1_u32;
+            let mut next = || {
+                word = word.wrapping_mul(1664525).wrapping_add(1013904223);
+                // Of both signs, over sixty powers of two, so that sums cancel and small numbers vanish.
+                let size = (f64::from(word >> 8 & 0xff) / 255.0 - 0.5) * 60.0;
+                f64::from(word >> 16) / 32768.0
+                    * size.exp2()
+                    * if word & 0x80 == 0 { 1.0 } else { -1.0 }
+            };
+            let mut out = Vec::new();
+            for call in 0..500 {
+                let (mut first, mut second) = (S::zero(), S::zero());
+                let mut sum = S::zero();
+                for lane in 0..16 {
+                    let (x, y, z) = (next(), next(), next());
+                    if lane < S::LANES {
+                        first.set_lane(lane, x);
+                        second.set_lane(lane, y);
+                        sum.set_lane(lane, z);
+                    }
+                }
+                // What is not a number must not vanish among the small ones.
+                first.set_lane(0, if call % 100 == 7 { f64::NAN } else { first.lane(0) });
+                let w = WeightPair::new(next() as f32, next() as f32);
+                let sum = sum.add_pair_product::<NATIVE>(S::pair(first, second), w);
+                // All that is not a number alike: its sign depends on the instruction.
+                let bits = |x: f32| if x.is_nan() { u32::MAX } else { x.to_bits() };
+                out.extend((0..S::LANES).map(|lane| bits(sum.lane(lane) as f32)));
+            }
+            out
+        }
+    }
+
+    #[test]
+    fn every_back_end_computes_the_same_bits() {
+        let portable = dispatch_on(Backend::Portable, Products);
+        assert!(portable.iter().collect::<std::collections::HashSet<_>>().len() > 7000);
+        assert_eq!(portable.iter().filter(|&&bits| bits == u32::MAX).count(), 5);
+        for backend in [Backend::Avx2, Backend::Avx512] {
+            if backend.is_available() {
+                assert!(dispatch_on(backend, Products) == portable, "{backend:?}");
+            }
+        }
+        let lone: Vec<u32> = f32::compiled_for_pairs(Products);
+        let first_lanes: Vec<u32> = portable.iter().copied().step_by(16).collect();
+        assert_eq!(lone, first_lanes);
+    }
+}
