@@ -105,7 +105,7 @@ impl LaneFn for Inference<'_, '_> {
 }
 
 /// The call itself, compiled for the lanes: a closure is a function of its own and would not be.
-struct Mean<'a, S> {
+struct Mean<'a, S: Real> {
     policy: &'a Policy,
     observations: &'a [S],
     scratch: &'a mut Scratch<S>,
