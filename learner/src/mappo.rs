@@ -392,7 +392,7 @@ fn run_groups(
     state: &TrainingState,
     job: &Job<'_>,
     [at_once, threads]: [usize; 2],
-    mut trace: Option<&mut Trace>,
+    trace: Option<&mut Trace>,
 ) -> Vec<Result<Outcome, LearnerError>> {
     let part = |network: &NetworkState, agents: &Range<usize>| {
         let flat = network.flat.narrow(0, agents.start as i64, agents.len() as i64);
@@ -424,7 +424,7 @@ fn run_groups(
         for _ in 1..at_once {
             scope.spawn(|| work(None));
         }
-        work(trace.as_deref_mut());
+        work(trace);
     });
     outcomes.into_iter().map(|outcome| outcome.expect("every group was computed")).collect()
 }
