@@ -21,6 +21,8 @@ pub(super) struct Curve {
     pub(super) over: &'static str,
     /// What is measured, with its unit.
     pub(super) unit: &'static str,
+    /// Whether abscissa and ordinate are spaced by their logarithm.
+    pub(super) logarithmic: [bool; 2],
     pub(super) series: Vec<Series>,
 }
 
@@ -34,6 +36,7 @@ pub(super) struct Series {
 
 const RATE: &str = "env-steps/s";
 const RATE_PER_CORE: &str = "env-steps/s per core";
+const COST: &str = "µs of a core per env-step";
 
 /// Control steps of an episode, the same for any number of environments: bodies touch more often as an
 /// episode goes on. Whole episodes of thousands of environments would take minutes.
@@ -63,10 +66,18 @@ fn by_envs(bench: &Bench) -> anyhow::Result<Curve> {
         points.push((f64::from(envs), rates.env_steps_per_s));
     }
     let series = vec![Series { name: "env_steps_per_s_per_core", points }];
-    Ok(Curve { name: "rollout_by_envs", over: "environments", unit: RATE_PER_CORE, series })
+    let logarithmic = [true, false];
+    Ok(Curve {
+        name: "rollout_by_envs",
+        over: "environments",
+        unit: RATE_PER_CORE,
+        logarithmic,
+        series,
+    })
 }
 
-/// Physics over the number of arms: pairs that may touch grow with its square.
+/// Cost of physics over the number of arms: a line without contacts; pairs that may touch grow with
+/// its square.
 fn by_arms(bench: &Bench) -> anyhow::Result<Curve> {
     let options = step_options(&bench.config);
     let (mut with, mut without) = (Vec::new(), Vec::new());
@@ -77,14 +88,15 @@ fn by_arms(bench: &Bench) -> anyhow::Result<Curve> {
         for (points, contacts) in [(&mut with, true), (&mut without, false)] {
             let options = StepOptions { contacts, ..options };
             let (rate, _) = physics::rate(bench, &robot, options, bench.seconds)?;
-            points.push((arms as f64, rate));
+            points.push((arms as f64, 1e6 / rate));
         }
     }
     let series = vec![
-        Series { name: "env_steps_per_s_per_core", points: with },
-        Series { name: "without_contacts_env_steps_per_s_per_core", points: without },
+        Series { name: "us_per_env_step", points: with },
+        Series { name: "without_contacts_us_per_env_step", points: without },
     ];
-    Ok(Curve { name: "physics_by_arms", over: "arms", unit: RATE_PER_CORE, series })
+    let logarithmic = [false, false];
+    Ok(Curve { name: "physics_by_arms", over: "arms", unit: COST, logarithmic, series })
 }
 
 /// The robot with `n` arms: its own first, then the same ones mirrored to the base's other end.
@@ -120,6 +132,7 @@ fn by_hidden(bench: &Bench) -> anyhow::Result<[Curve; 2]> {
         name,
         over: "width of two hidden layers",
         unit,
+        logarithmic: [true, true],
         series: vec![Series { name: series, points }],
     };
     Ok([
@@ -136,7 +149,8 @@ fn by_workers(bench: &Bench) -> anyhow::Result<Curve> {
         points.push((workers as f64, train::training(bench, workers)?.env_steps_per_s));
     }
     let series = vec![Series { name: "env_steps_per_s", points }];
-    Ok(Curve { name: "train_by_workers", over: "workers", unit: RATE, series })
+    let logarithmic = [true, false];
+    Ok(Curve { name: "train_by_workers", over: "workers", unit: RATE, logarithmic, series })
 }
 
 /// One key a series: `growth.CURVE.SERIES`, a list of pairs.
@@ -188,7 +202,8 @@ mod tests {
     #[test]
     fn a_series_is_a_list_of_pairs() {
         let series = vec![Series { name: "rate", points: vec![(1.0, 10.0), (2.0, 15.0)] }];
-        let curve = Curve { name: "by_x", over: "x", unit: "1/s", series };
+        let logarithmic = [true, false];
+        let curve = Curve { name: "by_x", over: "x", unit: "1/s", logarithmic, series };
         let expected = json!({ "growth.by_x.rate": [[1.0, 10.0], [2.0, 15.0]] });
         assert_eq!(to_json(std::slice::from_ref(&curve)), expected);
         assert!(table(&[curve]).contains("1.50×"));

@@ -28,14 +28,21 @@ pub(super) fn draw_all(dir: &Path, curves: &[Curve]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Abscissas are spaced by their logarithm, and labelled at the powers of two.
+/// Logarithmic axes are labelled at powers of two; linear ones begin at 0.
 fn render(svg: &mut String, curve: &Curve) -> Result<(), Box<dyn std::error::Error>> {
-    let points = || curve.series.iter().flat_map(|series| &series.points);
-    let (mut low, mut high, mut top) = (f64::INFINITY, f64::NEG_INFINITY, 0.0_f64);
-    for (x, y) in points() {
-        (low, high, top) = (low.min(x.log2()), high.max(x.log2()), top.max(*y));
-    }
-    if low >= high || top <= 0.0 {
+    let scales = curve.logarithmic.map(|logarithmic| if logarithmic { LOG } else { LINEAR });
+    let place = |&(x, y): &(f64, f64)| ((scales[0].forth)(x), (scales[1].forth)(y));
+    let places: Vec<_> = curve.series.iter().flat_map(|series| &series.points).map(place).collect();
+    let range = |scale: &Scale, values: &mut dyn Iterator<Item = f64>| {
+        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
+        let low = if scale.from_zero { 0.0 } else { low };
+        (low, low + 1.06 * (high - low))
+    };
+    let (left, right) = range(&scales[0], &mut places.iter().map(|place| place.0));
+    let (bottom, top) = range(&scales[1], &mut places.iter().map(|place| place.1));
+    if !(left < right && bottom < top) {
         return Ok(());
     }
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
@@ -44,34 +51,33 @@ fn render(svg: &mut String, curve: &Curve) -> Result<(), Box<dyn std::error::Err
         .margin(16)
         .x_label_area_size(44)
         .y_label_area_size(76)
-        .build_cartesian_2d(low..high, 0.0..1.08 * top)?;
+        .build_cartesian_2d(left..right, bottom..top)?;
     chart
         .configure_mesh()
         .bold_line_style(GRID)
         .light_line_style(TRANSPARENT)
         .axis_style(FAINT)
-        .x_labels((high - low).round() as usize + 1)
-        .y_labels(6)
-        .x_label_formatter(&|x| number_of(x.exp2()))
-        .y_label_formatter(&|y| number_of(*y))
+        .x_labels(scales[0].labels(left, right))
+        .y_labels(scales[1].labels(bottom, top))
+        .x_label_formatter(&|x| number_of((scales[0].back)(*x)))
+        .y_label_formatter(&|y| number_of((scales[1].back)(*y)))
         .x_desc(curve.over)
         .y_desc(curve.unit)
         .label_style(("sans-serif", 13).into_font().color(&FAINT))
         .axis_desc_style(("sans-serif", 14).into_font().color(&INK))
         .draw()?;
     for (Series { name, points }, color) in curve.series.iter().zip(COLORS) {
-        let place = || points.iter().map(|(x, y)| (x.log2(), *y));
         let style = color.stroke_width(2);
         chart
-            .draw_series(LineSeries::new(place(), style))?
+            .draw_series(LineSeries::new(points.iter().map(place), style))?
             .label(name.replace('_', " "))
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], style));
-        chart.draw_series(place().map(|at| Circle::new(at, 3, color.filled())))?;
+        chart.draw_series(points.iter().map(|at| Circle::new(place(at), 3, color.filled())))?;
     }
     if curve.series.len() > 1 {
         chart
             .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
+            .position(SeriesLabelPosition::UpperLeft)
             .background_style(WHITE.mix(0.85))
             .label_font(("sans-serif", 13).into_font().color(&INK))
             .draw()?;
@@ -81,9 +87,27 @@ fn render(svg: &mut String, curve: &Curve) -> Result<(), Box<dyn std::error::Err
     Ok(())
 }
 
+/// How an axis is spaced: from values to places on it and back, and whether it begins at 0.
+struct Scale {
+    forth: fn(f64) -> f64,
+    back: fn(f64) -> f64,
+    from_zero: bool,
+}
+
+impl Scale {
+    /// How many labels there is room for, but no more than powers of two.
+    fn labels(&self, low: f64, high: f64) -> usize {
+        if self.from_zero { 9 } else { ((high - low) as usize + 1).min(9) }
+    }
+}
+
+const LINEAR: Scale = Scale { forth: |value| value, back: |place| place, from_zero: true };
+const LOG: Scale = Scale { forth: f64::log2, back: f64::exp2, from_zero: false };
+
 /// A round number for an axis.
 fn number_of(value: f64) -> String {
     match value {
+        value if value >= 1e9 => format!("{} G", number(value / 1e9)),
         value if value >= 1e6 => format!("{} M", number(value / 1e6)),
         value if (value - value.round()).abs() < 1e-6 => {
             number(value).replace(".00", "").replace(".0", "")
@@ -100,12 +124,17 @@ mod tests {
     fn a_curve_becomes_a_picture_with_its_axes() {
         let series =
             Series { name: "rate", points: vec![(16.0, 10.0), (64.0, 15.0), (256.0, 14.0)] };
-        let curve = Curve { name: "by_x", over: "arms", unit: "env-steps/s", series: vec![series] };
-        let dir = tempfile::tempdir().expect("a directory");
-        draw_all(dir.path(), &[curve]).expect("drawn");
-        let text = std::fs::read_to_string(dir.path().join("by_x.svg")).expect("written");
-        for part in ["<svg", "arms", "env-steps/s", "<polyline"] {
-            assert!(text.contains(part), "{part}");
+        let (over, unit) = ("arms", "env-steps/s");
+        for logarithmic in [[true, false], [false, false], [true, true]] {
+            let series = vec![series.clone()];
+            let curve = Curve { name: "by_x", over, unit, logarithmic, series };
+            let dir = tempfile::tempdir().expect("a directory");
+            draw_all(dir.path(), &[curve]).expect("drawn");
+            let text = std::fs::read_to_string(dir.path().join("by_x.svg")).expect("written");
+            let label = if logarithmic[0] { "\n256\n" } else { "\n100\n" };
+            for part in ["<svg", over, unit, "<polyline", label] {
+                assert!(text.contains(part), "{part}");
+            }
         }
     }
 }
