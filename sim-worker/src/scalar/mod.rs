@@ -94,7 +94,7 @@ pub trait Real:
     /// Result of comparisons.
     type Mask: Mask;
 
-    /// Two bfloat16 numbers in each lane (see [`bf16`]).
+    /// Two bfloat16 numbers in each lane (see `bf16.rs`).
     type Pair: Copy + Debug + Send + Sync + 'static;
 
     /// The same value in every lane, rounded to the type's precision.
