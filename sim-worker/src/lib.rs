@@ -12,6 +12,7 @@
 //! * [`policy`]: the actors, evaluated without libtorch;
 //! * [`mod@env`]: the vectorised environment that writes its block in place;
 //! * [`rollout`], [`evaluate`]: whole episodes, as pure functions of their addresses;
+//! * [`reach`]: which goals can be reached at all;
 //! * [`worker`]: the process around them.
 //!
 //! Models are immutable and shared, all scratch memory is owned by a workspace, and no inner loop
@@ -48,5 +49,7 @@ pub mod env;
 pub mod rollout;
 
 pub mod evaluate;
+
+pub mod reach;
 
 pub mod worker;

@@ -14,8 +14,8 @@ mod physics;
 
 pub use moment::Moment;
 pub(crate) use output::Output;
-pub(crate) use physics::home;
 pub use physics::step_options;
+pub(crate) use physics::{Physics, check as check_states, home};
 
 use std::time::{Duration, Instant};
 
@@ -33,7 +33,6 @@ use crate::task::reward::rewards;
 use crate::task::state::critic_state;
 use crate::task::{Errors, Goals, Readings, Task};
 use output::Row;
-use physics::Physics;
 
 /// A number that is none, or a state beyond all bounds, caught in the step that made it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

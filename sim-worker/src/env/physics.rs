@@ -13,7 +13,7 @@ use crate::state::State;
 use crate::task::{Home, HomeArm, Readings};
 
 /// A robot's dynamics with its scratch memory.
-pub(super) struct Physics<S: Real> {
+pub(crate) struct Physics<S: Real> {
     model: Model<S>,
     workspace: Workspace<S>,
     options: StepOptions,
@@ -22,7 +22,7 @@ pub(super) struct Physics<S: Real> {
 
 impl<S: Real> Physics<S> {
     /// Integrates as `config` says.
-    pub(super) fn new(config: &Config, robot: &Robot) -> Self {
+    pub(crate) fn new(config: &Config, robot: &Robot) -> Self {
         Self::with_options(robot, step_options(config))
     }
 
@@ -34,14 +34,14 @@ impl<S: Real> Physics<S> {
 
     /// Holds joint rate commands (rad/s, arm-major) for a control period.
     #[inline(always)]
-    pub(super) fn step(&mut self, state: &mut State<S>, command: &[S]) {
+    pub(crate) fn step(&mut self, state: &mut State<S>, command: &[S]) {
         step(&self.model, &mut self.workspace, state, command, &self.options);
     }
 
     /// Reads off everything that tasks use, but for the last action; returns the number of touching
     /// pairs.
     #[inline(always)]
-    pub(super) fn read(&mut self, state: &State<S>, readings: &mut Readings<S>) -> S {
+    pub(crate) fn read(&mut self, state: &State<S>, readings: &mut Readings<S>) -> S {
         readings.base_position = state.base_position;
         readings.base_quaternion = state.base_quaternion;
         readings.base_euler = euler_xyz(&quaternion_to_rotation(&state.base_quaternion));
@@ -111,7 +111,7 @@ const LIMITS: [(&str, f64); 6] = [
 /// The group's first lane holds local environment `group` of `n_envs`, the shard's first one has
 /// the global index `first`.
 #[inline(always)]
-pub(super) fn check<S: Real>(
+pub(crate) fn check<S: Real>(
     state: &State<S>,
     first: u32,
     group: usize,

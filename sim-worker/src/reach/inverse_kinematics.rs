@@ -1,0 +1,185 @@
+//! Joint angles that put an arm's hand at a pose, in all the arm's ways.
+//!
+//! Damped least squares [Nakamura and Hanafusa 1986; Wampler 1986] with a damping that falls with
+//! the error [Chan and Lawrence 1988], from many starts: it asks nothing of the arm but its Jacobian,
+//! so robots of one's own are served as well, and where no joint angles reach the pose it ends at
+//! those that come nearest.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::{
+    Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6,
+};
+
+use crate::robot::{JOINTS_PER_ARM, Robot};
+
+/// Joint angles of an arm (rad).
+pub(super) type Angles = [f64; JOINTS_PER_ARM];
+
+/// Starts beside home.
+const STARTS: usize = 64;
+/// Iterations from each of them.
+const ITERATIONS: usize = 60;
+/// Longest change of a joint in an iteration (rad).
+const LONGEST: f64 = 0.5;
+/// Residual (m and rad, together) above which an end is no candidate: the base may move a hand by
+/// so much.
+const NEAR: f64 = 0.2;
+/// Ends that differ by less in every joint (rad) are the same.
+const SAME: f64 = 0.05;
+/// Primes whose radical inverses are the starts [Halton 1960].
+const PRIMES: [u64; JOINTS_PER_ARM] = [2, 3, 5, 7, 11, 13];
+
+fn isometry(rotation: &Matrix3<f64>, position: Vector3<f64>) -> Isometry3<f64> {
+    let rotation =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
+    Isometry3::from_parts(Translation3::from(position), rotation)
+}
+
+/// Pose of the hand in the base frame, and how it changes with the joint angles: shape 6 × 6, rows
+/// linear (m/rad) then angular (rad/rad), base axes.
+pub(super) fn forward(robot: &Robot, arm: usize, q: &Angles) -> (Isometry3<f64>, Matrix6<f64>) {
+    let mount = &robot.arms[arm];
+    let (mut r, mut o) = (mount.rotation, mount.position);
+    let mut joints = [(Vector3::zeros(), Vector3::zeros()); JOINTS_PER_ARM];
+    let mut hand = (r, o);
+    for (j, link) in robot.links.iter().enumerate() {
+        r *= Rotation3::from_axis_angle(&Vector3::z_axis(), q[j]).matrix();
+        joints[j] = (r.column(2).into_owned(), o);
+        hand = (r * robot.tool_rotation, o + r * robot.tool_position);
+        o += r * link.shift;
+        r *= link.twist;
+    }
+    let mut jacobian = Matrix6::zeros();
+    for (j, (axis, origin)) in joints.iter().enumerate() {
+        jacobian.fixed_view_mut::<3, 1>(0, j).copy_from(&axis.cross(&(hand.1 - origin)));
+        jacobian.fixed_view_mut::<3, 1>(3, j).copy_from(axis);
+    }
+    (isometry(&hand.0, hand.1), jacobian)
+}
+
+/// How far the hand is from `target`: linear (m) and rotation vector (rad), base axes.
+fn residual(target: &Isometry3<f64>, hand: &Isometry3<f64>) -> Vector6<f64> {
+    let linear = target.translation.vector - hand.translation.vector;
+    let angular = (target.rotation * hand.rotation.inverse()).scaled_axis();
+    Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+}
+
+/// At most `iterations` steps from `q` towards `target` (base frame); the angles, and the length of
+/// the residual that is left.
+pub(super) fn approach(
+    robot: &Robot,
+    arm: usize,
+    target: &Isometry3<f64>,
+    mut q: Angles,
+    iterations: usize,
+) -> (Angles, f64) {
+    let mut left = f64::INFINITY;
+    for _ in 0..iterations {
+        let (hand, jacobian) = forward(robot, arm, &q);
+        let error = residual(target, &hand);
+        left = error.norm();
+        if left < 1e-9 {
+            break;
+        }
+        let damping = 1e-2 * left.powi(2) + 1e-8;
+        let square = jacobian * jacobian.transpose() + Matrix6::identity() * damping;
+        let Some(inverse) = square.try_inverse() else { break };
+        let step = jacobian.transpose() * (inverse * error);
+        let shorten = (LONGEST / step.amax()).min(1.0);
+        for (angle, change) in q.iter_mut().zip(step.iter()) {
+            *angle += shorten * change;
+        }
+    }
+    (q, left)
+}
+
+/// Radical inverse of `index` in base `prime`, in [0, 1).
+fn radical_inverse(mut index: u64, prime: u64) -> f64 {
+    let (mut inverse, mut digit) = (0.0, 1.0);
+    while index > 0 {
+        digit /= prime as f64;
+        inverse += digit * (index % prime) as f64;
+        index /= prime;
+    }
+    inverse
+}
+
+/// Joint angles that bring the hand of `arm` to `target` (base frame) or near it, each joint within
+/// half a turn of home; those first that leave less, and of equally good ones those nearer to home.
+pub(super) fn candidates(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> Vec<Angles> {
+    let home = robot.arms[arm].home;
+    let mut found: Vec<(Angles, bool, f64)> = Vec::new();
+    for start in 0..=STARTS {
+        let q = std::array::from_fn(|j| match start {
+            0 => home[j],
+            _ => home[j] + TAU * radical_inverse(start as u64, PRIMES[j]) - PI,
+        });
+        let (mut q, left) = approach(robot, arm, target, q, ITERATIONS);
+        if left > NEAR {
+            continue;
+        }
+        for (angle, home) in q.iter_mut().zip(home) {
+            *angle = home + (*angle - home + PI).rem_euclid(TAU) - PI;
+        }
+        let same = |other: &Angles| q.iter().zip(other).all(|(a, b)| (a - b).abs() < SAME);
+        if !found.iter().any(|(other, ..)| same(other)) {
+            let turn = q.iter().zip(home).map(|(a, h)| (a - h).abs()).fold(0.0, f64::max);
+            found.push((q, left > 1e-6, turn));
+        }
+    }
+    found.sort_by(|a, b| a.1.cmp(&b.1).then(a.2.total_cmp(&b.2)));
+    found.into_iter().map(|(q, ..)| q).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_jacobian_is_the_derivative_of_the_pose() {
+        let robot = Robot::builtin("release").expect("built in");
+        let q = [0.3, -1.1, 0.7, -0.4, 1.2, 0.5];
+        let (_, jacobian) = forward(&robot, 1, &q);
+        let h = 1e-6;
+        for j in 0..JOINTS_PER_ARM {
+            let at = |change: f64| {
+                let mut q = q;
+                q[j] += change;
+                forward(&robot, 1, &q).0
+            };
+            let slope = residual(&at(h), &at(-h)) / (2.0 * h);
+            // Central differences err by h² and by rounding, 1e-16 / h.
+            assert!((jacobian.column(j) - slope).amax() < 1e-8, "joint {j}");
+        }
+    }
+
+    #[test]
+    fn every_way_to_a_pose_leads_there_and_the_known_one_is_among_them() {
+        let robot = Robot::builtin("paper").expect("built in");
+        for arm in 0..robot.n_arms {
+            let mut q = robot.arms[arm].home;
+            for (angle, change) in q.iter_mut().zip([0.4, -0.3, 0.6, 0.2, 0.5, -0.4]) {
+                *angle += change;
+            }
+            let target = forward(&robot, arm, &q).0;
+            let ways = candidates(&robot, arm, &target);
+            let is_q = |way: &Angles| way.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-6);
+            assert!(ways.iter().any(is_q), "arm {arm}");
+            let exact = ways
+                .iter()
+                .filter(|way| residual(&target, &forward(&robot, arm, way).0).norm() < 1e-6)
+                .count();
+            // Shoulder, elbow and wrist may each be flipped: up to eight ways for such an arm.
+            assert!((2..=8).contains(&exact), "arm {arm}: {exact} of {}", ways.len());
+        }
+    }
+
+    #[test]
+    fn a_pose_out_of_reach_has_no_candidate() {
+        let robot = Robot::builtin("paper").expect("built in");
+        let mut target = forward(&robot, 0, &robot.arms[0].home).0;
+        target.translation.vector.y += 3.0;
+        assert!(candidates(&robot, 0, &target).is_empty());
+    }
+}
