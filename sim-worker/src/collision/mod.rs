@@ -29,6 +29,7 @@ mod touching;
 pub(crate) use contact::{ContactSet, any_contact, clear, touches_arm};
 pub(crate) use find::find;
 pub(crate) use model::CollisionModel;
+pub use model::ContactKind;
 pub(crate) use push::push;
 
 pub use touching::{Touching, count_contacts, touching};

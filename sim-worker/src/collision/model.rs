@@ -32,12 +32,42 @@ pub(crate) enum Partner {
     Fixed(usize),
 }
 
+/// What touches what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ContactKind {
+    /// A moving link and a box of the base.
+    Base,
+    /// A moving link and a mount or pedestal, its own arm's or another's.
+    Mount,
+    /// Two moving links of one arm.
+    Own,
+    /// Moving links of two arms.
+    Arms,
+}
+
+impl ContactKind {
+    /// Number of kinds.
+    pub const COUNT: usize = 4;
+    /// All of them, each at its own index.
+    pub const ALL: [Self; Self::COUNT] = [Self::Base, Self::Mount, Self::Own, Self::Arms];
+
+    /// The kind of a pair that is told by joint angle.
+    pub(crate) fn of_stop(pair: [ArmBody; 2]) -> Self {
+        if pair.iter().all(|body| matches!(body, ArmBody::Link(_))) {
+            Self::Own
+        } else {
+            Self::Mount
+        }
+    }
+}
+
 /// Two bodies that can touch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pair<S> {
     /// Link, index over all arms.
     pub(crate) a: usize,
     pub(crate) b: Partner,
+    pub(crate) kind: ContactKind,
     /// Sum of the radii of the balls around the bounding capsules (m).
     pub(crate) reach: S,
     /// Whether A and B are one capsule each, so that their bounds are as good as they are.
@@ -125,7 +155,13 @@ impl<S: Real> CollisionModel<S> {
             let own = robot.links[a % JOINTS_PER_ARM].shapes.as_slice();
             let simple =
                 matches!((own, shapes), ([Shape::Capsule { .. }], [Shape::Capsule { .. }]));
-            pairs.push(Pair { a, b, reach, simple });
+            let kind = match b {
+                Partner::Fixed(b) if b < n_boxes => ContactKind::Base,
+                Partner::Fixed(_) => ContactKind::Mount,
+                Partner::Link(b) if b / JOINTS_PER_ARM == a / JOINTS_PER_ARM => ContactKind::Own,
+                Partner::Link(_) => ContactKind::Arms,
+            };
+            pairs.push(Pair { a, b, kind, reach, simple });
         };
         let at = |arm: usize, l: usize| arm * JOINTS_PER_ARM + l;
         for arm in 0..robot.n_arms {

@@ -228,3 +228,34 @@ fn free_motion_is_the_same_with_and_without_contacts() {
     }
     assert_eq!(with, without);
 }
+
+/// The counts by kind are those of the pairs; what is told by joint angle is told apart too.
+#[test]
+fn kinds_of_contacts_add_up() {
+    let robot = Robot::builtin("paper").unwrap();
+    let model = Model::<f64>::new(&robot);
+    let mut ws = Workspace::new(&model);
+    let mut of = |state: &State<f64>| touching(&model, &mut ws, state);
+    // An upper arm in its mount (q2 from 0.278 to 2.858); an elbow folded onto the wrist (|q3| from 2.87 on).
+    let mut state = State::<f64>::home(&robot);
+    state.q[1] = 0.35;
+    assert!(of(&state).by_kind[ContactKind::Mount as usize] >= 1.0);
+    let mut state = State::<f64>::home(&robot);
+    state.q[2] = 3.0;
+    assert!(of(&state).by_kind[ContactKind::Own as usize] >= 1.0);
+    let mut noise = Noise(9);
+    let mut seen = [0.0; ContactKind::COUNT];
+    for _ in 0..500 {
+        let mut state = State::<f64>::home(&robot);
+        state.q.iter_mut().for_each(|q| *q += 2.0 * noise.next());
+        let t = of(&state);
+        assert_eq!(t.by_kind.iter().sum::<f64>(), t.pairs);
+        for kind in ContactKind::ALL {
+            seen[kind as usize] += t.by_kind[kind as usize];
+        }
+    }
+    assert!(seen.iter().all(|count| *count > 0.0), "{seen:?}");
+    // At home nothing touches.
+    let home = of(&State::home(&robot));
+    assert_eq!(home.by_kind, [0.0; ContactKind::COUNT]);
+}

@@ -1,5 +1,6 @@
 //! What touches, told without pushing.
 
+use super::ContactKind;
 use super::find::{coarse_gap, place_bounds, proximity};
 use crate::dynamics::{Workspace, stop_interval};
 use crate::robot::{JOINTS_PER_ARM, Model};
@@ -11,6 +12,8 @@ use crate::state::State;
 pub struct Touching<S> {
     /// Number of touching pairs of bodies, those told by joint angle included.
     pub pairs: S,
+    /// The same by [`ContactKind`].
+    pub by_kind: [S; ContactKind::COUNT],
     /// How deep the deepest pair of shapes overlaps (m); zero where none does.
     pub penetration: S,
 }
@@ -46,14 +49,14 @@ impl<S: Real> Kernel<S> for Look<'_, S> {
 #[inline(always)]
 fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> Touching<S> {
     crate::dynamics::kinematics_of(model, ws, state);
-    let mut pairs = S::zero();
+    let mut by_kind = [S::zero(); ContactKind::COUNT];
     for stop in &model.stops {
         for arm in 0..model.n_arms() {
             let first = arm * JOINTS_PER_ARM;
             let narrowing = &ws.links[first + stop.narrowing_joint];
             let q = state.q[first + stop.joint];
             let (x, half) = stop_interval(stop, q, narrowing.sin, narrowing.cos);
-            pairs += S::select(x.abs().le(half), S::one(), S::zero());
+            by_kind[stop.kind as usize] += S::select(x.abs().le(half), S::one(), S::zero());
         }
     }
     place_bounds(model, ws);
@@ -65,8 +68,10 @@ fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> T
         }
         let p = proximity(model, ws, pair, near, S::zero());
         let touches = near & p.gap.lt(S::zero());
-        pairs += S::select(touches, S::one(), S::zero());
+        by_kind[pair.kind as usize] += S::select(touches, S::one(), S::zero());
         penetration = S::select(touches, (-p.gap).max(penetration), penetration);
     }
-    Touching { pairs, penetration }
+    // Small whole numbers: the sum is exact in any order.
+    let [base, mount, own, arms] = by_kind;
+    Touching { pairs: (base + mount) + (own + arms), by_kind, penetration }
 }

@@ -3,7 +3,7 @@
 use nalgebra::Matrix3;
 
 use super::{JOINTS_PER_ARM, RigidBody, Robot, is_rotation};
-use crate::collision::CollisionModel;
+use crate::collision::{CollisionModel, ContactKind};
 use crate::scalar::Real;
 use crate::spatial::{Mat3, Vec3};
 
@@ -94,6 +94,7 @@ pub(crate) struct StopModel<S> {
     pub(crate) narrowing: S,
     pub(crate) narrowing_joint: usize,
     pub(crate) push: bool,
+    pub(crate) kind: ContactKind,
 }
 
 /// A robot's constants in scalar `S`, shared by everything that simulates it; scratch memory is a
@@ -167,6 +168,7 @@ impl<S: Real> Model<S> {
             narrowing: S::splat(stop.narrowing),
             narrowing_joint: stop.narrowing_joint,
             push: stop.push,
+            kind: ContactKind::of_stop(stop.pair),
         });
         Self {
             n_arms: robot.n_arms,
