@@ -4,7 +4,8 @@
 
 INPUT: {"model": MJCF text, "joints": [names in our order], "hands": [site names],
         "states": [{"qpos", "qvel", "tau"}],          inertia matrix and acceleration wanted
-        "episode": {"qpos", "commands": [[...]], "steps_per_command"},   integrated with MuJoCo's own Euler at the model's time step
+        "episode": {"qpos", "commands": [[...]], "steps_per_command",    integrated with MuJoCo's own Euler at the model's time step
+                    "disturbances": [{"hand_force": [[x, y, z]], "base_torque", "joint_torque", "limp": [actuators]}]},   one a command
         "touching": {"model": MJCF text with contacts, "poses": [[joint angles]], "stops": [...]}}   pairs in contact wanted
 Every part may be absent.
 """
@@ -34,17 +35,41 @@ def accelerations(model, states):
     return out
 
 
+def disturb(model, data, sites, disturbance):
+    """Puts forces on the hands and torques on base and joints, as the bodies stand now."""
+    # mj_step reads forces before it places the bodies.
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    data.qfrc_applied[:] = 0.0
+    none = np.zeros(3)
+    for site, force in zip(sites, disturbance["hand_force"]):
+        body = model.site_bodyid[site]
+        mujoco.mj_applyFT(model, data, np.array(force), none, data.site_xpos[site], body, data.qfrc_applied)
+    base = model.body("base").id
+    torque = np.array(disturbance["base_torque"])
+    mujoco.mj_applyFT(model, data, none, torque, data.xpos[base], base, data.qfrc_applied)
+    data.qfrc_applied[6:] += disturbance["joint_torque"]
+
+
 def episode(model, hands, part):
     """States and hands after every command, by semi-implicit Euler without implicit damping."""
+    disturbances = part.get("disturbances")
+    gain, bias = model.actuator_gainprm.copy(), model.actuator_biasprm.copy()
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     data = mujoco.MjData(model)
     data.qpos[:] = part["qpos"]
     sites = [model.site(name).id for name in hands]
     out = []
-    for command in part["commands"]:
+    for index, command in enumerate(part["commands"]):
         data.ctrl[:] = command
+        if disturbances:
+            model.actuator_gainprm[:], model.actuator_biasprm[:] = gain, bias
+            limp = disturbances[index]["limp"]
+            model.actuator_gainprm[limp], model.actuator_biasprm[limp] = 0.0, 0.0
         for _ in range(part["steps_per_command"]):
+            if disturbances:
+                disturb(model, data, sites, disturbances[index])
             mujoco.mj_step(model, data)
         mujoco.mj_kinematics(model, data)
         out.append(

@@ -12,7 +12,8 @@ use serde_json::{Value, json};
 use sim_worker::collision::count_contacts;
 use sim_worker::dynamics::twin::inertia_matrix;
 use sim_worker::dynamics::{
-    Hand, Integrator, StepOptions, Workspace, forward_dynamics, hands, step,
+    Disturbance, Hand, Integrator, StepOptions, Workspace, forward_dynamics, hands, step,
+    step_disturbed,
 };
 use sim_worker::robot::{MjcfOptions, Model, Robot, mjcf::mjcf};
 use sim_worker::scalar::{LANES, LaneFn, Real, dispatch};
@@ -153,6 +154,69 @@ fn a_random_episode_agrees_with_mujoco() {
             "{}: position {:e}, velocity {:e}, hands {:e}",
             robot.name, worst[0], worst[1], worst[2]
         );
+        assert!(worst.iter().all(|w| *w < 1e-6), "{}: {worst:?}", robot.name);
+    }
+}
+
+/// Forces on hands, torques on base and joints, limp arms: 4 s of random ones, MuJoCo's integrator and step.
+#[test]
+fn disturbed_episodes_agree_with_mujoco() {
+    let mut noise = Noise(5);
+    for robot in robots() {
+        let n = robot.n_joints();
+        let commands = random_commands(&robot, 10, &mut noise);
+        let disturbances: Vec<Disturbance<f64>> = (0..commands.len())
+            .map(|step| {
+                let mut disturbance = Disturbance::none(robot.n_arms);
+                // A single hand is pulled at, then all; the first arm is limp in every third step.
+                for force in disturbance.hand_force.iter_mut().take(1 + step) {
+                    *force = [0; 3].map(|_| 30.0 * noise.next());
+                }
+                disturbance.base_torque = [0; 3].map(|_| 20.0 * noise.next());
+                disturbance.joint_torque.fill_with(|| 5.0 * noise.next());
+                if step % 3 == 2 {
+                    disturbance.servo[..6].fill(0.0);
+                }
+                disturbance
+            })
+            .collect();
+        let asked: Vec<Value> = disturbances
+            .iter()
+            .map(|d| {
+                let limp: Vec<usize> = (0..n).filter(|&joint| d.servo[joint] == 0.0).collect();
+                json!({
+                    "hand_force": d.hand_force, "base_torque": d.base_torque,
+                    "joint_torque": d.joint_torque, "limp": limp,
+                })
+            })
+            .collect();
+        let mut state = State::<f64>::home(&robot);
+        let answer = ask(&json!({
+            "model": mjcf(&robot, MjcfOptions::default()),
+            "hands": hand_names(&robot),
+            "episode": {
+                "qpos": qpos(&state), "commands": commands, "steps_per_command": 400,
+                "disturbances": asked,
+            },
+        }));
+        let model = Model::<f64>::new(&robot);
+        let mut ws = Workspace::new(&model);
+        let mut worst = [0.0_f64; 2];
+        let theirs = answer["episode"].as_array().unwrap();
+        for ((command, disturbance), theirs) in commands.iter().zip(&disturbances).zip(theirs) {
+            step_disturbed(&model, &mut ws, &mut state, command, &authors(), disturbance);
+            for (w, (ours, key)) in
+                worst.iter_mut().zip([(qpos(&state), "qpos"), (qvel(&state), "qvel")])
+            {
+                *w = w.max(largest_difference(&ours, &numbers(&theirs[key])));
+            }
+        }
+        let drift = largest(&state.base_linear_velocity);
+        eprintln!(
+            "{}: position {:e}, velocity {:e}; drifts at {drift} m/s",
+            robot.name, worst[0], worst[1]
+        );
+        assert!(drift > 1e-3, "it was pushed");
         assert!(worst.iter().all(|w| *w < 1e-6), "{}: {worst:?}", robot.name);
     }
 }

@@ -144,6 +144,20 @@ impl<S: Real> ContactSet<S> {
     }
 }
 
+/// Speed (m/s) and rate (rad/s) that nothing exceeds, whatever acts on it.
+const FASTEST: f64 = 1e3;
+
+/// Has every pair looked at in the next substep: commands and motion bound speeds no longer where something acts from outside.
+#[inline(always)]
+pub(crate) fn wake_all<S: Real>(ws: &mut Workspace<S>) {
+    let set = &mut ws.contacts;
+    set.rates.fill(S::splat(FASTEST));
+    set.speeds.fill(S::splat(FASTEST));
+    set.wake.fill(S::zero());
+    set.next_look = 0.0;
+    set.next_scan = 0.0;
+}
+
 /// Takes all outside forces off base and links.
 #[inline(always)]
 pub(crate) fn clear<S: Real>(ws: &mut Workspace<S>) {

@@ -26,11 +26,11 @@ mod push;
 pub(crate) mod shape;
 mod touching;
 
-pub(crate) use contact::{ContactSet, any_contact, clear, touches_arm};
+pub(crate) use contact::{ContactSet, any_contact, clear, touches_arm, wake_all};
 pub(crate) use find::find;
 pub(crate) use model::CollisionModel;
 pub use model::ContactKind;
-pub(crate) use push::push;
+pub(crate) use push::{push, push_link};
 
 pub use touching::{Touching, count_contacts, touching};
 

@@ -230,7 +230,12 @@ pub(crate) fn push<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
 
 /// Adds a force (base axes) at a point (base frame) to a link.
 #[inline(always)]
-fn push_link<S: Real>(ws: &mut Workspace<S>, link: usize, point: Vec3<S>, force: Vec3<S>) {
+pub(crate) fn push_link<S: Real>(
+    ws: &mut Workspace<S>,
+    link: usize,
+    point: Vec3<S>,
+    force: Vec3<S>,
+) {
     let pose = &ws.poses[link];
     let (p, f) = (point_in_link(pose, point), mat_t_vec(&pose.r, force));
     let ext = &mut ws.links[link].f_ext;

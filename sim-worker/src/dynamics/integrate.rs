@@ -1,6 +1,7 @@
 //! Integration of the equations of motion over a control period.
 
 use super::aba::{aba, world_acceleration};
+use super::disturbance::{Disturbance, disturb_bodies, disturb_joints};
 use super::invariants::{BaseMotion, invariants};
 use super::kinematics::{poses, poses_of_arm, velocities};
 use super::servo::{push_of_stops, servo};
@@ -9,7 +10,7 @@ use crate::collision;
 use crate::robot::Model;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{
-    Vec6, mat_t_vec, quaternion_exp, quaternion_normalised, quaternion_product,
+    Vec6, mat_t_vec, mul_add, quaternion_exp, quaternion_normalised, quaternion_product,
     quaternion_to_rotation,
 };
 use crate::state::State;
@@ -117,24 +118,42 @@ pub fn step<S: Real>(
     command: &[S],
     options: &StepOptions,
 ) {
-    S::compiled(Step { model, ws, state, command, options });
+    S::compiled(Step { model, ws, state, command, options, disturbance: None });
 }
 
-/// The arguments of [`step`].
+/// [`step`] while `disturbance` acts, constant over the period.
+///
+/// # Panics
+/// If the lengths of `command`, of the state or of `disturbance` differ from the model's.
+#[inline(always)]
+pub fn step_disturbed<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    state: &mut State<S>,
+    command: &[S],
+    options: &StepOptions,
+    disturbance: &Disturbance<S>,
+) {
+    disturbance.check(model);
+    S::compiled(Step { model, ws, state, command, options, disturbance: Some(disturbance) });
+}
+
+/// The arguments of [`step_disturbed`]; without a disturbance, those of [`step`].
 struct Step<'a, S: Real> {
     model: &'a Model<S>,
     ws: &'a mut Workspace<S>,
     state: &'a mut State<S>,
     command: &'a [S],
     options: &'a StepOptions,
+    disturbance: Option<&'a Disturbance<S>>,
 }
 
 impl<S: Real> Kernel<S> for Step<'_, S> {
     type Output = ();
     #[inline(always)]
     fn run(self) {
-        let Self { model, ws, state, command, options } = self;
-        advance(model, ws, state, command, options);
+        let Self { model, ws, state, command, options, disturbance } = self;
+        advance(model, ws, state, command, options, disturbance);
     }
 }
 
@@ -145,6 +164,7 @@ fn advance<S: Real>(
     state: &mut State<S>,
     command: &[S],
     options: &StepOptions,
+    disturbance: Option<&Disturbance<S>>,
 ) {
     let n = model.n_joints();
     assert!(command.len() == n && state.q.len() == n && state.qd.len() == n, "joints");
@@ -182,6 +202,7 @@ fn advance<S: Real>(
     };
     // The mass at a contact comes from the evaluation before; the first one is made for that alone.
     let mut to_warm_up = options.contacts;
+    let mut impulse = Vec6::zero();
     for h in options.substeps() {
         ws.y0.copy_from_slice(&ws.y);
         let mut stage = 0;
@@ -192,7 +213,7 @@ fn advance<S: Real>(
                 (true, 0) => Contacts::Find { now, h },
                 (true, _) => Contacts::Push,
             };
-            derivative(model, ws, command, contacts);
+            derivative(model, ws, command, contacts, disturbance);
             if to_warm_up {
                 to_warm_up = false;
                 continue;
@@ -202,6 +223,10 @@ fn advance<S: Real>(
                 break;
             }
             let (weight, reach) = (S::splat(weight * h), S::splat(reach * h));
+            if disturbance.is_some() {
+                impulse.ang = mul_add(weight, ws.outside.ang, impulse.ang);
+                impulse.lin = mul_add(weight, ws.outside.lin, impulse.lin);
+            }
             // One length, so that no index is checked.
             let len = ws.y.len();
             let (y, y0, k, sum) =
@@ -227,7 +252,10 @@ fn advance<S: Real>(
         now += h;
     }
 
-    if let Some(before) = before {
+    if let Some(mut before) = before {
+        if disturbance.is_some() {
+            before.struck(impulse, S::splat(options.control_period));
+        }
         let mut base = base_of(&ws.y);
         let y = std::mem::take(&mut ws.y);
         let (q, qd) = y[JOINTS..].split_at(n);
@@ -263,7 +291,13 @@ enum Contacts {
 
 /// The derivative of `ws.y` into `ws.k`.
 #[inline(always)]
-fn derivative<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, command: &[S], contacts: Contacts) {
+fn derivative<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    command: &[S],
+    contacts: Contacts,
+    disturbance: Option<&Disturbance<S>>,
+) {
     let n = model.n_joints();
     let quaternion = read4(&ws.y, QUATERNION);
     let linear = read3(&ws.y, LINEAR);
@@ -277,12 +311,18 @@ fn derivative<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, command: &[S], c
     let (q, qd) = y[JOINTS..].split_at(n);
     velocities(model, ws, q, qd);
     servo(model, ws, command, qd);
+    if let Some(disturbance) = disturbance {
+        disturb_joints(ws, disturbance);
+    }
     if contacts == Contacts::Off {
         collision::clear(ws);
     } else {
         push_of_stops(model, ws, q, qd);
         if let Contacts::Find { now, h } = contacts {
             poses(model, ws);
+            if disturbance.is_some() {
+                collision::wake_all(ws);
+            }
             collision::find(model, ws, now, h);
         } else {
             for arm in 0..model.n_arms {
@@ -296,6 +336,9 @@ fn derivative<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, command: &[S], c
         } else {
             collision::clear(ws);
         }
+    }
+    if let Some(disturbance) = disturbance {
+        disturb_bodies(model, ws, disturbance, &r_wb, read3(&y, 0));
     }
     let (k_q, k_qd) = k[JOINTS..].split_at_mut(n);
     k_q.copy_from_slice(qd);

@@ -2,7 +2,8 @@
 //!
 //! No Runge–Kutta method keeps the angular momentum of a tree of bodies, and one-sided forces and torque limits cost it orders of accuracy. So the
 //! end of a control period is projected back onto its invariants [Hairer, Lubich & Wanner 2006, §IV.4]: the base takes the position and velocities
-//! that the joints, as integrated, leave it. Contacts and servos act between parts of the robot and so change none of it.
+//! that the joints, as integrated, leave it. Contacts and servos act between parts of the robot and so change none of it. What acts from outside does, by
+//! its impulse (`Invariants::struck`).
 //!
 //! [Hairer, Lubich & Wanner 2006] Geometric Numerical Integration, Springer.
 
@@ -125,6 +126,18 @@ fn momentum<S: Real>(body: &RigidInertia<S>, v: Vec6<S>) -> Vec6<S> {
 }
 
 impl<S: Real> Invariants<S> {
+    /// What they are after a time (s) in which a constant force and some moment have acted from outside, with this impulse: world axes, about the fixed point
+    /// (N m s, N s).
+    ///
+    /// The centre of mass is set back by what [`Invariants::restore`] lets it travel too far: under a constant force it gains ½ F t² / m, not F t² / m.
+    #[inline(always)]
+    pub(crate) fn struck(&mut self, impulse: Vec6<S>, time: S) {
+        self.linear = add(self.linear, impulse.lin);
+        self.angular = add(self.angular, impulse.ang);
+        let late = scale(S::splat(-0.5) * time * self.locked.c[0].recip(), impulse.lin);
+        self.com = add(self.com, late);
+    }
+
     /// Moves and accelerates `base`, which has the invariants `now`, so that it has these again, `time` (s) later.
     #[inline(always)]
     pub(crate) fn restore(&self, now: &Self, base: &mut BaseMotion<S>, time: S) {

@@ -1,6 +1,7 @@
 //! Motion of the robot: forward dynamics, its integration, kinematics.
 //!
 //! * [`step`] advances one control period; [`StepOptions`] chooses the integrator, its step, and whether contacts push.
+//! * [`step_disturbed`] does so while something acts on the robot from outside, or fails in it: a [`Disturbance`].
 //! * [`forward_dynamics`] is the articulated-body algorithm; [`hands`] the forward kinematics.
 //! * [`twin`] holds the textbook forms in `f64` with nalgebra (inverse dynamics, inertia matrix, momentum, energy), against which the
 //!   tests hold the fast ones.
@@ -11,6 +12,7 @@
 
 pub(crate) mod aba;
 pub(crate) mod articulated;
+mod disturbance;
 mod fk;
 mod integrate;
 mod invariants;
@@ -20,9 +22,10 @@ pub mod twin;
 mod workspace;
 
 pub use aba::{Acceleration, forward_dynamics};
+pub use disturbance::Disturbance;
 pub(crate) use fk::kinematics as kinematics_of;
 pub use fk::{Hand, hands};
-pub use integrate::{Integrator, StepOptions, step};
+pub use integrate::{Integrator, StepOptions, step, step_disturbed};
 pub(crate) use servo::stop_interval;
 pub use workspace::Workspace;
 

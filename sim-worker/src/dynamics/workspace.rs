@@ -47,6 +47,8 @@ pub struct Workspace<S: Real> {
     pub(crate) base_f_ext: Vec6<S>,
     /// Velocity of the base, base frame.
     pub(crate) base_v: Vec6<S>,
+    /// Wrench of a disturbance on the whole robot at the last evaluation: world axes, about the base's position at the period's start.
+    pub(crate) outside: Vec6<S>,
     /// Flat states of the integrator, see `integrate`: at the substep's start, at the stage, the stage's derivative, their weighted sum.
     pub(crate) y0: Vec<S>,
     pub(crate) y: Vec<S>,
@@ -78,6 +80,7 @@ impl<S: Real> Workspace<S> {
             forced: vec![false; n],
             base_f_ext: Vec6::zero(),
             base_v: Vec6::zero(),
+            outside: Vec6::zero(),
             y0: flat.clone(),
             y: flat.clone(),
             k: flat.clone(),
