@@ -23,6 +23,10 @@ pub enum Purpose {
     EvaluationGoal = 5,
     /// Initial states of episodes.
     InitialState = 6,
+    /// Errors of the sensors, in experiments alone.
+    SensorNoise = 7,
+    /// Torques that disturb the joints, in experiments alone.
+    JointDisturbance = 8,
 }
 
 /// The address of four 32-bit random words.

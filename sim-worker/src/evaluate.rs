@@ -1,17 +1,13 @@
 //! Evaluation: deterministic actions on goals that no training episode draws.
 
 use proto::message::EpisodeErrors;
-use proto::rng::Purpose;
 use serde::Serialize;
 
-use crate::env::{Batch, EpisodeError, Episodes, Output};
+use crate::collision::ContactKind;
+use crate::env::EpisodeError;
+use crate::experiment::{Player, Recording, TAIL_STEPS, Trial, play, play_some};
 use crate::policy::Policy;
 use crate::rollout::World;
-use crate::scalar::{LANES, dispatch};
-use crate::task::goal::GoalAddress;
-
-/// Control steps that the mean over an episode's tail takes.
-pub const TAIL_STEPS: usize = 20;
 
 /// Seed of the goals by which a run chooses its best checkpoint: other goals than those of a final
 /// evaluation, or the choice would flatter it.
@@ -69,6 +65,21 @@ pub struct EpisodeResult {
     pub contact_steps: u32,
     /// Touching pairs, summed over the steps.
     pub contact_pairs: u32,
+    /// Control steps at whose end bodies of each kind touched.
+    pub contact_steps_by_kind: ContactSteps,
+}
+
+/// Control steps at whose end bodies touched, by what touched what.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct ContactSteps {
+    /// An arm and a box of the base.
+    pub arm_base: u32,
+    /// An arm and a mount or pedestal.
+    pub arm_mount: u32,
+    /// An arm and itself.
+    pub arm_itself: u32,
+    /// Two arms.
+    pub arm_arm: u32,
 }
 
 /// The result of an evaluation.
@@ -80,80 +91,16 @@ pub struct Evaluation {
     pub episodes: Vec<EpisodeResult>,
 }
 
-/// Evaluates `policy` with its mean actions on goals of [`Purpose::EvaluationGoal`].
+/// Evaluates `policy` with its mean actions on goals of
+/// [`Purpose::EvaluationGoal`](proto::rng::Purpose::EvaluationGoal).
 pub fn evaluate(
     world: &World,
     policy: &Policy,
     options: &EvaluationOptions,
 ) -> Result<Evaluation, EpisodeError> {
-    // Two lane groups at a time: enough to feed the policy's registers, little enough to spread.
-    const CHUNK: usize = 2 * LANES;
     let EvaluationOptions { seed, episodes, steps, threads } = *options;
-    let width = series_width(world);
-    let mut series = vec![0.0_f32; episodes * steps * width];
-    let chunk_len = (CHUNK * steps * width).max(1);
-    let mut chunks: Vec<(usize, &mut [f32])> = series.chunks_mut(chunk_len).enumerate().collect();
-    let per_thread = chunks.len().div_ceil(threads.max(1)).max(1);
-    std::thread::scope(|scope| {
-        let handles: Vec<_> = chunks
-            .chunks_mut(per_thread)
-            .map(|share| {
-                scope.spawn(move || {
-                    share.iter_mut().try_for_each(|(index, series)| {
-                        let first = *index * CHUNK;
-                        let n_envs = CHUNK.min(episodes - first);
-                        let played = Played { first: first as u32, n_envs, steps, seed };
-                        run_chunk(world, policy, &played, series, &mut || {})
-                    })
-                })
-            })
-            .collect();
-        handles.into_iter().try_for_each(|handle| match handle.join() {
-            Ok(result) => result,
-            Err(panic) => std::panic::resume_unwind(panic),
-        })
-    })?;
-    let episodes = series
-        .chunks_exact((steps * width).max(1))
-        .map(|episode| summarise(episode, world.dimensions.n_arms))
-        .collect();
-    Ok(Evaluation { steps, episodes })
-}
-
-/// Numbers of a step in a series: each hand's two errors, the base's, touching pairs.
-fn series_width(world: &World) -> usize {
-    2 * world.dimensions.n_arms + 2
-}
-
-/// Some episodes of an evaluation.
-struct Played {
-    first: u32,
-    n_envs: usize,
-    steps: usize,
-    seed: u64,
-}
-
-fn run_chunk(
-    world: &World,
-    policy: &Policy,
-    played: &Played,
-    series: &mut [f32],
-    on_step: &mut dyn FnMut(),
-) -> Result<(), EpisodeError> {
-    let Played { first, n_envs, steps, seed } = *played;
-    let episodes = Episodes {
-        config: &world.config,
-        robot: &world.robot,
-        task: &world.task,
-        dimensions: &world.dimensions,
-        policy,
-        batch: Batch { first, n_envs, n_steps: steps },
-        goals: GoalAddress { seed, purpose: Purpose::EvaluationGoal, iteration: 0, env: first },
-        noise: None,
-        output: Output::Series(series),
-        on_step,
-    };
-    dispatch(episodes).map(|_| ())
+    let trial = Trial::new(Player::new(world, policy), seed, episodes, steps);
+    Ok(Evaluation::of(&play(&trial, threads, &|| {})?))
 }
 
 /// Plays episodes `first..first + episodes` of the evaluation by which a run chooses its best
@@ -165,14 +112,13 @@ pub fn select(
     episodes: u32,
     on_step: &mut dyn FnMut(),
 ) -> Result<Vec<EpisodeErrors>, EpisodeError> {
+    let (first, n) = (first as usize, episodes as usize);
     let steps = world.config.run.evaluation_steps as usize;
     let n_arms = world.dimensions.n_arms;
-    let width = series_width(world);
-    let mut series = vec![0.0_f32; episodes as usize * steps * width];
-    let played = Played { first, n_envs: episodes as usize, steps, seed: SELECTION_SEED };
-    run_chunk(world, policy, &played, &mut series, on_step)?;
-    let errors = series.chunks_exact(steps * width).map(|episode| {
-        let result = summarise(episode, n_arms);
+    let trial = Trial::new(Player::new(world, policy), SELECTION_SEED, first + n, steps);
+    let mut recording = Recording::new(n_arms, n, steps);
+    play_some(&trial, first, n, recording.series_mut(), on_step)?;
+    let errors = Evaluation::of(&recording).episodes.into_iter().map(|result| {
         let mean = |error: fn(&HandCourse) -> f32| {
             result.hands.iter().map(error).sum::<f32>() / n_arms as f32
         };
@@ -185,27 +131,49 @@ pub fn select(
     Ok(errors.collect())
 }
 
-/// Reduces `[step][position errors, orientation errors, base error, pairs]`.
-fn summarise(episode: &[f32], n_arms: usize) -> EpisodeResult {
-    let width = 2 * n_arms + 2;
-    let course = |column: usize| {
-        let values = || episode.iter().skip(column).step_by(width).copied();
-        let n = episode.len() / width;
+impl Course {
+    /// Of an error's values after every step.
+    pub fn of(values: impl Iterator<Item = f32> + Clone) -> Self {
+        let n = values.clone().count();
         let tail = n.min(TAIL_STEPS);
-        Course {
-            min: values().fold(f32::INFINITY, f32::min),
-            last: values().last().unwrap_or(f32::NAN),
-            tail: values().skip(n - tail).sum::<f32>() / tail as f32,
+        Self {
+            min: values.clone().fold(f32::INFINITY, f32::min),
+            last: values.clone().last().unwrap_or(f32::NAN),
+            tail: values.skip(n - tail).sum::<f32>() / tail as f32,
         }
-    };
-    let pairs = || episode.iter().skip(width - 1).step_by(width);
-    EpisodeResult {
-        hands: (0..n_arms)
-            .map(|arm| HandCourse { position: course(arm), orientation: course(n_arms + arm) })
-            .collect(),
-        base: course(2 * n_arms),
-        contact_steps: pairs().filter(|&&pairs| pairs > 0.0).count() as u32,
-        contact_pairs: pairs().sum::<f32>() as u32,
+    }
+}
+
+impl Evaluation {
+    /// What a recording says in a few numbers.
+    pub fn of(recording: &Recording) -> Self {
+        let steps = recording.steps();
+        let of_episode = |episode: usize| {
+            let hand = |arm: usize| HandCourse {
+                position: Course::of((0..steps).map(|step| recording.position(episode, step, arm))),
+                orientation: Course::of(
+                    (0..steps).map(|step| recording.orientation(episode, step, arm)),
+                ),
+            };
+            let contacts = || (0..steps).map(|step| recording.contacts(episode, step));
+            let steps_of = |kind: ContactKind| {
+                contacts().filter(|pairs| pairs[kind as usize] > 0).count() as u32
+            };
+            EpisodeResult {
+                hands: (0..recording.n_arms()).map(hand).collect(),
+                base: Course::of((0..steps).map(|step| recording.attitude(episode, step))),
+                contact_steps: contacts().filter(|pairs| pairs.iter().sum::<u32>() > 0).count()
+                    as u32,
+                contact_pairs: contacts().flatten().sum(),
+                contact_steps_by_kind: ContactSteps {
+                    arm_base: steps_of(ContactKind::Base),
+                    arm_mount: steps_of(ContactKind::Mount),
+                    arm_itself: steps_of(ContactKind::Own),
+                    arm_arm: steps_of(ContactKind::Arms),
+                },
+            }
+        };
+        Self { steps, episodes: (0..recording.episodes()).map(of_episode).collect() }
     }
 }
 
@@ -221,20 +189,11 @@ mod tests {
 
     #[test]
     fn an_episodes_course_by_hand() {
-        // One arm, 22 steps: position falls 22, 21, …, 1, rises to 3 at the end; pairs 2 at two steps.
-        let mut episode = Vec::new();
-        for step in 0..22 {
-            let position = if step == 21 { 3.0 } else { 22.0 - step as f32 };
-            let pairs = if step < 2 { 2.0 } else { 0.0 };
-            episode.extend([position, 0.5, step as f32, pairs]);
-        }
-        let result = summarise(&episode, 1);
-        // The last twenty: 20, 19, …, 2 (sum 209), 3: 212 / 20.
-        assert_eq!(result.hands[0].position, Course { min: 2.0, last: 3.0, tail: 10.6 });
-        assert_eq!(result.hands[0].orientation, Course { min: 0.5, last: 0.5, tail: 0.5 });
-        // 2…21: mean 11.5.
-        assert_eq!(result.base, Course { min: 0.0, last: 21.0, tail: 11.5 });
-        assert_eq!((result.contact_steps, result.contact_pairs), (2, 4));
+        // 22 steps: 22, 21, …, 2, then 3. The last twenty: 20, 19, …, 2 (sum 209), 3: 212 / 20.
+        let values = (0..22_u8).map(|step| if step == 21 { 3.0 } else { 22.0 - f32::from(step) });
+        assert_eq!(Course::of(values), Course { min: 2.0, last: 3.0, tail: 10.6 });
+        // Shorter than the tail.
+        assert_eq!(Course::of([1.0, 3.0].into_iter()), Course { min: 1.0, last: 3.0, tail: 2.0 });
     }
 
     fn world(preset: Preset, robot: &Robot, steps: usize) -> World {

@@ -11,7 +11,8 @@
 //! * [`task`]: goals, observations, critic states, rewards;
 //! * [`policy`]: the actors, evaluated without libtorch;
 //! * [`mod@env`]: the vectorised environment that writes its block in place;
-//! * [`rollout`], [`evaluate`]: whole episodes, as pure functions of their addresses;
+//! * [`rollout`]: whole episodes that explore, for training, as pure functions of their addresses;
+//! * [`experiment`], [`evaluate`]: whole episodes with deterministic actions, in which things may happen;
 //! * [`reach`]: which goals can be reached at all;
 //! * [`worker`]: the process around them.
 //!
@@ -47,6 +48,8 @@ pub mod policy;
 pub mod env;
 
 pub mod rollout;
+
+pub mod experiment;
 
 pub mod evaluate;
 

@@ -204,8 +204,8 @@ fn prepare<'a>(
             iteration: address_iteration,
             env: first,
         },
-        noise: Some(Noise { seed, iteration: address_iteration }),
-        output: Output::Block { layout: &world.layout, block },
+        noise: Noise { seed, iteration: address_iteration },
+        output: Output { layout: &world.layout, block },
         on_step,
     })
 }

@@ -15,7 +15,7 @@ mod physics;
 pub use moment::Moment;
 pub(crate) use output::Output;
 pub use physics::step_options;
-pub(crate) use physics::{Physics, check as check_states, home};
+pub(crate) use physics::{Physics, check as check_state, home};
 
 use std::time::{Duration, Instant};
 
@@ -105,7 +105,7 @@ impl EpisodeError {
 
     /// Keeps the environment; `first` is the global index of the group's first lane.
     #[cold]
-    fn keep<S: Real>(
+    pub(crate) fn keep<S: Real>(
         mut self,
         first: u32,
         state: &State<S>,
@@ -148,7 +148,7 @@ pub(crate) struct Noise {
     pub(crate) iteration: u32,
 }
 
-/// Episodes to be played from home to the end.
+/// Episodes to be played from home to the end, exploring, as training wants them.
 pub(crate) struct Episodes<'a> {
     pub(crate) config: &'a Config,
     pub(crate) robot: &'a Robot,
@@ -158,8 +158,8 @@ pub(crate) struct Episodes<'a> {
     pub(crate) batch: Batch,
     /// Address of the first environment's goals.
     pub(crate) goals: GoalAddress,
-    /// Exploration; without it actions are the policy's means.
-    pub(crate) noise: Option<Noise>,
+    /// Exploration.
+    pub(crate) noise: Noise,
     pub(crate) output: Output<'a>,
     /// Called after every control step.
     pub(crate) on_step: &'a mut dyn FnMut(),
@@ -263,7 +263,7 @@ impl LaneFn for Episodes<'_> {
             let clock = Instant::now();
             for (index, group) in groups.iter_mut().enumerate() {
                 let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
-                let pairs = physics.read(&group.state, &mut group.readings);
+                let pairs = physics.read(&group.state, &mut group.readings).pairs;
                 group.readings.last_action.copy_from_slice(&group.action);
                 group.errors.update(&group.readings, &group.goals);
                 if step > 0 {
@@ -276,7 +276,7 @@ impl LaneFn for Episodes<'_> {
                         &mut paid,
                     );
                     group.extremes.update(&group.errors, pairs);
-                    output.step(row, step - 1, &paid, &group.errors, pairs);
+                    output.step(row, step - 1, &paid);
                 }
                 for agent in 0..n_agents {
                     let seen = &mut group_observations[agent * o..(agent + 1) * o];
@@ -315,10 +315,8 @@ impl LaneFn for Episodes<'_> {
                     }
                     let mut sample = [S::zero(); JOINTS_PER_AGENT];
                     sample.copy_from_slice(mean);
-                    if let Some(noise) = noise {
-                        let log_prob = explore(policy, agent, noise, first, row, step, &mut sample);
-                        output.act(row, step, agent, &sample, log_prob);
-                    }
+                    let log_prob = explore(policy, agent, noise, first, row, step, &mut sample);
+                    output.act(row, step, agent, &sample, log_prob);
                     for (u, sample) in sample.into_iter().enumerate() {
                         let joint = agent * JOINTS_PER_AGENT + u;
                         let clipped = sample.clamp(-limits[joint], limits[joint]);
@@ -394,7 +392,7 @@ const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
 
 /// Refuses means that are no numbers; `env` is that of the first lane.
 #[inline(always)]
-fn check_means<S: Real>(
+pub(crate) fn check_means<S: Real>(
     means: &[S],
     env: u32,
     step: usize,

@@ -1,4 +1,4 @@
-//! Where episodes are written: into a block for training, or into a series for evaluation.
+//! Where episodes are written: into a block for training.
 
 use std::ops::Range;
 
@@ -8,17 +8,12 @@ use super::Extremes;
 use crate::scalar::{LANES, Real};
 use crate::task::Errors;
 
-/// The receiver of episodes.
-pub(crate) enum Output<'a> {
-    /// A block, at the places of its layout.
-    Block {
-        /// The places.
-        layout: &'a BlockLayout,
-        /// The memory.
-        block: &'a mut [f32],
-    },
-    /// `[environment][step][position errors, orientation errors, base error, touching pairs]`.
-    Series(&'a mut [f32]),
+/// The receiver of episodes: a block, at the places of its layout.
+pub(crate) struct Output<'a> {
+    /// The places.
+    pub(crate) layout: &'a BlockLayout,
+    /// The memory.
+    pub(crate) block: &'a mut [f32],
 }
 
 /// Which rows a lane group fills.
@@ -36,26 +31,25 @@ pub(crate) struct Row<'a> {
 impl Output<'_> {
     /// Clears what no step writes: flags that stay zero, and the gaps between arrays.
     pub(crate) fn begin(&mut self) {
-        if let Self::Block { layout, block } = self {
-            block[layout.terminated.clone()].fill(0.0);
-            block[layout.truncated.clone()].fill(0.0);
-            let arrays = [
-                &layout.observation,
-                &layout.state,
-                &layout.action,
-                &layout.log_prob,
-                &layout.reward,
-                &layout.terminated,
-                &layout.truncated,
-                &layout.metrics,
-            ];
-            let mut end = 0;
-            for array in arrays {
-                block[end..array.start].fill(0.0);
-                end = array.end;
-            }
-            block[end..].fill(0.0);
+        let Self { layout, block } = self;
+        block[layout.terminated.clone()].fill(0.0);
+        block[layout.truncated.clone()].fill(0.0);
+        let arrays = [
+            &layout.observation,
+            &layout.state,
+            &layout.action,
+            &layout.log_prob,
+            &layout.reward,
+            &layout.terminated,
+            &layout.truncated,
+            &layout.metrics,
+        ];
+        let mut end = 0;
+        for array in arrays {
+            block[end..array.start].fill(0.0);
+            end = array.end;
         }
+        block[end..].fill(0.0);
     }
 
     /// What agents (`[A][O]`) and critics (`[S]`) see before `step`.
@@ -67,7 +61,7 @@ impl Output<'_> {
         observations: &[S],
         state: &[S],
     ) {
-        let Self::Block { layout, block } = self else { return };
+        let Self { layout, block } = self;
         let Row { group, n_envs: n, n_steps, dimensions } = row;
         let o = dimensions.observation;
         for (agent, seen) in observations.chunks_exact(o).enumerate() {
@@ -90,7 +84,7 @@ impl Output<'_> {
         sample: &[S; JOINTS_PER_AGENT],
         log_prob: S,
     ) {
-        let Self::Block { layout, block } = self else { return };
+        let Self { layout, block } = self;
         let Row { group, n_envs: n, n_steps, .. } = row;
         let at = (agent * n_steps + step) * n + group;
         let actions = from(&layout.action, at * JOINTS_PER_AGENT);
@@ -100,41 +94,17 @@ impl Output<'_> {
 
     /// What `step` led to.
     #[inline(always)]
-    pub(crate) fn step<S: Real>(
-        &mut self,
-        row: Row<'_>,
-        step: usize,
-        rewards: &[S],
-        errors: &Errors<S>,
-        pairs: S,
-    ) {
+    pub(crate) fn step<S: Real>(&mut self, row: Row<'_>, step: usize, rewards: &[S]) {
+        let Self { layout, block } = self;
         let Row { group, n_envs: n, n_steps, .. } = row;
-        match self {
-            Self::Block { layout, block } => {
-                for (agent, &reward) in rewards.iter().enumerate() {
-                    let at = (agent * n_steps + step) * n + group;
-                    write_rows(&mut block[from(&layout.reward, at)], n - group, &[reward]);
-                }
-                if step + 1 == n_steps {
-                    let last = from(&layout.truncated, step * n + group);
-                    let lanes = S::LANES.min(n - group);
-                    block[last][..lanes].fill(1.0);
-                }
-            }
-            Self::Series(series) => {
-                let n_arms = errors.hands.len();
-                let width = 2 * n_arms + 2;
-                for lane in 0..S::LANES.min(n - group) {
-                    let at = ((group + lane) * n_steps + step) * width;
-                    let out = &mut series[at..at + width];
-                    for arm in 0..n_arms {
-                        out[arm] = errors.position_norm[arm].lane(lane) as f32;
-                        out[n_arms + arm] = errors.orientation_norm[arm].lane(lane) as f32;
-                    }
-                    out[2 * n_arms] = errors.base_norm.lane(lane) as f32;
-                    out[2 * n_arms + 1] = pairs.lane(lane) as f32;
-                }
-            }
+        for (agent, &reward) in rewards.iter().enumerate() {
+            let at = (agent * n_steps + step) * n + group;
+            write_rows(&mut block[from(&layout.reward, at)], n - group, &[reward]);
+        }
+        if step + 1 == n_steps {
+            let last = from(&layout.truncated, step * n + group);
+            let lanes = S::LANES.min(n - group);
+            block[last][..lanes].fill(1.0);
         }
     }
 
@@ -146,7 +116,7 @@ impl Output<'_> {
         errors: &Errors<S>,
         extremes: &Extremes<S>,
     ) {
-        let Self::Block { layout, block } = self else { return };
+        let Self { layout, block } = self;
         let Row { group, n_envs: n, dimensions, .. } = row;
         let k = dimensions.n_metrics;
         let places = EpisodeMetrics::new(dimensions.n_arms);

@@ -4,8 +4,10 @@ use proto::config::{Config, Integrator};
 use proto::layout::JOINTS_PER_AGENT;
 
 use super::EpisodeError;
-use crate::collision::count_contacts;
-use crate::dynamics::{self, Hand, StepOptions, Workspace, hands, step};
+use crate::collision::{Touching, touching};
+use crate::dynamics::{
+    self, Disturbance, Hand, StepOptions, Workspace, hands, step, step_disturbed,
+};
 use crate::robot::{JOINTS_PER_ARM, Model, Robot};
 use crate::scalar::{Mask, Real};
 use crate::spatial::{euler_xyz, quaternion_to_rotation};
@@ -26,7 +28,8 @@ impl<S: Real> Physics<S> {
         Self::with_options(robot, step_options(config))
     }
 
-    fn with_options(robot: &Robot, options: StepOptions) -> Self {
+    /// Integrates as `options` say.
+    pub(crate) fn with_options(robot: &Robot, options: StepOptions) -> Self {
         let model = Model::new(robot);
         let workspace = Workspace::new(&model);
         Self { model, workspace, options, hands: vec![Hand::default(); robot.n_arms] }
@@ -38,10 +41,21 @@ impl<S: Real> Physics<S> {
         step(&self.model, &mut self.workspace, state, command, &self.options);
     }
 
-    /// Reads off everything that tasks use, but for the last action; returns the number of touching
-    /// pairs.
+    /// [`Physics::step`] while something acts on the robot or fails in it.
     #[inline(always)]
-    pub(crate) fn read(&mut self, state: &State<S>, readings: &mut Readings<S>) -> S {
+    pub(crate) fn step_disturbed(
+        &mut self,
+        state: &mut State<S>,
+        command: &[S],
+        disturbance: &Disturbance<S>,
+    ) {
+        let Self { model, workspace, options, .. } = self;
+        step_disturbed(model, workspace, state, command, options, disturbance);
+    }
+
+    /// Reads off everything that tasks use, but for the last action; returns what touches.
+    #[inline(always)]
+    pub(crate) fn read(&mut self, state: &State<S>, readings: &mut Readings<S>) -> Touching<S> {
         readings.base_position = state.base_position;
         readings.base_quaternion = state.base_quaternion;
         readings.base_euler = euler_xyz(&quaternion_to_rotation(&state.base_quaternion));
@@ -56,7 +70,7 @@ impl<S: Real> Physics<S> {
             reading.linear = hand.linear_velocity;
             reading.angular = hand.angular_velocity;
         }
-        count_contacts(&self.model, &mut self.workspace, state)
+        touching(&self.model, &mut self.workspace, state)
     }
 }
 

@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, UnitQuaternion, V
 use proto::rng::Purpose;
 use serde::Serialize;
 
-use crate::env::{EpisodeError, Physics, check_states};
+use crate::env::{EpisodeError, Physics, check_state};
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};
@@ -230,7 +230,7 @@ fn attempt<S: Real>(
             }
         }
         physics.step(&mut state, &command);
-        check_states(&state, goals.env, 0, hands.len(), step)?;
+        check_state(&state, goals.env, 0, hands.len(), step)?;
     }
     let (mut readings, mut errors) = (Readings::new(n_arms), Errors::new(n_arms));
     physics.read(&state, &mut readings);

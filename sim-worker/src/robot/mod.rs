@@ -303,6 +303,16 @@ impl Robot {
         Self::from_description(description, Path::new(&self.name))
     }
 
+    /// The same robot with moving links of `factor` times their mass and inertia; the drives' inertias stay.
+    pub fn with_arm_mass(&self, factor: f64) -> Result<Self, RobotError> {
+        let mut description = self.description.clone();
+        for link in &mut description.links {
+            link.mass *= factor;
+            link.inertia = link.inertia.map(|element| factor * element);
+        }
+        Self::from_description(description, Path::new(&self.name))
+    }
+
     /// Validates and completes a description; `path` is only for messages.
     pub fn from_description(d: RobotDescription, path: &Path) -> Result<Self, RobotError> {
         let check = Check { path: path.display().to_string() };

@@ -1,0 +1,143 @@
+//! What a trial led to, step by step.
+
+use crate::collision::ContactKind;
+use crate::scalar::Real;
+use crate::task::Errors;
+
+/// Control steps that the mean over an episode's tail takes.
+pub const TAIL_STEPS: usize = 20;
+
+/// Errors, base rates and contacts after every control step of every episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recording {
+    n_arms: usize,
+    episodes: usize,
+    steps: usize,
+    /// `[episode][step][6 errors a hand, 3 errors of the base, 3 rates of the base, contacts by kind]`.
+    series: Vec<f32>,
+}
+
+/// Numbers of a step besides the hands'.
+const REST: usize = 6 + ContactKind::COUNT;
+
+/// Numbers of a step.
+fn width(n_arms: usize) -> usize {
+    6 * n_arms + REST
+}
+
+impl Recording {
+    /// Zeros.
+    pub(crate) fn new(n_arms: usize, episodes: usize, steps: usize) -> Self {
+        Self { n_arms, episodes, steps, series: vec![0.0; episodes * steps * width(n_arms)] }
+    }
+
+    /// Everything, flat.
+    pub(crate) fn series_mut(&mut self) -> &mut [f32] {
+        &mut self.series
+    }
+
+    /// Parts of `episodes` episodes.
+    pub(super) fn chunks_mut(&mut self, episodes: usize) -> impl Iterator<Item = &mut [f32]> {
+        let len = episodes * self.steps * width(self.n_arms);
+        self.series.chunks_mut(len.max(1))
+    }
+
+    /// Arms of the robot.
+    pub fn n_arms(&self) -> usize {
+        self.n_arms
+    }
+
+    /// E: episodes.
+    pub fn episodes(&self) -> usize {
+        self.episodes
+    }
+
+    /// Control steps of an episode.
+    pub fn steps(&self) -> usize {
+        self.steps
+    }
+
+    /// All numbers after `step`.
+    pub(super) fn row(&self, episode: usize, step: usize) -> &[f32] {
+        assert!(episode < self.episodes && step < self.steps, "episode {episode}, step {step}");
+        let width = width(self.n_arms);
+        let at = (episode * self.steps + step) * width;
+        &self.series[at..at + width]
+    }
+
+    /// Position (m, world) and Euler-angle (rad) errors of a hand after `step`, goal − actual.
+    pub fn hand(&self, episode: usize, step: usize, arm: usize) -> [f32; 6] {
+        let row = self.row(episode, step);
+        std::array::from_fn(|i| row[6 * arm + i])
+    }
+
+    /// Attitude errors of the base after `step` (rad), goal − actual.
+    pub fn base(&self, episode: usize, step: usize) -> [f32; 3] {
+        let row = self.row(episode, step);
+        std::array::from_fn(|i| row[6 * self.n_arms + i])
+    }
+
+    /// Angular velocity of the base after `step`, base axes (rad/s).
+    pub fn base_rate(&self, episode: usize, step: usize) -> [f32; 3] {
+        let row = self.row(episode, step);
+        std::array::from_fn(|i| row[6 * self.n_arms + 3 + i])
+    }
+
+    /// Touching pairs after `step`, by [`ContactKind`].
+    pub fn contacts(&self, episode: usize, step: usize) -> [u32; ContactKind::COUNT] {
+        let row = self.row(episode, step);
+        std::array::from_fn(|i| row[6 * self.n_arms + 6 + i] as u32)
+    }
+
+    /// ‖position error‖ of a hand after `step` (m).
+    pub fn position(&self, episode: usize, step: usize, arm: usize) -> f32 {
+        let [x, y, z, ..] = self.hand(episode, step, arm);
+        norm([x, y, z])
+    }
+
+    /// ‖Euler-angle difference‖ of a hand after `step` (rad).
+    pub fn orientation(&self, episode: usize, step: usize, arm: usize) -> f32 {
+        let [.., a, b, c] = self.hand(episode, step, arm);
+        norm([a, b, c])
+    }
+
+    /// ‖Euler-angle difference‖ of the base after `step` (rad).
+    pub fn attitude(&self, episode: usize, step: usize) -> f32 {
+        norm(self.base(episode, step))
+    }
+}
+
+/// Euclidean norm, with the roundings of the rewards'.
+pub(crate) fn norm([x, y, z]: [f32; 3]) -> f32 {
+    x.mul_add(x, y.mul_add(y, z * z)).sqrt()
+}
+
+/// Writes what `step` led to in the lanes of a group; `group` is its first episode in `series`, which holds `n_envs`.
+#[inline(always)]
+pub(super) fn record<S: Real>(
+    series: &mut [f32],
+    (group, n_envs): (usize, usize),
+    (step, steps): (usize, usize),
+    errors: &Errors<S>,
+    base_rate: &[S; 3],
+    contacts: &[S; ContactKind::COUNT],
+) {
+    let n_arms = errors.hands.len();
+    let width = width(n_arms);
+    for lane in 0..S::LANES.min(n_envs - group) {
+        let at = ((group + lane) * steps + step) * width;
+        let (hands, rest) = series[at..at + width].split_at_mut(6 * n_arms);
+        for arm in 0..n_arms {
+            for i in 0..6 {
+                hands[6 * arm + i] = errors.hands[arm][i].lane(lane) as f32;
+            }
+        }
+        for i in 0..3 {
+            rest[i] = errors.base[i].lane(lane) as f32;
+            rest[3 + i] = base_rate[i].lane(lane) as f32;
+        }
+        for i in 0..ContactKind::COUNT {
+            rest[6 + i] = contacts[i].lane(lane) as f32;
+        }
+    }
+}
