@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod checkpoints;
+pub mod experiment;
 pub mod rollout;
 pub mod serve;
 mod values;
@@ -122,6 +123,8 @@ pub enum Command {
     Resume(ResumeArgs),
     /// Measure a policy on goals it never saw.
     Eval(EvalArgs),
+    /// Repeat the paper's experiments.
+    Experiment(experiment::ExperimentArgs),
     /// Integrate given joint commands, open loop.
     Simulate(SimulateArgs),
     /// Write a robot as a MuJoCo model file.

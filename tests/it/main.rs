@@ -5,6 +5,7 @@ mod bench;
 mod chaos;
 mod checkpoints;
 mod exactness;
+mod experiment;
 mod failures;
 mod http;
 mod mujoco;

@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use super::Listen;
+use super::experiment::Amounts;
 use crate::report::progress::grouped;
 
 /// Most workers that a configuration may have.
@@ -75,6 +76,18 @@ pub(super) fn assignment(text: &str) -> Result<String, String> {
 /// A bare number of seconds.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "wants a number of seconds, such as 0.01".to_owned())
+}
+
+/// A number that is not negative.
+pub(super) fn amount(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|value: &f64| *value >= 0.0 && value.is_finite());
+    value.ok_or_else(|| "wants a number, 0 or more".to_owned())
+}
+
+/// Numbers that are not negative, with commas between them.
+pub(super) fn amounts(text: &str) -> Result<Amounts, String> {
+    let values: Result<Vec<f64>, String> = text.split(',').map(amount).collect();
+    values.map(Amounts).map_err(|_| "wants numbers, 0 or more, such as 0,0.5,1".to_owned())
 }
 
 /// How long to measure, in seconds.

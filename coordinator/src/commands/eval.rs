@@ -1,29 +1,29 @@
 //! `octopus eval`: how well a policy does on goals it never saw.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use proto::config::TaskName;
-use proto::{ExitCode, ExitError};
 use serde::Serialize;
-use sim_worker::evaluate::{self, Course, EpisodeResult, EvaluationOptions};
-use sim_worker::robot::Robot;
-use sim_worker::rollout::World;
+use sim_worker::evaluate::{
+    self, ContactSteps, Course, EpisodeResult, Evaluation, EvaluationOptions,
+};
 
-use crate::checkpoint::{Checkpoint, Selector};
+use super::trained::{Trained, open_checkpoint};
+use crate::checkpoint::Checkpoint;
 use crate::cli::EvalArgs;
 use crate::output;
 use crate::report::progress::grouped;
 
 /// Evaluates.
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
-    let checkpoint = open(&args.path)?;
+    let checkpoint = open_checkpoint(&args.path)?;
     let options = EvaluationOptions {
         seed: args.seed,
         episodes: args.episodes as usize,
         steps: args.steps as usize,
         ..EvaluationOptions::default()
     };
-    let summary = evaluate(&checkpoint, &options)?;
+    let summary = evaluate(checkpoint, &options)?;
     if args.json {
         return output::json(&summary);
     }
@@ -34,14 +34,6 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
         grouped(summary.env_steps),
         summary.table()
     ))
-}
-
-/// The checkpoint that a path or a text such as `RUN:best` names.
-fn open(path: &Path) -> anyhow::Result<Checkpoint> {
-    let selector = Selector::from_path(path).map_err(|message| {
-        ExitError::new(ExitCode::Usage, format!("{}: {message}", path.display()))
-    })?;
-    Ok(selector.open()?)
 }
 
 /// Mean, spread and percentiles over a set of errors.
@@ -61,7 +53,7 @@ pub struct Spread {
 
 impl Spread {
     /// Of `values`; percentiles are interpolated between neighbours.
-    fn of(mut values: Vec<f64>) -> Self {
+    pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
         let n = values.len().max(1) as f64;
         let mean = values.iter().sum::<f64>() / n;
@@ -107,6 +99,19 @@ pub struct Success {
     pub episodes: f64,
 }
 
+/// Shares of control steps at whose end bodies touched, by what touched what.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ContactRates {
+    /// An arm and a box of the base.
+    pub arm_base: f64,
+    /// An arm and a mount or pedestal.
+    pub arm_mount: f64,
+    /// An arm and itself.
+    pub arm_itself: f64,
+    /// Two arms.
+    pub arm_arm: f64,
+}
+
 /// What an evaluation found; the form of `eval --json` and `evaluation.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
@@ -130,6 +135,8 @@ pub struct Summary {
     pub success: Vec<Success>,
     /// Share of control steps at whose end any two bodies touched.
     pub contact_rate: f64,
+    /// The same by what touched what.
+    pub contact_rate_by_kind: ContactRates,
     /// Episodes with any contact.
     pub episodes_with_contact: usize,
     /// Every episode.
@@ -137,30 +144,50 @@ pub struct Summary {
 }
 
 /// Evaluates a checkpoint.
-pub fn evaluate(checkpoint: &Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
-    let robot = Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir.join("robot.toml"))?;
-    let world = World::new(&checkpoint.config, &robot);
-    let policy = world.policy(&checkpoint.actors(robot.n_arms)?).map_err(|error| {
-        ExitError::new(ExitCode::RunDirectory, format!("{}: {error}", checkpoint.dir.display()))
-    })?;
-    let evaluation = evaluate::evaluate(&world, &policy, options)?;
-    let task = checkpoint.config.task.name;
-    let episodes = evaluation.episodes;
-    let contact_steps: f64 = episodes.iter().map(|episode| f64::from(episode.contact_steps)).sum();
-    Ok(Summary {
-        checkpoint: checkpoint.dir.clone(),
-        iteration: checkpoint.manifest.iteration,
-        env_steps: checkpoint.manifest.env_steps,
-        task,
-        seed: options.seed,
-        steps: evaluation.steps,
-        overall: overall(task, &episodes),
-        agents: agents(task, &episodes),
-        success: success(task, &episodes),
-        contact_rate: contact_steps / (episodes.len() * evaluation.steps).max(1) as f64,
-        episodes_with_contact: episodes.iter().filter(|episode| episode.contact_steps > 0).count(),
-        episodes,
-    })
+pub fn evaluate(checkpoint: Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
+    let trained = Trained::new(checkpoint, None)?;
+    let evaluation = evaluate::evaluate(&trained.world, &trained.policy, options)?;
+    Ok(Summary::new(&trained, options.seed, evaluation))
+}
+
+impl Summary {
+    /// What `evaluation` of a policy on the goals of `seed` says.
+    pub fn new(trained: &Trained, seed: u64, evaluation: Evaluation) -> Self {
+        let task = trained.task();
+        let Evaluation { steps, episodes } = evaluation;
+        let share = |contact_steps: fn(&EpisodeResult) -> u32| {
+            let sum: f64 = episodes.iter().map(|episode| f64::from(contact_steps(episode))).sum();
+            sum / (episodes.len() * steps).max(1) as f64
+        };
+        let of_kind = |kind: fn(&ContactSteps) -> u32| {
+            let each =
+                episodes.iter().map(|episode| f64::from(kind(&episode.contact_steps_by_kind)));
+            each.sum::<f64>() / (episodes.len() * steps).max(1) as f64
+        };
+        Self {
+            checkpoint: trained.checkpoint.dir.clone(),
+            iteration: trained.checkpoint.manifest.iteration,
+            env_steps: trained.checkpoint.manifest.env_steps,
+            task,
+            seed,
+            steps,
+            overall: overall(task, &episodes),
+            agents: agents(task, &episodes),
+            success: success(task, &episodes),
+            contact_rate: share(|episode| episode.contact_steps),
+            contact_rate_by_kind: ContactRates {
+                arm_base: of_kind(|kinds| kinds.arm_base),
+                arm_mount: of_kind(|kinds| kinds.arm_mount),
+                arm_itself: of_kind(|kinds| kinds.arm_itself),
+                arm_arm: of_kind(|kinds| kinds.arm_arm),
+            },
+            episodes_with_contact: episodes
+                .iter()
+                .filter(|episode| episode.contact_steps > 0)
+                .count(),
+            episodes,
+        }
+    }
 }
 
 /// What an error is called and measured in.
@@ -283,13 +310,18 @@ impl Summary {
         let episodes = output::counted(self.episodes.len() as u64, "episode");
         format!(
             "{} of {}, seed {}; std and percentiles are those of tail\n{errors}\n\n\
-             {success}\n\ncontact in {} of steps, in {} of {}",
+             {success}\n\ncontact in {} of steps, in {} of {}\n\
+             of an arm with the base {}, a mount {}, itself {}, another arm {}",
             episodes,
             output::counted(self.steps as u64, "step"),
             self.seed,
             percent(self.contact_rate),
             self.episodes_with_contact,
             episodes,
+            percent(self.contact_rate_by_kind.arm_base),
+            percent(self.contact_rate_by_kind.arm_mount),
+            percent(self.contact_rate_by_kind.arm_itself),
+            percent(self.contact_rate_by_kind.arm_arm),
         )
     }
 }
@@ -322,6 +354,7 @@ mod tests {
             base: course(0.045),
             contact_steps: 0,
             contact_pairs: 0,
+            contact_steps_by_kind: ContactSteps::default(),
         };
         let episodes = [
             episode(vec![hand(0.01, 0.01), hand(0.03, 0.01)]),

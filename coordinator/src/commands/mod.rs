@@ -5,6 +5,7 @@ pub mod checkpoints;
 pub mod clean;
 pub mod doctor;
 pub mod eval;
+pub mod experiment;
 pub mod mjcf;
 pub mod resume;
 pub mod rollout;
@@ -13,6 +14,7 @@ pub mod serve;
 pub mod simulate;
 pub mod status;
 pub mod train;
+pub mod trained;
 pub mod verify;
 
 use std::io::BufReader;
@@ -42,6 +44,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Train(args) => train::run(&args),
         Command::Resume(args) => resume::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Experiment(args) => experiment::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Doctor(args) => doctor::run(args),

@@ -209,7 +209,7 @@ fn evaluate(checkpoint: Checkpoint, stop: &StopRequests) -> anyhow::Result<Summa
     let asked = stop.count();
     let dir = checkpoint.dir.clone();
     let evaluation =
-        std::thread::spawn(move || eval::evaluate(&checkpoint, &EvaluationOptions::default()));
+        std::thread::spawn(move || eval::evaluate(checkpoint, &EvaluationOptions::default()));
     while !evaluation.is_finished() {
         if stop.count() > asked {
             let message =

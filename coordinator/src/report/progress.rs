@@ -178,6 +178,70 @@ fn describe(line: &Line, task: TaskName, planned_iterations: u64) -> String {
     )
 }
 
+/// Shows how far a work of known length has come: a bar on a terminal, a line a part elsewhere.
+#[derive(Debug)]
+pub struct Parts {
+    bar: Option<ProgressBar>,
+}
+
+impl Parts {
+    /// Nothing done yet.
+    pub fn new() -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
+            let style = ProgressStyle::with_template(
+                "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  eta {eta}",
+            )
+            .expect("the template is valid")
+            .progress_chars("━╸─");
+            bar.set_style(style);
+            *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
+            bar
+        });
+        Self { bar }
+    }
+
+    /// The next part begins, of so many steps.
+    pub fn begin(&self, part: &str, steps: u64) {
+        match &self.bar {
+            Some(bar) => {
+                bar.set_length(steps);
+                bar.set_position(0);
+                bar.reset_eta();
+                bar.set_message(part.to_owned());
+            }
+            None => write_line(part),
+        }
+    }
+
+    /// A step of the part is done.
+    pub fn advance(&self) {
+        if let Some(bar) = &self.bar {
+            bar.inc(1);
+        }
+    }
+
+    /// The terminal is free for what comes next.
+    pub fn end(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+            *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        }
+    }
+}
+
+impl Default for Parts {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Drop for Parts {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
 /// A count with its thousands set apart: `1,664,000`.
 pub fn grouped(count: u64) -> String {
     let digits = count.to_string();

@@ -1,0 +1,131 @@
+//! Turning the base with an arm held or limp.
+
+use proto::config::TaskName;
+use serde::Serialize;
+use serde_json::json;
+use sim_worker::experiment::{Effect, FixedGoals, Intervention, Trial};
+
+use super::lab::{Lab, Needs};
+use super::report::{ErrorOfMany, Figure, milli, percent, share};
+use crate::cli::experiment::{ArmFailureArgs, Failing};
+use crate::output;
+
+/// The authors' goal of the figure.
+const GOAL: [f64; 3] = [-0.10385, 0.08410, 0.13543];
+/// The paper's claim, and the released code's measure of success (rad).
+const THRESHOLDS: [f32; 2] = [0.03, 0.05];
+
+/// How an arm fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Failure {
+    /// Not at all.
+    None,
+    /// Its actions are zero: its servos hold it.
+    Held,
+    /// Its servos give no torque.
+    Limp,
+}
+
+/// How well the base turns with a failed arm.
+#[derive(Debug, Serialize)]
+struct Failed {
+    failure: Failure,
+    /// The failed arm, counted from 1.
+    arm: Option<usize>,
+    error: ErrorOfMany,
+    /// Shares of episodes whose last error is below.
+    success: Vec<Success>,
+    /// An episode with the authors' goal.
+    figure: Figure,
+}
+
+#[derive(Debug, Serialize)]
+struct Success {
+    threshold: f32,
+    share: f64,
+}
+
+/// Measures and prints.
+pub(super) fn run(args: &ArmFailureArgs) -> anyhow::Result<()> {
+    let lab = Lab::new(&args.common, Needs::Reorientation, None)?;
+    let arms: Vec<usize> = match args.arm {
+        Failing::One(arm) => {
+            lab.check_arm(arm)?;
+            vec![arm - 1]
+        }
+        Failing::Each => (0..lab.robot.n_arms).collect(),
+    };
+    let mut results = vec![measure(&lab, Failure::None, None)?];
+    for arm in arms {
+        for failure in [Failure::Held, Failure::Limp] {
+            results.push(measure(&lab, failure, Some(arm))?);
+        }
+    }
+    let rows = results.iter().map(|result| {
+        let name = match result.arm {
+            Some(arm) => format!("arm {arm} {}", result.failure.word()),
+            None => "no failure".to_owned(),
+        };
+        let [paper, released] = [0, 1].map(|index| percent(result.success[index].share));
+        let ErrorOfMany { min, last, tail, .. } = &result.error;
+        let [min, last] = [min, last].map(|spread| milli(spread.mean));
+        let [mean, p50, p90] = [tail.mean, tail.p50, tail.p90].map(milli);
+        [name, min, last, mean, p50, p90, paper, released]
+    });
+    let header = ["base (mrad)", "min", "final", "tail", "p50", "p90", "< 30 mrad", "< 50 mrad"];
+    let table = format!(
+        "{} each; percentiles are those of tail\n{}",
+        output::counted(lab.episodes as u64, "episode"),
+        output::table(header, rows)
+    );
+    let settings = json!({ "from_step": 0, "thresholds_rad": THRESHOLDS, "figure_goal_rad": GOAL });
+    lab.print("arm-failure", settings, &results, &table)
+}
+
+impl Failure {
+    fn word(self) -> &'static str {
+        match self {
+            Self::None => "whole",
+            Self::Held => "held",
+            Self::Limp => "limp",
+        }
+    }
+
+    /// Has `arm` fail in all of a trial.
+    fn happen(self, arm: usize, trial: &mut Trial<'_>) {
+        for phase in &mut trial.phases {
+            // Whoever would move a limp arm gives no commands either.
+            phase.arms[arm] = None;
+        }
+        if self == Self::Limp {
+            let steps = 0..trial.steps;
+            trial.interventions.push(Intervention { steps, effect: Effect::Limp { arm } });
+        }
+    }
+}
+
+fn measure(lab: &Lab, failure: Failure, arm: Option<usize>) -> anyhow::Result<Failed> {
+    let mut trial = lab.trial(lab.policy(TaskName::Reorientation));
+    let mut what = "arm failure, none".to_owned();
+    if let Some(arm) = arm {
+        failure.happen(arm, &mut trial);
+        what = format!("arm failure, arm {} {}", arm + 1, failure.word());
+    }
+    let recording = lab.play(&what, &trial)?;
+    trial.episodes = 1;
+    trial.fixed = FixedGoals { hands: Vec::new(), base: Some(GOAL) };
+    let shown = lab.play(&format!("{what}, the authors' goal"), &trial)?;
+    let last = recording.steps() - 1;
+    let success = THRESHOLDS.map(|threshold| Success {
+        threshold,
+        share: share(recording.episodes(), |e| recording.attitude(e, last) < threshold),
+    });
+    Ok(Failed {
+        failure,
+        arm: arm.map(|arm| arm + 1),
+        error: ErrorOfMany::base(&recording),
+        success: success.into(),
+        figure: Figure::of(&shown, "the authors'", &[]),
+    })
+}

@@ -1,0 +1,379 @@
+//! What a disturbance does, and how soon it is over.
+
+use std::ops::Range;
+
+use proto::config::TaskName;
+use proto::{ExitCode, ExitError};
+use serde::Serialize;
+use serde_json::json;
+use sim_worker::evaluate::Course;
+use sim_worker::experiment::{Effect, FixedGoals, Intervention, Recording};
+use sim_worker::robot::JOINTS_PER_ARM;
+
+use super::lab::{Lab, Needs};
+use super::report::{CourseOfMany, Figure, milli, percent, share, spread};
+use crate::cli::experiment::DisturbanceArgs;
+use crate::commands::eval::Spread;
+use crate::commands::trained::Trained;
+use crate::output;
+
+/// Steps in which the released script overwrites the actions of the base's task.
+const BASE_STEPS: usize = 5;
+/// What it overwrites them with, and the shoulder lift's action of the trajectory task (rad/s, before scaling).
+const BASE_ACTION: f64 = 1.0;
+const LIFT_ACTION: f64 = 1.3;
+/// Errors below which the paper says that all axes come back: position (m), orientation (rad), attitude of the base (rad).
+const POSITION: f32 = 0.015;
+const ORIENTATION: f32 = 0.02;
+const BASE: f32 = 0.03;
+
+/// The authors' goals of the figures: of every arm's hand, and of the base.
+const HAND_GOALS: [[f64; 6]; 4] = [
+    [0.35695, 1.27752, 4.32081, 0.25147, -0.10136, 0.18484],
+    [0.39634, -1.23843, 4.23199, -0.13400, -0.04476, 0.12608],
+    [0.27815, 0.29938, 5.24606, -1.06882, 0.48948, 0.06324],
+    [0.43091, 0.28067, 2.71313, -1.14632, -0.05982, -0.08541],
+];
+const BASE_GOAL: [f64; 3] = [0.02927, -0.03531, 0.19579];
+
+/// A way to disturb.
+struct Case {
+    name: &'static str,
+    what: String,
+    /// The steps in which it does.
+    steps: Range<usize>,
+    interventions: Vec<Intervention>,
+}
+
+/// What a disturbance led to.
+#[derive(Debug, Serialize)]
+struct Disturbed {
+    task: TaskName,
+    disturbance: &'static str,
+    what: String,
+    /// First disturbed control step, and the first one after.
+    steps: [usize; 2],
+    /// The disturbed arm, counted from 1.
+    arm: Option<usize>,
+    errors: Vec<Recovery>,
+    /// Largest angular velocity of the base from the disturbance on, and its mean over the last 20 steps (rad/s).
+    base_rate_peak: Spread,
+    base_rate_tail: Spread,
+    /// An episode with the authors' goals; none on robots with other arms than theirs.
+    figure: Option<Figure>,
+}
+
+/// How an error went: the largest of its three axes.
+#[derive(Debug, Serialize)]
+struct Recovery {
+    error: &'static str,
+    unit: &'static str,
+    /// What counts as recovered.
+    threshold: f32,
+    /// After the last step before the disturbance.
+    before: Spread,
+    /// After its last step.
+    at: Spread,
+    /// Largest from its first step on.
+    peak: Spread,
+    /// Mean of the last 20 steps.
+    tail: Spread,
+    /// Share of episodes below the threshold before the disturbance.
+    below_before: f64,
+    /// Share of episodes that come below the threshold after it.
+    recovered: f64,
+    /// Steps after the disturbance until they do, of those that do.
+    steps_to_recover: Option<Spread>,
+    /// Share of episodes below the threshold in the mean of the last 20 steps.
+    below_tail: f64,
+    course: CourseOfMany,
+}
+
+/// Measures and prints.
+pub(super) fn run(args: &DisturbanceArgs) -> anyhow::Result<()> {
+    let lab = Lab::new(&args.common, Needs::Any, None)?;
+    lab.check_arm(args.arm)?;
+    let longest = args.at + 2 * BASE_STEPS;
+    if lab.steps <= longest {
+        let message = format!(
+            "--steps {} ends before the disturbance has: with --at {} it takes more than {longest}",
+            lab.steps, args.at
+        );
+        return Err(ExitError::new(ExitCode::Usage, message).into());
+    }
+    let mut results = Vec::new();
+    for policy in lab.policies() {
+        for case in cases(args, policy.task(), lab.robot.n_joints()) {
+            results.push(measure(&lab, policy, args.arm - 1, case)?);
+        }
+    }
+    let settings = json!({
+        "at": args.at, "arm": args.arm, "force_n": args.force, "torque_n_m": args.torque,
+        "errors": "the largest of the three axes",
+    });
+    lab.print("disturbance", settings, &results, &table(&results, lab.episodes))
+}
+
+fn cases(args: &DisturbanceArgs, task: TaskName, n_joints: usize) -> Vec<Case> {
+    let first = args.at;
+    let all_along = |steps: Range<usize>, effect| Intervention { steps, effect };
+    // What is given and taken back leaves no momentum, but for the way that it has moved meanwhile.
+    let (unit, length, amount): (_, _, Box<dyn Fn(f64) -> Effect>) = match task {
+        TaskName::Trajectory => {
+            let (arm, force) = (args.arm - 1, args.force);
+            let effect =
+                move |sign: f64| Effect::HandForce { arm, force: [sign * force, 0.0, 0.0] };
+            (format!("{} N on hand {}", args.force, args.arm), 1, Box::new(effect))
+        }
+        TaskName::Reorientation => {
+            let torque = args.torque;
+            let effect = move |sign: f64| Effect::BaseTorque([0.0, 0.0, sign * torque]);
+            (format!("{} N m on the base", args.torque), BASE_STEPS, Box::new(effect))
+        }
+    };
+    let (joints, value) = match task {
+        TaskName::Trajectory => {
+            let lift = (args.arm - 1) * JOINTS_PER_ARM + 1;
+            (lift..lift + 1, LIFT_ACTION)
+        }
+        TaskName::Reorientation => (0..n_joints, BASE_ACTION),
+    };
+    let (once, twice) = (first..first + length, first + length..first + 2 * length);
+    vec![
+        Case {
+            name: "override",
+            what: match task {
+                TaskName::Trajectory => format!("lift of arm {} at {value}", args.arm),
+                TaskName::Reorientation => format!("all actions at {value}"),
+            },
+            steps: once.clone(),
+            interventions: vec![all_along(once.clone(), Effect::Action { joints, value })],
+        },
+        Case {
+            name: "push",
+            what: unit.clone(),
+            steps: once.clone(),
+            interventions: vec![all_along(once.clone(), amount(1.0))],
+        },
+        Case {
+            name: "push and pull",
+            what: format!("{unit}, then back"),
+            steps: first..first + 2 * length,
+            interventions: vec![all_along(once, amount(1.0)), all_along(twice, amount(-1.0))],
+        },
+    ]
+}
+
+fn measure(lab: &Lab, policy: &Trained, arm: usize, case: Case) -> anyhow::Result<Disturbed> {
+    let task = policy.task();
+    let mut trial = lab.trial(policy);
+    trial.interventions.clone_from(&case.interventions);
+    let what = format!("disturbance, {}, {}", task.as_str(), case.name);
+    let recording = lab.play(&what, &trial)?;
+    let figure = if lab.robot.n_arms == HAND_GOALS.len() {
+        trial.episodes = 1;
+        trial.fixed = FixedGoals {
+            hands: HAND_GOALS.map(Some).to_vec(),
+            base: (task == TaskName::Reorientation).then_some(BASE_GOAL),
+        };
+        let arms: &[usize] = if task == TaskName::Trajectory { &[arm] } else { &[] };
+        let shown = lab.play(&format!("{what}, the authors' goals"), &trial)?;
+        Some(Figure::of(&shown, "the authors'", arms))
+    } else {
+        None
+    };
+    let axes = |[x, y, z]: [f32; 3]| x.abs().max(y.abs()).max(z.abs());
+    let errors = match task {
+        TaskName::Trajectory => {
+            let position = |episode, step| {
+                let [x, y, z, ..] = recording.hand(episode, step, arm);
+                axes([x, y, z])
+            };
+            let orientation = |episode, step| {
+                let [.., a, b, c] = recording.hand(episode, step, arm);
+                axes([a, b, c])
+            };
+            vec![
+                Recovery::of(&recording, ("position", "m"), POSITION, &case.steps, position),
+                Recovery::of(
+                    &recording,
+                    ("orientation", "rad"),
+                    ORIENTATION,
+                    &case.steps,
+                    orientation,
+                ),
+            ]
+        }
+        TaskName::Reorientation => {
+            let base = |episode, step| axes(recording.base(episode, step));
+            vec![Recovery::of(&recording, ("base", "rad"), BASE, &case.steps, base)]
+        }
+    };
+    let rate = |episode, step| {
+        let [x, y, z] = recording.base_rate(episode, step);
+        (x * x + y * y + z * z).sqrt()
+    };
+    let episodes = || 0..recording.episodes();
+    let (first, steps) = (case.steps.start, recording.steps());
+    Ok(Disturbed {
+        task,
+        disturbance: case.name,
+        what: case.what,
+        steps: [case.steps.start, case.steps.end],
+        arm: (task == TaskName::Trajectory).then_some(arm + 1),
+        errors,
+        base_rate_peak: spread(
+            episodes().map(|e| (first..steps).map(|step| rate(e, step)).fold(0.0, f32::max)),
+        ),
+        base_rate_tail: spread(
+            episodes().map(|e| Course::of((0..steps).map(move |step| rate(e, step))).tail),
+        ),
+        figure,
+    })
+}
+
+impl Recovery {
+    /// What `value` says about an episode and a step, disturbed in `steps`.
+    fn of(
+        recording: &Recording,
+        (error, unit): (&'static str, &'static str),
+        threshold: f32,
+        steps: &Range<usize>,
+        value: impl Fn(usize, usize) -> f32 + Copy,
+    ) -> Self {
+        let (n, end) = (recording.episodes(), recording.steps());
+        let tail = |episode| Course::of((0..end).map(move |step| value(episode, step))).tail;
+        let tails: Vec<f32> = (0..n).map(tail).collect();
+        let soonest: Vec<f32> = (0..n)
+            .filter_map(|episode| {
+                let mut after = (steps.end..end).enumerate();
+                let (index, _) = after.find(|(_, step)| value(episode, *step) < threshold)?;
+                Some((index + 1) as f32)
+            })
+            .collect();
+        let before = steps.start - 1;
+        Self {
+            error,
+            unit,
+            threshold,
+            before: spread((0..n).map(|episode| value(episode, before))),
+            at: spread((0..n).map(|episode| value(episode, steps.end - 1))),
+            peak: spread((0..n).map(|episode| {
+                (steps.start..end).map(|step| value(episode, step)).fold(0.0, f32::max)
+            })),
+            tail: spread(tails.iter().copied()),
+            below_before: share(n, |episode| value(episode, before) < threshold),
+            recovered: soonest.len() as f64 / n.max(1) as f64,
+            steps_to_recover: (!soonest.is_empty()).then(|| spread(soonest.into_iter())),
+            below_tail: share(n, |episode| tails[episode] < threshold),
+            course: CourseOfMany::of(recording, value),
+        }
+    }
+}
+
+fn table(results: &[Disturbed], episodes: usize) -> String {
+    let rows = results.iter().flat_map(|result| {
+        result.errors.iter().map(move |error| {
+            let soonest =
+                error.steps_to_recover.map_or("–".to_owned(), |steps| steps.p50.to_string());
+            [
+                format!("{}, {} (m{})", result.what, error.error, error.unit),
+                milli(error.before.p50),
+                milli(error.at.p50),
+                milli(error.peak.p50),
+                milli(error.tail.p50),
+                milli(error.tail.p90),
+                milli(f64::from(error.threshold)),
+                percent(error.recovered),
+                soonest,
+                percent(error.below_tail),
+                milli(result.base_rate_peak.p50),
+            ]
+        })
+    });
+    let header = [
+        "worst axis, median",
+        "before",
+        "at",
+        "peak",
+        "tail",
+        "tail p90",
+        "below",
+        "recovered",
+        "steps",
+        "below in tail",
+        "base mrad/s",
+    ];
+    format!("{} each\n{}", output::counted(episodes as u64, "episode"), output::table(header, rows))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::experiment::ExperimentCommand;
+    use crate::cli::{Cli, Command};
+
+    fn args(line: &str) -> DisturbanceArgs {
+        let cli = Cli::try_parse_from(line.split(' ')).expect("valid");
+        let Command::Experiment(args) = cli.command else { panic!("not an experiment") };
+        let ExperimentCommand::Disturbance(args) = args.command else { panic!("another one") };
+        args
+    }
+
+    #[test]
+    fn a_recovery_by_hand() {
+        let recording = super::super::report::tests::resting(2, 30);
+        // Episode 0: 10 before, 100 at step 4, then halved with every step; episode 1: 50 from step 4 on.
+        let value = |episode: usize, step: usize| match (episode, step) {
+            (_, 0..4) => 10.0,
+            (0, _) => 100.0 * 0.5_f32.powi(step as i32 - 4),
+            _ => 50.0,
+        };
+        let recovery = Recovery::of(&recording, ("base", "rad"), 20.0, &(4..5), value);
+        assert_eq!(
+            (recovery.before.mean, recovery.at.mean, recovery.peak.mean),
+            (10.0, 75.0, 75.0)
+        );
+        assert_eq!(
+            (recovery.below_before, recovery.recovered, recovery.below_tail),
+            (1.0, 0.5, 0.5)
+        );
+        // 50, 25, 12.5: the third step after.
+        let steps = recovery.steps_to_recover.expect("one recovers");
+        assert_eq!((steps.mean, steps.std), (3.0, 0.0));
+        let never = Recovery::of(&recording, ("base", "rad"), 1e-9, &(4..5), value);
+        assert_eq!((never.recovered, never.steps_to_recover), (0.0, None));
+    }
+
+    #[test]
+    fn the_released_overrides_and_pushes_that_leave_nothing() {
+        let args = args("octopus experiment disturbance --arm 3 --force 20 --at 10");
+        let trajectory = cases(&args, TaskName::Trajectory, 24);
+        // Arm 3's lift is joint 13.
+        assert_eq!(
+            trajectory[0].interventions[0].effect,
+            Effect::Action { joints: 13..14, value: 1.3 }
+        );
+        assert_eq!(trajectory[0].steps, 10..11);
+        let base = cases(&args, TaskName::Reorientation, 24);
+        assert_eq!(base[0].interventions[0].effect, Effect::Action { joints: 0..24, value: 1.0 });
+        assert_eq!(base[0].steps, 10..15);
+        for cases in [trajectory, base] {
+            let [push, back] = cases[2].interventions.as_slice() else { panic!("two parts") };
+            assert_eq!(push.steps.len(), back.steps.len());
+            assert_eq!(push.steps.end, back.steps.start);
+            let impulse = |effect: &Effect| match effect {
+                Effect::HandForce { force, arm: 2 } => *force,
+                Effect::BaseTorque(torque) => *torque,
+                other => panic!("{other:?}"),
+            };
+            let (there, back) = (impulse(&push.effect), impulse(&back.effect));
+            for axis in 0..3 {
+                assert_eq!(there[axis] + back[axis], 0.0);
+            }
+            assert_eq!(cases[1].interventions, cases[2].interventions[..1]);
+        }
+    }
+}

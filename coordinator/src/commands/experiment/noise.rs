@@ -1,0 +1,167 @@
+//! Errors against noise, disturbing torques, delay and mass of the arms.
+
+use proto::config::TaskName;
+use proto::{ExitCode, ExitError};
+use serde::Serialize;
+use serde_json::json;
+use sim_worker::evaluate::Evaluation;
+use sim_worker::experiment::{Effect, Intervention, SensorNoise};
+
+use super::lab::{Lab, Needs};
+use super::report::{milli, percent};
+use crate::cli::experiment::NoiseArgs;
+use crate::commands::eval::{ErrorSummary, Success, Summary};
+use crate::commands::trained::Trained;
+use crate::output;
+
+/// Standard deviations of sensors of strength 1: 1 mm, 1 mrad, 1 mm/s, 1 mrad/s.
+const UNIT: f64 = 1e-3;
+/// Longest delay (control steps).
+const MAX_DELAY: f64 = 100.0;
+
+/// What is made worse.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Quantity {
+    /// Strength of the sensors' errors.
+    Sensors,
+    /// Standard deviation of torques at the joints (N m).
+    JointTorque,
+    /// Control steps that commands come late.
+    Delay,
+    /// Multiple of the arms' mass.
+    ArmMass,
+}
+
+/// Errors at one strength.
+#[derive(Debug, Serialize)]
+struct Point {
+    task: TaskName,
+    quantity: Quantity,
+    strength: f64,
+    /// All hands together, or the base.
+    errors: Vec<ErrorSummary>,
+    /// Each agent alone.
+    agents: Vec<ErrorSummary>,
+    success: Vec<Success>,
+    contact_rate: f64,
+}
+
+/// Measures and prints.
+pub(super) fn run(args: &NoiseArgs) -> anyhow::Result<()> {
+    let lab = Lab::new(&args.common, Needs::Any, None)?;
+    let usage = |message: String| ExitError::new(ExitCode::Usage, message);
+    let whole = |delay: &f64| delay.fract() == 0.0 && *delay <= MAX_DELAY;
+    if let Some(delay) = args.delays.0.iter().find(|delay| !whole(delay)) {
+        let message = format!("--delays: {delay} is no whole number of steps up to {MAX_DELAY}");
+        return Err(usage(message).into());
+    }
+    if args.arm_masses.0.contains(&0.0) {
+        return Err(usage("--arm-masses: arms have a mass; leave 0 out".to_owned()).into());
+    }
+    let sweeps = [
+        (Quantity::Sensors, &args.sensors),
+        (Quantity::JointTorque, &args.torques),
+        (Quantity::Delay, &args.delays),
+        (Quantity::ArmMass, &args.arm_masses),
+    ];
+    let mut results = Vec::new();
+    for policy in lab.policies() {
+        for (quantity, strengths) in sweeps {
+            for &strength in &strengths.0 {
+                results.push(measure(&lab, policy, quantity, strength)?);
+            }
+        }
+    }
+    let settings = json!({
+        "sensors": {
+            "position_m": UNIT, "angle_rad": UNIT, "velocity_m_s": UNIT, "rate_rad_s": UNIT,
+            "meaning": "standard deviations at strength 1, each axis and control step",
+        },
+        "joint_torque": "standard deviation (N m) at every joint, drawn in each control step",
+        "delay": "control steps from an action to its execution",
+        "arm_mass": "multiple of mass and inertia of all moving links; drives stay",
+    });
+    lab.print("noise", settings, &results, &table(&results, lab.episodes))
+}
+
+fn measure(
+    lab: &Lab,
+    policy: &Trained,
+    quantity: Quantity,
+    strength: f64,
+) -> anyhow::Result<Point> {
+    let mut trial = lab.trial(policy);
+    let robot;
+    match quantity {
+        Quantity::Sensors => {
+            let std = UNIT * strength;
+            trial.sensors = SensorNoise { position: std, angle: std, velocity: std, rate: std };
+        }
+        Quantity::JointTorque if strength > 0.0 => {
+            let steps = 0..trial.steps;
+            let effect = Effect::JointTorque { std: strength };
+            trial.interventions.push(Intervention { steps, effect });
+        }
+        Quantity::JointTorque => {}
+        Quantity::Delay => trial.delay = strength as usize,
+        Quantity::ArmMass => {
+            robot = lab.robot.with_arm_mass(strength)?;
+            trial.robot = &robot;
+        }
+    }
+    let what = format!("noise, {}, {} {strength}", policy.task().as_str(), quantity.word());
+    let recording = lab.play(&what, &trial)?;
+    let summary = Summary::new(policy, lab.seed, Evaluation::of(&recording));
+    Ok(Point {
+        task: policy.task(),
+        quantity,
+        strength,
+        errors: summary.overall,
+        agents: summary.agents,
+        success: summary.success,
+        contact_rate: summary.contact_rate,
+    })
+}
+
+impl Quantity {
+    fn word(self) -> &'static str {
+        match self {
+            Self::Sensors => "sensors",
+            Self::JointTorque => "torque",
+            Self::Delay => "delay",
+            Self::ArmMass => "arm mass",
+        }
+    }
+
+    fn describe(self, strength: f64) -> String {
+        match self {
+            Self::Sensors => format!("sensors {strength} mm, mrad"),
+            Self::JointTorque => format!("torque {strength} N m"),
+            Self::Delay => format!("delay {strength}"),
+            Self::ArmMass => format!("arm mass × {strength}"),
+        }
+    }
+}
+
+fn table(results: &[Point], episodes: usize) -> String {
+    let rows = results.iter().flat_map(|point| {
+        point.errors.iter().map(move |error| {
+            let name = format!(
+                "{}, {} (m{})",
+                point.quantity.describe(point.strength),
+                error.error,
+                error.unit
+            );
+            let [mean, p50, p90] = [error.tail.mean, error.tail.p50, error.tail.p90].map(milli);
+            let success = point.success.last().map_or(f64::NAN, |success| success.goals);
+            [name, mean, p50, p90, percent(success)]
+        })
+    });
+    let header = ["tail", "mean", "p50", "p90", "success"];
+    format!(
+        "{} each; success at the paper's 25 mm and 40 mrad, of the base 40 mrad\n{}",
+        output::counted(episodes as u64, "episode"),
+        output::table(header, rows)
+    )
+}

@@ -1,0 +1,186 @@
+//! Some arms reach while the others hold the base.
+
+use proto::config::TaskName;
+use proto::{ExitCode, ExitError};
+use serde::Serialize;
+use serde_json::json;
+use sim_worker::env::step_options;
+use sim_worker::experiment::{FixedGoals, Phase, Recording, Trial};
+
+use super::lab::{Lab, Needs};
+use super::report::{ErrorOfMany, Figure, milli};
+use crate::cli::experiment::ReassemblyArgs;
+use crate::output;
+
+/// The players, in the order of a trial's.
+const REACHES: usize = 0;
+const TURNS: usize = 1;
+/// The step from which the second arm reaches, in the stage that has two.
+const SECOND_FROM: usize = 70;
+
+/// A stage of the authors' script.
+struct Stage {
+    name: &'static str,
+    /// The arms that reach, from which step on, and where to.
+    reaching: &'static [(usize, usize, [f64; 6])],
+    base: [f64; 3],
+}
+
+const ARM_2: [f64; 6] = [0.39634, -1.23843, 4.23199, 0.13400, -0.14476, 0.12608];
+const ARM_3: [f64; 6] = [0.27815, 0.29938, 5.24606, -1.06882, 0.48948, 0.06324];
+
+const STAGES: [Stage; 2] = [
+    Stage { name: "single", reaching: &[(1, 0, ARM_2)], base: [-0.14199, 0.06260, -0.08740] },
+    Stage {
+        name: "dual",
+        reaching: &[(1, 0, ARM_2), (2, SECOND_FROM, ARM_3)],
+        base: [-0.01182, 0.00485, -0.14812],
+    },
+];
+
+/// What a stage led to.
+#[derive(Debug, Serialize)]
+struct Staged {
+    stage: &'static str,
+    /// `the authors'` or `held out`.
+    goals: &'static str,
+    episodes: usize,
+    /// The reaching arms, counted from 1, and the steps from which they do.
+    reaching: Vec<(usize, usize)>,
+    /// Of the reaching hands, then of the base.
+    errors: Vec<ErrorOfMany>,
+    /// The first episode.
+    figure: Figure,
+}
+
+/// Measures and prints.
+pub(super) fn run(args: &ReassemblyArgs) -> anyhow::Result<()> {
+    let lab = Lab::new(&args.common, Needs::Both, None)?;
+    if lab.robot.n_arms < 4 {
+        let message = format!(
+            "the robot `{}` has {} arms; the stages take four",
+            lab.robot.name, lab.robot.n_arms
+        );
+        return Err(ExitError::new(ExitCode::BadInput, message).into());
+    }
+    if lab.steps <= SECOND_FROM {
+        let message =
+            format!("--steps {}: the second arm reaches from step {SECOND_FROM} on", lab.steps);
+        return Err(ExitError::new(ExitCode::Usage, message).into());
+    }
+    let mut results = Vec::new();
+    for stage in &STAGES {
+        let mut trial = set_up(&lab, stage, args.action_scale);
+        let what = format!("reassembly, {}", stage.name);
+        let drawn = lab.play(&what, &trial)?;
+        trial.episodes = 1;
+        trial.fixed = stage.goals(lab.robot.n_arms);
+        let fixed = lab.play(&format!("{what}, the authors' goals"), &trial)?;
+        results.push(Staged::of(stage, "the authors'", &fixed));
+        results.push(Staged::of(stage, "held out", &drawn));
+    }
+    let scales = match args.action_scale {
+        Some(scale) => [scale; 2],
+        None => [TaskName::Trajectory, TaskName::Reorientation]
+            .map(|task| lab.policy(task).world.task.action_scale),
+    };
+    let settings = json!({
+        "action_scale": { "reaching": scales[REACHES], "turning": scales[TURNS] },
+        "stages": STAGES.iter().map(|stage| json!({
+            "stage": stage.name,
+            "base_goal_rad": stage.base,
+            "reaching": stage.reaching.iter().map(|(arm, from, goal)| json!({
+                "arm": arm + 1, "from_step": from, "goal": goal,
+            })).collect::<Vec<_>>(),
+        })).collect::<Vec<_>>(),
+    });
+    lab.print("reassembly", settings, &results, &table(&results))
+}
+
+/// A stage on held-out goals. The world is that of the base's task, as in the authors' script.
+fn set_up<'a>(lab: &'a Lab, stage: &Stage, action_scale: Option<f64>) -> Trial<'a> {
+    let (reach, turn) = (lab.policy(TaskName::Trajectory), lab.policy(TaskName::Reorientation));
+    let mut trial = lab.trial(reach);
+    trial.options = step_options(&turn.world.config);
+    trial.players = vec![reach.player(), turn.player()];
+    if let Some(scale) = action_scale {
+        for player in &mut trial.players {
+            player.action_scale = scale;
+        }
+    }
+    trial.phases = stage.phases(lab.robot.n_arms);
+    trial
+}
+
+impl Stage {
+    /// Who moves what: a phase begins with each arm that begins to reach.
+    fn phases(&self, n_arms: usize) -> Vec<Phase> {
+        let mut starts: Vec<usize> = self.reaching.iter().map(|(_, from, _)| *from).collect();
+        starts.dedup();
+        let phase = |from: usize| {
+            let mut arms = vec![Some(TURNS); n_arms];
+            for (arm, _, _) in self.reaching.iter().filter(|(_, begins, _)| *begins <= from) {
+                arms[*arm] = Some(REACHES);
+            }
+            Phase { from, arms }
+        };
+        starts.into_iter().map(phase).collect()
+    }
+
+    fn goals(&self, n_arms: usize) -> FixedGoals {
+        let mut hands = vec![None; n_arms];
+        for (arm, _, goal) in self.reaching {
+            hands[*arm] = Some(*goal);
+        }
+        FixedGoals { hands, base: Some(self.base) }
+    }
+}
+
+impl Staged {
+    fn of(stage: &Stage, goals: &'static str, recording: &Recording) -> Self {
+        let arms: Vec<usize> = stage.reaching.iter().map(|(arm, ..)| *arm).collect();
+        let hands = arms.iter().flat_map(|&arm| {
+            [ErrorOfMany::position(recording, arm), ErrorOfMany::orientation(recording, arm)]
+        });
+        Self {
+            stage: stage.name,
+            goals,
+            episodes: recording.episodes(),
+            reaching: stage.reaching.iter().map(|(arm, from, _)| (arm + 1, *from)).collect(),
+            errors: hands.chain([ErrorOfMany::base(recording)]).collect(),
+            figure: Figure::of(recording, goals, &arms),
+        }
+    }
+}
+
+fn table(results: &[Staged]) -> String {
+    let rows = results.iter().flat_map(|result| {
+        result.errors.iter().map(move |error| {
+            let [min, last, tail] = [&error.min, &error.last, &error.tail].map(|s| milli(s.mean));
+            let [p50, p90] = [error.tail.p50, error.tail.p90].map(milli);
+            let name = format!("{}, {}: {}", result.stage, result.goals, error.name());
+            [name, result.episodes.to_string(), min, last, tail, p50, p90]
+        })
+    });
+    let header = ["stage", "episodes", "min", "final", "tail", "p50", "p90"];
+    output::table(header, rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_second_arm_takes_its_turn_at_step_70() {
+        let [single, dual] = &STAGES;
+        let turns = Some(TURNS);
+        let one = vec![turns, Some(REACHES), turns, turns];
+        assert_eq!(single.phases(4), [Phase { from: 0, arms: one.clone() }]);
+        let two = vec![turns, Some(REACHES), Some(REACHES), turns];
+        let phases = [Phase { from: 0, arms: one }, Phase { from: 70, arms: two }];
+        assert_eq!(dual.phases(4), phases);
+        let goals = dual.goals(4);
+        assert_eq!(goals.hands, [None, Some(ARM_2), Some(ARM_3), None]);
+        assert_eq!(single.goals(4).hands[2], None);
+    }
+}

@@ -1,0 +1,256 @@
+//! `octopus experiment`: every experiment with tiny policies and few episodes, and what it refuses.
+
+use std::path::Path;
+
+use serde_json::Value;
+use tempfile::TempDir;
+use tests::{SMALL, octopus, stderr};
+
+/// A directory with a policy of each task, hardly trained.
+fn policies() -> (TempDir, String) {
+    let dir = tempfile::tempdir().expect("tempdir");
+    for task in ["trajectory", "reorientation"] {
+        let run_dir = format!("--run-dir={}", dir.path().join(task).display());
+        let more = [run_dir.as_str(), "--workers=1", "--iterations=2"];
+        let args = [&["train", task][..], &more, SMALL].concat();
+        let output = octopus(&args);
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+    let path = dir.path().to_str().expect("UTF-8").to_owned();
+    (dir, path)
+}
+
+/// What `octopus experiment` prints.
+fn experiment(args: &[&str]) -> String {
+    let output = octopus(&[&["experiment"], args].concat());
+    assert!(output.status.success(), "{args:?}:\n{}", stderr(&output));
+    String::from_utf8(output.stdout).expect("UTF-8")
+}
+
+fn json(args: &[&str]) -> Value {
+    serde_json::from_str(&experiment(&[args, &["--json"]].concat())).expect("one JSON object")
+}
+
+/// Expects the exit code and the words on standard error.
+fn refused(args: &[&str], code: i32, words: &[&str]) {
+    let output = octopus(&[&["experiment"], args].concat());
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{args:?}:\n{message}");
+    for word in words {
+        assert!(message.contains(word), "{args:?}: `{word}` is not in\n{message}");
+    }
+    assert!(!message.contains("panicked"), "{args:?}:\n{message}");
+}
+
+fn list(value: &Value) -> &[Value] {
+    value.as_array().expect("a list")
+}
+
+/// Asserts that all numbers of `value` are there: JSON has no NaN, it would be null.
+fn all_finite(value: &Value, path: &str) {
+    match value {
+        Value::Null => {
+            // The base has neither, nor a position.
+            let absent = ["/agent", "/arm", "/position"];
+            assert!(absent.iter().any(|key| path.ends_with(key)), "{path} is null");
+        }
+        Value::Array(values) => {
+            for value in values {
+                all_finite(value, &format!("{path}[]"));
+            }
+        }
+        Value::Object(values) => {
+            for (key, value) in values {
+                all_finite(value, &format!("{path}/{key}"));
+            }
+        }
+        _ => {}
+    }
+}
+
+/// What every result says about itself.
+fn check_identity(result: &Value, name: &str, dir: &str, tasks: &[&str]) {
+    assert_eq!(result["experiment"], name);
+    assert_eq!(result["robot"]["name"], "paper");
+    assert_eq!(result["robot"]["blake3"].as_str().expect("a hash").len(), 64);
+    assert_eq!(result["protocol"]["control_period_s"], 0.4);
+    let policies = list(&result["policies"]);
+    assert_eq!(policies.len(), tasks.len(), "{name}");
+    for (policy, task) in policies.iter().zip(tasks) {
+        assert_eq!(policy["task"], *task);
+        let manifest =
+            Path::new(dir).join(task).join("checkpoints/iteration-00000002/manifest.json");
+        let manifest = std::fs::read_to_string(manifest).expect("a manifest");
+        let manifest: Value = serde_json::from_str(&manifest).expect("JSON");
+        assert_eq!(policy["digest"], manifest["digest"]);
+        assert_eq!(policy["policy_blake3"], manifest["files"]["policy.safetensors"]["blake3"]);
+    }
+}
+
+const BOTH: [&str; 2] = ["trajectory", "reorientation"];
+
+#[test]
+fn every_experiment_measures_and_says_with_what() {
+    let (_dir, dir) = policies();
+    let common = ["--policies", &dir, "--episodes=3", "--steps=8", "--seed=5"];
+    let run = |name: &str, more: &[&str]| json(&[&[name], &common[..], more].concat());
+
+    // Precision is what `octopus eval` measures, number by number.
+    let precision = run("precision", &[]);
+    check_identity(&precision, "precision", &dir, &BOTH);
+    for (result, task) in list(&precision["results"]).iter().zip(BOTH) {
+        let run = format!("{dir}/{task}");
+        let args = [&["eval", &run, "--json"], &common[2..]].concat();
+        let evaluated: Value =
+            serde_json::from_slice(&octopus(&args).stdout).expect("an evaluation");
+        assert_eq!(result["summary"], evaluated, "{task}");
+        let errors = list(&result["errors"]);
+        assert_eq!(errors.len(), if task == "trajectory" { 8 } else { 1 });
+        for error in errors {
+            assert_eq!(list(&error["course"]["mean"]).len(), 8);
+            // The course ends in the last error, the tail of eight steps is its mean.
+            let mean: Vec<f64> = list(&error["course"]["mean"])
+                .iter()
+                .map(|x| x.as_f64().expect("number"))
+                .collect();
+            let close = |a: f64, b: &Value| (a - b.as_f64().expect("number")).abs() < 1e-6;
+            assert!(close(mean[7], &error["final"]["mean"]));
+            assert!(close(mean.iter().sum::<f64>() / 8.0, &error["tail"]["mean"]));
+        }
+        let rates = &result["summary"]["contact_rate_by_kind"];
+        assert!(rates["arm_base"].is_number() && rates["arm_arm"].is_number());
+    }
+    all_finite(&precision["results"], "precision");
+
+    let mut steps = common.to_vec();
+    steps[3] = "--steps=16";
+    let disturbance = json(&[&["disturbance"], &steps[..], &["--at=4"]].concat());
+    check_identity(&disturbance, "disturbance", &dir, &BOTH);
+    let results = list(&disturbance["results"]);
+    let names: Vec<_> = results.iter().map(|r| (&r["task"], &r["disturbance"])).collect();
+    assert_eq!(names.len(), 6, "{names:?}");
+    for result in results {
+        let hand = result["task"] == "trajectory";
+        assert_eq!(list(&result["errors"]).len(), if hand { 2 } else { 1 });
+        let figure = &result["figure"];
+        assert_eq!(list(&figure["base_rad"]).len(), 16);
+        assert_eq!(list(&figure["hands"]).len(), usize::from(hand));
+    }
+    // A push leaves momentum: the base turns faster at the end than after push and pull.
+    let rate = |index: usize| results[index]["base_rate_tail"]["mean"].as_f64().expect("number");
+    assert!(rate(1) > 1.5 * rate(2), "{} {}", rate(1), rate(2));
+
+    let failure = run("arm-failure", &["--arm=all"]);
+    check_identity(&failure, "arm-failure", &dir, &BOTH[1..]);
+    let results = list(&failure["results"]);
+    assert_eq!(results.len(), 9, "none, then each arm held and limp");
+    assert_eq!((&results[8]["failure"], &results[8]["arm"]), (&"limp".into(), &4.into()));
+    assert_ne!(results[7]["error"], results[8]["error"], "a limp arm is not a held one");
+    all_finite(&failure["results"], "arm-failure");
+
+    let mass = run("base-mass", &["--masses=100,1000", "--thresholds=0.05,9"]);
+    check_identity(&mass, "base-mass", &dir, &BOTH[1..]);
+    let results = list(&mass["results"]);
+    assert_eq!((results.len(), &results[1]["mass"]), (2, &1000.0.into()));
+    assert_eq!(results[0]["success"][1], 1.0, "no error is beyond 9 rad");
+    all_finite(&mass["results"], "base-mass");
+
+    steps[3] = "--steps=72";
+    let reassembly = json(&[&["reassembly"], &steps[..]].concat());
+    check_identity(&reassembly, "reassembly", &dir, &BOTH);
+    let results = list(&reassembly["results"]);
+    assert_eq!(results.len(), 4, "two stages, two sets of goals");
+    assert_eq!(results[2]["reaching"], serde_json::json!([[2, 0], [3, 70]]));
+    assert_eq!((&results[0]["episodes"], &results[1]["episodes"]), (&1.into(), &3.into()));
+    let own = &reassembly["protocol"]["settings"]["action_scale"];
+    assert_eq!(own, &serde_json::json!({ "reaching": 0.8, "turning": 0.5 }));
+    let slow = json(&[&["reassembly"], &steps[..], &["--action-scale=0.5"]].concat());
+    assert_ne!(results[0]["errors"], slow["results"][0]["errors"]);
+    all_finite(&reassembly["results"], "reassembly");
+
+    let sweeps = ["--sensors=0,10", "--torques=0,5", "--delays=0,1", "--arm-masses=1,2"];
+    let noise = run("noise", &sweeps);
+    check_identity(&noise, "noise", &dir, &BOTH);
+    let results = list(&noise["results"]);
+    assert_eq!(results.len(), 16);
+    for task in results.chunks(8) {
+        for sweep in task.chunks(2) {
+            // Strength zero, no delay and the arms' own mass are one and the same.
+            assert_eq!(sweep[0]["errors"], task[0]["errors"]);
+            assert_ne!(sweep[1]["errors"], task[0]["errors"], "{}", sweep[1]["quantity"]);
+        }
+    }
+    all_finite(&noise["results"], "noise");
+    assert_eq!(noise["results"], run("noise", &sweeps)["results"], "the same seed, the same noise");
+}
+
+#[test]
+fn tables_are_for_people_and_compositions_are_policies() {
+    let (_dir, dir) = policies();
+    let run = format!("{dir}/trajectory");
+    let composed = format!("{dir}/shared/mixed");
+    let parts = [format!("1,2={run}:2"), format!("3,4={run}:2")];
+    let compose = ["checkpoints", "compose", "--arm", &parts[0], "--arm", &parts[1]];
+    let output = octopus(&[&compose[..], &["--out", &composed]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let few = ["--episodes=1", "--steps=20"];
+    let of_run = experiment(&[&["precision", "--trajectory", &run], &few[..]].concat());
+    let of_parts = experiment(&[&["precision", "--trajectory", &composed], &few[..]].concat());
+    assert_eq!(of_run, of_parts);
+    assert!(of_run.starts_with("trajectory\n1 episode of 20 steps"), "{of_run}");
+    assert!(of_run.contains("agent 7 orientation (mrad)"), "{of_run}");
+    let all = ["--policies", &dir];
+    let of_both = experiment(&[&["precision"], &all[..], &few].concat());
+    assert!(of_both.starts_with(of_run.trim_end()) && of_both.contains("\n\nreorientation\n"));
+    for (args, word) in [
+        (&["disturbance", "--at=5"][..], "lift of arm 2 at 1.3, position (mm)"),
+        (&["arm-failure"], "arm 4 limp"),
+        (&["base-mass", "--masses=250"], "250 kg"),
+        (&["noise", "--sensors=3", "--torques=1", "--delays=1", "--arm-masses=2"], "arm mass × 2"),
+    ] {
+        let table = experiment(&[args, &all, &few].concat());
+        assert!(table.contains(word), "{table}");
+    }
+    let table = experiment(&[&["reassembly", "--episodes=1", "--steps=71"], &all[..]].concat());
+    assert!(table.contains("dual, the authors': arm 3 orientation (mrad)"), "{table}");
+}
+
+#[test]
+fn experiments_that_cannot_be() {
+    refused(&["precision"], 2, &["--trajectory or --reorientation", "--policies DIR"]);
+    refused(&["reassembly"], 2, &["--trajectory and --reorientation"]);
+    refused(&["base-mass"], 2, &["name one with --reorientation"]);
+    refused(&["base-mass", "--trajectory=x", "--reorientation=x"], 2, &["no meaning here"]);
+    refused(&["precision", "--policies=/no/such"], 5, &["/no/such/trajectory"]);
+    refused(&["precision", "--robot=no-such.toml"], 3, &["no-such.toml"]);
+    for args in [
+        &["precision", "--episodes=0"][..],
+        &["noise", "--sensors=a,b"],
+        &["base-mass", "--thresholds="],
+        &["arm-failure", "--arm=0"],
+        &["disturbance", "--force=-1"],
+    ] {
+        refused(args, 2, &["wants"]);
+    }
+
+    let (_dir, dir) = policies();
+    let all = ["--policies", dir.as_str()];
+    let run = format!("{dir}/trajectory");
+    let wrong = ["arm-failure", "--reorientation", &run];
+    refused(&wrong, 3, &["learned `trajectory`", "a policy for `reorientation` is wanted"]);
+    let late = ["disturbance", "--steps=80"];
+    refused(&[&late, &all[..]].concat(), 2, &["--steps 80 ends before", "--at 75"]);
+    refused(&[&["arm-failure", "--arm=5"], &all[..]].concat(), 3, &["no arm 5", "has 4"]);
+    refused(&[&["noise", "--delays=0.5"], &all[..]].concat(), 2, &["0.5 is no whole number"]);
+    refused(&[&["base-mass", "--masses=0"], &all[..]].concat(), 2, &["leave 0 out"]);
+    refused(&[&["base-mass", "--thresholds=0"], &all[..]].concat(), 2, &["leave it out"]);
+    let two = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
+    let other = ["precision", "--robot", two];
+    refused(&[&other, &all[..]].concat(), 3, &["moves 4 arms", "has 2"]);
+
+    // One of two is enough where one is; a directory with neither is missed.
+    std::fs::rename(format!("{dir}/trajectory"), format!("{dir}/elsewhere")).expect("rename");
+    let few = ["--episodes=1", "--steps=2"];
+    assert!(experiment(&[&["precision"], &all[..], &few].concat()).starts_with("reorientation\n"));
+    refused(&[&["reassembly"], &all[..]].concat(), 5, &["trajectory"]);
+}
