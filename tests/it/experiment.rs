@@ -9,9 +9,10 @@ use tests::{SMALL, octopus, stderr};
 /// A directory with a policy of each task, hardly trained.
 fn policies() -> (TempDir, String) {
     let dir = tempfile::tempdir().expect("tempdir");
-    for task in ["trajectory", "reorientation"] {
+    for (task, scale) in [("trajectory", "0.8"), ("reorientation", "0.5")] {
         let run_dir = format!("--run-dir={}", dir.path().join(task).display());
-        let more = [run_dir.as_str(), "--workers=1", "--iterations=2"];
+        let scale = format!("--set=task.action_scale={scale}");
+        let more = [run_dir.as_str(), "--workers=1", "--iterations=2", &scale];
         let args = [&["train", task][..], &more, SMALL].concat();
         let output = octopus(&args);
         assert!(output.status.success(), "{}", stderr(&output));

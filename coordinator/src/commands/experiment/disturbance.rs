@@ -347,6 +347,25 @@ mod tests {
         assert_eq!((never.recovered, never.steps_to_recover), (0.0, None));
     }
 
+    /// So that the two disturbances of the base can be compared, in the authors' scale.
+    #[test]
+    fn the_torque_turns_the_base_as_far_as_the_overwritten_actions() {
+        let args = args("octopus experiment disturbance --at 1");
+        let turned = |case: usize| {
+            let task = TaskName::Reorientation;
+            let recording = super::super::report::tests::changed(task, 1, 6, |trial| {
+                trial.fixed.base = Some([0.0; 3]);
+                trial.players[0].action_scale = 0.5;
+                trial.interventions = cases(&args, task, 24).swap_remove(case).interventions;
+            });
+            assert_eq!(recording.attitude(0, 0), 0.0, "it rests before");
+            recording.base(0, 5)[2].abs()
+        };
+        let (actions, torque) = (turned(0), turned(1));
+        // ½ · 2.5 N m / 103 kg m² · (2 s)² = 49 mrad.
+        assert!((actions / torque - 1.0).abs() < 0.1, "{actions} {torque}");
+    }
+
     #[test]
     fn the_released_overrides_and_pushes_that_leave_nothing() {
         let args = args("octopus experiment disturbance --arm 3 --force 20 --at 10");

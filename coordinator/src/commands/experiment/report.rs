@@ -216,21 +216,33 @@ pub(super) fn percent(share: f64) -> String {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use proto::config::{Layers, Preset};
+    use proto::config::{Layers, Preset, TaskName};
     use proto::layout::ActorLayout;
     use sim_worker::experiment::{Player, Trial, play};
     use sim_worker::rollout::World;
 
     use super::*;
 
-    /// A recording of a robot that rests: its policy's actions are zero.
+    /// A recording of a robot that rests.
     pub(in super::super) fn resting(episodes: usize, steps: usize) -> Recording {
-        let layers = Layers::new(Preset::Tuned, None).set("network.hidden=[4]").expect("valid");
+        changed(TaskName::Trajectory, episodes, steps, |_| {})
+    }
+
+    /// A recording of a trial that is changed by `change`, with a policy whose actions are zero.
+    pub(in super::super) fn changed(
+        task: TaskName,
+        episodes: usize,
+        steps: usize,
+        change: impl FnOnce(&mut Trial<'_>),
+    ) -> Recording {
+        let layers = Layers::new(Preset::Tuned, Some(task)).set("network.hidden=[4]");
+        let layers = layers.expect("valid");
         let robot = Robot::builtin("paper").expect("built in");
         let world = World::new(&layers.resolve().expect("valid"), &robot);
         let zeros = vec![0.0; ActorLayout::new(&world.config, &world.dimensions).len];
         let policy = world.policy(&zeros).expect("a policy");
-        let trial = Trial::new(Player::new(&world, &policy), 0, episodes, steps);
+        let mut trial = Trial::new(Player::new(&world, &policy), 0, episodes, steps);
+        change(&mut trial);
         play(&trial, 1, &|| {}).expect("a recording")
     }
 
