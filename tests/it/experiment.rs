@@ -47,6 +47,13 @@ fn list(value: &Value) -> &[Value] {
     value.as_array().expect("a list")
 }
 
+/// Asserts that an object has these keys, given in alphabetical order with blanks between, and no others.
+fn has_keys(value: &Value, wanted: &str) {
+    let mut keys: Vec<_> = value.as_object().expect("an object").keys().cloned().collect();
+    keys.sort();
+    assert_eq!(keys.join(" "), wanted);
+}
+
 /// Asserts that all numbers of `value` are there: JSON has no NaN, it would be null.
 fn all_finite(value: &Value, path: &str) {
     match value {
@@ -71,6 +78,9 @@ fn all_finite(value: &Value, path: &str) {
 
 /// What every result says about itself.
 fn check_identity(result: &Value, name: &str, dir: &str, tasks: &[&str]) {
+    has_keys(result, "experiment policies protocol provenance results robot");
+    let protocol = "actions control_period_s episodes seed settings steps";
+    has_keys(&result["protocol"], protocol);
     assert_eq!(result["experiment"], name);
     assert_eq!(result["robot"]["name"], "paper");
     assert_eq!(result["robot"]["blake3"].as_str().expect("a hash").len(), 64);
@@ -130,6 +140,15 @@ fn every_experiment_measures_and_says_with_what() {
     let results = list(&disturbance["results"]);
     let names: Vec<_> = results.iter().map(|r| (&r["task"], &r["disturbance"])).collect();
     assert_eq!(names.len(), 6, "{names:?}");
+    has_keys(
+        &results[0],
+        "arm base_rate_peak base_rate_tail disturbance errors figure steps task what",
+    );
+    has_keys(
+        &results[0]["errors"][0],
+        "at before below_before below_tail course error peak recovered steps_to_recover tail \
+         threshold unit",
+    );
     for result in results {
         let hand = result["task"] == "trajectory";
         assert_eq!(list(&result["errors"]).len(), if hand { 2 } else { 1 });
@@ -144,6 +163,9 @@ fn every_experiment_measures_and_says_with_what() {
     let failure = run("arm-failure", &["--arm=all"]);
     check_identity(&failure, "arm-failure", &dir, &BOTH[1..]);
     let results = list(&failure["results"]);
+    has_keys(&results[0], "arm error failure figure success");
+    has_keys(&results[0]["error"], "arm course error final min tail unit");
+    has_keys(&results[0]["error"]["course"], "max mean p50 p90");
     assert_eq!(results.len(), 9, "none, then each arm held and limp");
     assert_eq!((&results[8]["failure"], &results[8]["arm"]), (&"limp".into(), &4.into()));
     assert_ne!(results[7]["error"], results[8]["error"], "a limp arm is not a held one");
@@ -152,6 +174,7 @@ fn every_experiment_measures_and_says_with_what() {
     let mass = run("base-mass", &["--masses=100,1000", "--thresholds=0.05,9"]);
     check_identity(&mass, "base-mass", &dir, &BOTH[1..]);
     let results = list(&mass["results"]);
+    has_keys(&results[0], "error mass success total_mass");
     assert_eq!((results.len(), &results[1]["mass"]), (2, &1000.0.into()));
     assert_eq!(results[0]["success"][1], 1.0, "no error is beyond 9 rad");
     all_finite(&mass["results"], "base-mass");
@@ -160,6 +183,7 @@ fn every_experiment_measures_and_says_with_what() {
     let reassembly = json(&[&["reassembly"], &steps[..]].concat());
     check_identity(&reassembly, "reassembly", &dir, &BOTH);
     let results = list(&reassembly["results"]);
+    has_keys(&results[0], "episodes errors figure goals reaching stage");
     assert_eq!(results.len(), 4, "two stages, two sets of goals");
     assert_eq!(results[2]["reaching"], serde_json::json!([[2, 0], [3, 70]]));
     assert_eq!((&results[0]["episodes"], &results[1]["episodes"]), (&1.into(), &3.into()));
@@ -173,6 +197,7 @@ fn every_experiment_measures_and_says_with_what() {
     let noise = run("noise", &sweeps);
     check_identity(&noise, "noise", &dir, &BOTH);
     let results = list(&noise["results"]);
+    has_keys(&results[0], "agents contact_rate errors quantity strength success task");
     assert_eq!(results.len(), 16);
     for task in results.chunks(8) {
         for sweep in task.chunks(2) {

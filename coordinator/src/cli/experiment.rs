@@ -13,10 +13,10 @@ Examples:
   octopus experiment COMMAND --help
 
 The paper's experiments, with deterministic actions. --policies DIR takes DIR/trajectory and
-DIR/reorientation, each a run directory, a directory of checkpoints or a checkpoint; --trajectory and
---reorientation name single ones, as `octopus checkpoints --help` lists them. With --json the result
-is one object: the protocol, digests of policies and robot, and every number of the figures, with
-errors after each control step (0.4 s; the paper's plots count it as 0.1 s).";
+DIR/reorientation, each a run directory, a directory of checkpoints or a checkpoint. --trajectory
+and --reorientation name single ones, as `octopus checkpoints --help` lists them. With --json the
+result is one object: the protocol, digests of policies and robot, and every number of the figures,
+with errors after each control step (0.4 s; the paper's plots count it as 0.1 s).";
 
 const PRECISION_EXAMPLES: &str = "\
 Examples:
@@ -31,16 +31,16 @@ Examples:
   octopus experiment disturbance --policies trained
   octopus experiment disturbance --trajectory runs/a:best --arm 3 --force 20
 
-The released scripts overwrite actions: arm 2's shoulder lift with 1.3 in one step, or all actions of
-the base's task with 1 in five steps. Beside that something acts from outside: a force on the hand
+The released scripts overwrite actions: arm 2's shoulder lift with 1.3 in one step, or all actions
+of the base's task with 1 in five steps. Beside that something acts from outside: a force on the hand
 for one step (0.4 s, along the world's x axis), or a torque on the base for five steps (about the
 world's z axis). Nothing inside the robot takes their momentum away again, so what is pushed drifts
 for ever; `push and pull` follows with the opposite, which leaves no linear momentum, and of the
-angular one only what comes of the way that the hand has gone meanwhile. In its five steps 2.5 N m turn
-the base by 50 mrad when the arms are held, as the overwritten actions do from home in the authors'
-scale of 0.5.
-Errors are the largest of the three axes. Recovered is who comes below 15 mm and 20 mrad, or 30 mrad of
-the base, the paper's claims.";
+angular one only what comes of the way that the hand has gone meanwhile. In its five steps 2.5 N m
+turn the base by 50 mrad when the arms are held, as the overwritten actions do from home in the
+authors' scale of 0.5.
+Errors are the largest of the three axes. Recovered is who comes below 15 mm and 20 mrad, or 30 mrad
+of the base, the paper's claims.";
 
 const ARM_FAILURE_EXAMPLES: &str = "\
 Examples:
@@ -53,7 +53,7 @@ as in the released script), or limp (its servos give no torque).";
 const BASE_MASS_EXAMPLES: &str = "\
 Examples:
   octopus experiment base-mass --policies trained
-  octopus experiment base-mass --reorientation runs/b:best --masses 200,400,800 --thresholds 0.03,0.05
+  octopus experiment base-mass --reorientation runs/b:best --masses 200,400,800 --thresholds 0.05
 
 The mass is that of the cube (400 kg in training); its inertia scales along, mounts stay. A goal is
 reached if the attitude error after the last step is below the threshold.";
@@ -64,8 +64,8 @@ Examples:
   octopus experiment reassembly --policies trained --action-scale 0.5
 
 Arm 2 reaches with the trajectory policy, the others turn the base with the reorientation policy; in
-`dual` arm 3 reaches too, from step 70 on. Goals are the authors', then held-out ones. Each policy sees
-what it saw in training and acts in its own scale; --action-scale 0.5 is the authors' run.";
+`dual` arm 3 reaches too, from step 70 on. Goals are the authors', then held-out ones. Each policy
+sees what it saw in training and acts in its own scale; --action-scale 0.5 is the authors' run.";
 
 const NOISE_EXAMPLES: &str = "\
 Examples:
