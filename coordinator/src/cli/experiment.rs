@@ -36,8 +36,8 @@ of the base's task with 1 in five steps. Beside that something acts from outside
 for one step (0.4 s, along the world's x axis), or a torque on the base for five steps (about the
 world's z axis). Nothing inside the robot takes their momentum away again, so what is pushed drifts
 for ever; `push and pull` follows with the opposite, which leaves no linear momentum, and of the
-angular one only what comes of the way that the hand has gone meanwhile. In its five steps 2.5 N m
-turn the base by 50 mrad when the arms are held, as the overwritten actions do from home in the
+angular one only what comes of the way that the hand has gone meanwhile. In its five steps 5 N m
+turn the base by 100 mrad when the arms are held, as the overwritten actions do from home in the
 authors' scale of 0.5.
 Errors are the largest of the three axes. Recovered is who comes below 15 mm and 20 mrad, or 30 mrad
 of the base, the paper's claims.";
@@ -157,7 +157,7 @@ pub struct DisturbanceArgs {
     #[arg(long, value_name = "N", default_value_t = 50.0, allow_negative_numbers = true, value_parser = amount)]
     pub force: f64,
     /// Torque on the base (N m).
-    #[arg(long, value_name = "N·M", default_value_t = 2.5, allow_negative_numbers = true, value_parser = amount)]
+    #[arg(long, value_name = "N·M", default_value_t = 5.0, allow_negative_numbers = true, value_parser = amount)]
     pub torque: f64,
 }
 
@@ -262,7 +262,7 @@ mod tests {
         else {
             panic!("valid");
         };
-        assert_eq!((args.arm, args.at, args.force, args.torque), (2, 75, 50.0, 2.5));
+        assert_eq!((args.arm, args.at, args.force, args.torque), (2, 75, 50.0, 5.0));
         assert_eq!((args.common.steps, args.common.seed, args.common.episodes), (200, 0, None));
         let Ok(ExperimentCommand::ArmFailure(args)) = parse("arm-failure") else { panic!("valid") };
         assert_eq!(args.arm, Failing::One(4));
