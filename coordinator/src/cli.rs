@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use proto::config::{Preset, TaskName};
+use proto::config::{AlgorithmName, Preset, TaskName};
 
 use self::values::{assignment, duration, listen, positive, seconds, whole, workers};
 
@@ -36,6 +36,7 @@ Examples:
   octopus train
   octopus train reorientation --workers 4 --time-limit 10m
   octopus train --preset paper --seed 7 --run-dir runs/paper-7
+  octopus train --preset paper --algorithm ppo
   octopus train --set network.hidden=[64,64] --set algorithm.gamma=0.97 --iterations 20
 
 Configuration is merged in layers, later ones win: the preset, --config, the flags above, --set. Its
@@ -180,6 +181,10 @@ pub struct TrainArgs {
     /// A TOML file with the keys to change.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// The learning algorithm, with what the preset changes for it [default: mappo, unless --config says
+    /// otherwise].
+    #[arg(long, value_name = "NAME", value_enum)]
+    pub algorithm: Option<AlgorithmArg>,
     /// Change one key; may be given again: --set algorithm.gamma=0.97.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment)]
     pub sets: Vec<String>,
@@ -427,6 +432,27 @@ impl From<PresetArg> for Preset {
             PresetArg::Tuned => Self::Tuned,
             PresetArg::Paper => Self::Paper,
             PresetArg::Release => Self::Release,
+        }
+    }
+}
+
+/// A learning algorithm on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum AlgorithmArg {
+    /// An actor and a critic for each agent; critics see everything.
+    Mappo,
+    /// Likewise, but each critic sees what its agent sees.
+    Ippo,
+    /// One actor and one critic for all agents together.
+    Ppo,
+}
+
+impl From<AlgorithmArg> for AlgorithmName {
+    fn from(algorithm: AlgorithmArg) -> Self {
+        match algorithm {
+            AlgorithmArg::Mappo => Self::Mappo,
+            AlgorithmArg::Ippo => Self::Ippo,
+            AlgorithmArg::Ppo => Self::Ppo,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The update: what a learner makes of an iteration's samples.
 //!
-//! Yu et al. 2022, algorithm 1, with separate networks for every agent (or one that all share), in
-//! this order:
+//! Yu et al. 2022, algorithm 1, with separate networks for every agent (or one that all share, or one
+//! that acts for all), in this order:
 //!
 //! 1. inputs are normalised as the policy that acted saw them, and gathered sample by sample;
 //! 2. critics predict values; advantages by [`gae`](crate::gae) on denormalised values;
@@ -9,19 +9,26 @@
 //!    the samples into mini-batches; each is one Adam step for actors, then one for critics;
 //! 4. input normalisers take in the iteration's samples.
 //!
-//! **Threads.** Agents with networks of their own have nothing in common, so on a CPU each is a group
+//! **Threads.** Actors with networks of their own have nothing in common, so on a CPU each is a group
 //! of its own, whose parameters, moments and gradients stay in a core's cache for the whole update;
-//! threads take one group after another. What an agent learns does not depend on who computes it, nor
-//! on the number of threads, up to one an agent. A shared network is one group, whose operations
-//! libtorch spreads over the threads, and so are all networks on a GPU; within a group all agents go
+//! threads take one group after another. What an actor learns does not depend on who computes it, nor
+//! on the number of threads, up to one an actor. A shared network is one group, whose operations
+//! libtorch spreads over the threads, and so are all networks on a GPU; within a group all actors go
 //! through each operation together. For one number of threads the result is always the same to the
 //! bit.
+//!
+//! **Agents and actors.** Blocks are written by agent; networks belong to actors (see
+//! [`proto::layout`]), which mostly are the same. Centralised PPO has one actor for all agents: it sees
+//! their observations one after the other, its action is all of theirs, the density of which is the
+//! product of theirs, and it is paid the sum of their rewards. That is settled where samples are
+//! gathered; nothing after it knows of agents.
 //!
 //! **Copies.** The first operation that reads a block is the normalisation (of observations) or the
 //! packing of what the loss needs into one row a sample; blocks are not copied before.
 //!
-//! Letters: `A` agents of a group, `T` steps, `E` environments of all shards, `M = T·E` samples,
-//! `O` observation, `S` critic state, `U` actions, `B` samples of a chunk.
+//! Letters: `A` actors of a group, `G` agents of an actor, `T` steps, `E` environments of all shards,
+//! `M = T·E` samples, `O` what an actor sees, `S` critic state, `U` actions of an actor, `B` samples of a
+//! chunk.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -47,7 +54,7 @@ use crate::value_norm::ValueNorm;
 /// fewer, the gradients of weights are summed more often.
 const CHUNK_ROWS: i64 = 1600;
 
-/// Losses and diagnostics of an update, one entry an agent.
+/// Losses and diagnostics of an update, one entry an actor.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct UpdateReport {
     /// Clipped surrogate, negated; mean over optimiser steps.
@@ -68,7 +75,7 @@ pub struct UpdateReport {
     pub critic_grad_norm: Vec<f64>,
     /// Mean standard deviation of the actions after the update.
     pub action_std: Vec<f64>,
-    /// Mean undiscounted return of an episode.
+    /// Mean undiscounted return of an episode, one entry an agent.
     pub returns: Vec<f64>,
     /// Learning rates in force.
     pub actor_lr: f64,
@@ -125,10 +132,10 @@ pub struct Mappo {
     work: Arc<AtomicU64>,
 }
 
-/// Agents that are computed together.
+/// Actors that are computed together.
 #[derive(Debug)]
 struct Group {
-    agents: Range<usize>,
+    actors: Range<usize>,
     actor: Half,
     critic: Half,
     chunk_rows: i64,
@@ -174,7 +181,7 @@ struct Samples {
     observation: Tensor,
     /// `[(T + 1)·E, S]` likewise; absent if critics see observations.
     state: Option<Tensor>,
-    /// `[M, A·5]`: action, old log-probability, advantage.
+    /// `[M, A·(U + 2)]`: action, old log-probability, advantage.
     actor: Tensor,
     /// `[M, A·2]`: old value (normalised), return.
     critic: Tensor,
@@ -182,9 +189,6 @@ struct Samples {
     episode_return: Vec<f64>,
     returns: Tensor,
 }
-
-/// Columns of a sample's row for the actors' loss.
-const ACTOR_COLUMNS: i64 = JOINTS_PER_AGENT as i64 + 2;
 
 struct Outcome {
     actor_steps: Vec<i64>,
@@ -196,10 +200,10 @@ impl Mappo {
     /// Buffers and options for `config`; `state` says precision and device.
     pub fn new(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
         let together = config.network.shared_parameters || state.device().is_cuda();
-        Self::in_groups(config, dimensions, state, if together { 1 } else { dimensions.n_agents })
+        Self::in_groups(config, dimensions, state, if together { 1 } else { dimensions.n_actors })
     }
 
-    /// As [`Mappo::new`], with all agents in one group, so that an update can be traced.
+    /// As [`Mappo::new`], with all actors in one group, so that an update can be traced.
     pub fn in_one_group(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
         Self::in_groups(config, dimensions, state, 1)
     }
@@ -249,17 +253,17 @@ impl Mappo {
         let kind = state.arithmetic.kind();
         let threads = config.run.learner_threads;
         let at_once = threads.min(n_groups);
-        let bound = |group: usize| group * dimensions.n_agents / n_groups;
+        let bound = |group: usize| group * dimensions.n_actors / n_groups;
         let groups = (0..n_groups)
             .map(|group| {
-                let agents = bound(group)..bound(group + 1);
+                let actors = bound(group)..bound(group + 1);
                 let half = |network: &NetworkState| {
-                    let flat = network.flat.narrow(0, agents.start as i64, agents.len() as i64);
+                    let flat = network.flat.narrow(0, actors.start as i64, actors.len() as i64);
                     Half {
                         compute: Compute::new(
                             &network.spec,
                             config.network.activation,
-                            agents.len(),
+                            actors.len(),
                             kind,
                             device,
                         ),
@@ -272,7 +276,7 @@ impl Mappo {
                     actor: half(&state.actor),
                     critic: half(&state.critic),
                     chunk_rows: if device.is_cuda() { i64::MAX } else { CHUNK_ROWS },
-                    agents,
+                    actors,
                     device,
                     kind,
                 }
@@ -394,9 +398,9 @@ fn run_groups(
     [at_once, threads]: [usize; 2],
     trace: Option<&mut Trace>,
 ) -> Vec<Result<Outcome, LearnerError>> {
-    let part = |network: &NetworkState, agents: &Range<usize>| {
-        let flat = network.flat.narrow(0, agents.start as i64, agents.len() as i64);
-        let adam = network.adam.narrow(agents.start, agents.len());
+    let part = |network: &NetworkState, actors: &Range<usize>| {
+        let flat = network.flat.narrow(0, actors.start as i64, actors.len() as i64);
+        let adam = network.adam.narrow(actors.start, actors.len());
         Learned { spec: network.spec.clone(), flat, adam }
     };
     let mut outcomes: Vec<_> = groups.iter().map(|_| None).collect();
@@ -404,9 +408,9 @@ fn run_groups(
         .iter_mut()
         .zip(&mut outcomes)
         .map(|(group, outcome)| {
-            let agents = &group.agents;
-            let norm = state.value_norm.narrow(agents.start as i64, agents.len() as i64);
-            let learned = (part(&state.actor, agents), part(&state.critic, agents));
+            let actors = &group.actors;
+            let norm = state.value_norm.narrow(actors.start as i64, actors.len() as i64);
+            let learned = (part(&state.actor, actors), part(&state.critic, actors));
             (group, learned, norm, outcome)
         })
         .collect();
@@ -439,7 +443,7 @@ impl Group {
         mut trace: Option<&mut Trace>,
     ) -> Result<Outcome, LearnerError> {
         let options = job.options;
-        let a = self.agents.len();
+        let a = self.actors.len();
         let samples = self.prepare(job, &critic.flat, &value_norm, trace.as_deref_mut());
         let m = (job.dimensions.n_steps * job.dimensions.n_envs * job.shards.len()) as i64;
         for half in [&mut self.actor, &mut self.critic] {
@@ -492,7 +496,7 @@ impl Group {
         }
         let parameter = actor.spec.view("log_std", &actor.flat);
         let numbers = |tensor: Tensor| {
-            Vec::<f64>::try_from(tensor.to_kind(Kind::Double)).expect("one number an agent")
+            Vec::<f64>::try_from(tensor.to_kind(Kind::Double)).expect("one number an actor")
         };
         let std = options.actor_loss.log_std(&parameter).exp();
         let report = UpdateReport {
@@ -513,19 +517,23 @@ impl Group {
         value_norm: &ValueNorm,
         trace: Option<&mut Trace>,
     ) -> Samples {
-        let Dimensions { n_steps, n_envs, observation, state, .. } = *job.dimensions;
-        let (t, n, o, s) = (n_steps as i64, n_envs as i64, observation as i64, state as i64);
+        let Dimensions { n_agents, n_steps, n_envs, observation, state, .. } = *job.dimensions;
+        let (input, g) = (job.dimensions.actor_input(), job.dimensions.agents_per_actor());
+        let agents = self.actors.start * g..self.actors.end * g;
+        let (t, n, s) = (n_steps as i64, n_envs as i64, state as i64);
+        let (o, own, g) = (input as i64, observation as i64, g as i64);
         let e = n * job.shards.len() as i64;
-        let (a, u, m) = (self.agents.len() as i64, JOINTS_PER_AGENT as i64, t * e);
+        let (a, u, m) = (self.actors.len() as i64, job.dimensions.actor_output() as i64, t * e);
+        let joints = JOINTS_PER_AGENT as i64;
         let float = (Kind::Float, self.device);
         let options = job.options;
 
         let observations = Tensor::empty([(t + 1) * e, a * o], (self.kind, self.device));
         let states = (!options.own_critic_state)
             .then(|| Tensor::empty([(t + 1) * e, s], (self.kind, self.device)));
-        let actor = Tensor::empty([m, a * ACTOR_COLUMNS], float);
+        let actor = Tensor::empty([m, a * (u + 2)], float);
         let critic_rows = Tensor::empty([m, a * 2], float);
-        let reward = Tensor::empty([a, t, e], float);
+        let agent_reward = Tensor::empty([a, g, t, e], float);
         let terminated = Tensor::empty([t, e], float);
         let truncated = Tensor::empty([t, e], float);
 
@@ -540,7 +548,7 @@ impl Group {
                     (part(mean), part(inverse_std))
                 })
             };
-        let observation_norm = moments_of(&job.observation_norm, &self.agents, observation);
+        let observation_norm = moments_of(&job.observation_norm, &self.actors, input);
         let state_norm = moments_of(&job.state_norm, &(0..1), state);
         let normalise = |x: &Tensor, norm: &Option<(Tensor, Tensor)>| match options.input_norm {
             InputNormKind::None => x.shallow_clone(),
@@ -551,16 +559,17 @@ impl Group {
                 x.clamp_(-options.input_clip, options.input_clip)
             }
         };
-        let actor_columns = actor.view([t, e, a, ACTOR_COLUMNS]);
+        let actor_columns = actor.view([t, e, a, u + 2]);
         for (index, shard) in job.shards.iter().enumerate() {
             let of_agents = |range: &Range<usize>| {
-                let per_agent = range.len() / job.dimensions.n_agents;
-                &shard[range.start + self.agents.start * per_agent
-                    ..range.start + self.agents.end * per_agent]
+                let per_agent = range.len() / n_agents;
+                &shard[range.start + agents.start * per_agent..range.start + agents.end * per_agent]
             };
             let first = index as i64 * n;
-            let x = view(of_agents(&job.layout.observation), &[a, t + 1, n, o]);
-            let x = normalise(&x.tensor().to_device(self.device), &observation_norm);
+            // With one agent an actor, bringing G beside the features moves nothing.
+            let seen = view(of_agents(&job.layout.observation), &[a, g, t + 1, n, own]);
+            let seen = seen.tensor().to_device(self.device).permute([0, 2, 3, 1, 4]);
+            let x = normalise(&seen.reshape([a, t + 1, n, o]), &observation_norm);
             let mut slot = observations.view([t + 1, e, a, o]).narrow(1, first, n);
             slot.copy_(&x.permute([1, 2, 0, 3]));
             if let Some(states) = &states {
@@ -570,12 +579,13 @@ impl Group {
                 slot.copy_(&x.squeeze_dim(0));
             }
             let part = actor_columns.narrow(1, first, n);
-            let action = view(of_agents(&job.layout.action), &[a, t, n, u]);
-            part.narrow(3, 0, u).copy_(&action.tensor().permute([1, 2, 0, 3]));
-            let log_prob = view(of_agents(&job.layout.log_prob), &[a, t, n]);
-            part.select(3, u).copy_(&log_prob.tensor().permute([1, 2, 0]));
-            let shard_reward = view(of_agents(&job.layout.reward), &[a, t, n]);
-            reward.narrow(2, first, n).copy_(shard_reward.tensor());
+            let action = view(of_agents(&job.layout.action), &[a, g, t, n, joints]);
+            let action = action.tensor().permute([2, 3, 0, 1, 4]).reshape([t, n, a, u]);
+            part.narrow(3, 0, u).copy_(&action);
+            let log_prob = view(of_agents(&job.layout.log_prob), &[a, g, t, n]);
+            part.select(3, u).copy_(&over_agents(log_prob.tensor()).permute([1, 2, 0]));
+            let shard_reward = view(of_agents(&job.layout.reward), &[a, g, t, n]);
+            agent_reward.narrow(3, first, n).copy_(shard_reward.tensor());
             for (flags, range) in
                 [(&terminated, &job.layout.terminated), (&truncated, &job.layout.truncated)]
             {
@@ -584,6 +594,7 @@ impl Group {
             }
         }
 
+        let reward = over_agents(&agent_reward);
         let value = self.values(&observations, states.as_ref(), critic, (t + 1) * e);
         let scaled = if options.value_norm_beta.is_some() {
             let (mean, std) = moments(value_norm);
@@ -606,7 +617,8 @@ impl Group {
         let variance =
             |x: &Tensor| x.reshape([a, -1]).to_kind(Kind::Double).var_dim(rows, false, false);
         let explained = 1.0 - variance(&advantage) / variance(&returns).clamp_min(1e-12);
-        let episode = reward.sum_dim_intlist(rows, false, Kind::Double).mean_dim(rows, false, None);
+        let episode = agent_reward.view([a * g, t, e]).sum_dim_intlist(rows, false, Kind::Double);
+        let episode = episode.mean_dim(rows, false, None);
         if let Some(trace) = trace {
             trace.value = Some(value.view([a, t + 1, e]).copy());
             trace.advantage = Some(advantage.copy());
@@ -617,7 +629,7 @@ impl Group {
             state: states,
             actor,
             critic: critic_rows,
-            explained_variance: Vec::try_from(explained).expect("one number an agent"),
+            explained_variance: Vec::try_from(explained).expect("one number an actor"),
             episode_return: Vec::try_from(episode).expect("one number an agent"),
             returns,
         }
@@ -631,14 +643,14 @@ impl Group {
         critic: &Tensor,
         rows: i64,
     ) -> Tensor {
-        let a = self.agents.len() as i64;
+        let a = self.actors.len() as i64;
         let value = Tensor::empty([a, rows], (Kind::Float, self.device));
         self.critic.compute.load(critic);
         for chunk in chunks(rows, self.chunk_rows) {
             let len = chunk.end - chunk.start;
             let x = match state {
                 Some(state) => shared_input(&state.narrow(0, chunk.start, len), a),
-                None => agent_input(&observation.narrow(0, chunk.start, len), a),
+                None => actor_input(&observation.narrow(0, chunk.start, len), a),
             };
             let output = self.critic.compute.forward(&x);
             value.narrow(1, chunk.start, len).copy_(&output.squeeze_dim(1));
@@ -658,8 +670,8 @@ impl Group {
         step: (usize, usize),
     ) -> Result<(), LearnerError> {
         let loss = &job.options.actor_loss;
-        let a = self.agents.len() as i64;
-        let u = JOINTS_PER_AGENT as i64;
+        let a = self.actors.len() as i64;
+        let u = job.dimensions.actor_output() as i64;
         let batch = rows.size()[0];
         let Half { compute, gradient, .. } = &mut self.actor;
         let _ = gradient.zero_();
@@ -670,7 +682,7 @@ impl Group {
         let mut statistics = Tensor::zeros([a, 3], options);
         for chunk in chunks(batch, self.chunk_rows) {
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
-            let x = agent_input(&samples.observation.index_select(0, &rows), a);
+            let x = actor_input(&samples.observation.index_select(0, &rows), a);
             let columns = columns(&samples.actor.index_select(0, &rows), a);
             let samples = ActorSamples {
                 action: columns.narrow(1, 0, u),
@@ -700,7 +712,7 @@ impl Group {
             }
         }
         let norms = descend(job, learned, &mut self.actor, job.actor_lr, active);
-        check(&norms, "actor", self.agents.start, job.iteration, step)?;
+        check(&norms, "actor", self.actors.start, job.iteration, step)?;
         sums.actor(column(0), column(1), column(2), &norms);
         Ok(())
     }
@@ -716,7 +728,7 @@ impl Group {
         sums: &mut Sums,
         step: (usize, usize),
     ) -> Result<(), LearnerError> {
-        let a = self.agents.len() as i64;
+        let a = self.actors.len() as i64;
         let batch = rows.size()[0];
         let Half { compute, gradient, .. } = &mut self.critic;
         let _ = gradient.zero_();
@@ -726,7 +738,7 @@ impl Group {
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
             let x = match &samples.state {
                 Some(state) => shared_input(&state.index_select(0, &rows), a),
-                None => agent_input(&samples.observation.index_select(0, &rows), a),
+                None => actor_input(&samples.observation.index_select(0, &rows), a),
             };
             let columns = columns(&samples.critic.index_select(0, &rows), a);
             let old = columns.select(1, 0);
@@ -740,9 +752,9 @@ impl Group {
             let _ = total.g_add_(&sum);
         }
         compute.unfold(&learned.flat, gradient);
-        let active = vec![true; self.agents.len()];
+        let active = vec![true; self.actors.len()];
         let norms = descend(job, learned, &mut self.critic, job.critic_lr, &active);
-        check(&norms, "critic", self.agents.start, job.iteration, step)?;
+        check(&norms, "critic", self.actors.start, job.iteration, step)?;
         let losses = Vec::<f32>::try_from(total / batch as f64).expect("one number an agent");
         sums.critic(losses.into_iter().map(f64::from), &norms);
         Ok(())
@@ -804,12 +816,17 @@ fn chunks(rows: i64, limit: i64) -> impl Iterator<Item = Range<i64>> {
     (0..count).map(move |i| i * rows / count..(i + 1) * rows / count)
 }
 
-/// `[B, A·F]` as the agents' inputs `[A, B, F]`.
-fn agent_input(rows: &Tensor, agents: i64) -> Tensor {
+/// `[B, A·F]` as the actors' inputs `[A, B, F]`.
+fn actor_input(rows: &Tensor, agents: i64) -> Tensor {
     rows.view([rows.size()[0], agents, -1]).transpose(0, 1)
 }
 
-/// `[B, F]` as the same input of all agents, `[A, B, F]`.
+/// `[A, G, …]` summed over the agents of each actor.
+fn over_agents(x: &Tensor) -> Tensor {
+    x.sum_dim_intlist(&[1i64][..], false, Kind::Float)
+}
+
+/// `[B, F]` as the same input of all actors, `[A, B, F]`.
 fn shared_input(rows: &Tensor, agents: i64) -> Tensor {
     let (b, f) = rows.size2().expect("[B, F]");
     rows.unsqueeze(0).expand([agents, b, f], true)

@@ -1,7 +1,7 @@
-//! The parameters of all agents' networks: names, places, initial values.
+//! The parameters of all actors' and critics' networks: names, places, initial values.
 //!
-//! Actors and critics are multi-layer perceptrons of one shape. The parameters of all agents stand
-//! in one tensor `[A, P]`, one row an agent, so that an optimiser step is a handful of operations
+//! Actors and critics are multi-layer perceptrons of one shape. The parameters of all actors stand
+//! in one tensor `[A, P]`, one row an actor (see [`proto::layout`]), and so do those of the critics, so that an optimiser step is a handful of operations
 //! and a gradient norm is the norm of a row. A named parameter is a range of columns; its view
 //! `[A, in, out]` (weights multiply row vectors from the left) is what checkpoints hold.
 //!
@@ -9,7 +9,7 @@
 //! first hidden layer, which tells the agents apart; [`NetworkSpec::unify`] keeps them equal.
 
 use proto::config::{InputNorm, Network};
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::Dimensions;
 use proto::rng::{Address, Purpose};
 use tch::{Device, Kind, Tensor};
 
@@ -74,8 +74,8 @@ impl NetworkKind {
 pub struct NetworkSpec {
     /// Actor or critic.
     pub kind: NetworkKind,
-    /// A.
-    pub n_agents: usize,
+    /// A: one an actor.
+    pub n_actors: usize,
     /// Width of the input.
     pub input: i64,
     /// Widths of the hidden layers.
@@ -98,7 +98,7 @@ impl NetworkSpec {
     /// The actors or critics of a configuration.
     pub fn new(kind: NetworkKind, network: &Network, dimensions: &Dimensions) -> Self {
         let (input, output) = match kind {
-            NetworkKind::Actor => (dimensions.observation, JOINTS_PER_AGENT),
+            NetworkKind::Actor => (dimensions.actor_input(), dimensions.actor_output()),
             NetworkKind::Critic => (dimensions.critic_input(), 1),
         };
         let hidden: Vec<i64> = network.hidden.iter().map(|&width| width as i64).collect();
@@ -131,7 +131,7 @@ impl NetworkSpec {
         }
         Self {
             kind,
-            n_agents: dimensions.n_agents,
+            n_actors: dimensions.n_actors,
             input: input as i64,
             hidden,
             output,
@@ -163,7 +163,7 @@ impl NetworkSpec {
     /// for hidden layers, `head_gain` for the actors' head and 1 for the critics'; zero biases, unit
     /// gains, `initial_log_std`.
     pub fn initial(&self, network: &Network, seed: u64) -> Tensor {
-        let mut flat = vec![0.0f32; self.n_agents * self.len as usize];
+        let mut flat = vec![0.0f32; self.n_actors * self.len as usize];
         for (agent, row) in flat.chunks_exact_mut(self.len as usize).enumerate() {
             // A shared network is the first agent's, for all.
             let source = if self.shared { 0 } else { agent };
@@ -199,7 +199,7 @@ impl NetworkSpec {
                 }
             }
         }
-        Tensor::from_slice(&flat).view([self.n_agents as i64, self.len])
+        Tensor::from_slice(&flat).view([self.n_actors as i64, self.len])
     }
 
     /// For a shared network, turns per-agent gradients `[A, P]` into those of the mean loss over
@@ -296,7 +296,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// A zeroed tensor `[A, P]` beside the parameters of `spec`.
 pub fn zeros_like(spec: &NetworkSpec, device: Device) -> Tensor {
-    Tensor::zeros([spec.n_agents as i64, spec.len], (Kind::Float, device))
+    Tensor::zeros([spec.n_actors as i64, spec.len], (Kind::Float, device))
 }
 
 #[cfg(test)]

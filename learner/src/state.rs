@@ -5,15 +5,17 @@
 //!
 //! | name | type, shape |
 //! |---|---|
-//! | `actor.<parameter>`, `critic.<parameter>` | f32 `[A, …]`, the names of [`NetworkSpec`] |
-//! | `actor.adam.m.<parameter>`, `….v.<parameter>`, likewise `critic` | f32 `[A, …]` |
-//! | `actor.adam.steps`, `critic.adam.steps` | i64 `[A]` |
-//! | `value_norm.mean`, `.mean_square`, `.debias` | f64 `[A]` |
+//! | `actor.<parameter>`, `critic.<parameter>` | f32 `[P, …]`, the names of [`NetworkSpec`] |
+//! | `actor.adam.m.<parameter>`, `….v.<parameter>`, likewise `critic` | f32 `[P, …]` |
+//! | `actor.adam.steps`, `critic.adam.steps` | i64 `[P]` |
+//! | `value_norm.mean`, `.mean_square`, `.debias` | f64 `[P]` |
 //! | `observation_norm.mean`, `.m2`, `.count` | f64 `[A, O]`, `[A, O]`, `[1]`; running normalisation only |
 //! | `state_norm.mean`, `.m2`, `.count` | f64 `[1, S]`, `[1, S]`, `[1]`; likewise, unless critics see observations |
-//! | `previous_policy` | f32 `[P]`: the policy published before, which overlapping workers still use |
+//! | `previous_policy` | f32, flat: the policy published before, which overlapping workers still use |
 //! | `counters.iteration`, `counters.env_steps` | u64 `[1]`; the iteration is also the policy version |
 //! | `counters.precision` | u64 `[1]`: bits of the products' operands, 16 or 32 |
+//!
+//! `P` are the actors: one for each of the `A` agents, or one for all.
 //!
 //! For readers who want the policies alone, the file repeats them as `policy.<name>`, exactly as
 //! workers got them (`proto::layout::ActorLayout`); a restore does not need these.
@@ -157,7 +159,7 @@ impl TrainingState {
         let mut state = Self {
             actor: network(NetworkKind::Actor),
             critic: network(NetworkKind::Critic),
-            value_norm: ValueNorm::new(dimensions.n_agents, device),
+            value_norm: ValueNorm::new(dimensions.n_actors, device),
             observation_norm: running
                 .then(|| InputNorm::new(dimensions.n_agents, dimensions.observation)),
             state_norm: (running && !own).then(|| InputNorm::new(1, dimensions.state)),

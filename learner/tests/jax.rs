@@ -213,6 +213,18 @@ fn independent_learners_with_tanh_and_a_floor_under_the_deviation() {
 }
 
 #[test]
+fn one_actor_for_all_agents() {
+    cross_check(&["algorithm.name=ppo"]);
+    cross_check(&[
+        "algorithm.name=ppo",
+        "network.layer_norm=true",
+        "network.input_norm=layer_norm",
+        "algorithm.entropy_coefficient=0.01",
+        "algorithm.surrogate_multiplier=12",
+    ]);
+}
+
+#[test]
 fn a_shared_network() {
     cross_check(&["network.shared_parameters=true", "algorithm.max_grad_norm=0.3"]);
 }

@@ -7,14 +7,18 @@
 //! * the **actor parameters** of one policy version ([`ActorLayout`], described by a
 //!   [`PolicyHeader`]).
 //!
-//! Letters: `A` agents, `T` steps, `N` environments of a shard, `O` observation, `S` critic state,
-//! `U` actions of an agent (3), `K` episode metrics. All arrays are row-major.
+//! Agents belong to the robot, two an arm, and blocks are written by agent. Who chooses their actions is
+//! an **actor**: one an agent, or one for all of them (centralised PPO), which then sees their
+//! observations one after the other. So a block has the same layout whatever the algorithm.
+//!
+//! Letters: `A` agents, `P` actors, `T` steps, `N` environments of a shard, `O` observation, `S` critic
+//! state, `U` actions of an agent (3), `K` episode metrics. All arrays are row-major.
 
 use std::ops::Range;
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::config::{Config, CriticState, InputNorm, Observation, TaskName};
+use crate::config::{AlgorithmName, Config, CriticState, InputNorm, Observation, TaskName};
 
 /// Joints that one agent moves.
 pub const JOINTS_PER_AGENT: usize = 3;
@@ -28,6 +32,8 @@ pub struct Dimensions {
     pub n_arms: usize,
     /// A: agents, two an arm.
     pub n_agents: usize,
+    /// P: actors, and as many critics: one an agent, or one for all agents.
+    pub n_actors: usize,
     /// T: control steps of an episode.
     pub n_steps: usize,
     /// N: environments of a shard.
@@ -66,6 +72,10 @@ impl Dimensions {
         Self {
             n_arms,
             n_agents,
+            n_actors: match config.algorithm.name {
+                AlgorithmName::Mappo | AlgorithmName::Ippo => n_agents,
+                AlgorithmName::Ppo => 1,
+            },
             n_steps: config.task.episode_steps,
             n_envs: config.envs_per_shard(),
             n_shards: config.env.n_shards,
@@ -75,9 +85,24 @@ impl Dimensions {
         }
     }
 
-    /// Numbers that a critic's first layer takes.
+    /// Agents that one actor moves; actor p moves those from p times this on.
+    pub fn agents_per_actor(&self) -> usize {
+        self.n_agents / self.n_actors
+    }
+
+    /// Numbers that an actor's first layer takes: the observations of its agents.
+    pub fn actor_input(&self) -> usize {
+        self.agents_per_actor() * self.observation
+    }
+
+    /// Actions that an actor chooses: those of its agents.
+    pub fn actor_output(&self) -> usize {
+        self.agents_per_actor() * JOINTS_PER_AGENT
+    }
+
+    /// Numbers that a critic's first layer takes: the critic state, or what its actor sees.
     pub fn critic_input(&self) -> usize {
-        if self.state == 0 { self.observation } else { self.state }
+        if self.state == 0 { self.actor_input() } else { self.state }
     }
 }
 
@@ -191,7 +216,7 @@ impl BlockLayout {
 pub struct TensorSpec {
     /// Name, as checkpoints write it: `hidden.0.weight`.
     pub name: String,
-    /// Shape; the first dimension is A.
+    /// Shape; the first dimension is P.
     pub shape: Vec<usize>,
     /// First element.
     pub offset: usize,
@@ -216,9 +241,9 @@ impl TensorSpec {
 
 /// Where the tensors of all actors stand in the flat parameters of a policy version.
 ///
-/// Always one row an agent: a shared network is published once for each agent, with the agent's
-/// own first-layer bias. Weights are `[A, in, out]`, so a batch of row vectors multiplies from the
-/// left. In order: the input's normalisation (`input.mean` and `input.inverse_std`, or
+/// One row an actor: a network that all agents share is published once for each agent, with the
+/// agent's own first-layer bias. Weights are `[P, in, out]`, so a batch of row vectors multiplies from
+/// the left; the input is [`Dimensions::actor_input`] wide, the output [`Dimensions::actor_output`]. In order: the input's normalisation (`input.mean` and `input.inverse_std`, or
 /// `input.gain` and `input.bias`), each hidden layer (`hidden.i.weight`, `.bias`, and with
 /// LayerNorm `.gain`, `.shift`), `head.weight`, `head.bias`, `log_std` (already floored).
 ///
@@ -235,7 +260,7 @@ impl ActorLayout {
     /// The layout for a configuration.
     pub fn new(config: &Config, dimensions: &Dimensions) -> Self {
         let network = &config.network;
-        let a = dimensions.n_agents;
+        let p = dimensions.n_actors;
         let mut tensors = Vec::new();
         let mut len = 0;
         let mut tensor = |name: String, shape: Vec<usize>| {
@@ -243,27 +268,28 @@ impl ActorLayout {
             len = spec.range().end.next_multiple_of(16);
             tensors.push(spec);
         };
-        let mut width = dimensions.observation;
+        let mut width = dimensions.actor_input();
         let input_names = match network.input_norm {
             InputNorm::None => None,
             InputNorm::LayerNorm => Some(["input.gain", "input.bias"]),
             InputNorm::Running => Some(["input.mean", "input.inverse_std"]),
         };
         for name in input_names.into_iter().flatten() {
-            tensor(name.to_owned(), vec![a, width]);
+            tensor(name.to_owned(), vec![p, width]);
         }
         for (layer, &hidden) in network.hidden.iter().enumerate() {
-            tensor(format!("hidden.{layer}.weight"), vec![a, width, hidden]);
-            tensor(format!("hidden.{layer}.bias"), vec![a, hidden]);
+            tensor(format!("hidden.{layer}.weight"), vec![p, width, hidden]);
+            tensor(format!("hidden.{layer}.bias"), vec![p, hidden]);
             if network.layer_norm {
-                tensor(format!("hidden.{layer}.gain"), vec![a, hidden]);
-                tensor(format!("hidden.{layer}.shift"), vec![a, hidden]);
+                tensor(format!("hidden.{layer}.gain"), vec![p, hidden]);
+                tensor(format!("hidden.{layer}.shift"), vec![p, hidden]);
             }
             width = hidden;
         }
-        tensor("head.weight".to_owned(), vec![a, width, JOINTS_PER_AGENT]);
-        tensor("head.bias".to_owned(), vec![a, JOINTS_PER_AGENT]);
-        tensor("log_std".to_owned(), vec![a, JOINTS_PER_AGENT]);
+        let actions = dimensions.actor_output();
+        tensor("head.weight".to_owned(), vec![p, width, actions]);
+        tensor("head.bias".to_owned(), vec![p, actions]);
+        tensor("log_std".to_owned(), vec![p, actions]);
         Self { tensors, len }
     }
 
@@ -352,6 +378,27 @@ mod tests {
         assert_eq!(size(Preset::Paper, TaskName::Reorientation), (25, 200));
         assert_eq!(size(Preset::Release, TaskName::Trajectory), (31, 248));
         assert_eq!(size(Preset::Release, TaskName::Reorientation), (25, 200));
+    }
+
+    #[test]
+    fn a_centralised_actor_sees_and_moves_what_all_agents_do_and_blocks_stay_the_same() {
+        let of = |algorithm: &str| {
+            let layers = Layers::new(Preset::Paper, Some(TaskName::Trajectory));
+            let config = layers.set(algorithm).and_then(|layers| layers.resolve()).expect("valid");
+            (Dimensions::new(&config, 4), config)
+        };
+        let (independent, _) = of("algorithm.name=ippo");
+        let (central, config) = of("algorithm.name=ppo");
+        assert_eq!((independent.n_actors, central.n_actors), (8, 1));
+        assert_eq!((central.actor_input(), central.actor_output()), (8 * 28, 24));
+        assert_eq!((independent.actor_input(), independent.actor_output()), (28, 3));
+        assert_eq!((independent.critic_input(), central.critic_input()), (28, 8 * 28));
+        assert_eq!(BlockLayout::new(&central), BlockLayout::new(&independent));
+        let layout = ActorLayout::new(&config, &central);
+        let shape = |name| layout.get(name).expect("exists").shape.clone();
+        assert_eq!(shape("hidden.0.weight"), [1, 224, 512]);
+        assert_eq!(shape("head.weight"), [1, 512, 24]);
+        assert_eq!(shape("log_std"), [1, 24]);
     }
 
     #[test]

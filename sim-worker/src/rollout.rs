@@ -100,18 +100,18 @@ pub enum RolloutError {
     },
     /// The policy is one of another configuration.
     #[error(
-        "the policy has {found_agents} agents that see {found_observation} numbers; the run has \
-         {agents} that see {observation}"
+        "the policy has {found_actors} actors that see {found_input} numbers; the run has \
+         {actors} that see {input}"
     )]
     PolicyShape {
-        /// Agents of the policy.
-        found_agents: usize,
-        /// Inputs of its networks.
-        found_observation: usize,
-        /// Agents of the run.
-        agents: usize,
+        /// Actors of the policy.
+        found_actors: usize,
+        /// Inputs of their networks.
+        found_input: usize,
+        /// Actors of the run.
+        actors: usize,
         /// Numbers that they see.
-        observation: usize,
+        input: usize,
     },
     /// An episode went wrong.
     #[error("seed {seed}, iteration {iteration}, shard {shard}: {source}")]
@@ -182,12 +182,12 @@ fn prepare<'a>(
     if block.len() != world.layout.len {
         return Err(RolloutError::BlockLength { found: block.len(), expected: world.layout.len });
     }
-    if (policy.n_agents(), policy.observation()) != (dimensions.n_agents, dimensions.observation) {
+    if (policy.n_actors(), policy.input()) != (dimensions.n_actors, dimensions.actor_input()) {
         return Err(RolloutError::PolicyShape {
-            found_agents: policy.n_agents(),
-            found_observation: policy.observation(),
-            agents: dimensions.n_agents,
-            observation: dimensions.observation,
+            found_actors: policy.n_actors(),
+            found_input: policy.input(),
+            actors: dimensions.n_actors,
+            input: dimensions.actor_input(),
         });
     }
     let first = shard * dimensions.n_envs as u32;

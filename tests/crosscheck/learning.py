@@ -63,6 +63,7 @@ class Learner:
         self.after = load_file(directory / "after.safetensors")
         self.record = load_file(directory / "record.safetensors")
         self.agents = self.record["reward"].shape[0]
+        self.central = self.config["algorithm"]["name"] == "ppo"
         self.activation = {"relu": jax.nn.relu, "elu": jax.nn.elu, "tanh": jnp.tanh}[
             self.config["network"]["activation"]
         ]
@@ -92,6 +93,8 @@ class Learner:
     def inputs(self):
         r = self.record
         actor = [self.normalise("observation_norm", r["observation"][a], a) for a in range(self.agents)]
+        if self.central:
+            actor = [np.concatenate(actor, -1)]
         if self.config["network"]["critic_state"] == "own":
             return actor, actor
         state = self.normalise("state_norm", r["state"], 0)
@@ -99,6 +102,15 @@ class Learner:
 
     def check(self):
         algorithm, r = self.config["algorithm"], self.record
+        if self.central:
+            # One agent instead: it does what all do, with the product of their densities, and is paid
+            # for all.
+            r = {
+                **r,
+                "action": np.concatenate(list(r["action"]), -1)[None],
+                "log_prob": r["log_prob"].sum(0, keepdims=True),
+                "reward": r["reward"].sum(0, keepdims=True),
+            }
         agents, steps, envs = r["reward"].shape
         actor_in, critic_in = self.inputs()
         actors = network("actor", self.before, agents)

@@ -1,5 +1,6 @@
 //! End-to-end tests of the built programs: runs, crashes, bad input.
 
+mod algorithms;
 mod bad_input;
 mod bench;
 mod chaos;

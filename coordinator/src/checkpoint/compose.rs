@@ -58,6 +58,14 @@ impl Composition {
         let robot_path = first_checkpoint.dir.join(ROBOT);
         let robot = Robot::from_toml(&first_checkpoint.robot_toml, &robot_path)
             .map_err(|error| CheckpointError::damaged(&robot_path, error.to_string()))?;
+        let dimensions = Dimensions::new(&first_checkpoint.config, robot.n_arms);
+        if dimensions.n_actors != dimensions.n_agents {
+            return refuse(format!(
+                "{} has one actor for all arms (algorithm.name = {}), which cannot be taken apart",
+                first.describe(),
+                first_checkpoint.config.algorithm.name.as_str()
+            ));
+        }
         for part in &parts[1..] {
             compatible(first, part)?;
         }
@@ -86,7 +94,7 @@ impl Composition {
         }
 
         let config = first_checkpoint.config.clone();
-        let layout = ActorLayout::new(&config, &Dimensions::new(&config, robot.n_arms));
+        let layout = ActorLayout::new(&config, &dimensions);
         let mut flat = vec![0.0; layout.len];
         let mut origins = Vec::new();
         for part in parts {
@@ -209,7 +217,9 @@ type Dependency = (&'static str, fn(&Config) -> String);
 
 /// Everything of a configuration that the meaning of a policy's numbers depends on, besides the
 /// task: what it sees, what its actions do, and how its network computes.
-const DEPENDENCIES: [Dependency; 10] = [
+const DEPENDENCIES: [Dependency; 11] = [
+    // What an actor sees and moves, and what becomes of its output.
+    ("the kind of actor", |c| c.algorithm.name.actor().to_owned()),
     ("task.observation", |c| format!("{:?}", c.task.observation).to_lowercase()),
     ("task.action_scale", |c| c.task.action_scale.to_string()),
     ("env.control_period", |c| c.env.control_period.to_string()),

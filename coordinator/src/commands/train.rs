@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::Context as _;
 use proto::channel::Domain;
-use proto::config::{Config, Layers};
+use proto::config::{AlgorithmName, Config, Layers};
 use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
@@ -269,6 +269,9 @@ fn flags(args: &TrainArgs) -> Vec<Flag> {
     let integer = |value: Option<u64>| value.map(|value| (value as i64).into());
     let text = |value: &Option<String>| value.clone().map(toml::Value::String);
     let limit = args.limits.time_limit.map(|limit| limit.as_secs_f64().into());
+    let algorithm =
+        args.algorithm.map(|algorithm| AlgorithmName::from(algorithm).as_str().to_owned());
+    let algorithm = text(&algorithm);
     add("--workers", "run", "workers", integer(args.workers));
     add("--pin", "run", "pin", args.pin.then_some(true.into()));
     add("--seed", "run", "seed", integer(args.seed));
@@ -276,6 +279,7 @@ fn flags(args: &TrainArgs) -> Vec<Flag> {
     add("--env-steps", "run", "env_steps", integer(args.limits.env_steps));
     add("--time-limit", "run", "time_limit_s", limit);
     add("--device", "run", "device", text(&args.device));
+    add("--algorithm", "algorithm", "name", algorithm);
     add("--envs", "env", "n_envs", integer(args.envs));
     add("--robot", "robot", "description", text(&args.robot));
     flags
@@ -424,6 +428,10 @@ mod tests {
         assert_eq!(config.task.name.as_str(), "reorientation");
         assert_eq!((config.run.workers, config.run.seed), (3, 9));
         assert_eq!(config.run.time_limit_s, 600.0);
+        for name in AlgorithmName::ALL {
+            let config = parse(&format!("octopus train --algorithm {}", name.as_str()));
+            assert_eq!(config.expect("valid").algorithm.name, name);
+        }
         let config = parse("octopus train --iterations 3 --set env.n_envs=64").expect("valid");
         assert_eq!(config.planned_iterations(), 3);
         assert_eq!(config.run.env_steps, 3 * 64 * config.task.episode_steps as u64);
@@ -447,6 +455,10 @@ mod tests {
             error.to_string(),
             "--set algorithm.gama=0.9: unknown key `algorithm.gama`; did you mean `gamma`?"
         );
+        let error = parse("octopus train --algorithm ippo --set network.critic_state=compact")
+            .expect_err("a contradiction")
+            .to_string();
+        assert!(error.contains("network.critic_state"), "{error}");
         let error = parse("octopus train --device tpu").expect_err("no device").to_string();
         assert!(error.starts_with("--device tpu: ") && error.contains("cuda:0"), "{error}");
     }

@@ -1,7 +1,7 @@
 //! How many floating-point operations an update needs.
 
 use proto::config::Config;
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::Dimensions;
 
 /// Operations in the matrix products that an update needs for an env-step; everything else counts
 /// nothing.
@@ -21,12 +21,12 @@ pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
         let all: f64 = widths.windows(2).map(|pair| 2.0 * pair[0] * pair[1]).sum();
         (all, 2.0 * widths[0] * widths[1])
     };
-    let (actor, actor_first) = products(dimensions.observation, JOINTS_PER_AGENT);
+    let (actor, actor_first) = products(dimensions.actor_input(), dimensions.actor_output());
     let (critic, critic_first) = products(dimensions.critic_input(), 1);
     let epoch = 3.0 * (actor + critic) - actor_first - critic_first;
     let steps = dimensions.n_steps as f64;
     let values = critic * (steps + 1.0) / steps;
-    dimensions.n_agents as f64 * (config.algorithm.epochs as f64 * epoch + values)
+    dimensions.n_actors as f64 * (config.algorithm.epochs as f64 * epoch + values)
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use proto::config::Config;
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::Dimensions;
 use tch::{Device, Kind, Tensor};
 
 /// Rows that go through a product at once: a chunk that fits in the cache, and several of them.
@@ -21,7 +21,7 @@ enum Product {
 }
 
 /// The best rate (GFLOP/s) on the widest layer of the configuration's networks, stacked for all
-/// agents, with the configuration's threads. Tried are all three products, few and many rows, and
+/// actors, with the configuration's threads. Tried are all three products, few and many rows, and
 /// threads that share a product or have agents of their own.
 pub(super) fn best_rate(
     config: &Config,
@@ -31,7 +31,7 @@ pub(super) fn best_rate(
     seconds: f64,
 ) -> f64 {
     let threads = config.run.learner_threads;
-    let split = if device.is_cuda() { 1 } else { threads.min(dimensions.n_agents) };
+    let split = if device.is_cuda() { 1 } else { threads.min(dimensions.n_actors) };
     let mut groups = vec![1, split];
     groups.dedup();
     let products = [Product::Forward, Product::WeightGradient, Product::InputGradient];
@@ -40,7 +40,7 @@ pub(super) fn best_rate(
     let [input, output] = widest(config, dimensions);
     let mut best = 0.0_f64;
     for &groups in (0..TURNS).flat_map(|_| &groups) {
-        let agents = (dimensions.n_agents / groups) as i64;
+        let agents = (dimensions.n_actors / groups) as i64;
         for rows in ROWS {
             for product in products {
                 let operands = || operands(product, [agents, rows, input, output], kind, device);
@@ -56,7 +56,7 @@ pub(super) fn best_rate(
 
 /// Width of the input and of the output of the layer with the most weights.
 fn widest(config: &Config, dimensions: &Dimensions) -> [i64; 2] {
-    [(dimensions.observation, JOINTS_PER_AGENT), (dimensions.critic_input(), 1)]
+    [(dimensions.actor_input(), dimensions.actor_output()), (dimensions.critic_input(), 1)]
         .into_iter()
         .flat_map(|(input, output)| {
             let widths: Vec<usize> = std::iter::once(input)

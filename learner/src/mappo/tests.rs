@@ -36,7 +36,7 @@ impl Run {
     }
 }
 
-const VARIANTS: [&[&str]; 6] = [
+const VARIANTS: [&[&str]; 7] = [
     &[],
     &["network.shared_parameters=true", "run.learner_threads=1"],
     &["network.layer_norm=true", "network.input_norm=layer_norm", "network.activation=elu"],
@@ -48,6 +48,7 @@ const VARIANTS: [&[&str]; 6] = [
     ],
     &["algorithm.max_kl=0.001", "algorithm.value_norm=false", "algorithm.huber_delta=0"],
     &["network.input_norm=none", "network.critic_state=concatenated", "run.learner_threads=1"],
+    &["algorithm.name=ppo", "run.learner_threads=1"],
 ];
 
 #[test]
@@ -142,6 +143,42 @@ fn a_shared_network_stays_one_network() {
     assert_eq!(weight.get(0), weight.get(3));
     let bias = spec.view("hidden.0.bias", flat);
     assert_ne!(bias.get(0), bias.get(3), "agents are told apart");
+}
+
+#[test]
+fn a_centralised_actor_is_paid_the_sum_and_its_density_is_the_product() {
+    let config = config(&["algorithm.name=ppo", "run.learner_threads=1"]);
+    let learn = |change: &dyn Fn(&mut [f32], &BlockLayout)| {
+        let mut run = Run::new(&config, Arithmetic::F32);
+        let layout = BlockLayout::new(&run.dimensions);
+        let mut blocks = blocks(&run.dimensions, 1);
+        for block in &mut blocks {
+            // Quarters, so that sums are exact in whatever order.
+            for range in [&layout.reward, &layout.log_prob] {
+                block[range.clone()].iter_mut().for_each(|x| *x = (*x * 4.0).round() / 4.0);
+            }
+            change(block, &layout);
+        }
+        let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+        let report = run.mappo.update(&mut run.state, &shards).expect("finite");
+        assert_eq!((report.returns.len(), report.policy_loss.len()), (4, 1));
+        run.state.digest()
+    };
+    // Adds to every number of the first agent's quarter of an array, and of the second's.
+    let add = |array: &mut [f32], to_first: f32, to_second: f32| {
+        let quarter = array.len() / 4;
+        array[..quarter].iter_mut().for_each(|x| *x += to_first);
+        array[quarter..2 * quarter].iter_mut().for_each(|x| *x += to_second);
+    };
+    let plain = learn(&|_, _| {});
+    let moved = learn(&|block, layout| {
+        add(&mut block[layout.reward.clone()], 1.5, -1.5);
+        add(&mut block[layout.log_prob.clone()], -0.5, 0.5);
+    });
+    assert_eq!(moved, plain, "only sums count");
+    let more_reward = learn(&|block, layout| add(&mut block[layout.reward.clone()], 1.5, 0.0));
+    let denser = learn(&|block, layout| add(&mut block[layout.log_prob.clone()], -0.5, 0.0));
+    assert!(more_reward != plain && denser != plain, "every agent counts");
 }
 
 #[test]

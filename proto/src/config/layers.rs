@@ -4,7 +4,7 @@ use std::path::Path;
 
 use toml::{Table, Value};
 
-use super::{Config, TaskName};
+use super::{AlgorithmName, Config, TaskName};
 use crate::ConfigError;
 
 /// The built-in configurations, in `deploy/presets`.
@@ -99,26 +99,17 @@ impl Layers {
     pub fn resolve(&self) -> Result<Config, ConfigError> {
         let origin = format!("preset {}", self.preset.as_str());
         let mut base = parse(self.preset.text(), &origin)?;
-        let per_task = match base.remove("for") {
-            Some(Value::Table(per_task)) => per_task,
-            _ => Table::new(),
-        };
+        let conditional = base.remove("for");
         let task = self.chosen_task(&base)?;
         set_task(&mut base, &task);
+        let chosen = [task.as_str(), self.chosen_algorithm(&base)];
 
-        let mut layers = Vec::new();
-        if let Some(Value::Table(changes)) = per_task.get(&task) {
-            layers.push((origin, changes.clone()));
-        }
+        let mut layers = conditional_changes(conditional, &chosen, &origin)?;
         for (origin, overlay) in &self.overlays {
             let mut overlay = overlay.clone();
-            let for_tasks = overlay.remove("for");
+            let conditional = overlay.remove("for");
             layers.push((origin.clone(), overlay));
-            if let Some(Value::Table(mut for_tasks)) = for_tasks
-                && let Some(Value::Table(changes)) = for_tasks.remove(&task)
-            {
-                layers.push((origin.clone(), changes));
-            }
+            layers.extend(conditional_changes(conditional, &chosen, origin)?);
         }
         for (origin, layer) in &layers {
             merge(&mut base, layer, origin, "")?;
@@ -132,6 +123,16 @@ impl Layers {
         })?;
         config.validate()?;
         Ok(config)
+    }
+
+    /// The last layer's algorithm that is one; whether all are is seen when they are merged.
+    fn chosen_algorithm(&self, base: &Table) -> &'static str {
+        let written = std::iter::once(base)
+            .chain(self.overlays.iter().map(|(_, layer)| layer))
+            .filter_map(|layer| layer.get("algorithm")?.get("name")?.as_str())
+            .next_back();
+        let named = AlgorithmName::ALL.iter().map(|name| name.as_str());
+        named.into_iter().find(|name| Some(*name) == written).unwrap_or_default()
     }
 
     /// The command line's task, else the last layer's that names one, else the preset's.
@@ -155,6 +156,40 @@ impl Layers {
             }),
         }
     }
+}
+
+/// What a layer's `[for.NAME]` tables change for the chosen task and algorithm, in this order.
+fn conditional_changes(
+    tables: Option<Value>,
+    chosen: &[&str; 2],
+    origin: &str,
+) -> Result<Vec<(String, Table)>, ConfigError> {
+    let Some(tables) = tables else { return Ok(Vec::new()) };
+    let wrong = |key: String, found: &Value| ConfigError::WrongType {
+        origin: origin.to_owned(),
+        key,
+        expected: "a table of groups such as [for.reorientation.task]".to_owned(),
+        found: format!("the {} {found}", found.type_str()),
+    };
+    let Value::Table(tables) = tables else { return Err(wrong("for".to_owned(), &tables)) };
+    let names = [TaskName::Trajectory, TaskName::Reorientation].map(TaskName::as_str);
+    let known: Table = names
+        .into_iter()
+        .chain(AlgorithmName::ALL.map(AlgorithmName::as_str))
+        .map(|name| (name.to_owned(), Value::Boolean(true)))
+        .collect();
+    for (name, changes) in &tables {
+        let key = format!("for.{name}");
+        if !known.contains_key(name) {
+            let (origin, hint) = (origin.to_owned(), hint(name, &known));
+            return Err(ConfigError::UnknownKey { origin, key, hint });
+        }
+        if !changes.is_table() {
+            return Err(wrong(key, changes));
+        }
+    }
+    let changes = chosen.iter().filter_map(|name| tables.get(*name)?.as_table());
+    Ok(changes.map(|changes| (origin.to_owned(), changes.clone())).collect())
 }
 
 fn set_task(base: &mut Table, task: &str) {

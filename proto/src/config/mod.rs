@@ -1,8 +1,8 @@
 //! The configuration of a run: typed sections, presets, layered merging and validation.
 //!
 //! A configuration is built in layers, each one overriding the last: the preset's table, the
-//! preset's changes for the chosen task (`[for.trajectory.…]`), the user's file, the command
-//! line's `--set key=value`. Every layer is checked against the preset, which holds every key that
+//! preset's changes for the chosen task and algorithm (`[for.trajectory.…]`, `[for.ppo.…]`), the user's
+//! file (and its changes for them), the command line's `--set key=value`. Every layer is checked against the preset, which holds every key that
 //! exists, so a wrong key or type is reported with the layer it came from. The result is one typed
 //! [`Config`] without options to resolve later; it is what every process reads, what a run
 //! directory stores as `config.toml`, and what a checkpoint carries.

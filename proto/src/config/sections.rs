@@ -205,7 +205,8 @@ pub enum CriticState {
     Concatenated,
     /// Every quantity of the environment once.
     Compact,
-    /// The agent's own observation only (independent learners).
+    /// What its actor sees: the agent's own observation (independent learners), or all of them
+    /// (centralised PPO).
     Own,
 }
 
@@ -247,6 +248,31 @@ pub enum AlgorithmName {
     Mappo,
     /// Independent PPO: each critic sees its own agent's observation only.
     Ippo,
+    /// Centralised PPO (Schulman et al. 2017): one actor and one critic, which see all agents'
+    /// observations one after the other and are paid the sum of all rewards.
+    Ppo,
+}
+
+impl AlgorithmName {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Mappo, Self::Ippo, Self::Ppo];
+
+    /// What kind of actor it trains: policies of one kind are exchangeable.
+    pub fn actor(self) -> &'static str {
+        match self {
+            Self::Mappo | Self::Ippo => "stochastic, one an agent",
+            Self::Ppo => "stochastic, one for all agents",
+        }
+    }
+
+    /// The name as it is written in configurations and on the command line.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Mappo => "mappo",
+            Self::Ippo => "ippo",
+            Self::Ppo => "ppo",
+        }
+    }
 }
 
 /// Group `algorithm`.
@@ -543,16 +569,24 @@ impl Config {
         within("network.min_log_std", network.min_log_std, -20.0, network.initial_log_std)?;
         within("network.head_gain", network.head_gain, 0.0, 100.0)?;
 
-        let independent = algorithm.name == AlgorithmName::Ippo;
-        if independent != (network.critic_state == CriticState::Own) {
+        let name = algorithm.name.as_str();
+        let sees_its_actors_input = match algorithm.name {
+            AlgorithmName::Mappo => false,
+            AlgorithmName::Ippo | AlgorithmName::Ppo => true,
+        };
+        if sees_its_actors_input != (network.critic_state == CriticState::Own) {
             return Err(ConfigError::Invalid {
-                key: "algorithm.name",
-                problem: format!(
-                    "{:?} does not fit network.critic_state {:?}",
-                    algorithm.name, network.critic_state
-                ),
-                cure: "set network.critic_state=own with ippo, and another one with mappo"
+                key: "network.critic_state",
+                problem: format!("{:?} does not fit algorithm.name {name}", network.critic_state),
+                cure: "set it to own with ippo and ppo, and to compact or concatenated with mappo"
                     .to_owned(),
+            });
+        }
+        if algorithm.name == AlgorithmName::Ppo && network.shared_parameters {
+            return Err(ConfigError::Invalid {
+                key: "network.shared_parameters",
+                problem: format!("{name} has one network that acts for all agents"),
+                cure: "set it to false, or choose another algorithm.name".to_owned(),
             });
         }
         within("algorithm.gamma", algorithm.gamma, 0.0, 1.0)?;

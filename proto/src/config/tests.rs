@@ -45,6 +45,41 @@ fn a_task_brings_its_own_changes_and_a_flag_overrides_them() {
 }
 
 #[test]
+fn an_algorithm_brings_its_own_changes_and_a_later_layer_overrides_them() {
+    for preset in [Preset::Tuned, Preset::Paper, Preset::Release] {
+        for name in AlgorithmName::ALL {
+            let layers = Layers::new(preset, None);
+            let layers = layers.set(&format!("algorithm.name={}", name.as_str())).expect("TOML");
+            let config = layers.resolve().expect("a preset knows what an algorithm wants");
+            assert_eq!(config.algorithm.name, name);
+        }
+    }
+    let own = resolve(&["algorithm.name=ippo"]).expect("valid").network.critic_state;
+    assert_eq!(own, CriticState::Own);
+    // The last name counts, and nothing stays of the one before.
+    let back = resolve(&["algorithm.name=ippo", "algorithm.name=mappo"]).expect("valid");
+    assert_eq!(back, resolve(&[]).expect("valid"));
+    // A file may have changes for an algorithm, too, and takes them back from the preset.
+    let file = "[for.ippo.network]\nhidden = [9]\n[for.ppo.network]\nhidden = [8]";
+    let layers = Layers::new(Preset::Tuned, None).text(file, "my.toml").expect("TOML");
+    let hidden = |layers: &Layers| layers.resolve().expect("valid").network.hidden;
+    assert_eq!(hidden(&layers), [256, 256]);
+    assert_eq!(hidden(&layers.set("algorithm.name=ippo").expect("TOML")), [9]);
+}
+
+#[test]
+fn changes_for_a_name_that_is_no_task_and_no_algorithm_are_refused() {
+    let error = |text: &str| {
+        let layers = Layers::new(Preset::Tuned, None).text(text, "my.toml").expect("TOML");
+        layers.resolve().expect_err("refused").to_string()
+    };
+    let unknown = error("[for.mapo.network]\nhidden = [9]");
+    assert!(unknown.contains("for.mapo") && unknown.contains("did you mean `mappo`"), "{unknown}");
+    let flat = error("[for]\nippo = 3");
+    assert!(flat.contains("for.ippo") && flat.contains("a table of groups"), "{flat}");
+}
+
+#[test]
 fn values_are_toml_and_bare_words_are_strings() {
     let config = resolve(&[
         "network.hidden=[64,64]",
@@ -79,9 +114,15 @@ fn errors_name_the_layer_the_key_and_the_cure() {
     let word = message(&["network.activation=sigmoid"]);
     assert!(word.contains("relu") && word.contains("sigmoid"), "{word}");
 
-    let critic = message(&["algorithm.name=ippo"]);
-    assert!(critic.contains("network.critic_state=own"), "{critic}");
-    assert!(resolve(&["algorithm.name=ippo", "network.critic_state=own"]).is_ok());
+    let critic = message(&["algorithm.name=ippo", "network.critic_state=compact"]);
+    assert!(
+        critic.contains("network.critic_state") && critic.contains("own with ippo"),
+        "{critic}"
+    );
+    let shared = message(&["algorithm.name=ppo", "network.shared_parameters=true"]);
+    assert!(shared.contains("one network that acts for all agents"), "{shared}");
+    let name = message(&["algorithm.name=pppo"]);
+    assert!(name.contains("pppo") && name.contains("mappo"), "{name}");
 
     let nan = message(&["algorithm.gamma=nan"]);
     assert!(nan.contains("algorithm.gamma"), "{nan}");

@@ -218,7 +218,9 @@ impl LaneFn for Episodes<'_> {
     fn call<S: Real>(self) -> Self::Output {
         let Self { config, robot, task, dimensions, policy, batch, goals, noise, .. } = self;
         let (mut output, on_step) = (self.output, self.on_step);
-        let Dimensions { n_arms, n_agents, observation: o, state: s, .. } = *dimensions;
+        let Dimensions { n_arms, n_agents, n_actors, observation: o, state: s, .. } = *dimensions;
+        let agents_per_actor = dimensions.agents_per_actor();
+        let (input, output_len) = (dimensions.actor_input(), dimensions.actor_output());
         let Batch { first, n_envs, n_steps } = batch;
         let n_groups = n_envs.div_ceil(S::LANES);
 
@@ -245,10 +247,10 @@ impl LaneFn for Episodes<'_> {
                 }
             })
             .collect();
-        // [A, group, O], [group, U], [S], [A]
-        let mut observations = vec![S::zero(); n_agents * n_groups * o];
+        // [P, group, input], [A, O], [group, output], [S], [A]
+        let mut observations = vec![S::zero(); n_actors * n_groups * input];
         let mut group_observations = vec![S::zero(); n_agents * o];
-        let mut means = vec![S::zero(); n_groups * JOINTS_PER_AGENT];
+        let mut means = vec![S::zero(); n_groups * output_len];
         let mut critic = vec![S::zero(); s];
         let mut paid = vec![S::zero(); n_agents];
         let mut scratch = Scratch::new(policy, n_groups);
@@ -281,7 +283,9 @@ impl LaneFn for Episodes<'_> {
                 for agent in 0..n_agents {
                     let seen = &mut group_observations[agent * o..(agent + 1) * o];
                     observe(task, &group.readings, &group.goals, &group.errors, agent, seen);
-                    let at = (agent * n_groups + index) * o;
+                    // An actor sees its agents' observations one after the other.
+                    let (actor, part) = (agent / agents_per_actor, agent % agents_per_actor);
+                    let at = (actor * n_groups + index) * input + part * o;
                     observations[at..at + o].copy_from_slice(seen);
                 }
                 critic_state(
@@ -304,11 +308,15 @@ impl LaneFn for Episodes<'_> {
 
             let clock = Instant::now();
             for agent in 0..n_agents {
-                let seen = &observations[agent * n_groups * o..(agent + 1) * n_groups * o];
-                policy.mean(agent, seen, &mut scratch, &mut means);
+                let (actor, part) = (agent / agents_per_actor, agent % agents_per_actor);
+                if part == 0 {
+                    let of_actor = actor * n_groups * input..(actor + 1) * n_groups * input;
+                    policy.mean(actor, &observations[of_actor], &mut scratch, &mut means);
+                }
                 for (index, group) in groups.iter_mut().enumerate() {
                     let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
-                    let mean = &means[index * JOINTS_PER_AGENT..(index + 1) * JOINTS_PER_AGENT];
+                    let at = index * output_len + part * JOINTS_PER_AGENT;
+                    let mean = &means[at..at + JOINTS_PER_AGENT];
                     let env = first + row.group as u32;
                     if let Err(error) = check_means(mean, env, step, agent) {
                         return Err(error.keep(env, &group.state, &group.goals, &group.command));

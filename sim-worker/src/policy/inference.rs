@@ -4,7 +4,6 @@
 //! processor features of the lane function around it.
 
 use proto::config::{Activation, InputNorm};
-use proto::layout::JOINTS_PER_AGENT;
 
 use super::dense::tile_groups;
 use super::pack::{Affine, Policy, Product};
@@ -13,7 +12,7 @@ use crate::scalar::Real;
 /// ε of LayerNorm (Ba, Kiros and Hinton 2016), PyTorch's default.
 const LAYER_NORM_EPSILON: f64 = 1e-5;
 
-/// Activations of one agent's network for all lane groups: two buffers that layers alternate, and one for pairs.
+/// Activations of one actor's network for all lane groups: two buffers that layers alternate, and one for pairs.
 #[derive(Debug, Clone)]
 pub struct Scratch<S: Real> {
     stride: usize,
@@ -33,28 +32,29 @@ impl<S: Real> Scratch<S> {
 }
 
 impl Policy {
-    /// Mean actions of `agent`.
+    /// Mean actions of `actor`.
     ///
-    /// Shape: `observations` is `[group][O]`, `means` is `[group][U]`.
+    /// Shape: `observations` is `[group][input]`, `means` is `[group][output]`.
     #[inline(always)]
     pub fn mean<S: Real>(
         &self,
-        agent: usize,
+        actor: usize,
         observations: &[S],
         scratch: &mut Scratch<S>,
         means: &mut [S],
     ) {
-        let groups = means.len() / JOINTS_PER_AGENT;
-        assert_eq!(observations.len(), groups * self.observation, "one row of O a lane group");
+        let (input, output) = (self.input, self.output);
+        let groups = means.len() / output;
+        assert_eq!(observations.len(), groups * input, "one row of inputs a lane group");
         assert!(scratch.ping.len() >= groups * scratch.stride, "scratch is made for fewer groups");
-        let actor = &self.actors[agent];
+        let actor = &self.actors[actor];
         let Scratch { stride, ping, pong, pairs } = scratch;
         let stride = *stride;
         let mut group = 0;
         while group < groups {
             let width = tile_groups(group, groups);
             for g in 0..width {
-                let from = &observations[(group + g) * self.observation..][..self.observation];
+                let from = &observations[(group + g) * input..][..input];
                 let to = &mut ping[group * stride..];
                 for (o, &value) in from.iter().enumerate() {
                     to[o * width + g] = value;
@@ -74,7 +74,7 @@ impl Policy {
                 group += width;
             }
         }
-        let mut features = self.observation;
+        let mut features = input;
         for hidden in &actor.hidden {
             match &hidden.product {
                 Product::Single(dense) => dense.apply(ping, pong, groups, stride),
@@ -107,10 +107,9 @@ impl Policy {
         while group < groups {
             let width = tile_groups(group, groups);
             for g in 0..width {
-                for u in 0..JOINTS_PER_AGENT {
+                for u in 0..output {
                     let y = pong[group * stride + u * width + g];
-                    means[(group + g) * JOINTS_PER_AGENT + u] =
-                        if self.squash_mean { y.tanh() } else { y };
+                    means[(group + g) * output + u] = if self.squash_mean { y.tanh() } else { y };
                 }
             }
             group += width;

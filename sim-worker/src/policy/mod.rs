@@ -2,7 +2,7 @@
 //!
 //! A policy version arrives as one flat row of `f32` laid out by
 //! [`ActorLayout`](proto::layout::ActorLayout). [`Policy::new`] checks it and packs it once;
-//! [`Policy::mean`] then evaluates one agent's network for many environments at once, with
+//! [`Policy::mean`] then evaluates one actor's network for many environments at once, with
 //! environments in lanes: activations are `[feature][environment lanes]`, weights are broadcast.
 //!
 //! **Environments never mix.** The value of every unit is one chain of fused multiply-adds over

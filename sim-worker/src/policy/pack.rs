@@ -20,13 +20,13 @@ pub enum PolicyError {
     },
     /// NaN or infinity.
     #[error(
-        "policy parameter `{tensor}` of agent {agent} holds {value}; the training has diverged"
+        "policy parameter `{tensor}` of actor {actor} holds {value}; the training has diverged"
     )]
     NotFinite {
         /// Name of the tensor.
         tensor: String,
-        /// The agent.
-        agent: usize,
+        /// The actor.
+        actor: usize,
         /// The value found.
         value: f32,
     },
@@ -72,22 +72,24 @@ pub(super) struct Hidden {
     pub(super) norm: Option<Affine>,
 }
 
-/// One agent's network.
+/// One actor's network.
 #[derive(Debug, Clone)]
 pub(super) struct Actor {
     pub(super) input: Option<Affine>,
     pub(super) hidden: Vec<Hidden>,
     pub(super) head: Dense<f32>,
-    pub(super) log_std: [f32; JOINTS_PER_AGENT],
-    pub(super) std: [f32; JOINTS_PER_AGENT],
+    /// One entry an agent of the actor.
+    pub(super) log_std: Vec<[f32; JOINTS_PER_AGENT]>,
+    pub(super) std: Vec<[f32; JOINTS_PER_AGENT]>,
 }
 
-/// All agents' networks of one policy version, packed for inference.
+/// All actors' networks of one policy version, packed for inference.
 ///
 /// Does not depend on the processor's back end, so one packed policy serves every thread.
 #[derive(Debug, Clone)]
 pub struct Policy {
-    pub(super) observation: usize,
+    pub(super) input: usize,
+    pub(super) output: usize,
     pub(super) activation: Activation,
     pub(super) input_norm: InputNorm,
     pub(super) input_clip: f32,
@@ -106,45 +108,44 @@ impl Policy {
         if parameters.len() != layout.len {
             return Err(PolicyError::Length { found: parameters.len(), expected: layout.len });
         }
-        let agents = dimensions.n_agents;
+        let n_actors = dimensions.n_actors;
         for tensor in &layout.tensors {
             let values = &parameters[tensor.range()];
             if let Some(i) = values.iter().position(|value| !value.is_finite()) {
                 return Err(PolicyError::NotFinite {
                     tensor: tensor.name.clone(),
-                    agent: i / (tensor.len() / agents),
+                    actor: i / (tensor.len() / n_actors),
                     value: values[i],
                 });
             }
         }
-        // The rows of one agent in a stacked tensor.
-        let row = |name: &str, agent: usize| -> &[f32] {
+        // The rows of one actor in a stacked tensor.
+        let row = |name: &str, actor: usize| -> &[f32] {
             let tensor = layout.get(name).expect("the layout names its own tensors");
-            let length = tensor.len() / agents;
-            &parameters[tensor.offset + agent * length..][..length]
+            let length = tensor.len() / n_actors;
+            &parameters[tensor.offset + actor * length..][..length]
         };
-        let affine = |first: &str, second: &str, agent: usize| Affine {
-            first: row(first, agent).to_vec(),
-            second: row(second, agent).to_vec(),
+        let affine = |first: &str, second: &str, actor: usize| Affine {
+            first: row(first, actor).to_vec(),
+            second: row(second, actor).to_vec(),
         };
         let network = &config.network;
-        let actors = (0..agents)
-            .map(|agent| {
-                let log_std: [f32; JOINTS_PER_AGENT] =
-                    std::array::from_fn(|u| row("log_std", agent)[u]);
+        let actors = (0..n_actors)
+            .map(|actor| {
+                let (log_std, _) = row("log_std", actor).as_chunks();
                 Actor {
                     input: match network.input_norm {
                         InputNorm::None => None,
-                        InputNorm::LayerNorm => Some(affine("input.gain", "input.bias", agent)),
+                        InputNorm::LayerNorm => Some(affine("input.gain", "input.bias", actor)),
                         InputNorm::Running => {
-                            Some(affine("input.mean", "input.inverse_std", agent))
+                            Some(affine("input.mean", "input.inverse_std", actor))
                         }
                     },
                     hidden: (0..network.hidden.len())
                         .map(|i| Hidden {
                             product: {
-                                let weight = row(&format!("hidden.{i}.weight"), agent);
-                                let bias = row(&format!("hidden.{i}.bias"), agent);
+                                let weight = row(&format!("hidden.{i}.weight"), actor);
+                                let bias = row(&format!("hidden.{i}.bias"), actor);
                                 if i > 0 && network.inference == Inference::Bf16 {
                                     Product::Pairs(Dense::pack_pairs(weight, bias))
                                 } else {
@@ -155,19 +156,20 @@ impl Policy {
                                 affine(
                                     &format!("hidden.{i}.gain"),
                                     &format!("hidden.{i}.shift"),
-                                    agent,
+                                    actor,
                                 )
                             }),
                         })
                         .collect(),
-                    head: Dense::pack(row("head.weight", agent), row("head.bias", agent)),
-                    log_std,
-                    std: log_std.map(elementary::exp),
+                    head: Dense::pack(row("head.weight", actor), row("head.bias", actor)),
+                    log_std: log_std.to_vec(),
+                    std: log_std.iter().map(|log_std| log_std.map(elementary::exp)).collect(),
                 }
             })
             .collect();
         Ok(Self {
-            observation: dimensions.observation,
+            input: dimensions.actor_input(),
+            output: dimensions.actor_output(),
             activation: network.activation,
             input_norm: network.input_norm,
             input_clip: network.input_clip as f32,
@@ -176,24 +178,31 @@ impl Policy {
         })
     }
 
-    /// A: agents of the policy.
-    pub fn n_agents(&self) -> usize {
+    /// P: actors of the policy.
+    pub fn n_actors(&self) -> usize {
         self.actors.len()
     }
 
-    /// O: numbers that each agent's network takes.
-    pub fn observation(&self) -> usize {
-        self.observation
+    /// Numbers that each actor's network takes.
+    pub fn input(&self) -> usize {
+        self.input
+    }
+
+    /// Actions that each actor chooses.
+    pub fn output(&self) -> usize {
+        self.output
     }
 
     /// Standard deviation of each action of `agent`.
     pub fn std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
-        self.actors[agent].std
+        let per_actor = self.output / JOINTS_PER_AGENT;
+        self.actors[agent / per_actor].std[agent % per_actor]
     }
 
     /// Logarithm of the standard deviation of each action of `agent`.
     pub fn log_std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
-        self.actors[agent].log_std
+        let per_actor = self.output / JOINTS_PER_AGENT;
+        self.actors[agent / per_actor].log_std[agent % per_actor]
     }
 
     /// Numbers that one lane group needs between two layers: the widest layer, in whole panels.
@@ -202,6 +211,6 @@ impl Policy {
             let hidden = actor.hidden.iter().map(|hidden| hidden.product.padded_outputs());
             hidden.chain([actor.head.padded_outputs()])
         });
-        widths.max().unwrap_or(0).max(self.observation)
+        widths.max().unwrap_or(0).max(self.input)
     }
 }

@@ -1,4 +1,6 @@
-use proto::config::{Activation, Config, Inference, InputNorm, Layers, Preset};
+use proto::config::{
+    Activation, AlgorithmName, Config, CriticState, Inference, InputNorm, Layers, Preset,
+};
 use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 
@@ -40,16 +42,16 @@ pub(crate) fn parameters(config: &Config, dimensions: &Dimensions, seed: u64) ->
 
 struct Means<'a> {
     policy: &'a Policy,
-    agent: usize,
-    /// `[environment][O]`
+    actor: usize,
+    /// `[environment][input]`
     observations: &'a [f32],
 }
 
 impl LaneFn for Means<'_> {
-    type Output = Vec<[f32; JOINTS_PER_AGENT]>;
+    type Output = Vec<Vec<f32>>;
     #[inline(always)]
     fn call<S: Real>(self) -> Self::Output {
-        let o = self.policy.observation();
+        let (o, outputs) = (self.policy.input(), self.policy.output());
         let n = self.observations.len() / o;
         let groups = n.div_ceil(S::LANES);
         let mut x = vec![S::zero(); groups * o];
@@ -58,13 +60,12 @@ impl LaneFn for Means<'_> {
             x[env / S::LANES * o + o_idx].set_lane(env % S::LANES, f64::from(value));
         }
         let mut scratch = Scratch::new(self.policy, groups);
-        let mut means = vec![S::zero(); groups * JOINTS_PER_AGENT];
-        self.policy.mean(self.agent, &x, &mut scratch, &mut means);
+        let mut means = vec![S::zero(); groups * outputs];
+        self.policy.mean(self.actor, &x, &mut scratch, &mut means);
         (0..n)
             .map(|env| {
-                std::array::from_fn(|u| {
-                    means[env / S::LANES * JOINTS_PER_AGENT + u].lane(env % S::LANES) as f32
-                })
+                let row = &means[env / S::LANES * outputs..][..outputs];
+                row.iter().map(|mean| mean.lane(env % S::LANES) as f32).collect()
             })
             .collect()
     }
@@ -93,7 +94,12 @@ fn configurations() -> Vec<Config> {
             config.network.layer_norm = layer_norm;
             config.network.squash_mean = layer_norm;
             config.network.input_clip = 1.0;
-            all.push(config);
+            all.push(config.clone());
+            if layer_norm {
+                config.algorithm.name = AlgorithmName::Ppo;
+                config.network.critic_state = CriticState::Own;
+                all.push(config);
+            }
         }
     }
     all
@@ -105,14 +111,14 @@ pub(crate) fn plain_mean(
     config: &Config,
     dimensions: &Dimensions,
     parameters: &[f32],
-    agent: usize,
-    observation: &[f64],
-) -> [f64; JOINTS_PER_AGENT] {
+    actor: usize,
+    input: &[f64],
+) -> Vec<f64> {
     let layout = ActorLayout::new(config, dimensions);
     let row = |name: &str| -> Vec<f64> {
         let tensor = layout.get(name).expect("exists");
-        let len = tensor.len() / dimensions.n_agents;
-        let from = tensor.offset + agent * len;
+        let len = tensor.len() / dimensions.n_actors;
+        let from = tensor.offset + actor * len;
         parameters[from..from + len].iter().map(|&x| f64::from(x)).collect()
     };
     let norm = |x: &mut Vec<f64>, gain: Vec<f64>, shift: Vec<f64>| {
@@ -133,7 +139,7 @@ pub(crate) fn plain_mean(
             .collect()
     };
     let network = &config.network;
-    let mut x = observation.to_vec();
+    let mut x = input.to_vec();
     match network.input_norm {
         InputNorm::None => {}
         InputNorm::LayerNorm => norm(&mut x, row("input.gain"), row("input.bias")),
@@ -160,7 +166,7 @@ pub(crate) fn plain_mean(
         }
     }
     let head = dense(&x, "head", false);
-    std::array::from_fn(|u| if network.squash_mean { head[u].tanh() } else { head[u] })
+    head.into_iter().map(|mean| if network.squash_mean { mean.tanh() } else { mean }).collect()
 }
 
 #[test]
@@ -169,17 +175,18 @@ fn inference_agrees_with_plain_f64_loops() {
         let dimensions = Dimensions::new(&config, 4);
         let flat = parameters(&config, &dimensions, 3);
         let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
-        let o = dimensions.observation;
+        let o = dimensions.actor_input();
         let n = 3 * LANES + 5;
         let bf16 = config.network.inference == Inference::Bf16;
         let (mut close, mut all) = (0, 0);
         let observations = normals(77, n * o);
-        for agent in [0, 5] {
-            let means = dispatch(Means { policy: &policy, agent, observations: &observations });
+        for actor in [0, 5 % dimensions.n_actors] {
+            let means = dispatch(Means { policy: &policy, actor, observations: &observations });
             for (row, mean) in observations.chunks_exact(o).zip(means) {
                 let row: Vec<f64> = row.iter().map(|&x| f64::from(x)).collect();
-                let plain = plain_mean(&config, &dimensions, &flat, agent, &row);
-                for u in 0..JOINTS_PER_AGENT {
+                let plain = plain_mean(&config, &dimensions, &flat, actor, &row);
+                assert_eq!(mean.len(), dimensions.actor_output());
+                for u in 0..plain.len() {
                     // Three layers of sums of at most 64 products of size one: each sum errs by
                     // about √64 · 2⁻²⁴ = 5e-7, LayerNorm over 5 units may amplify by a few; × 10.
                     let error = (f64::from(mean[u]) - plain[u]).abs();
@@ -203,11 +210,12 @@ fn an_environments_mean_does_not_depend_on_its_company() {
         let dimensions = Dimensions::new(&config, 4);
         let flat = parameters(&config, &dimensions, 3);
         let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
-        let o = dimensions.observation;
+        let o = dimensions.actor_input();
+        let actor = 2 % dimensions.n_actors;
         let observations = normals(78, 70 * o);
         let means = |rows: std::ops::Range<usize>| {
             let observations = &observations[rows.start * o..rows.end * o];
-            dispatch(Means { policy: &policy, agent: 2, observations })
+            dispatch(Means { policy: &policy, actor, observations })
         };
         let all = means(0..70);
         for (start, end) in [(0, 1), (3, 40), (17, 70), (69, 70), (5, 37)] {
@@ -222,9 +230,10 @@ fn every_back_end_gives_the_same_means() {
         let dimensions = Dimensions::new(&config, 4);
         let flat = parameters(&config, &dimensions, 3);
         let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
-        let observations = normals(79, 37 * dimensions.observation);
+        let observations = normals(79, 37 * dimensions.actor_input());
+        let actor = 2 % dimensions.n_actors;
         let on = |backend| {
-            dispatch_on(backend, Means { policy: &policy, agent: 2, observations: &observations })
+            dispatch_on(backend, Means { policy: &policy, actor, observations: &observations })
         };
         let portable = on(Backend::Portable);
         for backend in [Backend::Avx2, Backend::Avx512] {
@@ -246,5 +255,5 @@ fn wrong_parameters_are_named() {
     let bias = layout.get("head.bias").expect("exists");
     flat[bias.offset + 6 * JOINTS_PER_AGENT + 1] = f32::INFINITY;
     let message = Policy::new(&config, &dimensions, &flat).expect_err("infinite").to_string();
-    assert!(message.contains("`head.bias` of agent 6 holds inf"), "{message}");
+    assert!(message.contains("`head.bias` of actor 6 holds inf"), "{message}");
 }

@@ -6,7 +6,12 @@ use crate::policy::tests::{parameters, plain_mean};
 
 /// A world of `n_envs` environments in `n_shards` shards, `steps` steps, small networks.
 fn world(preset: Preset, task: TaskName, n_envs: usize, n_shards: usize, steps: usize) -> World {
-    let mut config = Layers::new(preset, Some(task)).resolve().expect("valid");
+    world_of(Layers::new(preset, Some(task)), n_envs, n_shards, steps)
+}
+
+/// Likewise for any configuration.
+fn world_of(layers: Layers, n_envs: usize, n_shards: usize, steps: usize) -> World {
+    let mut config = layers.resolve().expect("valid");
     config.env.n_envs = n_envs;
     config.env.n_shards = n_shards;
     config.task.episode_steps = steps;
@@ -144,20 +149,35 @@ fn single_precision_lanes_follow_the_f64_twin() {
 
 #[test]
 fn actions_and_log_probabilities_follow_from_the_observations() {
-    let world = world(Preset::Tuned, TaskName::Trajectory, 3, 1, 4);
-    let flat = flat(&world);
+    for algorithm in ["mappo", "ppo"] {
+        let layers = Layers::new(Preset::Tuned, None);
+        let layers = layers.set(&format!("algorithm.name={algorithm}")).expect("well formed");
+        check_actions(&world_of(layers, 3, 1, 4));
+    }
+}
+
+fn check_actions(world: &World) {
+    let flat = flat(world);
     let policy = world.policy(&flat).expect("a policy");
-    let block = block(&world, 7, 0);
+    let block = block(world, 7, 0);
     let layout = world.block_layout();
     let Dimensions { n_agents, n_steps, n_envs, observation: o, .. } = world.dimensions;
     let (mut close, mut all) = (0, 0);
     for agent in 0..n_agents {
         for step in 0..n_steps {
             for env in 0..n_envs {
-                let at =
-                    layout.observation.start + ((agent * (n_steps + 1) + step) * n_envs + env) * o;
-                let seen: Vec<f64> = block[at..at + o].iter().map(|&x| f64::from(x)).collect();
-                let mean = plain_mean(&world.config, &world.dimensions, &flat, agent, &seen);
+                // What the agent's actor sees: the observations of all of its agents.
+                let per_actor = world.dimensions.agents_per_actor();
+                let actor = agent / per_actor;
+                let seen: Vec<f64> = (actor * per_actor..(actor + 1) * per_actor)
+                    .flat_map(|agent| {
+                        let row = (agent * (n_steps + 1) + step) * n_envs + env;
+                        &block[layout.observation.start + row * o..][..o]
+                    })
+                    .map(|&x| f64::from(x))
+                    .collect();
+                let means = plain_mean(&world.config, &world.dimensions, &flat, actor, &seen);
+                let mean = &means[agent % per_actor * JOINTS_PER_AGENT..];
                 let normals = proto::rng::Address {
                     seed: 5,
                     purpose: Purpose::ActionNoise,

@@ -101,6 +101,7 @@ fn what_does_not_go_together_is_refused_with_both_sides() {
         ("network.input_clip=77.0", "network.input_clip"),
         ("network.input_norm=\"none\"", "network.input_norm"),
         ("network.inference=\"f32\"", "network.inference"),
+        ("algorithm.name=\"ppo\"", "the kind of actor"),
     ]
     .into_iter()
     .enumerate()
@@ -121,6 +122,14 @@ fn what_does_not_go_together_is_refused_with_both_sides() {
     b.robot_toml = Robot::builtin("release").expect("built in").to_toml();
     let message = refused(&[part(&[0, 1, 2], &a), part(&[3], &b)]);
     assert!(message.contains("different robots"), "{message}");
+}
+
+#[test]
+fn one_actor_for_all_arms_is_not_taken_apart() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let [a, b] = ["a", "b"].map(|name| trained(&dir, name, &["algorithm.name=\"ppo\""], 0.0));
+    let message = refused(&[part(&[0, 1], &a), part(&[2, 3], &b)]);
+    assert!(message.contains("arms 1,2 (") && message.contains("= ppo"), "{message}");
 }
 
 #[test]

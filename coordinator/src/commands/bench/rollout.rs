@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use proto::clock::thread_cpu;
 use proto::config::{Config, Inference};
-use proto::layout::{ActorLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
+use proto::layout::{ActorLayout, Dimensions, EpisodeMetrics};
 use proto::rng::{Address, Purpose};
 use sim_worker::env::step_options;
 use sim_worker::robot::Robot;
@@ -137,9 +137,9 @@ fn fill(part: &mut [f32], tensor: usize, deviation: f64) {
 
 /// Operations of all actors' matrix products for an env-step: those in `f32`, and those of bfloat16.
 fn policy_flops(config: &Config, dimensions: &Dimensions) -> (f64, f64) {
-    let widths: Vec<usize> = std::iter::once(dimensions.observation)
+    let widths: Vec<usize> = std::iter::once(dimensions.actor_input())
         .chain(config.network.hidden.iter().copied())
-        .chain(std::iter::once(JOINTS_PER_AGENT))
+        .chain(std::iter::once(dimensions.actor_output()))
         .collect();
     let layers: Vec<usize> = widths.windows(2).map(|pair| pair[0] * pair[1]).collect();
     let all: usize = layers.iter().sum();
@@ -148,7 +148,7 @@ fn policy_flops(config: &Config, dimensions: &Dimensions) -> (f64, f64) {
         // All but the first layer and the head.
         Inference::Bf16 => layers[1..layers.len() - 1].iter().sum(),
     };
-    let flops = |weights| (2 * dimensions.n_agents * weights) as f64;
+    let flops = |weights| (2 * dimensions.n_actors * weights) as f64;
     (flops(all - pairs), flops(pairs))
 }
 
