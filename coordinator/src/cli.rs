@@ -445,6 +445,8 @@ pub enum AlgorithmArg {
     Ippo,
     /// One actor and one critic for all agents together.
     Ppo,
+    /// Deterministic actors, critics that see everything and all actions, a replay.
+    Maddpg,
 }
 
 impl From<AlgorithmArg> for AlgorithmName {
@@ -453,6 +455,7 @@ impl From<AlgorithmArg> for AlgorithmName {
             AlgorithmArg::Mappo => Self::Mappo,
             AlgorithmArg::Ippo => Self::Ippo,
             AlgorithmArg::Ppo => Self::Ppo,
+            AlgorithmArg::Maddpg => Self::Maddpg,
         }
     }
 }

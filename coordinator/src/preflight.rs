@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use proto::channel::ChannelSizes;
 use proto::config::Config;
-use proto::layout::Dimensions;
+use proto::layout::{Dimensions, replay_bytes};
 use proto::{ExitCode, ExitError};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
@@ -316,10 +316,11 @@ pub fn disk(directory: &Path, config: &Config, dimensions: &Dimensions) -> Check
         let found = format!("{} cannot be written to: {error}", existing.display());
         return Check::failure(NAME, found, "choose another --run-dir");
     }
-    // Actors and critics of the same size, parameters and two moments of each, and the actors
-    // apart; one checkpoint more than is kept while the newest is written.
+    // Actors and critics of the same size, parameters and two moments of each, the actors apart,
+    // and a replay; one checkpoint more than is kept while the newest is written.
     let policy = ChannelSizes::new(config, dimensions).policy_len as u64;
-    let needed = 4 * policy * 7 * (config.run.checkpoints_kept as u64 + 1) + (16 << 20);
+    let checkpoint = 4 * policy * 7 + replay_bytes(config, dimensions);
+    let needed = checkpoint * (config.run.checkpoints_kept as u64 + 1) + (16 << 20);
     match free_space(existing) {
         Err(error) => Check::failure(
             NAME,

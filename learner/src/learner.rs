@@ -20,9 +20,10 @@ use proto::{Digest, ExitError};
 use tch::Device;
 
 use crate::LearnerError;
+use crate::algorithm::Algorithm;
 use crate::ingest::{Arrival, Inbox, errors};
-use crate::mappo::{Mappo, UpdateReport};
 use crate::precision::Arithmetic;
+use crate::report::UpdateReport;
 use crate::state::TrainingState;
 use crate::state::image::Image;
 
@@ -86,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         dimensions,
         run: config.run.clone(),
         digest: state.digest(),
-        trainer: Trainer { mappo: Mappo::new(&config, &dimensions, &state), state },
+        trainer: Trainer { algorithm: Algorithm::new(&config, &dimensions, &state), state },
     };
     let result = learner.serve();
     if let Err(error) = &result {
@@ -157,7 +158,7 @@ struct Learner {
 
 /// What the training thread borrows.
 struct Trainer {
-    mappo: Mappo,
+    algorithm: Algorithm,
     state: TrainingState,
 }
 
@@ -361,10 +362,10 @@ impl Learner {
 
     /// Updates on a thread of its own, and keeps receiving meanwhile.
     fn train(&mut self, shards: &[&[f32]]) -> Result<UpdateReport, LearnerError> {
-        let Self { trainer: Trainer { mappo, state }, ports, .. } = self;
-        let work = mappo.work();
+        let Self { trainer: Trainer { algorithm, state }, ports, .. } = self;
+        let work = algorithm.work();
         std::thread::scope(|scope| {
-            let update = scope.spawn(move || mappo.update(state, shards));
+            let update = scope.spawn(move || algorithm.update(state, shards));
             let mut received = Ok(());
             let mut worked = work.load(Ordering::Relaxed);
             while !update.is_finished() {

@@ -1,7 +1,7 @@
-//! The learner: multi-agent PPO in libtorch over shared memory.
+//! The learner: multi-agent PPO and its relatives in libtorch over shared memory.
 //!
 //! One process trains the policies of all agents. Workers put blocks of samples into shared memory;
-//! [`learner`] receives them, has [`mappo`] make an update of each complete iteration, publishes the
+//! [`learner`] receives them, has [`mappo`] or [`maddpg`] make an update of each complete iteration, publishes the
 //! next policy and reports to the coordinator. It knows no storage: a snapshot of its
 //! [`state`] goes to the coordinator, who keeps it.
 //!
@@ -44,7 +44,9 @@
 )]
 
 pub mod adam;
+mod algorithm;
 pub mod bench;
+mod descent;
 mod error;
 mod features;
 mod fused;
@@ -53,13 +55,16 @@ pub mod ingest;
 pub mod input_norm;
 pub mod learner;
 pub mod loss;
+pub mod maddpg;
 pub mod mappo;
 mod memory;
 pub mod mlp;
 pub mod network;
 pub mod precision;
+pub mod report;
 pub mod state;
 pub mod synthetic;
 pub mod value_norm;
 
+pub use algorithm::Algorithm;
 pub use error::LearnerError;

@@ -34,54 +34,25 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use proto::config::{Config, CriticState, InputNorm as InputNormKind, Schedule};
+use proto::config::{Config, CriticState, InputNorm as InputNormKind};
 use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose, permutation};
 use tch::{Device, Kind, Tensor};
 
 use crate::LearnerError;
-use crate::adam::{AdamOptions, clip_gradient};
+use crate::descent::{Descent, Half, Learned, check, learning_rates};
 use crate::gae::{Gae, standardise};
 use crate::input_norm::InputNorm;
 use crate::loss::{ActorLoss, ActorSamples, CriticLoss};
 use crate::memory::view;
-use crate::mlp::{Compute, standardise_input};
-use crate::network::NetworkSpec;
+use crate::mlp::standardise_input;
+use crate::report::{Sums, UpdateReport};
 use crate::state::{NetworkState, TrainingState};
 use crate::value_norm::ValueNorm;
 
 /// Samples that go through the networks at once on a CPU. Activations of so many fit in the cache; of
 /// fewer, the gradients of weights are summed more often.
 const CHUNK_ROWS: i64 = 1600;
-
-/// Losses and diagnostics of an update, one entry an actor.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct UpdateReport {
-    /// Clipped surrogate, negated; mean over optimiser steps.
-    pub policy_loss: Vec<f64>,
-    /// Value loss; mean over optimiser steps.
-    pub value_loss: Vec<f64>,
-    /// Entropy after the update (nats).
-    pub entropy: Vec<f64>,
-    /// KL estimator k3 (nats); mean over optimiser steps.
-    pub kl: Vec<f64>,
-    /// Share of clipped ratios; mean over optimiser steps.
-    pub clip_fraction: Vec<f64>,
-    /// 1 − Var(return − value) / Var(return), before the update.
-    pub explained_variance: Vec<f64>,
-    /// Gradient norm of actors before clipping; mean over optimiser steps.
-    pub actor_grad_norm: Vec<f64>,
-    /// Likewise of critics.
-    pub critic_grad_norm: Vec<f64>,
-    /// Mean standard deviation of the actions after the update.
-    pub action_std: Vec<f64>,
-    /// Mean undiscounted return of an episode, one entry an agent.
-    pub returns: Vec<f64>,
-    /// Learning rates in force.
-    pub actor_lr: f64,
-    /// Learning rate of critics.
-    pub critic_lr: f64,
-}
 
 /// What an update computed on its way; kept only on request, for tests.
 #[derive(Debug, Default)]
@@ -106,10 +77,9 @@ struct Options {
     gae: Gae,
     actor_loss: ActorLoss,
     critic_loss: CriticLoss,
-    adam: AdamOptions,
+    descent: Descent,
     epochs: usize,
     mini_batches: usize,
-    max_grad_norm: f64,
     max_kl: f64,
     value_norm_beta: Option<f64>,
     normalize_advantage: bool,
@@ -141,23 +111,6 @@ struct Group {
     chunk_rows: i64,
     device: Device,
     kind: Kind,
-}
-
-/// One kind of network of a group.
-#[derive(Debug)]
-struct Half {
-    compute: Compute,
-    gradient: Tensor,
-    scratch: Tensor,
-    /// The last unclipped gradient, kept if there is something to replace.
-    recorded: Option<Tensor>,
-}
-
-/// One kind of network of a group's part of the state, in the state's memory.
-struct Learned {
-    spec: NetworkSpec,
-    flat: Tensor,
-    adam: crate::adam::Adam,
 }
 
 /// What all groups read.
@@ -233,14 +186,9 @@ impl Mappo {
                 huber_delta: a.huber_delta,
                 coefficient: a.value_coefficient,
             },
-            adam: AdamOptions {
-                beta1: config.optimizer.beta1,
-                beta2: config.optimizer.beta2,
-                epsilon: config.optimizer.epsilon,
-            },
+            descent: Descent::new(config),
             epochs: a.epochs,
             mini_batches: a.mini_batches,
-            max_grad_norm: a.max_grad_norm,
             max_kl: a.max_kl,
             value_norm_beta: a.value_norm.then_some(a.value_norm_beta),
             normalize_advantage: a.normalize_advantage,
@@ -257,21 +205,8 @@ impl Mappo {
         let groups = (0..n_groups)
             .map(|group| {
                 let actors = bound(group)..bound(group + 1);
-                let half = |network: &NetworkState| {
-                    let flat = network.flat.narrow(0, actors.start as i64, actors.len() as i64);
-                    Half {
-                        compute: Compute::new(
-                            &network.spec,
-                            config.network.activation,
-                            actors.len(),
-                            kind,
-                            device,
-                        ),
-                        gradient: flat.zeros_like(),
-                        scratch: flat.zeros_like(),
-                        recorded: None,
-                    }
-                };
+                let half =
+                    |network: &NetworkState| Half::new(config, network, actors.len(), kind, device);
                 Group {
                     actor: half(&state.actor),
                     critic: half(&state.critic),
@@ -325,7 +260,7 @@ impl Mappo {
         }
         state.remember_policy();
         if state.iteration == 0 {
-            self.update_input_norms(state, shards);
+            state.see(&self.dimensions, shards);
         }
         let (actor_lr, critic_lr) = learning_rates(&self.config, state.env_steps);
         let job = Job {
@@ -351,42 +286,12 @@ impl Mappo {
         }
         (state.actor.adam.steps, state.critic.adam.steps) = steps;
         if state.iteration > 0 {
-            self.update_input_norms(state, shards);
+            state.see(&self.dimensions, shards);
         }
         state.iteration += 1;
         state.env_steps += self.config.steps_per_iteration();
         Ok(report)
     }
-
-    /// Takes the observations before each step into the running normalisers.
-    fn update_input_norms(&self, state: &mut TrainingState, shards: &[&[f32]]) {
-        let Dimensions { n_steps: t, n_envs: n, observation: o, state: s, .. } = self.dimensions;
-        if let Some(norm) = &mut state.observation_norm {
-            let rows: Vec<Vec<&[f32]>> = (0..norm.rows)
-                .map(|agent| {
-                    let start = self.layout.observation.start + agent * (t + 1) * n * o;
-                    shards.iter().map(|shard| &shard[start..start + t * n * o]).collect()
-                })
-                .collect();
-            norm.update(&rows);
-            if self.config.network.shared_parameters {
-                norm.pool();
-            }
-        }
-        if let Some(norm) = &mut state.state_norm {
-            let start = self.layout.state.start;
-            norm.update(&[shards.iter().map(|shard| &shard[start..start + t * n * s]).collect()]);
-        }
-    }
-}
-
-/// The learning rates of actors and critics after `env_steps`.
-pub fn learning_rates(config: &Config, env_steps: u64) -> (f64, f64) {
-    let factor = match config.optimizer.schedule {
-        Schedule::Constant => 1.0,
-        Schedule::Linear => (1.0 - env_steps as f64 / config.run.env_steps as f64).max(0.0),
-    };
-    (config.optimizer.actor_lr * factor, config.optimizer.critic_lr * factor)
 }
 
 /// Runs all groups, `at_once` of them at a time, the caller's thread being one that does; outcomes are
@@ -399,9 +304,7 @@ fn run_groups(
     trace: Option<&mut Trace>,
 ) -> Vec<Result<Outcome, LearnerError>> {
     let part = |network: &NetworkState, actors: &Range<usize>| {
-        let flat = network.flat.narrow(0, actors.start as i64, actors.len() as i64);
-        let adam = network.adam.narrow(actors.start, actors.len());
-        Learned { spec: network.spec.clone(), flat, adam }
+        Learned::part(network, actors.start, actors.len())
     };
     let mut outcomes: Vec<_> = groups.iter().map(|_| None).collect();
     let waiting: Vec<_> = groups
@@ -447,7 +350,7 @@ impl Group {
         let samples = self.prepare(job, &critic.flat, &value_norm, trace.as_deref_mut());
         let m = (job.dimensions.n_steps * job.dimensions.n_envs * job.shards.len()) as i64;
         for half in [&mut self.actor, &mut self.critic] {
-            half.recorded = trace.is_some().then(|| half.gradient.shallow_clone());
+            half.record(trace.is_some());
         }
         let mut sums = Sums::new(a);
         let mut active = vec![true; a];
@@ -711,7 +614,7 @@ impl Group {
                 *active &= kl <= job.options.max_kl;
             }
         }
-        let norms = descend(job, learned, &mut self.actor, job.actor_lr, active);
+        let norms = job.options.descent.step(learned, &mut self.actor, job.actor_lr, active);
         check(&norms, "actor", self.actors.start, job.iteration, step)?;
         sums.actor(column(0), column(1), column(2), &norms);
         Ok(())
@@ -753,60 +656,11 @@ impl Group {
         }
         compute.unfold(&learned.flat, gradient);
         let active = vec![true; self.actors.len()];
-        let norms = descend(job, learned, &mut self.critic, job.critic_lr, &active);
+        let norms = job.options.descent.step(learned, &mut self.critic, job.critic_lr, &active);
         check(&norms, "critic", self.actors.start, job.iteration, step)?;
         let losses = Vec::<f32>::try_from(total / batch as f64).expect("one number an agent");
         sums.critic(losses.into_iter().map(f64::from), &norms);
         Ok(())
-    }
-}
-
-/// Clips a half's gradient and steps; returns its norms before clipping. A step with a gradient that
-/// is not finite is not made.
-fn descend(
-    job: &Job<'_>,
-    learned: &mut Learned,
-    half: &mut Half,
-    learning_rate: f64,
-    active: &[bool],
-) -> Vec<f64> {
-    let Half { gradient, scratch, recorded, .. } = half;
-    if learned.spec.shared {
-        learned.spec.share_gradient(gradient);
-    }
-    if recorded.is_some() {
-        *recorded = Some(gradient.copy());
-    }
-    let squared = learned.spec.squared_norm(gradient);
-    let norms = clip_gradient(gradient, &squared, job.options.max_grad_norm);
-    if norms.iter().all(|norm| norm.is_finite()) {
-        let Learned { spec, flat, adam } = learned;
-        adam.step(&job.options.adam, learning_rate, flat, gradient, scratch, active);
-        if spec.shared {
-            for tensor in [&*flat, &adam.m, &adam.v] {
-                spec.unify(tensor);
-            }
-        }
-    }
-    norms
-}
-
-fn check(
-    norms: &[f64],
-    network: &'static str,
-    first_agent: usize,
-    iteration: u64,
-    (epoch, mini_batch): (usize, usize),
-) -> Result<(), LearnerError> {
-    match norms.iter().position(|norm| !norm.is_finite()) {
-        None => Ok(()),
-        Some(index) => Err(LearnerError::Diverged {
-            network,
-            agent: first_agent + index,
-            iteration,
-            epoch,
-            mini_batch,
-        }),
     }
 }
 
@@ -842,95 +696,6 @@ fn moments(norm: &ValueNorm) -> (Tensor, Tensor) {
     let (mean, std) = norm.mean_and_std();
     let column = |x: Tensor| x.to_kind(Kind::Float).unsqueeze(1);
     (column(mean), column(std))
-}
-
-/// Sums of statistics over optimiser steps.
-struct Sums {
-    steps: f64,
-    policy: Vec<f64>,
-    kl: Vec<f64>,
-    clipped: Vec<f64>,
-    actor_norm: Vec<f64>,
-    value: Vec<f64>,
-    critic_norm: Vec<f64>,
-    last_policy: Vec<f64>,
-    last_value: Vec<f64>,
-}
-
-impl Sums {
-    fn new(agents: usize) -> Self {
-        let zeros = || vec![0.0; agents];
-        Self {
-            steps: 0.0,
-            policy: zeros(),
-            kl: zeros(),
-            clipped: zeros(),
-            actor_norm: zeros(),
-            value: zeros(),
-            critic_norm: zeros(),
-            last_policy: zeros(),
-            last_value: zeros(),
-        }
-    }
-
-    fn actor(
-        &mut self,
-        policy: impl Iterator<Item = f64>,
-        kl: impl Iterator<Item = f64>,
-        clipped: impl Iterator<Item = f64>,
-        norms: &[f64],
-    ) {
-        self.steps += 1.0;
-        self.last_policy = policy.collect();
-        add(&mut self.policy, self.last_policy.iter().copied());
-        add(&mut self.kl, kl);
-        add(&mut self.clipped, clipped);
-        add(&mut self.actor_norm, norms.iter().copied());
-    }
-
-    fn critic(&mut self, value: impl Iterator<Item = f64>, norms: &[f64]) {
-        self.last_value = value.collect();
-        add(&mut self.value, self.last_value.iter().copied());
-        add(&mut self.critic_norm, norms.iter().copied());
-    }
-
-    fn means(self) -> UpdateReport {
-        let mean = |sums: Vec<f64>| sums.iter().map(|sum| sum / self.steps).collect();
-        UpdateReport {
-            policy_loss: mean(self.policy),
-            kl: mean(self.kl),
-            clip_fraction: mean(self.clipped),
-            actor_grad_norm: mean(self.actor_norm),
-            value_loss: mean(self.value),
-            critic_grad_norm: mean(self.critic_norm),
-            ..UpdateReport::default()
-        }
-    }
-}
-
-fn add(sums: &mut [f64], values: impl Iterator<Item = f64>) {
-    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
-}
-
-impl UpdateReport {
-    /// Appends the entries of further agents.
-    fn append(&mut self, other: Self) {
-        let pairs = [
-            (&mut self.policy_loss, other.policy_loss),
-            (&mut self.value_loss, other.value_loss),
-            (&mut self.entropy, other.entropy),
-            (&mut self.kl, other.kl),
-            (&mut self.clip_fraction, other.clip_fraction),
-            (&mut self.explained_variance, other.explained_variance),
-            (&mut self.actor_grad_norm, other.actor_grad_norm),
-            (&mut self.critic_grad_norm, other.critic_grad_norm),
-            (&mut self.action_std, other.action_std),
-            (&mut self.returns, other.returns),
-        ];
-        for (all, part) in pairs {
-            all.extend(part);
-        }
-    }
 }
 
 #[cfg(test)]

@@ -281,11 +281,11 @@ impl Compute {
         &mut self,
         x: &Tensor,
         d_output: &Tensor,
-        gradient: &Tensor,
+        gradient: Option<&Tensor>,
     ) {
         let (a, rows, layers) = (self.n_agents, x.size()[1], self.spec.hidden.len());
         let float = (Kind::Float, self.device);
-        let add = |name: &str, part: &Tensor| {
+        let add = |name: &str, part: &Tensor, gradient: &Tensor| {
             let _ = self.spec.view(name, gradient).g_add_(part);
         };
         let d_output = d_output.contiguous();
@@ -318,20 +318,22 @@ impl Compute {
                     head,
                 },
             );
-            if is_last {
-                add("head.weight", &d_head.transpose(1, 2));
-                add("head.bias", &d_head_bias);
+            if let Some(gradient) = gradient {
+                if is_last {
+                    add("head.weight", &d_head.transpose(1, 2), gradient);
+                    add("head.bias", &d_head_bias, gradient);
+                }
+                let input = if layer == 0 {
+                    x.shallow_clone()
+                } else {
+                    self.chunk(&self.buffers.standard[layer - 1], rows, self.spec.hidden[layer - 1])
+                };
+                let part = &self.buffers.weight_gradient[layer];
+                let _ = input.transpose(1, 2).bmm_out(part, &d);
+                let (weight_name, bias_name) = self.names(layer);
+                add(&weight_name, part, gradient);
+                add(&bias_name, &d_bias, gradient);
             }
-            let input = if layer == 0 {
-                x.shallow_clone()
-            } else {
-                self.chunk(&self.buffers.standard[layer - 1], rows, self.spec.hidden[layer - 1])
-            };
-            let part = &self.buffers.weight_gradient[layer];
-            let _ = input.transpose(1, 2).bmm_out(part, &d);
-            let (weight_name, bias_name) = self.names(layer);
-            add(&weight_name, part);
-            add(&bias_name, &d_bias);
             if layer > 0 {
                 let below = self.gradient_chunk(layers - layer, rows, self.spec.hidden[layer - 1]);
                 let _ = d.bmm_out(&below, &self.weight[layer].transpose(1, 2));
@@ -354,6 +356,31 @@ impl Compute {
     /// Adds to `gradient` `[A, P]` the folded gradients for the chunk that went through
     /// [`Self::forward`] last, given its inputs and the loss's gradient `[A, U, B]` by the outputs.
     pub fn backward(&mut self, x: &Tensor, d_output: &Tensor, gradient: &Tensor) {
+        self.propagate(x, d_output, Some(gradient));
+    }
+
+    /// The gradient `[A, B, width]` by some of the inputs, for the chunk that went through
+    /// [`Self::forward`] last: by the `width` columns of network i's input from `columns[i]` on.
+    pub fn input_gradient(
+        &mut self,
+        x: &Tensor,
+        d_output: &Tensor,
+        columns: &[i64],
+        width: i64,
+    ) -> Tensor {
+        self.propagate(x, d_output, None);
+        let layers = self.spec.hidden.len();
+        let first = self.gradient_chunk(layers - 1, x.size()[1], self.spec.hidden[0]);
+        let weight: Vec<Tensor> = columns
+            .iter()
+            .enumerate()
+            .map(|(index, &column)| self.weight[0].get(index as i64).narrow(0, column, width))
+            .collect();
+        first.bmm(&Tensor::stack(&weight, 0).transpose(1, 2)).to_kind(Kind::Float)
+    }
+
+    /// Goes backward to the first layer; what it adds up to on the way goes into `gradient`, if any.
+    fn propagate(&mut self, x: &Tensor, d_output: &Tensor, gradient: Option<&Tensor>) {
         if self.fused.is_some() {
             return match self.kind {
                 Kind::BFloat16 => self.backward_fused::<Bf16>(x, d_output, gradient),
@@ -368,7 +395,7 @@ impl Compute {
             let flat = if compute.spec.layer_norm { &buffers.standard } else { &buffers.active };
             compute.chunk(&flat[layer], rows, compute.spec.hidden[layer])
         };
-        let add = |name: &str, part: &Tensor| {
+        let add = |name: &str, part: &Tensor, gradient: &Tensor| {
             let _ = self.spec.view(name, gradient).g_add_(part);
         };
 
@@ -377,8 +404,11 @@ impl Compute {
             Some(flat) => self.chunk(flat, rows, width),
             None => hidden(self, layers - 1),
         };
-        add("head.weight", &d_output.bmm(&last).transpose(1, 2));
-        add("head.bias", &d_output.sum_dim_intlist(&[2i64][..], false, Kind::Float));
+        if let Some(gradient) = gradient {
+            add("head.weight", &d_output.bmm(&last).transpose(1, 2), gradient);
+            let d_bias = d_output.sum_dim_intlist(&[2i64][..], false, Kind::Float);
+            add("head.bias", &d_bias, gradient);
+        }
 
         let mut d_hidden = self.gradient_chunk(0, rows, width);
         let d_low = d_output.transpose(1, 2).to_kind(kind);
@@ -407,12 +437,15 @@ impl Compute {
                 }
                 Activation::Tanh => Tensor::tanh_backward_grad_input(d, d, &active),
             };
-            let input = if layer == 0 { x.shallow_clone() } else { hidden(self, layer - 1) };
-            let part = &self.buffers.weight_gradient[layer];
-            let _ = input.transpose(1, 2).bmm_out(part, d);
-            let (weight_name, bias_name) = self.names(layer);
-            add(&weight_name, part);
-            add(&bias_name, &d.sum_dim_intlist(&[1i64][..], false, Kind::Float));
+            if let Some(gradient) = gradient {
+                let input = if layer == 0 { x.shallow_clone() } else { hidden(self, layer - 1) };
+                let part = &self.buffers.weight_gradient[layer];
+                let _ = input.transpose(1, 2).bmm_out(part, d);
+                let (weight_name, bias_name) = self.names(layer);
+                add(&weight_name, part, gradient);
+                let d_bias = d.sum_dim_intlist(&[1i64][..], false, Kind::Float);
+                add(&bias_name, &d_bias, gradient);
+            }
             if layer > 0 {
                 let below = self.gradient_chunk(layers - layer, rows, self.spec.hidden[layer - 1]);
                 let _ = d_hidden.bmm_out(&below, &self.weight[layer].transpose(1, 2));

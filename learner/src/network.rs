@@ -8,7 +8,7 @@
 //! A shared network is kept once for each agent. All rows are equal except for the bias of the
 //! first hidden layer, which tells the agents apart; [`NetworkSpec::unify`] keeps them equal.
 
-use proto::config::{InputNorm, Network};
+use proto::config::{Config, InputNorm, Network};
 use proto::layout::Dimensions;
 use proto::rng::{Address, Purpose};
 use tch::{Device, Kind, Tensor};
@@ -53,7 +53,7 @@ impl Parameter {
 /// Which network of an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NetworkKind {
-    /// Mean and deviation of the action.
+    /// Mean and deviation of the action, or the action itself.
     Actor,
     /// Expected return.
     Critic,
@@ -96,7 +96,8 @@ pub struct NetworkSpec {
 
 impl NetworkSpec {
     /// The actors or critics of a configuration.
-    pub fn new(kind: NetworkKind, network: &Network, dimensions: &Dimensions) -> Self {
+    pub fn new(kind: NetworkKind, config: &Config, dimensions: &Dimensions) -> Self {
+        let network = &config.network;
         let (input, output) = match kind {
             NetworkKind::Actor => (dimensions.actor_input(), dimensions.actor_output()),
             NetworkKind::Critic => (dimensions.critic_input(), 1),
@@ -126,7 +127,7 @@ impl NetworkSpec {
         }
         add("head.weight".to_owned(), &[width, output]);
         add("head.bias".to_owned(), &[output]);
-        if kind == NetworkKind::Actor {
+        if kind == NetworkKind::Actor && config.algorithm.name.is_stochastic() {
             add("log_std".to_owned(), &[output]);
         }
         Self {
@@ -318,10 +319,16 @@ mod tests {
 
     #[test]
     fn parameters_are_named_and_shaped_as_policies_are_published() {
-        for norm in ["layer_norm", "none", "running"] {
-            let config = config(&[&format!("network.input_norm={norm}")]);
+        for (norm, algorithm) in ["layer_norm", "none", "running"]
+            .into_iter()
+            .flat_map(|norm| ["mappo", "ppo", "maddpg"].map(|algorithm| (norm, algorithm)))
+        {
+            let config = config(&[
+                &format!("algorithm.name={algorithm}"),
+                &format!("network.input_norm={norm}"),
+            ]);
             let dimensions = Dimensions::new(&config, 4);
-            let spec = NetworkSpec::new(NetworkKind::Actor, &config.network, &dimensions);
+            let spec = NetworkSpec::new(NetworkKind::Actor, &config, &dimensions);
             let published = ActorLayout::new(&config, &dimensions);
             let running = |name: &str| name == "input.mean" || name == "input.inverse_std";
             let expected: Vec<_> = published
@@ -339,8 +346,7 @@ mod tests {
     #[test]
     fn initial_weights_are_orthogonal_and_differ_between_agents() {
         let config = config(&["network.hidden=[24,40]"]);
-        let spec =
-            NetworkSpec::new(NetworkKind::Actor, &config.network, &Dimensions::new(&config, 2));
+        let spec = NetworkSpec::new(NetworkKind::Actor, &config, &Dimensions::new(&config, 2));
         let flat = spec.initial(&config.network, 5);
         assert_eq!(flat, spec.initial(&config.network, 5));
         assert_ne!(flat, spec.initial(&config.network, 6));
@@ -368,8 +374,7 @@ mod tests {
     #[test]
     fn a_shared_gradient_is_that_of_the_mean_loss_and_keeps_the_first_bias_apart() {
         let config = config(&["network.shared_parameters=true", "network.hidden=[4]"]);
-        let spec =
-            NetworkSpec::new(NetworkKind::Critic, &config.network, &Dimensions::new(&config, 1));
+        let spec = NetworkSpec::new(NetworkKind::Critic, &config, &Dimensions::new(&config, 1));
         let mut gradient =
             Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);
         let raw = gradient.copy();

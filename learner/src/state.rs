@@ -11,6 +11,9 @@
 //! | `value_norm.mean`, `.mean_square`, `.debias` | f64 `[P]` |
 //! | `observation_norm.mean`, `.m2`, `.count` | f64 `[A, O]`, `[A, O]`, `[1]`; running normalisation only |
 //! | `state_norm.mean`, `.m2`, `.count` | f64 `[1, S]`, `[1, S]`, `[1]`; likewise, unless critics see observations |
+//! | `target_actor.<parameter>`, `target_critic.<parameter>` | f32 `[P, …]`; MADDPG only, like the next |
+//! | `replay.observation`, `.state`, `.action`, `.reward`, `.future` | f32, see [`Replay`](crate::maddpg::replay::Replay) |
+//! | `replay.episodes` | u64 `[1]`: episodes that were ever put in |
 //! | `previous_policy` | f32, flat: the policy published before, which overlapping workers still use |
 //! | `counters.iteration`, `counters.env_steps` | u64 `[1]`; the iteration is also the policy version |
 //! | `counters.precision` | u64 `[1]`: bits of the products' operands, 16 or 32 |
@@ -28,8 +31,8 @@ pub mod image;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use proto::config::{Config, CriticState, InputNorm as InputNormKind};
-use proto::layout::{ActorLayout, Dimensions};
+use proto::config::{AlgorithmName, Config, CriticState, InputNorm as InputNormKind};
+use proto::layout::{ActorLayout, BlockLayout, Dimensions};
 use proto::{Digest, DigestBuilder};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use tch::{Device, Kind, Tensor};
@@ -37,6 +40,7 @@ use tch::{Device, Kind, Tensor};
 use crate::LearnerError;
 use crate::adam::Adam;
 use crate::input_norm::InputNorm;
+use crate::maddpg::OffPolicy;
 use crate::memory::bytes;
 use crate::network::{NetworkKind, NetworkSpec};
 use crate::precision::Arithmetic;
@@ -72,6 +76,8 @@ pub struct TrainingState {
     pub observation_norm: Option<InputNorm>,
     /// Moments of the critic state.
     pub state_norm: Option<InputNorm>,
+    /// Targets and replay; MADDPG only.
+    pub off_policy: Option<OffPolicy>,
     /// Iterations trained on; also the version of the policy.
     pub iteration: u64,
     /// Env-steps trained on.
@@ -148,7 +154,7 @@ impl TrainingState {
         device: Device,
     ) -> Self {
         let network = |kind| {
-            let spec = NetworkSpec::new(kind, &config.network, dimensions);
+            let spec = NetworkSpec::new(kind, config, dimensions);
             let flat = spec.initial(&config.network, config.run.seed).to_device(device);
             let adam = Adam::new(&flat);
             NetworkState { spec, flat, adam }
@@ -156,9 +162,13 @@ impl TrainingState {
         let running = config.network.input_norm == InputNormKind::Running;
         let own = config.network.critic_state == CriticState::Own;
         let policy_layout = ActorLayout::new(config, dimensions);
+        let (actor, critic) = (network(NetworkKind::Actor), network(NetworkKind::Critic));
+        let off_policy = (config.algorithm.name == AlgorithmName::Maddpg)
+            .then(|| OffPolicy::new(config, dimensions, &actor, &critic));
         let mut state = Self {
-            actor: network(NetworkKind::Actor),
-            critic: network(NetworkKind::Critic),
+            actor,
+            critic,
+            off_policy,
             value_norm: ValueNorm::new(dimensions.n_actors, device),
             observation_norm: running
                 .then(|| InputNorm::new(dimensions.n_agents, dimensions.observation)),
@@ -173,6 +183,28 @@ impl TrainingState {
         };
         state.remember_policy();
         state
+    }
+
+    /// Takes the observations before each step of an iteration's blocks into the running normalisers.
+    pub fn see(&mut self, dimensions: &Dimensions, shards: &[&[f32]]) {
+        let layout = BlockLayout::new(dimensions);
+        let Dimensions { n_steps: t, n_envs: n, observation: o, state: s, .. } = *dimensions;
+        if let Some(norm) = &mut self.observation_norm {
+            let rows: Vec<Vec<&[f32]>> = (0..norm.rows)
+                .map(|agent| {
+                    let start = layout.observation.start + agent * (t + 1) * n * o;
+                    shards.iter().map(|shard| &shard[start..start + t * n * o]).collect()
+                })
+                .collect();
+            norm.update(&rows);
+            if self.actor.spec.shared {
+                norm.pool();
+            }
+        }
+        if let Some(norm) = &mut self.state_norm {
+            let start = layout.state.start;
+            norm.update(&[shards.iter().map(|shard| &shard[start..start + t * n * s]).collect()]);
+        }
     }
 
     /// Keeps the policy as it is now as the previous one.
@@ -208,6 +240,26 @@ impl TrainingState {
             let steps = &network.adam.steps;
             let name = format!("{kind}.adam.steps");
             add(name, Dtype::I64, vec![steps.len()], Source::I64(steps));
+        }
+        if let Some(OffPolicy { target_actor, target_critic, replay }) = &self.off_policy {
+            for (network, target) in [(&self.actor, target_actor), (&self.critic, target_critic)] {
+                let flat = target.to_device(Device::Cpu);
+                for parameter in &network.spec.parameters {
+                    let rows = flat.size()[0];
+                    let shape = std::iter::once(&rows).chain(&parameter.shape).map(|&n| n as usize);
+                    let name = format!("target_{}.{}", network.spec.kind.as_str(), parameter.name);
+                    let source = Source::Columns {
+                        flat: flat.shallow_clone(),
+                        columns: parameter.columns(),
+                    };
+                    add(name, Dtype::F32, shape.collect(), source);
+                }
+            }
+            for (name, shape, values) in replay.arrays() {
+                add(format!("replay.{name}"), Dtype::F32, shape, Source::F32(values));
+            }
+            let episodes = Source::U64(replay.episodes);
+            add("replay.episodes".to_owned(), Dtype::U64, vec![1], episodes);
         }
         let norm = &self.value_norm;
         for (name, moment) in
@@ -354,6 +406,21 @@ impl TrainingState {
             }
             let steps = &arrays[&format!("{kind}.adam.steps")];
             network.adam.steps = chunks::<8>(steps).map(i64::from_le_bytes).collect();
+        }
+        if let Some(OffPolicy { target_actor, target_critic, replay }) = &mut self.off_policy {
+            for (network, target) in [(&self.actor, target_actor), (&self.critic, target_critic)] {
+                for parameter in &network.spec.parameters {
+                    let mut view = parameter.view(target);
+                    let name = format!("target_{}.{}", network.spec.kind.as_str(), parameter.name);
+                    let data = &arrays[&name];
+                    view.copy_(&Tensor::from_data_size(data, &view.size(), Kind::Float));
+                }
+            }
+            for (name, slot) in replay.arrays_mut() {
+                let numbers = chunks::<4>(&arrays[&format!("replay.{name}")]);
+                slot.iter_mut().zip(numbers).for_each(|(x, bytes)| *x = f32::from_le_bytes(bytes));
+            }
+            replay.episodes = u64_of("replay.episodes");
         }
         let norm = &mut self.value_norm;
         for (name, moment) in [

@@ -7,6 +7,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use learner::maddpg::{self, Maddpg};
 use learner::mappo::{Mappo, Trace};
 use learner::network::NetworkSpec;
 use learner::precision::Arithmetic;
@@ -150,15 +151,20 @@ fn cross_check(assignments: &[&str]) {
         }
     }
 
+    compare("learning.py", &config, &before, &state, &record);
+}
+
+/// Writes everything down and has a script of `tests/crosscheck` compare it.
+fn compare(script: &str, config: &Config, before: &[u8], after: &TrainingState, record: &Record) {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let path = |name: &str| directory.path().join(name);
     std::fs::write(path("config.toml"), config.to_toml()).expect("config");
     std::fs::write(path("before.safetensors"), before).expect("before");
-    std::fs::write(path("after.safetensors"), state.to_safetensors()).expect("after");
+    std::fs::write(path("after.safetensors"), after.to_safetensors()).expect("after");
     record.write(&path("record.safetensors"));
     let python = python();
     let output = Command::new(&python)
-        .arg(repository().join("tests/crosscheck/learning.py"))
+        .arg(repository().join("tests/crosscheck").join(script))
         .arg(directory.path())
         .env("JAX_PLATFORMS", "cpu")
         .output()
@@ -167,10 +173,68 @@ fn cross_check(assignments: &[&str]) {
         });
     assert!(
         output.status.success(),
-        "{assignments:?}\n{}{}",
+        "{}\n{}{}",
+        config.to_toml(),
         String::from_utf8_lossy(&output.stdout),
         String::from_utf8_lossy(&output.stderr),
     );
+}
+
+/// Two iterations; the updates of the second one are checked.
+fn cross_check_maddpg(assignments: &[&str]) {
+    let config: Config = [
+        "algorithm.name=maddpg",
+        "env.n_envs=16",
+        "env.n_shards=2",
+        "task.episode_steps=8",
+        "network.hidden=[24,16]",
+        "algorithm.maddpg.batch_size=48",
+        "algorithm.maddpg.learning_starts=64",
+        "algorithm.maddpg.updates_per_step=0.0625",
+        "algorithm.maddpg.replay_steps=160",
+        "algorithm.maddpg.soft_update=0.1",
+        "run.learner_threads=1",
+        "run.env_steps=1000",
+    ]
+    .iter()
+    .chain(assignments)
+    .fold(Layers::new(Preset::Tuned, Some(TaskName::Trajectory)), |layers, assignment| {
+        layers.set(assignment).expect("well formed")
+    })
+    .resolve()
+    .expect("valid");
+    let dimensions = Dimensions::new(&config, 2);
+    let mut state = TrainingState::initial(&config, &dimensions, Arithmetic::F32, Device::Cpu);
+    let mut maddpg = Maddpg::new(&config, &dimensions, &state);
+    let layout = BlockLayout::new(&dimensions);
+    let mut update = |state: &mut TrainingState, seed, trace| {
+        let mut blocks = learner::synthetic::blocks(&dimensions, seed);
+        // One episode ends for good, another is cut, both in the middle.
+        blocks[0][layout.terminated.start + 3 * dimensions.n_envs + 1] = 1.0;
+        blocks[1][layout.truncated.start + 2 * dimensions.n_envs] = 1.0;
+        let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+        maddpg.update_traced(state, &shards, trace).expect("finite");
+    };
+    update(&mut state, 1, None);
+    let before = state.to_safetensors();
+    let mut trace = maddpg::Trace::default();
+    update(&mut state, 2, Some(&mut trace));
+    assert_eq!(trace.rows.len(), 8);
+
+    let mut record = Record::default();
+    for step in 0..trace.rows.len() {
+        let (actor, critic) = &trace.gradients[step];
+        record.gradients(step, &state.actor.spec, actor);
+        record.gradients(step, &state.critic.spec, critic);
+        record.integers(&format!("rows.{step}"), &trace.rows[step]);
+        record.tensor(&format!("target.{step}"), &trace.targets[step]);
+        let (policy, value) = &trace.losses[step];
+        for (kind, losses) in [("actor", policy), ("critic", value)] {
+            let losses: Vec<f32> = losses.iter().map(|&x| x as f32).collect();
+            record.floats(&format!("loss.{step}.{kind}"), &[losses.len()], &losses);
+        }
+    }
+    compare("maddpg.py", &config, &before, &state, &record);
 }
 
 #[test]
@@ -237,5 +301,40 @@ fn a_shared_network_with_layer_norm_and_no_value_clipping() {
         "network.input_norm=layer_norm",
         "algorithm.value_clip=0",
         "algorithm.huber_delta=0",
+    ]);
+}
+
+#[test]
+fn deterministic_actors_with_the_tuned_preset() {
+    cross_check_maddpg(&[]);
+}
+
+#[test]
+fn deterministic_actors_with_layer_norm_a_limit_and_clipped_gradients() {
+    cross_check_maddpg(&[
+        "network.layer_norm=true",
+        "network.input_norm=layer_norm",
+        "network.activation=elu",
+        "network.critic_state=concatenated",
+        "algorithm.bootstrap_truncated=false",
+        "algorithm.maddpg.action_limit=2.5",
+        "algorithm.max_grad_norm=0.5",
+        "optimizer.schedule=constant",
+    ]);
+}
+
+#[test]
+fn deterministic_actors_as_the_authors_have_them() {
+    cross_check_maddpg(&[
+        "network.input_norm=none",
+        "network.critic_state=concatenated",
+        "network.hidden=[16,16,16]",
+        "algorithm.gamma=0.95",
+        "algorithm.maddpg.action_limit=10",
+        "algorithm.max_grad_norm=0",
+        "optimizer.actor_lr=1e-4",
+        "optimizer.critic_lr=1e-3",
+        "optimizer.schedule=constant",
+        "optimizer.epsilon=1e-8",
     ]);
 }

@@ -44,6 +44,8 @@ pub struct Dimensions {
     pub observation: usize,
     /// S: numbers of the critic state that a block holds; 0 if critics see what actors see.
     pub state: usize,
+    /// Actions that a critic sees beside: those of all agents, or none.
+    pub critic_actions: usize,
     /// K: metrics of an episode.
     pub n_metrics: usize,
 }
@@ -73,7 +75,7 @@ impl Dimensions {
             n_arms,
             n_agents,
             n_actors: match config.algorithm.name {
-                AlgorithmName::Mappo | AlgorithmName::Ippo => n_agents,
+                AlgorithmName::Mappo | AlgorithmName::Ippo | AlgorithmName::Maddpg => n_agents,
                 AlgorithmName::Ppo => 1,
             },
             n_steps: config.task.episode_steps,
@@ -81,6 +83,10 @@ impl Dimensions {
             n_shards: config.env.n_shards,
             observation,
             state,
+            critic_actions: match config.algorithm.name {
+                AlgorithmName::Mappo | AlgorithmName::Ippo | AlgorithmName::Ppo => 0,
+                AlgorithmName::Maddpg => n_agents * JOINTS_PER_AGENT,
+            },
             n_metrics: EpisodeMetrics::count(n_arms),
         }
     }
@@ -100,10 +106,25 @@ impl Dimensions {
         self.agents_per_actor() * JOINTS_PER_AGENT
     }
 
-    /// Numbers that a critic's first layer takes: the critic state, or what its actor sees.
+    /// Numbers that a critic's first layer takes: the critic state, or what its actor sees; then actions.
     pub fn critic_input(&self) -> usize {
-        if self.state == 0 { self.actor_input() } else { self.state }
+        let seen = if self.state == 0 { self.actor_input() } else { self.state };
+        seen + self.critic_actions
     }
+}
+
+/// What MADDPG's replay takes in memory and in a checkpoint (bytes); 0 for other algorithms.
+///
+/// It holds whole episodes: T + 1 observations, and critic states unless these are the observations
+/// one after the other; T times all actions, rewards, and whether the step has a future.
+pub fn replay_bytes(config: &Config, dimensions: &Dimensions) -> u64 {
+    if config.algorithm.name != AlgorithmName::Maddpg {
+        return 0;
+    }
+    let Dimensions { n_agents: a, n_steps: t, observation: o, state, .. } = *dimensions;
+    let s = if config.network.critic_state == CriticState::Concatenated { 0 } else { state };
+    let episode = (t + 1) * (a * o + s) + t * (a * (JOINTS_PER_AGENT + 1) + 1);
+    (4 * episode * (config.algorithm.maddpg.replay_steps / t)) as u64
 }
 
 /// Where the metrics of an episode stand in its row of K numbers.
@@ -162,9 +183,10 @@ pub struct BlockLayout {
     pub observation: Range<usize>,
     /// `[T + 1, N, S]`: what critics see.
     pub state: Range<usize>,
-    /// `[A, T, N, U]`: sampled actions, before clipping and scaling.
+    /// `[A, T, N, U]`: actions with exploration, before clipping and scaling.
     pub action: Range<usize>,
-    /// `[A, T, N]`: logarithm of the probability density of the action, summed over U.
+    /// `[A, T, N]`: logarithm of the probability density of the action, summed over U; 0 where actors
+    /// are deterministic.
     pub log_prob: Range<usize>,
     /// `[A, T, N]`: reward of the step.
     pub reward: Range<usize>,
@@ -245,7 +267,7 @@ impl TensorSpec {
 /// agent's own first-layer bias. Weights are `[P, in, out]`, so a batch of row vectors multiplies from
 /// the left; the input is [`Dimensions::actor_input`] wide, the output [`Dimensions::actor_output`]. In order: the input's normalisation (`input.mean` and `input.inverse_std`, or
 /// `input.gain` and `input.bias`), each hidden layer (`hidden.i.weight`, `.bias`, and with
-/// LayerNorm `.gain`, `.shift`), `head.weight`, `head.bias`, `log_std` (already floored).
+/// LayerNorm `.gain`, `.shift`), `head.weight`, `head.bias`, and for stochastic actors `log_std` (already floored).
 ///
 /// LayerNorm has ε = 1e-5. A running normalisation is clip((x − mean)·inverse_std, ±input_clip).
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -289,7 +311,9 @@ impl ActorLayout {
         let actions = dimensions.actor_output();
         tensor("head.weight".to_owned(), vec![p, width, actions]);
         tensor("head.bias".to_owned(), vec![p, actions]);
-        tensor("log_std".to_owned(), vec![p, actions]);
+        if config.algorithm.name.is_stochastic() {
+            tensor("log_std".to_owned(), vec![p, actions]);
+        }
         Self { tensors, len }
     }
 

@@ -23,10 +23,14 @@ pub enum Purpose {
     EvaluationGoal = 5,
     /// Initial states of episodes.
     InitialState = 6,
+    /// Uniform actions of an exploring deterministic actor.
+    RandomAction = 7,
+    /// Samples that are drawn from a replay.
+    Replay = 8,
     /// Errors of the sensors, in experiments alone.
-    SensorNoise = 7,
+    SensorNoise = 9,
     /// Torques that disturb the joints, in experiments alone.
-    JointDisturbance = 8,
+    JointDisturbance = 10,
 }
 
 /// The address of four 32-bit random words.

@@ -204,7 +204,11 @@ fn prepare<'a>(
             iteration: address_iteration,
             env: first,
         },
-        noise: Noise { seed, iteration: address_iteration },
+        noise: Noise {
+            seed,
+            iteration: address_iteration,
+            exploration: world.config.exploration(iteration),
+        },
         output: Output { layout: &world.layout, block },
         on_step,
     })

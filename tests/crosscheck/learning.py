@@ -62,7 +62,9 @@ class Learner:
         self.before = load_file(directory / "before.safetensors")
         self.after = load_file(directory / "after.safetensors")
         self.record = load_file(directory / "record.safetensors")
-        self.agents = self.record["reward"].shape[0]
+        self.agents = len(self.before["actor.head.bias"])
+        if "reward" in self.record:
+            self.agents = self.record["reward"].shape[0]
         self.central = self.config["algorithm"]["name"] == "ppo"
         self.activation = {"relu": jax.nn.relu, "elu": jax.nn.elu, "tanh": jnp.tanh}[
             self.config["network"]["activation"]
@@ -70,8 +72,12 @@ class Learner:
 
     def apply(self, p, x):
         """One agent's network on inputs [B, in]; p is its dictionary."""
+        return self.layers(p, standardise(x) if "input.gain" in p else x)
+
+    def layers(self, p, x):
+        """Likewise, on inputs that are standardised if they have to be."""
         if "input.gain" in p:
-            x = standardise(x) * p["input.gain"] + p["input.bias"]
+            x = x * p["input.gain"] + p["input.bias"]
         layer = 0
         while f"hidden.{layer}.weight" in p:
             name = f"hidden.{layer}."

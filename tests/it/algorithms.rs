@@ -69,3 +69,18 @@ fn centralised_ppo() {
 fn independent_ppo() {
     keeps_the_promises("ippo", &[]);
 }
+
+/// Of 128 env-steps an iteration come six updates, from the second one on; the ring of fifty episodes
+/// goes round several times.
+#[test]
+fn deterministic_actors_with_a_replay() {
+    keeps_the_promises(
+        "maddpg",
+        &[
+            "--set=algorithm.maddpg.learning_starts=128",
+            "--set=algorithm.maddpg.updates_per_step=0.05",
+            "--set=algorithm.maddpg.batch_size=64",
+            "--set=algorithm.maddpg.replay_steps=400",
+        ],
+    );
+}

@@ -217,9 +217,13 @@ type Dependency = (&'static str, fn(&Config) -> String);
 
 /// Everything of a configuration that the meaning of a policy's numbers depends on, besides the
 /// task: what it sees, what its actions do, and how its network computes.
-const DEPENDENCIES: [Dependency; 11] = [
+const DEPENDENCIES: [Dependency; 12] = [
     // What an actor sees and moves, and what becomes of its output.
     ("the kind of actor", |c| c.algorithm.name.actor().to_owned()),
+    ("algorithm.maddpg.action_limit", |c| match c.algorithm.name.is_stochastic() {
+        true => "unused".to_owned(),
+        false => c.algorithm.maddpg.action_limit.to_string(),
+    }),
     ("task.observation", |c| format!("{:?}", c.task.observation).to_lowercase()),
     ("task.action_scale", |c| c.task.action_scale.to_string()),
     ("env.control_period", |c| c.env.control_period.to_string()),

@@ -1,7 +1,7 @@
 //! How many floating-point operations an update needs.
 
-use proto::config::Config;
-use proto::layout::Dimensions;
+use proto::config::{AlgorithmName, Config};
+use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 
 /// Operations in the matrix products that an update needs for an env-step; everything else counts
 /// nothing.
@@ -10,6 +10,10 @@ use proto::layout::Dimensions;
 /// layer and network: forwards, for the gradient of the weights, and for that of the layer's input,
 /// which the first layer has no use for. The critics' values before the first epoch take another
 /// pass forwards, over T + 1 of every T steps.
+///
+/// A sample of MADDPG's batches goes forwards through the target actor and the actor and back through that,
+/// forwards through the target critic and twice through the critic, and back through that for its own
+/// weights, and for the actor as far as its own actions.
 pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
     let hidden = &config.network.hidden;
     let products = |input: usize, output: usize| {
@@ -23,6 +27,14 @@ pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
     };
     let (actor, actor_first) = products(dimensions.actor_input(), dimensions.actor_output());
     let (critic, critic_first) = products(dimensions.critic_input(), 1);
+    if config.algorithm.name == AlgorithmName::Maddpg {
+        let settings = &config.algorithm.maddpg;
+        let samples = settings.updates_per_step * settings.batch_size as f64;
+        let actions = 2.0 * (JOINTS_PER_AGENT * hidden[0]) as f64;
+        let actors = 4.0 * actor - actor_first;
+        let critics = 6.0 * critic - 2.0 * critic_first + actions;
+        return dimensions.n_actors as f64 * samples * (actors + critics);
+    }
     let epoch = 3.0 * (actor + critic) - actor_first - critic_first;
     let steps = dimensions.n_steps as f64;
     let values = critic * (steps + 1.0) / steps;
@@ -50,5 +62,21 @@ mod tests {
             .expect("valid");
         let dimensions = Dimensions::new(&config, 4);
         assert_eq!(per_env_step(&config, &dimensions), 323_480.0);
+    }
+
+    /// Worked by hand: as above, and 24 actions beside the critic state, so 2,590 weights, 2,480 of them in
+    /// the first layer. Actor: 4·820 − 560 = 2,720. Critic: 6·5,180 − 2·4,960 + 2·3·10 = 21,220. Half an
+    /// update of 20 samples a step: 8·10·23,940.
+    #[test]
+    fn operations_of_maddpg_are_those_of_the_hand_worked_example() {
+        let config = Layers::new(Preset::Paper, None)
+            .text("[network]\nhidden = [10, 10]", "test")
+            .and_then(|layers| layers.set("algorithm.name=maddpg"))
+            .and_then(|layers| layers.set("algorithm.maddpg.batch_size=20"))
+            .and_then(|layers| layers.set("algorithm.maddpg.updates_per_step=0.5"))
+            .and_then(|layers| layers.resolve())
+            .expect("valid");
+        let dimensions = Dimensions::new(&config, 4);
+        assert_eq!(per_env_step(&config, &dimensions), 1_915_200.0);
     }
 }

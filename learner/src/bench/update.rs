@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 use tch::Device;
 
 use super::{Common, flops, product};
+use crate::algorithm::Algorithm;
 use crate::learner::device;
-use crate::mappo::Mappo;
 use crate::precision::Arithmetic;
 use crate::state::TrainingState;
 use crate::{LearnerError, synthetic};
@@ -50,13 +50,13 @@ fn updates(
     let blocks = synthetic::blocks(dimensions, config.run.seed);
     let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
     let mut state = TrainingState::initial(config, dimensions, arithmetic, device);
-    let mut mappo = Mappo::new(config, dimensions, &state);
+    let mut algorithm = Algorithm::new(config, dimensions, &state);
     // The first one also makes buffers.
-    mappo.update(&mut state, &shards)?;
+    algorithm.update(&mut state, &shards)?;
     let start = Instant::now();
     let mut updates = 0;
     while updates == 0 || start.elapsed().as_secs_f64() < seconds {
-        mappo.update(&mut state, &shards)?;
+        algorithm.update(&mut state, &shards)?;
         updates += 1;
     }
     let steps = f64::from(updates) * config.steps_per_iteration() as f64;

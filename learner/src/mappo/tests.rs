@@ -1,6 +1,7 @@
 use proto::config::{Layers, Preset, TaskName};
 
 use super::*;
+use crate::mlp::Compute;
 use crate::precision::Arithmetic;
 use crate::synthetic::blocks;
 

@@ -73,7 +73,7 @@ fn compare(
     fused: bool,
     tolerance: f64,
 ) {
-    let spec = NetworkSpec::new(kind, &config.network, &Dimensions::new(config, 1));
+    let spec = NetworkSpec::new(kind, config, &Dimensions::new(config, 1));
     let (a, b) = (2, 30);
     tch::manual_seed(4);
     let options = (Kind::Float, Device::Cpu);
@@ -82,7 +82,8 @@ fn compare(
     let flat = (&start + Tensor::randn_like(&start) * 0.1).set_requires_grad(true);
     let x = Tensor::randn([a, b, spec.input], options).to_kind(arithmetic.kind());
     let weights = Tensor::randn([a, spec.output, b], options);
-    let expected = definition(&spec, config.network.activation, &flat, &x.to_kind(Kind::Float));
+    let leaf = x.to_kind(Kind::Float).copy().set_requires_grad(true);
+    let expected = definition(&spec, config.network.activation, &flat, &leaf);
     (&expected * &weights).sum(Kind::Float).backward();
 
     tch::no_grad(|| {
@@ -108,6 +109,12 @@ fn compare(
             compute.backward(&half, &weights.narrow(2, start, b / 2).contiguous(), &gradient);
         }
         compute.unfold(&flat, &gradient);
+        // By three inputs of each network, other ones for each; adds nothing to the parameters' gradient.
+        let _ = compute.forward(&x);
+        let ours = compute.input_gradient(&x, &weights, &[1, 4], 3);
+        let theirs = leaf.grad();
+        let theirs = [(0, 1), (1, 4)].map(|(i, column)| theirs.get(i).narrow(1, column, 3));
+        near(&ours, &Tensor::stack(&theirs, 0), "input gradient");
         for parameter in spec.parameters.iter().filter(|p| p.name != "log_std") {
             near(&parameter.view(&gradient), &parameter.view(&flat.grad()), &parameter.name);
         }

@@ -22,9 +22,9 @@ mod sections;
 
 pub use layers::{Layers, Preset};
 pub use sections::{
-    Activation, Algorithm, AlgorithmName, Config, CriticState, Env, GoalBox, Inference, InputNorm,
-    Integrator, Network, Observation, Optimizer, Precision, Reward, RewardWeights, RobotSection,
-    Run, Schedule, Task, TaskName,
+    Activation, Algorithm, AlgorithmName, Config, CriticState, Env, Exploration, GoalBox,
+    Inference, InputNorm, Integrator, Maddpg, Network, Observation, Optimizer, Precision, Reward,
+    RewardWeights, RobotSection, Run, Schedule, Task, TaskName,
 };
 
 #[cfg(test)]

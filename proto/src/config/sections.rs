@@ -251,17 +251,29 @@ pub enum AlgorithmName {
     /// Centralised PPO (Schulman et al. 2017): one actor and one critic, which see all agents'
     /// observations one after the other and are paid the sum of all rewards.
     Ppo,
+    /// Multi-agent deep deterministic policy gradient (Lowe et al. 2017): deterministic actors, critics
+    /// that see everything and all actions, and a replay.
+    Maddpg,
 }
 
 impl AlgorithmName {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Mappo, Self::Ippo, Self::Ppo];
+    pub const ALL: [Self; 4] = [Self::Mappo, Self::Ippo, Self::Ppo, Self::Maddpg];
+
+    /// Whether actors give the parameters of a distribution that actions are drawn from.
+    pub fn is_stochastic(self) -> bool {
+        match self {
+            Self::Mappo | Self::Ippo | Self::Ppo => true,
+            Self::Maddpg => false,
+        }
+    }
 
     /// What kind of actor it trains: policies of one kind are exchangeable.
     pub fn actor(self) -> &'static str {
         match self {
             Self::Mappo | Self::Ippo => "stochastic, one an agent",
             Self::Ppo => "stochastic, one for all agents",
+            Self::Maddpg => "deterministic, one an agent",
         }
     }
 
@@ -271,6 +283,7 @@ impl AlgorithmName {
             Self::Mappo => "mappo",
             Self::Ippo => "ippo",
             Self::Ppo => "ppo",
+            Self::Maddpg => "maddpg",
         }
     }
 }
@@ -313,6 +326,89 @@ pub struct Algorithm {
     pub max_grad_norm: f64,
     /// Ends an iteration's epochs for an agent when its KL divergence passes this; 0 turns it off.
     pub max_kl: f64,
+    /// What only MADDPG uses. Of the keys above it uses `gamma`, `bootstrap_truncated` and
+    /// `max_grad_norm`. Configurations from before MADDPG go on without.
+    #[serde(default)]
+    pub maddpg: Maddpg,
+}
+
+/// Group `algorithm.maddpg`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Maddpg {
+    /// L: actions are L times the hyperbolic tangent of an actor's output, before the environment clips
+    /// and scales them; critics see them in units of L.
+    pub action_limit: f64,
+    /// τ: how far targets move towards their networks after an update.
+    pub soft_update: f64,
+    /// Env-steps that the replay holds, rounded down to whole episodes. It is part of every checkpoint,
+    /// with four bytes for each number that agents see, do and get in a step.
+    pub replay_steps: usize,
+    /// Samples of an update.
+    pub batch_size: usize,
+    /// Updates of all networks for an env-step.
+    pub updates_per_step: f64,
+    /// Env-steps before the first update.
+    pub learning_starts: u64,
+    /// Standard deviation of the normal exploration noise at first, in units of L.
+    pub noise: f64,
+    /// Likewise from `noise_steps` on; it falls linearly until then.
+    pub noise_final: f64,
+    /// Probability at first that an agent's action is uniform in ± L instead.
+    pub random: f64,
+    /// Likewise from `noise_steps` on; it falls linearly until then.
+    pub random_final: f64,
+    /// Env-steps over which both fall.
+    pub noise_steps: u64,
+}
+
+/// The numbers of the released code.
+impl Default for Maddpg {
+    fn default() -> Self {
+        Self {
+            action_limit: 10.0,
+            soft_update: 0.01,
+            replay_steps: 500_000,
+            batch_size: 256,
+            updates_per_step: 1.0,
+            learning_starts: 256,
+            noise: 0.1,
+            noise_final: 0.05,
+            random: 0.05,
+            random_final: 0.05,
+            noise_steps: 100_000,
+        }
+    }
+}
+
+/// How actions of a deterministic actor depart from its output.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Exploration {
+    /// Actions stay in ± this.
+    pub limit: f64,
+    /// Standard deviation of the normal noise, in the actions' own units.
+    pub std: f64,
+    /// Probability of a uniform action.
+    pub random: f64,
+}
+
+impl Maddpg {
+    /// Exploration after `env_steps`.
+    pub fn exploration(&self, env_steps: u64) -> Exploration {
+        let progress = (env_steps as f64 / self.noise_steps.max(1) as f64).min(1.0);
+        let between = |first: f64, last: f64| first + (last - first) * progress;
+        Exploration {
+            limit: self.action_limit,
+            std: self.action_limit * between(self.noise, self.noise_final),
+            random: between(self.random, self.random_final),
+        }
+    }
+
+    /// Updates that are to be made by the time that `env_steps` have been collected.
+    pub fn updates_until(&self, env_steps: u64) -> u64 {
+        let counted = env_steps.saturating_sub(self.learning_starts);
+        (counted as f64 * self.updates_per_step).floor() as u64
+    }
 }
 
 /// How the learning rate moves over the planned env-steps.
@@ -476,6 +572,15 @@ impl Run {
 }
 
 impl Config {
+    /// How workers explore in `iteration`, if actors are deterministic.
+    pub fn exploration(&self, iteration: u64) -> Option<Exploration> {
+        let steps = iteration.saturating_mul(self.steps_per_iteration());
+        match self.algorithm.name {
+            AlgorithmName::Mappo | AlgorithmName::Ippo | AlgorithmName::Ppo => None,
+            AlgorithmName::Maddpg => Some(self.algorithm.maddpg.exploration(steps)),
+        }
+    }
+
     /// Env-steps that one iteration collects.
     pub fn steps_per_iteration(&self) -> u64 {
         (self.env.n_envs * self.task.episode_steps) as u64
@@ -571,24 +676,39 @@ impl Config {
 
         let name = algorithm.name.as_str();
         let sees_its_actors_input = match algorithm.name {
-            AlgorithmName::Mappo => false,
+            AlgorithmName::Mappo | AlgorithmName::Maddpg => false,
             AlgorithmName::Ippo | AlgorithmName::Ppo => true,
         };
         if sees_its_actors_input != (network.critic_state == CriticState::Own) {
             return Err(ConfigError::Invalid {
                 key: "network.critic_state",
                 problem: format!("{:?} does not fit algorithm.name {name}", network.critic_state),
-                cure: "set it to own with ippo and ppo, and to compact or concatenated with mappo"
+                cure: "set it to own with ippo and ppo, to compact or concatenated with mappo and maddpg"
                     .to_owned(),
             });
         }
-        if algorithm.name == AlgorithmName::Ppo && network.shared_parameters {
+        let unshared = match algorithm.name {
+            AlgorithmName::Mappo | AlgorithmName::Ippo => None,
+            AlgorithmName::Ppo => Some("has one network that acts for all agents"),
+            AlgorithmName::Maddpg => Some("has a critic for each agent's own return"),
+        };
+        if let Some(reason) = unshared
+            && network.shared_parameters
+        {
             return Err(ConfigError::Invalid {
                 key: "network.shared_parameters",
-                problem: format!("{name} has one network that acts for all agents"),
+                problem: format!("{name} {reason}"),
                 cure: "set it to false, or choose another algorithm.name".to_owned(),
             });
         }
+        if algorithm.name == AlgorithmName::Maddpg && !network.squash_mean {
+            return Err(ConfigError::Invalid {
+                key: "network.squash_mean",
+                problem: format!("{name} bounds its actions by algorithm.maddpg.action_limit"),
+                cure: "set it to true".to_owned(),
+            });
+        }
+        self.validate_maddpg()?;
         within("algorithm.gamma", algorithm.gamma, 0.0, 1.0)?;
         within("algorithm.gae_lambda", algorithm.gae_lambda, 0.0, 1.0)?;
         within("algorithm.clip", algorithm.clip, 1e-6, 10.0)?;
@@ -630,6 +750,40 @@ impl Config {
             });
         }
         Ok(())
+    }
+}
+
+impl Config {
+    fn validate_maddpg(&self) -> Result<(), ConfigError> {
+        let Maddpg {
+            action_limit,
+            soft_update,
+            replay_steps,
+            batch_size,
+            updates_per_step,
+            learning_starts,
+            noise,
+            noise_final,
+            random,
+            random_final,
+            noise_steps,
+        } = self.algorithm.maddpg;
+        within("algorithm.maddpg.action_limit", action_limit, 1e-6, 1e6)?;
+        within("algorithm.maddpg.soft_update", soft_update, 0.0, 1.0)?;
+        within("algorithm.maddpg.batch_size", batch_size as f64, 1.0, 1e6)?;
+        within("algorithm.maddpg.updates_per_step", updates_per_step, 0.0, 1000.0)?;
+        within("algorithm.maddpg.learning_starts", learning_starts as f64, 0.0, 1e15)?;
+        within("algorithm.maddpg.noise", noise, 0.0, 1e3)?;
+        within("algorithm.maddpg.noise_final", noise_final, 0.0, 1e3)?;
+        within("algorithm.maddpg.random", random, 0.0, 1.0)?;
+        within("algorithm.maddpg.random_final", random_final, 0.0, 1.0)?;
+        within("algorithm.maddpg.noise_steps", noise_steps as f64, 0.0, 1e15)?;
+        // An episode is the least that a ring of episodes can hold.
+        let episode = match self.algorithm.name {
+            AlgorithmName::Maddpg => self.task.episode_steps as f64,
+            AlgorithmName::Mappo | AlgorithmName::Ippo | AlgorithmName::Ppo => 0.0,
+        };
+        within("algorithm.maddpg.replay_steps", replay_steps as f64, episode, 1e8)
     }
 }
 

@@ -67,6 +67,34 @@ fn an_algorithm_brings_its_own_changes_and_a_later_layer_overrides_them() {
     assert_eq!(hidden(&layers.set("algorithm.name=ippo").expect("TOML")), [9]);
 }
 
+/// The released code lowers its noise by 5e-7 a step.
+#[test]
+fn exploration_and_updates_follow_the_env_steps() {
+    let settings = Maddpg { random: 0.2, random_final: 0.1, ..Maddpg::default() };
+    let at = |steps| settings.exploration(steps);
+    assert_eq!(at(0), Exploration { limit: 10.0, std: 1.0, random: 0.2 });
+    let half = at(50_000);
+    assert!((half.std - 10.0 * (0.1 - 5e-7 * 50_000.0)).abs() < 1e-12, "{half:?}");
+    assert!((half.random - 0.15).abs() < 1e-12, "{half:?}");
+    assert_eq!((at(100_000).std, at(9_000_000).std), (0.5, 0.5));
+    let settings = Maddpg { learning_starts: 100, updates_per_step: 0.3, ..settings };
+    assert_eq!(
+        [0, 100, 103, 104, 110, 200].map(|n| settings.updates_until(n)),
+        [0, 0, 0, 1, 3, 30]
+    );
+}
+
+#[test]
+fn a_configuration_from_before_maddpg_is_read() {
+    let config = resolve(&[]).expect("valid");
+    let mut table: toml::Table = config.to_toml().parse().expect("TOML");
+    let algorithm = table["algorithm"].as_table_mut().expect("a group");
+    algorithm.remove("maddpg").expect("there");
+    let read = Config::from_resolved_toml(&table.to_string(), "text").expect("complete");
+    assert_eq!(read.algorithm.maddpg, Maddpg::default());
+    assert_eq!((read.task, read.network), (config.task, config.network));
+}
+
 #[test]
 fn changes_for_a_name_that_is_no_task_and_no_algorithm_are_refused() {
     let error = |text: &str| {
@@ -119,6 +147,12 @@ fn errors_name_the_layer_the_key_and_the_cure() {
         critic.contains("network.critic_state") && critic.contains("own with ippo"),
         "{critic}"
     );
+    let unbounded = message(&["algorithm.name=maddpg", "network.squash_mean=false"]);
+    assert!(unbounded.contains("network.squash_mean"), "{unbounded}");
+    let small = message(&["algorithm.name=maddpg", "algorithm.maddpg.replay_steps=49"]);
+    assert!(small.contains("algorithm.maddpg.replay_steps"), "{small}");
+    let unknown = message(&["algorithm.maddpg.noize=1"]);
+    assert!(unknown.contains("did you mean `noise`"), "{unknown}");
     let shared = message(&["algorithm.name=ppo", "network.shared_parameters=true"]);
     assert!(shared.contains("one network that acts for all agents"), "{shared}");
     let name = message(&["algorithm.name=pppo"]);

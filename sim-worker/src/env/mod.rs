@@ -8,10 +8,12 @@
 //! Rows of a block are written straight into the caller's memory, which is a loaned sample of shared
 //! memory in a worker: turning lanes into rows is the write itself, there is no other copy.
 
+mod explore;
 mod moment;
 mod output;
 mod physics;
 
+pub(crate) use explore::Noise;
 pub use moment::Moment;
 pub(crate) use output::Output;
 pub use physics::step_options;
@@ -21,7 +23,6 @@ use std::time::{Duration, Instant};
 
 use proto::config::Config;
 use proto::layout::{Dimensions, JOINTS_PER_AGENT};
-use proto::rng::{Address, Purpose};
 
 use crate::policy::{Policy, Scratch};
 use crate::robot::{JOINTS_PER_ARM, Robot};
@@ -32,6 +33,7 @@ use crate::task::observation::observe;
 use crate::task::reward::rewards;
 use crate::task::state::critic_state;
 use crate::task::{Errors, Goals, Readings, Task};
+use explore::{Place, explore};
 use output::Row;
 
 /// A number that is none, or a state beyond all bounds, caught in the step that made it.
@@ -139,13 +141,6 @@ pub(crate) struct Batch {
     pub(crate) first: u32,
     pub(crate) n_envs: usize,
     pub(crate) n_steps: usize,
-}
-
-/// Address of exploration noise, less environment, step and agent.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Noise {
-    pub(crate) seed: u64,
-    pub(crate) iteration: u32,
 }
 
 /// Episodes to be played from home to the end, exploring, as training wants them.
@@ -323,7 +318,8 @@ impl LaneFn for Episodes<'_> {
                     }
                     let mut sample = [S::zero(); JOINTS_PER_AGENT];
                     sample.copy_from_slice(mean);
-                    let log_prob = explore(policy, agent, noise, first, row, step, &mut sample);
+                    let place = Place { agent, first, row, step };
+                    let log_prob = explore(policy, noise, place, &mut sample);
                     output.act(row, step, agent, &sample, log_prob);
                     for (u, sample) in sample.into_iter().enumerate() {
                         let joint = agent * JOINTS_PER_AGENT + u;
@@ -351,52 +347,6 @@ impl LaneFn for Episodes<'_> {
         Ok(timing)
     }
 }
-
-/// Adds exploration noise to the means in `sample`; returns log-probabilities of the samples.
-///
-/// log p = Σ −½((a − μ)/σ)² − ln σ − ½ ln 2π, taken from the rounded action, as the learner will.
-#[inline(always)]
-fn explore<S: Real>(
-    policy: &Policy,
-    agent: usize,
-    noise: Noise,
-    first: u32,
-    row: Row<'_>,
-    step: usize,
-    sample: &mut [S; JOINTS_PER_AGENT],
-) -> S {
-    let mut drawn = [S::zero(); JOINTS_PER_AGENT];
-    let mut normals = [0.0; 4];
-    for lane in 0..S::LANES {
-        if row.group + lane < row.n_envs {
-            normals = Address {
-                seed: noise.seed,
-                purpose: Purpose::ActionNoise,
-                iteration: noise.iteration,
-                env: first + (row.group + lane) as u32,
-                step: step as u32,
-                index: agent as u32,
-            }
-            .normals();
-        }
-        for (drawn, normal) in drawn.iter_mut().zip(normals) {
-            drawn.set_lane(lane, f64::from(normal));
-        }
-    }
-    let mut log_prob = S::zero();
-    for u in 0..JOINTS_PER_AGENT {
-        let std = S::splat(f64::from(policy.std(agent)[u]));
-        let constant = f64::from(policy.log_std(agent)[u]) + HALF_LN_TAU;
-        let mean = sample[u];
-        sample[u] = std.mul_add(drawn[u], mean);
-        let z = (sample[u] - mean) / std;
-        log_prob = (z * z).mul_add(S::splat(-0.5), log_prob) - S::splat(constant);
-    }
-    log_prob
-}
-
-/// ½ ln 2π.
-const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
 
 /// Refuses means that are no numbers; `env` is that of the first lane.
 #[inline(always)]

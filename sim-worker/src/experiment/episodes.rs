@@ -1,14 +1,15 @@
 //! The loop that plays a trial's episodes, environments in lanes.
 
-use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
+use proto::layout::JOINTS_PER_AGENT;
 
 use super::intervention::Lanes;
 use super::recording::record;
-use super::{SensorNoise, Trial};
+use super::{Player, SensorNoise, Trial};
 use crate::dynamics::Disturbance;
 use crate::env::{EpisodeError, Physics, check_means, check_state};
 use crate::policy::Scratch;
 use crate::robot::JOINTS_PER_ARM;
+use crate::rollout::World;
 use crate::scalar::{LaneFn, Real};
 use crate::state::State;
 use crate::task::goal::GoalAddress;
@@ -41,6 +42,27 @@ struct Group<S: Real> {
     waiting: Vec<Vec<S>>,
 }
 
+/// What a player sees and says.
+struct Mind<S: Real> {
+    /// Shape: `[P][group][agent of the actor][O]`.
+    observations: Vec<S>,
+    /// Shape: `[group][agent of the actor][U]`.
+    means: Vec<S>,
+    scratch: Scratch<S>,
+}
+
+impl<S: Real> Mind<S> {
+    fn new(player: &Player<'_>, n_groups: usize) -> Self {
+        let dimensions = &player.world.dimensions;
+        let input = dimensions.n_actors * n_groups * dimensions.actor_input();
+        Self {
+            observations: vec![S::zero(); input],
+            means: vec![S::zero(); n_groups * dimensions.actor_output()],
+            scratch: Scratch::new(player.policy, n_groups),
+        }
+    }
+}
+
 impl LaneFn for Play<'_, '_> {
     type Output = Result<(), EpisodeError>;
 
@@ -50,7 +72,6 @@ impl LaneFn for Play<'_, '_> {
         let Trial { players, interventions, steps, .. } = trial;
         let (n_arms, steps) = (trial.n_arms(), *steps);
         let n_joints = n_arms * JOINTS_PER_ARM;
-        let n_agents = n_arms * AGENTS_PER_ARM;
         let n_groups = n_envs.div_ceil(S::LANES);
         // Limits of joints and home are the robot's: the same for every player.
         let task = &players[0].world.task;
@@ -91,13 +112,8 @@ impl LaneFn for Play<'_, '_> {
             })
             .collect();
         let limits: Vec<S> = task.action_limit.iter().map(|&limit| S::splat(limit)).collect();
-        let widest = players.iter().map(|player| player.world.dimensions.observation).max();
-        let widest = widest.unwrap_or(0);
-        // [A][group][O of the agent's player], [group][U]
-        let mut observations = vec![S::zero(); n_agents * n_groups * widest];
-        let mut means = vec![S::zero(); n_groups * JOINTS_PER_AGENT];
-        let mut scratches: Vec<Scratch<S>> =
-            players.iter().map(|player| Scratch::new(player.policy, n_groups)).collect();
+        let mut minds: Vec<Mind<S>> =
+            players.iter().map(|player| Mind::new(player, n_groups)).collect();
         let mut drawn = vec![S::zero(); SensorNoise::draws(n_arms)];
         let mut disturbance = Disturbance::none(n_arms);
         let undisturbed = disturbance.clone();
@@ -133,39 +149,54 @@ impl LaneFn for Play<'_, '_> {
                 } else {
                     (&group.readings, &group.errors)
                 };
-                for agent in 0..n_agents {
-                    let Some(player) = phase.arms[agent / AGENTS_PER_ARM] else { continue };
-                    let world = players[player].world;
-                    let o = world.dimensions.observation;
-                    let at = agent * n_groups * widest + index * o;
-                    let out = &mut observations[at..at + o];
-                    observe(&world.task, seen, &group.goals, errors, agent, out);
+                for (player, mind) in minds.iter_mut().enumerate() {
+                    let World { task, dimensions, .. } = players[player].world;
+                    let (o, agents_per_actor) =
+                        (dimensions.observation, dimensions.agents_per_actor());
+                    for actor in phase.actors(player, dimensions) {
+                        for part in 0..agents_per_actor {
+                            let agent = actor * agents_per_actor + part;
+                            let at = ((actor * n_groups + index) * agents_per_actor + part) * o;
+                            let out = &mut mind.observations[at..at + o];
+                            observe(task, seen, &group.goals, errors, agent, out);
+                        }
+                    }
                 }
             }
             if step == steps {
                 break;
             }
 
-            for agent in 0..n_agents {
-                let joints = agent * JOINTS_PER_AGENT..(agent + 1) * JOINTS_PER_AGENT;
-                let Some(player) = phase.arms[agent / AGENTS_PER_ARM] else {
-                    for group in &mut groups {
-                        group.action[joints.clone()].fill(S::zero());
-                    }
-                    continue;
-                };
-                let o = players[player].world.dimensions.observation;
-                let at = agent * n_groups * widest;
-                let seen = &observations[at..at + n_groups * o];
-                players[player].policy.mean(agent, seen, &mut scratches[player], &mut means);
-                for (index, group) in groups.iter_mut().enumerate() {
-                    let mean = &means[index * JOINTS_PER_AGENT..(index + 1) * JOINTS_PER_AGENT];
-                    let env = first + (index * S::LANES) as u32;
-                    if let Err(error) = check_means(mean, env, step, agent) {
-                        return Err(error.keep(env, &group.state, &group.goals, &group.command));
-                    }
-                    for (u, joint) in joints.clone().enumerate() {
-                        group.action[joint] = mean[u].clamp(-limits[joint], limits[joint]);
+            for group in &mut groups {
+                // Of arms that nobody moves.
+                group.action.fill(S::zero());
+            }
+            for (player, mind) in minds.iter_mut().enumerate() {
+                let Player { world: World { dimensions, .. }, policy, .. } = players[player];
+                let agents_per_actor = dimensions.agents_per_actor();
+                let (input, output) = (dimensions.actor_input(), dimensions.actor_output());
+                for actor in phase.actors(player, dimensions) {
+                    let of_actor = actor * n_groups * input..(actor + 1) * n_groups * input;
+                    let seen = &mind.observations[of_actor];
+                    policy.mean(actor, seen, &mut mind.scratch, &mut mind.means);
+                    for part in 0..agents_per_actor {
+                        let agent = actor * agents_per_actor + part;
+                        if !phase.moves(player, agent) {
+                            continue;
+                        }
+                        for (index, group) in groups.iter_mut().enumerate() {
+                            let at = index * output + part * JOINTS_PER_AGENT;
+                            let mean = &mind.means[at..at + JOINTS_PER_AGENT];
+                            let env = first + (index * S::LANES) as u32;
+                            if let Err(error) = check_means(mean, env, step, agent) {
+                                let Group { state, goals, command, .. } = group;
+                                return Err(error.keep(env, state, goals, command));
+                            }
+                            for (u, &mean) in mean.iter().enumerate() {
+                                let joint = agent * JOINTS_PER_AGENT + u;
+                                group.action[joint] = mean.clamp(-limits[joint], limits[joint]);
+                            }
+                        }
                     }
                 }
             }

@@ -15,6 +15,7 @@ pub use intervention::{Effect, Intervention};
 pub use noise::SensorNoise;
 pub use recording::{Recording, TAIL_STEPS};
 
+use proto::layout::{AGENTS_PER_ARM, Dimensions};
 use proto::rng::Purpose;
 
 use self::episodes::Play;
@@ -51,6 +52,22 @@ pub struct Phase {
     pub from: usize,
     /// For each arm the index of its player; without one the arm's actions are zero, so that the servos hold it.
     pub arms: Vec<Option<usize>>,
+}
+
+impl Phase {
+    /// Whether `player` moves the joints of `agent`.
+    fn moves(&self, player: usize, agent: usize) -> bool {
+        self.arms[agent / AGENTS_PER_ARM] == Some(player)
+    }
+
+    /// The player's actors that move anything, an actor of all agents also if it moves but one arm.
+    fn actors(&self, player: usize, dimensions: &Dimensions) -> impl Iterator<Item = usize> {
+        let agents_per_actor = dimensions.agents_per_actor();
+        (0..dimensions.n_actors).filter(move |actor| {
+            let first = actor * agents_per_actor;
+            (first..first + agents_per_actor).any(|agent| self.moves(player, agent))
+        })
+    }
 }
 
 /// Goals that are given instead of drawn.
@@ -130,7 +147,7 @@ impl<'a> Trial<'a> {
         }
         for Player { world, policy, .. } in &self.players {
             assert_eq!(world.dimensions.n_arms, n_arms, "players know the robot");
-            assert_eq!(policy.n_agents(), world.dimensions.n_agents, "the policy is of its world");
+            assert_eq!(policy.n_actors(), world.dimensions.n_actors, "the policy is of its world");
         }
     }
 }

@@ -44,6 +44,7 @@ impl Policy {
         means: &mut [S],
     ) {
         let (input, output) = (self.input, self.output);
+        let limit = S::splat(self.action_limit);
         let groups = means.len() / output;
         assert_eq!(observations.len(), groups * input, "one row of inputs a lane group");
         assert!(scratch.ping.len() >= groups * scratch.stride, "scratch is made for fewer groups");
@@ -109,7 +110,8 @@ impl Policy {
             for g in 0..width {
                 for u in 0..output {
                     let y = pong[group * stride + u * width + g];
-                    means[(group + g) * output + u] = if self.squash_mean { y.tanh() } else { y };
+                    means[(group + g) * output + u] =
+                        if self.squash_mean { y.tanh() * limit } else { y };
                 }
             }
             group += width;

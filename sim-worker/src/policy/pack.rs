@@ -78,7 +78,7 @@ pub(super) struct Actor {
     pub(super) input: Option<Affine>,
     pub(super) hidden: Vec<Hidden>,
     pub(super) head: Dense<f32>,
-    /// One entry an agent of the actor.
+    /// One entry an agent of the actor; none if it is deterministic.
     pub(super) log_std: Vec<[f32; JOINTS_PER_AGENT]>,
     pub(super) std: Vec<[f32; JOINTS_PER_AGENT]>,
 }
@@ -94,6 +94,8 @@ pub struct Policy {
     pub(super) input_norm: InputNorm,
     pub(super) input_clip: f32,
     pub(super) squash_mean: bool,
+    /// Factor on squashed outputs.
+    pub(super) action_limit: f64,
     pub(super) actors: Vec<Actor>,
 }
 
@@ -132,7 +134,10 @@ impl Policy {
         let network = &config.network;
         let actors = (0..n_actors)
             .map(|actor| {
-                let (log_std, _) = row("log_std", actor).as_chunks();
+                let log_std = match layout.get("log_std") {
+                    Some(_) => row("log_std", actor).as_chunks().0,
+                    None => &[],
+                };
                 Actor {
                     input: match network.input_norm {
                         InputNorm::None => None,
@@ -174,6 +179,11 @@ impl Policy {
             input_norm: network.input_norm,
             input_clip: network.input_clip as f32,
             squash_mean: network.squash_mean,
+            action_limit: if config.algorithm.name.is_stochastic() {
+                1.0
+            } else {
+                config.algorithm.maddpg.action_limit
+            },
             actors,
         })
     }
@@ -194,12 +204,18 @@ impl Policy {
     }
 
     /// Standard deviation of each action of `agent`.
+    ///
+    /// # Panics
+    /// If actors are deterministic.
     pub fn std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
         let per_actor = self.output / JOINTS_PER_AGENT;
         self.actors[agent / per_actor].std[agent % per_actor]
     }
 
     /// Logarithm of the standard deviation of each action of `agent`.
+    ///
+    /// # Panics
+    /// If actors are deterministic.
     pub fn log_std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
         let per_actor = self.output / JOINTS_PER_AGENT;
         self.actors[agent / per_actor].log_std[agent % per_actor]

@@ -166,7 +166,11 @@ pub(crate) fn plain_mean(
         }
     }
     let head = dense(&x, "head", false);
-    head.into_iter().map(|mean| if network.squash_mean { mean.tanh() } else { mean }).collect()
+    let deterministic = config.algorithm.name == AlgorithmName::Maddpg;
+    let limit = if deterministic { config.algorithm.maddpg.action_limit } else { 1.0 };
+    head.into_iter()
+        .map(|mean| if network.squash_mean { limit * mean.tanh() } else { mean })
+        .collect()
 }
 
 #[test]

@@ -212,6 +212,71 @@ fn check_actions(world: &World) {
     assert!(close * 100 >= all * 90, "{close} of {all} actions");
 }
 
+/// What is uniform and what is the actor's own, and by how much it is off, follows from addresses alone.
+#[test]
+fn deterministic_actors_explore_as_they_are_scheduled() {
+    let layers = [
+        "algorithm.name=maddpg",
+        "algorithm.maddpg.action_limit=2.5",
+        "algorithm.maddpg.noise=0.9",
+        "algorithm.maddpg.noise_final=0.5",
+        "algorithm.maddpg.random=0.25",
+        "algorithm.maddpg.random_final=0.45",
+        "algorithm.maddpg.noise_steps=240",
+    ]
+    .into_iter()
+    .fold(Layers::new(Preset::Tuned, None), |layers, a| layers.set(a).expect("well formed"));
+    let world = world_of(layers, 3, 1, 8);
+    let flat = flat(&world);
+    let layout = world.block_layout();
+    let Dimensions { n_agents, n_steps, n_envs, observation: o, .. } = world.dimensions;
+    // Halfway: 5 iterations of 24 steps. Then at the end.
+    for (iteration, std, random) in [(5, 2.5 * 0.7, 0.35), (20, 2.5 * 0.5, 0.45)] {
+        let block = block(&world, iteration, 0);
+        assert!(block[layout.log_prob.clone()].iter().all(|&x| x == 0.0));
+        let (mut uniform, mut clipped, mut close, mut all) = (0, 0, 0, 0);
+        for (agent, step, env) in (0..n_agents)
+            .flat_map(|a| (0..n_steps).flat_map(move |t| (0..n_envs).map(move |n| (a, t, n))))
+        {
+            let row = (agent * (n_steps + 1) + step) * n_envs + env;
+            let seen = &block[layout.observation.start + row * o..][..o];
+            let seen: Vec<f64> = seen.iter().map(|&x| f64::from(x)).collect();
+            let output = plain_mean(&world.config, &world.dimensions, &flat, agent, &seen);
+            let address = |purpose| proto::rng::Address {
+                seed: 5,
+                purpose,
+                iteration: iteration as u32,
+                env: env as u32,
+                step: step as u32,
+                index: agent as u32,
+            };
+            let normals = address(Purpose::ActionNoise).normals();
+            let uniforms = address(Purpose::RandomAction).uniforms().map(f64::from);
+            let row = (agent * n_steps + step) * n_envs + env;
+            for u in 0..JOINTS_PER_AGENT {
+                let expected = if uniforms[0] < random {
+                    uniform += 1;
+                    5.0 * uniforms[u + 1] - 2.5
+                } else {
+                    output[u] + std * f64::from(normals[u])
+                };
+                clipped += usize::from(expected.abs() > 2.5);
+                let action = f64::from(block[layout.action.start + row * 3 + u]);
+                let error = (action - expected.clamp(-2.5, 2.5)).abs();
+                // As for stochastic actors, times the limit.
+                assert!(error < 1.3e-2, "{action} vs {expected}");
+                close += usize::from(error < 3e-5);
+                all += 1;
+            }
+        }
+        assert!(close * 100 >= all * 90, "{close} of {all} actions");
+        let share = f64::from(uniform) / all as f64;
+        // 192 draws of an agent: five standard errors.
+        assert!((share - random).abs() < 0.18, "{share} of the actions are uniform");
+        assert!(clipped > 0, "the limit is tested");
+    }
+}
+
 #[test]
 fn episodes_are_truncated_at_their_end_and_never_terminated() {
     let world = world(Preset::Tuned, TaskName::Trajectory, 20, 1, 4);

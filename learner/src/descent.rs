@@ -1,0 +1,141 @@
+//! One step of an optimiser: a network's gradient, clipped, and Adam.
+
+use proto::config::{Config, Schedule};
+use tch::{Device, Kind, Tensor};
+
+use crate::LearnerError;
+use crate::adam::{Adam, AdamOptions, clip_gradient};
+use crate::mlp::Compute;
+use crate::network::NetworkSpec;
+use crate::state::NetworkState;
+
+/// What steps need of a configuration.
+#[derive(Debug, Clone)]
+pub(crate) struct Descent {
+    adam: AdamOptions,
+    max_grad_norm: f64,
+}
+
+/// One kind of network of some actors: passes and buffers.
+#[derive(Debug)]
+pub(crate) struct Half {
+    pub(crate) compute: Compute,
+    pub(crate) gradient: Tensor,
+    scratch: Tensor,
+    /// The last unclipped gradient, kept if there is something to replace.
+    pub(crate) recorded: Option<Tensor>,
+}
+
+/// One kind of network of some actors' part of the state, in the state's memory.
+pub(crate) struct Learned {
+    pub(crate) spec: NetworkSpec,
+    pub(crate) flat: Tensor,
+    pub(crate) adam: Adam,
+}
+
+impl Learned {
+    /// The part of `len` actors from `start`.
+    pub(crate) fn part(network: &NetworkState, start: usize, len: usize) -> Self {
+        let flat = network.flat.narrow(0, start as i64, len as i64);
+        Self { spec: network.spec.clone(), flat, adam: network.adam.narrow(start, len) }
+    }
+}
+
+impl Half {
+    /// For `len` actors' networks of `network`, with products in `kind`.
+    pub(crate) fn new(
+        config: &Config,
+        network: &NetworkState,
+        len: usize,
+        kind: Kind,
+        device: Device,
+    ) -> Self {
+        let flat = network.flat.narrow(0, 0, len as i64);
+        let activation = config.network.activation;
+        Self {
+            compute: Compute::new(&network.spec, activation, len, kind, device),
+            gradient: flat.zeros_like(),
+            scratch: flat.zeros_like(),
+            recorded: None,
+        }
+    }
+
+    /// From now on keeps each unclipped gradient, or none.
+    pub(crate) fn record(&mut self, wanted: bool) {
+        self.recorded = wanted.then(|| self.gradient.shallow_clone());
+    }
+}
+
+impl Descent {
+    /// The options of a configuration.
+    pub(crate) fn new(config: &Config) -> Self {
+        let optimizer = &config.optimizer;
+        Self {
+            adam: AdamOptions {
+                beta1: optimizer.beta1,
+                beta2: optimizer.beta2,
+                epsilon: optimizer.epsilon,
+            },
+            max_grad_norm: config.algorithm.max_grad_norm,
+        }
+    }
+
+    /// Clips a half's gradient and steps; returns its norms before clipping. A step with a gradient that
+    /// is not finite is not made.
+    pub(crate) fn step(
+        &self,
+        learned: &mut Learned,
+        half: &mut Half,
+        learning_rate: f64,
+        active: &[bool],
+    ) -> Vec<f64> {
+        let Half { gradient, scratch, recorded, .. } = half;
+        if learned.spec.shared {
+            learned.spec.share_gradient(gradient);
+        }
+        if recorded.is_some() {
+            *recorded = Some(gradient.copy());
+        }
+        let squared = learned.spec.squared_norm(gradient);
+        let norms = clip_gradient(gradient, &squared, self.max_grad_norm);
+        if norms.iter().all(|norm| norm.is_finite()) {
+            let Learned { spec, flat, adam } = learned;
+            adam.step(&self.adam, learning_rate, flat, gradient, scratch, active);
+            if spec.shared {
+                for tensor in [&*flat, &adam.m, &adam.v] {
+                    spec.unify(tensor);
+                }
+            }
+        }
+        norms
+    }
+}
+
+/// Refuses norms that are not finite; `step` is epoch and mini-batch.
+pub(crate) fn check(
+    norms: &[f64],
+    network: &'static str,
+    first_actor: usize,
+    iteration: u64,
+    (epoch, mini_batch): (usize, usize),
+) -> Result<(), LearnerError> {
+    match norms.iter().position(|norm| !norm.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(LearnerError::Diverged {
+            network,
+            agent: first_actor + index,
+            iteration,
+            epoch,
+            mini_batch,
+        }),
+    }
+}
+
+/// The learning rates of actors and critics after `env_steps`.
+pub(crate) fn learning_rates(config: &Config, env_steps: u64) -> (f64, f64) {
+    let factor = match config.optimizer.schedule {
+        Schedule::Constant => 1.0,
+        Schedule::Linear => (1.0 - env_steps as f64 / config.run.env_steps as f64).max(0.0),
+    };
+    (config.optimizer.actor_lr * factor, config.optimizer.critic_lr * factor)
+}

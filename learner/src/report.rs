@@ -1,0 +1,128 @@
+//! What an update says about itself.
+
+/// Losses and diagnostics of an update, one entry an actor.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct UpdateReport {
+    /// PPO: clipped surrogate, negated. MADDPG: −Q of the actor's own action. Mean over optimiser steps.
+    pub policy_loss: Vec<f64>,
+    /// Value loss; mean over optimiser steps.
+    pub value_loss: Vec<f64>,
+    /// Entropy after the update (nats); 0 of deterministic actors.
+    pub entropy: Vec<f64>,
+    /// KL estimator k3 (nats); mean over optimiser steps. 0 of deterministic actors.
+    pub kl: Vec<f64>,
+    /// Share of clipped ratios; mean over optimiser steps. 0 of deterministic actors.
+    pub clip_fraction: Vec<f64>,
+    /// 1 − Var(target − prediction) / Var(target). PPO: of the returns, before the update. MADDPG: of the
+    /// critics' targets, mean over optimiser steps.
+    pub explained_variance: Vec<f64>,
+    /// Gradient norm of actors before clipping; mean over optimiser steps.
+    pub actor_grad_norm: Vec<f64>,
+    /// Likewise of critics.
+    pub critic_grad_norm: Vec<f64>,
+    /// Mean standard deviation of the actions after the update.
+    pub action_std: Vec<f64>,
+    /// Mean undiscounted return of an episode, one entry an agent.
+    pub returns: Vec<f64>,
+    /// Learning rates in force.
+    pub actor_lr: f64,
+    /// Learning rate of critics.
+    pub critic_lr: f64,
+}
+
+impl UpdateReport {
+    /// Appends the entries of further actors.
+    pub(crate) fn append(&mut self, other: Self) {
+        let pairs = [
+            (&mut self.policy_loss, other.policy_loss),
+            (&mut self.value_loss, other.value_loss),
+            (&mut self.entropy, other.entropy),
+            (&mut self.kl, other.kl),
+            (&mut self.clip_fraction, other.clip_fraction),
+            (&mut self.explained_variance, other.explained_variance),
+            (&mut self.actor_grad_norm, other.actor_grad_norm),
+            (&mut self.critic_grad_norm, other.critic_grad_norm),
+            (&mut self.action_std, other.action_std),
+            (&mut self.returns, other.returns),
+        ];
+        for (all, part) in pairs {
+            all.extend(part);
+        }
+    }
+}
+
+/// Sums of statistics over optimiser steps.
+pub(crate) struct Sums {
+    steps: f64,
+    policy: Vec<f64>,
+    kl: Vec<f64>,
+    clipped: Vec<f64>,
+    actor_norm: Vec<f64>,
+    value: Vec<f64>,
+    critic_norm: Vec<f64>,
+    /// Of the last step.
+    pub(crate) last_policy: Vec<f64>,
+    /// Of the last step.
+    pub(crate) last_value: Vec<f64>,
+}
+
+impl Sums {
+    /// Zeros for so many actors.
+    pub(crate) fn new(actors: usize) -> Self {
+        let zeros = || vec![0.0; actors];
+        Self {
+            steps: 0.0,
+            policy: zeros(),
+            kl: zeros(),
+            clipped: zeros(),
+            actor_norm: zeros(),
+            value: zeros(),
+            critic_norm: zeros(),
+            last_policy: zeros(),
+            last_value: zeros(),
+        }
+    }
+
+    /// Adds a step of the actors.
+    pub(crate) fn actor(
+        &mut self,
+        policy: impl Iterator<Item = f64>,
+        kl: impl Iterator<Item = f64>,
+        clipped: impl Iterator<Item = f64>,
+        norms: &[f64],
+    ) {
+        self.steps += 1.0;
+        self.last_policy = policy.collect();
+        add(&mut self.policy, self.last_policy.iter().copied());
+        add(&mut self.kl, kl);
+        add(&mut self.clipped, clipped);
+        add(&mut self.actor_norm, norms.iter().copied());
+    }
+
+    /// Adds a step of the critics.
+    pub(crate) fn critic(&mut self, value: impl Iterator<Item = f64>, norms: &[f64]) {
+        self.last_value = value.collect();
+        add(&mut self.value, self.last_value.iter().copied());
+        add(&mut self.critic_norm, norms.iter().copied());
+    }
+
+    /// The means; zeros if there were no steps.
+    pub(crate) fn means(self) -> UpdateReport {
+        let steps = self.steps.max(1.0);
+        let mean = |sums: Vec<f64>| sums.iter().map(|sum| sum / steps).collect();
+        UpdateReport {
+            policy_loss: mean(self.policy),
+            kl: mean(self.kl),
+            clip_fraction: mean(self.clipped),
+            actor_grad_norm: mean(self.actor_norm),
+            value_loss: mean(self.value),
+            critic_grad_norm: mean(self.critic_norm),
+            ..UpdateReport::default()
+        }
+    }
+}
+
+/// Adds number by number.
+pub(crate) fn add(sums: &mut [f64], values: impl Iterator<Item = f64>) {
+    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+}
