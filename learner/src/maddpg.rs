@@ -138,7 +138,7 @@ impl Maddpg {
         let off_policy = state.off_policy.as_ref().expect("a state of MADDPG");
         let half =
             |network: &NetworkState| Half::new(config, network, dimensions.n_agents, kind, device);
-        let settings = config.algorithm.maddpg.clone();
+        let settings = config.algorithm.maddpg;
         Self {
             config: config.clone(),
             dimensions: *dimensions,
@@ -243,7 +243,9 @@ impl Maddpg {
         state.iteration += 1;
         state.env_steps = steps_after;
         let exploration = self.settings.exploration(state.env_steps);
-        explained.iter_mut().for_each(|x| *x /= updates.max(1) as f64);
+        for share in &mut explained {
+            *share /= updates.max(1) as f64;
+        }
         Ok(UpdateReport {
             entropy: vec![0.0; n],
             action_std: vec![exploration.std; n],

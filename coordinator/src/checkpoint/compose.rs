@@ -220,9 +220,12 @@ type Dependency = (&'static str, fn(&Config) -> String);
 const DEPENDENCIES: [Dependency; 12] = [
     // What an actor sees and moves, and what becomes of its output.
     ("the kind of actor", |c| c.algorithm.name.actor().to_owned()),
-    ("algorithm.maddpg.action_limit", |c| match c.algorithm.name.is_stochastic() {
-        true => "unused".to_owned(),
-        false => c.algorithm.maddpg.action_limit.to_string(),
+    ("algorithm.maddpg.action_limit", |c| {
+        if c.algorithm.name.is_stochastic() {
+            "unused".to_owned()
+        } else {
+            c.algorithm.maddpg.action_limit.to_string()
+        }
     }),
     ("task.observation", |c| format!("{:?}", c.task.observation).to_lowercase()),
     ("task.action_scale", |c| c.task.action_scale.to_string()),

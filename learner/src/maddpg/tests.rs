@@ -143,11 +143,14 @@ fn targets_follow_slowly() {
     run.update(1);
     let before = run.off_policy().target_critic.copy();
     assert_eq!(before, run.state.critic.flat, "nothing has moved");
+    let before = [before, run.off_policy().target_actor.copy()];
     run.update(2);
     assert_eq!(run.state.critic.adam.steps, [1; 4]);
     let own = run.off_policy();
-    for (target, before, now) in [(&own.target_critic, before, &run.state.critic.flat)] {
-        let expected = &before * 0.9 + now * 0.1;
+    let targets = [&own.target_critic, &own.target_actor];
+    let networks = [&run.state.critic.flat, &run.state.actor.flat];
+    for ((target, before), now) in targets.into_iter().zip(&before).zip(networks) {
+        let expected = before * 0.9 + now * 0.1;
         let error = (target - expected).abs().max().double_value(&[]);
         // Two roundings of parameters of order one.
         assert!(error < 2e-7, "{error}");
@@ -163,10 +166,85 @@ fn gradients_that_are_not_finite_are_reported() {
     let mut blocks = blocks(&run.dimensions, 2);
     // Of agent 1, in all environments: squares overflow.
     let rewards = layout.reward.len() / 4;
-    blocks
-        .iter_mut()
-        .for_each(|block| block[layout.reward.start + rewards..][..rewards].fill(1e30));
+    for block in &mut blocks {
+        block[layout.reward.start + rewards..][..rewards].fill(1e30);
+    }
     let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
     let error = run.maddpg.update(&mut run.state, &shards).expect_err("overflow").to_string();
     assert!(error.contains("critic gradient of agent 1"), "{error}");
+}
+/// A bandit: r = −‖a − c‖², with one c for all agents. Actions are drawn at random, as off-policy learning
+/// allows; actors have to find c, which is in no sample.
+#[test]
+fn a_toy_problem_is_learned_in_a_fixed_number_of_updates() {
+    for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
+        let config = config(&[
+            "env.n_envs=64",
+            "algorithm.gamma=0",
+            "algorithm.maddpg.replay_steps=10_000",
+            "algorithm.maddpg.batch_size=64",
+            "algorithm.maddpg.updates_per_step=0.2",
+            "algorithm.maddpg.action_limit=2",
+            // Slower than the critics: what these take for a slope at first would saturate the actors.
+            "optimizer.actor_lr=0.0005",
+            "optimizer.critic_lr=0.005",
+            "optimizer.schedule=constant",
+            "run.env_steps=1e9",
+        ]);
+        let mut run = Run::new(&config, arithmetic);
+        let first = distance(&run, &config);
+        for iteration in 0..16 {
+            let mut blocks = blocks(&run.dimensions, 100 + iteration);
+            for block in &mut blocks {
+                play(&run.dimensions, block);
+            }
+            let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+            run.maddpg.update(&mut run.state, &shards).expect("finite");
+        }
+        let last = distance(&run, &config);
+        assert!(last < 0.5 * first, "{arithmetic:?}: from {first} to {last}");
+    }
+}
+
+/// The best action.
+const BEST: [f32; 3] = [1.2, -0.7, 0.4];
+
+/// Overwrites rewards by those of the block's own actions.
+fn play(dimensions: &Dimensions, block: &mut [f32]) {
+    let layout = BlockLayout::new(dimensions);
+    for row in 0..layout.reward.len() {
+        let action = &mut block[layout.action.start + row * 3..][..3];
+        let reward: f32 = action
+            .iter_mut()
+            .zip(BEST)
+            .map(|(action, best)| {
+                *action = action.clamp(-2.0, 2.0);
+                (*action - best).powi(2)
+            })
+            .sum();
+        block[layout.reward.start + row] = -reward;
+    }
+}
+
+/// Mean squared distance of the actors' actions from the best, where they never were.
+fn distance(run: &Run, config: &Config) -> f64 {
+    let Dimensions { n_agents, n_steps, n_envs, observation, .. } = run.dimensions;
+    let (a, t, n, o) = (n_agents as i64, n_steps as i64, n_envs as i64, observation as i64);
+    let NetworkState { spec, flat, .. } = &run.state.actor;
+    let mut compute = crate::mlp::Compute::new(
+        spec,
+        config.network.activation,
+        n_agents,
+        Kind::Float,
+        Device::Cpu,
+    );
+    compute.load(flat);
+    let block = &blocks(&run.dimensions, 7)[0];
+    let range = BlockLayout::new(&run.dimensions).observation;
+    let seen = Tensor::from_slice(&block[range]).view([a, (t + 1) * n, o]);
+    let norm = run.state.observation_norm.as_ref().expect("running").mean_and_inverse_std();
+    let row = |x: &[f32]| Tensor::from_slice(x).view([a, 1, o]);
+    let x = ((&seen - row(&norm.0)) * row(&norm.1)).clamp(-8.0, 8.0);
+    let action = compute.forward(&x).transpose(1, 2).tanh() * 2.0;
+    (action - Tensor::from_slice(&BEST)).square().mean(Kind::Double).double_value(&[])
 }

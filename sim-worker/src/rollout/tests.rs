@@ -6,11 +6,11 @@ use crate::policy::tests::{parameters, plain_mean};
 
 /// A world of `n_envs` environments in `n_shards` shards, `steps` steps, small networks.
 fn world(preset: Preset, task: TaskName, n_envs: usize, n_shards: usize, steps: usize) -> World {
-    world_of(Layers::new(preset, Some(task)), n_envs, n_shards, steps)
+    world_of(&Layers::new(preset, Some(task)), n_envs, n_shards, steps)
 }
 
 /// Likewise for any configuration.
-fn world_of(layers: Layers, n_envs: usize, n_shards: usize, steps: usize) -> World {
+fn world_of(layers: &Layers, n_envs: usize, n_shards: usize, steps: usize) -> World {
     let mut config = layers.resolve().expect("valid");
     config.env.n_envs = n_envs;
     config.env.n_shards = n_shards;
@@ -152,7 +152,7 @@ fn actions_and_log_probabilities_follow_from_the_observations() {
     for algorithm in ["mappo", "ppo"] {
         let layers = Layers::new(Preset::Tuned, None);
         let layers = layers.set(&format!("algorithm.name={algorithm}")).expect("well formed");
-        check_actions(&world_of(layers, 3, 1, 4));
+        check_actions(&world_of(&layers, 3, 1, 4));
     }
 }
 
@@ -226,7 +226,7 @@ fn deterministic_actors_explore_as_they_are_scheduled() {
     ]
     .into_iter()
     .fold(Layers::new(Preset::Tuned, None), |layers, a| layers.set(a).expect("well formed"));
-    let world = world_of(layers, 3, 1, 8);
+    let world = world_of(&layers, 3, 1, 8);
     let flat = flat(&world);
     let layout = world.block_layout();
     let Dimensions { n_agents, n_steps, n_envs, observation: o, .. } = world.dimensions;
