@@ -92,15 +92,16 @@ pub struct Evaluation {
 }
 
 /// Evaluates `policy` with its mean actions on goals of
-/// [`Purpose::EvaluationGoal`](proto::rng::Purpose::EvaluationGoal).
+/// [`Purpose::EvaluationGoal`](proto::rng::Purpose::EvaluationGoal); `on_step` as in [`play`].
 pub fn evaluate(
     world: &World,
     policy: &Policy,
     options: &EvaluationOptions,
+    on_step: &(dyn Fn() + Sync),
 ) -> Result<Evaluation, EpisodeError> {
     let EvaluationOptions { seed, episodes, steps, threads } = *options;
     let trial = Trial::new(Player::new(world, policy), seed, episodes, steps);
-    Ok(Evaluation::of(&play(&trial, threads, &|| {})?))
+    Ok(Evaluation::of(&play(&trial, threads, on_step)?))
 }
 
 /// Plays episodes `first..first + episodes` of the evaluation by which a run chooses its best
@@ -209,10 +210,10 @@ mod tests {
         let flat = parameters(&world.config, &world.dimensions, 8);
         let policy = world.policy(&flat).expect("a policy");
         let options = EvaluationOptions { seed: 3, episodes: 35, steps: 3, threads: 1 };
-        let one = evaluate(&world, &policy, &options).expect("an evaluation");
-        let three = evaluate(&world, &policy, &EvaluationOptions { threads: 3, ..options });
+        let one = evaluate(&world, &policy, &options, &|| {}).expect("an evaluation");
+        let three = evaluate(&world, &policy, &EvaluationOptions { threads: 3, ..options }, &|| {});
         assert_eq!(one, three.expect("an evaluation"));
-        let other = evaluate(&world, &policy, &EvaluationOptions { seed: 4, ..options });
+        let other = evaluate(&world, &policy, &EvaluationOptions { seed: 4, ..options }, &|| {});
         assert_ne!(one, other.expect("an evaluation"));
         assert_eq!((one.steps, one.episodes.len()), (3, 35));
         for hand in one.episodes.iter().flat_map(|episode| &episode.hands) {
@@ -221,7 +222,7 @@ mod tests {
             assert!(hand.position.min <= hand.position.last);
         }
         // Without episodes there is nothing to say, but nothing to fail either.
-        let none = evaluate(&world, &policy, &EvaluationOptions { episodes: 0, ..options });
+        let none = evaluate(&world, &policy, &EvaluationOptions { episodes: 0, ..options }, &|| {});
         assert!(none.expect("an evaluation").episodes.is_empty());
     }
 
@@ -233,7 +234,7 @@ mod tests {
         let policy = world.policy(&flat).expect("a policy");
         let options =
             EvaluationOptions { seed: SELECTION_SEED, episodes: 18, steps: 3, threads: 1 };
-        let whole = evaluate(&world, &policy, &options).expect("an evaluation").episodes;
+        let whole = evaluate(&world, &policy, &options, &|| {}).expect("an evaluation").episodes;
         let mut steps = 0;
         let mut play = |first, episodes| {
             select(&world, &policy, first, episodes, &mut || steps += 1).expect("a selection")
@@ -259,7 +260,7 @@ mod tests {
             let flat = parameters(&world.config, &world.dimensions, 8);
             let policy = world.policy(&flat).expect("a policy");
             let options = EvaluationOptions { seed: 3, episodes: 2, steps: 2, threads: 1 };
-            let evaluation = evaluate(&world, &policy, &options).expect("an evaluation");
+            let evaluation = evaluate(&world, &policy, &options, &|| {}).expect("an evaluation");
             assert_eq!(evaluation.episodes[0].hands.len(), 2);
         }
     }

@@ -35,6 +35,8 @@ pub mod robot;
 
 pub mod state;
 
+mod parallel;
+
 pub mod dynamics;
 
 pub mod collision;

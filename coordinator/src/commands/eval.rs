@@ -7,12 +7,15 @@ use serde::Serialize;
 use sim_worker::evaluate::{
     self, ContactSteps, Course, EpisodeResult, Evaluation, EvaluationOptions,
 };
+use sim_worker::experiment::CHUNK;
+use sim_worker::reach::{self, HandReach};
+use sim_worker::rollout::World;
 
 use super::trained::{Trained, open_checkpoint};
 use crate::checkpoint::Checkpoint;
 use crate::cli::EvalArgs;
 use crate::output;
-use crate::report::progress::grouped;
+use crate::report::progress::{Parts, grouped};
 
 /// Evaluates.
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
@@ -112,6 +115,21 @@ pub struct ContactRates {
     pub arm_arm: f64,
 }
 
+/// What remains without the goals that cannot be reached.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Reachable {
+    /// Hand goals that a controller which knows the robot reaches; there may be more.
+    pub goals: usize,
+    /// Of so many.
+    pub of: usize,
+    /// Errors of the hands with these goals.
+    pub overall: Vec<ErrorSummary>,
+    /// Shares of these goals.
+    pub success: Vec<Success>,
+    /// How the controller did, `[episode][arm]`.
+    pub controller: Vec<Vec<HandReach>>,
+}
+
 /// What an evaluation found; the form of `eval --json` and `evaluation.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
@@ -133,6 +151,8 @@ pub struct Summary {
     pub agents: Vec<ErrorSummary>,
     /// By threshold: the released code's and the paper's.
     pub success: Vec<Success>,
+    /// The same for goals that can be reached; in `trajectory`, if it was asked for.
+    pub reachable: Option<Reachable>,
     /// Share of control steps at whose end any two bodies touched.
     pub contact_rate: f64,
     /// The same by what touched what.
@@ -143,16 +163,41 @@ pub struct Summary {
     pub episodes: Vec<EpisodeResult>,
 }
 
-/// Evaluates a checkpoint.
+/// Evaluates a checkpoint, and shows how far it has come.
 pub fn evaluate(checkpoint: Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
     let trained = Trained::new(checkpoint, None)?;
-    let evaluation = evaluate::evaluate(&trained.world, &trained.policy, options)?;
-    Ok(Summary::new(&trained, options.seed, evaluation))
+    let progress = Parts::new();
+    let chunks = options.episodes.div_ceil(CHUNK);
+    progress.begin("evaluation", (chunks * options.steps) as u64);
+    let on_step = || progress.advance();
+    let evaluation = evaluate::evaluate(&trained.world, &trained.policy, options, &on_step)?;
+    let controller = controller(&trained.world, options, &progress)?;
+    Ok(Summary::new(&trained, options.seed, evaluation, controller))
+}
+
+/// How a controller that knows the robot does on an evaluation's hand goals; none in `reorientation`.
+pub fn controller(
+    world: &World,
+    options: &EvaluationOptions,
+    progress: &Parts,
+) -> anyhow::Result<Option<Vec<Vec<HandReach>>>> {
+    if world.task.name != TaskName::Trajectory {
+        return Ok(None);
+    }
+    let EvaluationOptions { seed, episodes, threads, .. } = *options;
+    progress.begin("which goals can be reached", episodes as u64);
+    let on_episodes = |n| (0..n).for_each(|_| progress.advance());
+    Ok(Some(reach::reach(world, seed, episodes, threads, &on_episodes)?))
 }
 
 impl Summary {
-    /// What `evaluation` of a policy on the goals of `seed` says.
-    pub fn new(trained: &Trained, seed: u64, evaluation: Evaluation) -> Self {
+    /// What `evaluation` of a policy on the goals of `seed` says; `controller` as from [`controller`].
+    pub fn new(
+        trained: &Trained,
+        seed: u64,
+        evaluation: Evaluation,
+        controller: Option<Vec<Vec<HandReach>>>,
+    ) -> Self {
         let task = trained.task();
         let Evaluation { steps, episodes } = evaluation;
         let share = |contact_steps: fn(&EpisodeResult) -> u32| {
@@ -174,6 +219,7 @@ impl Summary {
             overall: overall(task, &episodes),
             agents: agents(task, &episodes),
             success: success(task, &episodes),
+            reachable: controller.map(|found| reachable(task, &episodes, found)),
             contact_rate: share(|episode| episode.contact_steps),
             contact_rate_by_kind: ContactRates {
                 arm_base: of_kind(|kinds| kinds.arm_base),
@@ -207,6 +253,26 @@ fn summarise((error, unit): Kind, agent: Option<usize>, courses: &[Course]) -> E
         min: spread(|course| course.min),
         last: spread(|course| course.last),
         tail: spread(|course| course.tail),
+    }
+}
+
+/// The same of the hands alone that the controller brought to their goals.
+fn reachable(
+    task: TaskName,
+    episodes: &[EpisodeResult],
+    controller: Vec<Vec<HandReach>>,
+) -> Reachable {
+    let of_episode = |(episode, reach): (&EpisodeResult, &Vec<HandReach>)| {
+        let hands = episode.hands.iter().zip(reach).filter(|(_, reach)| reach.reached);
+        EpisodeResult { hands: hands.map(|(hand, _)| *hand).collect(), ..episode.clone() }
+    };
+    let episodes: Vec<_> = episodes.iter().zip(&controller).map(of_episode).collect();
+    Reachable {
+        goals: episodes.iter().map(|episode| episode.hands.len()).sum(),
+        of: controller.iter().map(Vec::len).sum(),
+        overall: overall(task, &episodes),
+        success: success(task, &episodes),
+        controller,
     }
 }
 
@@ -272,15 +338,18 @@ fn success(task: TaskName, episodes: &[EpisodeResult]) -> Vec<Success> {
     [(0.05, 0.05), (0.025, 0.04)].map(judge).to_vec()
 }
 
+/// What stands before rows of a table that are about goals that can be reached.
+const REACHABLE: &str = "reachable ";
+
 impl Summary {
     /// The summary as a person reads it.
     pub fn table(&self) -> String {
         let scaled = |value: f64| format!("{:.1}", 1e3 * value);
-        let row = |summary: &ErrorSummary| {
+        let row = |(whose, summary): (&str, &ErrorSummary)| {
             let ErrorSummary { error, unit, agent, min, last, tail } = summary;
             let name = match agent {
                 Some(agent) => format!("agent {agent} {error} (m{unit})"),
-                None => format!("{error} (m{unit})"),
+                None => format!("{whose}{error} (m{unit})"),
             };
             [
                 name,
@@ -294,23 +363,34 @@ impl Summary {
             ]
         };
         let header = ["error", "min", "final", "tail", "std", "p50", "p90", "p99"];
-        let errors = output::table(header, self.overall.iter().chain(&self.agents).map(row));
+        let all = self.overall.iter().map(|summary| ("", summary));
+        let reachable = self.reachable.iter().flat_map(|reachable| &reachable.overall);
+        let reachable = reachable.map(|summary| (REACHABLE, summary));
+        let agents = self.agents.iter().map(|summary| ("", summary));
+        let errors = output::table(header, all.chain(reachable).chain(agents).map(row));
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        let all = self.success.iter().map(|success| ("", success));
+        let reachable = self.reachable.iter().flat_map(|reachable| &reachable.success);
+        let reachable = reachable.map(|success| (REACHABLE, success));
         let success = output::table(
             ["success within", "goals", "episodes"],
-            self.success.iter().map(|success| {
+            all.chain(reachable).map(|(whose, success)| {
                 let orientation = format!("{} mrad", 1e3 * success.orientation);
                 let name = match success.position {
-                    Some(position) => format!("{} mm and {orientation}", 1e3 * position),
+                    Some(position) => format!("{whose}{} mm and {orientation}", 1e3 * position),
                     None => orientation,
                 };
                 [name, percent(success.goals), percent(success.episodes)]
             }),
         );
         let episodes = output::counted(self.episodes.len() as u64, "episode");
+        let reachable = self.reachable.as_ref().map_or_else(String::new, |reachable| {
+            let Reachable { goals, of, .. } = reachable;
+            format!("a controller that knows the robot reaches {goals} of the {of} hand goals\n")
+        });
         format!(
             "{} of {}, seed {}; std and percentiles are those of tail\n{errors}\n\n\
-             {success}\n\ncontact in {} of steps, in {} of {}\n\
+             {success}\n\n{reachable}contact in {} of steps, in {} of {}\n\
              of an arm with the base {}, a mount {}, itself {}, another arm {}",
             episodes,
             output::counted(self.steps as u64, "step"),
@@ -365,6 +445,12 @@ mod tests {
         assert_eq!((loose[1].goals, loose[1].episodes), (0.5, 0.0));
         let base = success(TaskName::Reorientation, &episodes);
         assert_eq!((base[0].goals, base[1].goals), (1.0, 0.0));
+        let reach = |reached| HandReach { reached, position: 0.0, orientation: 0.0, tried: 1 };
+        let controller = vec![vec![reach(true), reach(false)], vec![reach(false), reach(true)]];
+        let reachable = reachable(TaskName::Trajectory, &episodes, controller);
+        assert_eq!((reachable.goals, reachable.of), (2, 4));
+        assert_eq!((reachable.success[1].goals, reachable.success[1].episodes), (1.0, 1.0));
+        assert!((reachable.overall[0].tail.mean - 0.01).abs() < 1e-9);
         let agents = agents(TaskName::Trajectory, &episodes);
         assert_eq!(agents.len(), 4);
         assert_eq!((agents[1].error, agents[1].agent), ("orientation", Some(1)));

@@ -21,6 +21,7 @@ use proto::rng::Purpose;
 use self::episodes::Play;
 use crate::dynamics::StepOptions;
 use crate::env::{EpisodeError, step_options};
+use crate::parallel;
 use crate::policy::Policy;
 use crate::robot::Robot;
 use crate::rollout::World;
@@ -160,25 +161,11 @@ pub fn play(
     on_step: &(dyn Fn() + Sync),
 ) -> Result<Recording, EpisodeError> {
     let mut recording = Recording::new(trial.n_arms(), trial.episodes, trial.steps);
-    let mut chunks: Vec<(usize, &mut [f32])> = recording.chunks_mut(CHUNK).enumerate().collect();
-    let per_thread = chunks.len().div_ceil(threads.max(1)).max(1);
-    std::thread::scope(|scope| {
-        let handles: Vec<_> = chunks
-            .chunks_mut(per_thread)
-            .map(|share| {
-                scope.spawn(move || {
-                    share.iter_mut().try_for_each(|(index, series)| {
-                        let first = *index * CHUNK;
-                        let n_envs = CHUNK.min(trial.episodes - first);
-                        play_some(trial, first, n_envs, series, &mut || on_step())
-                    })
-                })
-            })
-            .collect();
-        handles.into_iter().try_for_each(|handle| match handle.join() {
-            Ok(result) => result,
-            Err(panic) => std::panic::resume_unwind(panic),
-        })
+    let chunks = recording.chunks_mut(CHUNK).enumerate().collect();
+    parallel::for_each(chunks, threads, |(index, series): &mut (usize, &mut [f32])| {
+        let first = *index * CHUNK;
+        let n_envs = CHUNK.min(trial.episodes - first);
+        play_some(trial, first, n_envs, series, &mut || on_step())
     })?;
     Ok(recording)
 }

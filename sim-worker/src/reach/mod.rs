@@ -15,6 +15,7 @@ use proto::rng::Purpose;
 use serde::Serialize;
 
 use crate::env::{EpisodeError, Physics, check_state};
+use crate::parallel;
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};
@@ -62,33 +63,13 @@ pub fn reach(
     on_episode: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<Vec<HandReach>>, EpisodeError> {
     let mut results = vec![Vec::new(); episodes];
-    let mut chunks: Vec<_> = results.chunks_mut(LANES).enumerate().collect();
-    let per_thread = chunks.len().div_ceil(threads.max(1)).max(1);
-    std::thread::scope(|scope| {
-        let handles: Vec<_> = chunks
-            .chunks_mut(per_thread)
-            .map(|share| {
-                scope.spawn(move || {
-                    share.iter_mut().try_for_each(|(index, results)| {
-                        let goals = GoalAddress {
-                            seed,
-                            purpose: Purpose::EvaluationGoal,
-                            iteration: 0,
-                            env: (*index * LANES) as u32,
-                        };
-                        let decided = decide(world, goals, results.len())?;
-                        for (result, decided) in results.iter_mut().zip(decided) {
-                            *result = decided;
-                        }
-                        on_episode(results.len());
-                        Ok(())
-                    })
-                })
-            })
-            .collect();
-        handles.into_iter().try_for_each(|handle| {
-            handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        })
+    let chunks = results.chunks_mut(LANES).enumerate().collect();
+    parallel::for_each(chunks, threads, |(index, results): &mut (usize, &mut [_])| {
+        let env = (*index * LANES) as u32;
+        let goals = GoalAddress { seed, purpose: Purpose::EvaluationGoal, iteration: 0, env };
+        results.clone_from_slice(&decide(world, goals, results.len())?);
+        on_episode(results.len());
+        Ok(())
     })?;
     Ok(results)
 }

@@ -6,11 +6,14 @@ use anyhow::Context as _;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
+use sim_worker::evaluate::EvaluationOptions;
 use sim_worker::experiment::{CHUNK, Recording, Trial, play};
+use sim_worker::reach::HandReach;
 use sim_worker::robot::Robot;
 
 use super::report::{Protocol, Report, RobotIdentity};
 use crate::cli::experiment::CommonArgs;
+use crate::commands::eval::controller;
 use crate::commands::trained::{Trained, open_checkpoint};
 use crate::output;
 use crate::report::progress::Parts;
@@ -153,6 +156,20 @@ impl Lab {
         let chunks = trial.episodes.div_ceil(CHUNK);
         self.progress.begin(what, (chunks * trial.steps) as u64);
         play(trial, self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
+    }
+
+    /// How a controller that knows the robot does on the trial's hand goals; none in `reorientation`.
+    pub(super) fn controller(
+        &self,
+        policy: &Trained,
+    ) -> anyhow::Result<Option<Vec<Vec<HandReach>>>> {
+        let options = EvaluationOptions {
+            seed: self.seed,
+            episodes: self.episodes,
+            steps: self.steps,
+            threads: self.threads,
+        };
+        controller(&policy.world, &options, &self.progress)
     }
 
     /// Prints a result: `table` for people, `results` with everything else as JSON.

@@ -37,7 +37,8 @@ pub(super) fn run(args: &PrecisionArgs) -> anyhow::Result<()> {
                 .collect(),
             TaskName::Reorientation => vec![ErrorOfMany::base(&recording)],
         };
-        let summary = Summary::new(policy, lab.seed, Evaluation::of(&recording));
+        let controller = lab.controller(policy)?;
+        let summary = Summary::new(policy, lab.seed, Evaluation::of(&recording), controller);
         results.push(Precision { summary, errors });
     }
     let table: Vec<String> = results
