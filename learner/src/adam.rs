@@ -52,12 +52,12 @@ impl Adam {
         Self { m: part(&self.m), v: part(&self.v), steps: self.steps[start..start + len].to_vec() }
     }
 
-    /// One step of `flat` against `gradient`, both `[A, P]`, for the agents that are `active`.
-    /// `scratch` may be overwritten.
+    /// One step of `flat` against `gradient`, both `[A, P]`, for the agents that are `active`, each at
+    /// its own rate. `scratch` may be overwritten.
     pub fn step(
         &mut self,
         options: &AdamOptions,
-        learning_rate: f64,
+        learning_rates: &[f64],
         flat: &Tensor,
         gradient: &Tensor,
         scratch: &Tensor,
@@ -79,7 +79,7 @@ impl Adam {
                 second: 1.0 - options.beta2,
                 correction: 1.0 / correction2.sqrt(),
                 epsilon: options.epsilon,
-                length: learning_rate / correction1,
+                length: learning_rates[start] / correction1,
             };
             if on_cpu {
                 step_in_one_pass(&rates, parts);
@@ -88,7 +88,8 @@ impl Adam {
             }
         };
         let together = active.iter().all(|&active| active)
-            && self.steps.iter().all(|&step| step == self.steps[0]);
+            && self.steps.iter().all(|&step| step == self.steps[0])
+            && learning_rates.iter().all(|&rate| rate == learning_rates[0]);
         if together {
             apply(0, agents, self.steps[0]);
         } else {
@@ -203,7 +204,7 @@ mod tests {
             theirs.zero_grad();
             ((&theirs - &target).square().sum(Kind::Float) * 0.5).backward();
             let gradient = theirs.grad().copy();
-            adam.step(&OPTIONS, 0.01, &ours, &gradient, &scratch, &[true, true]);
+            adam.step(&OPTIONS, &[0.01; 2], &ours, &gradient, &scratch, &[true, true]);
             optimizer.step();
             let error = (&ours - theirs.detach()).abs().max().double_value(&[]);
             // A few roundings of values of order 1 a step, 2⁻²⁴ each.
@@ -239,14 +240,26 @@ mod tests {
         let gradient = flat.copy();
         let scratch = flat.zeros_like();
         let mut adam = Adam::new(&flat);
-        adam.step(&OPTIONS, 0.1, &flat, &gradient, &scratch, &[true, false]);
+        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[true, false]);
         assert_eq!(adam.steps, [1, 0]);
         assert_eq!(flat.get(1), Tensor::ones([3], (Kind::Float, Device::Cpu)));
         assert_eq!(adam.v.get(1).double_value(&[0]), 0.0);
         let once = flat.get(0).copy();
-        adam.step(&OPTIONS, 0.1, &flat, &gradient, &scratch, &[false, true]);
+        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[false, true]);
         assert_eq!(flat.get(1), once, "its first step is what the other's was");
         assert_eq!(adam.steps, [1, 1]);
+    }
+
+    #[test]
+    fn agents_step_at_their_own_rates() {
+        let flat = Tensor::zeros([2, 3], (Kind::Float, Device::Cpu));
+        let gradient = flat.ones_like();
+        let mut adam = Adam::new(&flat);
+        adam.step(&OPTIONS, &[0.1, 0.025], &flat, &gradient, &flat.zeros_like(), &[true, true]);
+        // A first step is as long as the rate, but for ε.
+        for (agent, rate) in [(0, 0.1), (1, 0.025)] {
+            assert!((flat.double_value(&[agent, 2]) + rate).abs() < 1e-5 * rate + 1e-6);
+        }
     }
 
     #[test]

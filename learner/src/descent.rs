@@ -80,13 +80,13 @@ impl Descent {
         }
     }
 
-    /// Clips a half's gradient and steps; returns its norms before clipping. A step with a gradient that
+    /// Clips a half's gradient and steps, each actor at its rate; returns its norms before clipping. A step with a gradient that
     /// is not finite is not made.
     pub(crate) fn step(
         &self,
         learned: &mut Learned,
         half: &mut Half,
-        learning_rate: f64,
+        learning_rates: &[f64],
         active: &[bool],
     ) -> Vec<f64> {
         let Half { gradient, scratch, recorded, .. } = half;
@@ -100,7 +100,7 @@ impl Descent {
         let norms = clip_gradient(gradient, &squared, self.max_grad_norm);
         if norms.iter().all(|norm| norm.is_finite()) {
             let Learned { spec, flat, adam } = learned;
-            adam.step(&self.adam, learning_rate, flat, gradient, scratch, active);
+            adam.step(&self.adam, learning_rates, flat, gradient, scratch, active);
             if spec.shared {
                 for tensor in [&*flat, &adam.m, &adam.v] {
                     spec.unify(tensor);

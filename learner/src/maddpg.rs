@@ -348,7 +348,8 @@ impl Maddpg {
         // d/dQ of mean (Q − y)².
         compute.backward(&x, &(&error * (2.0 / b as f64)).unsqueeze(1), gradient);
         compute.unfold(&critic.flat, gradient);
-        let norms = self.descent.step(critic, &mut self.critic, job.critic_lr, &active);
+        let norms =
+            self.descent.step(critic, &mut self.critic, &vec![job.critic_lr; agents], &active);
         check(&norms, "critic", 0, job.iteration, (0, update))?;
         sums.critic(mean(error.square()).into_iter(), &norms);
         let variance = |x: &Tensor| x.to_kind(Kind::Double).var_dim(&[1i64][..], false, false);
@@ -378,7 +379,7 @@ impl Maddpg {
         let Half { compute, gradient, .. } = &mut self.actor;
         compute.backward(&seen, &d_output, gradient);
         compute.unfold(&actor.flat, gradient);
-        let norms = self.descent.step(actor, &mut self.actor, job.actor_lr, &active);
+        let norms = self.descent.step(actor, &mut self.actor, &vec![job.actor_lr; agents], &active);
         check(&norms, "actor", 0, job.iteration, (0, update))?;
         let zeros = || std::iter::repeat_n(0.0, agents);
         sums.actor(mean(-value).into_iter(), zeros(), zeros(), &norms);

@@ -46,7 +46,7 @@ use crate::input_norm::InputNorm;
 use crate::loss::{ActorLoss, ActorSamples, CriticLoss};
 use crate::memory::view;
 use crate::mlp::standardise_input;
-use crate::report::{Sums, UpdateReport};
+use crate::report::{Sums, UpdateReport, add};
 use crate::state::{NetworkState, TrainingState};
 use crate::value_norm::ValueNorm;
 
@@ -81,6 +81,7 @@ struct Options {
     epochs: usize,
     mini_batches: usize,
     max_kl: f64,
+    target_kl: f64,
     value_norm_beta: Option<f64>,
     normalize_advantage: bool,
     input_norm: InputNormKind,
@@ -122,7 +123,8 @@ struct Job<'a> {
     /// Counts the mini-batches begun.
     work: &'a AtomicU64,
     iteration: u64,
-    actor_lr: f64,
+    /// One an actor.
+    actor_lr: Vec<f64>,
     critic_lr: f64,
     observation_norm: Option<(Vec<f32>, Vec<f32>)>,
     state_norm: Option<(Vec<f32>, Vec<f32>)>,
@@ -146,6 +148,8 @@ struct Samples {
 struct Outcome {
     actor_steps: Vec<i64>,
     critic_steps: Vec<i64>,
+    /// Mean KL divergence over the last epoch's mini-batches, one an actor.
+    last_kl: Vec<f64>,
     report: UpdateReport,
 }
 
@@ -190,6 +194,7 @@ impl Mappo {
             epochs: a.epochs,
             mini_batches: a.mini_batches,
             max_kl: a.max_kl,
+            target_kl: config.optimizer.target_kl,
             value_norm_beta: a.value_norm.then_some(a.value_norm_beta),
             normalize_advantage: a.normalize_advantage,
             input_norm: config.network.input_norm,
@@ -270,21 +275,32 @@ impl Mappo {
             options: &self.options,
             work: &self.work,
             iteration: state.iteration,
-            actor_lr,
+            actor_lr: match &state.actor_rate {
+                Some(rate) => rate.iter().map(|rate| rate * actor_lr).collect(),
+                None => vec![actor_lr; self.dimensions.n_actors],
+            },
             critic_lr,
             observation_norm: state.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std),
             state_norm: state.state_norm.as_ref().map(InputNorm::mean_and_inverse_std),
         };
         let outcomes = run_groups(&mut self.groups, state, &job, self.threads, trace);
+        let actor_lr = job.actor_lr.iter().sum::<f64>() / job.actor_lr.len() as f64;
         let mut report = UpdateReport { actor_lr, critic_lr, ..UpdateReport::default() };
         let mut steps = (Vec::new(), Vec::new());
+        let mut last_kl = Vec::new();
         for outcome in outcomes {
-            let Outcome { actor_steps, critic_steps, report: part } = outcome?;
+            let Outcome { actor_steps, critic_steps, last_kl: kl, report: part } = outcome?;
             steps.0.extend(actor_steps);
             steps.1.extend(critic_steps);
+            last_kl.extend(kl);
             report.append(part);
         }
         (state.actor.adam.steps, state.critic.adam.steps) = steps;
+        if let Some(rate) = &mut state.actor_rate {
+            for (rate, kl) in rate.iter_mut().zip(&last_kl) {
+                *rate = steered(*rate, *kl, self.options.target_kl);
+            }
+        }
         if state.iteration > 0 {
             state.see(&self.dimensions, shards);
         }
@@ -354,7 +370,9 @@ impl Group {
         }
         let mut sums = Sums::new(a);
         let mut active = vec![true; a];
+        let mut last_kl = vec![0.0; a];
         for epoch in 0..options.epochs {
+            last_kl.fill(0.0);
             let moments = options.value_norm_beta.map(|beta| {
                 value_norm.update(&samples.returns, beta);
                 moments(&value_norm)
@@ -377,7 +395,16 @@ impl Group {
                 let rows = order.narrow(0, start, bound(mini_batch + 1) - start);
                 let step = (epoch, mini_batch);
                 job.work.fetch_add(1, Ordering::Relaxed);
-                self.actor_step(job, &mut actor, &samples, &rows, &mut active, &mut sums, step)?;
+                let kl = self.actor_step(
+                    job,
+                    &mut actor,
+                    &samples,
+                    &rows,
+                    &mut active,
+                    &mut sums,
+                    step,
+                )?;
+                add(&mut last_kl, kl.iter().map(|kl| kl / options.mini_batches as f64));
                 self.critic_step(
                     job,
                     &mut critic,
@@ -409,7 +436,12 @@ impl Group {
             returns: samples.episode_return,
             ..sums.means()
         };
-        Ok(Outcome { actor_steps: actor.adam.steps, critic_steps: critic.adam.steps, report })
+        Ok(Outcome {
+            actor_steps: actor.adam.steps,
+            critic_steps: critic.adam.steps,
+            last_kl,
+            report,
+        })
     }
 
     /// Normalises inputs, predicts values, estimates advantages, packs samples.
@@ -561,6 +593,8 @@ impl Group {
         value
     }
 
+    /// A step of the actors on the samples of `rows`; returns how far each had moved before it, as the
+    /// divergence KL(old ‖ new).
     #[expect(clippy::too_many_arguments, reason = "one call site; a struct would only rename them")]
     fn actor_step(
         &mut self,
@@ -571,7 +605,7 @@ impl Group {
         active: &mut [bool],
         sums: &mut Sums,
         step: (usize, usize),
-    ) -> Result<(), LearnerError> {
+    ) -> Result<Vec<f64>, LearnerError> {
         let loss = &job.options.actor_loss;
         let a = self.actors.len() as i64;
         let u = job.dimensions.actor_output() as i64;
@@ -604,20 +638,21 @@ impl Group {
         let statistics = Vec::<f32>::try_from((statistics / batch as f64).view([-1]))
             .expect("three numbers an agent");
         let column = |index: usize| statistics.iter().skip(index).step_by(3).map(|&x| f64::from(x));
+        let mut kl: Vec<f64> = column(1).collect();
+        if learned.spec.shared {
+            let mean = kl.iter().sum::<f64>() / kl.len() as f64;
+            kl.fill(mean);
+        }
         if job.options.max_kl > 0.0 {
-            let mut kl: Vec<f64> = column(1).collect();
-            if learned.spec.shared {
-                let mean = kl.iter().sum::<f64>() / kl.len() as f64;
-                kl.fill(mean);
-            }
-            for (active, kl) in active.iter_mut().zip(kl) {
+            for (active, &kl) in active.iter_mut().zip(&kl) {
                 *active &= kl <= job.options.max_kl;
             }
         }
-        let norms = job.options.descent.step(learned, &mut self.actor, job.actor_lr, active);
+        let rates = &job.actor_lr[self.actors.clone()];
+        let norms = job.options.descent.step(learned, &mut self.actor, rates, active);
         check(&norms, "actor", self.actors.start, job.iteration, step)?;
         sums.actor(column(0), column(1), column(2), &norms);
-        Ok(())
+        Ok(kl)
     }
 
     #[expect(clippy::too_many_arguments, reason = "one call site; a struct would only rename them")]
@@ -656,13 +691,35 @@ impl Group {
         }
         compute.unfold(&learned.flat, gradient);
         let active = vec![true; self.actors.len()];
-        let norms = job.options.descent.step(learned, &mut self.critic, job.critic_lr, &active);
+        let rates = vec![job.critic_lr; self.actors.len()];
+        let norms = job.options.descent.step(learned, &mut self.critic, &rates, &active);
         check(&norms, "critic", self.actors.start, job.iteration, step)?;
         let losses = Vec::<f32>::try_from(total / batch as f64).expect("one number an agent");
         sums.critic(losses.into_iter().map(f64::from), &norms);
         Ok(())
     }
 }
+
+/// An actor's share of the scheduled learning rate after an iteration in which it moved by `kl`.
+///
+/// The factors are those of the adaptive penalty of Schulman et al. 2017, section 4, turned on the learning
+/// rate as Rudin et al. 2021 do ("Learning to walk in minutes using massively parallel deep reinforcement
+/// learning", appendix).
+fn steered(rate: f64, kl: f64, target: f64) -> f64 {
+    let steered = if kl > 2.0 * target {
+        rate / RATE_FACTOR
+    } else if kl < target / 2.0 {
+        rate * RATE_FACTOR
+    } else {
+        rate
+    };
+    steered.clamp(LOWEST_RATE, 1.0)
+}
+
+/// Change of a steered learning rate from one iteration to the next.
+const RATE_FACTOR: f64 = 1.5;
+/// The smallest share of the scheduled learning rate.
+const LOWEST_RATE: f64 = 1e-3;
 
 /// `rows` in parts of nearly equal length, none longer than `limit`.
 fn chunks(rows: i64, limit: i64) -> impl Iterator<Item = Range<i64>> {

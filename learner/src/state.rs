@@ -8,6 +8,7 @@
 //! | `actor.<parameter>`, `critic.<parameter>` | f32 `[P, …]`, the names of [`NetworkSpec`] |
 //! | `actor.adam.m.<parameter>`, `….v.<parameter>`, likewise `critic` | f32 `[P, …]` |
 //! | `actor.adam.steps`, `critic.adam.steps` | i64 `[P]` |
+//! | `actor.rate` | f64 `[P]`: share of the scheduled learning rate; only with `optimizer.target_kl` |
 //! | `value_norm.mean`, `.mean_square`, `.debias` | f64 `[P]` |
 //! | `observation_norm.mean`, `.m2`, `.count` | f64 `[A, O]`, `[A, O]`, `[1]`; running normalisation only |
 //! | `state_norm.mean`, `.m2`, `.count` | f64 `[1, S]`, `[1, S]`, `[1]`; likewise, unless critics see observations |
@@ -70,6 +71,8 @@ pub struct TrainingState {
     pub actor: NetworkState,
     /// The critics.
     pub critic: NetworkState,
+    /// Share of the scheduled learning rate in force, one an actor; only if it follows the KL divergence.
+    pub actor_rate: Option<Vec<f64>>,
     /// Moments of the returns.
     pub value_norm: ValueNorm,
     /// Moments of the observations, one row an agent.
@@ -169,6 +172,7 @@ impl TrainingState {
             actor,
             critic,
             off_policy,
+            actor_rate: (config.optimizer.target_kl > 0.0).then(|| vec![1.0; dimensions.n_actors]),
             value_norm: ValueNorm::new(dimensions.n_actors, device),
             observation_norm: running
                 .then(|| InputNorm::new(dimensions.n_agents, dimensions.observation)),
@@ -260,6 +264,9 @@ impl TrainingState {
             }
             let episodes = Source::U64(replay.episodes);
             add("replay.episodes".to_owned(), Dtype::U64, vec![1], episodes);
+        }
+        if let Some(rate) = &self.actor_rate {
+            add("actor.rate".to_owned(), Dtype::F64, vec![rate.len()], Source::F64(rate));
         }
         let norm = &self.value_norm;
         for (name, moment) in
@@ -421,6 +428,9 @@ impl TrainingState {
                 slot.iter_mut().zip(numbers).for_each(|(x, bytes)| *x = f32::from_le_bytes(bytes));
             }
             replay.episodes = u64_of("replay.episodes");
+        }
+        if let Some(rate) = &mut self.actor_rate {
+            *rate = f64s("actor.rate");
         }
         let norm = &mut self.value_norm;
         for (name, moment) in [

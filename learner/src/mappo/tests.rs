@@ -46,6 +46,7 @@ const VARIANTS: [&[&str]; 7] = [
         "algorithm.name=ippo",
         "network.activation=tanh",
         "algorithm.mini_batches=3",
+        "optimizer.target_kl=0.01",
     ],
     &["algorithm.max_kl=0.001", "algorithm.value_norm=false", "algorithm.huber_delta=0"],
     &["network.input_norm=none", "network.critic_state=concatenated", "run.learner_threads=1"],
@@ -194,6 +195,35 @@ fn a_kl_limit_holds_agents_back() {
     assert_eq!(steps(&free), [40; 4]);
     // Log-probabilities of the synthetic blocks are not the network's: over the limit at once.
     assert_eq!(steps(&held), [0; 4]);
+}
+
+#[test]
+fn the_learning_rate_follows_the_divergence() {
+    assert_eq!(steered(0.6, 0.03, 0.01), 0.6 / 1.5);
+    assert_eq!(steered(0.6, 0.01, 0.01), 0.6);
+    assert_eq!(steered(0.6, 0.001, 0.01), 0.6 * 1.5);
+    assert_eq!((steered(0.9, 0.0, 0.01), steered(1e-3, 1.0, 0.01)), (1.0, 1e-3), "bounds");
+
+    // Log-probabilities of the synthetic blocks are not the network's: every actor is far from them.
+    let mut run = Run::new(&config(&["optimizer.target_kl=0.01"]), Arithmetic::F32);
+    let first = run.update(1);
+    assert_eq!(run.state.actor_rate.as_deref(), Some(&[1.0 / 1.5; 4][..]));
+    assert_eq!(first.actor_lr, 1e-3, "the first iteration is as scheduled");
+    let scheduled = learning_rates(&run.mappo.config, run.state.env_steps).0;
+    assert_eq!(run.update(2).actor_lr, scheduled / 1.5);
+    // Shares of one steer that actor alone.
+    let mut one = Run::new(&config(&["optimizer.target_kl=1e9"]), Arithmetic::F32);
+    one.state.actor_rate = Some(vec![0.1, 1.0, 1.0, 1.0]);
+    let mut all = Run::new(&config(&["optimizer.target_kl=1e9"]), Arithmetic::F32);
+    for run in [&mut one, &mut all] {
+        run.update(1);
+    }
+    let moved = |agent| {
+        let [one, all] = [&one, &all].map(|run| run.state.actor.flat.get(agent));
+        (one - all).abs().max().double_value(&[])
+    };
+    assert!(moved(0) > 0.0 && moved(1) == 0.0);
+    assert_eq!(one.state.actor_rate, Some(vec![0.1 * 1.5, 1.0, 1.0, 1.0]));
 }
 
 #[test]

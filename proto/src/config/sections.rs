@@ -431,6 +431,11 @@ pub struct Optimizer {
     pub critic_lr: f64,
     /// Its course.
     pub schedule: Schedule,
+    /// KL divergence (nats) of an iteration that actors' learning rates aim at; 0 leaves them to the schedule. An
+    /// actor that went twice as far learns 1.5 times slower from then on, one that went less than half as far 1.5
+    /// times faster, though never faster than scheduled. MADDPG does not use it.
+    #[serde(default)]
+    pub target_kl: f64,
     /// Decay of the first moment.
     pub beta1: f64,
     /// Decay of the second moment.
@@ -726,6 +731,7 @@ impl Config {
 
         within("optimizer.actor_lr", optimizer.actor_lr, 0.0, 10.0)?;
         within("optimizer.critic_lr", optimizer.critic_lr, 0.0, 10.0)?;
+        within("optimizer.target_kl", optimizer.target_kl, 0.0, 1e9)?;
         within("optimizer.beta1", optimizer.beta1, 0.0, 0.999_999)?;
         within("optimizer.beta2", optimizer.beta2, 0.0, 0.999_999_9)?;
         within("optimizer.epsilon", optimizer.epsilon, 1e-30, 1.0)?;
