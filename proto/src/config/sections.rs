@@ -97,6 +97,12 @@ pub struct Reward {
     pub epsilon: f64,
     /// Whether the collision term counts touching pairs (`true`) or only says whether any touch.
     pub count_collisions: bool,
+    /// Whether an agent answers for contacts of its own arm alone, instead of the whole robot's (trajectory).
+    #[serde(default)]
+    pub own_collisions: bool,
+    /// Share of the mean of its arm's two rewards in an agent's (trajectory); the rest is its own reward.
+    #[serde(default)]
+    pub team_spirit: f64,
     /// Agents of shoulder joints, who care for the hand's position (trajectory).
     pub position: RewardWeights,
     /// Agents of wrist joints, who care for the hand's orientation (trajectory).
@@ -624,6 +630,7 @@ impl Config {
         within("task.action_scale", task.action_scale, 1e-6, 100.0)?;
         within("task.base_goal_range", task.base_goal_range, 0.0, 1.5)?;
         within("task.reward.epsilon", task.reward.epsilon, 1e-30, 1.0)?;
+        within("task.reward.team_spirit", task.reward.team_spirit, 0.0, 1.0)?;
         let Reward { position, orientation, base, .. } = &task.reward;
         for (key, weights) in [
             ("task.reward.position", position),

@@ -243,6 +243,10 @@ fn kinds_of_contacts_add_up() {
     let mut state = State::<f64>::home(&robot);
     state.q[2] = 3.0;
     assert!(of(&state).by_kind[ContactKind::Own as usize] >= 1.0);
+    let mut state = State::<f64>::home(&robot);
+    state.q[2 * 6 + 2] = 3.0;
+    let t = of(&state);
+    assert!(t.by_arm[2] >= 1.0 && t.by_arm[2] == t.pairs, "arm 2 alone: {:?}", t.by_arm);
     let mut noise = Noise(9);
     let mut seen = [0.0; ContactKind::COUNT];
     for _ in 0..500 {
@@ -250,6 +254,8 @@ fn kinds_of_contacts_add_up() {
         state.q.iter_mut().for_each(|q| *q += 2.0 * noise.next());
         let t = of(&state);
         assert_eq!(t.by_kind.iter().sum::<f64>(), t.pairs);
+        let twice = t.by_kind[ContactKind::Arms as usize];
+        assert_eq!(t.by_arm.iter().sum::<f64>(), t.pairs + twice);
         for kind in ContactKind::ALL {
             seen[kind as usize] += t.by_kind[kind as usize];
         }

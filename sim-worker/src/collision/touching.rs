@@ -2,8 +2,9 @@
 
 use super::ContactKind;
 use super::find::{coarse_gap, place_bounds, proximity};
+use super::model::Partner;
 use crate::dynamics::{Workspace, stop_interval};
-use crate::robot::{JOINTS_PER_ARM, Model};
+use crate::robot::{JOINTS_PER_ARM, MAX_ARMS, Model};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::state::State;
 
@@ -14,6 +15,8 @@ pub struct Touching<S> {
     pub pairs: S,
     /// The same by [`ContactKind`].
     pub by_kind: [S; ContactKind::COUNT],
+    /// Those in which an arm takes part, by arm; two arms that touch count for both.
+    pub by_arm: [S; MAX_ARMS],
     /// How deep the deepest pair of shapes overlaps (m); zero where none does.
     pub penetration: S,
 }
@@ -50,13 +53,16 @@ impl<S: Real> Kernel<S> for Look<'_, S> {
 fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> Touching<S> {
     crate::dynamics::kinematics_of(model, ws, state);
     let mut by_kind = [S::zero(); ContactKind::COUNT];
+    let mut by_arm = [S::zero(); MAX_ARMS];
     for stop in &model.stops {
         for arm in 0..model.n_arms() {
             let first = arm * JOINTS_PER_ARM;
             let narrowing = &ws.links[first + stop.narrowing_joint];
             let q = state.q[first + stop.joint];
             let (x, half) = stop_interval(stop, q, narrowing.sin, narrowing.cos);
-            by_kind[stop.kind as usize] += S::select(x.abs().le(half), S::one(), S::zero());
+            let touches = S::select(x.abs().le(half), S::one(), S::zero());
+            by_kind[stop.kind as usize] += touches;
+            by_arm[arm] += touches;
         }
     }
     place_bounds(model, ws);
@@ -68,10 +74,18 @@ fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> T
         }
         let p = proximity(model, ws, pair, near, S::zero());
         let touches = near & p.gap.lt(S::zero());
-        by_kind[pair.kind as usize] += S::select(touches, S::one(), S::zero());
+        let one = S::select(touches, S::one(), S::zero());
+        by_kind[pair.kind as usize] += one;
+        let arm = pair.a / JOINTS_PER_ARM;
+        by_arm[arm] += one;
+        if let Partner::Link(link) = pair.b
+            && link / JOINTS_PER_ARM != arm
+        {
+            by_arm[link / JOINTS_PER_ARM] += one;
+        }
         penetration = S::select(touches, (-p.gap).max(penetration), penetration);
     }
     // Small whole numbers: the sum is exact in any order.
     let [base, mount, own, arms] = by_kind;
-    Touching { pairs: (base + mount) + (own + arms), by_kind, penetration }
+    Touching { pairs: (base + mount) + (own + arms), by_kind, by_arm, penetration }
 }

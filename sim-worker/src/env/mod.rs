@@ -260,7 +260,7 @@ impl LaneFn for Episodes<'_> {
             let clock = Instant::now();
             for (index, group) in groups.iter_mut().enumerate() {
                 let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
-                let pairs = physics.read(&group.state, &mut group.readings).pairs;
+                let touching = physics.read(&group.state, &mut group.readings);
                 group.readings.last_action.copy_from_slice(&group.action);
                 group.errors.update(&group.readings, &group.goals);
                 if step > 0 {
@@ -269,10 +269,10 @@ impl LaneFn for Episodes<'_> {
                         &group.errors,
                         &group.action,
                         &group.last_action,
-                        pairs,
+                        &touching,
                         &mut paid,
                     );
-                    group.extremes.update(&group.errors, pairs);
+                    group.extremes.update(&group.errors, touching.pairs);
                     output.step(row, step - 1, &paid);
                 }
                 for agent in 0..n_agents {

@@ -5,15 +5,21 @@
 //! r = −(quadratic·e² + log·log₁₀(e² + ε) + smoothness·‖u − u⁻‖² + effort·‖u‖² + collision·co)
 //!
 //! e is `scale` times the error norm after the step, u the clipped action before scaling, u⁻ the
-//! step before's, co the number of touching pairs of the whole robot after the step, or whether any
-//! touch. In `trajectory`, position and orientation agents each have their own e and weights and the
+//! step before's, co the number of touching pairs of the whole robot after the step (or of those in
+//! which the agent's arm takes part), or whether any touch. In `trajectory`, position and orientation agents each have their own e and weights and the
 //! norms run over the agent's three joints. In `reorientation` every agent receives the same number
 //! and the norms run over all joints.
+//!
+//! In `trajectory` the two agents of an arm may share: each then gets (1 − τ) times its own reward and
+//! τ times the mean of both, the team spirit of OpenAI et al. 2019 ("Dota 2 with large scale deep
+//! reinforcement learning", appendix G). Shoulder and wrist reach one pose together, and a shoulder that
+//! cares for position alone leaves the wrist where it cannot turn without touching the arm.
 
 use proto::config::{RewardWeights, TaskName};
 use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 
 use super::{Errors, Task};
+use crate::collision::Touching;
 use crate::scalar::Real;
 
 /// The formula; `error` is the plain norm, `change` and `effort` squared norms.
@@ -38,21 +44,23 @@ fn formula<S: Real>(
 /// Writes the reward of every agent into `out` (length A).
 ///
 /// `action` and `last_action` are the clipped actions of this step and of the one before, one a
-/// joint; `pairs` counts touching pairs after the step.
+/// joint; `touching` is what touches after the step.
 #[inline(always)]
 pub fn rewards<S: Real>(
     task: &Task,
     errors: &Errors<S>,
     action: &[S],
     last_action: &[S],
-    pairs: S,
+    touching: &Touching<S>,
     out: &mut [S],
 ) {
     let reward = &task.reward;
-    let collision = if reward.count_collisions {
-        pairs
-    } else {
-        S::select(pairs.gt(S::zero()), S::one(), S::zero())
+    let collision = |pairs: S| {
+        if reward.count_collisions {
+            pairs
+        } else {
+            S::select(pairs.gt(S::zero()), S::one(), S::zero())
+        }
     };
     match task.name {
         TaskName::Trajectory => {
@@ -65,11 +73,23 @@ pub fn rewards<S: Real>(
                     (&reward.orientation, errors.orientation_norm[arm])
                 };
                 let (change, effort) = squared_norms(&action[joints.clone()], &last_action[joints]);
-                *out = formula(weights, reward.epsilon, error, change, effort, collision);
+                let pairs =
+                    if reward.own_collisions { touching.by_arm[arm] } else { touching.pairs };
+                *out = formula(weights, reward.epsilon, error, change, effort, collision(pairs));
+            }
+            if reward.team_spirit > 0.0 {
+                let share = S::splat(0.5 * reward.team_spirit);
+                for of_arm in out.chunks_exact_mut(AGENTS_PER_ARM) {
+                    // (1 − τ) r + τ (r + r′) / 2 = r + τ/2 (r′ − r)
+                    let moved = (of_arm[1] - of_arm[0]) * share;
+                    of_arm[0] += moved;
+                    of_arm[1] -= moved;
+                }
             }
         }
         TaskName::Reorientation => {
             let (change, effort) = squared_norms(action, last_action);
+            let collision = collision(touching.pairs);
             let shared =
                 formula(&reward.base, reward.epsilon, errors.base_norm, change, effort, collision);
             out.fill(shared);

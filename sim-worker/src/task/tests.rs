@@ -1,7 +1,7 @@
 //! Every layout and every term, worked by hand in `f64`.
 #![expect(clippy::approx_constant, reason = "the released model's own rounded numbers")]
 
-use proto::config::{Config, Layers, Preset, TaskName};
+use proto::config::{Config, Layers, Preset, Reward, TaskName};
 use proto::layout::Dimensions;
 use proto::rng::Purpose;
 
@@ -10,6 +10,8 @@ use super::observation::observe;
 use super::reward::rewards;
 use super::state::critic_state;
 use super::*;
+use crate::collision::{ContactKind, Touching};
+use crate::robot::MAX_ARMS;
 
 /// The released robot at home, from `reference` values of its model.
 fn home() -> Home {
@@ -220,15 +222,24 @@ fn concatenated_critic_state_is_all_observations_in_agent_order() {
 }
 
 fn paid(preset: Preset, name: TaskName, count: bool) -> Vec<f64> {
+    paid_with(preset, name, |reward| reward.count_collisions = count)
+}
+
+/// Three pairs touch, one within arm 0 and the others elsewhere.
+fn paid_with(preset: Preset, name: TaskName, change: impl Fn(&mut Reward)) -> Vec<f64> {
     let mut config = config(preset, name);
-    config.task.reward.count_collisions = count;
+    change(&mut config.task.reward);
     let task = Task::new(&config, home());
     // Arm 0 acts (1, 0.5, −1 | 2, 0, 0) after (0.5, 0.5, 0 | 0, 0, 1); the others rest.
     let (mut action, mut last) = (vec![0.0; 24], vec![0.0; 24]);
     action[..6].copy_from_slice(&[1.0, 0.5, -1.0, 2.0, 0.0, 0.0]);
     last[..6].copy_from_slice(&[0.5, 0.5, 0.0, 0.0, 0.0, 1.0]);
     let mut out = vec![f64::NAN; 8];
-    rewards(&task, &errors(), &action, &last, 3.0, &mut out);
+    let mut by_arm = [0.0; MAX_ARMS];
+    by_arm[0] = 1.0;
+    let touching =
+        Touching { pairs: 3.0, by_kind: [0.0; ContactKind::COUNT], by_arm, penetration: 0.0 };
+    rewards(&task, &errors(), &action, &last, &touching, &mut out);
     out
 }
 
@@ -270,6 +281,30 @@ fn papers_rewards_by_hand() {
         let r = paid(preset, TaskName::Reorientation, true);
         assert!((r[7] - 0.0996426).abs() < 2e-7, "{}", r[7]);
     }
+}
+
+#[test]
+fn what_agents_share_and_what_they_answer_for_by_hand() {
+    let own = |reward: &mut Reward| {
+        reward.count_collisions = true;
+        reward.own_collisions = true;
+    };
+    let r = paid_with(Preset::Paper, TaskName::Trajectory, own);
+    // As by hand above, with 0.5 × 1 pair for arm 0 and none for arm 1, which rests at the goal's side.
+    let all = paid(Preset::Paper, TaskName::Trajectory, true);
+    for (agent, less) in [(0, 1.0), (1, 1.0), (2, 1.5), (7, 1.5)] {
+        assert!((r[agent] - all[agent] - less).abs() < 1e-12, "agent {agent}");
+    }
+    let shared = paid_with(Preset::Paper, TaskName::Trajectory, |reward| {
+        own(reward);
+        reward.team_spirit = 0.5;
+    });
+    // Half of one's own, and half of the mean.
+    assert!((shared[0] - (0.75 * r[0] + 0.25 * r[1])).abs() < 1e-12);
+    assert!((shared[1] - (0.25 * r[0] + 0.75 * r[1])).abs() < 1e-12);
+    // The base's reward is everybody's already.
+    let base = paid(Preset::Paper, TaskName::Reorientation, true);
+    assert_eq!(paid_with(Preset::Paper, TaskName::Reorientation, own), base);
 }
 
 #[test]
