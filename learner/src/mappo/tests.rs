@@ -210,7 +210,7 @@ fn the_learning_rate_follows_the_divergence() {
     assert_eq!(run.state.actor_rate.as_deref(), Some(&[1.0 / 1.5; 4][..]));
     assert_eq!(first.actor_lr, 1e-3, "the first iteration is as scheduled");
     let scheduled = learning_rates(&run.mappo.config, run.state.env_steps).0;
-    assert_eq!(run.update(2).actor_lr, scheduled / 1.5);
+    assert!((run.update(2).actor_lr / scheduled - 1.0 / 1.5).abs() < 1e-12);
     // Shares of one steer that actor alone.
     let mut one = Run::new(&config(&["optimizer.target_kl=1e9"]), Arithmetic::F32);
     one.state.actor_rate = Some(vec![0.1, 1.0, 1.0, 1.0]);
