@@ -222,7 +222,11 @@ fn concatenated_critic_state_is_all_observations_in_agent_order() {
 }
 
 fn paid(preset: Preset, name: TaskName, count: bool) -> Vec<f64> {
-    paid_with(preset, name, |reward| reward.count_collisions = count)
+    paid_with(preset, name, |reward| {
+        reward.count_collisions = count;
+        reward.own_collisions = false;
+        reward.team_spirit = 0.0;
+    })
 }
 
 /// Three pairs touch, one within arm 0 and the others elsewhere.
