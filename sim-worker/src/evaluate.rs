@@ -1,7 +1,7 @@
 //! Evaluation: deterministic actions on goals that no training episode draws.
 
 use proto::message::EpisodeErrors;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::collision::ContactKind;
 use crate::env::EpisodeError;
@@ -35,7 +35,7 @@ impl Default for EvaluationOptions {
 }
 
 /// Course of one error over an episode, in three numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Course {
     /// Smallest over the steps: the released script's measure, which flatters.
     pub min: f32,
@@ -46,7 +46,7 @@ pub struct Course {
 }
 
 /// Errors of one hand over an episode.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct HandCourse {
     /// Norm of the position error (m).
     pub position: Course,
@@ -55,7 +55,7 @@ pub struct HandCourse {
 }
 
 /// One episode of an evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeResult {
     /// One entry an arm; in `reorientation`, distances from home.
     pub hands: Vec<HandCourse>,
@@ -70,7 +70,7 @@ pub struct EpisodeResult {
 }
 
 /// Control steps at whose end bodies touched, by what touched what.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ContactSteps {
     /// An arm and a box of the base.
     pub arm_base: u32,
@@ -83,7 +83,7 @@ pub struct ContactSteps {
 }
 
 /// The result of an evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
     /// Control steps of each episode.
     pub steps: usize,

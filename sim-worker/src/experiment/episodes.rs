@@ -133,7 +133,7 @@ impl LaneFn for Play<'_, '_> {
                         (local, n_envs),
                         (step - 1, steps),
                         &group.errors,
-                        &group.readings.base_angular,
+                        &group.state,
                         &touching.by_kind,
                     );
                 }

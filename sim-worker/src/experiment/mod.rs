@@ -2,7 +2,7 @@
 //!
 //! A [`Trial`] says what is played: which [`Player`] moves which arm from which step on ([`Phase`]), where hands and base shall go, what disturbs
 //! ([`Intervention`], [`SensorNoise`], a delay, another robot than the policies know). [`play`] plays its episodes, sixteen side by side, and
-//! returns a [`Recording`] of every error after every step. An evaluation is a trial in which nothing happens (see [`crate::evaluate`]).
+//! returns a [`Recording`] of every error and pose after every step. An evaluation is a trial in which nothing happens (see [`crate::evaluate`]).
 //!
 //! Everything random is addressed by seed, episode and step, so a recording depends neither on threads nor on how episodes lie in lanes.
 
@@ -10,10 +10,12 @@ mod episodes;
 mod intervention;
 mod noise;
 mod recording;
+mod skeleton;
 
 pub use intervention::{Effect, Intervention};
 pub use noise::SensorNoise;
-pub use recording::{Recording, TAIL_STEPS};
+pub use recording::{Pose, Recording, TAIL_STEPS};
+pub use skeleton::Skeleton;
 
 use proto::layout::{AGENTS_PER_ARM, Dimensions};
 use proto::rng::Purpose;

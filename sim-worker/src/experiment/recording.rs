@@ -1,28 +1,46 @@
 //! What a trial led to, step by step.
 
+use serde::{Deserialize, Serialize};
+
 use crate::collision::ContactKind;
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
+use crate::state::State;
 use crate::task::Errors;
 
 /// Control steps that the mean over an episode's tail takes.
 pub const TAIL_STEPS: usize = 20;
 
-/// Errors, base rates and contacts after every control step of every episode.
+/// Where a robot stands: enough to draw it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Origin of the base frame in the world (m).
+    pub base_position: [f32; 3],
+    /// Attitude of the base: unit quaternion (w, x, y, z), base to world.
+    pub base_quaternion: [f32; 4],
+    /// Joint angles (rad), arm-major.
+    pub joints: Vec<f32>,
+}
+
+/// Errors, base rates, contacts and poses after every control step of every episode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
     n_arms: usize,
     episodes: usize,
     steps: usize,
-    /// `[episode][step][6 errors a hand, 3 errors of the base, 3 rates of the base, contacts by kind]`.
+    /// `[episode][step][6 errors a hand, 3 errors of the base, 3 rates of the base, contacts by kind, 3 + 4 of the base's pose, 6 joint
+    /// angles an arm]`.
     series: Vec<f32>,
 }
 
-/// Numbers of a step besides the hands'.
-const REST: usize = 6 + ContactKind::COUNT;
+/// Numbers of a step besides the arms'.
+const REST: usize = POSE + 7;
+/// Where the pose of the base stands, behind the hands.
+const POSE: usize = 6 + ContactKind::COUNT;
 
 /// Numbers of a step.
 fn width(n_arms: usize) -> usize {
-    6 * n_arms + REST
+    (6 + JOINTS_PER_ARM) * n_arms + REST
 }
 
 impl Recording {
@@ -89,6 +107,16 @@ impl Recording {
         std::array::from_fn(|i| row[6 * self.n_arms + 6 + i] as u32)
     }
 
+    /// Where the robot stands after `step`.
+    pub fn pose(&self, episode: usize, step: usize) -> Pose {
+        let rest = &self.row(episode, step)[6 * self.n_arms + POSE..];
+        Pose {
+            base_position: std::array::from_fn(|i| rest[i]),
+            base_quaternion: std::array::from_fn(|i| rest[3 + i]),
+            joints: rest[7..].to_vec(),
+        }
+    }
+
     /// ‖position error‖ of a hand after `step` (m).
     pub fn position(&self, episode: usize, step: usize, arm: usize) -> f32 {
         let [x, y, z, ..] = self.hand(episode, step, arm);
@@ -119,7 +147,7 @@ pub(super) fn record<S: Real>(
     (group, n_envs): (usize, usize),
     (step, steps): (usize, usize),
     errors: &Errors<S>,
-    base_rate: &[S; 3],
+    state: &State<S>,
     contacts: &[S; ContactKind::COUNT],
 ) {
     let n_arms = errors.hands.len();
@@ -134,7 +162,14 @@ pub(super) fn record<S: Real>(
         }
         for i in 0..3 {
             rest[i] = errors.base[i].lane(lane) as f32;
-            rest[3 + i] = base_rate[i].lane(lane) as f32;
+            rest[3 + i] = state.base_angular_velocity[i].lane(lane) as f32;
+            rest[POSE + i] = state.base_position[i].lane(lane) as f32;
+        }
+        for i in 0..4 {
+            rest[POSE + 3 + i] = state.base_quaternion[i].lane(lane) as f32;
+        }
+        for (to, joint) in rest[POSE + 7..].iter_mut().zip(&state.q) {
+            *to = joint.lane(lane) as f32;
         }
         for i in 0..ContactKind::COUNT {
             rest[6 + i] = contacts[i].lane(lane) as f32;

@@ -12,7 +12,7 @@ mod inverse_kinematics;
 
 use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 use proto::rng::Purpose;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::env::{EpisodeError, Physics, check_state};
 use crate::parallel;
@@ -37,7 +37,7 @@ const MOST_WAYS: usize = 10;
 const GAIN: f64 = 0.7;
 
 /// How one hand came to its goal.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HandReach {
     /// Whether some way leads there.
     pub reached: bool,
