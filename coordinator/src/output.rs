@@ -15,9 +15,14 @@ pub fn line(text: &str) -> anyhow::Result<()> {
 
 /// Writes a value as indented JSON.
 pub fn json(value: &impl Serialize) -> anyhow::Result<()> {
+    write(&json_bytes(value)?)
+}
+
+/// What [`json`] writes.
+pub fn json_bytes(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {
     let mut text = serde_json::to_vec_pretty(value).context("the result has no JSON form")?;
     text.push(b'\n');
-    write(&text)
+    Ok(text)
 }
 
 /// Writes bytes as they are. A reader that has seen enough, such as `head`, is no error.

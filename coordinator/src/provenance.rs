@@ -1,19 +1,20 @@
 //! Where a run's numbers come from: program, machine, command line, time.
 
+use std::borrow::Cow;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// What was true when a session of a run began; `provenance.json` holds one for each session, and
 /// every checkpoint that of its own.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Version of the program.
-    pub version: &'static str,
+    pub version: Cow<'static, str>,
     /// Commit that it was built from, with `-dirty` if there were changes; `unknown` outside of git.
-    pub commit: &'static str,
+    pub commit: Cow<'static, str>,
     /// `debug` or `release`.
-    pub build: &'static str,
+    pub build: Cow<'static, str>,
     /// The command line.
     pub command: Vec<String>,
     /// When the session began (UTC).
@@ -25,13 +26,13 @@ pub struct Provenance {
     /// The processor's name.
     pub processor: String,
     /// Vector instructions that matter here.
-    pub vector_extensions: Vec<&'static str>,
+    pub vector_extensions: Vec<Cow<'static, str>>,
     /// Processors that this process may use.
     pub processors: usize,
     /// Memory of the machine (bytes).
     pub memory: u64,
     /// What the digests of the run can be compared with.
-    pub promise: &'static str,
+    pub promise: Cow<'static, str>,
 }
 
 /// Stands in every run: what equal digests depend on.
@@ -44,9 +45,9 @@ impl Provenance {
     pub fn gather() -> Self {
         let names = rustix::system::uname();
         Self {
-            version: env!("CARGO_PKG_VERSION"),
-            commit: env!("SPACEOCTOPUS_COMMIT"),
-            build: if cfg!(debug_assertions) { "debug" } else { "release" },
+            version: env!("CARGO_PKG_VERSION").into(),
+            commit: env!("SPACEOCTOPUS_COMMIT").into(),
+            build: if cfg!(debug_assertions) { "debug" } else { "release" }.into(),
             command: std::env::args().collect(),
             started: utc(SystemTime::now()).to_string(),
             host: names.nodename().to_string_lossy().into_owned(),
@@ -56,10 +57,10 @@ impl Provenance {
                 names.release().to_string_lossy()
             ),
             processor: processor_name(),
-            vector_extensions: vector_extensions(),
+            vector_extensions: vector_extensions().into_iter().map(Cow::Borrowed).collect(),
             processors: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
             memory: memory(),
-            promise: PROMISE,
+            promise: PROMISE.into(),
         }
     }
 }

@@ -7,7 +7,7 @@ use tempfile::TempDir;
 use tests::{SMALL, octopus, stderr};
 
 /// A directory with a policy of each task, hardly trained.
-fn policies() -> (TempDir, String) {
+pub(crate) fn policies() -> (TempDir, String) {
     let dir = tempfile::tempdir().expect("tempdir");
     for (task, scale) in [("trajectory", "0.8"), ("reorientation", "0.5")] {
         let run_dir = format!("--run-dir={}", dir.path().join(task).display());
@@ -183,7 +183,7 @@ fn every_experiment_measures_and_says_with_what() {
     let reassembly = json(&[&["reassembly"], &steps[..]].concat());
     check_identity(&reassembly, "reassembly", &dir, &BOTH);
     let results = list(&reassembly["results"]);
-    has_keys(&results[0], "episodes errors figure goals reaching stage");
+    has_keys(&results[0], "episodes errors figure goals poses reaching stage");
     assert_eq!(results.len(), 4, "two stages, two sets of goals");
     assert_eq!(results[2]["reaching"], serde_json::json!([[2, 0], [3, 70]]));
     assert_eq!((&results[0]["episodes"], &results[1]["episodes"]), (&1.into(), &3.into()));

@@ -1,9 +1,10 @@
 //! `octopus eval`: how well a policy does on goals it never saw.
 
+use std::fmt;
 use std::path::PathBuf;
 
 use proto::config::TaskName;
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize};
 use sim_worker::evaluate::{
     self, ContactSteps, Course, EpisodeResult, Evaluation, EvaluationOptions,
 };
@@ -40,18 +41,28 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
 }
 
 /// Mean, spread and percentiles over a set of errors.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Arithmetic mean.
+    #[serde(deserialize_with = "number")]
     pub mean: f64,
     /// Standard deviation.
+    #[serde(deserialize_with = "number")]
     pub std: f64,
     /// Median.
+    #[serde(deserialize_with = "number")]
     pub p50: f64,
     /// 90th percentile.
+    #[serde(deserialize_with = "number")]
     pub p90: f64,
     /// 99th percentile.
+    #[serde(deserialize_with = "number")]
     pub p99: f64,
+}
+
+/// A number, or `null`, which stands for one that JSON cannot write.
+fn number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
 impl Spread {
@@ -71,13 +82,65 @@ impl Spread {
     }
 }
 
+/// What an error is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ErrorOf {
+    /// Position of a hand.
+    Position,
+    /// Orientation of a hand.
+    Orientation,
+    /// Attitude of the base.
+    Base,
+}
+
+impl ErrorOf {
+    /// What it is measured in.
+    pub fn unit(self) -> Unit {
+        match self {
+            Self::Position => Unit::Metre,
+            Self::Orientation | Self::Base => Unit::Radian,
+        }
+    }
+}
+
+impl fmt::Display for ErrorOf {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Position => "position",
+            Self::Orientation => "orientation",
+            Self::Base => "base",
+        })
+    }
+}
+
+/// What an error is measured in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Unit {
+    /// m.
+    #[serde(rename = "m")]
+    Metre,
+    /// rad.
+    #[serde(rename = "rad")]
+    Radian,
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Metre => "m",
+            Self::Radian => "rad",
+        })
+    }
+}
+
 /// One kind of error, of one agent or of all together.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ErrorSummary {
-    /// `position`, `orientation` or `base`.
-    pub error: &'static str,
-    /// `m` or `rad`.
-    pub unit: &'static str,
+    /// What it is of.
+    pub error: ErrorOf,
+    /// What it is measured in.
+    pub unit: Unit,
     /// The agent that answers for it, if it is one alone.
     pub agent: Option<usize>,
     /// Smallest of each episode: flatters, but is what the released script reports.
@@ -90,7 +153,7 @@ pub struct ErrorSummary {
 }
 
 /// Share of goals reached, judged after the last step.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Success {
     /// Largest position error that counts (m); none in `reorientation`.
     pub position: Option<f64>,
@@ -103,7 +166,7 @@ pub struct Success {
 }
 
 /// Shares of control steps at whose end bodies touched, by what touched what.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ContactRates {
     /// An arm and a box of the base.
     pub arm_base: f64,
@@ -116,7 +179,7 @@ pub struct ContactRates {
 }
 
 /// What remains without the goals that cannot be reached.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reachable {
     /// Hand goals that a controller which knows the robot reaches; there may be more.
     pub goals: usize,
@@ -131,7 +194,7 @@ pub struct Reachable {
 }
 
 /// What an evaluation found; the form of `eval --json` and `evaluation.json`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// What was evaluated.
     pub checkpoint: PathBuf,
@@ -236,19 +299,13 @@ impl Summary {
     }
 }
 
-/// What an error is called and measured in.
-type Kind = (&'static str, &'static str);
-const POSITION: Kind = ("position", "m");
-const ORIENTATION: Kind = ("orientation", "rad");
-const BASE: Kind = ("base", "rad");
-
-fn summarise((error, unit): Kind, agent: Option<usize>, courses: &[Course]) -> ErrorSummary {
+fn summarise(error: ErrorOf, agent: Option<usize>, courses: &[Course]) -> ErrorSummary {
     let spread = |read: fn(&Course) -> f32| {
         Spread::of(courses.iter().map(|course| f64::from(read(course))).collect())
     };
     ErrorSummary {
         error,
-        unit,
+        unit: error.unit(),
         agent,
         min: spread(|course| course.min),
         last: spread(|course| course.last),
@@ -280,12 +337,20 @@ fn overall(task: TaskName, episodes: &[EpisodeResult]) -> Vec<ErrorSummary> {
     let hands = || episodes.iter().flat_map(|episode| &episode.hands);
     match task {
         TaskName::Trajectory => vec![
-            summarise(POSITION, None, &hands().map(|hand| hand.position).collect::<Vec<_>>()),
-            summarise(ORIENTATION, None, &hands().map(|hand| hand.orientation).collect::<Vec<_>>()),
+            summarise(
+                ErrorOf::Position,
+                None,
+                &hands().map(|hand| hand.position).collect::<Vec<_>>(),
+            ),
+            summarise(
+                ErrorOf::Orientation,
+                None,
+                &hands().map(|hand| hand.orientation).collect::<Vec<_>>(),
+            ),
         ],
         TaskName::Reorientation => {
             let courses: Vec<_> = episodes.iter().map(|episode| episode.base).collect();
-            vec![summarise(BASE, None, &courses)]
+            vec![summarise(ErrorOf::Base, None, &courses)]
         }
     }
 }
@@ -303,8 +368,8 @@ fn agents(task: TaskName, episodes: &[EpisodeResult]) -> Vec<ErrorSummary> {
             let position: Vec<_> = hands().map(|hand| hand.position).collect();
             let orientation: Vec<_> = hands().map(|hand| hand.orientation).collect();
             [
-                summarise(POSITION, Some(2 * arm), &position),
-                summarise(ORIENTATION, Some(2 * arm + 1), &orientation),
+                summarise(ErrorOf::Position, Some(2 * arm), &position),
+                summarise(ErrorOf::Orientation, Some(2 * arm + 1), &orientation),
             ]
         })
         .collect()
@@ -453,6 +518,6 @@ mod tests {
         assert!((reachable.overall[0].tail.mean - 0.01).abs() < 1e-9);
         let agents = agents(TaskName::Trajectory, &episodes);
         assert_eq!(agents.len(), 4);
-        assert_eq!((agents[1].error, agents[1].agent), ("orientation", Some(1)));
+        assert_eq!((agents[1].error, agents[1].agent), (ErrorOf::Orientation, Some(1)));
     }
 }

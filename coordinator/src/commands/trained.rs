@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use proto::config::TaskName;
 use proto::{Digest, ExitCode, ExitError};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sim_worker::experiment::Player;
 use sim_worker::policy::Policy;
 use sim_worker::robot::Robot;
@@ -24,7 +24,7 @@ pub struct Trained {
 }
 
 /// Which policy it was: enough to find it again, and to know it when it is found.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PolicyIdentity {
     /// The task that it learned.
     pub task: TaskName,
@@ -38,6 +38,8 @@ pub struct PolicyIdentity {
     pub digest: Digest,
     /// BLAKE3 of `policy.safetensors`.
     pub policy_blake3: Option<String>,
+    /// Seed of its training.
+    pub seed: u64,
     /// Factor from actions to joint velocity commands that it was trained with.
     pub action_scale: f64,
 }
@@ -92,6 +94,7 @@ impl Trained {
             env_steps: manifest.env_steps,
             digest: manifest.digest,
             policy_blake3: manifest.files.get(POLICY).map(|file| file.blake3.clone()),
+            seed: self.checkpoint.config.run.seed,
             action_scale: self.world.task.action_scale,
         }
     }

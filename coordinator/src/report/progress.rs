@@ -182,13 +182,25 @@ fn describe(line: &Line, task: TaskName, planned_iterations: u64) -> String {
 #[derive(Debug)]
 pub struct Parts {
     bar: Option<ProgressBar>,
+    /// Whether the bar is over all parts together.
+    whole: bool,
 }
 
 impl Parts {
-    /// Nothing done yet.
+    /// Nothing done yet; each part has a bar of its own.
     pub fn new() -> Self {
+        Self::with_length(None)
+    }
+
+    /// Nothing done yet of parts that have `steps` steps together, which one bar is over.
+    pub fn over(steps: u64) -> Self {
+        Self::with_length(Some(steps))
+    }
+
+    fn with_length(steps: Option<u64>) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
-            let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
+            let length = steps.unwrap_or(0);
+            let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
             let style = ProgressStyle::with_template(
                 "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  eta {eta}",
             )
@@ -198,12 +210,13 @@ impl Parts {
             *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
             bar
         });
-        Self { bar }
+        Self { bar, whole: steps.is_some() }
     }
 
     /// The next part begins, of so many steps.
     pub fn begin(&self, part: &str, steps: u64) {
         match &self.bar {
+            Some(bar) if self.whole => bar.set_message(part.to_owned()),
             Some(bar) => {
                 bar.set_length(steps);
                 bar.set_position(0);

@@ -1,13 +1,13 @@
 //! Turning the base with an arm held or limp.
 
 use proto::config::TaskName;
-use serde::Serialize;
-use serde_json::json;
+use serde::{Deserialize, Serialize};
 use sim_worker::experiment::{Effect, FixedGoals, Intervention, Trial};
 
 use super::lab::{Lab, Needs};
-use super::report::{ErrorOfMany, Figure, milli, percent, share};
-use crate::cli::experiment::{ArmFailureArgs, Failing};
+use super::report::{ErrorOfMany, Figure, Goals, Report, milli, percent, share};
+use super::{Experiment, Name};
+use crate::cli::experiment::{ArmFailureArgs, CommonArgs, Failing};
 use crate::output;
 
 /// The authors' goal of the figure.
@@ -16,9 +16,9 @@ const GOAL: [f64; 3] = [-0.10385, 0.08410, 0.13543];
 const THRESHOLDS: [f32; 2] = [0.03, 0.05];
 
 /// How an arm fails.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Failure {
+pub(crate) enum Failure {
     /// Not at all.
     None,
     /// Its actions are zero: its servos hold it.
@@ -28,59 +28,107 @@ enum Failure {
 }
 
 /// How well the base turns with a failed arm.
-#[derive(Debug, Serialize)]
-struct Failed {
-    failure: Failure,
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Failed {
+    pub(crate) failure: Failure,
     /// The failed arm, counted from 1.
     arm: Option<usize>,
-    error: ErrorOfMany,
+    pub(crate) error: ErrorOfMany,
     /// Shares of episodes whose last error is below.
     success: Vec<Success>,
     /// An episode with the authors' goal.
-    figure: Figure,
+    pub(crate) figure: Figure,
 }
 
-#[derive(Debug, Serialize)]
-struct Success {
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Success {
     threshold: f32,
     share: f64,
 }
 
-/// Measures and prints.
-pub(super) fn run(args: &ArmFailureArgs) -> anyhow::Result<()> {
-    let lab = Lab::new(&args.common, Needs::Reorientation, None)?;
-    let arms: Vec<usize> = match args.arm {
-        Failing::One(arm) => {
-            lab.check_arm(arm)?;
-            vec![arm - 1]
-        }
-        Failing::Each => (0..lab.robot.n_arms).collect(),
-    };
-    let mut results = vec![measure(&lab, Failure::None, None)?];
-    for arm in arms {
-        for failure in [Failure::Held, Failure::Limp] {
-            results.push(measure(&lab, failure, Some(arm))?);
+/// Which arms fail, and what counts.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Settings {
+    /// The arms that fail, one at a time, counted from 1.
+    arms: Vec<usize>,
+    from_step: usize,
+    thresholds_rad: [f32; 2],
+    figure_goal_rad: [f64; 3],
+}
+
+impl ArmFailureArgs {
+    /// The arms that fail, counted from 0.
+    fn arms(&self, lab: &Lab) -> Vec<usize> {
+        match self.arm {
+            Failing::One(arm) => vec![arm - 1],
+            Failing::Each => (0..lab.robot.n_arms).collect(),
         }
     }
-    let rows = results.iter().map(|result| {
-        let name = match result.arm {
-            Some(arm) => format!("arm {arm} {}", result.failure.word()),
+}
+
+impl Experiment for ArmFailureArgs {
+    const NAME: Name = Name::ArmFailure;
+    const NEEDS: Needs = Needs::Reorientation;
+    type Settings = Settings;
+    type Result = Failed;
+
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+
+    fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
+        if let Failing::One(arm) = self.arm {
+            lab.check_arm(arm)?;
+        }
+        Ok(Settings {
+            arms: self.arms(lab).iter().map(|arm| arm + 1).collect(),
+            from_step: 0,
+            thresholds_rad: THRESHOLDS,
+            figure_goal_rad: GOAL,
+        })
+    }
+
+    fn work(&self, lab: &Lab) -> u64 {
+        let cases = 1 + 2 * self.arms(lab).len();
+        lab.work(cases, cases)
+    }
+
+    fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Failed>> {
+        let mut results = vec![measure(lab, Failure::None, None)?];
+        for arm in self.arms(lab) {
+            for failure in [Failure::Held, Failure::Limp] {
+                results.push(measure(lab, failure, Some(arm))?);
+            }
+        }
+        Ok(results)
+    }
+
+    fn table(report: &Report<Settings, Failed>) -> String {
+        let rows = report.results.iter().map(|result| {
+            let [paper, released] = [0, 1].map(|index| percent(result.success[index].share));
+            let ErrorOfMany { min, last, tail, .. } = &result.error;
+            let [min, last] = [min, last].map(|spread| milli(spread.mean));
+            let [mean, p50, p90] = [tail.mean, tail.p50, tail.p90].map(milli);
+            [result.name(), min, last, mean, p50, p90, paper, released]
+        });
+        let header =
+            ["base (mrad)", "min", "final", "tail", "p50", "p90", "< 30 mrad", "< 50 mrad"];
+        format!(
+            "{} each; percentiles are those of tail\n{}",
+            output::counted(report.protocol.episodes as u64, "episode"),
+            output::table(header, rows)
+        )
+    }
+}
+
+impl Failed {
+    /// What it is called.
+    pub(crate) fn name(&self) -> String {
+        match self.arm {
+            Some(arm) => format!("arm {arm} {}", self.failure.word()),
             None => "no failure".to_owned(),
-        };
-        let [paper, released] = [0, 1].map(|index| percent(result.success[index].share));
-        let ErrorOfMany { min, last, tail, .. } = &result.error;
-        let [min, last] = [min, last].map(|spread| milli(spread.mean));
-        let [mean, p50, p90] = [tail.mean, tail.p50, tail.p90].map(milli);
-        [name, min, last, mean, p50, p90, paper, released]
-    });
-    let header = ["base (mrad)", "min", "final", "tail", "p50", "p90", "< 30 mrad", "< 50 mrad"];
-    let table = format!(
-        "{} each; percentiles are those of tail\n{}",
-        output::counted(lab.episodes as u64, "episode"),
-        output::table(header, rows)
-    );
-    let settings = json!({ "from_step": 0, "thresholds_rad": THRESHOLDS, "figure_goal_rad": GOAL });
-    lab.print("arm-failure", settings, &results, &table)
+        }
+    }
 }
 
 impl Failure {
@@ -126,6 +174,6 @@ fn measure(lab: &Lab, failure: Failure, arm: Option<usize>) -> anyhow::Result<Fa
         arm: arm.map(|arm| arm + 1),
         error: ErrorOfMany::base(&recording),
         success: success.into(),
-        figure: Figure::of(&shown, "the authors'", &[]),
+        figure: Figure::of(&shown, Goals::Theirs, &[]),
     })
 }

@@ -2,69 +2,94 @@
 
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use serde::Serialize;
-use serde_json::json;
+use serde::{Deserialize, Serialize};
 
 use super::lab::{Lab, Needs};
-use super::report::{ErrorOfMany, milli, share};
-use crate::cli::experiment::BaseMassArgs;
+use super::report::{ErrorOfMany, Report, Words, milli, share};
+use super::{Experiment, Name};
+use crate::cli::experiment::{BaseMassArgs, CommonArgs};
 use crate::output;
 
-/// Episodes for each mass, as in the released protocol.
-const EPISODES: u32 = 50;
-
 /// How well a base of some mass turns.
-#[derive(Debug, Serialize)]
-struct Weighed {
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Weighed {
     /// Of the cube (kg).
-    mass: f64,
+    pub(crate) mass: f64,
     /// Of the whole robot (kg).
     total_mass: f64,
-    error: ErrorOfMany,
+    pub(crate) error: ErrorOfMany,
     /// Shares of episodes whose last error is below each threshold, in their order.
-    success: Vec<f64>,
+    pub(crate) success: Vec<f64>,
 }
 
-/// Measures and prints.
-pub(super) fn run(args: &BaseMassArgs) -> anyhow::Result<()> {
-    let lab = Lab::new(&args.common, Needs::Reorientation, Some(EPISODES))?;
-    let usage = |message: String| ExitError::new(ExitCode::Usage, message);
-    if args.masses.0.contains(&0.0) {
-        return Err(
-            usage("--masses: a base without mass has no inertia; leave 0 out".to_owned()).into()
-        );
+/// What bases are turned, and what counts.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Settings {
+    /// Attitude errors that count as reached (rad).
+    pub(crate) thresholds_rad: Vec<f64>,
+    /// Masses of the cube (kg).
+    pub(crate) masses_kg: Vec<f64>,
+    mass: Words,
+}
+
+impl Experiment for BaseMassArgs {
+    const NAME: Name = Name::BaseMass;
+    const NEEDS: Needs = Needs::Reorientation;
+    /// As in the released protocol.
+    const EPISODES: u32 = 50;
+    type Settings = Settings;
+    type Result = Weighed;
+
+    fn common(&self) -> &CommonArgs {
+        &self.common
     }
-    if args.thresholds.0.contains(&0.0) {
-        return Err(usage("--thresholds: no error is below 0; leave it out".to_owned()).into());
+
+    fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {
+        let usage = |message: &str| Err(ExitError::new(ExitCode::Usage, message.to_owned()).into());
+        if self.masses.0.contains(&0.0) {
+            return usage("--masses: a base without mass has no inertia; leave 0 out");
+        }
+        if self.thresholds.0.contains(&0.0) {
+            return usage("--thresholds: no error is below 0; leave it out");
+        }
+        Ok(Settings {
+            thresholds_rad: self.thresholds.0.clone(),
+            masses_kg: self.masses.0.clone(),
+            mass: "of the base's first box; its inertia scales along".into(),
+        })
     }
-    let thresholds = &args.thresholds.0;
-    let mut results = Vec::new();
-    for &mass in &args.masses.0 {
-        let robot = lab.robot.with_base_mass(mass)?;
-        let mut trial = lab.trial(lab.policy(TaskName::Reorientation));
-        trial.robot = &robot;
-        let recording = lab.play(&format!("base mass, {mass} kg"), &trial)?;
-        let last = recording.steps() - 1;
-        let reached = |threshold: &f64| {
-            share(recording.episodes(), |e| f64::from(recording.attitude(e, last)) < *threshold)
+
+    fn work(&self, lab: &Lab) -> u64 {
+        lab.work(self.masses.0.len(), 0)
+    }
+
+    fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Weighed>> {
+        let measure = |&mass: &f64| {
+            let robot = lab.robot.with_base_mass(mass)?;
+            let mut trial = lab.trial(lab.policy(TaskName::Reorientation));
+            trial.robot = &robot;
+            let recording = lab.play(&format!("base mass, {mass} kg"), &trial)?;
+            let last = recording.steps() - 1;
+            let reached = |threshold: &f64| {
+                share(recording.episodes(), |e| f64::from(recording.attitude(e, last)) < *threshold)
+            };
+            Ok(Weighed {
+                mass,
+                total_mass: robot.total_mass(),
+                error: ErrorOfMany::base(&recording),
+                success: self.thresholds.0.iter().map(reached).collect(),
+            })
         };
-        results.push(Weighed {
-            mass,
-            total_mass: robot.total_mass(),
-            error: ErrorOfMany::base(&recording),
-            success: thresholds.iter().map(reached).collect(),
-        });
+        self.masses.0.iter().map(measure).collect()
     }
-    let table = format!(
-        "{} each; success is judged after the last step\n{}",
-        output::counted(lab.episodes as u64, "episode"),
-        table(&results, thresholds)
-    );
-    let settings = json!({
-        "thresholds_rad": thresholds, "masses_kg": args.masses.0,
-        "mass": "of the base's first box; its inertia scales along",
-    });
-    lab.print("base-mass", settings, &results, &table)
+
+    fn table(report: &Report<Settings, Weighed>) -> String {
+        format!(
+            "{} each; success is judged after the last step\n{}",
+            output::counted(report.protocol.episodes as u64, "episode"),
+            table(&report.results, &report.protocol.settings.thresholds_rad)
+        )
+    }
 }
 
 /// A row a mass and threshold would be long, so thresholds share a column.

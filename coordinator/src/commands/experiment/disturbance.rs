@@ -1,19 +1,20 @@
 //! What a disturbance does, and how soon it is over.
 
+use std::fmt;
 use std::ops::Range;
 
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use serde::Serialize;
-use serde_json::json;
+use serde::{Deserialize, Serialize};
 use sim_worker::evaluate::Course;
 use sim_worker::experiment::{Effect, FixedGoals, Intervention, Recording};
 use sim_worker::robot::JOINTS_PER_ARM;
 
 use super::lab::{Lab, Needs};
-use super::report::{CourseOfMany, Figure, milli, percent, share, spread};
-use crate::cli::experiment::DisturbanceArgs;
-use crate::commands::eval::Spread;
+use super::report::{CourseOfMany, Figure, Goals, Report, Words, milli, percent, share, spread};
+use super::{Experiment, Name};
+use crate::cli::experiment::{CommonArgs, DisturbanceArgs};
+use crate::commands::eval::{ErrorOf, Spread, Unit};
 use crate::commands::trained::Trained;
 use crate::output;
 
@@ -36,9 +37,38 @@ const HAND_GOALS: [[f64; 6]; 4] = [
 ];
 const BASE_GOAL: [f64; 3] = [0.02927, -0.03531, 0.19579];
 
+/// What disturbs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Disturbance {
+    /// Actions are overwritten.
+    #[serde(rename = "override")]
+    Override,
+    /// Something from outside.
+    #[serde(rename = "push")]
+    Push,
+    /// The same, and then the opposite.
+    #[serde(rename = "push and pull")]
+    PushAndPull,
+}
+
+impl Disturbance {
+    /// All of them.
+    pub(crate) const ALL: [Self; 3] = [Self::Override, Self::Push, Self::PushAndPull];
+}
+
+impl fmt::Display for Disturbance {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Override => "override",
+            Self::Push => "push",
+            Self::PushAndPull => "push and pull",
+        })
+    }
+}
+
 /// A way to disturb.
 struct Case {
-    name: &'static str,
+    name: Disturbance,
     what: String,
     /// The steps in which it does.
     steps: Range<usize>,
@@ -46,72 +76,114 @@ struct Case {
 }
 
 /// What a disturbance led to.
-#[derive(Debug, Serialize)]
-struct Disturbed {
-    task: TaskName,
-    disturbance: &'static str,
-    what: String,
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Disturbed {
+    pub(crate) task: TaskName,
+    pub(crate) disturbance: Disturbance,
+    pub(crate) what: String,
     /// First disturbed control step, and the first one after.
-    steps: [usize; 2],
+    pub(crate) steps: [usize; 2],
     /// The disturbed arm, counted from 1.
     arm: Option<usize>,
-    errors: Vec<Recovery>,
+    pub(crate) errors: Vec<Recovery>,
     /// Largest angular velocity of the base from the disturbance on, and its mean over the last 20 steps (rad/s).
     base_rate_peak: Spread,
     base_rate_tail: Spread,
     /// An episode with the authors' goals; none on robots with other arms than theirs.
-    figure: Option<Figure>,
+    pub(crate) figure: Option<Figure>,
 }
 
 /// How an error went: the largest of its three axes.
-#[derive(Debug, Serialize)]
-struct Recovery {
-    error: &'static str,
-    unit: &'static str,
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Recovery {
+    pub(crate) error: ErrorOf,
+    pub(crate) unit: Unit,
     /// What counts as recovered.
-    threshold: f32,
+    pub(crate) threshold: f32,
     /// After the last step before the disturbance.
     before: Spread,
     /// After its last step.
     at: Spread,
     /// Largest from its first step on.
-    peak: Spread,
+    pub(crate) peak: Spread,
     /// Mean of the last 20 steps.
-    tail: Spread,
+    pub(crate) tail: Spread,
     /// Share of episodes below the threshold before the disturbance.
     below_before: f64,
     /// Share of episodes that come below the threshold after it.
-    recovered: f64,
+    pub(crate) recovered: f64,
     /// Steps after the disturbance until they do, of those that do.
     steps_to_recover: Option<Spread>,
     /// Share of episodes below the threshold in the mean of the last 20 steps.
-    below_tail: f64,
-    course: CourseOfMany,
+    pub(crate) below_tail: f64,
+    pub(crate) course: CourseOfMany,
 }
 
-/// Measures and prints.
-pub(super) fn run(args: &DisturbanceArgs) -> anyhow::Result<()> {
-    let lab = Lab::new(&args.common, Needs::Any, None)?;
-    lab.check_arm(args.arm)?;
-    let longest = args.at + 2 * BASE_STEPS;
-    if lab.steps <= longest {
-        let message = format!(
-            "--steps {} ends before the disturbance has: with --at {} it takes more than {longest}",
-            lab.steps, args.at
-        );
-        return Err(ExitError::new(ExitCode::Usage, message).into());
+/// How it is disturbed.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Settings {
+    /// The first disturbed control step.
+    at: usize,
+    /// The disturbed arm, counted from 1.
+    arm: usize,
+    force_n: f64,
+    torque_n_m: f64,
+    errors: Words,
+}
+
+impl Experiment for DisturbanceArgs {
+    const NAME: Name = Name::Disturbance;
+    const NEEDS: Needs = Needs::Any;
+    type Settings = Settings;
+    type Result = Disturbed;
+
+    fn common(&self) -> &CommonArgs {
+        &self.common
     }
-    let mut results = Vec::new();
-    for policy in lab.policies() {
-        for case in cases(args, policy.task(), lab.robot.n_joints()) {
-            results.push(measure(&lab, policy, args.arm - 1, case)?);
+
+    fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
+        lab.check_arm(self.arm)?;
+        let longest = self.at + 2 * BASE_STEPS;
+        if lab.steps <= longest {
+            let message = format!(
+                "--steps {} ends before the disturbance has: with --at {} it takes more than \
+                 {longest}",
+                lab.steps, self.at
+            );
+            return Err(ExitError::new(ExitCode::Usage, message).into());
         }
+        Ok(Settings {
+            at: self.at,
+            arm: self.arm,
+            force_n: self.force,
+            torque_n_m: self.torque,
+            errors: "the largest of the three axes".into(),
+        })
     }
-    let settings = json!({
-        "at": args.at, "arm": args.arm, "force_n": args.force, "torque_n_m": args.torque,
-        "errors": "the largest of the three axes",
-    });
-    lab.print("disturbance", settings, &results, &table(&results, lab.episodes))
+
+    fn work(&self, lab: &Lab) -> u64 {
+        let cases = Disturbance::ALL.len() * lab.policies().len();
+        lab.work(cases, if has_figures(lab) { cases } else { 0 })
+    }
+
+    fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Disturbed>> {
+        let mut results = Vec::new();
+        for policy in lab.policies() {
+            for case in cases(self, policy.task(), lab.robot.n_joints()) {
+                results.push(measure(lab, policy, self.arm - 1, case)?);
+            }
+        }
+        Ok(results)
+    }
+
+    fn table(report: &Report<Settings, Disturbed>) -> String {
+        table(&report.results, report.protocol.episodes)
+    }
+}
+
+/// Whether the authors' goals are goals of the robot's arms.
+fn has_figures(lab: &Lab) -> bool {
+    lab.robot.n_arms == HAND_GOALS.len()
 }
 
 fn cases(args: &DisturbanceArgs, task: TaskName, n_joints: usize) -> Vec<Case> {
@@ -141,7 +213,7 @@ fn cases(args: &DisturbanceArgs, task: TaskName, n_joints: usize) -> Vec<Case> {
     let (once, twice) = (first..first + length, first + length..first + 2 * length);
     vec![
         Case {
-            name: "override",
+            name: Disturbance::Override,
             what: match task {
                 TaskName::Trajectory => format!("lift of arm {} at {value}", args.arm),
                 TaskName::Reorientation => format!("all actions at {value}"),
@@ -150,13 +222,13 @@ fn cases(args: &DisturbanceArgs, task: TaskName, n_joints: usize) -> Vec<Case> {
             interventions: vec![all_along(once.clone(), Effect::Action { joints, value })],
         },
         Case {
-            name: "push",
+            name: Disturbance::Push,
             what: unit.clone(),
             steps: once.clone(),
             interventions: vec![all_along(once.clone(), amount(1.0))],
         },
         Case {
-            name: "push and pull",
+            name: Disturbance::PushAndPull,
             what: format!("{unit}, then back"),
             steps: first..first + 2 * length,
             interventions: vec![all_along(once, amount(1.0)), all_along(twice, amount(-1.0))],
@@ -170,7 +242,7 @@ fn measure(lab: &Lab, policy: &Trained, arm: usize, case: Case) -> anyhow::Resul
     trial.interventions.clone_from(&case.interventions);
     let what = format!("disturbance, {}, {}", task.as_str(), case.name);
     let recording = lab.play(&what, &trial)?;
-    let figure = if lab.robot.n_arms == HAND_GOALS.len() {
+    let figure = if has_figures(lab) {
         trial.episodes = 1;
         trial.fixed = FixedGoals {
             hands: HAND_GOALS.map(Some).to_vec(),
@@ -178,7 +250,7 @@ fn measure(lab: &Lab, policy: &Trained, arm: usize, case: Case) -> anyhow::Resul
         };
         let arms: &[usize] = if task == TaskName::Trajectory { &[arm] } else { &[] };
         let shown = lab.play(&format!("{what}, the authors' goals"), &trial)?;
-        Some(Figure::of(&shown, "the authors'", arms))
+        Some(Figure::of(&shown, Goals::Theirs, arms))
     } else {
         None
     };
@@ -194,10 +266,10 @@ fn measure(lab: &Lab, policy: &Trained, arm: usize, case: Case) -> anyhow::Resul
                 axes([a, b, c])
             };
             vec![
-                Recovery::of(&recording, ("position", "m"), POSITION, &case.steps, position),
+                Recovery::of(&recording, ErrorOf::Position, POSITION, &case.steps, position),
                 Recovery::of(
                     &recording,
-                    ("orientation", "rad"),
+                    ErrorOf::Orientation,
                     ORIENTATION,
                     &case.steps,
                     orientation,
@@ -206,7 +278,7 @@ fn measure(lab: &Lab, policy: &Trained, arm: usize, case: Case) -> anyhow::Resul
         }
         TaskName::Reorientation => {
             let base = |episode, step| axes(recording.base(episode, step));
-            vec![Recovery::of(&recording, ("base", "rad"), BASE, &case.steps, base)]
+            vec![Recovery::of(&recording, ErrorOf::Base, BASE, &case.steps, base)]
         }
     };
     let rate = |episode, step| {
@@ -236,7 +308,7 @@ impl Recovery {
     /// What `value` says about an episode and a step, disturbed in `steps`.
     fn of(
         recording: &Recording,
-        (error, unit): (&'static str, &'static str),
+        error: ErrorOf,
         threshold: f32,
         steps: &Range<usize>,
         value: impl Fn(usize, usize) -> f32 + Copy,
@@ -254,7 +326,7 @@ impl Recovery {
         let before = steps.start - 1;
         Self {
             error,
-            unit,
+            unit: error.unit(),
             threshold,
             before: spread((0..n).map(|episode| value(episode, before))),
             at: spread((0..n).map(|episode| value(episode, steps.end - 1))),
@@ -331,7 +403,7 @@ mod tests {
             (0, _) => 100.0 * 0.5_f32.powi(step as i32 - 4),
             _ => 50.0,
         };
-        let recovery = Recovery::of(&recording, ("base", "rad"), 20.0, &(4..5), value);
+        let recovery = Recovery::of(&recording, ErrorOf::Base, 20.0, &(4..5), value);
         assert_eq!(
             (recovery.before.mean, recovery.at.mean, recovery.peak.mean),
             (10.0, 75.0, 75.0)
@@ -343,7 +415,7 @@ mod tests {
         // 50, 25, 12.5: the third step after.
         let steps = recovery.steps_to_recover.expect("one recovers");
         assert_eq!((steps.mean, steps.std), (3.0, 0.0));
-        let never = Recovery::of(&recording, ("base", "rad"), 1e-9, &(4..5), value);
+        let never = Recovery::of(&recording, ErrorOf::Base, 1e-9, &(4..5), value);
         assert_eq!((never.recovered, never.steps_to_recover), (0.0, None));
     }
 

@@ -1,29 +1,34 @@
 //! What experiments share: policies, robot, episodes, progress.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::Context as _;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use serde::Serialize;
 use sim_worker::evaluate::EvaluationOptions;
 use sim_worker::experiment::{CHUNK, Recording, Trial, play};
 use sim_worker::reach::HandReach;
 use sim_worker::robot::Robot;
 
+#[cfg(test)]
+use {
+    crate::checkpoint::{Checkpoint, Manifest},
+    proto::layout::ActorLayout,
+    sim_worker::rollout::World,
+};
+
 use super::report::{Protocol, Report, RobotIdentity};
+use super::{Experiment, Name};
 use crate::cli::experiment::CommonArgs;
 use crate::commands::eval::controller;
-use crate::commands::trained::{Trained, open_checkpoint};
-use crate::output;
+use crate::commands::trained::{PolicyIdentity, Trained, open_checkpoint};
+use crate::provenance::Provenance;
 use crate::report::progress::Parts;
-
-/// Episodes, if none are asked for.
-const EPISODES: u32 = 30;
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Needs {
+pub(crate) enum Needs {
     /// One of the two, or both.
     Any,
     /// The one for the base.
@@ -34,20 +39,19 @@ pub(super) enum Needs {
 
 /// What an experiment is made with.
 #[derive(Debug)]
-pub(super) struct Lab {
+pub(crate) struct Lab {
     /// The policies, trajectory first; those that the experiment needs and that were given.
     policies: Vec<Trained>,
     /// The robot of all of them.
-    pub(super) robot: Robot,
+    pub(crate) robot: Robot,
     /// E: episodes of a setting.
-    pub(super) episodes: usize,
+    pub(crate) episodes: usize,
     /// Control steps of an episode.
-    pub(super) steps: usize,
+    pub(crate) steps: usize,
     /// Seed of goals and noise.
-    pub(super) seed: u64,
+    pub(crate) seed: u64,
     threads: usize,
-    progress: Parts,
-    json: bool,
+    progress: Arc<Parts>,
 }
 
 /// The option that names the policy of a task.
@@ -59,12 +63,9 @@ fn flag(task: TaskName) -> &'static str {
 }
 
 impl Lab {
-    /// Opens what was named on the command line; without `--episodes` there are `episodes`.
-    pub(super) fn new(
-        args: &CommonArgs,
-        needs: Needs,
-        episodes: Option<u32>,
-    ) -> anyhow::Result<Self> {
+    /// Opens what an experiment's command line names.
+    pub(crate) fn new<E: Experiment>(experiment: &E) -> anyhow::Result<Self> {
+        let (args, needs) = (experiment.common(), E::NEEDS);
         let usage = |message: String| ExitError::new(ExitCode::Usage, message);
         let tasks: &[TaskName] = match needs {
             Needs::Any | Needs::Both => &[TaskName::Trajectory, TaskName::Reorientation],
@@ -114,28 +115,70 @@ impl Lab {
         Ok(Self {
             policies,
             robot,
-            episodes: args.episodes.or(episodes).unwrap_or(EPISODES) as usize,
+            episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
             steps: args.steps as usize,
             seed: args.seed,
             threads: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
-            progress: Parts::new(),
-            json: args.json,
+            progress: Arc::default(),
         })
     }
 
+    /// A lab of an experiment on the paper's robot, with policies whose actions are zero.
+    #[cfg(test)]
+    pub(crate) fn resting<E: Experiment>(experiment: &E) -> Self {
+        use proto::config::{Layers, Preset};
+
+        let robot = Robot::builtin("paper").expect("built in");
+        let policy = |task: TaskName| {
+            let layers = Layers::new(Preset::Tuned, Some(task)).set("network.hidden=[4]");
+            let config = layers.and_then(|layers| layers.resolve()).expect("valid");
+            let world = World::new(&config, &robot);
+            let len = ActorLayout::new(&world.config, &world.dimensions).len;
+            let policy = world.policy(&vec![0.0; len]).expect("a policy");
+            let manifest = Manifest {
+                format: 1,
+                iteration: 7,
+                env_steps: 700,
+                digest: proto::Digest::default(),
+                created_unix_s: 0,
+                provenance: serde_json::Value::Null,
+                files: std::collections::BTreeMap::new(),
+                origins: Vec::new(),
+            };
+            let dir = task.as_str().into();
+            let robot_toml = robot.to_toml();
+            Trained { checkpoint: Checkpoint { dir, manifest, config, robot_toml }, world, policy }
+        };
+        let tasks = match E::NEEDS {
+            Needs::Any | Needs::Both => vec![TaskName::Trajectory, TaskName::Reorientation],
+            Needs::Reorientation => vec![TaskName::Reorientation],
+        };
+        let policies = tasks.into_iter().map(policy).collect();
+        let args = experiment.common();
+        Self {
+            policies,
+            robot,
+            episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
+            steps: args.steps as usize,
+            seed: args.seed,
+            threads: 1,
+            progress: Arc::default(),
+        }
+    }
+
     /// The policies, trajectory first.
-    pub(super) fn policies(&self) -> &[Trained] {
+    pub(crate) fn policies(&self) -> &[Trained] {
         &self.policies
     }
 
     /// The policy of a task that the experiment needs.
-    pub(super) fn policy(&self, task: TaskName) -> &Trained {
+    pub(crate) fn policy(&self, task: TaskName) -> &Trained {
         let found = self.policies.iter().find(|policy| policy.task() == task);
         found.expect("the experiment was refused without it")
     }
 
     /// Refuses an arm (counted from 1) that the robot does not have.
-    pub(super) fn check_arm(&self, arm: usize) -> Result<(), ExitError> {
+    pub(crate) fn check_arm(&self, arm: usize) -> Result<(), ExitError> {
         if (1..=self.robot.n_arms).contains(&arm) {
             return Ok(());
         }
@@ -147,19 +190,19 @@ impl Lab {
     }
 
     /// A trial of one policy on held-out goals in which nothing happens.
-    pub(super) fn trial<'a>(&self, policy: &'a Trained) -> Trial<'a> {
+    pub(crate) fn trial<'a>(&self, policy: &'a Trained) -> Trial<'a> {
         Trial::new(policy.player(), self.seed, self.episodes, self.steps)
     }
 
     /// Plays a trial and shows how far it has come.
-    pub(super) fn play(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
+    pub(crate) fn play(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
         let chunks = trial.episodes.div_ceil(CHUNK);
         self.progress.begin(what, (chunks * trial.steps) as u64);
         play(trial, self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
     }
 
     /// How a controller that knows the robot does on the trial's hand goals; none in `reorientation`.
-    pub(super) fn controller(
+    pub(crate) fn controller(
         &self,
         policy: &Trained,
     ) -> anyhow::Result<Option<Vec<Vec<HandReach>>>> {
@@ -172,33 +215,55 @@ impl Lab {
         controller(&policy.world, &options, &self.progress)
     }
 
-    /// Prints a result: `table` for people, `results` with everything else as JSON.
-    pub(super) fn print(
-        &self,
-        experiment: &'static str,
-        settings: impl Serialize,
-        results: impl Serialize,
-        table: &str,
-    ) -> anyhow::Result<()> {
-        self.progress.end();
-        if !self.json {
-            return output::line(table);
+    /// Shows progress there, together with others.
+    pub(crate) fn share_progress(&mut self, progress: &Arc<Parts>) {
+        self.progress = Arc::clone(progress);
+    }
+
+    /// Steps of progress of `trials` trials of all episodes and `shown` of one alone.
+    pub(crate) fn work(&self, trials: usize, shown: usize) -> u64 {
+        ((trials * self.episodes.div_ceil(CHUNK) + shown) * self.steps) as u64
+    }
+
+    /// Nothing more is played.
+    pub(crate) fn end(&self) {
+        if Arc::strong_count(&self.progress) == 1 {
+            self.progress.end();
         }
-        output::json(&Report {
+    }
+
+    /// The protocol of an experiment with these settings.
+    pub(crate) fn protocol<S>(&self, settings: S) -> Protocol<S> {
+        Protocol {
+            episodes: self.episodes,
+            steps: self.steps,
+            seed: self.seed,
+            control_period_s: self.policies[0].world.config.env.control_period,
+            actions: "deterministic".into(),
+            settings,
+        }
+    }
+
+    /// Which policies there are, trajectory first.
+    pub(crate) fn identities(&self) -> Vec<PolicyIdentity> {
+        self.policies.iter().map(Trained::identity).collect()
+    }
+
+    /// Results with everything that they were made with.
+    pub(crate) fn report<S, R>(
+        &self,
+        experiment: Name,
+        settings: S,
+        results: Vec<R>,
+    ) -> Report<S, R> {
+        Report {
             experiment,
-            protocol: Protocol {
-                episodes: self.episodes,
-                steps: self.steps,
-                seed: self.seed,
-                control_period_s: self.policies[0].world.config.env.control_period,
-                actions: "deterministic",
-                settings,
-            },
+            protocol: self.protocol(settings),
             robot: RobotIdentity::of(&self.robot),
-            policies: self.policies.iter().map(Trained::identity).collect(),
-            provenance: crate::provenance::Provenance::gather(),
+            policies: self.identities(),
+            provenance: Provenance::gather(),
             results,
-        })
+        }
     }
 }
 

@@ -2,14 +2,14 @@
 
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use serde::Serialize;
-use serde_json::json;
+use serde::{Deserialize, Serialize};
 use sim_worker::evaluate::Evaluation;
 use sim_worker::experiment::{Effect, Intervention, SensorNoise};
 
 use super::lab::{Lab, Needs};
-use super::report::{milli, percent};
-use crate::cli::experiment::NoiseArgs;
+use super::report::{Report, Words, milli, percent};
+use super::{Experiment, Name};
+use crate::cli::experiment::{Amounts, CommonArgs, NoiseArgs};
 use crate::commands::eval::{ErrorSummary, Success, Summary};
 use crate::commands::trained::Trained;
 use crate::output;
@@ -20,9 +20,9 @@ const UNIT: f64 = 1e-3;
 const MAX_DELAY: f64 = 100.0;
 
 /// What is made worse.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Quantity {
+pub(crate) enum Quantity {
     /// Strength of the sensors' errors.
     Sensors,
     /// Standard deviation of torques at the joints (N m).
@@ -34,55 +34,118 @@ enum Quantity {
 }
 
 /// Errors at one strength.
-#[derive(Debug, Serialize)]
-struct Point {
-    task: TaskName,
-    quantity: Quantity,
-    strength: f64,
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Point {
+    pub(crate) task: TaskName,
+    pub(crate) quantity: Quantity,
+    pub(crate) strength: f64,
     /// All hands together, or the base.
-    errors: Vec<ErrorSummary>,
+    pub(crate) errors: Vec<ErrorSummary>,
     /// Each agent alone.
     agents: Vec<ErrorSummary>,
     success: Vec<Success>,
     contact_rate: f64,
 }
 
-/// Measures and prints.
-pub(super) fn run(args: &NoiseArgs) -> anyhow::Result<()> {
-    let lab = Lab::new(&args.common, Needs::Any, None)?;
-    let usage = |message: String| ExitError::new(ExitCode::Usage, message);
-    let whole = |delay: &f64| delay.fract() == 0.0 && *delay <= MAX_DELAY;
-    if let Some(delay) = args.delays.0.iter().find(|delay| !whole(delay)) {
-        let message = format!("--delays: {delay} is no whole number of steps up to {MAX_DELAY}");
-        return Err(usage(message).into());
+/// What is made worse, and by how much.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Settings {
+    sensors: Sensors,
+    joint_torque: Words,
+    delay: Words,
+    arm_mass: Words,
+    strengths: Vec<Sweep>,
+}
+
+/// Errors of sensors of strength 1.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Sensors {
+    position_m: f64,
+    angle_rad: f64,
+    velocity_m_s: f64,
+    rate_rad_s: f64,
+    meaning: Words,
+}
+
+/// The strengths of a quantity.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Sweep {
+    quantity: Quantity,
+    strengths: Vec<f64>,
+}
+
+impl NoiseArgs {
+    fn sweeps(&self) -> [(Quantity, &Amounts); 4] {
+        [
+            (Quantity::Sensors, &self.sensors),
+            (Quantity::JointTorque, &self.torques),
+            (Quantity::Delay, &self.delays),
+            (Quantity::ArmMass, &self.arm_masses),
+        ]
     }
-    if args.arm_masses.0.contains(&0.0) {
-        return Err(usage("--arm-masses: arms have a mass; leave 0 out".to_owned()).into());
+}
+
+impl Experiment for NoiseArgs {
+    const NAME: Name = Name::Noise;
+    const NEEDS: Needs = Needs::Any;
+    type Settings = Settings;
+    type Result = Point;
+
+    fn common(&self) -> &CommonArgs {
+        &self.common
     }
-    let sweeps = [
-        (Quantity::Sensors, &args.sensors),
-        (Quantity::JointTorque, &args.torques),
-        (Quantity::Delay, &args.delays),
-        (Quantity::ArmMass, &args.arm_masses),
-    ];
-    let mut results = Vec::new();
-    for policy in lab.policies() {
-        for (quantity, strengths) in sweeps {
-            for &strength in &strengths.0 {
-                results.push(measure(&lab, policy, quantity, strength)?);
+
+    fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {
+        let usage = |message: String| Err(ExitError::new(ExitCode::Usage, message).into());
+        let whole = |delay: &f64| delay.fract() == 0.0 && *delay <= MAX_DELAY;
+        if let Some(delay) = self.delays.0.iter().find(|delay| !whole(delay)) {
+            return usage(format!(
+                "--delays: {delay} is no whole number of steps up to {MAX_DELAY}"
+            ));
+        }
+        if self.arm_masses.0.contains(&0.0) {
+            return usage("--arm-masses: arms have a mass; leave 0 out".to_owned());
+        }
+        let sweep = |(quantity, strengths): (Quantity, &Amounts)| Sweep {
+            quantity,
+            strengths: strengths.0.clone(),
+        };
+        Ok(Settings {
+            sensors: Sensors {
+                position_m: UNIT,
+                angle_rad: UNIT,
+                velocity_m_s: UNIT,
+                rate_rad_s: UNIT,
+                meaning: "standard deviations at strength 1, each axis and control step".into(),
+            },
+            joint_torque: "standard deviation (N m) at every joint, drawn in each control step"
+                .into(),
+            delay: "control steps from an action to its execution".into(),
+            arm_mass: "multiple of mass and inertia of all moving links; drives stay".into(),
+            strengths: self.sweeps().map(sweep).into(),
+        })
+    }
+
+    fn work(&self, lab: &Lab) -> u64 {
+        let points: usize = self.sweeps().iter().map(|(_, strengths)| strengths.0.len()).sum();
+        lab.work(lab.policies().len() * points, 0)
+    }
+
+    fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Point>> {
+        let mut results = Vec::new();
+        for policy in lab.policies() {
+            for (quantity, strengths) in self.sweeps() {
+                for &strength in &strengths.0 {
+                    results.push(measure(lab, policy, quantity, strength)?);
+                }
             }
         }
+        Ok(results)
     }
-    let settings = json!({
-        "sensors": {
-            "position_m": UNIT, "angle_rad": UNIT, "velocity_m_s": UNIT, "rate_rad_s": UNIT,
-            "meaning": "standard deviations at strength 1, each axis and control step",
-        },
-        "joint_torque": "standard deviation (N m) at every joint, drawn in each control step",
-        "delay": "control steps from an action to its execution",
-        "arm_mass": "multiple of mass and inertia of all moving links; drives stay",
-    });
-    lab.print("noise", settings, &results, &table(&results, lab.episodes))
+
+    fn table(report: &Report<Settings, Point>) -> String {
+        table(&report.results, report.protocol.episodes)
+    }
 }
 
 fn measure(

@@ -1,50 +1,81 @@
 //! How near hands and base come to held-out goals.
 
 use proto::config::TaskName;
-use serde::Serialize;
-use serde_json::json;
+use serde::{Deserialize, Serialize};
 use sim_worker::evaluate::Evaluation;
+use sim_worker::experiment::TAIL_STEPS;
 
 use super::lab::{Lab, Needs};
-use super::report::ErrorOfMany;
-use crate::cli::experiment::PrecisionArgs;
+use super::report::{ErrorOfMany, Report, Words};
+use super::{Experiment, Name};
+use crate::cli::experiment::{CommonArgs, PrecisionArgs};
 use crate::commands::eval::Summary;
+use crate::commands::trained::Trained;
 
-/// The precision of one policy.
-#[derive(Debug, Serialize)]
-struct Precision {
-    /// As `octopus eval --json` prints it.
-    summary: Summary,
-    /// Every hand's errors, or the base's, with their courses.
-    errors: Vec<ErrorOfMany>,
+/// What precision is measured with.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Settings {
+    goals: Words,
+    tail_steps: usize,
 }
 
-/// Measures and prints.
-pub(super) fn run(args: &PrecisionArgs) -> anyhow::Result<()> {
-    let lab = Lab::new(&args.common, Needs::Any, None)?;
-    let mut results = Vec::new();
-    for policy in lab.policies() {
-        let recording =
-            lab.play(&format!("precision, {}", policy.task().as_str()), &lab.trial(policy))?;
-        let errors = match policy.task() {
-            TaskName::Trajectory => (0..lab.robot.n_arms)
-                .flat_map(|arm| {
-                    [
-                        ErrorOfMany::position(&recording, arm),
-                        ErrorOfMany::orientation(&recording, arm),
-                    ]
-                })
-                .collect(),
-            TaskName::Reorientation => vec![ErrorOfMany::base(&recording)],
-        };
-        let controller = lab.controller(policy)?;
-        let summary = Summary::new(policy, lab.seed, Evaluation::of(&recording), controller);
-        results.push(Precision { summary, errors });
+/// The precision of one policy.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Precision {
+    /// As `octopus eval --json` prints it.
+    pub(crate) summary: Summary,
+    /// Every hand's errors, or the base's, with their courses.
+    pub(crate) errors: Vec<ErrorOfMany>,
+}
+
+impl Experiment for PrecisionArgs {
+    const NAME: Name = Name::Precision;
+    const NEEDS: Needs = Needs::Any;
+    type Settings = Settings;
+    type Result = Precision;
+
+    fn common(&self) -> &CommonArgs {
+        &self.common
     }
-    let table: Vec<String> = results
-        .iter()
-        .map(|result| format!("{}\n{}", result.summary.task.as_str(), result.summary.table()))
-        .collect();
-    let settings = json!({ "goals": "held out", "tail_steps": sim_worker::experiment::TAIL_STEPS });
-    lab.print("precision", settings, &results, &table.join("\n\n"))
+
+    fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {
+        Ok(Settings { goals: "held out".into(), tail_steps: TAIL_STEPS })
+    }
+
+    fn work(&self, lab: &Lab) -> u64 {
+        let reaches = |task| task == TaskName::Trajectory;
+        let reaching = lab.policies().iter().filter(|policy| reaches(policy.task())).count();
+        lab.work(lab.policies().len(), 0) + (reaching * lab.episodes) as u64
+    }
+
+    fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Precision>> {
+        let measure = |policy| {
+            let task = Trained::task(policy);
+            let recording =
+                lab.play(&format!("precision, {}", task.as_str()), &lab.trial(policy))?;
+            let errors = match task {
+                TaskName::Trajectory => (0..lab.robot.n_arms)
+                    .flat_map(|arm| {
+                        [
+                            ErrorOfMany::position(&recording, arm),
+                            ErrorOfMany::orientation(&recording, arm),
+                        ]
+                    })
+                    .collect(),
+                TaskName::Reorientation => vec![ErrorOfMany::base(&recording)],
+            };
+            let controller = lab.controller(policy)?;
+            let summary = Summary::new(policy, lab.seed, Evaluation::of(&recording), controller);
+            Ok(Precision { summary, errors })
+        };
+        lab.policies().iter().map(measure).collect()
+    }
+
+    fn table(report: &Report<Settings, Precision>) -> String {
+        let tables = report
+            .results
+            .iter()
+            .map(|result| format!("{}\n{}", result.summary.task.as_str(), result.summary.table()));
+        tables.collect::<Vec<_>>().join("\n\n")
+    }
 }

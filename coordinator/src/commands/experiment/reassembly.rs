@@ -1,15 +1,17 @@
 //! Some arms reach while the others hold the base.
 
+use std::fmt;
+
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use serde::Serialize;
-use serde_json::json;
+use serde::{Deserialize, Serialize};
 use sim_worker::env::step_options;
-use sim_worker::experiment::{FixedGoals, Phase, Recording, Trial};
+use sim_worker::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
 
 use super::lab::{Lab, Needs};
-use super::report::{ErrorOfMany, Figure, milli};
-use crate::cli::experiment::ReassemblyArgs;
+use super::report::{ErrorOfMany, Figure, Goals, Report, milli};
+use super::{Experiment, Name};
+use crate::cli::experiment::{CommonArgs, ReassemblyArgs};
 use crate::output;
 
 /// The players, in the order of a trial's.
@@ -18,9 +20,28 @@ const TURNS: usize = 1;
 /// The step from which the second arm reaches, in the stage that has two.
 const SECOND_FROM: usize = 70;
 
+/// What a stage is called.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum StageName {
+    /// One arm reaches.
+    Single,
+    /// Two do, one after the other.
+    Dual,
+}
+
+impl fmt::Display for StageName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Single => "single",
+            Self::Dual => "dual",
+        })
+    }
+}
+
 /// A stage of the authors' script.
 struct Stage {
-    name: &'static str,
+    name: StageName,
     /// The arms that reach, from which step on, and where to.
     reaching: &'static [(usize, usize, [f64; 6])],
     base: [f64; 3],
@@ -30,71 +51,137 @@ const ARM_2: [f64; 6] = [0.39634, -1.23843, 4.23199, 0.13400, -0.14476, 0.12608]
 const ARM_3: [f64; 6] = [0.27815, 0.29938, 5.24606, -1.06882, 0.48948, 0.06324];
 
 const STAGES: [Stage; 2] = [
-    Stage { name: "single", reaching: &[(1, 0, ARM_2)], base: [-0.14199, 0.06260, -0.08740] },
     Stage {
-        name: "dual",
+        name: StageName::Single,
+        reaching: &[(1, 0, ARM_2)],
+        base: [-0.14199, 0.06260, -0.08740],
+    },
+    Stage {
+        name: StageName::Dual,
         reaching: &[(1, 0, ARM_2), (2, SECOND_FROM, ARM_3)],
         base: [-0.01182, 0.00485, -0.14812],
     },
 ];
 
 /// What a stage led to.
-#[derive(Debug, Serialize)]
-struct Staged {
-    stage: &'static str,
-    /// `the authors'` or `held out`.
-    goals: &'static str,
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Staged {
+    pub(crate) stage: StageName,
+    pub(crate) goals: Goals,
     episodes: usize,
     /// The reaching arms, counted from 1, and the steps from which they do.
-    reaching: Vec<(usize, usize)>,
+    pub(crate) reaching: Vec<(usize, usize)>,
     /// Of the reaching hands, then of the base.
-    errors: Vec<ErrorOfMany>,
+    pub(crate) errors: Vec<ErrorOfMany>,
     /// The first episode.
-    figure: Figure,
+    pub(crate) figure: Figure,
+    /// Where the robot stood in it after every step.
+    pub(crate) poses: Vec<Pose>,
 }
 
-/// Measures and prints.
-pub(super) fn run(args: &ReassemblyArgs) -> anyhow::Result<()> {
-    let lab = Lab::new(&args.common, Needs::Both, None)?;
-    if lab.robot.n_arms < 4 {
-        let message = format!(
-            "the robot `{}` has {} arms; the stages take four",
-            lab.robot.name, lab.robot.n_arms
-        );
-        return Err(ExitError::new(ExitCode::BadInput, message).into());
+/// The stages, and how far actions reach in them.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Settings {
+    action_scale: ActionScale,
+    /// In their order.
+    pub(crate) stages: Vec<StageGoals>,
+}
+
+/// Factors from actions to joint velocity commands (rad/s).
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct ActionScale {
+    reaching: f64,
+    turning: f64,
+}
+
+/// The authors' goals of a stage.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StageGoals {
+    stage: StageName,
+    base_goal_rad: [f64; 3],
+    /// Of the reaching arms.
+    pub(crate) reaching: Vec<HandGoal>,
+}
+
+/// The goal of a hand.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct HandGoal {
+    /// Counted from 1.
+    arm: usize,
+    from_step: usize,
+    /// Position (m) and Euler angles (rad).
+    pub(crate) goal: [f64; 6],
+}
+
+impl Experiment for ReassemblyArgs {
+    const NAME: Name = Name::Reassembly;
+    const NEEDS: Needs = Needs::Both;
+    type Settings = Settings;
+    type Result = Staged;
+
+    fn common(&self) -> &CommonArgs {
+        &self.common
     }
-    if lab.steps <= SECOND_FROM {
-        let message =
-            format!("--steps {}: the second arm reaches from step {SECOND_FROM} on", lab.steps);
-        return Err(ExitError::new(ExitCode::Usage, message).into());
+
+    fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
+        if lab.robot.n_arms < 4 {
+            let message = format!(
+                "the robot `{}` has {} arms; the stages take four",
+                lab.robot.name, lab.robot.n_arms
+            );
+            return Err(ExitError::new(ExitCode::BadInput, message).into());
+        }
+        if lab.steps <= SECOND_FROM {
+            let message =
+                format!("--steps {}: the second arm reaches from step {SECOND_FROM} on", lab.steps);
+            return Err(ExitError::new(ExitCode::Usage, message).into());
+        }
+        let own = |task| lab.policy(task).world.task.action_scale;
+        let scale = |task| self.action_scale.unwrap_or_else(|| own(task));
+        Ok(Settings {
+            action_scale: ActionScale {
+                reaching: scale(TaskName::Trajectory),
+                turning: scale(TaskName::Reorientation),
+            },
+            stages: STAGES.iter().map(StageGoals::of).collect(),
+        })
     }
-    let mut results = Vec::new();
-    for stage in &STAGES {
-        let mut trial = set_up(&lab, stage, args.action_scale);
-        let what = format!("reassembly, {}", stage.name);
-        let drawn = lab.play(&what, &trial)?;
-        trial.episodes = 1;
-        trial.fixed = stage.goals(lab.robot.n_arms);
-        let fixed = lab.play(&format!("{what}, the authors' goals"), &trial)?;
-        results.push(Staged::of(stage, "the authors'", &fixed));
-        results.push(Staged::of(stage, "held out", &drawn));
+
+    fn work(&self, lab: &Lab) -> u64 {
+        lab.work(STAGES.len(), STAGES.len())
     }
-    let scales = match args.action_scale {
-        Some(scale) => [scale; 2],
-        None => [TaskName::Trajectory, TaskName::Reorientation]
-            .map(|task| lab.policy(task).world.task.action_scale),
-    };
-    let settings = json!({
-        "action_scale": { "reaching": scales[REACHES], "turning": scales[TURNS] },
-        "stages": STAGES.iter().map(|stage| json!({
-            "stage": stage.name,
-            "base_goal_rad": stage.base,
-            "reaching": stage.reaching.iter().map(|(arm, from, goal)| json!({
-                "arm": arm + 1, "from_step": from, "goal": goal,
-            })).collect::<Vec<_>>(),
-        })).collect::<Vec<_>>(),
-    });
-    lab.print("reassembly", settings, &results, &table(&results))
+
+    fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Staged>> {
+        let mut results = Vec::new();
+        for stage in &STAGES {
+            let mut trial = set_up(lab, stage, self.action_scale);
+            let what = format!("reassembly, {}", stage.name);
+            let drawn = lab.play(&what, &trial)?;
+            trial.episodes = 1;
+            trial.fixed = stage.goals(lab.robot.n_arms);
+            let fixed = lab.play(&format!("{what}, the authors' goals"), &trial)?;
+            results.push(Staged::of(stage, Goals::Theirs, &fixed));
+            results.push(Staged::of(stage, Goals::HeldOut, &drawn));
+        }
+        Ok(results)
+    }
+
+    fn table(report: &Report<Settings, Staged>) -> String {
+        table(&report.results)
+    }
+}
+
+impl StageGoals {
+    fn of(stage: &Stage) -> Self {
+        let reaching = stage.reaching.iter();
+        Self {
+            stage: stage.name,
+            base_goal_rad: stage.base,
+            reaching: reaching
+                .map(|&(arm, from_step, goal)| HandGoal { arm: arm + 1, from_step, goal })
+                .collect(),
+        }
+    }
 }
 
 /// A stage on held-out goals. The world is that of the base's task, as in the authors' script.
@@ -137,7 +224,7 @@ impl Stage {
 }
 
 impl Staged {
-    fn of(stage: &Stage, goals: &'static str, recording: &Recording) -> Self {
+    fn of(stage: &Stage, goals: Goals, recording: &Recording) -> Self {
         let arms: Vec<usize> = stage.reaching.iter().map(|(arm, ..)| *arm).collect();
         let hands = arms.iter().flat_map(|&arm| {
             [ErrorOfMany::position(recording, arm), ErrorOfMany::orientation(recording, arm)]
@@ -149,6 +236,7 @@ impl Staged {
             reaching: stage.reaching.iter().map(|(arm, from, _)| (arm + 1, *from)).collect(),
             errors: hands.chain([ErrorOfMany::base(recording)]).collect(),
             figure: Figure::of(recording, goals, &arms),
+            poses: (0..recording.steps()).map(|step| recording.pose(0, step)).collect(),
         }
     }
 }

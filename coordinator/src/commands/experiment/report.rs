@@ -1,65 +1,72 @@
 //! The form of results: what was done with what, courses over time, and numbers for tables.
 
-use serde::Serialize;
+use std::borrow::Cow;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
 use sim_worker::evaluate::Course;
 use sim_worker::experiment::Recording;
 use sim_worker::robot::Robot;
 
-use crate::commands::eval::Spread;
+use super::Name;
+use crate::commands::eval::{ErrorOf, Spread, Unit};
 use crate::commands::trained::PolicyIdentity;
 use crate::provenance::Provenance;
 
-/// An experiment as JSON.
-#[derive(Debug, Serialize)]
-pub(super) struct Report<S, R> {
-    pub(super) experiment: &'static str,
-    pub(super) protocol: Protocol<S>,
-    pub(super) robot: RobotIdentity,
-    pub(super) policies: Vec<PolicyIdentity>,
-    pub(super) provenance: Provenance,
-    pub(super) results: R,
+/// Words of ours that a file may hold.
+pub(crate) type Words = Cow<'static, str>;
+
+/// What an experiment found, and how; the form of its JSON.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Report<S, R> {
+    pub(crate) experiment: Name,
+    pub(crate) protocol: Protocol<S>,
+    pub(crate) robot: RobotIdentity,
+    pub(crate) policies: Vec<PolicyIdentity>,
+    pub(crate) provenance: Provenance,
+    pub(crate) results: Vec<R>,
 }
 
 /// How it was done.
-#[derive(Debug, Serialize)]
-pub(super) struct Protocol<S> {
-    pub(super) episodes: usize,
-    pub(super) steps: usize,
-    pub(super) seed: u64,
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Protocol<S> {
+    pub(crate) episodes: usize,
+    pub(crate) steps: usize,
+    pub(crate) seed: u64,
     /// Time of a control step (s). The paper's plots count 0.1 s.
-    pub(super) control_period_s: f64,
-    pub(super) actions: &'static str,
+    pub(crate) control_period_s: f64,
+    pub(crate) actions: Words,
     /// What this experiment has besides.
-    pub(super) settings: S,
+    pub(crate) settings: S,
 }
 
 /// Which robot it was.
-#[derive(Debug, Serialize)]
-pub(super) struct RobotIdentity {
-    pub(super) name: String,
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct RobotIdentity {
+    pub(crate) name: String,
     /// BLAKE3 of its description as TOML.
-    pub(super) blake3: String,
+    pub(crate) blake3: String,
 }
 
 impl RobotIdentity {
-    pub(super) fn of(robot: &Robot) -> Self {
+    pub(crate) fn of(robot: &Robot) -> Self {
         let hash = blake3::hash(robot.to_toml().as_bytes());
         Self { name: robot.name.clone(), blake3: hash.to_hex().to_string() }
     }
 }
 
 /// A number over the steps of an episode, over several episodes.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct CourseOfMany {
-    pub(super) mean: Vec<f32>,
-    pub(super) p50: Vec<f32>,
-    pub(super) p90: Vec<f32>,
-    pub(super) max: Vec<f32>,
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct CourseOfMany {
+    pub(crate) mean: Vec<f32>,
+    pub(crate) p50: Vec<f32>,
+    pub(crate) p90: Vec<f32>,
+    pub(crate) max: Vec<f32>,
 }
 
 impl CourseOfMany {
     /// Of what `value` says about an episode and a step.
-    pub(super) fn of(recording: &Recording, value: impl Fn(usize, usize) -> f32) -> Self {
+    pub(crate) fn of(recording: &Recording, value: impl Fn(usize, usize) -> f32) -> Self {
         let steps = recording.steps();
         let mut out = Self {
             mean: Vec::with_capacity(steps),
@@ -81,35 +88,35 @@ impl CourseOfMany {
 }
 
 /// Mean, deviation and percentiles of some numbers.
-pub(super) fn spread(values: impl Iterator<Item = f32>) -> Spread {
+pub(crate) fn spread(values: impl Iterator<Item = f32>) -> Spread {
     Spread::of(values.map(f64::from).collect())
 }
 
 /// An error of many episodes: the three numbers of each, and the course.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct ErrorOfMany {
-    /// `position`, `orientation` or `base`.
-    pub(super) error: &'static str,
-    /// `m` or `rad`.
-    pub(super) unit: &'static str,
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ErrorOfMany {
+    /// What it is of.
+    pub(crate) error: ErrorOf,
+    /// What it is measured in.
+    pub(crate) unit: Unit,
     /// The arm whose hand it is, counted from 1; none where it is all of them or the base.
-    pub(super) arm: Option<usize>,
+    pub(crate) arm: Option<usize>,
     /// Smallest of each episode.
-    pub(super) min: Spread,
+    pub(crate) min: Spread,
     /// After the last step.
     #[serde(rename = "final")]
-    pub(super) last: Spread,
+    pub(crate) last: Spread,
     /// Mean of the last 20 steps of each episode.
-    pub(super) tail: Spread,
+    pub(crate) tail: Spread,
     /// Over the steps.
-    pub(super) course: CourseOfMany,
+    pub(crate) course: CourseOfMany,
 }
 
 impl ErrorOfMany {
     /// What `value` says about an episode and a step.
-    pub(super) fn of(
+    pub(crate) fn of(
         recording: &Recording,
-        (error, unit): (&'static str, &'static str),
+        error: ErrorOf,
         arm: Option<usize>,
         value: impl Fn(usize, usize) -> f32 + Copy,
     ) -> Self {
@@ -120,7 +127,7 @@ impl ErrorOfMany {
         let of = |number: fn(&Course) -> f32| spread(courses.iter().map(number));
         Self {
             error,
-            unit,
+            unit: error.unit(),
             arm,
             min: of(|course| course.min),
             last: of(|course| course.last),
@@ -130,25 +137,25 @@ impl ErrorOfMany {
     }
 
     /// Position error of a hand.
-    pub(super) fn position(recording: &Recording, arm: usize) -> Self {
+    pub(crate) fn position(recording: &Recording, arm: usize) -> Self {
         let value = |episode, step| recording.position(episode, step, arm);
-        Self::of(recording, ("position", "m"), Some(arm + 1), value)
+        Self::of(recording, ErrorOf::Position, Some(arm + 1), value)
     }
 
     /// Orientation error of a hand.
-    pub(super) fn orientation(recording: &Recording, arm: usize) -> Self {
+    pub(crate) fn orientation(recording: &Recording, arm: usize) -> Self {
         let value = |episode, step| recording.orientation(episode, step, arm);
-        Self::of(recording, ("orientation", "rad"), Some(arm + 1), value)
+        Self::of(recording, ErrorOf::Orientation, Some(arm + 1), value)
     }
 
     /// Attitude error of the base.
-    pub(super) fn base(recording: &Recording) -> Self {
+    pub(crate) fn base(recording: &Recording) -> Self {
         let value = |episode, step| recording.attitude(episode, step);
-        Self::of(recording, ("base", "rad"), None, value)
+        Self::of(recording, ErrorOf::Base, None, value)
     }
 
     /// What it is called in a table.
-    pub(super) fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         match self.arm {
             Some(arm) => format!("arm {arm} {} (m{})", self.error, self.unit),
             None => format!("{} (m{})", self.error, self.unit),
@@ -156,31 +163,51 @@ impl ErrorOfMany {
     }
 }
 
+/// Whose goals an episode has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Goals {
+    /// The authors'.
+    #[serde(rename = "the authors'")]
+    Theirs,
+    /// Drawn ones that no training saw.
+    #[serde(rename = "held out")]
+    HeldOut,
+}
+
+impl fmt::Display for Goals {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Theirs => "the authors'",
+            Self::HeldOut => "held out",
+        })
+    }
+}
+
 /// Errors of one episode, each axis, after every step (goal − actual): what a figure shows.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Figure {
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Figure {
     /// Whose goals they are.
-    pub(super) goals: &'static str,
+    pub(crate) goals: Goals,
     /// Hands, if the episode has goals for them.
-    pub(super) hands: Vec<HandFigure>,
+    pub(crate) hands: Vec<HandFigure>,
     /// Attitude of the base (rad): Euler angles.
-    pub(super) base_rad: Vec<[f32; 3]>,
+    pub(crate) base_rad: Vec<[f32; 3]>,
 }
 
 /// A hand's part of a figure.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct HandFigure {
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct HandFigure {
     /// The arm, counted from 1.
-    pub(super) arm: usize,
+    pub(crate) arm: usize,
     /// World axes (m).
-    pub(super) position_m: Vec<[f32; 3]>,
+    pub(crate) position_m: Vec<[f32; 3]>,
     /// Euler angles (rad).
-    pub(super) orientation_rad: Vec<[f32; 3]>,
+    pub(crate) orientation_rad: Vec<[f32; 3]>,
 }
 
 impl Figure {
     /// Of the first episode of a recording, with the hands of `arms`.
-    pub(super) fn of(recording: &Recording, goals: &'static str, arms: &[usize]) -> Self {
+    pub(crate) fn of(recording: &Recording, goals: Goals, arms: &[usize]) -> Self {
         let steps = 0..recording.steps();
         let hands = arms.iter().map(|&arm| {
             let errors: Vec<[f32; 6]> =
@@ -200,17 +227,17 @@ impl Figure {
 }
 
 /// The share of `n` episodes that satisfy a condition.
-pub(super) fn share(n: usize, holds: impl Fn(usize) -> bool) -> f64 {
+pub(crate) fn share(n: usize, holds: impl Fn(usize) -> bool) -> f64 {
     (0..n).filter(|&episode| holds(episode)).count() as f64 / n.max(1) as f64
 }
 
 /// A number in thousandths: mm or mrad.
-pub(super) fn milli(value: f64) -> String {
+pub(crate) fn milli(value: f64) -> String {
     format!("{:.1}", 1e3 * value)
 }
 
 /// A share as a person reads it.
-pub(super) fn percent(share: f64) -> String {
+pub(crate) fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
 }
 
@@ -251,7 +278,7 @@ pub(super) mod tests {
         let recording = resting(2, 4);
         // Episode 0: 0, 1, 2, 3; episode 1: 10, 11, 12, 13.
         let value = |episode: usize, step: usize| (10 * episode + step) as f32;
-        let error = ErrorOfMany::of(&recording, ("base", "rad"), None, value);
+        let error = ErrorOfMany::of(&recording, ErrorOf::Base, None, value);
         assert_eq!((error.min.mean, error.last.mean, error.tail.mean), (5.0, 8.0, 6.5));
         assert_eq!(error.course.mean, [5.0, 6.0, 7.0, 8.0]);
         assert_eq!(error.course.max, [10.0, 11.0, 12.0, 13.0]);
@@ -264,7 +291,7 @@ pub(super) mod tests {
     #[test]
     fn a_figure_shows_each_axis_of_the_hands_asked_for() {
         let recording = resting(1, 3);
-        let figure = Figure::of(&recording, "drawn", &[2]);
+        let figure = Figure::of(&recording, Goals::HeldOut, &[2]);
         assert_eq!((figure.hands.len(), figure.hands[0].arm), (1, 3));
         let hand = recording.hand(0, 1, 2);
         assert_eq!(figure.hands[0].position_m[1], hand[..3]);
