@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod checkpoints;
 pub mod experiment;
+pub mod reproduce;
 pub mod rollout;
 pub mod serve;
 mod values;
@@ -126,6 +127,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Repeat the paper's experiments.
     Experiment(experiment::ExperimentArgs),
+    /// Repeat all of the paper's experiments and make a page of them.
+    Reproduce(reproduce::ReproduceArgs),
     /// Integrate given joint commands, open loop.
     Simulate(SimulateArgs),
     /// Write a robot as a MuJoCo model file.

@@ -10,5 +10,6 @@ mod experiment;
 mod failures;
 mod http;
 mod mujoco;
+mod reproduce;
 mod run_directory;
 mod verify;

@@ -7,6 +7,7 @@ pub mod doctor;
 pub mod eval;
 pub mod experiment;
 pub mod mjcf;
+pub mod reproduce;
 pub mod resume;
 pub mod rollout;
 pub mod scale;
@@ -45,6 +46,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Resume(args) => resume::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Experiment(args) => experiment::run(&args),
+        Command::Reproduce(args) => reproduce::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Doctor(args) => doctor::run(args),

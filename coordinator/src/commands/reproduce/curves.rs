@@ -1,0 +1,148 @@
+//! Learning curves of several runs together.
+
+use std::path::{Path, PathBuf};
+
+use proto::config::{AlgorithmName, Config, TaskName};
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+
+use crate::commands::{read_config, run_directory};
+use crate::report::curve::{Point, read_points};
+
+/// Points of a curve.
+const POINTS: usize = 300;
+
+/// Runs that differ in their seeds alone; `[low, mean, high]` over them at every one of `env_steps`.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Family {
+    pub(super) task: TaskName,
+    algorithm: AlgorithmName,
+    /// The runs, with their seeds.
+    pub(super) runs: Vec<(PathBuf, u64)>,
+    pub(super) env_steps: Vec<f64>,
+    pub(super) returns: Vec<[f64; 3]>,
+    /// (mm)
+    pub(super) position: Vec<[f64; 3]>,
+    /// (mrad)
+    pub(super) orientation: Vec<[f64; 3]>,
+    /// (mrad)
+    pub(super) base: Vec<[f64; 3]>,
+}
+
+/// Reads run directories and puts those together that differ in their seeds alone.
+pub(super) fn read(runs: &[PathBuf]) -> anyhow::Result<Vec<Family>> {
+    let mut kinds: Vec<(Config, Vec<(PathBuf, u64)>, Vec<Vec<Point>>)> = Vec::new();
+    for path in runs {
+        let run_dir = run_directory(path)?;
+        let mut config = read_config(&run_dir)?;
+        let points = points(&run_dir, path)?;
+        let run = (path.clone(), std::mem::take(&mut config.run.seed));
+        match kinds.iter_mut().find(|(other, ..)| *other == config) {
+            Some((_, runs, curves)) => {
+                runs.push(run);
+                curves.push(points);
+            }
+            None => kinds.push((config, vec![run], vec![points])),
+        }
+    }
+    let family = |(config, runs, curves): (Config, _, Vec<Vec<Point>>)| {
+        Family::new(config.task.name, config.algorithm.name, runs, &curves)
+    };
+    Ok(kinds.into_iter().map(family).collect())
+}
+
+fn points(run_dir: &RunDir, path: &Path) -> anyhow::Result<Vec<Point>> {
+    let points = read_points(&run_dir.metrics_jsonl())?;
+    if points.len() < 2 {
+        let message = format!("{}: has no two iterations; there is no curve", path.display());
+        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+    }
+    Ok(points)
+}
+
+impl Family {
+    fn new(
+        task: TaskName,
+        algorithm: AlgorithmName,
+        runs: Vec<(PathBuf, u64)>,
+        curves: &[Vec<Point>],
+    ) -> Self {
+        let ends = |end: fn(&[Point]) -> Option<&Point>| {
+            curves.iter().filter_map(move |curve| Some(end(curve)?.env_steps))
+        };
+        // Where all runs have been.
+        let first = ends(<[Point]>::first).fold(0.0, f64::max);
+        let last = ends(<[Point]>::last).fold(f64::INFINITY, f64::min);
+        let at = |index: usize| first + (last - first) * index as f64 / (POINTS - 1) as f64;
+        let env_steps: Vec<f64> = (0..POINTS).map(at).collect();
+        let over = |read: fn(&Point) -> f64| -> Vec<[f64; 3]> {
+            let at = |steps: &f64| {
+                let values = curves.iter().map(|curve| interpolate(curve, *steps, read));
+                let (low, sum, high) = values.fold(
+                    (f64::INFINITY, 0.0, f64::NEG_INFINITY),
+                    |(low, sum, high): (f64, f64, f64), value| {
+                        (low.min(value), sum + value, high.max(value))
+                    },
+                );
+                [low, sum / curves.len() as f64, high]
+            };
+            env_steps.iter().map(at).collect()
+        };
+        Self {
+            task,
+            algorithm,
+            runs,
+            returns: over(|point| point.mean),
+            position: over(|point| 1e3 * point.position),
+            orientation: over(|point| 1e3 * point.orientation),
+            base: over(|point| 1e3 * point.base),
+            env_steps,
+        }
+    }
+
+    /// What its curve is called.
+    pub(super) fn name(&self) -> String {
+        let first = self.runs.first().and_then(|(path, _)| path.file_name()).unwrap_or_default();
+        match self.runs.len() {
+            1 => format!("{}: {}", self.algorithm.as_str(), first.to_string_lossy()),
+            n => format!(
+                "{}: {} and {} more",
+                self.algorithm.as_str(),
+                first.to_string_lossy(),
+                n - 1
+            ),
+        }
+    }
+}
+
+/// A number between the iterations beside `steps`.
+fn interpolate(curve: &[Point], steps: f64, read: fn(&Point) -> f64) -> f64 {
+    let next = curve.partition_point(|point| point.env_steps < steps);
+    let after = &curve[next.min(curve.len() - 1)];
+    let before = &curve[next.saturating_sub(1)];
+    let length = after.env_steps - before.env_steps;
+    let share = if length > 0.0 { (steps - before.env_steps) / length } else { 0.0 };
+    read(before) + share * (read(after) - read(before))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(env_steps: f64, mean: f64) -> Point {
+        Point { env_steps, mean, low: 0.0, high: 0.0, position: 0.1, orientation: 0.2, base: 0.3 }
+    }
+
+    #[test]
+    fn a_family_is_where_all_its_runs_have_been() {
+        let one = vec![point(10.0, 0.0), point(20.0, 1.0), point(40.0, 5.0)];
+        let other = vec![point(20.0, 3.0), point(30.0, 3.0)];
+        let runs = vec![("runs/a".into(), 1), ("runs/b".into(), 2)];
+        let family = Family::new(TaskName::Trajectory, AlgorithmName::Mappo, runs, &[one, other]);
+        assert_eq!((family.env_steps[0], family.env_steps[POINTS - 1]), (20.0, 30.0));
+        assert_eq!(family.returns[0], [1.0, 2.0, 3.0]);
+        assert_eq!(family.returns[POINTS - 1], [3.0, 3.0, 3.0]);
+        assert!((family.position[0][1] - 100.0).abs() < 1e-9);
+        assert_eq!(family.name(), "mappo: a and 1 more");
+    }
+}

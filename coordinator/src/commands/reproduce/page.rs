@@ -1,0 +1,277 @@
+//! The page: claims, figures, and where every number comes from. It stands alone: no script, nothing fetched.
+
+use std::time::SystemTime;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use sim_worker::robot::Robot;
+
+use super::claims::{Bound, Claim, verdict};
+use super::curves::Family;
+use super::{GENERATOR, Reports, drawing, figures};
+use crate::cli::experiment::{
+    ArmFailureArgs, BaseMassArgs, DisturbanceArgs, NoiseArgs, PrecisionArgs, ReassemblyArgs,
+};
+use crate::commands::experiment::report::{Goals, Report};
+use crate::commands::experiment::{Experiment, Name, ReportOf};
+use crate::commands::trained::PolicyIdentity;
+use crate::output;
+use crate::provenance::{Provenance, utc};
+use crate::report::progress::grouped;
+
+/// What the page shows.
+pub(super) struct Content<'a> {
+    pub(super) reports: &'a Reports,
+    pub(super) claims: &'a [Claim],
+    /// The command behind each experiment.
+    pub(super) commands: &'a [(Name, String)],
+    pub(super) families: &'a [Family],
+    pub(super) robot: &'a Robot,
+    pub(super) quick: bool,
+}
+
+/// The page as HTML.
+pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
+    let Content { reports, .. } = content;
+    let sections = [
+        precision(content)?,
+        disturbance(content)?,
+        section::<ArmFailureArgs>(
+            content,
+            "One arm failed",
+            &reports.arm_failure,
+            &html! {
+                (figure(&figures::arm_failure(reports)?, "The base is turned while an arm is held by its servos or gives no torque, from the beginning. Left \
+                    one episode with the authors' goal, then all held-out goals."))
+            },
+        ),
+        section::<BaseMassArgs>(
+            content,
+            "Other masses of the base",
+            &reports.base_mass,
+            &html! {
+                (figure(&figures::base_mass(reports)?, "Share of episodes that end within a threshold, against the mass of the cube; the policy learned with \
+                    400 kg. The dashed line is the paper's 90 %, of the threshold of 50 mrad."))
+            },
+        ),
+        reassembly(content)?,
+        section::<NoiseArgs>(
+            content,
+            "Noise, delay and mass of the arms",
+            &reports.noise,
+            &html! {
+                (figure(&figures::noise(reports)?, "Mean error of the last 20 steps while one thing at a time is made worse. Strengths stand side by side, not to scale."))
+            },
+        ),
+    ];
+    let learning = match content.families {
+        [] => None,
+        families => Some(learning(families)?),
+    };
+    let markup = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="generator" content=(GENERATOR);
+                title { "SpaceOctopus: the paper's experiments" }
+                style { (PreEscaped(include_str!("style.css"))) }
+            }
+            body {
+                (head(content))
+                (table(content))
+                @for section in &sections { (section) }
+                @if let Some(learning) = &learning { (learning) }
+            }
+        }
+    };
+    Ok(markup.into_string())
+}
+
+/// What this is, and what it was made with.
+fn head(content: &Content<'_>) -> Markup {
+    let report = &content.reports.reassembly;
+    let Provenance { version, commit, build, system, processor, processors, .. } =
+        &report.provenance;
+    let protocol = &report.protocol;
+    html! {
+        h1 { "SpaceOctopus: the paper's experiments" }
+        p { "The experiments of \u{201c}SpaceOctopus: An Octopus-inspired Motion Planning Framework for Multi-arm Space Robot\u{201d} \
+            (Zhao, Wang, Fan, Gao, Zhang, 2024), repeated with policies that were trained with this program. Actions are deterministic, and goals are \
+            held out from training; where the authors published theirs, an episode with those is shown." }
+        @if content.quick {
+            p { strong { "Quick: " } "few episodes and coarse settings. Leave " code { "--quick" } " out for the protocol's numbers." }
+        }
+        dl {
+            dt { "made" } dd { (utc(SystemTime::now())) }
+            dt { "program" } dd { (version) ", commit " code { (commit) } ", " (build) " build" }
+            dt { "machine" } dd { (processor) ", " (output::counted(*processors as u64, "processor")) ", " (system) }
+            dt { "robot" } dd { (report.robot.name) ", " code { (report.robot.blake3) } }
+            dt { "episodes" } dd { (protocol.steps) " control steps of " (protocol.control_period_s) " s; seed of goals and noise: " (protocol.seed) }
+            @for policy in &report.policies {
+                dt { "policy, " (policy.task.as_str()) }
+                dd { (identity(policy)) }
+            }
+        }
+    }
+}
+
+fn identity(policy: &PolicyIdentity) -> Markup {
+    html! {
+        code { (policy.checkpoint.display()) } ", iteration " (policy.iteration) ", "
+        (grouped(policy.env_steps)) " env-steps, training seed " (policy.seed) ", digest "
+        span class="digest" { (policy.digest) }
+    }
+}
+
+/// The claims.
+fn table(content: &Content<'_>) -> Markup {
+    let judged = content.claims.iter().filter(|claim| claim.holds == Some(true)).count();
+    html! {
+        h2 id="claims" { "The paper's claims" }
+        p { (judged) " of " (content.claims.len()) " hold by the paper's measure, as far as it is known. The last column is stricter: the mean \
+            over the last 20 steps of all episodes, from which no lucky moment can be picked. Goals that can be reached are those that a controller \
+            which knows the robot reaches." }
+        div class="scroll" {
+            table {
+                thead { tr { th { "claim" } th { "paper" } th { "ours" } th {} th { "stricter" } } }
+                tbody {
+                    @for claim in content.claims { (row(claim)) }
+                }
+            }
+        }
+    }
+}
+
+fn row(claim: &Claim) -> Markup {
+    let class = |holds: Option<bool>| match holds {
+        Some(true) => "holds",
+        Some(false) => "fails",
+        None => "",
+    };
+    let mark = |holds: bool| if holds { "✓" } else { "✗" };
+    let paper = match claim.paper {
+        Bound::MostOf(_) => "most".to_owned(),
+        other => other.text(),
+    };
+    html! {
+        tr {
+            td { a href=(format!("#{}", claim.experiment)) { (claim.what) } small { (claim.measure) } }
+            td class="number" { (paper) }
+            td class="number" { @if let Some(ours) = claim.ours { (claim.paper.show(ours)) } @else { "–" } }
+            td class=(class(claim.holds)) {
+                @if let Some(holds) = claim.holds { (mark(holds)) " " }
+                (verdict(claim.holds))
+            }
+            td {
+                @for stricter in &claim.stricter {
+                    div {
+                        span class=(class(Some(stricter.holds))) { (claim.paper.show(stricter.value)) " " (mark(stricter.holds)) }
+                        " " span class="note" { (stricter.measure) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A figure with what it shows.
+fn figure(svg: &str, caption: &str) -> Markup {
+    html! { figure { (PreEscaped(svg)) figcaption { (caption) } } }
+}
+
+/// An experiment: its figures, what makes its numbers, and all of them.
+fn section<E: Experiment>(
+    content: &Content<'_>,
+    title: &str,
+    report: &ReportOf<E>,
+    figures: &Markup,
+) -> Markup {
+    let Report { experiment, policies, provenance, protocol, .. } = report;
+    let command = content.commands.iter().find(|(name, _)| name == experiment);
+    html! {
+        h2 id=(experiment) { (title) }
+        (figures)
+        details {
+            summary { "All numbers" }
+            pre { (E::table(report)) }
+        }
+        dl {
+            @if let Some((_, command)) = command {
+                dt { "command" } dd { code { (command) " --json > " (experiment) ".json" } }
+            }
+            dt { "measured" } dd { (provenance.started) ", " (output::counted(protocol.episodes as u64, "episode")) " a setting" }
+            @for policy in policies {
+                dt { "policy" } dd { (policy.task.as_str()) ", " span class="digest" { (policy.digest) } }
+            }
+        }
+    }
+}
+
+fn precision(content: &Content<'_>) -> anyhow::Result<Markup> {
+    let reports = content.reports;
+    let figures = html! {
+        (figure(&figures::precision(reports)?, "Errors of each agent over the episodes. A box holds the middle half, its line is the median, whiskers \
+            reach from the 10th to the 90th percentile, the dot is the mean. The minimum over time is the paper's measure."))
+        (figure(&figures::courses(reports)?, "Median errors over time; the control period is 0.4 s, which the paper's figures count as 0.1 s."))
+    };
+    let title = "Precision";
+    Ok(section::<PrecisionArgs>(content, title, &reports.precision, &figures))
+}
+
+fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
+    let reports = content.reports;
+    let axes = figures::disturbed_axes(reports)?;
+    let figures = html! {
+        @if let Some(axes) = &axes {
+            (figure(axes, "One episode with the authors' goals; actions are overwritten as in the released scripts. Each axis of goal − actual; the way \
+                from home is cut off at the edges."))
+        }
+        (figure(&figures::disturbed_courses(reports)?, "Medians over held-out goals of the worst axis: overwritten actions, a push from outside, and the \
+            same push taken back. What is pushed in space keeps the momentum, so after a push alone errors do not return."))
+    };
+    let title = "Disturbance";
+    let report = &reports.disturbance;
+    Ok(section::<DisturbanceArgs>(content, title, report, &figures))
+}
+
+fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
+    let report = &content.reports.reassembly;
+    let stages: Vec<Markup> = report
+        .results
+        .iter()
+        .filter(|stage| stage.goals == Goals::Theirs)
+        .zip(&report.protocol.settings.stages)
+        .map(|(stage, goals)| {
+            html! {
+                figure {
+                    (drawing::sequence(content.robot, stage, goals))
+                    figcaption {
+                        "Stage \u{201c}" (stage.stage) "\u{201d}, the authors' goals: blue arms turn the base, others reach for their crosses; \
+                            dotted is the way of the hand."
+                    }
+                }
+            }
+        })
+        .collect();
+    let figures = html! {
+        (figure(&figures::reassembly(content.reports)?, "Errors over time with the authors' goals: arm 2 reaches while the others turn the base; in the \
+            second row arm 3 joins from step 70 on."))
+        @for stage in &stages { (stage) }
+    };
+    Ok(section::<ReassemblyArgs>(content, "Reassembly", report, &figures))
+}
+
+fn learning(families: &[Family]) -> anyhow::Result<Markup> {
+    Ok(html! {
+        h2 id="learning" { "Learning" }
+        (figure(&figures::learning(families)?, "Mean over the runs of one configuration, and the span of their seeds; errors after the last step of \
+            training episodes, exploration included, so an evaluation ends lower."))
+        dl {
+            @for family in families {
+                dt { (family.name()) }
+                dd { @for (run, seed) in &family.runs { code { (run.display()) } " (seed " (seed) ") " } }
+            }
+        }
+    })
+}

@@ -1,0 +1,156 @@
+//! `octopus reproduce`: all experiments with tiny policies, what it leaves, and what it refuses.
+
+use std::path::Path;
+use std::time::SystemTime;
+
+use serde_json::Value;
+use tests::{SMALL, octopus, stderr};
+
+use crate::experiment::policies;
+
+const EXPERIMENTS: [&str; 6] =
+    ["precision", "disturbance", "arm-failure", "base-mass", "reassembly", "noise"];
+
+fn read(dir: &Path, name: &str) -> String {
+    std::fs::read_to_string(dir.join(name)).expect("a file")
+}
+
+/// When each file was written.
+fn times(dir: &Path) -> Vec<SystemTime> {
+    let time = |name| dir.join(format!("{name}.json")).metadata().and_then(|file| file.modified());
+    EXPERIMENTS.map(|name| time(name).expect("a file")).into()
+}
+
+/// Expects the exit code and the words on standard error.
+fn refused(args: &[&str], code: i32, words: &[&str]) {
+    let output = octopus(&[&["reproduce"], args].concat());
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{args:?}:\n{message}");
+    for word in words {
+        assert!(message.contains(word), "{args:?}: `{word}` is not in\n{message}");
+    }
+    assert!(!message.contains("panicked"), "{args:?}:\n{message}");
+}
+
+/// Asserts that every tag of a page is closed in its order, and that it takes nothing from elsewhere.
+fn stands_alone(page: &str) {
+    assert!(page.starts_with("<!DOCTYPE html>"), "{}", &page[..40]);
+    let mut open: Vec<&str> = Vec::new();
+    let style = (page.find("<style>").expect("a style"), page.find("</style>").expect("its end"));
+    let body = [&page[..style.0], &page[style.1 + "</style>".len()..]].concat();
+    for tag in body.split('<').skip(1) {
+        let (tag, _) = tag.split_once('>').expect("a tag ends");
+        let name = tag.split([' ', '/', '\n']).find(|word| !word.is_empty()).expect("a name");
+        if tag.starts_with('/') {
+            assert_eq!(open.pop(), Some(name), "</{name}>");
+        } else if !tag.ends_with('/') && !["!DOCTYPE", "meta"].contains(&name) {
+            open.push(name);
+        }
+        for (attribute, value) in tag.split(' ').filter_map(|word| word.split_once("=\"")) {
+            if ["href", "src", "xlink:href", "action", "data"].contains(&attribute) {
+                assert!(value.starts_with('#'), "{attribute}={value}");
+            }
+        }
+        assert!(!["script", "link", "img", "iframe", "object"].contains(&name), "{tag}");
+    }
+    assert!(open.is_empty(), "{open:?}");
+    let css = &page[style.0..style.1];
+    assert!(!css.contains("url(") && !css.contains("@import"), "{css}");
+}
+
+#[test]
+fn all_experiments_make_a_page_once() {
+    let (_dir, dir) = policies();
+    let scratch = tempfile::tempdir().expect("tempdir");
+    let out = scratch.path().join("of all");
+    let out = out.to_str().expect("UTF-8");
+    let common = ["--quick", "--episodes=2", "--steps=90", "--seed=3"];
+    let policies = ["--policies", &dir, "--out", out];
+    let args = [&common[..], &policies].concat();
+    let output = octopus(&[&["reproduce"], &args[..]].concat());
+    assert!(output.status.success(), "a claim that fails is no error:\n{}", stderr(&output));
+    let table = String::from_utf8(output.stdout).expect("UTF-8");
+    assert!(table.contains("of 11 claims hold") && table.contains("report.html"), "{table}");
+    assert!(table.contains("trajectory, position"), "{table}");
+
+    // Each file is what `octopus experiment` prints.
+    let dir_of = Path::new(out);
+    for name in EXPERIMENTS {
+        let result: Value =
+            serde_json::from_str(&read(dir_of, &format!("{name}.json"))).expect("JSON");
+        assert_eq!(result["experiment"], name);
+        assert_eq!(result["protocol"]["episodes"], 2);
+    }
+    let alone = ["experiment", "arm-failure", "--policies", &dir, "--json"];
+    let alone = octopus(&[&alone[..], &common[1..]].concat());
+    let alone: Value = serde_json::from_slice(&alone.stdout).expect("JSON");
+    let written: Value = serde_json::from_str(&read(dir_of, "arm-failure.json")).expect("JSON");
+    for key in ["experiment", "protocol", "robot", "policies", "results"] {
+        assert_eq!(alone[key], written[key], "{key}");
+    }
+
+    let page = read(dir_of, "report.html");
+    stands_alone(&page);
+    assert_eq!(page.matches("<figure>").count(), 10, "each of them drawn");
+    let digest = written["policies"][0]["digest"].as_str().expect("a digest");
+    assert!(page.contains(digest));
+    assert!(page.contains("octopus experiment noise --policies="), "the command behind it");
+
+    // A second call does nothing again, but draws; also for a machine, and with learning curves.
+    let before = times(dir_of);
+    let runs = ["--json", "--runs", &format!("{dir}/trajectory")];
+    let output = octopus(&[&["reproduce"], &args[..], &runs[..]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(times(dir_of), before);
+    assert_eq!(stderr(&output), "", "nothing is played");
+    let outcome: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(outcome["claims"].as_array().expect("claims").len(), 11);
+    assert!(outcome["report"].as_str().expect("a path").ends_with("report.html"));
+    let page = read(dir_of, "report.html");
+    stands_alone(&page);
+    assert!(page.contains("id=\"learning\""));
+
+    // One that is lost is made again, the others are not.
+    std::fs::remove_file(dir_of.join("base-mass.json")).expect("removed");
+    let output = octopus(&[&["reproduce"], &args[..]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let after = times(dir_of);
+    assert_ne!(after[3], before[3]);
+    assert_eq!((&after[..3], &after[4..]), (&before[..3], &before[4..]));
+
+    // What is damaged or of others is refused and left as it is.
+    let other_seed = ["--quick", "--episodes=2", "--steps=90", "--seed=4"];
+    let words = ["precision.json", "made with other settings", "--out"];
+    refused(&[&other_seed[..], &policies].concat(), 5, &words);
+    let noise = read(dir_of, "noise.json");
+    std::fs::write(dir_of.join("noise.json"), &noise[..noise.len() / 2]).expect("written");
+    refused(&args, 5, &["noise.json", "is no whole result"]);
+    assert_eq!(read(dir_of, "noise.json").len(), noise.len() / 2);
+    std::fs::write(dir_of.join("noise.json"), noise).expect("written");
+    std::fs::write(dir_of.join("report.html"), "mine").expect("written");
+    refused(&args, 5, &["report.html", "was not made by this command"]);
+    assert_eq!(read(dir_of, "report.html"), "mine");
+}
+
+#[test]
+fn reproductions_that_cannot_be() {
+    let scratch = tempfile::tempdir().expect("tempdir");
+    let out = scratch.path().join("out");
+    let out = ["--out", out.to_str().expect("UTF-8")];
+    let nowhere = ["--policies=/no/such"];
+    refused(&[&nowhere[..], &out].concat(), 5, &["/no/such/trajectory"]);
+    refused(&["--quick", "--steps=0"], 2, &["wants"]);
+
+    // Both policies are needed, and steps enough for what happens in them.
+    let run_dir = format!("--run-dir={}", scratch.path().join("trajectory").display());
+    let train = ["train", "trajectory", &run_dir, "--workers=1", "--iterations=2"];
+    let output = octopus(&[&train[..], SMALL].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let one = ["--policies", scratch.path().to_str().expect("UTF-8"), "--steps=90"];
+    refused(&[&one[..], &out].concat(), 5, &["reorientation"]);
+    let few = ["--policies", scratch.path().to_str().expect("UTF-8"), "--steps=80"];
+    refused(&[&few[..], &out].concat(), 2, &["--steps 80 ends before"]);
+    let wrong = ["--runs=/no/such"];
+    refused(&[&wrong[..], &one[..2], &out].concat(), 5, &["/no/such", "is no run directory"]);
+    assert!(!Path::new(out[1]).exists(), "nothing is left of what was refused");
+}
