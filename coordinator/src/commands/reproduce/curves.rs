@@ -29,23 +29,30 @@ pub(super) struct Family {
     pub(super) base: Vec<[f64; 3]>,
 }
 
+/// Runs of one configuration, without its seed.
+struct Kind {
+    config: Config,
+    runs: Vec<(PathBuf, u64)>,
+    curves: Vec<Vec<Point>>,
+}
+
 /// Reads run directories and puts those together that differ in their seeds alone.
 pub(super) fn read(runs: &[PathBuf]) -> anyhow::Result<Vec<Family>> {
-    let mut kinds: Vec<(Config, Vec<(PathBuf, u64)>, Vec<Vec<Point>>)> = Vec::new();
+    let mut kinds: Vec<Kind> = Vec::new();
     for path in runs {
         let run_dir = run_directory(path)?;
         let mut config = read_config(&run_dir)?;
         let points = points(&run_dir, path)?;
         let run = (path.clone(), std::mem::take(&mut config.run.seed));
-        match kinds.iter_mut().find(|(other, ..)| *other == config) {
-            Some((_, runs, curves)) => {
-                runs.push(run);
-                curves.push(points);
+        match kinds.iter_mut().find(|kind| kind.config == config) {
+            Some(kind) => {
+                kind.runs.push(run);
+                kind.curves.push(points);
             }
-            None => kinds.push((config, vec![run], vec![points])),
+            None => kinds.push(Kind { config, runs: vec![run], curves: vec![points] }),
         }
     }
-    let family = |(config, runs, curves): (Config, _, Vec<Vec<Point>>)| {
+    let family = |Kind { config, runs, curves }: Kind| {
         Family::new(config.task.name, config.algorithm.name, runs, &curves)
     };
     Ok(kinds.into_iter().map(family).collect())

@@ -390,7 +390,7 @@ pub(super) fn learning(families: &[Family]) -> anyhow::Result<String> {
     let mut panels = Vec::new();
     for task in [TaskName::Trajectory, TaskName::Reorientation] {
         let families: Vec<&Family> = families.iter().filter(|family| family.task == task).collect();
-        let steps = families.iter().flat_map(|family| family.env_steps.last());
+        let steps = families.iter().filter_map(|family| family.env_steps.last());
         let Some(most) = steps.copied().reduce(f64::max) else { continue };
         let x = Axis::linear("env-steps", 0.0, most);
         let items = |read: fn(&Family) -> &[[f64; 3]]| -> Vec<Item> {
