@@ -25,7 +25,7 @@ Exit codes:
   2    the command line is wrong
   3    a configuration, robot, actions or other input file is wrong
   4    the machine lacks something: shared memory, descriptors, libtorch, a device
-  5    a run directory or checkpoint exists already, is in use, is missing or is damaged
+  5    a run directory, checkpoint or result exists already, is in use, is missing or is damaged
   6    the learner or a worker failed for good
   130  stopped at once by a second Ctrl-C, or in `bench` by the first one
 

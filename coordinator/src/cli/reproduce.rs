@@ -32,7 +32,7 @@ pub struct ReproduceArgs {
     /// Where everything goes [default: reproduction-YYYYMMDD-HHMMSS].
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Fewer episodes and fewer settings: a minute or two instead of several.
+    /// Fewer episodes and fewer settings, in a third of the time.
     #[arg(long)]
     pub quick: bool,
     /// Episodes of a setting [default: as in the experiments; 10 with --quick].

@@ -225,11 +225,9 @@ impl Lab {
         ((trials * self.episodes.div_ceil(CHUNK) + shown) * self.steps) as u64
     }
 
-    /// Nothing more is played.
+    /// Nothing more is played: the terminal is free.
     pub(crate) fn end(&self) {
-        if Arc::strong_count(&self.progress) == 1 {
-            self.progress.end();
-        }
+        self.progress.end();
     }
 
     /// The protocol of an experiment with these settings.

@@ -102,7 +102,9 @@ pub fn run(args: &ExperimentArgs) -> anyhow::Result<()> {
 }
 
 fn print<E: Experiment>(experiment: &E) -> anyhow::Result<()> {
-    let report = perform(experiment, &Lab::new(experiment)?)?;
+    let lab = Lab::new(experiment)?;
+    let report = perform(experiment, &lab)?;
+    lab.end();
     if experiment.common().json {
         return output::json(&report);
     }
@@ -113,6 +115,5 @@ fn print<E: Experiment>(experiment: &E) -> anyhow::Result<()> {
 pub(crate) fn perform<E: Experiment>(experiment: &E, lab: &Lab) -> anyhow::Result<ReportOf<E>> {
     let settings = experiment.settings(lab)?;
     let results = experiment.measure(lab)?;
-    lab.end();
     Ok(lab.report(E::NAME, settings, results))
 }

@@ -89,7 +89,7 @@ impl Bound {
         match self {
             Self::BelowMetres(bound) => format!("< {} mm", (1e4 * bound).round() / 10.0),
             Self::BelowRadians(bound) => format!("< {} mrad", (1e4 * bound).round() / 10.0),
-            Self::MostOf(cases) => format!("> {cases} / 2"),
+            Self::MostOf(cases) => format!("most of {cases}"),
         }
     }
 }
@@ -287,6 +287,7 @@ mod tests {
         assert_eq!(Bound::BelowRadians(0.045).text(), "< 45 mrad");
         assert_eq!(Bound::below(Unit::Metre, 0.025).show(0.0131), "13.1 mm");
         assert_eq!(Bound::MostOf(10).show(8.0), "8 of 10");
+        assert_eq!(Bound::MostOf(10).text(), "most of 10");
         // Thresholds of single precision are the paper's again.
         assert_eq!(thousandths(0.015), 0.015);
     }

@@ -136,12 +136,14 @@ fn moment(
         @for arm in &far { (draw(*arm)) }
         (cube(view, skeleton))
         @for arm in &near { (draw(*arm)) }
-        @for (place, (arm, _)) in stage.reaching.iter().enumerate() {
+        @for (place, (arm, from)) in stage.reaching.iter().enumerate() {
             @let color = REACHING[place % REACHING.len()];
-            @let way: Vec<Point> = skeletons[..=index].iter()
+            @let way: Vec<Point> = skeletons[..=index].iter().skip(*from)
                 .filter_map(|skeleton| skeleton.arms[arm - 1].last().copied()).collect();
-            polyline points=(view.path(&way)) fill="none" stroke=(color) stroke-width="1.2"
-                stroke-dasharray="2 2" {}
+            @if way.len() > 1 {
+                polyline points=(view.path(&way)) fill="none" stroke=(color) stroke-width="1.2"
+                    stroke-dasharray="2 2" {}
+            }
             @if let Some(target) = targets.get(place) {
                 @let (x, y) = view.place(*target);
                 path d=(format!("M{:.1} {y:.1}h14m-7 -7v14", x - 7.0)) stroke=(color) stroke-width="1.8" fill="none" {}

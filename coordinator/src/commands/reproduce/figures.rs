@@ -423,17 +423,16 @@ pub(super) fn learning(families: &[Family]) -> anyhow::Result<String> {
             y: Axis::linear("return, mean of the agents", low - margin, high + margin),
             items: returns,
         });
-        let errors: Vec<(&str, Vec<Item>)> = match task {
+        let errors = match task {
             TaskName::Trajectory => vec![
-                ("position error (mm)", items(|family| &family.position)),
-                ("orientation error (mrad)", items(|family| &family.orientation)),
+                (ErrorOf::Position, items(|family| &family.position)),
+                (ErrorOf::Orientation, items(|family| &family.orientation)),
             ],
-            TaskName::Reorientation => {
-                vec![("attitude error (mrad)", items(|family| &family.base))]
-            }
+            TaskName::Reorientation => vec![(ErrorOf::Base, items(|family| &family.base))],
         };
-        for (name, items) in errors {
-            let panel = course(format!("{}: error", capital(task.as_str())), name, 1, items);
+        for (error, items) in errors {
+            let title = format!("{}: {error}", capital(task.as_str()));
+            let panel = course(title, label(error), 1, items);
             panels.push(Panel { x: x.clone(), ..panel });
         }
     }

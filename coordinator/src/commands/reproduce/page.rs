@@ -5,7 +5,7 @@ use std::time::SystemTime;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use sim_worker::robot::Robot;
 
-use super::claims::{Bound, Claim, verdict};
+use super::claims::{Claim, verdict};
 use super::curves::Family;
 use super::{GENERATOR, Reports, drawing, figures};
 use crate::cli::experiment::{
@@ -150,14 +150,10 @@ fn row(claim: &Claim) -> Markup {
         None => "",
     };
     let mark = |holds: bool| if holds { "✓" } else { "✗" };
-    let paper = match claim.paper {
-        Bound::MostOf(_) => "most".to_owned(),
-        other => other.text(),
-    };
     html! {
         tr {
             td { a href=(format!("#{}", claim.experiment)) { (claim.what) } small { (claim.measure) } }
-            td class="number" { (paper) }
+            td class="number" { (claim.paper.text()) }
             td class="number" { @if let Some(ours) = claim.ours { (claim.paper.show(ours)) } @else { "–" } }
             td class=(class(claim.holds)) {
                 @if let Some(holds) = claim.holds { (mark(holds)) " " }
