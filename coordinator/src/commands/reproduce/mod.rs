@@ -438,7 +438,9 @@ mod tests {
         let bytes = output::json_bytes(&reports().precision).expect("JSON");
         std::fs::write(&path, &bytes).expect("written");
         let found = find(line).expect("the same").expect("there");
-        assert_eq!(output::json_bytes(&found).expect("JSON"), bytes);
+        assert_eq!(found.protocol, reports().precision.protocol);
+        let text = PrecisionArgs::table(&found);
+        assert_eq!(text, PrecisionArgs::table(&reports().precision));
         let refusal = |line: &str| find(line).expect_err("refused").to_string();
         assert!(refusal(&format!("{line} --seed=1")).contains("made with other settings"));
         std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("written");
