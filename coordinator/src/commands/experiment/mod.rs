@@ -1,6 +1,6 @@
 //! `octopus experiment`: the paper's experiments, one file each.
 //!
-//! An [`Experiment`] is what its command line asks for. [`perform`] makes a [`Report`] of it, which is what `octopus experiment` prints and
+//! An `Experiment` is what its command line asks for. `perform` makes a `Report` of it, which is what `octopus experiment` prints and
 //! what `octopus reproduce` writes and draws.
 
 pub(crate) mod arm_failure;

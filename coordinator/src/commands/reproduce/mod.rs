@@ -1,7 +1,7 @@
 //! `octopus reproduce`: all of the paper's experiments, and a page that shows them.
 //!
 //! Each experiment is asked for as on the command line of `octopus experiment`, done unless its file is there already, and written whole. The page
-//! is made from the [`Reports`]; nothing of it is kept elsewhere, so it can be made again from the files.
+//! is made from the `Reports`; nothing of it is kept elsewhere, so it can be made again from the files.
 
 mod claims;
 mod curves;
