@@ -95,7 +95,6 @@ pub struct Trace {
 pub struct Maddpg {
     config: Config,
     dimensions: Dimensions,
-    block_len: usize,
     settings: Settings,
     descent: Descent,
     actor: Half,
@@ -142,7 +141,6 @@ impl Maddpg {
         Self {
             config: config.clone(),
             dimensions: *dimensions,
-            block_len: BlockLayout::new(dimensions).len,
             descent: Descent::new(config),
             actor: half(&state.actor),
             critic: half(&state.critic),
@@ -178,21 +176,14 @@ impl Maddpg {
         shards: &[&[f32]],
         mut trace: Option<&mut Trace>,
     ) -> Result<UpdateReport, LearnerError> {
-        assert_eq!(shards.len(), self.dimensions.n_shards, "all shards of an iteration");
-        for shard in shards {
-            assert_eq!(shard.len(), self.block_len, "a block of this run's layout");
-        }
         tch::set_num_threads(i32::try_from(self.config.run.learner_threads).unwrap_or(i32::MAX));
-        state.remember_policy();
-        if state.iteration == 0 {
-            state.see(&self.dimensions, shards);
-        }
+        state.begin_update(&self.dimensions, shards);
         let (actor_lr, critic_lr) = learning_rates(&self.config, state.env_steps);
         let job =
             Job { moments: self.moments(state), iteration: state.iteration, actor_lr, critic_lr };
-        let steps_after = state.env_steps + self.config.steps_per_iteration();
-        let updates =
-            self.settings.updates_until(steps_after) - self.settings.updates_until(state.env_steps);
+        let env_steps = self.config.steps_per_iteration();
+        let updates = self.settings.updates_until(state.env_steps + env_steps)
+            - self.settings.updates_until(state.env_steps);
 
         let n = self.dimensions.n_agents;
         let TrainingState { actor, critic, off_policy, .. } = &mut *state;
@@ -237,11 +228,7 @@ impl Maddpg {
         }
         let steps = [networks.actor.adam.steps, networks.critic.adam.steps];
         [state.actor.adam.steps, state.critic.adam.steps] = steps;
-        if state.iteration > 0 {
-            state.see(&self.dimensions, shards);
-        }
-        state.iteration += 1;
-        state.env_steps = steps_after;
+        state.end_update(&self.dimensions, shards, env_steps);
         let exploration = self.settings.exploration(state.env_steps);
         for share in &mut explained {
             *share /= updates.max(1) as f64;

@@ -258,15 +258,8 @@ impl Mappo {
         shards: &[&[f32]],
         trace: Option<&mut Trace>,
     ) -> Result<UpdateReport, LearnerError> {
-        assert_eq!(shards.len(), self.dimensions.n_shards, "all shards of an iteration");
         assert!(trace.is_none() || self.groups.len() == 1, "one group can be traced");
-        for shard in shards {
-            assert_eq!(shard.len(), self.layout.len, "a block of this run's layout");
-        }
-        state.remember_policy();
-        if state.iteration == 0 {
-            state.see(&self.dimensions, shards);
-        }
+        state.begin_update(&self.dimensions, shards);
         let (actor_lr, critic_lr) = learning_rates(&self.config, state.env_steps);
         let job = Job {
             shards,
@@ -301,11 +294,7 @@ impl Mappo {
                 *rate = steered(*rate, *kl, self.options.target_kl);
             }
         }
-        if state.iteration > 0 {
-            state.see(&self.dimensions, shards);
-        }
-        state.iteration += 1;
-        state.env_steps += self.config.steps_per_iteration();
+        state.end_update(&self.dimensions, shards, self.config.steps_per_iteration());
         Ok(report)
     }
 }

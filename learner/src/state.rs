@@ -211,6 +211,35 @@ impl TrainingState {
         }
     }
 
+    /// Begins an update with the blocks of one iteration, ordered by shard: the policy so far becomes the
+    /// previous one, and normalisers that have seen nothing see these samples.
+    pub(crate) fn begin_update(&mut self, dimensions: &Dimensions, shards: &[&[f32]]) {
+        assert_eq!(shards.len(), dimensions.n_shards, "all shards of an iteration");
+        let block_len = BlockLayout::new(dimensions).len;
+        for shard in shards {
+            assert_eq!(shard.len(), block_len, "a block of this run's layout");
+        }
+        self.remember_policy();
+        if self.iteration == 0 {
+            self.see(dimensions, shards);
+        }
+    }
+
+    /// Ends it: later normalisers see the samples now, after these were learned from as the policy that
+    /// acted saw them.
+    pub(crate) fn end_update(
+        &mut self,
+        dimensions: &Dimensions,
+        shards: &[&[f32]],
+        env_steps: u64,
+    ) {
+        if self.iteration > 0 {
+            self.see(dimensions, shards);
+        }
+        self.iteration += 1;
+        self.env_steps += env_steps;
+    }
+
     /// Keeps the policy as it is now as the previous one.
     pub fn remember_policy(&mut self) {
         let mut policy = std::mem::take(&mut self.previous_policy);
