@@ -1,4 +1,4 @@
-//! ReLU and LayerNorm (or ReLU alone) of hidden layers, and the head, in one pass over each sample, forward and backward, on a CPU.
+//! ReLU or ELU of hidden layers, LayerNorm if there is one, and the head, in one pass over each sample, forward and backward, on a CPU.
 //!
 //! libtorch does the matrix products; what stands between them would be a dozen of its operations, each a pass over activations that
 //! do not fit into the first caches. Here a sample's features are read once and written once, in f32 in between. [`crate::mlp`] holds the
@@ -118,26 +118,100 @@ pub(crate) struct Sizes {
     pub(crate) outputs: usize,
 }
 
+/// What a hidden unit makes of its input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Unit {
+    /// max(x, 0).
+    Relu,
+    /// x above zero, eˣ − 1 below [Clevert, Unterthiner and Hochreiter 2016].
+    Elu,
+}
+
+/// [`Unit`] as the passes are compiled for it.
+trait Nonlinearity {
+    fn of<const FMA: bool>(self, x: f32) -> f32;
+    /// The gradient by x from that by what became of it.
+    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32;
+}
+
+#[derive(Clone, Copy)]
+struct Relu;
+
+impl Nonlinearity for Relu {
+    #[inline(always)]
+    fn of<const FMA: bool>(self, x: f32) -> f32 {
+        if x > 0.0 { x } else { 0.0 }
+    }
+    #[inline(always)]
+    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32 {
+        if x > 0.0 { d } else { 0.0 }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Elu;
+
+impl Nonlinearity for Elu {
+    #[inline(always)]
+    fn of<const FMA: bool>(self, x: f32) -> f32 {
+        let below = exp_of_negative::<FMA>(x) - 1.0;
+        if x > 0.0 { x } else { below }
+    }
+    #[inline(always)]
+    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32 {
+        let below = d * exp_of_negative::<FMA>(x);
+        if x > 0.0 { d } else { below }
+    }
+}
+
+/// eˣ for x ≤ 0, within 2⁻²³; 1 above. NaN gives NaN.
+///
+/// x = n ln 2 + r with |r| ≤ ½ ln 2, and the Taylor series of eʳ to r⁷, whose rest is below 2⁻²⁷.
+#[inline(always)]
+fn exp_of_negative<const FMA: bool>(x: f32) -> f32 {
+    /// 1.5 · 2²³: sums with it have no digits behind the point.
+    const ROUND: f32 = 12_582_912.0;
+    // ln 2 in two parts, the first of so few digits that n times it is exact.
+    const LN_2_HIGH: f32 = 0.693_359_4;
+    const LN_2_LOW: f32 = -2.121_944_4e-4;
+    // Below, eˣ is no normal number.
+    let x = if x > 0.0 { 0.0 } else { x };
+    let x = if x < -87.0 { -87.0 } else { x };
+    let n = mul_add::<FMA>(x, std::f32::consts::LOG2_E, ROUND) - ROUND;
+    let r = mul_add::<FMA>(n, -LN_2_LOW, mul_add::<FMA>(n, -LN_2_HIGH, x));
+    let mut sum = 1.0 / 5040.0;
+    for coefficient in [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+        sum = mul_add::<FMA>(sum, r, coefficient);
+    }
+    // 2ⁿ, −126 ≤ n ≤ 0, by its exponent; whole numbers below 2²³ stand in the lower bits of a sum with ROUND.
+    let exponent = (n + ROUND).to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127);
+    sum * f32::from_bits(exponent << 23)
+}
+
 /// Scratch memory of the passes: one sample's features, twice.
 #[derive(Debug)]
 pub(crate) struct Passes {
     features: Features,
+    unit: Unit,
     rows: [Vec<f32>; 2],
 }
 
 impl Passes {
     /// Scratch memory, and the features of this processor.
-    pub(crate) fn new() -> Self {
-        Self { features: Features::detect(), rows: [Vec::new(), Vec::new()] }
+    pub(crate) fn new(unit: Unit) -> Self {
+        Self { features: Features::detect(), unit, rows: [Vec::new(), Vec::new()] }
     }
 
-    /// ĥ = standardise(relu(product + bias)), or without standardising, and the head's outputs if there is a head.
+    /// ĥ = standardise(unit(product + bias)), or without standardising, and the head's outputs if there is a head.
     pub(crate) fn forward<T: Number>(&mut self, sizes: Sizes, arrays: Forward<'_, T>) {
         let rows = self.rows.each_mut().map(|row| {
             row.resize(sizes.features, 0.0);
             row.as_mut_slice()
         });
-        run_for(self.features, Job { sizes, arrays, rows });
+        match self.unit {
+            Unit::Relu => run_for(self.features, Job { sizes, arrays, rows, unit: Relu }),
+            Unit::Elu => run_for(self.features, Job { sizes, arrays, rows, unit: Elu }),
+        }
     }
 
     /// The gradient by the products from that by ĥ (or by the head's outputs); adds the gradients by bias and head.
@@ -146,28 +220,32 @@ impl Passes {
             row.resize(sizes.features, 0.0);
             row.as_mut_slice()
         });
-        run_for(self.features, Job { sizes, arrays, rows });
+        match self.unit {
+            Unit::Relu => run_for(self.features, Job { sizes, arrays, rows, unit: Relu }),
+            Unit::Elu => run_for(self.features, Job { sizes, arrays, rows, unit: Elu }),
+        }
     }
 }
 
 /// The arguments of a pass.
-struct Job<'r, A> {
+struct Job<'r, A, N> {
     sizes: Sizes,
     arrays: A,
     rows: [&'r mut [f32]; 2],
+    unit: N,
 }
 
-impl<T: Number> Loop for Job<'_, Forward<'_, T>> {
+impl<T: Number, N: Nonlinearity + Copy> Loop for Job<'_, Forward<'_, T>, N> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        forward_rows::<T, FMA>(self.sizes, self.arrays, self.rows);
+        forward_rows::<T, N, FMA>(self.sizes, self.arrays, self.rows, self.unit);
     }
 }
 
-impl<T: Number> Loop for Job<'_, Backward<'_, T>> {
+impl<T: Number, N: Nonlinearity + Copy> Loop for Job<'_, Backward<'_, T>, N> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        backward_rows::<T, FMA>(self.sizes, self.arrays, self.rows);
+        backward_rows::<T, N, FMA>(self.sizes, self.arrays, self.rows, self.unit);
     }
 }
 
@@ -219,10 +297,11 @@ macro_rules! sum {
 }
 
 #[inline(always)]
-fn forward_rows<T: Number, const FMA: bool>(
+fn forward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
     sizes: Sizes,
     arrays: Forward<'_, T>,
     rows: [&mut [f32]; 2],
+    unit: N,
 ) {
     let Sizes { agents, samples, features: h, outputs } = sizes;
     let Forward { product, bias, hidden, mut inverse_std, mut head } = arrays;
@@ -236,8 +315,7 @@ fn forward_rows<T: Number, const FMA: bool>(
             let at = (agent * samples + sample) * h;
             let (product, hidden) = (&product[at..][..h], &mut hidden[at..][..h]);
             for i in 0..h {
-                let x = product[i].widen() + bias[i];
-                row[i] = if x > 0.0 { x } else { 0.0 };
+                row[i] = unit.of::<FMA>(product[i].widen() + bias[i]);
             }
             if let Some(inverse_std) = &mut inverse_std {
                 let mean = sum!(x in row => |sum| sum + x) * per_feature;
@@ -268,12 +346,13 @@ fn forward_rows<T: Number, const FMA: bool>(
     }
 }
 
-/// With LayerNorm (d − mean(d) − ĥ · mean(d ⊙ ĥ)) / σ, else d, where the activation is positive; 0 elsewhere.
+/// With LayerNorm (d − mean(d) − ĥ · mean(d ⊙ ĥ)) / σ, else d, back through the units.
 #[inline(always)]
-fn backward_rows<T: Number, const FMA: bool>(
+fn backward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
     sizes: Sizes,
     arrays: Backward<'_, T>,
     rows: [&mut [f32]; 2],
+    unit: N,
 ) {
     let Sizes { agents, samples, features: h, outputs } = sizes;
     let Backward { product, bias, hidden, inverse_std, gradient, bias_gradient, mut head } = arrays;
@@ -320,13 +399,32 @@ fn backward_rows<T: Number, const FMA: bool>(
                 }
             }
             for i in 0..h {
-                let is_on = product[i].widen() + bias[i] > 0.0;
-                row[i] = if is_on { row[i] } else { 0.0 };
+                row[i] = unit.back::<FMA>(product[i].widen() + bias[i], row[i]);
                 bias_gradient[i] += row[i];
             }
             for i in 0..h {
                 gradient[i] = T::round(row[i]);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exponential_is_that_of_the_standard_library() {
+        for i in 0..87_000 {
+            let x = -(i as f32) * 1e-3;
+            let exact = f64::from(x).exp();
+            for found in [exp_of_negative::<true>(x), exp_of_negative::<false>(x)] {
+                let error = (f64::from(found) / exact - 1.0).abs();
+                assert!(error < 2.0 * f64::from(f32::EPSILON), "{x}: {found}, {exact}");
+            }
+        }
+        assert_eq!(exp_of_negative::<true>(3.0), 1.0);
+        assert!(exp_of_negative::<true>(-1e9) < 1e-37);
+        assert!(exp_of_negative::<true>(f32::NAN).is_nan());
     }
 }

@@ -10,7 +10,7 @@
 //! become those of g, s and W once a step ([`Compute::unfold`]): dW = g ⊙ dW′ + s ⊗ db′,
 //! dg = Σ_out W ⊙ dW′, ds = W db′. No affine map runs over samples.
 //!
-//! **Fused passes.** On a CPU with ReLU, what stands between two products is one pass over the samples, and the head is part of the last
+//! **Fused passes.** On a CPU with ReLU or ELU, what stands between two products is one pass over the samples, and the head is part of the last
 //! one (`fused.rs`). Everything else goes the general way, operation by operation.
 //!
 //! **Precision.** In bf16 the operands of hidden layers' products are bfloat16, as are the activations
@@ -22,7 +22,9 @@
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
-use crate::fused::{Backward, Bf16, Forward, HeadBackward, HeadForward, Number, Passes, Sizes};
+use crate::fused::{
+    Backward, Bf16, Forward, HeadBackward, HeadForward, Number, Passes, Sizes, Unit,
+};
 use crate::memory::{Element, numbers, numbers_mut};
 use crate::network::NetworkSpec;
 
@@ -97,9 +99,13 @@ impl Compute {
             width = units;
         }
         let weight_gradient = weight.iter().map(Tensor::zeros_like).collect();
-        let can_fuse = device == Device::Cpu && activation == Activation::Relu;
-        let fused = can_fuse.then(|| Fused {
-            passes: Passes::new(),
+        let unit = match activation {
+            Activation::Relu => Some(Unit::Relu),
+            Activation::Elu => Some(Unit::Elu),
+            Activation::Tanh => None,
+        };
+        let fused = unit.filter(|_| device == Device::Cpu).map(|unit| Fused {
+            passes: Passes::new(unit),
             bias: spec.hidden.iter().map(|&units| zeros(&[a, units], Kind::Float)).collect(),
         });
         Self {
