@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod checkpoints;
 pub mod experiment;
+pub mod plot;
 pub mod reproduce;
 pub mod rollout;
 pub mod serve;
@@ -129,6 +130,8 @@ pub enum Command {
     Experiment(experiment::ExperimentArgs),
     /// Repeat all of the paper's experiments and make a page of them.
     Reproduce(reproduce::ReproduceArgs),
+    /// Draw learning curves of runs side by side.
+    Plot(plot::PlotArgs),
     /// Integrate given joint commands, open loop.
     Simulate(SimulateArgs),
     /// Write a robot as a MuJoCo model file.

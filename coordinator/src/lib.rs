@@ -35,6 +35,7 @@ pub mod janitor;
 pub mod lock;
 pub mod signals;
 
+pub mod figures;
 pub mod preflight;
 pub mod provenance;
 pub mod report;

@@ -110,6 +110,24 @@ fn all_experiments_make_a_page_once() {
     stands_alone(&page);
     assert!(page.contains("id=\"learning\""));
 
+    // The same curves alone, against either.
+    for over in ["env-steps", "time"] {
+        let picture = scratch.path().join(format!("{over}.svg"));
+        let picture = ["--over", over, "--out", picture.to_str().expect("UTF-8")];
+        let run = format!("{dir}/trajectory");
+        let output = octopus(&[&["plot", &run], &picture[..]].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        let table = String::from_utf8(output.stdout).expect("UTF-8");
+        assert!(table.contains("mappo: trajectory") && table.contains(picture[3]), "{table}");
+        let svg = std::fs::read_to_string(picture[3]).expect("a picture");
+        assert!(svg.starts_with("<svg") && svg.contains("Trajectory: return"), "{}", &svg[..200]);
+        let json = octopus(&[&["plot", "--json", &run], &picture[..]].concat());
+        let curves: Value = serde_json::from_slice(&json.stdout).expect("JSON");
+        assert_eq!(curves[0]["returns"].as_array().expect("a curve").len(), 300);
+    }
+    let output = octopus(&["plot", "/no/such"]);
+    assert_eq!(output.status.code(), Some(5), "{}", stderr(&output));
+
     // One that is lost is made again, the others are not.
     std::fs::remove_file(dir_of.join("base-mass.json")).expect("removed");
     let output = octopus(&[&["reproduce"], &args[..]].concat());

@@ -7,6 +7,7 @@ pub mod doctor;
 pub mod eval;
 pub mod experiment;
 pub mod mjcf;
+pub mod plot;
 pub mod reproduce;
 pub mod resume;
 pub mod rollout;
@@ -47,6 +48,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Eval(args) => eval::run(&args),
         Command::Experiment(args) => experiment::run(&args),
         Command::Reproduce(args) => reproduce::run(&args),
+        Command::Plot(args) => plot::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Doctor(args) => doctor::run(args),
@@ -77,7 +79,7 @@ pub fn exit_code(error: &anyhow::Error) -> ExitCode {
 }
 
 /// The run directory at `path`, if it is one.
-fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
+pub(crate) fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
     let run_dir = RunDir::new(path);
     if run_dir.config().is_file() {
         return Ok(run_dir);
@@ -98,7 +100,7 @@ fn read_text(path: &Path) -> Result<String, ExitError> {
 }
 
 /// The resolved configuration of a run.
-fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
+pub(crate) fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
     let path = run_dir.config();
     Ok(Config::from_resolved_toml(&read_text(&path)?, &path.display().to_string())?)
 }

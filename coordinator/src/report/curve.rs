@@ -36,6 +36,8 @@ const MAX_POINTS: usize = 600;
 pub struct Point {
     /// Env-steps trained on.
     pub env_steps: f64,
+    /// Time since the run began (s).
+    pub wall_s: f64,
     /// Mean return over agents.
     pub mean: f64,
     /// Smallest mean return of an agent.
@@ -58,6 +60,7 @@ pub fn read_points(path: &Path) -> anyhow::Result<Vec<Point>> {
         let returns = returns?;
         Some(Point {
             env_steps: line["env_steps"].as_f64()?,
+            wall_s: line["wall_s"].as_f64()?,
             mean: line["return_mean"].as_f64()?,
             low: returns.iter().copied().fold(f64::INFINITY, f64::min),
             high: returns.iter().copied().fold(f64::NEG_INFINITY, f64::max),
@@ -264,6 +267,7 @@ fn thin_out(points: &[Point]) -> Vec<Point> {
         let of = |read: fn(&Point) -> f64| group.iter().map(read).sum::<f64>() / group.len() as f64;
         Point {
             env_steps: of(|point| point.env_steps),
+            wall_s: of(|point| point.wall_s),
             mean: of(|point| point.mean),
             low: of(|point| point.low),
             high: of(|point| point.high),

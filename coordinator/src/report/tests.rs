@@ -219,6 +219,7 @@ fn the_curve_of_a_long_run_stays_small() {
         let mean = -20.0 * (-3.0 * progress).exp();
         Point {
             env_steps: 400.0 * i as f64,
+            wall_s: i as f64,
             mean,
             low: mean - 2.0,
             high: mean + 1.0,

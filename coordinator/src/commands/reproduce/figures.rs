@@ -4,12 +4,11 @@ use proto::config::TaskName;
 
 use super::Reports;
 use super::claims::{MASS_SHARE, MASS_THRESHOLD};
-use super::curves::Family;
-use super::plot::{Axis, COLORS, Item, Panel, Quantiles, render};
 use crate::commands::eval::ErrorOf;
 use crate::commands::experiment::disturbance::{Disturbance, Disturbed};
 use crate::commands::experiment::noise::Quantity;
 use crate::commands::experiment::report::{ErrorOfMany, Figure, Goals};
+use crate::figures::panels::{Axis, COLORS, Item, Panel, Quantiles, line, render};
 
 const STEP: &str = "control step";
 
@@ -28,10 +27,6 @@ fn over_steps(values: impl IntoIterator<Item = f32>) -> Vec<(f64, f64)> {
     values.map(|(step, value)| ((step + 1) as f64, 1e3 * f64::from(value))).collect()
 }
 
-fn line(name: impl Into<String>, color: usize, points: Vec<(f64, f64)>) -> Item {
-    Item::Line { name: name.into(), color: color % COLORS.len(), points, dots: false }
-}
-
 fn threshold(name: &str, at: f64) -> Item {
     Item::Threshold { name: name.to_owned(), at }
 }
@@ -42,16 +37,7 @@ fn norm([x, y, z]: [f32; 3]) -> f32 {
 
 /// A panel over the steps of an episode with a logarithmic axis for what is in it.
 fn course(title: impl Into<String>, name: &str, steps: usize, items: Vec<Item>) -> Panel {
-    let values = items.iter().flat_map(|item| match item {
-        Item::Line { points, .. } => points.iter().map(|point| point.1).collect(),
-        Item::Band { low, high, .. } => {
-            low.iter().chain(high).map(|point| point.1).collect::<Vec<_>>()
-        }
-        Item::Threshold { at, .. } => vec![*at],
-        Item::Boxes { .. } | Item::Span { .. } => Vec::new(),
-    });
-    let y = Axis::log(name, values);
-    Panel { title: title.into(), x: Axis::linear(STEP, 0.0, steps as f64), y, items }
+    Panel::log(title, Axis::linear(STEP, 0.0, steps as f64), name, items)
 }
 
 /// Boxes of every agent's error: by the paper's measure and by ours.
@@ -383,60 +369,6 @@ pub(super) fn noise(reports: &Reports) -> anyhow::Result<String> {
         panels.push(Panel { x: Axis::names(x, names), ..panel });
     }
     render(&panels, 2)
-}
-
-/// Learning curves of runs: their mean, and what they span.
-pub(super) fn learning(families: &[Family]) -> anyhow::Result<String> {
-    let mut panels = Vec::new();
-    for task in [TaskName::Trajectory, TaskName::Reorientation] {
-        let families: Vec<&Family> = families.iter().filter(|family| family.task == task).collect();
-        let steps = families.iter().filter_map(|family| family.env_steps.last());
-        let Some(most) = steps.copied().reduce(f64::max) else { continue };
-        let x = Axis::linear("env-steps", 0.0, most);
-        let items = |read: fn(&Family) -> &[[f64; 3]]| -> Vec<Item> {
-            let of_family = |(color, family): (usize, &&Family)| {
-                let at = |place: usize| -> Vec<(f64, f64)> {
-                    let values = read(family).iter().map(|values| values[place]);
-                    family.env_steps.iter().copied().zip(values).collect()
-                };
-                let (color, name) = (color % COLORS.len(), family.name());
-                let band = Item::Band { name: String::new(), color, low: at(0), high: at(2) };
-                [band, line(name, color, at(1))]
-            };
-            families.iter().enumerate().flat_map(of_family).collect()
-        };
-        let span = |items: &[Item]| {
-            let values = items.iter().flat_map(|item| match item {
-                Item::Band { low, high, .. } => low.iter().chain(high).map(|p| p.1).collect(),
-                _ => Vec::new(),
-            });
-            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high): (f64, f64), value| {
-                (low.min(value), high.max(value))
-            })
-        };
-        let returns = items(|family| &family.returns);
-        let (low, high) = span(&returns);
-        let margin = 0.05 * (high - low);
-        panels.push(Panel {
-            title: format!("{}: return", capital(task.as_str())),
-            x: x.clone(),
-            y: Axis::linear("return, mean of the agents", low - margin, high + margin),
-            items: returns,
-        });
-        let errors = match task {
-            TaskName::Trajectory => vec![
-                (ErrorOf::Position, items(|family| &family.position)),
-                (ErrorOf::Orientation, items(|family| &family.orientation)),
-            ],
-            TaskName::Reorientation => vec![(ErrorOf::Base, items(|family| &family.base))],
-        };
-        for (error, items) in errors {
-            let title = format!("{}: {error}", capital(task.as_str()));
-            let panel = course(title, label(error), 1, items);
-            panels.push(Panel { x: x.clone(), ..panel });
-        }
-    }
-    render(&panels, 3)
 }
 
 #[cfg(test)]

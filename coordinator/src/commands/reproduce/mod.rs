@@ -4,11 +4,9 @@
 //! is made from the `Reports`; nothing of it is kept elsewhere, so it can be made again from the files.
 
 mod claims;
-mod curves;
 mod drawing;
 mod figures;
 mod page;
-mod plot;
 
 use std::ffi::OsString;
 use std::io::ErrorKind;
@@ -32,6 +30,7 @@ use crate::commands::experiment::lab::Lab;
 use crate::commands::experiment::report::RobotIdentity;
 use crate::commands::experiment::{Experiment, Name, ReportOf, perform};
 use crate::commands::trained::PolicyIdentity;
+use crate::figures::families::{self, Over};
 use crate::provenance::{Provenance, utc};
 use crate::report::progress::Parts;
 use crate::{files, output};
@@ -76,7 +75,7 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
     let out = args.out.clone().unwrap_or_else(|| format!("reproduction-{now}").into());
     let page = out.join(PAGE);
     check_page(&page)?;
-    let families = curves::read(&args.runs)?;
+    let families = families::read(&args.runs, Over::EnvSteps)?;
     let line = |name, quick: &[&str]| Line::new(name, args, &policies, quick);
     let jobs = Jobs {
         precision: Job::new(line(Name::Precision, &[]), &out, |command| match command {

@@ -6,7 +6,6 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use sim_worker::robot::Robot;
 
 use super::claims::{Claim, verdict};
-use super::curves::Family;
 use super::{GENERATOR, Reports, drawing, figures};
 use crate::cli::experiment::{
     ArmFailureArgs, BaseMassArgs, DisturbanceArgs, NoiseArgs, PrecisionArgs, ReassemblyArgs,
@@ -14,6 +13,8 @@ use crate::cli::experiment::{
 use crate::commands::experiment::report::{Goals, Report};
 use crate::commands::experiment::{Experiment, Name, ReportOf};
 use crate::commands::trained::PolicyIdentity;
+use crate::figures::families::{Family, Over};
+use crate::figures::learning::learning as learning_curves;
 use crate::output;
 use crate::provenance::{Provenance, utc};
 use crate::report::progress::grouped;
@@ -261,7 +262,7 @@ fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
 fn learning(families: &[Family]) -> anyhow::Result<Markup> {
     Ok(html! {
         h2 id="learning" { "Learning" }
-        (figure(&figures::learning(families)?, "Mean over the runs of one configuration, and the span of their seeds; errors after the last step of \
+        (figure(&learning_curves(families, Over::EnvSteps)?, "Mean over the runs of one configuration, and the span of their seeds; errors after the last step of \
             training episodes, exploration included, so an evaluation ends lower."))
         dl {
             @for family in families {

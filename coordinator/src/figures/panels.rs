@@ -1,7 +1,7 @@
 //! Panels of lines, bands and boxes, side by side, as SVG for a page.
 //!
 //! Nothing is filled behind a picture, and all colours are of one small set, so that the page's style sheet can replace them where it is
-//! dark (see `style.css`). Legends stand above what is drawn, never on it.
+//! dark (see `reproduce/style.css`). Legends stand above what is drawn, never on it.
 
 use std::ops::Range;
 
@@ -17,7 +17,7 @@ const INK: RGBColor = RGBColor(38, 50, 56);
 const FAINT: RGBColor = RGBColor(96, 112, 120);
 const GRID: RGBColor = RGBColor(226, 231, 234);
 /// Okabe and Ito's colours, which all eyes tell apart.
-pub(super) const COLORS: [RGBColor; 6] = [
+pub(crate) const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -33,17 +33,17 @@ const CHARACTER: f64 = 6.7;
 
 /// An axis.
 #[derive(Debug, Clone)]
-pub(super) struct Axis {
+pub(crate) struct Axis {
     /// What it shows, with its unit.
-    pub(super) name: String,
-    pub(super) scale: Scale,
-    pub(super) low: f64,
-    pub(super) high: f64,
+    pub(crate) name: String,
+    pub(crate) scale: Scale,
+    pub(crate) low: f64,
+    pub(crate) high: f64,
 }
 
 /// How an axis is divided.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Scale {
+pub(crate) enum Scale {
     Linear,
     Log,
     /// A name at 0, 1, 2, …
@@ -52,19 +52,19 @@ pub(super) enum Scale {
 
 impl Axis {
     /// From `low` to `high`, evenly.
-    pub(super) fn linear(name: &str, low: f64, high: f64) -> Self {
+    pub(crate) fn linear(name: &str, low: f64, high: f64) -> Self {
         let high = if high > low { high } else { low + 1.0 };
         Self { name: name.to_owned(), scale: Scale::Linear, low, high }
     }
 
     /// Names side by side.
-    pub(super) fn names(name: &str, names: Vec<String>) -> Self {
+    pub(crate) fn names(name: &str, names: Vec<String>) -> Self {
         let high = names.len() as f64 - 0.5;
         Self { name: name.to_owned(), scale: Scale::Names(names), low: -0.5, high }
     }
 
     /// Logarithmic, with room for all of `values` that are above zero, and at least for a factor of ten.
-    pub(super) fn log(name: &str, values: impl Iterator<Item = f64>) -> Self {
+    pub(crate) fn log(name: &str, values: impl Iterator<Item = f64>) -> Self {
         let (low, high) = values
             .filter(|value| value.is_finite() && *value > 0.0)
             .fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
@@ -133,18 +133,18 @@ impl Ranged for Axis {
 
 /// A distribution in the form of a box.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Quantiles {
-    pub(super) p10: f64,
-    pub(super) p25: f64,
-    pub(super) p50: f64,
-    pub(super) p75: f64,
-    pub(super) p90: f64,
-    pub(super) mean: f64,
+pub(crate) struct Quantiles {
+    pub(crate) p10: f64,
+    pub(crate) p25: f64,
+    pub(crate) p50: f64,
+    pub(crate) p75: f64,
+    pub(crate) p90: f64,
+    pub(crate) mean: f64,
 }
 
 impl Quantiles {
     /// Of `values`, interpolated between neighbours; none of nothing.
-    pub(super) fn of(mut values: Vec<f64>) -> Option<Self> {
+    pub(crate) fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
         let last = values.len().checked_sub(1)? as f64;
         let at = |share: f64| {
@@ -159,7 +159,7 @@ impl Quantiles {
 
 /// Something drawn, with its place in [`COLORS`].
 #[derive(Debug, Clone)]
-pub(super) enum Item {
+pub(crate) enum Item {
     Line {
         name: String,
         color: usize,
@@ -193,20 +193,41 @@ pub(super) enum Item {
     },
 }
 
+/// A line with a name.
+pub(crate) fn line(name: impl Into<String>, color: usize, points: Vec<(f64, f64)>) -> Item {
+    Item::Line { name: name.into(), color: color % COLORS.len(), points, dots: false }
+}
+
 /// One coordinate system.
 #[derive(Debug, Clone)]
-pub(super) struct Panel {
-    pub(super) title: String,
-    pub(super) x: Axis,
-    pub(super) y: Axis,
-    pub(super) items: Vec<Item>,
+pub(crate) struct Panel {
+    pub(crate) title: String,
+    pub(crate) x: Axis,
+    pub(crate) y: Axis,
+    pub(crate) items: Vec<Item>,
+}
+
+impl Panel {
+    /// With a logarithmic axis for what is in it.
+    pub(crate) fn log(title: impl Into<String>, x: Axis, y: &str, items: Vec<Item>) -> Self {
+        let values = items.iter().flat_map(|item| match item {
+            Item::Line { points, .. } => points.iter().map(|point| point.1).collect(),
+            Item::Band { low, high, .. } => {
+                low.iter().chain(high).map(|point| point.1).collect::<Vec<_>>()
+            }
+            Item::Threshold { at, .. } => vec![*at],
+            Item::Boxes { .. } | Item::Span { .. } => Vec::new(),
+        });
+        let y = Axis::log(y, values);
+        Self { title: title.into(), x, y, items }
+    }
 }
 
 type Failure = Box<dyn std::error::Error>;
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// Draws panels in `columns`.
-pub(super) fn render(panels: &[Panel], columns: usize) -> anyhow::Result<String> {
+pub(crate) fn render(panels: &[Panel], columns: usize) -> anyhow::Result<String> {
     let rows = panels.len().div_ceil(columns);
     let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
     let mut svg = String::new();

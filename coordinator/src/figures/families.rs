@@ -1,10 +1,12 @@
-//! Learning curves of several runs together.
+//! Learning curves of several runs, those that differ in their seeds alone together.
 
 use std::path::{Path, PathBuf};
 
+use clap::ValueEnum;
 use proto::config::{AlgorithmName, Config, TaskName};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
+use serde::Serialize;
 
 use crate::commands::{read_config, run_directory};
 use crate::report::curve::{Point, read_points};
@@ -12,21 +14,48 @@ use crate::report::curve::{Point, read_points};
 /// Points of a curve.
 const POINTS: usize = 300;
 
-/// Runs that differ in their seeds alone; `[low, mean, high]` over them at every one of `env_steps`.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Family {
-    pub(super) task: TaskName,
+/// What learning is drawn against.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Over {
+    /// Env-steps trained on.
+    EnvSteps,
+    /// Wall-clock time.
+    Time,
+}
+
+impl Over {
+    fn of(self, point: &Point) -> f64 {
+        match self {
+            Self::EnvSteps => point.env_steps,
+            Self::Time => point.wall_s / 60.0,
+        }
+    }
+
+    /// The name of its axis.
+    pub(crate) fn axis(self) -> &'static str {
+        match self {
+            Self::EnvSteps => "env-steps",
+            Self::Time => "time (min)",
+        }
+    }
+}
+
+/// Runs that differ in their seeds alone; `[low, mean, high]` over them at every one of `along`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Family {
+    pub(crate) task: TaskName,
     algorithm: AlgorithmName,
     /// The runs, with their seeds.
-    pub(super) runs: Vec<(PathBuf, u64)>,
-    pub(super) env_steps: Vec<f64>,
-    pub(super) returns: Vec<[f64; 3]>,
+    pub(crate) runs: Vec<(PathBuf, u64)>,
+    /// Places on the horizontal axis.
+    pub(crate) along: Vec<f64>,
+    pub(crate) returns: Vec<[f64; 3]>,
     /// (mm)
-    pub(super) position: Vec<[f64; 3]>,
+    pub(crate) position: Vec<[f64; 3]>,
     /// (mrad)
-    pub(super) orientation: Vec<[f64; 3]>,
+    pub(crate) orientation: Vec<[f64; 3]>,
     /// (mrad)
-    pub(super) base: Vec<[f64; 3]>,
+    pub(crate) base: Vec<[f64; 3]>,
 }
 
 /// Runs of one configuration, without its seed.
@@ -37,7 +66,7 @@ struct Kind {
 }
 
 /// Reads run directories and puts those together that differ in their seeds alone.
-pub(super) fn read(runs: &[PathBuf]) -> anyhow::Result<Vec<Family>> {
+pub(crate) fn read(runs: &[PathBuf], over: Over) -> anyhow::Result<Vec<Family>> {
     let mut kinds: Vec<Kind> = Vec::new();
     for path in runs {
         let run_dir = run_directory(path)?;
@@ -53,7 +82,7 @@ pub(super) fn read(runs: &[PathBuf]) -> anyhow::Result<Vec<Family>> {
         }
     }
     let family = |Kind { config, runs, curves }: Kind| {
-        Family::new(config.task.name, config.algorithm.name, runs, &curves)
+        Family::new(config.task.name, config.algorithm.name, runs, &curves, over)
     };
     Ok(kinds.into_iter().map(family).collect())
 }
@@ -73,18 +102,19 @@ impl Family {
         algorithm: AlgorithmName,
         runs: Vec<(PathBuf, u64)>,
         curves: &[Vec<Point>],
+        over: Over,
     ) -> Self {
         let ends = |end: fn(&[Point]) -> Option<&Point>| {
-            curves.iter().filter_map(move |curve| Some(end(curve)?.env_steps))
+            curves.iter().filter_map(move |curve| Some(over.of(end(curve)?)))
         };
         // Where all runs have been.
         let first = ends(<[Point]>::first).fold(0.0, f64::max);
         let last = ends(<[Point]>::last).fold(f64::INFINITY, f64::min);
         let at = |index: usize| first + (last - first) * index as f64 / (POINTS - 1) as f64;
-        let env_steps: Vec<f64> = (0..POINTS).map(at).collect();
-        let over = |read: fn(&Point) -> f64| -> Vec<[f64; 3]> {
-            let at = |steps: &f64| {
-                let values = curves.iter().map(|curve| interpolate(curve, *steps, read));
+        let along: Vec<f64> = (0..POINTS).map(at).collect();
+        let spanned = |read: fn(&Point) -> f64| -> Vec<[f64; 3]> {
+            let at = |place: &f64| {
+                let values = curves.iter().map(|curve| interpolate(curve, over, *place, read));
                 let (low, sum, high) = values.fold(
                     (f64::INFINITY, 0.0, f64::NEG_INFINITY),
                     |(low, sum, high): (f64, f64, f64), value| {
@@ -93,22 +123,22 @@ impl Family {
                 );
                 [low, sum / curves.len() as f64, high]
             };
-            env_steps.iter().map(at).collect()
+            along.iter().map(at).collect()
         };
         Self {
             task,
             algorithm,
             runs,
-            returns: over(|point| point.mean),
-            position: over(|point| 1e3 * point.position),
-            orientation: over(|point| 1e3 * point.orientation),
-            base: over(|point| 1e3 * point.base),
-            env_steps,
+            returns: spanned(|point| point.mean),
+            position: spanned(|point| 1e3 * point.position),
+            orientation: spanned(|point| 1e3 * point.orientation),
+            base: spanned(|point| 1e3 * point.base),
+            along,
         }
     }
 
     /// What its curve is called.
-    pub(super) fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         let first = self.runs.first().and_then(|(path, _)| path.file_name()).unwrap_or_default();
         match self.runs.len() {
             1 => format!("{}: {}", self.algorithm.as_str(), first.to_string_lossy()),
@@ -122,13 +152,13 @@ impl Family {
     }
 }
 
-/// A number between the iterations beside `steps`.
-fn interpolate(curve: &[Point], steps: f64, read: fn(&Point) -> f64) -> f64 {
-    let next = curve.partition_point(|point| point.env_steps < steps);
+/// A number between the iterations beside `place`.
+fn interpolate(curve: &[Point], over: Over, place: f64, read: fn(&Point) -> f64) -> f64 {
+    let next = curve.partition_point(|point| over.of(point) < place);
     let after = &curve[next.min(curve.len() - 1)];
     let before = &curve[next.saturating_sub(1)];
-    let length = after.env_steps - before.env_steps;
-    let share = if length > 0.0 { (steps - before.env_steps) / length } else { 0.0 };
+    let length = over.of(after) - over.of(before);
+    let share = if length > 0.0 { (place - over.of(before)) / length } else { 0.0 };
     read(before) + share * (read(after) - read(before))
 }
 
@@ -137,7 +167,9 @@ mod tests {
     use super::*;
 
     fn point(env_steps: f64, mean: f64) -> Point {
-        Point { env_steps, mean, low: 0.0, high: 0.0, position: 0.1, orientation: 0.2, base: 0.3 }
+        let wall_s = 6.0 * env_steps;
+        let (low, high, position, orientation, base) = (0.0, 0.0, 0.1, 0.2, 0.3);
+        Point { env_steps, wall_s, mean, low, high, position, orientation, base }
     }
 
     #[test]
@@ -145,8 +177,20 @@ mod tests {
         let one = vec![point(10.0, 0.0), point(20.0, 1.0), point(40.0, 5.0)];
         let other = vec![point(20.0, 3.0), point(30.0, 3.0)];
         let runs = vec![("runs/a".into(), 1), ("runs/b".into(), 2)];
-        let family = Family::new(TaskName::Trajectory, AlgorithmName::Mappo, runs, &[one, other]);
-        assert_eq!((family.env_steps[0], family.env_steps[POINTS - 1]), (20.0, 30.0));
+        let curves = [one, other];
+        let over = |over| {
+            let runs = runs.clone();
+            Family::new(TaskName::Trajectory, AlgorithmName::Mappo, runs, &curves, over)
+        };
+        let time = over(Over::Time);
+        assert_eq!((time.along[0], time.along[POINTS - 1]), (2.0, 3.0));
+        let family = over(Over::EnvSteps);
+        assert_eq!((family.along[0], family.along[POINTS - 1]), (20.0, 30.0));
+        for (by_steps, by_time) in family.returns.iter().zip(&time.returns) {
+            for (x, y) in by_steps.iter().zip(by_time) {
+                assert!((x - y).abs() < 1e-12, "{by_steps:?} and {by_time:?}");
+            }
+        }
         assert_eq!(family.returns[0], [1.0, 2.0, 3.0]);
         assert_eq!(family.returns[POINTS - 1], [3.0, 3.0, 3.0]);
         assert!((family.position[0][1] - 100.0).abs() < 1e-9);

@@ -1,0 +1,35 @@
+//! Options of `octopus plot`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::figures::families::Over;
+
+const EXAMPLES: &str = "\
+Examples:
+  octopus plot runs/trajectory-20260101-120000
+  octopus plot runs/mappo-1 runs/mappo-2 runs/mappo-3 runs/ppo-1 runs/ppo-2 runs/ppo-3
+  octopus plot runs/* --over time --out curves.svg
+
+Return and errors of training, exploration included, with a panel for each. Runs that differ in their
+seeds alone are one curve: their mean, with a band from the lowest to the highest. A run that is still
+going on can be drawn, too.";
+
+/// Options of `octopus plot`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct PlotArgs {
+    /// Run directories.
+    #[arg(value_name = "RUN_DIR", required = true, num_args = 1..)]
+    pub runs: Vec<PathBuf>,
+    /// What learning is drawn against.
+    #[arg(long, value_enum, default_value_t = Over::EnvSteps)]
+    pub over: Over,
+    /// Where the picture goes; a file that is there is replaced.
+    #[arg(long, value_name = "FILE", default_value = "learning-curves.svg")]
+    pub out: PathBuf,
+    /// Print the curves as JSON.
+    #[arg(long)]
+    pub json: bool,
+}

@@ -1,0 +1,5 @@
+//! Pictures as SVG: panels of lines, bands and boxes, and the learning curves of several runs.
+
+pub mod families;
+pub(crate) mod learning;
+pub(crate) mod panels;
