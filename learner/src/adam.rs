@@ -44,14 +44,6 @@ impl Adam {
         Self { m: flat.zeros_like(), v: flat.zeros_like(), steps: vec![0; flat.size()[0] as usize] }
     }
 
-    /// The same moments of `len` agents from `start`, in the same memory, and a copy of their
-    /// counts.
-    #[must_use]
-    pub fn narrow(&self, start: usize, len: usize) -> Self {
-        let part = |tensor: &Tensor| tensor.narrow(0, start as i64, len as i64);
-        Self { m: part(&self.m), v: part(&self.v), steps: self.steps[start..start + len].to_vec() }
-    }
-
     /// One step of `flat` against `gradient`, both `[A, P]`, for the agents that are `active`, each at
     /// its own rate. `scratch` may be overwritten.
     pub fn step(

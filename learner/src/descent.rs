@@ -4,6 +4,7 @@ use proto::config::{Config, Schedule};
 use tch::{Device, Kind, Tensor};
 
 use crate::LearnerError;
+use crate::actors::Actors;
 use crate::adam::{Adam, AdamOptions, clip_gradient};
 use crate::mlp::Compute;
 use crate::network::NetworkSpec;
@@ -26,7 +27,7 @@ pub(crate) struct Half {
     pub(crate) recorded: Option<Tensor>,
 }
 
-/// One kind of network of some actors' part of the state, in the state's memory.
+/// One kind of network of some actors: their part of the state, in the state's memory or copied.
 pub(crate) struct Learned {
     pub(crate) spec: NetworkSpec,
     pub(crate) flat: Tensor,
@@ -34,10 +35,24 @@ pub(crate) struct Learned {
 }
 
 impl Learned {
-    /// The part of `len` actors from `start`.
-    pub(crate) fn part(network: &NetworkState, start: usize, len: usize) -> Self {
-        let flat = network.flat.narrow(0, start as i64, len as i64);
-        Self { spec: network.spec.clone(), flat, adam: network.adam.narrow(start, len) }
+    /// The part of `actors`, in the state's memory if they stand side by side.
+    pub(crate) fn part(network: &NetworkState, actors: &Actors) -> Self {
+        let part = |tensor: &Tensor| actors.of(tensor);
+        let Adam { m, v, steps } = &network.adam;
+        let steps = actors.iter().map(|actor| steps[actor]).collect();
+        Self {
+            spec: network.spec.part(&actors.iter().collect::<Vec<_>>()),
+            flat: part(&network.flat),
+            adam: Adam { m: part(m), v: part(v), steps },
+        }
+    }
+
+    /// Brings what was learned into the state's memory, but for the counts of steps.
+    pub(crate) fn put_back(&self, network: &NetworkState, actors: &Actors) {
+        let Adam { m, v, .. } = &network.adam;
+        actors.put_back(&self.flat, &network.flat);
+        actors.put_back(&self.adam.m, m);
+        actors.put_back(&self.adam.v, v);
     }
 }
 
@@ -90,9 +105,7 @@ impl Descent {
         active: &[bool],
     ) -> Vec<f64> {
         let Half { gradient, scratch, recorded, .. } = half;
-        if learned.spec.shared {
-            learned.spec.share_gradient(gradient);
-        }
+        learned.spec.share_gradient(gradient);
         if recorded.is_some() {
             *recorded = Some(gradient.copy());
         }
@@ -101,10 +114,8 @@ impl Descent {
         if norms.iter().all(|norm| norm.is_finite()) {
             let Learned { spec, flat, adam } = learned;
             adam.step(&self.adam, learning_rates, flat, gradient, scratch, active);
-            if spec.shared {
-                for tensor in [&*flat, &adam.m, &adam.v] {
-                    spec.unify(tensor);
-                }
+            for tensor in [&*flat, &adam.m, &adam.v] {
+                spec.unify(tensor);
             }
         }
         norms
@@ -115,7 +126,7 @@ impl Descent {
 pub(crate) fn check(
     norms: &[f64],
     network: &'static str,
-    first_actor: usize,
+    actors: Actors,
     iteration: u64,
     (epoch, mini_batch): (usize, usize),
 ) -> Result<(), LearnerError> {
@@ -123,7 +134,7 @@ pub(crate) fn check(
         None => Ok(()),
         Some(index) => Err(LearnerError::Diverged {
             network,
-            agent: first_actor + index,
+            agent: actors.first + actors.step * index,
             iteration,
             epoch,
             mini_batch,

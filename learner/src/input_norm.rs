@@ -76,20 +76,22 @@ impl InputNorm {
         self.count = total;
     }
 
-    /// Gives all rows the moments of their union, for a network that they share.
-    pub fn pool(&mut self) {
-        let rows = self.rows as f64;
-        for feature in 0..self.features {
-            let index = |row: usize| row * self.features + feature;
-            let mean = (0..self.rows).map(|row| self.mean[index(row)]).sum::<f64>() / rows;
-            let spread = (0..self.rows)
-                .map(|row| {
-                    self.m2[index(row)] + self.count * (self.mean[index(row)] - mean).powi(2)
-                })
+    /// Gives every `networks`-th row the moments of their union, for the network that they share.
+    pub fn pool(&mut self, networks: usize) {
+        let rows = (self.rows / networks) as f64;
+        for (network, feature) in
+            (0..networks).flat_map(|n| (0..self.features).map(move |f| (n, f)))
+        {
+            let of_network = (network..self.rows).step_by(networks);
+            let indices = of_network.map(|row| row * self.features + feature);
+            let mean = indices.clone().map(|index| self.mean[index]).sum::<f64>() / rows;
+            let spread = indices
+                .clone()
+                .map(|index| self.m2[index] + self.count * (self.mean[index] - mean).powi(2))
                 .sum::<f64>();
-            for row in 0..self.rows {
-                self.mean[index(row)] = mean;
-                self.m2[index(row)] = spread / rows;
+            for index in indices {
+                self.mean[index] = mean;
+                self.m2[index] = spread / rows;
             }
         }
     }
@@ -127,7 +129,7 @@ mod tests {
     fn pooled_rows_have_the_moments_of_their_union() {
         let mut norm = InputNorm::new(2, 1);
         norm.update(&[vec![&[1.0, 3.0]], vec![&[5.0, 7.0]]]);
-        norm.pool();
+        norm.pool(1);
         assert_eq!(norm.mean, [4.0, 4.0]);
         // Union: deviations −3, −1, 1, 3; variance 5 over two samples a row.
         assert_eq!(norm.m2, [10.0, 10.0]);

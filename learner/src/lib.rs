@@ -43,6 +43,7 @@
     reason = "only what is inlined into a function is compiled for its processor features, see `features`"
 )]
 
+mod actors;
 pub mod adam;
 mod algorithm;
 pub mod bench;

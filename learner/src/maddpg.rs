@@ -44,6 +44,7 @@ use tch::{Device, Kind, Tensor};
 
 use self::replay::{Batch, Replay};
 use crate::LearnerError;
+use crate::actors::Actors;
 use crate::descent::{Descent, Half, Learned, check, learning_rates};
 use crate::input_norm::InputNorm;
 use crate::mlp::standardise_input;
@@ -190,9 +191,10 @@ impl Maddpg {
         let OffPolicy { target_actor, target_critic, replay } =
             off_policy.as_mut().expect("a state of MADDPG");
         replay.insert(&self.dimensions, shards);
+        let all = Actors::all(n);
         let mut networks = Networks {
-            actor: Learned::part(actor, 0, n),
-            critic: Learned::part(critic, 0, n),
+            actor: Learned::part(actor, &all),
+            critic: Learned::part(critic, &all),
             target_actor,
             target_critic,
         };
@@ -337,7 +339,7 @@ impl Maddpg {
         compute.unfold(&critic.flat, gradient);
         let norms =
             self.descent.step(critic, &mut self.critic, &vec![job.critic_lr; agents], &active);
-        check(&norms, "critic", 0, job.iteration, (0, update))?;
+        check(&norms, "critic", Actors::all(agents), job.iteration, (0, update))?;
         sums.critic(mean(error.square()).into_iter(), &norms);
         let variance = |x: &Tensor| x.to_kind(Kind::Double).var_dim(&[1i64][..], false, false);
         let share = 1.0 - variance(&error) / variance(&target).clamp_min(1e-12);
@@ -367,7 +369,7 @@ impl Maddpg {
         compute.backward(&seen, &d_output, gradient);
         compute.unfold(&actor.flat, gradient);
         let norms = self.descent.step(actor, &mut self.actor, &vec![job.actor_lr; agents], &active);
-        check(&norms, "actor", 0, job.iteration, (0, update))?;
+        check(&norms, "actor", Actors::all(agents), job.iteration, (0, update))?;
         let zeros = || std::iter::repeat_n(0.0, agents);
         sums.actor(mean(-value).into_iter(), zeros(), zeros(), &norms);
 

@@ -1,7 +1,7 @@
 //! The update: what a learner makes of an iteration's samples.
 //!
-//! Yu et al. 2022, algorithm 1, with separate networks for every agent (or one that all share, or one
-//! that acts for all), in this order:
+//! Yu et al. 2022, algorithm 1, with separate networks for every agent (or some that several share, or
+//! one that acts for all), in this order:
 //!
 //! 1. inputs are normalised as the policy that acted saw them, and gathered sample by sample;
 //! 2. critics predict values; advantages by [`gae`](crate::gae) on denormalised values;
@@ -12,9 +12,9 @@
 //! **Threads.** Actors with networks of their own have nothing in common, so on a CPU each is a group
 //! of its own, whose parameters, moments and gradients stay in a core's cache for the whole update;
 //! threads take one group after another. What an actor learns does not depend on who computes it, nor
-//! on the number of threads, up to one an actor. A shared network is one group, whose operations
-//! libtorch spreads over the threads, and so are all networks on a GPU; within a group all actors go
-//! through each operation together. For one number of threads the result is always the same to the
+//! on the number of threads, up to one a group. The actors of a shared network are one group; within a
+//! group all actors go through each operation together, and libtorch spreads the operations over the
+//! threads that have no group of their own. On a GPU all networks are one group. For one number of threads the result is always the same to the
 //! bit.
 //!
 //! **Agents and actors.** Blocks are written by agent; networks belong to actors (see
@@ -40,13 +40,14 @@ use proto::rng::{Address, Purpose, permutation};
 use tch::{Device, Kind, Tensor};
 
 use crate::LearnerError;
+use crate::actors::Actors;
 use crate::descent::{Descent, Half, Learned, check, learning_rates};
 use crate::gae::{Gae, standardise};
 use crate::input_norm::InputNorm;
 use crate::loss::{ActorLoss, ActorSamples, CriticLoss};
 use crate::memory::view;
 use crate::mlp::standardise_input;
-use crate::report::{Sums, UpdateReport, add};
+use crate::report::{Sums, UpdateReport, add, interleaved};
 use crate::state::{NetworkState, TrainingState};
 use crate::value_norm::ValueNorm;
 
@@ -106,7 +107,7 @@ pub struct Mappo {
 /// Actors that are computed together.
 #[derive(Debug)]
 struct Group {
-    actors: Range<usize>,
+    actors: Actors,
     actor: Half,
     critic: Half,
     chunk_rows: i64,
@@ -156,8 +157,8 @@ struct Outcome {
 impl Mappo {
     /// Buffers and options for `config`; `state` says precision and device.
     pub fn new(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
-        let together = config.network.shared_parameters || state.device().is_cuda();
-        Self::in_groups(config, dimensions, state, if together { 1 } else { dimensions.n_actors })
+        let n_groups = if state.device().is_cuda() { 1 } else { state.actor.spec.n_networks };
+        Self::in_groups(config, dimensions, state, n_groups)
     }
 
     /// As [`Mappo::new`], with all actors in one group, so that an update can be traced.
@@ -206,12 +207,11 @@ impl Mappo {
         let kind = state.arithmetic.kind();
         let threads = config.run.learner_threads;
         let at_once = threads.min(n_groups);
-        let bound = |group: usize| group * dimensions.n_actors / n_groups;
         let groups = (0..n_groups)
-            .map(|group| {
-                let actors = bound(group)..bound(group + 1);
-                let half =
-                    |network: &NetworkState| Half::new(config, network, actors.len(), kind, device);
+            .map(|first| {
+                let len = dimensions.n_actors / n_groups;
+                let actors = Actors { first, step: n_groups, len };
+                let half = |network: &NetworkState| Half::new(config, network, len, kind, device);
                 Group {
                     actor: half(&state.actor),
                     critic: half(&state.critic),
@@ -279,19 +279,21 @@ impl Mappo {
         let outcomes = run_groups(&mut self.groups, state, &job, self.threads, trace);
         let actor_lr = job.actor_lr.iter().sum::<f64>() / job.actor_lr.len() as f64;
         let mut report = UpdateReport { actor_lr, critic_lr, ..UpdateReport::default() };
-        let mut steps = (Vec::new(), Vec::new());
+        let (mut steps, mut parts) = ((Vec::new(), Vec::new()), Vec::new());
         let mut last_kl = Vec::new();
         for outcome in outcomes {
             let Outcome { actor_steps, critic_steps, last_kl: kl, report: part } = outcome?;
-            steps.0.extend(actor_steps);
-            steps.1.extend(critic_steps);
-            last_kl.extend(kl);
-            report.append(part);
+            steps.0.push(actor_steps);
+            steps.1.push(critic_steps);
+            last_kl.push(kl);
+            parts.push(part);
         }
-        (state.actor.adam.steps, state.critic.adam.steps) = steps;
+        report.interleave(parts);
+        state.actor.adam.steps = interleaved(&steps.0);
+        state.critic.adam.steps = interleaved(&steps.1);
         if let Some(rate) = &mut state.actor_rate {
-            for (rate, kl) in rate.iter_mut().zip(&last_kl) {
-                *rate = steered(*rate, *kl, self.options.target_kl);
+            for (rate, kl) in rate.iter_mut().zip(interleaved(&last_kl)) {
+                *rate = steered(*rate, kl, self.options.target_kl);
             }
         }
         state.end_update(&self.dimensions, shards, self.config.steps_per_iteration());
@@ -308,17 +310,15 @@ fn run_groups(
     [at_once, threads]: [usize; 2],
     trace: Option<&mut Trace>,
 ) -> Vec<Result<Outcome, LearnerError>> {
-    let part = |network: &NetworkState, actors: &Range<usize>| {
-        Learned::part(network, actors.start, actors.len())
-    };
     let mut outcomes: Vec<_> = groups.iter().map(|_| None).collect();
     let waiting: Vec<_> = groups
         .iter_mut()
         .zip(&mut outcomes)
         .map(|(group, outcome)| {
-            let actors = &group.actors;
-            let norm = state.value_norm.narrow(actors.start as i64, actors.len() as i64);
-            let learned = (part(&state.actor, actors), part(&state.critic, actors));
+            let actors = group.actors;
+            let learned =
+                (Learned::part(&state.actor, &actors), Learned::part(&state.critic, &actors));
+            let norm = state.value_norm.part(&actors);
             (group, learned, norm, outcome)
         })
         .collect();
@@ -327,9 +327,10 @@ fn run_groups(
         tch::set_num_threads(threads as i32);
         loop {
             let next = waiting.lock().unwrap_or_else(PoisonError::into_inner).next();
-            let Some((group, (actor, critic), norm, outcome)) = next else { break };
+            let Some((group, (mut actor, mut critic), norm, outcome)) = next else { break };
             let trace = trace.as_deref_mut();
-            *outcome = Some(tch::no_grad(|| group.update(job, actor, critic, norm, trace)));
+            let result = tch::no_grad(|| group.update(job, &mut actor, &mut critic, norm, trace));
+            *outcome = Some((result, group.actors, actor, critic));
         }
     };
     std::thread::scope(|scope| {
@@ -338,20 +339,27 @@ fn run_groups(
         }
         work(trace);
     });
-    outcomes.into_iter().map(|outcome| outcome.expect("every group was computed")).collect()
+    let put_back = |outcome: Option<_>| {
+        let (result, actors, actor, critic): (_, _, Learned, Learned) =
+            outcome.expect("every group was computed");
+        actor.put_back(&state.actor, &actors);
+        critic.put_back(&state.critic, &actors);
+        result
+    };
+    outcomes.into_iter().map(put_back).collect()
 }
 
 impl Group {
     fn update(
         &mut self,
         job: &Job<'_>,
-        mut actor: Learned,
-        mut critic: Learned,
+        actor: &mut Learned,
+        critic: &mut Learned,
         mut value_norm: ValueNorm,
         mut trace: Option<&mut Trace>,
     ) -> Result<Outcome, LearnerError> {
         let options = job.options;
-        let a = self.actors.len();
+        let a = self.actors.len;
         let samples = self.prepare(job, &critic.flat, &value_norm, trace.as_deref_mut());
         let m = (job.dimensions.n_steps * job.dimensions.n_envs * job.shards.len()) as i64;
         for half in [&mut self.actor, &mut self.critic] {
@@ -384,25 +392,10 @@ impl Group {
                 let rows = order.narrow(0, start, bound(mini_batch + 1) - start);
                 let step = (epoch, mini_batch);
                 job.work.fetch_add(1, Ordering::Relaxed);
-                let kl = self.actor_step(
-                    job,
-                    &mut actor,
-                    &samples,
-                    &rows,
-                    &mut active,
-                    &mut sums,
-                    step,
-                )?;
+                let kl =
+                    self.actor_step(job, actor, &samples, &rows, &mut active, &mut sums, step)?;
                 add(&mut last_kl, kl.iter().map(|kl| kl / options.mini_batches as f64));
-                self.critic_step(
-                    job,
-                    &mut critic,
-                    &samples,
-                    &rows,
-                    moments.as_ref(),
-                    &mut sums,
-                    step,
-                )?;
+                self.critic_step(job, critic, &samples, &rows, moments.as_ref(), &mut sums, step)?;
                 if let Some(trace) = trace.as_deref_mut() {
                     let recorded = |half: &Half| {
                         half.recorded.as_ref().map(Tensor::shallow_clone).expect("recorded")
@@ -426,8 +419,8 @@ impl Group {
             ..sums.means()
         };
         Ok(Outcome {
-            actor_steps: actor.adam.steps,
-            critic_steps: critic.adam.steps,
+            actor_steps: actor.adam.steps.clone(),
+            critic_steps: critic.adam.steps.clone(),
             last_kl,
             report,
         })
@@ -443,11 +436,10 @@ impl Group {
     ) -> Samples {
         let Dimensions { n_agents, n_steps, n_envs, observation, state, .. } = *job.dimensions;
         let (input, g) = (job.dimensions.actor_input(), job.dimensions.agents_per_actor());
-        let agents = self.actors.start * g..self.actors.end * g;
         let (t, n, s) = (n_steps as i64, n_envs as i64, state as i64);
         let (o, own, g) = (input as i64, observation as i64, g as i64);
         let e = n * job.shards.len() as i64;
-        let (a, u, m) = (self.actors.len() as i64, job.dimensions.actor_output() as i64, t * e);
+        let (a, u, m) = (self.actors.len as i64, job.dimensions.actor_output() as i64, t * e);
         let joints = JOINTS_PER_AGENT as i64;
         let float = (Kind::Float, self.device);
         let options = job.options;
@@ -461,19 +453,17 @@ impl Group {
         let terminated = Tensor::empty([t, e], float);
         let truncated = Tensor::empty([t, e], float);
 
-        let moments_of =
-            |norm: &Option<(Vec<f32>, Vec<f32>)>, rows: &Range<usize>, width: usize| {
-                norm.as_ref().map(|(mean, inverse_std)| {
-                    let part = |values: &[f32]| {
-                        Tensor::from_slice(&values[rows.start * width..rows.end * width])
-                            .view([-1, 1, 1, width as i64])
-                            .to_device(self.device)
-                    };
-                    (part(mean), part(inverse_std))
-                })
-            };
-        let observation_norm = moments_of(&job.observation_norm, &self.actors, input);
-        let state_norm = moments_of(&job.state_norm, &(0..1), state);
+        let moments_of = |norm: &Option<(Vec<f32>, Vec<f32>)>, rows: Actors, width: usize| {
+            norm.as_ref().map(|(mean, inverse_std)| {
+                let part = |values: &[f32]| {
+                    let all = Tensor::from_slice(values).view([-1, 1, 1, width as i64]);
+                    rows.rows(&all).to_device(self.device)
+                };
+                (part(mean), part(inverse_std))
+            })
+        };
+        let observation_norm = moments_of(&job.observation_norm, self.actors, input);
+        let state_norm = moments_of(&job.state_norm, Actors::all(1), state);
         let normalise = |x: &Tensor, norm: &Option<(Tensor, Tensor)>| match options.input_norm {
             InputNormKind::None => x.shallow_clone(),
             InputNormKind::LayerNorm => standardise_input(x),
@@ -485,14 +475,14 @@ impl Group {
         };
         let actor_columns = actor.view([t, e, a, u + 2]);
         for (index, shard) in job.shards.iter().enumerate() {
-            let of_agents = |range: &Range<usize>| {
-                let per_agent = range.len() / n_agents;
-                &shard[range.start + agents.start * per_agent..range.start + agents.end * per_agent]
+            let of_actors = |range: &Range<usize>, shape: &[i64]| {
+                let shape = [&[(n_agents as i64) / g, g][..], shape].concat();
+                self.actors.rows(view(&shard[range.clone()], &shape).tensor())
             };
             let first = index as i64 * n;
             // With one agent an actor, bringing G beside the features moves nothing.
-            let seen = view(of_agents(&job.layout.observation), &[a, g, t + 1, n, own]);
-            let seen = seen.tensor().to_device(self.device).permute([0, 2, 3, 1, 4]);
+            let seen = of_actors(&job.layout.observation, &[t + 1, n, own]);
+            let seen = seen.to_device(self.device).permute([0, 2, 3, 1, 4]);
             let x = normalise(&seen.reshape([a, t + 1, n, o]), &observation_norm);
             let mut slot = observations.view([t + 1, e, a, o]).narrow(1, first, n);
             slot.copy_(&x.permute([1, 2, 0, 3]));
@@ -503,13 +493,12 @@ impl Group {
                 slot.copy_(&x.squeeze_dim(0));
             }
             let part = actor_columns.narrow(1, first, n);
-            let action = view(of_agents(&job.layout.action), &[a, g, t, n, joints]);
-            let action = action.tensor().permute([2, 3, 0, 1, 4]).reshape([t, n, a, u]);
+            let action = of_actors(&job.layout.action, &[t, n, joints]);
+            let action = action.permute([2, 3, 0, 1, 4]).reshape([t, n, a, u]);
             part.narrow(3, 0, u).copy_(&action);
-            let log_prob = view(of_agents(&job.layout.log_prob), &[a, g, t, n]);
-            part.select(3, u).copy_(&over_agents(log_prob.tensor()).permute([1, 2, 0]));
-            let shard_reward = view(of_agents(&job.layout.reward), &[a, g, t, n]);
-            agent_reward.narrow(3, first, n).copy_(shard_reward.tensor());
+            let log_prob = of_actors(&job.layout.log_prob, &[t, n]);
+            part.select(3, u).copy_(&over_agents(&log_prob).permute([1, 2, 0]));
+            agent_reward.narrow(3, first, n).copy_(&of_actors(&job.layout.reward, &[t, n]));
             for (flags, range) in
                 [(&terminated, &job.layout.terminated), (&truncated, &job.layout.truncated)]
             {
@@ -567,7 +556,7 @@ impl Group {
         critic: &Tensor,
         rows: i64,
     ) -> Tensor {
-        let a = self.actors.len() as i64;
+        let a = self.actors.len as i64;
         let value = Tensor::empty([a, rows], (Kind::Float, self.device));
         self.critic.compute.load(critic);
         for chunk in chunks(rows, self.chunk_rows) {
@@ -596,7 +585,7 @@ impl Group {
         step: (usize, usize),
     ) -> Result<Vec<f64>, LearnerError> {
         let loss = &job.options.actor_loss;
-        let a = self.actors.len() as i64;
+        let a = self.actors.len as i64;
         let u = job.dimensions.actor_output() as i64;
         let batch = rows.size()[0];
         let Half { compute, gradient, .. } = &mut self.actor;
@@ -628,18 +617,15 @@ impl Group {
             .expect("three numbers an agent");
         let column = |index: usize| statistics.iter().skip(index).step_by(3).map(|&x| f64::from(x));
         let mut kl: Vec<f64> = column(1).collect();
-        if learned.spec.shared {
-            let mean = kl.iter().sum::<f64>() / kl.len() as f64;
-            kl.fill(mean);
-        }
+        average_over_networks(&mut kl, learned.spec.n_networks);
         if job.options.max_kl > 0.0 {
             for (active, &kl) in active.iter_mut().zip(&kl) {
                 *active &= kl <= job.options.max_kl;
             }
         }
-        let rates = &job.actor_lr[self.actors.clone()];
-        let norms = job.options.descent.step(learned, &mut self.actor, rates, active);
-        check(&norms, "actor", self.actors.start, job.iteration, step)?;
+        let rates: Vec<f64> = self.actors.iter().map(|actor| job.actor_lr[actor]).collect();
+        let norms = job.options.descent.step(learned, &mut self.actor, &rates, active);
+        check(&norms, "actor", self.actors, job.iteration, step)?;
         sums.actor(column(0), column(1), column(2), &norms);
         Ok(kl)
     }
@@ -655,7 +641,7 @@ impl Group {
         sums: &mut Sums,
         step: (usize, usize),
     ) -> Result<(), LearnerError> {
-        let a = self.actors.len() as i64;
+        let a = self.actors.len as i64;
         let batch = rows.size()[0];
         let Half { compute, gradient, .. } = &mut self.critic;
         let _ = gradient.zero_();
@@ -679,13 +665,23 @@ impl Group {
             let _ = total.g_add_(&sum);
         }
         compute.unfold(&learned.flat, gradient);
-        let active = vec![true; self.actors.len()];
-        let rates = vec![job.critic_lr; self.actors.len()];
+        let active = vec![true; self.actors.len];
+        let rates = vec![job.critic_lr; self.actors.len];
         let norms = job.options.descent.step(learned, &mut self.critic, &rates, &active);
-        check(&norms, "critic", self.actors.start, job.iteration, step)?;
+        check(&norms, "critic", self.actors, job.iteration, step)?;
         let losses = Vec::<f32>::try_from(total / batch as f64).expect("one number an agent");
         sums.critic(losses.into_iter().map(f64::from), &norms);
         Ok(())
+    }
+}
+
+/// Gives every `networks`-th entry their mean.
+fn average_over_networks(values: &mut [f64], networks: usize) {
+    let each = values.len() / networks;
+    for network in 0..networks {
+        let of_network = values.iter().skip(network).step_by(networks);
+        let mean = of_network.sum::<f64>() / each as f64;
+        values.iter_mut().skip(network).step_by(networks).for_each(|value| *value = mean);
     }
 }
 

@@ -5,11 +5,15 @@
 //! and a gradient norm is the norm of a row. A named parameter is a range of columns; its view
 //! `[A, in, out]` (weights multiply row vectors from the left) is what checkpoints hold.
 //!
-//! A shared network is kept once for each agent. All rows are equal except for the bias of the
-//! first hidden layer, which tells the agents apart; [`NetworkSpec::unify`] keeps them equal.
+//! A shared network is kept once for each agent that it is: row r of a stack of N networks holds network
+//! r mod N, as agents of one role stand [`AGENTS_PER_ARM`] rows apart. Rows of one network are equal
+//! except for the bias of the first hidden layer, which tells the agents apart;
+//! [`NetworkSpec::unify`] keeps them equal.
 
-use proto::config::{Config, InputNorm, Network};
-use proto::layout::Dimensions;
+use std::collections::BTreeSet;
+
+use proto::config::{Config, CriticState, InputNorm, Network, ParameterSharing};
+use proto::layout::{AGENTS_PER_ARM, Dimensions};
 use proto::rng::{Address, Purpose};
 use tch::{Device, Kind, Tensor};
 
@@ -74,8 +78,10 @@ impl NetworkKind {
 pub struct NetworkSpec {
     /// Actor or critic.
     pub kind: NetworkKind,
-    /// A: one an actor.
+    /// A: rows, one an actor.
     pub n_actors: usize,
+    /// N: networks that differ in more than the first hidden bias; divides A.
+    pub n_networks: usize,
     /// Width of the input.
     pub input: i64,
     /// Widths of the hidden layers.
@@ -86,8 +92,6 @@ pub struct NetworkSpec {
     pub input_layer_norm: bool,
     /// Whether each hidden activation is standardised, with a learned gain and shift.
     pub layer_norm: bool,
-    /// Whether all agents share everything but the first hidden bias.
-    pub shared: bool,
     /// The parameters in the order of `proto::layout::ActorLayout`.
     pub parameters: Vec<Parameter>,
     /// P: columns.
@@ -130,15 +134,22 @@ impl NetworkSpec {
         if kind == NetworkKind::Actor && config.algorithm.name.is_stochastic() {
             add("log_std".to_owned(), &[output]);
         }
+        let sees_what_actors_see =
+            kind == NetworkKind::Actor || network.critic_state == CriticState::Own;
+        let n_networks = match network.parameter_sharing {
+            ParameterSharing::All => 1,
+            ParameterSharing::Roles if sees_what_actors_see => AGENTS_PER_ARM,
+            ParameterSharing::Roles | ParameterSharing::None => dimensions.n_actors,
+        };
         Self {
             kind,
             n_actors: dimensions.n_actors,
+            n_networks,
             input: input as i64,
             hidden,
             output,
             input_layer_norm,
             layer_norm: network.layer_norm,
-            shared: network.shared_parameters,
             parameters,
             len,
         }
@@ -166,8 +177,7 @@ impl NetworkSpec {
     pub fn initial(&self, network: &Network, seed: u64) -> Tensor {
         let mut flat = vec![0.0f32; self.n_actors * self.len as usize];
         for (agent, row) in flat.chunks_exact_mut(self.len as usize).enumerate() {
-            // A shared network is the first agent's, for all.
-            let source = if self.shared { 0 } else { agent };
+            let source = agent % self.n_networks;
             for (index, parameter) in self.parameters.iter().enumerate() {
                 let start = parameter.offset as usize;
                 let slot = &mut row[start..start + parameter.len() as usize];
@@ -203,52 +213,75 @@ impl NetworkSpec {
         Tensor::from_slice(&flat).view([self.n_actors as i64, self.len])
     }
 
-    /// For a shared network, turns per-agent gradients `[A, P]` into those of the mean loss over
-    /// all agents: shared columns become the mean in every row, the first hidden bias its share.
+    /// Whether a network is several agents'.
+    pub fn is_shared(&self) -> bool {
+        self.n_networks < self.n_actors
+    }
+
+    /// The specification of a part of the rows, which are either all agents of one network or all there are.
+    #[must_use]
+    pub fn part(&self, rows: &[usize]) -> Self {
+        let networks: BTreeSet<usize> = rows.iter().map(|row| row % self.n_networks).collect();
+        Self { n_actors: rows.len(), n_networks: networks.len(), ..self.clone() }
+    }
+
+    /// Turns per-agent gradients `[A, P]` of shared networks into those of the mean loss over a network's
+    /// agents: shared columns become the mean in every row, the first hidden bias its share.
     pub fn share_gradient(&self, gradient: &mut Tensor) {
-        let agents = gradient.size()[0];
-        let _ = gradient.g_div_scalar_(agents as f64);
-        for (start, len) in self.shared_columns() {
-            let mut part = gradient.narrow(1, start, len);
+        if !self.is_shared() {
+            return;
+        }
+        let _ = gradient.g_div_scalar_((self.n_actors / self.n_networks) as f64);
+        for columns in self.shared_columns() {
+            let mut part = self.by_network(gradient, columns);
             let sum = part.sum_dim_intlist(&[0i64][..], true, Kind::Float);
             part.copy_(&sum);
         }
     }
 
-    /// Squared gradient norm `[A]` of what an optimiser moves: each agent's row, or for a shared
-    /// network the whole of it, in every entry.
+    /// Squared gradient norm `[A]` of what an optimiser moves together: a network, with the first hidden
+    /// biases of all its agents; the same in the row of each.
     pub fn squared_norm(&self, gradient: &Tensor) -> Tensor {
         let rows = |part: &Tensor| part.square().sum_dim_intlist(&[1i64][..], false, Kind::Float);
-        if !self.shared {
+        if !self.is_shared() {
             return rows(gradient);
         }
+        let networks = self.n_networks as i64;
         let bias = self.get("hidden.0.bias");
-        let own = rows(&gradient.narrow(1, bias.offset, bias.len())).sum(Kind::Float);
+        let own = rows(&gradient.narrow(1, bias.offset, bias.len())).view([-1, networks]);
+        let own = own.sum_dim_intlist(&[0i64][..], false, Kind::Float);
         let common = self
             .shared_columns()
             .iter()
-            .map(|&(start, len)| gradient.get(0).narrow(0, start, len).square().sum(Kind::Float))
+            .map(|&columns| rows(&self.by_network(gradient, columns).get(0)))
             .fold(own, |total, part| total + part);
-        common.expand([gradient.size()[0]], true)
+        common.repeat([self.n_actors as i64 / networks])
     }
 
-    /// For a shared network, copies the first row's shared columns to all rows of `flat`. Rows see
-    /// the same numbers, but vector and scalar code of a kernel may round differently.
+    /// Copies the shared columns of each network's first row of `flat` to its other rows. Rows see the same
+    /// numbers, but vector and scalar code of a kernel may round differently.
     pub fn unify(&self, flat: &Tensor) {
-        for (start, len) in self.shared_columns() {
-            let first = flat.narrow(0, 0, 1).narrow(1, start, len).copy();
-            flat.narrow(1, start, len).copy_(&first);
+        if !self.is_shared() {
+            return;
+        }
+        for columns in self.shared_columns() {
+            let mut part = self.by_network(flat, columns);
+            let first = part.narrow(0, 0, 1).copy();
+            part.copy_(&first);
         }
     }
 
-    /// Column ranges (start, length) that all agents share.
-    fn shared_columns(&self) -> Vec<(i64, i64)> {
-        if !self.shared {
-            return Vec::new();
-        }
+    /// Columns (start, length) of `flat` `[A, P]` as `[A / N, N, length]`, in the same memory.
+    fn by_network(&self, flat: &Tensor, (start, len): (i64, i64)) -> Tensor {
+        let networks = self.n_networks as i64;
+        flat.view([-1, networks, flat.size()[1]]).narrow(2, start, len)
+    }
+
+    /// Column ranges (start, length) that the agents of a network share.
+    fn shared_columns(&self) -> [(i64, i64); 2] {
         let own = self.get("hidden.0.bias");
         let after = own.offset + own.len();
-        vec![(0, own.offset), (after, self.len - after)]
+        [(0, own.offset), (after, self.len - after)]
     }
 }
 
@@ -373,7 +406,7 @@ mod tests {
 
     #[test]
     fn a_shared_gradient_is_that_of_the_mean_loss_and_keeps_the_first_bias_apart() {
-        let config = config(&["network.shared_parameters=true", "network.hidden=[4]"]);
+        let config = config(&["network.parameter_sharing=all", "network.hidden=[4]"]);
         let spec = NetworkSpec::new(NetworkKind::Critic, &config, &Dimensions::new(&config, 1));
         let mut gradient =
             Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);

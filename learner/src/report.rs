@@ -31,24 +31,36 @@ pub struct UpdateReport {
 }
 
 impl UpdateReport {
-    /// Appends the entries of further actors.
-    pub(crate) fn append(&mut self, other: Self) {
-        let pairs = [
-            (&mut self.policy_loss, other.policy_loss),
-            (&mut self.value_loss, other.value_loss),
-            (&mut self.entropy, other.entropy),
-            (&mut self.kl, other.kl),
-            (&mut self.clip_fraction, other.clip_fraction),
-            (&mut self.explained_variance, other.explained_variance),
-            (&mut self.actor_grad_norm, other.actor_grad_norm),
-            (&mut self.critic_grad_norm, other.critic_grad_norm),
-            (&mut self.action_std, other.action_std),
-            (&mut self.returns, other.returns),
-        ];
-        for (all, part) in pairs {
-            all.extend(part);
+    /// Takes the entries of groups of actors, of which the n-th of N has actors n, n + N, n + 2N …
+    pub(crate) fn interleave(&mut self, mut groups: Vec<Self>) {
+        let parts: Vec<_> =
+            groups.iter_mut().map(|group| group.lists().map(std::mem::take)).collect();
+        for (index, list) in self.lists().into_iter().enumerate() {
+            let of_groups: Vec<&[f64]> = parts.iter().map(|part| part[index].as_slice()).collect();
+            *list = interleaved(&of_groups);
         }
     }
+
+    fn lists(&mut self) -> [&mut Vec<f64>; 10] {
+        [
+            &mut self.policy_loss,
+            &mut self.value_loss,
+            &mut self.entropy,
+            &mut self.kl,
+            &mut self.clip_fraction,
+            &mut self.explained_variance,
+            &mut self.actor_grad_norm,
+            &mut self.critic_grad_norm,
+            &mut self.action_std,
+            &mut self.returns,
+        ]
+    }
+}
+
+/// The entries of groups, of which the n-th of N has entries n, n + N, n + 2N … of the result.
+pub(crate) fn interleaved<T: Copy, G: AsRef<[T]>>(groups: &[G]) -> Vec<T> {
+    let each = groups.first().map_or(0, |group| group.as_ref().len());
+    (0..each).flat_map(|index| groups.iter().map(move |group| group.as_ref()[index])).collect()
 }
 
 /// Sums of statistics over optimiser steps.

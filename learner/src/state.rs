@@ -201,8 +201,8 @@ impl TrainingState {
                 })
                 .collect();
             norm.update(&rows);
-            if self.actor.spec.shared {
-                norm.pool();
+            if self.actor.spec.is_shared() {
+                norm.pool(self.actor.spec.n_networks);
             }
         }
         if let Some(norm) = &mut self.state_norm {

@@ -8,6 +8,8 @@
 
 use tch::{Device, Kind, Tensor};
 
+use crate::actors::Actors;
+
 /// Floor of the variance.
 const MIN_VARIANCE: f64 = 1e-2;
 /// Floor of the average of ones that divides the moments.
@@ -31,14 +33,13 @@ impl ValueNorm {
         Self { mean: zeros(), mean_square: zeros(), debias: zeros() }
     }
 
-    /// The same moments of `len` agents from `start`, in the same memory.
+    /// The moments of some actors, each a row of `[A]`, in the same memory.
     #[must_use]
-    pub fn narrow(&self, start: i64, len: i64) -> Self {
-        let part = |tensor: &Tensor| tensor.narrow(0, start, len);
+    pub(crate) fn part(&self, actors: &Actors) -> Self {
         Self {
-            mean: part(&self.mean),
-            mean_square: part(&self.mean_square),
-            debias: part(&self.debias),
+            mean: actors.rows(&self.mean),
+            mean_square: actors.rows(&self.mean_square),
+            debias: actors.rows(&self.debias),
         }
     }
 

@@ -78,6 +78,8 @@ fn cross_check(assignments: &[&str]) {
         "env.n_shards=2",
         "task.episode_steps=8",
         "network.hidden=[24,16]",
+        "network.activation=relu",
+        "network.parameter_sharing=none",
         "algorithm.epochs=5",
         "algorithm.mini_batches=2",
         "run.learner_threads=1",
@@ -290,17 +292,27 @@ fn one_actor_for_all_agents() {
 
 #[test]
 fn a_shared_network() {
-    cross_check(&["network.shared_parameters=true", "algorithm.max_grad_norm=0.3"]);
+    cross_check(&["network.parameter_sharing=all", "algorithm.max_grad_norm=0.3"]);
 }
 
 #[test]
 fn a_shared_network_with_layer_norm_and_no_value_clipping() {
     cross_check(&[
-        "network.shared_parameters=true",
+        "network.parameter_sharing=all",
         "network.layer_norm=true",
         "network.input_norm=layer_norm",
         "algorithm.value_clip=0",
         "algorithm.huber_delta=0",
+    ]);
+}
+
+#[test]
+fn a_network_for_each_role() {
+    cross_check(&["network.parameter_sharing=roles", "algorithm.max_grad_norm=0.3"]);
+    cross_check(&[
+        "network.parameter_sharing=roles",
+        "algorithm.name=ippo",
+        "network.input_norm=layer_norm",
     ]);
 }
 

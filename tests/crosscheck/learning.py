@@ -203,32 +203,36 @@ class Learner:
             loss = algorithm["value_coefficient"] * loss.mean()
             return loss, loss
 
-        shared = self.config["network"]["shared_parameters"]
         own = "hidden.0.bias"
 
-        def pack(stacked):
-            """Trees that an optimiser each moves: one an agent, or one for all."""
-            if not shared:
+        def pack(stacked, networks):
+            """Trees that an optimiser each moves: one a network, with the own biases of its agents."""
+            if networks == agents:
                 return stacked
-            tree = dict(stacked[0])
-            tree[own] = jnp.stack([p[own] for p in stacked])
-            return [tree]
+            return [
+                {**stacked[n], own: jnp.stack([p[own] for p in stacked[n::networks]])}
+                for n in range(networks)
+            ]
 
         def unpack(trees):
-            if not shared:
+            """The tree of each agent."""
+            networks = len(trees)
+            if networks == agents:
                 return trees
-            return [{**trees[0], own: trees[0][own][a]} for a in range(agents)]
+            pick = lambda a: trees[a % networks]
+            return [{**pick(a), own: pick(a)[own][a // networks]} for a in range(agents)]
 
-        def total(loss):
-            """Per tree: loss of one agent, or the mean over agents."""
-            if not shared:
+        def total(loss, networks):
+            """Per tree: loss of one agent, or the mean over a network's agents."""
+            if networks == agents:
                 return lambda tree, a, *rest: loss(tree, a, *[x[a] if k else x for k, x in enumerate(rest)])
 
-            def mean_loss(tree, _, batch, *rest):
+            def mean_loss(tree, n, batch, *rest):
                 parts = [
-                    loss(p, a, batch, *[x[a] for x in rest]) for a, p in enumerate(unpack([tree]))
+                    loss({**tree, own: tree[own][i]}, a, batch, *[x[a] for x in rest])
+                    for i, a in enumerate(range(n, agents, networks))
                 ]
-                return sum(p[0] for p in parts) / agents, jnp.stack([p[1] for p in parts])
+                return sum(p[0] for p in parts) / len(parts), jnp.stack([p[1] for p in parts])
 
             return mean_loss
 
@@ -243,21 +247,22 @@ class Learner:
 
             def __init__(half, kind, loss):
                 half.kind, half.rate = kind, optimizer[f"{kind}_lr"] * factor
-                half.trees = pack(network(kind, self.before, agents))
+                networks = self.networks(kind)
+                half.trees = pack(network(kind, self.before, agents), networks)
                 transform = optax.adam(
                     half.rate, b1=optimizer["beta1"], b2=optimizer["beta2"], eps=optimizer["epsilon"]
                 )
                 limit = algorithm["max_grad_norm"]
                 clip = optax.clip_by_global_norm(limit) if limit > 0 else optax.identity()
                 half.optimizer = optax.chain(clip, transform)
-                half.gradient = jax.jit(jax.value_and_grad(total(loss), has_aux=True))
+                half.gradient = jax.jit(jax.value_and_grad(total(loss, networks), has_aux=True), static_argnums=1)
                 half.states = []
                 moments = {}
                 for moment in ("m", "v"):
                     of_moment = {
                         f"{kind}.{n}": self.before[f"{kind}.adam.{moment}.{n}"] for n in half.trees[0]
                     }
-                    moments[moment] = pack(network(kind, of_moment, agents))
+                    moments[moment] = pack(network(kind, of_moment, agents), networks)
                 for i, tree in enumerate(half.trees):
                     state = half.optimizer.init(tree)
                     adam = state[1][0]._replace(
@@ -276,7 +281,8 @@ class Learner:
                     gradients.append(gradient)
                     losses.append(loss)
                 tolerance = GRADIENT if index == 0 else DRIFTED
-                losses = np.asarray(losses).reshape(-1)
+                # Losses of a network's agents stand together; agents of the networks take turns.
+                losses = np.asarray(losses).reshape(len(half.trees), -1).T.reshape(-1)
                 # Ratios of the synthetic log-probabilities make losses of several hundred.
                 scale = max(1.0, float(np.abs(losses).max()))
                 compare(f"{half.kind} loss {index}", losses, r[f"loss.{index}.{half.kind}"], tolerance, scale)
@@ -325,6 +331,13 @@ class Learner:
             f"actor {actor.worst:.1e}, critic {critic.worst:.1e}"
         )
 
+    def networks(self, kind):
+        """How many actors or critics differ in more than a bias; agent a has number a modulo that."""
+        own_state = self.config["network"]["critic_state"] == "own"
+        actors = len(self.before["actor.head.bias"])
+        roles = 2 if kind == "actor" or own_state else actors
+        return {"none": actors, "roles": roles, "all": 1}[self.config["network"]["parameter_sharing"]]
+
     def check_input_norms(self):
         """The normalisers after the update hold the samples' moments as well."""
         for name, data in (("observation_norm", self.record["observation"]), ("state_norm", self.record["state"][None])):
@@ -336,10 +349,12 @@ class Learner:
             total = count + rows.shape[1]
             merged = (mean * count + rows.sum(1)) / total
             square = m2 + count * mean**2 + (rows**2).sum(1) - total * merged**2
-            if self.config["network"]["shared_parameters"] and name == "observation_norm":
-                pooled = merged.mean(0)
-                square = (square + total * (merged - pooled) ** 2).mean(0)[None].repeat(len(merged), 0)
-                merged = pooled[None].repeat(len(merged), 0)
+            if name == "observation_norm" and self.config["network"]["parameter_sharing"] != "none":
+                networks = self.networks("actor")
+                for rows in (slice(n, None, networks) for n in range(networks)):
+                    pooled = merged[rows].mean(0)
+                    square[rows] = (square[rows] + total * (merged[rows] - pooled) ** 2).mean(0)
+                    merged[rows] = pooled
             compare(f"{name}.mean", self.after[f"{name}.mean"], merged, 1e-9)
             compare(f"{name}.m2", self.after[f"{name}.m2"], square, 1e-9)
 

@@ -7,14 +7,21 @@ use crate::synthetic::blocks;
 
 /// A small run: 2 shards of 4 environments, 5 steps.
 fn config(assignments: &[&str]) -> Config {
-    ["env.n_envs=8", "env.n_shards=2", "task.episode_steps=5", "network.hidden=[16,12]"]
-        .iter()
-        .chain(assignments)
-        .fold(Layers::new(Preset::Tuned, Some(TaskName::Trajectory)), |layers, assignment| {
-            layers.set(assignment).expect("well formed")
-        })
-        .resolve()
-        .expect("valid")
+    [
+        "env.n_envs=8",
+        "env.n_shards=2",
+        "task.episode_steps=5",
+        "network.hidden=[16,12]",
+        "network.activation=relu",
+        "network.parameter_sharing=none",
+    ]
+    .iter()
+    .chain(assignments)
+    .fold(Layers::new(Preset::Tuned, Some(TaskName::Trajectory)), |layers, assignment| {
+        layers.set(assignment).expect("well formed")
+    })
+    .resolve()
+    .expect("valid")
 }
 
 struct Run {
@@ -37,9 +44,11 @@ impl Run {
     }
 }
 
-const VARIANTS: [&[&str]; 7] = [
+const VARIANTS: [&[&str]; 9] = [
     &[],
-    &["network.shared_parameters=true", "run.learner_threads=1"],
+    &["network.parameter_sharing=all", "run.learner_threads=1"],
+    &["network.parameter_sharing=roles", "algorithm.name=ippo", "network.critic_state=own"],
+    &["network.parameter_sharing=roles"],
     &["network.layer_norm=true", "network.input_norm=layer_norm", "network.activation=elu"],
     &[
         "network.critic_state=own",

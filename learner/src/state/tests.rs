@@ -104,7 +104,7 @@ fn a_published_policy_holds_floored_deviations_and_the_normaliser() {
 
 #[test]
 fn an_image_is_the_file_that_the_library_writes() {
-    for settings in [&[][..], &["network.shared_parameters=true", "network.input_norm=running"]] {
+    for settings in [&[][..], &["network.parameter_sharing=all", "network.input_norm=running"]] {
         let (mut state, _) = state(&config(settings));
         let (mut image, first) = Image::new(&state);
         assert_eq!(first, state.to_safetensors());

@@ -23,8 +23,8 @@ mod sections;
 pub use layers::{Layers, Preset};
 pub use sections::{
     Activation, Algorithm, AlgorithmName, Config, CriticState, Env, Exploration, GoalBox,
-    Inference, InputNorm, Integrator, Maddpg, Network, Observation, Optimizer, Precision, Reward,
-    RewardWeights, RobotSection, Run, Schedule, Task, TaskName,
+    Inference, InputNorm, Integrator, Maddpg, Network, Observation, Optimizer, ParameterSharing,
+    Precision, Reward, RewardWeights, RobotSection, Run, Schedule, Task, TaskName,
 };
 
 #[cfg(test)]

@@ -53,8 +53,9 @@ pub enum Observation {
     Paper,
     /// The released code: 31 numbers (25 for reorientation).
     Release,
-    /// The whole arm, pose errors at three scales, the last action.
-    Tuned,
+    /// The whole arm, pose errors at three scales, the last action; vectors in the arm's frame, so that all
+    /// arms see alike.
+    Arm,
 }
 
 /// The box that trajectory goals are drawn from, as offsets to the hand's home position.
@@ -216,6 +217,20 @@ pub enum CriticState {
     Own,
 }
 
+/// Which agents are one network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ParameterSharing {
+    /// Every agent has its own actor and critic.
+    None,
+    /// Agents of the same role, which move the same joints of different arms, are one actor; and one
+    /// critic if critics see what actors see. A critic that sees the whole robot stays its agent's own:
+    /// what it sees does not say whose arm is meant.
+    Roles,
+    /// All agents are one actor and one critic.
+    All,
+}
+
 /// Group `network`. Actors and critics are multi-layer perceptrons of the same hidden sizes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -234,8 +249,8 @@ pub struct Network {
     pub inference: Inference,
     /// What critics see.
     pub critic_state: CriticState,
-    /// One actor and one critic for all agents, told apart by a learned first-layer bias an agent.
-    pub shared_parameters: bool,
+    /// Which agents are one network, told apart by a learned first-layer bias an agent.
+    pub parameter_sharing: ParameterSharing,
     /// Squashes the mean action with tanh.
     pub squash_mean: bool,
     /// Initial logarithm of the action's standard deviation.
@@ -705,12 +720,12 @@ impl Config {
             AlgorithmName::Maddpg => Some("has a critic for each agent's own return"),
         };
         if let Some(reason) = unshared
-            && network.shared_parameters
+            && network.parameter_sharing != ParameterSharing::None
         {
             return Err(ConfigError::Invalid {
-                key: "network.shared_parameters",
+                key: "network.parameter_sharing",
                 problem: format!("{name} {reason}"),
-                cure: "set it to false, or choose another algorithm.name".to_owned(),
+                cure: "set it to none, or choose another algorithm.name".to_owned(),
             });
         }
         if algorithm.name == AlgorithmName::Maddpg && !network.squash_mean {

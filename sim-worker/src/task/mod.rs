@@ -2,6 +2,7 @@
 //!
 //! * [`goal`]: where hands and base shall go, and how goals are drawn;
 //! * [`observation`]: the numbers an agent sees, in three layouts;
+//! * `frame`: whence an arm sees it, in the layout `arm`;
 //! * [`state`]: the numbers a critic sees;
 //! * [`reward`]: what a step is worth.
 //!
@@ -19,6 +20,7 @@ pub mod observation;
 pub mod reward;
 pub mod state;
 
+mod frame;
 mod readings;
 
 pub use goal::{ArmGoals, GoalRanges, Goals};
@@ -26,6 +28,7 @@ pub use readings::{ATTITUDE_WIDTHS, Errors, HandReading, POSITION_WIDTHS, Readin
 
 use proto::config::{CriticState, GoalBox, Observation, Reward, TaskName};
 
+use self::frame::ArmFrame;
 use crate::robot::JOINTS_PER_ARM;
 
 /// A task on a robot: everything that is the same in every environment and step.
@@ -45,6 +48,8 @@ pub struct Task {
     pub goals: GoalRanges,
     /// Limits of the actions, one a joint, arm-major (rad/s).
     pub action_limit: Vec<f64>,
+    /// One an arm.
+    frames: Vec<ArmFrame>,
 }
 
 /// What [`Task::new`] takes from the robot, all at its home pose.
@@ -81,9 +86,10 @@ impl Task {
             name: task.name,
             observation: task.observation,
             critic_state: config.network.critic_state,
-            reward: task.reward,
             action_scale: task.action_scale,
             action_limit: home.arms.iter().flat_map(|arm| arm.command_limit).collect(),
+            frames: home.arms.iter().map(ArmFrame::new).collect(),
+            reward: task.reward,
             goals: GoalRanges::new(task.goal_box, task.base_goal_range, home),
         }
     }

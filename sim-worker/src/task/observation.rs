@@ -16,15 +16,15 @@
 //!
 //! The factor 0.02 is the released environment's `dt` property, 1 ms × 20.
 //!
-//! Layout `tuned`, the same for both agents of an arm, 49 numbers for `trajectory`, 40 for
-//! `reorientation`:
+//! Layout `arm`, the same for both agents of an arm, 49 numbers for `trajectory`, 40 for
+//! `reorientation`, all vectors in the arm's frame (see `task::frame`):
 //!
 //! | trajectory | reorientation | numbers |
 //! |---|---|---|
 //! | 0–2 | 0–2 | base position relative to its home (m) |
 //! | 3–6 | 3–6 | base quaternion, w x y z |
-//! | 7–9 | 7–9 | base linear velocity, world (m/s) |
-//! | 10–12 | 10–12 | base angular velocity, body (rad/s) |
+//! | 7–9 | 7–9 | base linear velocity (m/s) |
+//! | 10–12 | 10–12 | base angular velocity, in the body (rad/s) |
 //! | 13–18 | 13–18 | the arm's joint angles relative to home (rad) |
 //! | 19–24 | 19–24 | the arm's joint rates (rad/s) |
 //! | 25–30 | 25–27 | error, goal − actual: hand position (m) and Euler angles (rad); base Euler angles |
@@ -34,6 +34,7 @@
 use proto::config::{Observation, TaskName};
 use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 
+use super::frame::ArmFrame;
 use super::{Errors, Goals, Readings, Task};
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
@@ -65,20 +66,25 @@ impl<'a, S: Real> Writer<'a, S> {
         assert_eq!(self.at, self.out.len(), "layout and size in proto differ");
     }
 
-    /// Base of the layout `tuned`: 13 numbers.
+    /// Base as all arms see it, in the world: 13 numbers.
     #[inline(always)]
     pub(super) fn put_base(&mut self, task: &Task, readings: &Readings<S>) {
-        let mut position = readings.base_position;
-        for (x, &home) in position.iter_mut().zip(&task.goals.home.base_position) {
-            *x -= S::splat(home);
-        }
-        self.put(&position);
+        self.put(&base_offset(task, readings));
         self.put(&readings.base_quaternion);
         self.put(&readings.base_linear);
         self.put(&readings.base_angular);
     }
 
-    /// Joints of `arm` in the layout `tuned`: angles relative to home, rates.
+    /// The same as one arm sees it.
+    #[inline(always)]
+    fn put_base_seen_from(&mut self, frame: &ArmFrame, task: &Task, readings: &Readings<S>) {
+        self.put(&frame.vector(base_offset(task, readings)));
+        self.put(&frame.quaternion(readings.base_quaternion));
+        self.put(&frame.vector(readings.base_linear));
+        self.put(&frame.vector(readings.base_angular));
+    }
+
+    /// Joints of `arm` in the layout `arm`: angles relative to home, rates.
     #[inline(always)]
     pub(super) fn put_joints(&mut self, task: &Task, readings: &Readings<S>, arm: usize) {
         let first = arm * JOINTS_PER_ARM;
@@ -95,6 +101,22 @@ impl<'a, S: Real> Writer<'a, S> {
     }
 }
 
+/// Position of the base relative to its home, world (m).
+#[inline(always)]
+fn base_offset<S: Real>(task: &Task, readings: &Readings<S>) -> [S; 3] {
+    let mut position = readings.base_position;
+    for (x, &home) in position.iter_mut().zip(&task.goals.home.base_position) {
+        *x -= S::splat(home);
+    }
+    position
+}
+
+/// Three numbers of a slice, from `at`.
+#[inline(always)]
+fn three<S: Copy>(values: &[S], at: usize) -> [S; 3] {
+    [values[at], values[at + 1], values[at + 2]]
+}
+
 /// Writes what `agent` sees into `out` (length O).
 #[inline(always)]
 pub fn observe<S: Real>(
@@ -108,17 +130,30 @@ pub fn observe<S: Real>(
     let arm = agent / AGENTS_PER_ARM;
     let mut out = Writer::new(out);
     match task.observation {
-        Observation::Tuned => {
-            out.put_base(task, readings);
+        Observation::Arm => {
+            let frame = &task.frames[arm];
+            out.put_base_seen_from(frame, task, readings);
             out.put_joints(task, readings, arm);
             match task.name {
                 TaskName::Trajectory => {
-                    out.put(&errors.hands[arm]);
-                    out.put(&errors.squashed_hands[arm]);
+                    let (plain, squashed) = (&errors.hands[arm], &errors.squashed_hands[arm]);
+                    out.put(&frame.vector(three(plain, 0)));
+                    out.put(&frame.euler_difference(three(plain, 3)));
+                    // On the paper's robot arm frames have the world's axes but for order and sign, so a
+                    // squashed vector turns like a plain one.
+                    for at in [0, 3] {
+                        out.put(&frame.vector(three(squashed, at)));
+                    }
+                    for at in [6, 9] {
+                        out.put(&frame.euler_difference(three(squashed, at)));
+                    }
                 }
+                // Small differences of Euler angles turn like a vector.
                 TaskName::Reorientation => {
-                    out.put(&errors.base);
-                    out.put(&errors.squashed_base);
+                    out.put(&frame.vector(errors.base));
+                    for at in [0, 3] {
+                        out.put(&frame.vector(three(&errors.squashed_base, at)));
+                    }
                 }
             }
             out.put_action(readings, arm);

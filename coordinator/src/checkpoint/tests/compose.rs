@@ -95,7 +95,7 @@ fn what_does_not_go_together_is_refused_with_both_sides() {
         ("task.action_scale=0.123", "task.action_scale"),
         ("env.control_period=0.8", "env.control_period"),
         ("network.hidden=[5]", "network.hidden"),
-        ("network.activation=\"elu\"", "network.activation"),
+        ("network.activation=\"relu\"", "network.activation"),
         ("network.layer_norm=true", "network.layer_norm"),
         ("network.squash_mean=false", "network.squash_mean"),
         ("network.input_clip=77.0", "network.input_clip"),

@@ -1,0 +1,46 @@
+//! Which actors are computed together.
+
+use tch::Tensor;
+
+/// Actors that are computed together: every `step`-th from `first`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Actors {
+    pub(crate) first: usize,
+    pub(crate) step: usize,
+    pub(crate) len: usize,
+}
+
+impl Actors {
+    /// All there are.
+    pub(crate) fn all(len: usize) -> Self {
+        Self { first: 0, step: 1, len }
+    }
+
+    /// Their numbers.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = usize> + use<> {
+        (self.first..).step_by(self.step).take(self.len)
+    }
+
+    /// Their rows of a tensor of all actors, in its memory.
+    pub(crate) fn rows(&self, all: &Tensor) -> Tensor {
+        let (first, step, len) = (self.first as i64, self.step as i64, self.len as i64);
+        all.slice(0, first, first + step * (len - 1) + 1, step)
+    }
+
+    /// The same without gaps: in its memory if they stand side by side, copied if not.
+    pub(crate) fn of(&self, all: &Tensor) -> Tensor {
+        let rows = self.rows(all);
+        if self.are_side_by_side() { rows } else { rows.copy() }
+    }
+
+    /// Copies such rows back, if they were copied.
+    pub(crate) fn put_back(&self, rows: &Tensor, all: &Tensor) {
+        if !self.are_side_by_side() {
+            self.rows(all).copy_(rows);
+        }
+    }
+
+    fn are_side_by_side(&self) -> bool {
+        self.step == 1 || self.len == 1
+    }
+}
