@@ -63,7 +63,7 @@ fn an_algorithm_brings_its_own_changes_and_a_later_layer_overrides_them() {
     let file = "[for.ippo.network]\nhidden = [9]\n[for.ppo.network]\nhidden = [8]";
     let layers = Layers::new(Preset::Tuned, None).text(file, "my.toml").expect("TOML");
     let hidden = |layers: &Layers| layers.resolve().expect("valid").network.hidden;
-    assert_eq!(hidden(&layers), [256, 256]);
+    assert_eq!(hidden(&layers), [256, 256, 256]);
     assert_eq!(hidden(&layers.set("algorithm.name=ippo").expect("TOML")), [9]);
 }
 
