@@ -11,6 +11,7 @@ Examples:
   octopus plot runs/trajectory-20260101-120000
   octopus plot runs/mappo-1 runs/mappo-2 runs/mappo-3 runs/ppo-1 runs/ppo-2 runs/ppo-3
   octopus plot runs/* --over time --out curves.svg
+  octopus plot runs/* --save curves.json
 
 Return and errors of training, exploration included, with a panel for each. Runs that differ in their
 seeds alone are one curve: their mean, with a band from the lowest to the highest. A run that is still
@@ -20,8 +21,8 @@ going on can be drawn, too.";
 #[derive(Debug, Clone, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct PlotArgs {
-    /// Run directories.
-    #[arg(value_name = "RUN_DIR", required = true, num_args = 1..)]
+    /// Run directories, and files made by --save.
+    #[arg(value_name = "RUN_DIR|CURVES", required = true, num_args = 1..)]
     pub runs: Vec<PathBuf>,
     /// What learning is drawn against.
     #[arg(long, value_enum, default_value_t = Over::EnvSteps)]
@@ -29,6 +30,9 @@ pub struct PlotArgs {
     /// Where the picture goes; a file that is there is replaced.
     #[arg(long, value_name = "FILE", default_value = "learning-curves.svg")]
     pub out: PathBuf,
+    /// Keep the curves in one small file, too, which can be given in the place of the runs.
+    #[arg(long, value_name = "FILE")]
+    pub save: Option<PathBuf>,
     /// Print the curves as JSON.
     #[arg(long)]
     pub json: bool,

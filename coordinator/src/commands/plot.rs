@@ -1,13 +1,21 @@
 //! `octopus plot`: learning curves of runs side by side.
 
 use crate::cli::plot::PlotArgs;
-use crate::figures::families::{self, Family};
+use crate::figures::families::{Family, families};
 use crate::figures::learning::learning;
+use crate::figures::recorded;
 use crate::{files, output};
 
 /// Draws.
 pub fn run(args: &PlotArgs) -> anyhow::Result<()> {
-    let families = families::read(&args.runs, args.over)?;
+    let mut curves = Vec::new();
+    for path in &args.runs {
+        curves.extend(recorded::read(path)?);
+    }
+    if let Some(path) = &args.save {
+        recorded::write(path, &curves)?;
+    }
+    let families = families(&curves, args.over);
     let picture = learning(&families, args.over)?;
     // A picture by itself has a ground of its own; what it is drawn on may be dark.
     let ground = r##"><rect width="100%" height="100%" fill="#FFFFFF"/>"##;

@@ -1,15 +1,13 @@
 //! Learning curves of several runs, those that differ in their seeds alone together.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 use proto::config::{AlgorithmName, Config, TaskName};
-use proto::run_dir::RunDir;
-use proto::{ExitCode, ExitError};
 use serde::Serialize;
 
-use crate::commands::{read_config, run_directory};
-use crate::report::curve::{Point, read_points};
+use super::recorded::Recorded;
+use crate::report::curve::Point;
 
 /// Points of a curve.
 const POINTS: usize = 300;
@@ -65,14 +63,12 @@ struct Kind {
     curves: Vec<Vec<Point>>,
 }
 
-/// Reads run directories and puts those together that differ in their seeds alone.
-pub(crate) fn read(runs: &[PathBuf], over: Over) -> anyhow::Result<Vec<Family>> {
+/// Puts those curves together that differ in their seeds alone.
+pub(crate) fn families(curves: &[Recorded], over: Over) -> Vec<Family> {
     let mut kinds: Vec<Kind> = Vec::new();
-    for path in runs {
-        let run_dir = run_directory(path)?;
-        let mut config = read_config(&run_dir)?;
-        let points = points(&run_dir, path)?;
-        let run = (path.clone(), std::mem::take(&mut config.run.seed));
+    for Recorded { run, config, points, .. } in curves {
+        let mut config = config.clone();
+        let (run, points) = ((run.clone(), std::mem::take(&mut config.run.seed)), points.clone());
         match kinds.iter_mut().find(|kind| kind.config == config) {
             Some(kind) => {
                 kind.runs.push(run);
@@ -84,16 +80,7 @@ pub(crate) fn read(runs: &[PathBuf], over: Over) -> anyhow::Result<Vec<Family>> 
     let family = |Kind { config, runs, curves }: Kind| {
         Family::new(config.task.name, config.algorithm.name, runs, &curves, over)
     };
-    Ok(kinds.into_iter().map(family).collect())
-}
-
-fn points(run_dir: &RunDir, path: &Path) -> anyhow::Result<Vec<Point>> {
-    let points = read_points(&run_dir.metrics_jsonl())?;
-    if points.len() < 2 {
-        let message = format!("{}: has no two iterations; there is no curve", path.display());
-        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
-    }
-    Ok(points)
+    kinds.into_iter().map(family).collect()
 }
 
 impl Family {

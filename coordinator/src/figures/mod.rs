@@ -3,3 +3,4 @@
 pub mod families;
 pub(crate) mod learning;
 pub(crate) mod panels;
+pub(crate) mod recorded;

@@ -52,6 +52,32 @@ pub struct Point {
     pub base: f64,
 }
 
+impl Point {
+    /// Names of its numbers.
+    pub const NAMES: [&str; 8] = [
+        "env_steps",
+        "wall_s",
+        "return_mean",
+        "return_low",
+        "return_high",
+        "position",
+        "orientation",
+        "base",
+    ];
+
+    /// Its numbers, in the order of their [names](Self::NAMES).
+    pub fn numbers(&self) -> [f64; 8] {
+        let Self { env_steps, wall_s, mean, low, high, position, orientation, base } = *self;
+        [env_steps, wall_s, mean, low, high, position, orientation, base]
+    }
+
+    /// The point with these [numbers](Self::numbers).
+    pub fn from_numbers(numbers: [f64; 8]) -> Self {
+        let [env_steps, wall_s, mean, low, high, position, orientation, base] = numbers;
+        Self { env_steps, wall_s, mean, low, high, position, orientation, base }
+    }
+}
+
 /// Reads the points of a `metrics.jsonl`; lines with a number that is not finite are left out.
 pub fn read_points(path: &Path) -> anyhow::Result<Vec<Point>> {
     let point = |line: &Value| {
@@ -75,7 +101,7 @@ pub fn read_points(path: &Path) -> anyhow::Result<Vec<Point>> {
 /// Draws `points` into the file `path`.
 pub fn draw(path: &Path, points: &[Point], task: TaskName) -> anyhow::Result<()> {
     let mut svg = String::new();
-    let points = thin_out(points);
+    let points = thin_out(points, MAX_POINTS);
     render(&mut svg, &points, task)
         .map_err(|error| anyhow!("the learning curve cannot be drawn: {error}"))?;
     files::replace(path, svg.as_bytes())?;
@@ -260,21 +286,17 @@ impl Ranged for LogAxis {
     }
 }
 
-/// Means of neighbours, so that at most [`MAX_POINTS`] remain.
-fn thin_out(points: &[Point]) -> Vec<Point> {
-    let group = points.len().div_ceil(MAX_POINTS).max(1);
+/// Means of neighbours, so that at most `most` remain.
+pub(crate) fn thin_out(points: &[Point], most: usize) -> Vec<Point> {
+    let group = points.len().div_ceil(most).max(1);
     let mean = |group: &[Point]| {
-        let of = |read: fn(&Point) -> f64| group.iter().map(read).sum::<f64>() / group.len() as f64;
-        Point {
-            env_steps: of(|point| point.env_steps),
-            wall_s: of(|point| point.wall_s),
-            mean: of(|point| point.mean),
-            low: of(|point| point.low),
-            high: of(|point| point.high),
-            position: of(|point| point.position),
-            orientation: of(|point| point.orientation),
-            base: of(|point| point.base),
+        let mut sums = [0.0; Point::NAMES.len()];
+        for point in group {
+            for (sum, number) in sums.iter_mut().zip(point.numbers()) {
+                *sum += number;
+            }
         }
+        Point::from_numbers(sums.map(|sum| sum / group.len() as f64))
     };
     points.chunks(group).map(mean).collect()
 }
