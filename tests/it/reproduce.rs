@@ -128,6 +128,24 @@ fn all_experiments_make_a_page_once() {
     let output = octopus(&["plot", "/no/such"]);
     assert_eq!(output.status.code(), Some(5), "{}", stderr(&output));
 
+    // Kept in a file they are the same curves.
+    let file = |name: &str| scratch.path().join(name).to_str().expect("UTF-8").to_owned();
+    let (kept, picture) = (file("curves.json"), file("kept.svg"));
+    let plot = |run: &str, more: &[&str]| {
+        let output = octopus(&[&["plot", "--json", run, "--out", &picture][..], more].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        serde_json::from_slice::<Value>(&output.stdout).expect("JSON")
+    };
+    let of_run = plot(&format!("{dir}/trajectory"), &["--save", &kept]);
+    let of_file = plot(&kept, &[]);
+    let end = |curves: &Value| curves[0]["returns"][299][1].as_f64().expect("a number");
+    assert!((end(&of_run) / end(&of_file) - 1.0).abs() < 1e-3, "{of_run}\n{of_file}");
+    assert_eq!(of_run[0]["runs"], of_file[0]["runs"]);
+    std::fs::write(&kept, "{}").expect("written");
+    let output = octopus(&["plot", &kept, "--out", &picture]);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(stderr(&output).contains("curves.json: is no file of curves"), "{}", stderr(&output));
+
     // One that is lost is made again, the others are not.
     std::fs::remove_file(dir_of.join("base-mass.json")).expect("removed");
     let output = octopus(&[&["reproduce"], &args[..]].concat());
@@ -150,6 +168,75 @@ fn all_experiments_make_a_page_once() {
     assert_eq!(read(dir_of, "report.html"), "mine");
 }
 
+/// From nothing: runs, policies of the best ones, experiments; what is there is not done again.
+#[test]
+fn everything_is_trained_once() {
+    let scratch = tempfile::tempdir().expect("tempdir");
+    let out = scratch.path().join("out");
+    let reproduce = || {
+        let small = SMALL.iter().filter_map(|set| set.strip_prefix("--set="));
+        let more = ["run.evaluate_every=1", "run.evaluation_episodes=4", "run.best_after=0"];
+        let budget = ["run.evaluation_steps=8", "run.checkpoint_every=1", "run.env_steps=384"];
+        let sets = small.chain(more).chain(budget).map(|set| format!("--set={set}"));
+        let mut args: Vec<String> = ["reproduce", "--train", "--seeds=2", "--baselines=ppo"]
+            .into_iter()
+            .chain(["--quick", "--episodes=2", "--steps=90", "--out"])
+            .map(str::to_owned)
+            .collect();
+        args.push(out.display().to_string());
+        args.extend(sets);
+        let output = octopus(&args.iter().map(String::as_str).collect::<Vec<_>>());
+        let said = stderr(&output);
+        assert!(output.status.success(), "{said}");
+        let table = String::from_utf8(output.stdout).expect("UTF-8");
+        assert!(table.starts_with("claim"), "results alone: {table}");
+        said
+    };
+    let said = reproduce();
+    assert!(said.contains("run 1 of 8") && said.contains("run 8 of 8"), "{said}");
+    assert!(said.contains("ppo-reorientation-2"), "{said}");
+    let page = read(&out, "report.html");
+    stands_alone(&page);
+    assert!(page.contains("id=\"learning\"") && page.contains("ppo: ppo-trajectory-1"));
+    let manifest = |task: &str| -> Value {
+        serde_json::from_str(&read(&out.join("policies").join(task), "manifest.json"))
+            .expect("JSON")
+    };
+    // The better of two, by the scores that the runs gave their best.
+    let score = |seed: u64| {
+        let runs = out.join(format!("runs/mappo-trajectory-{seed}/checkpoints"));
+        let entries = std::fs::read_dir(runs).expect("a store").flatten();
+        let labels =
+            entries.filter_map(|entry| std::fs::read(entry.path().join("labels.json")).ok());
+        let labels = labels.map(|text| serde_json::from_slice::<Value>(&text).expect("JSON"));
+        let scores = labels.filter_map(|labels| labels["score"]["value"].as_f64());
+        scores.fold(f64::INFINITY, f64::min)
+    };
+    let better = if score(1) <= score(2) { 1 } else { 2 };
+    let policy = manifest("trajectory");
+    let run = policy["origins"][0]["run"].as_str().expect("a path");
+    assert!(
+        run.contains(&format!("mappo-trajectory-{better}/")),
+        "{run}: {} {}",
+        score(1),
+        score(2)
+    );
+
+    // One that was stopped goes on, and ends as it did; the others are left alone.
+    let last = out.join("runs/mappo-trajectory-1/checkpoints/iteration-00000003");
+    let digest = |dir: &Path| {
+        let manifest: Value = serde_json::from_str(&read(dir, "manifest.json")).expect("JSON");
+        manifest["digest"].as_str().expect("a digest").to_owned()
+    };
+    let before = digest(&last);
+    std::fs::remove_dir_all(&last).expect("removed");
+    let said = reproduce();
+    assert_eq!(said.matches("run ").count(), 1, "{said}");
+    assert!(said.contains("run 1 of 8") && said.contains("iterations 2 to 3"), "{said}");
+    assert_eq!(digest(&last), before);
+    assert_eq!(manifest("trajectory"), policy);
+}
+
 #[test]
 fn reproductions_that_cannot_be() {
     let scratch = tempfile::tempdir().expect("tempdir");
@@ -158,6 +245,10 @@ fn reproductions_that_cannot_be() {
     let nowhere = ["--policies=/no/such"];
     refused(&[&nowhere[..], &out].concat(), 5, &["/no/such/trajectory"]);
     refused(&["--quick", "--steps=0"], 2, &["wants"]);
+    refused(&["--train", "--policies=/no/such"], 2, &["--policies", "--train"]);
+    refused(&["--seeds=2"], 2, &["--train"]);
+    let unknown = ["--train", "--set=run.colour=1"];
+    refused(&[&unknown[..], &out].concat(), 3, &["run.colour"]);
 
     // Both policies are needed, and steps enough for what happens in them.
     let run_dir = format!("--run-dir={}", scratch.path().join("trajectory").display());

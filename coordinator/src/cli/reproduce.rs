@@ -4,20 +4,26 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::values::whole;
+use super::AlgorithmArg;
+use super::values::{assignment, whole};
 
 const EXAMPLES: &str = "\
 Examples:
   octopus reproduce --quick
   octopus reproduce --policies trained --out reproduction
   octopus reproduce --policies trained --runs runs/a-1 runs/a-2 runs/a-3
+  octopus reproduce --train --out reproduction
+  octopus reproduce --train --seeds 1 --baselines ppo --set run.env_steps=400000 --out short
 
 All experiments of the paper with the policies DIR/trajectory and DIR/reorientation. The directory of
 --out gets a JSON file an experiment, as `octopus experiment EXPERIMENT --json` prints it, and
 report.html: one page with the paper's claims beside what was measured, and the paper's figures. A
 claim that fails is printed, and is no error. Called again with the same --out, it does only what is
 not there yet; files that are damaged, or were made with other settings, policies or another build,
-are refused.";
+are refused.
+
+With --train, runs land in OUT/runs, and those that were stopped go on; the policies are those of
+the MAPPO runs whose best checkpoints have the lowest scores, and land in OUT/policies.";
 
 /// Options of `octopus reproduce`.
 #[derive(Debug, Clone, Args)]
@@ -26,9 +32,22 @@ pub struct ReproduceArgs {
     /// A directory that holds `trajectory` and `reorientation` [default: deploy/policies, where it exists].
     #[arg(long, value_name = "DIR")]
     pub policies: Option<PathBuf>,
-    /// Run directories whose learning curves the page shows, seeds of one algorithm together.
-    #[arg(long, value_name = "DIR", num_args = 1..)]
+    /// Run directories whose learning curves the page shows, seeds of one algorithm together, or files of
+    /// `octopus plot --save` [default: curves.json beside the policies, where it exists].
+    #[arg(long, value_name = "DIR|CURVES", num_args = 1..)]
     pub runs: Vec<PathBuf>,
+    /// Train everything first, from nothing; takes hours.
+    #[arg(long, conflicts_with_all = ["policies", "runs"], help_heading = "Training")]
+    pub train: bool,
+    /// Runs of each algorithm and task, with the seeds 1 to N; the best one of MAPPO gives the policy.
+    #[arg(long, value_name = "N", default_value_t = 3, requires = "train", allow_negative_numbers = true, value_parser = whole::<u64>(1, 1000), help_heading = "Training")]
+    pub seeds: u64,
+    /// What MAPPO is compared with; --baselines alone for nothing.
+    #[arg(long, value_name = "LIST", value_enum, num_args = 0.., default_value = "ppo,maddpg", value_delimiter = ',', requires = "train", help_heading = "Training")]
+    pub baselines: Vec<AlgorithmArg>,
+    /// Change one key of all trainings; may be given again: --set run.env_steps=4000000.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment, requires = "train", help_heading = "Training")]
+    pub sets: Vec<String>,
     /// Where everything goes [default: reproduction-YYYYMMDD-HHMMSS].
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,

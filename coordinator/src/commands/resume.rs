@@ -9,7 +9,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
 
-use super::train::{self, Counter, Start};
+use super::train::{self, Counter, Ended, Start};
 use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore};
 use crate::cli::ResumeArgs;
 use crate::lock::RunLock;
@@ -19,8 +19,13 @@ use crate::report::promised::Promised;
 use crate::supervisor::Programs;
 use crate::{files, output};
 
-/// Resumes.
+/// Resumes, evaluates and says where everything is.
 pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
+    resume(args)?.map_or(Ok(()), |ended| ended.conclude(args.ending))
+}
+
+/// Resumes; nothing if the run has done already what it was asked for.
+pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Option<Ended>> {
     let run_dir = super::run_directory(&args.run_dir)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
@@ -44,7 +49,7 @@ pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
             if done == 1 { "is" } else { "are" },
             config.planned_iterations()
         );
-        return Ok(());
+        return Ok(None);
     }
     for change in &overrides {
         eprintln!("note: {change}");
@@ -68,7 +73,7 @@ pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
     let same = config.run.env_steps == before.run.env_steps;
     let start =
         Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter };
-    train::run_session(start, lock, args.ending)
+    train::run_session(start, lock, args.ending.quiet).map(Some)
 }
 
 /// The newest checkpoint that the metrics reach; none if the run has none at all.

@@ -31,8 +31,13 @@ use crate::{files, output};
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
 
-/// Trains.
+/// Trains, evaluates and says where everything is.
 pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
+    train(args)?.conclude(args.ending)
+}
+
+/// Trains.
+pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     if args.parent.is_some() {
         proto::child::die_with_parent(args.parent)?;
     }
@@ -54,7 +59,7 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
     let same = true;
     let start =
         Start { run_dir, config, robot, resume: None, same, programs, domain, provenance, counter };
-    run_session(start, lock, args.ending)
+    run_session(start, lock, args.ending.quiet)
 }
 
 /// What a session starts from, of a new run or of an old one.
@@ -92,18 +97,25 @@ impl Counter {
     }
 }
 
-/// Runs a session to its end, evaluates and says where everything is.
-pub(super) fn run_session(start: Start, mut lock: RunLock, ending: Ending) -> anyhow::Result<()> {
+/// A session that has ended.
+pub(super) struct Ended {
+    run_dir: RunDir,
+    outcome: Outcome,
+    stop: StopRequests,
+}
+
+/// Runs a session to its end.
+pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Result<Ended> {
     let Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter } =
         start;
     let stop = StopRequests::new();
     stop.listen().context("signals cannot be caught")?;
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
-    let mut reporter = Reporter::create(&run_dir, &config, resume_from, ending.quiet)?;
+    let mut reporter = Reporter::create(&run_dir, &config, resume_from, quiet)?;
     if !same {
         reporter.forget_promised()?;
     }
-    if !ending.quiet {
+    if !quiet {
         reporter.note(&introduction(&config, &run_dir, resume_from));
     }
     let Counter { live, service } = counter;
@@ -131,7 +143,7 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, ending: Ending) -> an
     let finished = reporter.finish();
     let outcome = result?;
     finished?;
-    conclude(&run_dir, &outcome, &stop, ending)
+    Ok(Ended { run_dir, outcome, stop })
 }
 
 fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
@@ -150,58 +162,57 @@ fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> 
     )
 }
 
-/// Evaluates the final policy and prints what a person wants to know next.
-fn conclude(
-    run_dir: &RunDir,
-    outcome: &Outcome,
-    stop: &StopRequests,
-    ending: Ending,
-) -> anyhow::Result<()> {
-    let stopped_by = match outcome.stopped_by {
-        StoppedBy::Budget => "budget",
-        StoppedBy::TimeLimit => "time limit",
-        StoppedBy::Signal => "signal",
-    };
-    let evaluation = if ending.no_eval || outcome.stopped_by == StoppedBy::Signal {
-        None
-    } else {
-        let checkpoint = CheckpointStore::new(run_dir.checkpoints()).load(&outcome.checkpoint)?;
-        let summary = evaluate(checkpoint, stop)?;
-        let text =
-            serde_json::to_vec_pretty(&summary).context("the evaluation has no JSON form")?;
-        files::replace(&evaluation_path(run_dir), &text)?;
-        Some(summary)
-    };
-    let curve = run_dir.curve();
-    let curve = curve.is_file().then_some(curve);
-    if ending.json {
-        return output::json(&json!({
-            "run_dir": run_dir.path(),
-            "iterations": outcome.iterations,
-            "env_steps": outcome.env_steps,
-            "stopped_by": stopped_by,
-            "checkpoint": outcome.checkpoint,
-            "curve": curve,
-            "evaluation": evaluation,
-        }));
+impl Ended {
+    /// Evaluates the final policy and prints what a person wants to know next.
+    pub(super) fn conclude(self, ending: Ending) -> anyhow::Result<()> {
+        let Self { run_dir, outcome, stop } = &self;
+        let stopped_by = match outcome.stopped_by {
+            StoppedBy::Budget => "budget",
+            StoppedBy::TimeLimit => "time limit",
+            StoppedBy::Signal => "signal",
+        };
+        let evaluation = if ending.no_eval || outcome.stopped_by == StoppedBy::Signal {
+            None
+        } else {
+            let checkpoint =
+                CheckpointStore::new(run_dir.checkpoints()).load(&outcome.checkpoint)?;
+            let summary = evaluate(checkpoint, stop)?;
+            let text =
+                serde_json::to_vec_pretty(&summary).context("the evaluation has no JSON form")?;
+            files::replace(&evaluation_path(run_dir), &text)?;
+            Some(summary)
+        };
+        let curve = run_dir.curve();
+        let curve = curve.is_file().then_some(curve);
+        if ending.json {
+            return output::json(&json!({
+                "run_dir": run_dir.path(),
+                "iterations": outcome.iterations,
+                "env_steps": outcome.env_steps,
+                "stopped_by": stopped_by,
+                "checkpoint": outcome.checkpoint,
+                "curve": curve,
+                "evaluation": evaluation,
+            }));
+        }
+        output::line(&format!(
+            "{}, {} env-steps, ended by the {stopped_by}",
+            output::counted(outcome.iterations, "iteration"),
+            grouped(outcome.env_steps)
+        ))?;
+        if let Some(evaluation) = &evaluation {
+            output::line(&format!("\n{}\n", evaluation.table()))?;
+            output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
+        }
+        if let Some(curve) = curve {
+            output::line(&format!("curve       {}", curve.display()))?;
+        }
+        output::line(&format!("checkpoint  {}", outcome.checkpoint.display()))?;
+        if outcome.stopped_by != StoppedBy::Budget {
+            output::line(&format!("go on with  octopus resume {}", run_dir.path().display()))?;
+        }
+        Ok(())
     }
-    output::line(&format!(
-        "{}, {} env-steps, ended by the {stopped_by}",
-        output::counted(outcome.iterations, "iteration"),
-        grouped(outcome.env_steps)
-    ))?;
-    if let Some(evaluation) = &evaluation {
-        output::line(&format!("\n{}\n", evaluation.table()))?;
-        output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
-    }
-    if let Some(curve) = curve {
-        output::line(&format!("curve       {}", curve.display()))?;
-    }
-    output::line(&format!("checkpoint  {}", outcome.checkpoint.display()))?;
-    if outcome.stopped_by != StoppedBy::Budget {
-        output::line(&format!("go on with  octopus resume {}", run_dir.path().display()))?;
-    }
-    Ok(())
 }
 
 /// Evaluates with the default options; Ctrl-C, which is only counted until here, ends it.

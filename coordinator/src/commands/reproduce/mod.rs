@@ -7,6 +7,7 @@ mod claims;
 mod drawing;
 mod figures;
 mod page;
+mod training;
 
 use std::ffi::OsString;
 use std::io::ErrorKind;
@@ -30,7 +31,8 @@ use crate::commands::experiment::lab::Lab;
 use crate::commands::experiment::report::RobotIdentity;
 use crate::commands::experiment::{Experiment, Name, ReportOf, perform};
 use crate::commands::trained::PolicyIdentity;
-use crate::figures::families::{self, Over};
+use crate::figures::families::{Over, families};
+use crate::figures::recorded;
 use crate::provenance::{Provenance, utc};
 use crate::report::progress::Parts;
 use crate::{files, output};
@@ -44,6 +46,8 @@ const QUICK_NOISE: &[&str] =
 
 /// The page's name in the directory.
 const PAGE: &str = "report.html";
+/// The name of the learning curves beside policies, as `octopus plot --save` writes them.
+const CURVES: &str = "curves.json";
 /// Stands in every page of ours, and so in none of others.
 const GENERATOR: &str = "octopus reproduce";
 
@@ -67,15 +71,23 @@ struct Outcome<'a> {
 
 /// Does what is missing, draws, and says which claims hold.
 pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
-    let policies = match &args.policies {
-        Some(policies) => policies.clone(),
-        None => default_policies()?,
-    };
     let now = utc(SystemTime::now()).compact();
     let out = args.out.clone().unwrap_or_else(|| format!("reproduction-{now}").into());
     let page = out.join(PAGE);
     check_page(&page)?;
-    let families = families::read(&args.runs, Over::EnvSteps)?;
+    let (policies, runs) = if args.train {
+        training::train(args, &out)?
+    } else {
+        let policies = args.policies.clone().map_or_else(default_policies, Ok)?;
+        let shipped = policies.join(CURVES);
+        let shipped = (args.runs.is_empty() && shipped.is_file()).then_some(shipped);
+        (policies, args.runs.iter().cloned().chain(shipped).collect())
+    };
+    let mut curves = Vec::new();
+    for path in &runs {
+        curves.extend(recorded::read(path)?);
+    }
+    let families = families(&curves, Over::EnvSteps);
     let line = |name, quick: &[&str]| Line::new(name, args, &policies, quick);
     let jobs = Jobs {
         precision: Job::new(line(Name::Precision, &[]), &out, |command| match command {

@@ -1,0 +1,161 @@
+//! The trainings of `octopus reproduce --train`: runs that the policies and the curves come from.
+//!
+//! Each run is asked for as on the command line of `octopus train`, one after the other, since every run uses the whole machine. Called again, finished
+//! runs are left as they are, and one that was stopped goes on.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::{Parser as _, ValueEnum as _};
+use proto::config::TaskName;
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use sim_worker::robot::Robot;
+
+use super::refused;
+use crate::checkpoint::{BEST, CheckpointStore, Composition, Entry, Manifest, Name, Part};
+use crate::cli::reproduce::ReproduceArgs;
+use crate::cli::{AlgorithmArg, Cli, Command};
+use crate::commands::{read_config, resume, train};
+use crate::provenance::Provenance;
+use crate::report::recorded;
+
+/// Tasks that are trained.
+const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
+
+/// Trains what is missing below `out`, and takes the best policies of it. Returns where they lie, and all runs.
+pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf, Vec<PathBuf>)> {
+    let runs = planned(args, out);
+    for (index, run) in runs.iter().enumerate() {
+        if !run.is_finished()? {
+            eprintln!("run {} of {}: {}", index + 1, runs.len(), run.dir.display());
+            run.go_on(args)?;
+        }
+    }
+    let policies = out.join("policies");
+    for task in TASKS {
+        take_best(task, &runs, &policies)?;
+    }
+    Ok((policies, runs.into_iter().map(|run| run.dir).collect()))
+}
+
+/// One training.
+struct Run {
+    task: TaskName,
+    algorithm: AlgorithmArg,
+    seed: u64,
+    dir: PathBuf,
+}
+
+/// All trainings; those of MAPPO first, whose policies are wanted.
+fn planned(args: &ReproduceArgs, out: &Path) -> Vec<Run> {
+    let mut algorithms = vec![AlgorithmArg::Mappo];
+    for baseline in &args.baselines {
+        if !algorithms.contains(baseline) {
+            algorithms.push(*baseline);
+        }
+    }
+    let mut runs = Vec::new();
+    for algorithm in algorithms {
+        for task in TASKS {
+            for seed in 1..=args.seeds {
+                let name = format!("{}-{}-{seed}", name(algorithm), task.as_str());
+                runs.push(Run { task, algorithm, seed, dir: out.join("runs").join(name) });
+            }
+        }
+    }
+    runs
+}
+
+/// The algorithm as it is written on the command line.
+fn name(algorithm: AlgorithmArg) -> String {
+    algorithm.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
+impl Run {
+    /// Whether all its iterations are done.
+    fn is_finished(&self) -> anyhow::Result<bool> {
+        let run_dir = RunDir::new(&self.dir);
+        if !run_dir.config().is_file() {
+            return Ok(false);
+        }
+        let planned = read_config(&run_dir)?.planned_iterations();
+        let done = CheckpointStore::new(run_dir.checkpoints()).entries()?;
+        let done = done.iter().map(|entry| entry.iteration).max().unwrap_or(0);
+        Ok(done >= planned && recorded(&run_dir)? >= planned)
+    }
+
+    /// Begins it or goes on with it, until it is finished.
+    fn go_on(&self, args: &ReproduceArgs) -> anyhow::Result<()> {
+        let dir = self.dir.display().to_string();
+        let words: Vec<String> = if RunDir::new(&self.dir).config().is_file() {
+            ["octopus", "resume", &dir, "--no-eval", "--listen=off"].map(str::to_owned).into()
+        } else {
+            let (algorithm, seed) = (name(self.algorithm), self.seed.to_string());
+            let line = [
+                "octopus",
+                "train",
+                self.task.as_str(),
+                "--algorithm",
+                &algorithm,
+                "--seed",
+                &seed,
+            ];
+            let rest = ["--run-dir", &dir, "--no-eval", "--listen=off"];
+            let sets = args.sets.iter().map(|set| format!("--set={set}"));
+            line.iter().chain(&rest).map(ToString::to_string).chain(sets).collect()
+        };
+        match Cli::try_parse_from(&words)?.command {
+            Command::Train(args) => drop(train::train(&args)?),
+            Command::Resume(args) => drop(resume::resume(&args)?),
+            other => unreachable!("{words:?} was read as {other:?}"),
+        }
+        if self.is_finished()? {
+            return Ok(());
+        }
+        let message = format!("{dir}: stopped before its end; the same command goes on with it");
+        Err(ExitError::new(ExitCode::Interrupted, message).into())
+    }
+
+    /// Its best checkpoint: the one with the lowest score.
+    fn best(&self) -> anyhow::Result<Entry> {
+        let store = CheckpointStore::new(RunDir::new(&self.dir).checkpoints());
+        let entries = store.entries()?;
+        let best = entries.into_iter().find(|entry| entry.labels.has_tag(BEST));
+        best.with_context(|| {
+            format!("{}: has no best checkpoint (run.evaluate_every)", self.dir.display())
+        })
+    }
+}
+
+/// Puts the policy of the best MAPPO run of `task` below `policies`.
+fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()> {
+    let mut best: Option<(f64, Entry)> = None;
+    for run in runs.iter().filter(|run| run.task == task && run.algorithm == AlgorithmArg::Mappo) {
+        let entry = run.best()?;
+        let score = entry.labels.score.as_ref().map_or(f64::INFINITY, |score| score.value);
+        if best.as_ref().is_none_or(|(least, _)| score < *least) {
+            best = Some((score, entry));
+        }
+    }
+    let Some((_, entry)) = best else { return Ok(()) };
+    let name: Name = task.as_str().parse().context("a task is a name")?;
+    std::fs::create_dir_all(policies).with_context(|| policies.display().to_string())?;
+    let store = CheckpointStore::new(policies);
+    let there = store.dir(&name);
+    if there.exists() {
+        let origins = Manifest::read(&there)?.origins;
+        if origins.iter().all(|origin| origin.digest == entry.digest) {
+            return Ok(());
+        }
+        return Err(refused(&there, "is of another run than the one that is best now").into());
+    }
+    let checkpoint =
+        CheckpointStore::new(entry.dir.parent().unwrap_or(policies)).load(&entry.dir)?;
+    let n_arms =
+        Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir.join("robot.toml"))?.n_arms;
+    let part = Part { arms: (0..n_arms).collect(), checkpoint };
+    let composition = Composition::new(&[part])?;
+    store.compose(&name, &composition, &serde_json::to_value(Provenance::gather())?)?;
+    Ok(())
+}
