@@ -168,6 +168,30 @@ fn all_experiments_make_a_page_once() {
     assert_eq!(read(dir_of, "report.html"), "mine");
 }
 
+/// The policies of the repository act as they are said to, with the curves of their trainings.
+#[test]
+fn the_shipped_policies_are_better_than_the_papers() {
+    let scratch = tempfile::tempdir().expect("tempdir");
+    let out = scratch.path().join("out");
+    let policies = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/policies");
+    let args = ["reproduce", "--quick", "--json", "--policies", policies, "--out"];
+    let output = octopus(&[&args[..], &[out.to_str().expect("UTF-8")]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let outcome: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let claims = outcome["claims"].as_array().expect("claims");
+    for what in ["trajectory, position", "trajectory, orientation", "reorientation"] {
+        let claim = claims.iter().find(|claim| claim["what"] == what).expect(what);
+        assert_eq!(claim["holds"], true, "{claim}");
+        let stricter = claim["stricter"].as_array().expect("measures");
+        assert!(stricter.iter().all(|measure| measure["holds"] == true), "{claim}");
+    }
+    let page = read(&out, "report.html");
+    stands_alone(&page);
+    for curve in ["mappo: trajectory-1", "mappo: reorientation-1"] {
+        assert!(page.contains(curve), "{curve}");
+    }
+}
+
 /// From nothing: runs, policies of the best ones, experiments; what is there is not done again.
 #[test]
 fn everything_is_trained_once() {
