@@ -13,7 +13,7 @@ use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
 
 use super::refused;
-use crate::checkpoint::{BEST, CheckpointStore, Composition, Entry, Manifest, Name, Part};
+use crate::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
 use crate::cli::reproduce::ReproduceArgs;
 use crate::cli::{AlgorithmArg, Cli, Command};
 use crate::commands::{read_config, resume, train};
@@ -117,44 +117,50 @@ impl Run {
         Err(ExitError::new(ExitCode::Interrupted, message).into())
     }
 
-    /// Its best checkpoint: the one with the lowest score.
-    fn best(&self) -> anyhow::Result<Entry> {
+    /// Its best checkpoint, and that one's score: the lower, the better.
+    fn best(&self) -> anyhow::Result<(f64, Checkpoint)> {
         let store = CheckpointStore::new(RunDir::new(&self.dir).checkpoints());
-        let entries = store.entries()?;
-        let best = entries.into_iter().find(|entry| entry.labels.has_tag(BEST));
-        best.with_context(|| {
-            format!("{}: has no best checkpoint (run.evaluate_every)", self.dir.display())
-        })
+        let scored = store.entries()?.into_iter().filter_map(|entry| {
+            let best = entry.labels.has_tag(BEST);
+            entry
+                .labels
+                .score
+                .as_ref()
+                .filter(|_| best)
+                .map(|score| (score.value, entry.dir.clone()))
+        });
+        let Some((score, dir)) = scored.min_by(|a, b| a.0.total_cmp(&b.0)) else {
+            let message = format!(
+                "{}: no checkpoint was evaluated, so none is the best; it takes more than \
+                 run.best_after env-steps, and run.evaluate_every must not be 0",
+                self.dir.display()
+            );
+            return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+        };
+        Ok((score, store.load(&dir)?))
     }
 }
 
 /// Puts the policy of the best MAPPO run of `task` below `policies`.
 fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()> {
-    let mut best: Option<(f64, Entry)> = None;
-    for run in runs.iter().filter(|run| run.task == task && run.algorithm == AlgorithmArg::Mappo) {
-        let entry = run.best()?;
-        let score = entry.labels.score.as_ref().map_or(f64::INFINITY, |score| score.value);
-        if best.as_ref().is_none_or(|(least, _)| score < *least) {
-            best = Some((score, entry));
-        }
-    }
-    let Some((_, entry)) = best else { return Ok(()) };
+    let of_mappo =
+        runs.iter().filter(|run| run.task == task && run.algorithm == AlgorithmArg::Mappo);
+    let scored = of_mappo.map(Run::best).collect::<anyhow::Result<Vec<_>>>()?;
+    let best = scored.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, checkpoint)) = best else { return Ok(()) };
     let name: Name = task.as_str().parse().context("a task is a name")?;
     std::fs::create_dir_all(policies).with_context(|| policies.display().to_string())?;
     let store = CheckpointStore::new(policies);
     let there = store.dir(&name);
     if there.exists() {
         let origins = Manifest::read(&there)?.origins;
-        if origins.iter().all(|origin| origin.digest == entry.digest) {
+        if origins.iter().all(|origin| origin.digest == checkpoint.manifest.digest) {
             return Ok(());
         }
         return Err(refused(&there, "is of another run than the one that is best now").into());
     }
-    let checkpoint =
-        CheckpointStore::new(entry.dir.parent().unwrap_or(policies)).load(&entry.dir)?;
-    let n_arms =
-        Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir.join("robot.toml"))?.n_arms;
-    let part = Part { arms: (0..n_arms).collect(), checkpoint };
+    let robot = Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir.join("robot.toml"))?;
+    let part = Part { arms: (0..robot.n_arms).collect(), checkpoint };
     let composition = Composition::new(&[part])?;
     store.compose(&name, &composition, &serde_json::to_value(Provenance::gather())?)?;
     Ok(())
