@@ -133,7 +133,9 @@ impl Committer {
             Some(_) => &mut self.waiting_best,
             None => &mut self.waiting,
         };
-        if let Some(older) = place.replace(Waiting { snapshot, score }) {
+        let iteration = snapshot.iteration;
+        let older = place.replace(Waiting { snapshot, score });
+        if let Some(older) = older.filter(|older| older.snapshot.iteration != iteration) {
             self.results.push(Committed::GivenUp { iteration: older.snapshot.iteration });
         }
         self.hand_over();
