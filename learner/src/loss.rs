@@ -1,7 +1,8 @@
 //! The losses of PPO and their gradients.
 //!
 //! Schulman, Wolski, Dhariwal, Radford and Klimov, "Proximal policy optimization algorithms", 2017,
-//! equation 7 (clipped surrogate); Yu et al. 2022, section 5 (clipped Huber value loss). The
+//! equation 7 (clipped surrogate); Ye et al., "Mastering complex control in MOBA games with deep
+//! reinforcement learning", AAAI 2020, equation 5 (dual clip); Yu et al. 2022, section 5 (clipped Huber value loss). The
 //! gradients by the networks' outputs are written out: each is a few products of what the loss
 //! needs anyway. All losses are means over a mini-batch, for each agent by itself; chunks of a
 //! mini-batch add up, so every function takes the size of the whole.
@@ -18,6 +19,8 @@ const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
 pub struct ActorLoss {
     /// Clip range of the probability ratio.
     pub clip: f64,
+    /// Largest ratio that counts where the advantage is negative, above 1 + `clip`; 0 for no such limit.
+    pub dual_clip: f64,
     /// Factor on the surrogate.
     pub multiplier: f64,
     /// Weight of the entropy bonus.
@@ -82,8 +85,14 @@ impl ActorLoss {
         let plain = &ratio * &samples.advantage;
         let limited = &clipped * &samples.advantage;
         // min(plain, limited) is plain unless clipping lowers it; only then is it constant.
-        let active = plain.le_tensor(&limited);
-        let surrogate = plain.minimum(&limited);
+        let mut active = plain.le_tensor(&limited);
+        let mut surrogate = plain.minimum(&limited);
+        if self.dual_clip > 0.0 {
+            // c · A where A is negative; elsewhere 0, which a surrogate of A ≥ 0 is never below.
+            let least = (&samples.advantage * self.dual_clip).clamp_max(0.0);
+            active = active.logical_and(&plain.ge_tensor(&least));
+            surrogate = surrogate.maximum(&least);
+        }
         // k3 of Schulman, "Approximating KL divergence", 2020: (r − 1) − ln r.
         let kl = (&ratio - 1.0) - log_ratio;
         let outside = ratio.ne_tensor(&clipped);
@@ -198,7 +207,11 @@ mod tests {
         let density = z.square() * -0.5 - &log_std - HALF_LN_TAU;
         let ratio = (density.sum_dim_intlist(&[1i64][..], false, None) - &s.old_log_prob).exp();
         let clipped = ratio.clamp(1.0 - l.clip, 1.0 + l.clip);
-        let surrogate = (ratio * &s.advantage).minimum(&(clipped * &s.advantage));
+        let mut surrogate = (ratio * &s.advantage).minimum(&(clipped * &s.advantage));
+        if l.dual_clip > 0.0 {
+            let limited = surrogate.maximum(&(&s.advantage * l.dual_clip));
+            surrogate = limited.where_self(&s.advantage.lt(0.0), &surrogate);
+        }
         let entropy = (log_std + HALF_LN_TAU + 0.5).sum(None);
         -surrogate.mean_dim(&[1i64][..], false, None).sum(None) * l.multiplier
             - entropy * l.entropy_coefficient
@@ -206,9 +219,10 @@ mod tests {
 
     #[test]
     fn actor_gradient_is_that_of_the_definition() {
-        for squash_mean in [true, false] {
+        for (squash_mean, dual_clip) in [(true, 0.0), (false, 1.3)] {
             let loss = ActorLoss {
                 clip: 0.2,
+                dual_clip,
                 multiplier: 3.0,
                 entropy_coefficient: 0.05,
                 squash_mean,
@@ -279,18 +293,27 @@ mod tests {
 
     /// U = 1, μ = 0, σ = 1, a = 1, ln p = −½ − 0.91894; old density lower by ln 1.5: ratio 1.5.
     /// A = 2: plain 3, limited 1.2 · 2 = 2.4, so clipped: loss −2.4, no gradient.
-    /// A = −2: plain −3 < limited −2.4: loss 3, dL/dμ = −(−2)·1.5·1 = 3.
+    /// A = −2: plain −3 < limited −2.4: loss 3, dL/dμ = −(−2)·1.5·1 = 3; but with a dual clip of 1.25, loss 2.5, no
+    /// gradient.
     #[test]
     fn surrogate_worked_by_hand() {
-        let loss = ActorLoss {
+        let loss = |dual_clip| ActorLoss {
             clip: 0.2,
+            dual_clip,
             multiplier: 1.0,
             entropy_coefficient: 0.0,
             squash_mean: false,
             min_log_std: -5.0,
         };
         let zeros = Tensor::zeros([1, 1, 1], (Kind::Double, Device::Cpu));
-        for (advantage, expected_loss, expected_gradient) in [(2.0, -2.4, 0.0), (-2.0, 3.0, 3.0)] {
+        for (dual_clip, advantage, expected_loss, expected_gradient) in [
+            (0.0, 2.0, -2.4, 0.0),
+            (0.0, -2.0, 3.0, 3.0),
+            (1.25, 2.0, -2.4, 0.0),
+            (1.25, -2.0, 2.5, 0.0),
+            (1.6, -2.0, 3.0, 3.0),
+        ] {
+            let loss = loss(dual_clip);
             let samples = ActorSamples {
                 action: zeros.ones_like(),
                 old_log_prob: Tensor::from_slice(&[-0.5 - HALF_LN_TAU - 1.5f64.ln()]).view([1, 1]),

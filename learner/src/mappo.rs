@@ -181,6 +181,7 @@ impl Mappo {
             },
             actor_loss: ActorLoss {
                 clip: a.clip,
+                dual_clip: a.dual_clip,
                 multiplier: a.surrogate_multiplier,
                 entropy_coefficient: a.entropy_coefficient,
                 squash_mean: config.network.squash_mean,

@@ -245,6 +245,11 @@ fn the_tuned_preset() {
 }
 
 #[test]
+fn a_dual_clip() {
+    cross_check(&["algorithm.dual_clip=1.21"]);
+}
+
+#[test]
 fn layer_norm_elu_entropy_and_the_released_multiplier() {
     cross_check(&[
         "network.layer_norm=true",

@@ -182,6 +182,9 @@ class Learner:
             adv = samples["advantage"][a][batch]
             clip = algorithm["clip"]
             surrogate = jnp.minimum(ratio * adv, jnp.clip(ratio, 1 - clip, 1 + clip) * adv)
+            if algorithm["dual_clip"] > 0:
+                dual = jnp.maximum(surrogate, algorithm["dual_clip"] * adv)
+                surrogate = jnp.where(adv < 0, dual, surrogate)
             policy = -algorithm["surrogate_multiplier"] * surrogate.mean()
             entropy = (log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e)).sum()
             return policy - algorithm["entropy_coefficient"] * entropy, policy

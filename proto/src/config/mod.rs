@@ -24,7 +24,7 @@ pub use layers::{Layers, Preset};
 pub use sections::{
     Activation, Algorithm, AlgorithmName, Config, CriticState, Env, Exploration, GoalBox,
     Inference, InputNorm, Integrator, Maddpg, Network, Observation, Optimizer, ParameterSharing,
-    Precision, Reward, RewardWeights, RobotSection, Run, Schedule, Task, TaskName,
+    Precision, Reward, RewardWeights, RobotSection, Run, Schedule, Start, Task, TaskName,
 };
 
 #[cfg(test)]

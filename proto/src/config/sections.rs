@@ -112,6 +112,18 @@ pub struct Reward {
     pub base: RewardWeights,
 }
 
+/// Table `task.start`: where training episodes begin. Evaluations and experiments begin at home.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Start {
+    /// Share of the episodes that begin at rest away from home.
+    pub share: f64,
+    /// There, joint angles are uniform in home ± this (rad).
+    pub joints: f64,
+    /// There, the base is turned by a rotation vector uniform in ± this, per axis (rad).
+    pub attitude: f64,
+}
+
 /// Group `task`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -128,6 +140,9 @@ pub struct Task {
     pub goal_box: GoalBox,
     /// Base goals are Euler angles uniform in ± this, per axis (rad).
     pub base_goal_range: f64,
+    /// Where training episodes begin; at home if nothing is said.
+    #[serde(default)]
+    pub start: Start,
     /// The reward.
     pub reward: Reward,
 }
@@ -321,6 +336,9 @@ pub struct Algorithm {
     pub gae_lambda: f64,
     /// Clip range of the probability ratio.
     pub clip: f64,
+    /// Where the advantage is negative, a ratio beyond this moves nothing either (dual clip); 0 turns that off.
+    #[serde(default)]
+    pub dual_clip: f64,
     /// Clip range of the value prediction around the old one; 0 turns value clipping off.
     pub value_clip: f64,
     /// Passes over the samples of an iteration.
@@ -644,6 +662,9 @@ impl Config {
         within("task.episode_steps", task.episode_steps as f64, 1.0, 10_000.0)?;
         within("task.action_scale", task.action_scale, 1e-6, 100.0)?;
         within("task.base_goal_range", task.base_goal_range, 0.0, 1.5)?;
+        within("task.start.share", task.start.share, 0.0, 1.0)?;
+        within("task.start.joints", task.start.joints, 0.0, 3.0)?;
+        within("task.start.attitude", task.start.attitude, 0.0, 1.5)?;
         within("task.reward.epsilon", task.reward.epsilon, 1e-30, 1.0)?;
         within("task.reward.team_spirit", task.reward.team_spirit, 0.0, 1.0)?;
         let Reward { position, orientation, base, .. } = &task.reward;
@@ -739,6 +760,9 @@ impl Config {
         within("algorithm.gamma", algorithm.gamma, 0.0, 1.0)?;
         within("algorithm.gae_lambda", algorithm.gae_lambda, 0.0, 1.0)?;
         within("algorithm.clip", algorithm.clip, 1e-6, 10.0)?;
+        if algorithm.dual_clip != 0.0 {
+            within("algorithm.dual_clip", algorithm.dual_clip, 1.0 + algorithm.clip, 1e6)?;
+        }
         within("algorithm.value_clip", algorithm.value_clip, 0.0, 1e6)?;
         within("algorithm.epochs", algorithm.epochs as f64, 1.0, 1000.0)?;
         let samples = self.steps_per_iteration() as f64;
