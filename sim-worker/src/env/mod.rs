@@ -12,6 +12,7 @@ mod explore;
 mod moment;
 mod output;
 mod physics;
+mod start;
 
 pub(crate) use explore::Noise;
 pub use moment::Moment;
@@ -35,6 +36,7 @@ use crate::task::state::critic_state;
 use crate::task::{Errors, Goals, Readings, Task};
 use explore::{Place, explore};
 use output::Row;
+use start::scatter;
 
 /// A number that is none, or a state beyond all bounds, caught in the step that made it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -143,7 +145,7 @@ pub(crate) struct Batch {
     pub(crate) n_steps: usize,
 }
 
-/// Episodes to be played from home to the end, exploring, as training wants them.
+/// Episodes to be played from their start to the end, exploring, as training wants them.
 pub(crate) struct Episodes<'a> {
     pub(crate) config: &'a Config,
     pub(crate) robot: &'a Robot,
@@ -223,16 +225,21 @@ impl LaneFn for Episodes<'_> {
         let mut groups: Vec<Group<S>> = (0..n_groups)
             .map(|group| {
                 let mut drawn = task.goals.at_home();
+                // Lanes beyond the last environment repeat it.
+                let env_of =
+                    |lane: usize| goals.env + (group * S::LANES + lane).min(n_envs - 1) as u32;
                 for lane in 0..S::LANES {
-                    // Lanes beyond the last environment repeat it.
-                    let env = (group * S::LANES + lane).min(n_envs - 1) as u32;
-                    let address = GoalAddress { env: goals.env + env, ..goals };
+                    let address = GoalAddress { env: env_of(lane), ..goals };
                     task.goals.draw(task.name, address, lane, &mut drawn);
                 }
+                let mut state = State::home(robot);
+                let mut readings = Readings::new(n_arms);
+                let begin = &config.task.start;
+                scatter(begin, robot, &mut physics, &mut readings, (goals, env_of), &mut state);
                 let joints = vec![S::zero(); n_arms * JOINTS_PER_ARM];
                 Group {
-                    state: State::home(robot),
-                    readings: Readings::new(n_arms),
+                    state,
+                    readings,
                     goals: drawn,
                     errors: Errors::new(n_arms),
                     action: joints.clone(),
