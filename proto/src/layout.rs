@@ -58,10 +58,10 @@ impl Dimensions {
             (Observation::Paper, TaskName::Trajectory) => 28,
             (Observation::Release, TaskName::Trajectory) => 31,
             (Observation::Paper | Observation::Release, TaskName::Reorientation) => 25,
-            // Base 13, own arm's q and q̇ 12, errors 6 plain and 12 squashed, last action 6.
-            (Observation::Arm, TaskName::Trajectory) => 13 + 12 + 6 + 12 + 6,
-            // Base 13, own arm's q and q̇ 12, errors 3 plain and 6 squashed, last action 6.
-            (Observation::Arm, TaskName::Reorientation) => 13 + 12 + 3 + 6 + 6,
+            // Base's velocity 6, own arm's q and q̇ 12, errors 6 plain and 12 squashed, last action 6.
+            (Observation::Arm, TaskName::Trajectory) => 6 + 12 + 6 + 12 + 6,
+            // Base's velocity 6, own arm's q and q̇ 12, errors 3 plain and 6 squashed, last action 6.
+            (Observation::Arm, TaskName::Reorientation) => 6 + 12 + 3 + 6 + 6,
         };
         let state = match (config.network.critic_state, config.task.name) {
             (CriticState::Own, _) => 0,

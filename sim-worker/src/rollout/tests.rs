@@ -289,21 +289,22 @@ fn episodes_are_truncated_at_their_end_and_never_terminated() {
 }
 
 #[test]
-fn metrics_are_those_of_the_errors_in_the_observations() {
-    let world = world(Preset::Tuned, TaskName::Trajectory, 17, 1, 4);
+fn metrics_are_those_of_the_poses_in_the_observations() {
+    let world = world(Preset::Release, TaskName::Trajectory, 17, 1, 4);
     let block = block(&world, 0, 0);
     let layout = world.block_layout();
     let Dimensions { n_steps, n_envs, observation: o, n_metrics, .. } = world.dimensions;
     let places = EpisodeMetrics::new(4);
     for env in 0..n_envs {
         for arm in 0..4 {
-            // Plain errors stand at 25…30 of the tuned observation.
+            // The arm's first agent sees its hand's position at 19…21, its second the attitude; both see
+            // the goal at 25…30.
             let error = |step: usize, part: usize| {
                 let at = layout.observation.start
-                    + ((2 * arm * (n_steps + 1) + step) * n_envs + env) * o
-                    + 25
-                    + 3 * part;
-                block[at..at + 3].iter().map(|e| e * e).sum::<f32>().sqrt()
+                    + (((2 * arm + part) * (n_steps + 1) + step) * n_envs + env) * o;
+                let seen = &block[at..at + o];
+                let (is, goal) = (&seen[19..22], &seen[25 + 3 * part..]);
+                is.iter().zip(goal).map(|(is, goal)| (goal - is).powi(2)).sum::<f32>().sqrt()
             };
             let metrics = &block[layout.metrics.start + env * n_metrics..][..n_metrics];
             for (part, last, min) in [

@@ -150,6 +150,40 @@ pub fn quaternion_exp<S: Real>(phi: Vec3<S>) -> [S; 4] {
     [c, k * phi[0], k * phi[1], k * phi[2]]
 }
 
+/// The rotation Rx(a) Ry(b) Rz(c) of the angles (a, b, c) (rad); [`euler_xyz`] takes it apart again.
+#[inline(always)]
+pub fn euler_xyz_to_rotation<S: Real>(angles: Vec3<S>) -> Mat3<S> {
+    let [(sa, ca), (sb, cb), (sc, cc)] = angles.map(S::sin_cos);
+    let (sa_sb, ca_sb) = (sa * sb, ca * sb);
+    [
+        [cb * cc, -(cb * sc), sb],
+        [sa_sb.mul_add(cc, ca * sc), sa_sb.neg_mul_add(sc, ca * cc), -(sa * cb)],
+        [ca_sb.neg_mul_add(cc, sa * sc), ca_sb.mul_add(sc, sa * cc), ca * cb],
+    ]
+}
+
+/// How `to` is turned against `from`: the axis of the rotation to · fromᵀ, in the axes that both map to, times
+/// 2 sin(θ/2) of its angle θ.
+///
+/// The rotation vector for small angles, and it grows with the angle up to 168°; beyond, where the axis
+/// is about to change its sign, it falls to zero.
+#[inline(always)]
+pub fn rotation_difference<S: Real>(to: &Mat3<S>, from: &Mat3<S>) -> Vec3<S> {
+    // Least square of cos(θ/2) that is divided by the root of.
+    const LEAST: f64 = 0.01;
+    let entry = |i: usize, j: usize| dot(to[i], from[j]);
+    let quarter = S::splat(0.25);
+    let trace = entry(0, 0) + entry(1, 1) + entry(2, 2);
+    let cos2 = trace.mul_add(quarter, quarter).max(S::splat(LEAST));
+    // The matrix less its transpose holds 4 sin(θ/2) cos(θ/2) times the axis.
+    let k = S::splat(0.5) / cos2.sqrt();
+    [
+        k * (entry(2, 1) - entry(1, 2)),
+        k * (entry(0, 2) - entry(2, 0)),
+        k * (entry(1, 0) - entry(0, 1)),
+    ]
+}
+
 /// Angles (a, b, c) with rotation = Rx(a) Ry(b) Rz(c): intrinsic x-y-z, b in [−π/2, π/2] (rad).
 ///
 /// The convention of `gym`'s robotics environments, in which tasks state orientation errors.

@@ -16,10 +16,32 @@ fn rot(axis: usize, angle: f64) -> Mat3<f64> {
 fn euler_angles_return_from_the_product_of_rotations() {
     for (a, b, c) in [(0.3, -0.7, 1.1), (-2.9, 1.5, 3.0), (0.0, 0.0, 0.0), (1.0, -1.5, -2.0)] {
         let m = mat_mat(&mat_mat(&rot(0, a), &rot(1, b)), &rot(2, c));
+        let direct = euler_xyz_to_rotation([a, b, c]);
+        for (x, y) in m.iter().flatten().zip(direct.iter().flatten()) {
+            assert!((x - y).abs() < 1e-15, "{m:?} {direct:?}");
+        }
         let e = euler_xyz(&m);
         for (x, y) in e.iter().zip([a, b, c]) {
             assert!((x - y).abs() < 1e-14, "{e:?}");
         }
+    }
+}
+
+#[test]
+fn a_rotation_differs_from_another_by_an_axis_and_twice_the_sine_of_half_the_angle() {
+    let from = euler_xyz_to_rotation([0.3, -0.7, 1.1]);
+    for axis in 0..3 {
+        for angle in [0.0, 1e-6, 0.1, -1.5, 2.9] {
+            let to = mat_mat(&rot(axis, angle), &from);
+            let mut expected = [0.0; 3];
+            expected[axis] = 2.0 * (0.5 * angle).sin();
+            for (x, y) in rotation_difference(&to, &from).iter().zip(expected) {
+                assert!((x - y).abs() < 1e-14, "{angle} about {axis}: {x}, by hand {y}");
+            }
+        }
+        // Half a turn: the axis has no sign, and nothing is divided by zero.
+        let to = mat_mat(&rot(axis, std::f64::consts::PI), &from);
+        assert!(rotation_difference(&to, &from).iter().all(|x| x.abs() < 1e-14));
     }
 }
 

@@ -1,20 +1,18 @@
 //! The frame in which an arm sees the world, so that what one arm learns fits all.
 //!
-//! Arms are one arm on several faces of the base. An **arm frame** stands still in the world; its third
-//! axis is the outward normal of the arm's mount at home, its first the mount's x, or against it if the
-//! arm's first joint is at home turned by more than a quarter. Seen from their arm frames the arms of
-//! the paper's robot are at home in the same pose, and move alike.
+//! Arms are one arm on several faces of the base. An **arm frame** is fixed in the base; its third axis
+//! is the outward normal of the arm's mount, its first the mount's x, or against it if the arm's first
+//! joint is at home turned by more than a quarter. Seen from their arm frames the arms of the paper's
+//! robot are at home in the same pose, and move alike.
 
 use super::HomeArm;
 use crate::scalar::Real;
 
-/// Rotation of the world to an arm frame.
+/// Rotation of the base's axes to an arm frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ArmFrame {
-    /// Axes in the world, `[axis][component]`.
+    /// Axes in the base's, `[axis][component]`.
     axes: [[f64; 3]; 3],
-    /// 1, or −1 if the first two axes are against the mount's.
-    side: f64,
 }
 
 impl ArmFrame {
@@ -22,32 +20,17 @@ impl ArmFrame {
     pub(super) fn new(arm: &HomeArm) -> Self {
         let side = 1.0_f64.copysign(arm.q[0].cos());
         let [x, y, z] = arm.mount;
-        Self { axes: [x.map(|c| side * c), y.map(|c| side * c), z], side }
+        // At home the base's axes are the world's.
+        Self { axes: [x.map(|c| side * c), y.map(|c| side * c), z] }
     }
 
-    /// A vector of the world.
+    /// A vector in the base's axes.
     #[inline(always)]
     pub(super) fn vector<S: Real>(&self, v: [S; 3]) -> [S; 3] {
         self.axes.map(|axis| {
             let [x, y, z] = axis.map(S::splat);
             x.mul_add(v[0], y.mul_add(v[1], z * v[2]))
         })
-    }
-
-    /// An attitude (w, x, y, z) of the base, as the rotation of the arm frame that it is.
-    #[inline(always)]
-    pub(super) fn quaternion<S: Real>(&self, [w, x, y, z]: [S; 4]) -> [S; 4] {
-        let [x, y, z] = self.vector([x, y, z]);
-        [w, x, y, z]
-    }
-
-    /// Differences of a hand's Euler angles. On mounts that are turned about the world's x,
-    /// Rx(α)·Rx(a)·Ry(b)·Rz(c) = Rx(a + α)·Ry(b)·Rz(c) and Rz(π)·Rx(a)·Ry(b)·Rz(c) = Rx(−a)·Ry(−b)·Rz(c + π):
-    /// the differences are those of the arm frame's own angles but for signs.
-    #[inline(always)]
-    pub(super) fn euler_difference<S: Real>(&self, [a, b, c]: [S; 3]) -> [S; 3] {
-        let side = S::splat(self.side);
-        [side * a, side * b, c]
     }
 }
 
@@ -57,6 +40,7 @@ mod tests {
     use crate::dynamics::StepOptions;
     use crate::env::{Physics, home};
     use crate::robot::{JOINTS_PER_ARM, Robot};
+    use crate::spatial::{euler_xyz_to_rotation, rotation_difference};
     use crate::state::State;
     use crate::task::Readings;
 
@@ -77,7 +61,8 @@ mod tests {
             let frame = ArmFrame::new(arm);
             let difference = |a: [f64; 3], b: [f64; 3]| std::array::from_fn(|i| a[i] - b[i]);
             let position = frame.vector(difference(hand.position, arm.position));
-            [position, frame.euler_difference(difference(hand.euler, arm.euler))].concat()
+            let [was, is] = [arm.euler, hand.euler].map(euler_xyz_to_rotation);
+            [position, frame.vector(rotation_difference(&is, &was))].concat()
         });
         let moved: Vec<Vec<f64>> = moved.collect();
         assert!(moved[0].iter().all(|x| x.abs() > 0.01), "nothing to compare: {:?}", moved[0]);
@@ -99,7 +84,5 @@ mod tests {
         };
         let frame = ArmFrame::new(&arm);
         assert_eq!(frame.vector([1.0, 2.0, 3.0]), [-1.0, 3.0, 2.0]);
-        assert_eq!(frame.quaternion([0.5, 1.0, 2.0, 3.0]), [0.5, -1.0, 3.0, 2.0]);
-        assert_eq!(frame.euler_difference([1.0, 2.0, 3.0]), [-1.0, -2.0, 3.0]);
     }
 }

@@ -16,20 +16,20 @@
 //!
 //! The factor 0.02 is the released environment's `dt` property, 1 ms × 20.
 //!
-//! Layout `arm`, the same for both agents of an arm, 49 numbers for `trajectory`, 40 for
-//! `reorientation`, all vectors in the arm's frame (see `task::frame`):
+//! Layout `arm`, the same for both agents of an arm, 42 numbers for `trajectory`, 33 for
+//! `reorientation`, all vectors in the arm's frame (see `task::frame`), which moves with the base:
 //!
 //! | trajectory | reorientation | numbers |
 //! |---|---|---|
-//! | 0–2 | 0–2 | base position relative to its home (m) |
-//! | 3–6 | 3–6 | base quaternion, w x y z |
-//! | 7–9 | 7–9 | base linear velocity (m/s) |
-//! | 10–12 | 10–12 | base angular velocity, in the body (rad/s) |
-//! | 13–18 | 13–18 | the arm's joint angles relative to home (rad) |
-//! | 19–24 | 19–24 | the arm's joint rates (rad/s) |
-//! | 25–30 | 25–27 | error, goal − actual: hand position (m) and Euler angles (rad); base Euler angles |
-//! | 31–42 | 28–33 | the errors squashed at two widths, see [`Errors`] |
-//! | 43–48 | 34–39 | the arm's last action: clipped, before scaling (rad/s) |
+//! | 0–2 | 0–2 | base linear velocity (m/s) |
+//! | 3–5 | 3–5 | base angular velocity (rad/s) |
+//! | 6–11 | 6–11 | the arm's joint angles relative to home (rad) |
+//! | 12–17 | 12–17 | the arm's joint rates (rad/s) |
+//! | 18–23 | 18–20 | error, goal − actual: position (m) and rotation (rad) of the hand; rotation of the base |
+//! | 24–35 | 21–26 | the errors squashed at two widths, see [`Errors`] |
+//! | 36–41 | 27–32 | the arm's last action: clipped, before scaling (rad/s) |
+//!
+//! Nothing in it tells where the base is or how it is turned: see [`Errors`].
 
 use proto::config::{Observation, TaskName};
 use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
@@ -38,6 +38,7 @@ use super::frame::ArmFrame;
 use super::{Errors, Goals, Readings, Task};
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
+use crate::spatial::{mat_t_vec, quaternion_to_rotation};
 
 /// Factor on velocities in the released layout.
 pub const RELEASE_VELOCITY_SCALE: f64 = 0.02;
@@ -75,12 +76,11 @@ impl<'a, S: Real> Writer<'a, S> {
         self.put(&readings.base_angular);
     }
 
-    /// The same as one arm sees it.
+    /// How the base moves, as one arm sees it: 6 numbers.
     #[inline(always)]
-    fn put_base_seen_from(&mut self, frame: &ArmFrame, task: &Task, readings: &Readings<S>) {
-        self.put(&frame.vector(base_offset(task, readings)));
-        self.put(&frame.quaternion(readings.base_quaternion));
-        self.put(&frame.vector(readings.base_linear));
+    fn put_base_seen_from(&mut self, frame: &ArmFrame, readings: &Readings<S>) {
+        let base = quaternion_to_rotation(&readings.base_quaternion);
+        self.put(&frame.vector(mat_t_vec(&base, readings.base_linear)));
         self.put(&frame.vector(readings.base_angular));
     }
 
@@ -132,25 +132,21 @@ pub fn observe<S: Real>(
     match task.observation {
         Observation::Arm => {
             let frame = &task.frames[arm];
-            out.put_base_seen_from(frame, task, readings);
+            out.put_base_seen_from(frame, readings);
             out.put_joints(task, readings, arm);
             match task.name {
                 TaskName::Trajectory => {
-                    let (plain, squashed) = (&errors.hands[arm], &errors.squashed_hands[arm]);
-                    out.put(&frame.vector(three(plain, 0)));
-                    out.put(&frame.euler_difference(three(plain, 3)));
-                    // On the paper's robot arm frames have the world's axes but for order and sign, so a
+                    // On the paper's robot arm frames have the base's axes but for order and sign, so a
                     // squashed vector turns like a plain one.
                     for at in [0, 3] {
-                        out.put(&frame.vector(three(squashed, at)));
+                        out.put(&frame.vector(three(&errors.seen_hands[arm], at)));
                     }
-                    for at in [6, 9] {
-                        out.put(&frame.euler_difference(three(squashed, at)));
+                    for at in [0, 3, 6, 9] {
+                        out.put(&frame.vector(three(&errors.squashed_hands[arm], at)));
                     }
                 }
-                // Small differences of Euler angles turn like a vector.
                 TaskName::Reorientation => {
-                    out.put(&frame.vector(errors.base));
+                    out.put(&frame.vector(errors.seen_base));
                     for at in [0, 3] {
                         out.put(&frame.vector(three(&errors.squashed_base, at)));
                     }

@@ -3,6 +3,9 @@
 use super::Goals;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
+use crate::spatial::{
+    euler_xyz_to_rotation, mat_t_vec, quaternion_to_rotation, rotation_difference,
+};
 
 /// A hand's pose and velocity in the world.
 #[derive(Debug, Clone, Copy)]
@@ -71,16 +74,25 @@ pub const POSITION_WIDTHS: [f64; 2] = [0.05, 0.015];
 /// Widths of the squashed attitude errors (rad): tanh(e / width).
 pub const ATTITUDE_WIDTHS: [f64; 2] = [0.08, 0.025];
 
-/// Task errors of one lane group, goal − actual, plain and squashed.
+/// Task errors of one lane group, goal − actual: as they are paid, and as agents see them.
+///
+/// The tasks' measures and rewards are in the world's axes and Euler angles, as the paper has them.
+/// Agents see errors in the **axes of the base**, attitudes as rotations (see
+/// [`rotation_difference`]): where the base is and how it is turned makes no difference to what an
+/// arm has to do, nor, without gravity, to how it moves, and so an agent does not have to learn it.
 #[derive(Debug, Clone)]
 pub struct Errors<S> {
     /// Position (m, world) and Euler angles (rad) of each hand.
     pub hands: Vec<[S; 6]>,
     /// Attitude of the base (rad).
     pub base: [S; 3],
-    /// Squashed hand errors: position at both widths, then attitude at both widths.
+    /// Position (m) and rotation (rad) of each hand, in the base's axes.
+    pub seen_hands: Vec<[S; 6]>,
+    /// Rotation of the base, in its axes (rad).
+    pub seen_base: [S; 3],
+    /// `seen_hands` squashed: position at both widths, then rotation at both widths.
     pub squashed_hands: Vec<[S; 12]>,
-    /// Squashed attitude error of the base at both widths.
+    /// `seen_base` squashed at both widths.
     pub squashed_base: [S; 6],
     /// ‖position error‖ of each hand (m).
     pub position_norm: Vec<S>,
@@ -96,6 +108,8 @@ impl<S: Real> Errors<S> {
         Self {
             hands: vec![[S::zero(); 6]; n_arms],
             base: [S::zero(); 3],
+            seen_hands: vec![[S::zero(); 6]; n_arms],
+            seen_base: [S::zero(); 3],
             squashed_hands: vec![[S::zero(); 12]; n_arms],
             squashed_base: [S::zero(); 6],
             position_norm: vec![S::zero(); n_arms],
@@ -107,6 +121,7 @@ impl<S: Real> Errors<S> {
     /// Takes the errors of `readings` against `goals`.
     #[inline(always)]
     pub fn update(&mut self, readings: &Readings<S>, goals: &Goals<S>) {
+        let base = quaternion_to_rotation(&readings.base_quaternion);
         for arm in 0..self.hands.len() {
             let (hand, goal) = (&readings.hands[arm], &goals.hands[arm]);
             let e = &mut self.hands[arm];
@@ -115,20 +130,29 @@ impl<S: Real> Errors<S> {
                 e[3 + i] = goal[3 + i] - hand.euler[i];
             }
             let e = *e;
+            self.position_norm[arm] = norm([e[0], e[1], e[2]]);
+            self.orientation_norm[arm] = norm([e[3], e[4], e[5]]);
+
+            let target = euler_xyz_to_rotation([goal[3], goal[4], goal[5]]);
+            let turned = rotation_difference(&target, &euler_xyz_to_rotation(hand.euler));
+            let seen = &mut self.seen_hands[arm];
+            seen[..3].copy_from_slice(&mat_t_vec(&base, [e[0], e[1], e[2]]));
+            seen[3..].copy_from_slice(&mat_t_vec(&base, turned));
+            let seen = *seen;
             let squashed = &mut self.squashed_hands[arm];
             for i in 0..3 {
                 for (scale, (p, a)) in POSITION_WIDTHS.iter().zip(ATTITUDE_WIDTHS).enumerate() {
-                    squashed[3 * scale + i] = (e[i] * S::splat(1.0 / p)).tanh();
-                    squashed[6 + 3 * scale + i] = (e[3 + i] * S::splat(1.0 / a)).tanh();
+                    squashed[3 * scale + i] = (seen[i] * S::splat(1.0 / p)).tanh();
+                    squashed[6 + 3 * scale + i] = (seen[3 + i] * S::splat(1.0 / a)).tanh();
                 }
             }
-            self.position_norm[arm] = norm([e[0], e[1], e[2]]);
-            self.orientation_norm[arm] = norm([e[3], e[4], e[5]]);
         }
+        let turned = rotation_difference(&euler_xyz_to_rotation(goals.base), &base);
+        self.seen_base = mat_t_vec(&base, turned);
         for i in 0..3 {
             self.base[i] = goals.base[i] - readings.base_euler[i];
             for (scale, a) in ATTITUDE_WIDTHS.iter().enumerate() {
-                self.squashed_base[3 * scale + i] = (self.base[i] * S::splat(1.0 / a)).tanh();
+                self.squashed_base[3 * scale + i] = (self.seen_base[i] * S::splat(1.0 / a)).tanh();
             }
         }
         self.base_norm = norm(self.base);

@@ -29,13 +29,13 @@ pub fn critic_state<S: Real>(
         CriticState::Compact => {
             out.put_base(task, readings);
             if task.name == TaskName::Reorientation {
-                out.put(&errors.base);
+                out.put(&errors.seen_base);
                 out.put(&errors.squashed_base);
             }
             for arm in 0..task.n_arms() {
                 out.put_joints(task, readings, arm);
                 if task.name == TaskName::Trajectory {
-                    out.put(&errors.hands[arm]);
+                    out.put(&errors.seen_hands[arm]);
                     out.put(&errors.squashed_hands[arm]);
                 }
                 out.put_action(readings, arm);

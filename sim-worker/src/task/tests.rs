@@ -11,7 +11,14 @@ use super::reward::rewards;
 use super::state::critic_state;
 use super::*;
 use crate::collision::{ContactKind, Touching};
-use crate::robot::MAX_ARMS;
+use crate::dynamics::StepOptions;
+use crate::env::Physics;
+use crate::robot::{MAX_ARMS, Robot};
+use crate::spatial::{
+    add, euler_xyz, euler_xyz_to_rotation, mat_mat, mat_vec, quaternion_exp, quaternion_product,
+    quaternion_to_rotation,
+};
+use crate::state::State;
 
 /// The released robot at home, from `reference` values of its model.
 fn home() -> Home {
@@ -156,37 +163,114 @@ const TUNED_BASE: [f64; 13] = [
 const TUNED_JOINTS: [f64; 12] =
     [112.0, 114.57, 114.0, 116.57, 116.0, 117.0, 212.0, 213.0, 214.0, 215.0, 216.0, 217.0];
 
-/// Errors of arm 2: (0.03, 0.04, 0.02), (0, 0, −0.1); squashed by 0.05, 0.015, 0.08, 0.025.
-fn tuned_errors() -> Vec<f64> {
-    let mut e = vec![0.03, 0.04, 0.02, 0.0, 0.0, -0.1];
-    e.extend([0.6_f64, 0.8, 0.4, 2.0, 8.0 / 3.0, 4.0 / 3.0].map(f64::tanh));
-    e.extend([0.0_f64, 0.0, -1.25, 0.0, 0.0, -4.0].map(f64::tanh));
-    e
+/// Velocities of the base in its axes: the linear one is turned by the quaternion's inverse.
+const TUNED_BASE_SEEN: [f64; 6] = [0.18, 0.748, 1.936, 2.1, 2.2, 2.3];
+
+/// `v` in the base's axes; rows of the quaternion's rotation are (0, −0.6, 0.8), (0.8, 0.48, 0.36)
+/// and (−0.6, 0.64, 0.48).
+fn in_base([x, y, z]: [f64; 3]) -> [f64; 3] {
+    [
+        0.8 * y - 0.6 * z,
+        -0.6 * x + 0.48 * y + 0.64 * z,
+        0.8 * x + 0.36 * y + 0.48 * z, //
+    ]
 }
 
-/// Base errors (0.04, 0.03, −0.09), squashed by 0.08 and 0.025.
+/// `e` and its tanh at two widths, alternating as agents see them.
+fn at_widths(e: [f64; 3], widths: [f64; 2]) -> [Vec<f64>; 2] {
+    [e.to_vec(), widths.iter().flat_map(|width| e.map(|x| (x / width).tanh())).collect()]
+}
+
+/// Errors of arm 2: (0.03, 0.04, 0.02), and the last Euler angle shall turn by −0.1 about the hand's third axis.
+fn tuned_errors() -> Vec<f64> {
+    let (a, b) = (22.0_f64, 23.0_f64);
+    let axis = [b.sin(), -a.sin() * b.cos(), a.cos() * b.cos()];
+    let [position, p] = at_widths(in_base([0.03, 0.04, 0.02]), [0.05, 0.015]);
+    let turn = in_base(axis.map(|x| -2.0 * 0.05_f64.sin() * x));
+    let [rotation, r] = at_widths(turn, [0.08, 0.025]);
+    [position, rotation, p, r].concat()
+}
+
+/// The quaternion of the base's goal as seen from the base, twice its vector part.
 fn tuned_base_errors() -> Vec<f64> {
-    let mut e = vec![0.04, 0.03, -0.09];
-    e.extend([0.5_f64, 0.375, -1.125, 1.6, 1.2, -3.6].map(f64::tanh));
-    e
+    let [x, y, z] = goals().base;
+    let [x, y, z] = [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]].map(quaternion_exp);
+    let goal = quaternion_product(&quaternion_product(&x, &y), &z);
+    let [w, x, y, z] = readings().base_quaternion;
+    let [w, x, y, z] = quaternion_product(&[w, -x, -y, -z], &goal);
+    let [plain, squashed] = at_widths([x, y, z].map(|c| (2.0 * c).copysign(c * w)), [0.08, 0.025]);
+    [plain, squashed].concat()
 }
 
 const TUNED_ACTION: [f64; 6] = [312.0, 313.0, 314.0, 315.0, 316.0, 317.0];
 
 #[test]
 fn tuned_observation_is_the_same_for_both_agents_of_an_arm() {
-    let mut expected = TUNED_BASE.to_vec();
+    let mut expected = TUNED_BASE_SEEN.to_vec();
     expected.extend(TUNED_JOINTS);
     expected.extend(tuned_errors());
     expected.extend(TUNED_ACTION);
     assert_close(&observed(Preset::Tuned, TaskName::Trajectory, 4), &expected);
     assert_close(&observed(Preset::Tuned, TaskName::Trajectory, 5), &expected);
 
-    let mut expected = TUNED_BASE.to_vec();
+    let mut expected = TUNED_BASE_SEEN.to_vec();
     expected.extend(TUNED_JOINTS);
     expected.extend(tuned_base_errors());
     expected.extend(TUNED_ACTION);
     assert_close(&observed(Preset::Tuned, TaskName::Reorientation, 4), &expected);
+}
+
+/// A robot, its goals and all velocities are moved and turned as one: no arm of preset `tuned` sees it.
+#[test]
+fn tuned_observations_do_not_tell_where_the_base_is() {
+    let robot = Robot::builtin("paper").expect("built in");
+    let mut state = State::<f64>::home(&robot);
+    for (j, (q, qd)) in state.q.iter_mut().zip(&mut state.qd).enumerate() {
+        *q += 0.3 * (j as f64).sin();
+        *qd = 0.5 * (2.0 * j as f64).cos();
+    }
+    state.base_quaternion = quaternion_exp([0.1, -0.2, 0.05]);
+    (state.base_linear_velocity, state.base_angular_velocity) =
+        ([0.02, -0.03, 0.01], [0.05, 0.06, -0.07]);
+    let turn = quaternion_exp([0.4, 0.3, -0.35]);
+    let rotation = quaternion_to_rotation(&turn);
+    let moved = State {
+        base_position: add(mat_vec(&rotation, state.base_position), [3.0, -2.0, 1.0]),
+        base_quaternion: quaternion_product(&turn, &state.base_quaternion),
+        base_linear_velocity: mat_vec(&rotation, state.base_linear_velocity),
+        ..state.clone()
+    };
+    let turned = |euler: [f64; 3]| euler_xyz(&mat_mat(&rotation, &euler_xyz_to_rotation(euler)));
+
+    let mut physics = Physics::with_options(&robot, StepOptions::default());
+    for name in [TaskName::Trajectory, TaskName::Reorientation] {
+        let config = config(Preset::Tuned, name);
+        let task = Task::new(&config, crate::env::home(&robot));
+        let address = GoalAddress { seed: 3, purpose: Purpose::Goal, iteration: 0, env: 1 };
+        let mut goals = task.goals.at_home();
+        task.goals.draw(name, address, 0, &mut goals);
+        let mut far = goals.clone();
+        for pose in &mut far.hands {
+            let [x, y, z, a, b, c] = *pose;
+            let position = add(mat_vec(&rotation, [x, y, z]), [3.0, -2.0, 1.0]);
+            pose[..3].copy_from_slice(&position);
+            pose[3..].copy_from_slice(&turned([a, b, c]));
+        }
+        far.base = turned(goals.base);
+        let mut seen = |state: &State<f64>, goals: &Goals<f64>, agent: usize| {
+            let mut readings = Readings::new(robot.n_arms);
+            physics.read(state, &mut readings);
+            let mut errors = Errors::new(robot.n_arms);
+            errors.update(&readings, goals);
+            let mut out = vec![f64::NAN; Dimensions::new(&config, robot.n_arms).observation];
+            observe(&task, &readings, goals, &errors, agent, &mut out);
+            out
+        };
+        for agent in 0..8 {
+            assert_close(&seen(&moved, &far, agent), &seen(&state, &goals, agent));
+        }
+        assert_ne!(seen(&moved, &goals, 0), seen(&state, &goals, 0), "the goal has not moved");
+    }
 }
 
 #[test]
