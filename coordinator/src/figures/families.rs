@@ -1,4 +1,4 @@
-//! Learning curves of several runs, those that differ in their seeds alone together.
+//! Learning curves of several runs, those together that learn the same but for their seeds.
 
 use std::path::PathBuf;
 
@@ -38,7 +38,7 @@ impl Over {
     }
 }
 
-/// Runs that differ in their seeds alone; `[low, mean, high]` over them at every one of `along`.
+/// Runs that learn the same but for their seeds; `[low, mean, high]` over them at every one of `along`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Family {
     pub(crate) task: TaskName,
@@ -63,13 +63,14 @@ struct Kind {
     curves: Vec<Vec<Point>>,
 }
 
-/// Puts those curves together that differ in their seeds alone.
+/// Puts those curves together that learn the same but for their seeds; how often a run is evaluated, or what it
+/// keeps, makes no difference.
 pub(crate) fn families(curves: &[Recorded], over: Over) -> Vec<Family> {
     let mut kinds: Vec<Kind> = Vec::new();
     for Recorded { run, config, points, .. } in curves {
         let mut config = config.clone();
         let (run, points) = ((run.clone(), std::mem::take(&mut config.run.seed)), points.clone());
-        match kinds.iter_mut().find(|kind| kind.config == config) {
+        match kinds.iter_mut().find(|kind| learn_alike(&kind.config, &config)) {
             Some(kind) => {
                 kind.runs.push(run);
                 kind.curves.push(points);
@@ -81,6 +82,14 @@ pub(crate) fn families(curves: &[Recorded], over: Over) -> Vec<Family> {
         Family::new(config.task.name, config.algorithm.name, runs, &curves, over)
     };
     kinds.into_iter().map(family).collect()
+}
+
+/// Whether two configurations differ in what does not change what is learned, at most.
+fn learn_alike(one: &Config, other: &Config) -> bool {
+    // The budget does: the learning rate falls over it.
+    one.run.continues(&other.run)
+        && one.run.env_steps == other.run.env_steps
+        && *one == Config { run: one.run.clone(), ..other.clone() }
 }
 
 impl Family {
@@ -151,12 +160,29 @@ fn interpolate(curve: &[Point], over: Over, place: f64, read: fn(&Point) -> f64)
 
 #[cfg(test)]
 mod tests {
+    use proto::config::{Layers, Preset};
+
     use super::*;
 
     fn point(env_steps: f64, mean: f64) -> Point {
         let wall_s = 6.0 * env_steps;
         let (low, high, position, orientation, base) = (0.0, 0.0, 0.1, 0.2, 0.3);
         Point { env_steps, wall_s, mean, low, high, position, orientation, base }
+    }
+
+    #[test]
+    fn seeds_and_housekeeping_alone_make_no_other_family() {
+        let config = |set: &str| {
+            let layers = Layers::new(Preset::Tuned, None).set(set).expect("well formed");
+            layers.resolve().expect("valid")
+        };
+        let plain = config("run.seed=1");
+        for alike in ["run.keep_every=7", "run.checkpoint_every=3", "run.evaluate_every=1"] {
+            assert!(learn_alike(&config(alike), &plain), "{alike}");
+        }
+        for other in ["run.env_steps=9_000_000", "run.overlap=0", "algorithm.gamma=0.5"] {
+            assert!(!learn_alike(&config(other), &plain), "{other}");
+        }
     }
 
     #[test]
