@@ -102,11 +102,13 @@ impl NetworkSpec {
     /// The actors or critics of a configuration.
     pub fn new(kind: NetworkKind, config: &Config, dimensions: &Dimensions) -> Self {
         let network = &config.network;
-        let (input, output) = match kind {
-            NetworkKind::Actor => (dimensions.actor_input(), dimensions.actor_output()),
-            NetworkKind::Critic => (dimensions.critic_input(), 1),
+        let (input, hidden, output) = match kind {
+            NetworkKind::Actor => {
+                (dimensions.actor_input(), network.hidden.as_slice(), dimensions.actor_output())
+            }
+            NetworkKind::Critic => (dimensions.critic_input(), network.hidden_of_critics(), 1),
         };
-        let hidden: Vec<i64> = network.hidden.iter().map(|&width| width as i64).collect();
+        let hidden: Vec<i64> = hidden.iter().map(|&width| width as i64).collect();
         let input_layer_norm = network.input_norm == InputNorm::LayerNorm;
         let mut parameters = Vec::new();
         let mut len = 0;

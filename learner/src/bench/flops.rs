@@ -15,8 +15,8 @@ use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 /// forwards through the target critic and twice through the critic, and back through that for its own
 /// weights, and for the actor as far as its own actions.
 pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
-    let hidden = &config.network.hidden;
-    let products = |input: usize, output: usize| {
+    let network = &config.network;
+    let products = |input: usize, hidden: &[usize], output: usize| {
         let widths: Vec<f64> = std::iter::once(&input)
             .chain(hidden)
             .chain(std::iter::once(&output))
@@ -25,12 +25,14 @@ pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
         let all: f64 = widths.windows(2).map(|pair| 2.0 * pair[0] * pair[1]).sum();
         (all, 2.0 * widths[0] * widths[1])
     };
-    let (actor, actor_first) = products(dimensions.actor_input(), dimensions.actor_output());
-    let (critic, critic_first) = products(dimensions.critic_input(), 1);
+    let (actor, actor_first) =
+        products(dimensions.actor_input(), &network.hidden, dimensions.actor_output());
+    let (critic, critic_first) =
+        products(dimensions.critic_input(), network.hidden_of_critics(), 1);
     if config.algorithm.name == AlgorithmName::Maddpg {
         let settings = &config.algorithm.maddpg;
         let samples = settings.updates_per_step * settings.batch_size as f64;
-        let actions = 2.0 * (JOINTS_PER_AGENT * hidden[0]) as f64;
+        let actions = 2.0 * (JOINTS_PER_AGENT * network.hidden_of_critics()[0]) as f64;
         let actors = 4.0 * actor - actor_first;
         let critics = 6.0 * critic - 2.0 * critic_first + actions;
         return dimensions.n_actors as f64 * samples * (actors + critics);

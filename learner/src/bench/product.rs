@@ -56,11 +56,14 @@ pub(super) fn best_rate(
 
 /// Width of the input and of the output of the layer with the most weights.
 fn widest(config: &Config, dimensions: &Dimensions) -> [i64; 2] {
-    [(dimensions.actor_input(), dimensions.actor_output()), (dimensions.critic_input(), 1)]
+    let network = &config.network;
+    let actor = (dimensions.actor_input(), network.hidden.as_slice(), dimensions.actor_output());
+    let critic = (dimensions.critic_input(), network.hidden_of_critics(), 1);
+    [actor, critic]
         .into_iter()
-        .flat_map(|(input, output)| {
+        .flat_map(|(input, hidden, output)| {
             let widths: Vec<usize> = std::iter::once(input)
-                .chain(config.network.hidden.iter().copied())
+                .chain(hidden.iter().copied())
                 .chain(std::iter::once(output))
                 .collect();
             widths.windows(2).map(|pair| [pair[0] as i64, pair[1] as i64]).collect::<Vec<_>>()

@@ -246,12 +246,15 @@ pub enum ParameterSharing {
     All,
 }
 
-/// Group `network`. Actors and critics are multi-layer perceptrons of the same hidden sizes.
+/// Group `network`. Actors and critics are multi-layer perceptrons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
     /// Width of each hidden layer.
     pub hidden: Vec<usize>,
+    /// Likewise, of critics; none if they have the actors' widths.
+    #[serde(default)]
+    pub critic_hidden: Vec<usize>,
     /// Non-linearity.
     pub activation: Activation,
     /// LayerNorm after each hidden activation.
@@ -274,6 +277,13 @@ pub struct Network {
     pub min_log_std: f64,
     /// Gain of the orthogonal initialisation of the action head.
     pub head_gain: f64,
+}
+
+impl Network {
+    /// Width of each hidden layer of critics.
+    pub fn hidden_of_critics(&self) -> &[usize] {
+        if self.critic_hidden.is_empty() { &self.hidden } else { &self.critic_hidden }
+    }
 }
 
 /// The learning algorithm.
@@ -714,8 +724,11 @@ impl Config {
         }
 
         within("network.hidden", network.hidden.len() as f64, 1.0, 16.0)?;
-        for &width in &network.hidden {
-            within("network.hidden", width as f64, 1.0, 16_384.0)?;
+        within("network.critic_hidden", network.critic_hidden.len() as f64, 0.0, 16.0)?;
+        let widths = network.hidden.iter().map(|width| ("network.hidden", width));
+        let of_critics = network.critic_hidden.iter().map(|width| ("network.critic_hidden", width));
+        for (key, &width) in widths.chain(of_critics) {
+            within(key, width as f64, 1.0, 16_384.0)?;
         }
         within("network.input_clip", network.input_clip, 0.1, 1e6)?;
         within("network.initial_log_std", network.initial_log_std, -10.0, 5.0)?;
