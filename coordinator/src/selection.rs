@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use proto::config::{Config, TaskName};
-use proto::message::{EpisodeErrors, EvaluationChunk};
+use proto::message::{EpisodeErrors, EvaluationChunk, TaskErrors};
+use serde::Serialize;
 use sim_worker::evaluate::SELECTION_SEED;
 use sim_worker::scalar::LANES;
 
@@ -17,7 +18,42 @@ use crate::checkpoint::{Score, Snapshot};
 
 /// Errors that the paper reports for its best policies: position (m), orientation (rad), and
 /// attitude of the base (rad). Scores are in these units, so that 1 is as good as the paper.
-const PAPER: EpisodeErrors = EpisodeErrors { position: 0.025, orientation: 0.04, base: 0.03 };
+const PAPER: TaskErrors = TaskErrors { position: 0.025, orientation: 0.04, base: 0.03 };
+
+/// Errors of a policy, means over the episodes of its evaluation. Positions in m, attitudes in rad.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Means {
+    /// Over the last steps.
+    pub tail: MeanErrors,
+    /// Minima over time: the paper's measure.
+    pub min: MeanErrors,
+}
+
+/// [`TaskErrors`], summed up with more digits.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct MeanErrors {
+    /// Position error of hands (m).
+    pub position: f64,
+    /// Orientation error of hands (rad).
+    pub orientation: f64,
+    /// Attitude error of the base (rad).
+    pub base: f64,
+}
+
+impl MeanErrors {
+    /// One kind of the errors of some episodes.
+    fn of(episodes: &[EpisodeErrors], kind: fn(&EpisodeErrors) -> &TaskErrors) -> Self {
+        let mean = |error: fn(&TaskErrors) -> f32| {
+            let errors = episodes.iter().map(|episode| f64::from(error(kind(episode))));
+            errors.sum::<f64>() / episodes.len() as f64
+        };
+        Self {
+            position: mean(|errors| errors.position),
+            orientation: mean(|errors| errors.orientation),
+            base: mean(|errors| errors.base),
+        }
+    }
+}
 
 /// What became of an evaluation.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,6 +64,8 @@ pub struct Verdict {
     pub committed: bool,
     /// How good the policy is.
     pub score: Score,
+    /// What it was made from.
+    pub means: Means,
     /// Whether it is better than all before it.
     pub improved: bool,
 }
@@ -115,12 +153,17 @@ impl Selection {
             return None;
         }
         let Current { snapshot, committed, errors, .. } = self.current.take()?;
-        let score = self.score(&errors.into_values().flatten().collect::<Vec<_>>());
+        let episodes: Vec<_> = errors.into_values().flatten().collect();
+        let means = Means {
+            tail: MeanErrors::of(&episodes, |errors| &errors.tail),
+            min: MeanErrors::of(&episodes, |errors| &errors.min),
+        };
+        let score = self.score(&means.tail, episodes.len());
         let improved = self.best.is_none_or(|best| score.value < best);
         if improved {
             self.best = Some(score.value);
         }
-        Some(Verdict { snapshot, committed, score, improved })
+        Some(Verdict { snapshot, committed, score, means, improved })
     }
 
     /// The best could not be kept: this is the score of the best that there is.
@@ -128,14 +171,8 @@ impl Selection {
         self.best = best;
     }
 
-    fn score(&self, episodes: &[EpisodeErrors]) -> Score {
-        let mean = |error: fn(&EpisodeErrors) -> f32| {
-            episodes.iter().map(|errors| f64::from(error(errors))).sum::<f64>()
-                / episodes.len() as f64
-        };
-        let position = mean(|errors| errors.position);
-        let orientation = mean(|errors| errors.orientation);
-        let base = mean(|errors| errors.base);
+    fn score(&self, tail: &MeanErrors, episodes: usize) -> Score {
+        let MeanErrors { position, orientation, base } = *tail;
         let (value, errors) = match self.task {
             TaskName::Trajectory => (
                 0.5 * (position / f64::from(PAPER.position)
@@ -149,7 +186,7 @@ impl Selection {
         Score {
             value,
             errors: errors.into_iter().map(|(name, error)| (name.to_owned(), error)).collect(),
-            episodes: episodes.len() as u64,
+            episodes: episodes as u64,
             steps: u64::from(self.steps),
             seed: SELECTION_SEED,
         }
@@ -174,7 +211,9 @@ mod tests {
     }
 
     fn errors(count: u32, position: f32) -> Vec<EpisodeErrors> {
-        vec![EpisodeErrors { position, orientation: 0.02, base: 9.0 }; count as usize]
+        let tail = TaskErrors { position, orientation: 0.02, base: 9.0 };
+        let min = TaskErrors { position: 0.5 * position, ..tail };
+        vec![EpisodeErrors { tail, min }; count as usize]
     }
 
     #[test]
@@ -198,6 +237,9 @@ mod tests {
         let expected = 0.5 * ((16.0 * 0.01 + 2.0 * 0.0116) / 18.0 / 0.025 + 0.5);
         assert!((verdicts[0].score.value - expected).abs() < 1e-6, "{:?}", verdicts[0]);
         assert!(verdicts[0].improved);
+        let Means { tail, min } = verdicts[0].means;
+        assert!((tail.position - 2.0 * min.position).abs() < 1e-9, "{tail:?} {min:?}");
+        assert!((min.base - 9.0).abs() < 1e-9);
     }
 
     #[test]

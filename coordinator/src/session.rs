@@ -132,6 +132,11 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitE
     result
 }
 
+/// What metrics say of a run cannot be kept.
+fn unwritten(error: anyhow::Error) -> ExitError {
+    ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be written: {error:#}"))
+}
+
 /// The state of a run's loop.
 struct Session<'a> {
     spec: &'a SessionSpec,
@@ -328,7 +333,10 @@ impl<'a> Session<'a> {
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.evaluation_done(chunk, now);
                     }
-                    self.snapshots.played(chunk, errors);
+                    if let Some(evaluated) = self.snapshots.played(chunk, errors) {
+                        let wall_s = self.started.elapsed().as_secs_f64();
+                        reporter.evaluation(&evaluated, wall_s).map_err(unwritten)?;
+                    }
                 }
                 Status::Failed { worker, incarnation, message, fault } => {
                     reporter.note(&format!("worker {worker}: {message}"));
@@ -432,9 +440,7 @@ impl<'a> Session<'a> {
             workers: self.workers,
             restarts: supervisor.restarts() + self.learner_restarts,
         };
-        let line = reporter.iteration(&report, &live).map_err(|error| {
-            ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be written: {error:#}"))
-        })?;
+        let line = reporter.iteration(&report, &live).map_err(unwritten)?;
         self.monitor.iteration(&report);
         self.monitor.env_steps_per_s = live.env_steps_per_s;
         self.monitor.last = line;

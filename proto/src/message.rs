@@ -81,9 +81,18 @@ pub struct EvaluationChunk {
     pub episodes: u32,
 }
 
-/// Errors of one held-out episode: means over its last steps, and over hands.
+/// Errors of one held-out episode, means over hands.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct EpisodeErrors {
+    /// Means over its last steps.
+    pub tail: TaskErrors,
+    /// Minima over its steps, of each hand by itself: the paper's measure.
+    pub min: TaskErrors,
+}
+
+/// How far from its goal a robot is.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct TaskErrors {
     /// Position error (m).
     pub position: f32,
     /// Orientation error (rad).

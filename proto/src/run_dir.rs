@@ -7,6 +7,7 @@
 //!   provenance.json    version, processor, threads, command line, start time
 //!   metrics.jsonl      one line an iteration
 //!   metrics.csv        the same numbers as a table
+//!   evaluations.jsonl  one line an evaluation on held-out goals
 //!   events/            the same numbers for TensorBoard
 //!   curve.svg          the learning curve
 //!   logs/              standard error of the learner and each worker
@@ -53,6 +54,8 @@ impl RunDir {
         metrics_jsonl = "metrics.jsonl";
         /// The same as comma-separated values.
         metrics_csv = "metrics.csv";
+        /// One JSON object an evaluation on held-out goals.
+        evaluations = "evaluations.jsonl";
         /// Digests with which iterations to come must end.
         promised = "promised.jsonl";
         /// TensorBoard's event files.

@@ -1,6 +1,6 @@
 //! Evaluation: deterministic actions on goals that no training episode draws.
 
-use proto::message::EpisodeErrors;
+use proto::message::{EpisodeErrors, TaskErrors};
 use serde::{Deserialize, Serialize};
 
 use crate::collision::ContactKind;
@@ -120,14 +120,15 @@ pub fn select(
     let mut recording = Recording::new(n_arms, n, steps);
     play_some(&trial, first, n, recording.series_mut(), on_step)?;
     let errors = Evaluation::of(&recording).episodes.into_iter().map(|result| {
-        let mean = |error: fn(&HandCourse) -> f32| {
-            result.hands.iter().map(error).sum::<f32>() / n_arms as f32
+        let errors = |of: fn(&Course) -> f32| {
+            let mean = |course: fn(&HandCourse) -> &Course| {
+                result.hands.iter().map(|hand| of(course(hand))).sum::<f32>() / n_arms as f32
+            };
+            let [position, orientation] =
+                [mean(|hand| &hand.position), mean(|hand| &hand.orientation)];
+            TaskErrors { position, orientation, base: of(&result.base) }
         };
-        EpisodeErrors {
-            position: mean(|hand| hand.position.tail),
-            orientation: mean(|hand| hand.orientation.tail),
-            base: result.base.tail,
-        }
+        EpisodeErrors { tail: errors(|course| course.tail), min: errors(|course| course.min) }
     });
     Ok(errors.collect())
 }
@@ -245,8 +246,11 @@ mod tests {
         assert_eq!(errors.len(), whole.len());
         for (errors, episode) in errors.iter().zip(&whole) {
             let tails = episode.hands.iter().map(|hand| hand.position.tail);
-            assert_eq!(errors.position, tails.sum::<f32>() / 4.0);
-            assert_eq!(errors.base, episode.base.tail);
+            assert_eq!(errors.tail.position, tails.sum::<f32>() / 4.0);
+            assert_eq!(errors.tail.base, episode.base.tail);
+            let least = episode.hands.iter().map(|hand| hand.orientation.min);
+            assert_eq!(errors.min.orientation, least.sum::<f32>() / 4.0);
+            assert_eq!(errors.min.base, episode.base.min);
         }
     }
 

@@ -2,8 +2,9 @@
 
     python read_events.py RUN_DIR/events
 
-TensorBoard must show every iteration once, in order, also after a resume, and with the numbers
-that metrics.jsonl holds (rounded to single precision, which is all that a scalar has).
+TensorBoard must show every iteration and every evaluation once, in order, also after a resume, and
+with the numbers that metrics.jsonl and evaluations.jsonl hold (rounded to single precision, which is
+all that a scalar has).
 """
 
 import json
@@ -23,24 +24,37 @@ COMPARED = {
     "accounting/trained": lambda line: line["accounting"]["trained"],
     "timing/update_s": lambda line: line["timing"]["update_s"],
 }
+OF_EVALUATIONS = {
+    "evaluation/score": lambda line: line["score"],
+    "evaluation/position": lambda line: line["errors"]["tail"]["position"],
+    "evaluation/min_orientation": lambda line: line["errors"]["min"]["orientation"],
+}
+
+
+def read(path: pathlib.Path) -> list[dict]:
+    return [json.loads(text) for text in path.read_text().splitlines()]
 
 
 def main() -> None:
     events = pathlib.Path(sys.argv[1])
-    lines = [json.loads(text) for text in (events.parent / "metrics.jsonl").read_text().splitlines()]
+    iterations = read(events.parent / "metrics.jsonl")
+    evaluations = read(events.parent / "evaluations.jsonl")
+    compared = [(iterations, *item) for item in COMPARED.items()]
+    if evaluations:
+        compared += [(evaluations, *item) for item in OF_EVALUATIONS.items()]
     accumulator = EventAccumulator(str(events), size_guidance={"scalars": 0})
     accumulator.Reload()
     tags = accumulator.Tags()["scalars"]
-    for tag, read in COMPARED.items():
+    for lines, tag, value_of in compared:
         assert tag in tags, f"{tag} is not among {tags}"
         shown = [(scalar.step, scalar.value) for scalar in accumulator.Scalars(tag)]
-        written = [(line["env_steps"], read(line)) for line in lines]
+        written = [(line["env_steps"], value_of(line)) for line in lines]
         written = [(step, value) for step, value in written if value is not None]
         assert [step for step, _ in shown] == [step for step, _ in written], (tag, shown, written)
         for (step, found), (_, expected) in zip(shown, written):
             same = np.float32(found) == np.float32(expected)
             assert same or math.isclose(found, expected, rel_tol=1e-6), (tag, step, found, expected)
-    print(f"{len(tags)} tags, {len(lines)} iterations")
+    print(f"{len(tags)} tags, {len(iterations)} iterations, {len(evaluations)} evaluations")
 
 
 if __name__ == "__main__":

@@ -6,11 +6,19 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
+use serde_json::{Value, json};
 use tests::{Run, assert_nothing_left, crosscheck, octopus, python, stderr};
 
 #[test]
 fn a_run_leaves_metrics_checkpoints_events_and_a_curve() {
-    let mut run = Run::train(&["--workers=2", "--iterations=6"]);
+    let mut run = Run::train(&[
+        "--workers=2",
+        "--iterations=6",
+        "--set=run.evaluate_every=3",
+        "--set=run.best_after=0",
+        "--set=run.evaluation_episodes=3",
+        "--set=run.evaluation_steps=4",
+    ]);
     run.wait_for_iterations(1);
     let domain = run.domain();
     run.succeed();
@@ -35,6 +43,17 @@ fn a_run_leaves_metrics_checkpoints_events_and_a_curve() {
     }
     assert_eq!(metrics[5]["env_steps"], 6 * 16 * 8);
     assert_eq!(metrics[5]["returns"].as_array().map(Vec::len), Some(8));
+
+    // The one after three iterations may have been overtaken, the last one never is.
+    let text = std::fs::read_to_string(run.path().join("evaluations.jsonl")).expect("lines");
+    let last: Value = serde_json::from_str(text.lines().last().expect("a line")).expect("JSON");
+    assert_eq!((&last["iteration"], &last["env_steps"]), (&json!(6), &json!(6 * 16 * 8)));
+    assert_eq!((&last["episodes"], &last["steps"]), (&json!(3), &json!(4)));
+    let error = |kind: &str, of: &str| last["errors"][kind][of].as_f64().expect("a number");
+    for of in ["position", "orientation", "base"] {
+        assert!(error("min", of) > 0.0 && error("min", of) <= error("tail", of), "{last}");
+    }
+    assert!(last["wall_s"].as_f64().expect("a number") > 0.0);
 
     let csv = std::fs::read_to_string(run.path().join("metrics.csv")).expect("a table");
     assert_eq!(csv.lines().count(), 7, "a header and six lines");

@@ -1,13 +1,13 @@
-//! `metrics.jsonl`: one JSON object a line, appended whole.
+//! `metrics.jsonl` and `evaluations.jsonl`: one JSON object a line, appended whole.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use serde::Serialize;
 use serde_json::Value;
 
-use super::Line;
 use crate::files;
 
 /// The open file.
@@ -36,7 +36,7 @@ impl JsonLines {
     }
 
     /// Appends a line in one write, so that a reader never sees half of one.
-    pub fn append(&mut self, line: &Line) -> anyhow::Result<()> {
+    pub fn append(&mut self, line: &impl Serialize) -> anyhow::Result<()> {
         let mut text = serde_json::to_vec(line).context("a line of metrics has no JSON form")?;
         text.push(b'\n');
         self.file

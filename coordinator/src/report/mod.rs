@@ -8,6 +8,10 @@
 //! * the bar or the plain lines on the terminal ([`progress`]);
 //! * at the end, the picture `curve.svg` ([`curve`]).
 //!
+//! What an evaluation on held-out goals says is a line of `evaluations.jsonl` and the scalars
+//! `evaluation/…` of TensorBoard. A run evaluates to choose its best checkpoint (`run.evaluate_every`);
+//! an evaluation that is not done when the next one begins is given up and leaves no line.
+//!
 //! # Keys of `metrics.jsonl`
 //!
 //! | key | unit | meaning |
@@ -44,6 +48,17 @@
 //! `errors`, `accounting` and `timing` are objects in the JSON and dotted columns in the table. A
 //! number that is not finite is `null` in the JSON and empty in the table.
 //!
+//! # Keys of `evaluations.jsonl`
+//!
+//! | key | unit | meaning |
+//! |---|---|---|
+//! | `iteration`, `env_steps` | | what the policy had been trained on: so many iterations, from 1 |
+//! | `wall_s` | s | when its last episode was played, since the run began, over all its sessions |
+//! | `score` | | by which the best checkpoint is chosen; 1 is as good as the paper |
+//! | `episodes`, `steps` | | goals, and control steps of each |
+//! | `errors.tail.position`, `.orientation`, `.base` | m, rad, rad | over the last 20 steps, mean over goals and hands |
+//! | `errors.min.position`, `.orientation`, `.base` | m, rad, rad | minimum over time, the paper's measure |
+//!
 //! # Resuming
 //!
 //! A run that continues at iteration k drops the lines of k and later, so no iteration stands
@@ -69,12 +84,14 @@ use proto::config::Config;
 use proto::message::IterationReport;
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
+use serde::Serialize;
 
 use self::csv::CsvTable;
 use self::jsonl::JsonLines;
 use self::progress::Progress;
 use self::promised::Promised;
 use self::tensorboard::EventWriter;
+use crate::selection::Means;
 
 /// What only the coordinator knows about the iteration that has just ended.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -89,12 +106,39 @@ pub struct Live {
     pub restarts: u64,
 }
 
+/// What an evaluation on held-out goals says.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Evaluated {
+    /// Iterations that the policy was trained on.
+    pub iteration: u64,
+    /// The same in env-steps.
+    pub env_steps: u64,
+    /// The smaller, the better.
+    pub score: f64,
+    /// Goals.
+    pub episodes: u64,
+    /// Control steps of an episode.
+    pub steps: u64,
+    /// Means over episodes.
+    pub errors: Means,
+}
+
+/// A line of `evaluations.jsonl`.
+#[derive(Debug, Serialize)]
+struct EvaluationLine<'a> {
+    #[serde(flatten)]
+    evaluated: &'a Evaluated,
+    /// Time since the run began (s).
+    wall_s: f64,
+}
+
 /// Writes the metrics of a run and shows its progress.
 #[derive(Debug)]
 pub struct Reporter {
     run_dir: RunDir,
     config: Config,
     lines: JsonLines,
+    evaluations: JsonLines,
     table: CsvTable,
     events: EventWriter,
     progress: Progress,
@@ -117,6 +161,7 @@ impl Reporter {
         let mut promised = Promised::read(run_dir)?;
         promised.add(digests_from(run_dir, keep)?)?;
         let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
+        let evaluations = evaluations_up_to(run_dir, keep)?;
         let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
         let last = last.unwrap_or_default();
         let env_steps = last["env_steps"].as_u64().unwrap_or(0);
@@ -129,6 +174,7 @@ impl Reporter {
             run_dir: run_dir.clone(),
             config: config.clone(),
             lines,
+            evaluations,
             table,
             events,
             progress: Progress::new(config, env_steps, quiet),
@@ -153,6 +199,7 @@ impl Reporter {
         self.promised.add(digests_from(&self.run_dir, iteration)?)?;
         let (lines, last) = JsonLines::open(&self.run_dir.metrics_jsonl(), iteration)?;
         self.lines = lines;
+        self.evaluations = evaluations_up_to(&self.run_dir, iteration)?;
         self.table = CsvTable::open(&self.run_dir.metrics_csv(), iteration)?;
         let env_steps = last.and_then(|last| last["env_steps"].as_u64()).unwrap_or(0);
         self.events.forget_after(env_steps)?;
@@ -179,6 +226,13 @@ impl Reporter {
         serde_json::to_value(&line).context("a line of metrics has no JSON form")
     }
 
+    /// Records an evaluation that was done `wall_s` after this session began.
+    pub fn evaluation(&mut self, evaluated: &Evaluated, wall_s: f64) -> anyhow::Result<()> {
+        let wall_s = wall_s + self.wall_before_s;
+        self.evaluations.append(&EvaluationLine { evaluated, wall_s })?;
+        self.events.append_evaluation(evaluated)
+    }
+
     /// Says something that the owner should know: above the bar, or on a line of its own.
     pub fn note(&mut self, line: &str) {
         self.progress.note(line);
@@ -189,6 +243,7 @@ impl Reporter {
         self.lines
             .sync()
             .and_then(|()| self.table.sync())
+            .and_then(|()| self.evaluations.sync())
             .map_err(|error| ExitError::new(ExitCode::RunDirectory, format!("metrics: {error:#}")))
     }
 
@@ -197,6 +252,7 @@ impl Reporter {
         self.progress.finish();
         self.lines.sync()?;
         self.table.sync()?;
+        self.evaluations.sync()?;
         self.events.sync()?;
         let points = curve::read_points(&self.run_dir.metrics_jsonl())?;
         if points.len() > 1 {
@@ -211,6 +267,11 @@ pub fn recorded(run_dir: &RunDir) -> anyhow::Result<u64> {
     let lines = jsonl::read(&run_dir.metrics_jsonl())?;
     let follow = |((_, line), index): &((_, serde_json::Value), u64)| line["iteration"] == *index;
     Ok(lines.into_iter().zip(0..).take_while(follow).count() as u64)
+}
+
+/// The evaluations of policies that were trained on at most so many iterations, to go on with.
+fn evaluations_up_to(run_dir: &RunDir, iterations: u64) -> anyhow::Result<JsonLines> {
+    Ok(JsonLines::open(&run_dir.evaluations(), iterations + 1)?.0)
 }
 
 /// Iterations from `keep` on that the metrics hold, and their digests.

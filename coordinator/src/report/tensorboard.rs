@@ -21,7 +21,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 
-use super::Line;
+use super::{Evaluated, Line};
+use crate::selection::{MeanErrors, Means};
 
 /// An open event file.
 #[derive(Debug)]
@@ -61,6 +62,20 @@ impl EventWriter {
     pub fn append(&mut self, line: &Line) -> anyhow::Result<()> {
         let scalars = scalars(line);
         self.write(&summary(wall_time(), line.env_steps, &scalars))
+    }
+
+    /// Appends the scalars of an evaluation.
+    pub fn append_evaluation(&mut self, evaluated: &Evaluated) -> anyhow::Result<()> {
+        let Means { tail, min } = &evaluated.errors;
+        let mut scalars = vec![("evaluation/score".to_owned(), evaluated.score as f32)];
+        for (kind, errors) in [("", tail), ("min_", min)] {
+            let MeanErrors { position, orientation, base } = *errors;
+            let values = [("position", position), ("orientation", orientation), ("base", base)];
+            let named =
+                values.map(|(name, error)| (format!("evaluation/{kind}{name}"), error as f32));
+            scalars.extend(named);
+        }
+        self.write(&summary(wall_time(), evaluated.env_steps, &scalars))
     }
 
     /// Makes the events durable.

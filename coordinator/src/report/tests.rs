@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::curve::Point;
 use super::*;
+use crate::selection::MeanErrors;
 
 fn report(iteration: u64) -> IterationReport {
     IterationReport {
@@ -102,6 +103,37 @@ fn a_resumed_run_drops_what_its_checkpoint_does_not_hold() {
     assert!(lines[0].1["explained_variance"].is_null(), "NaN has no other form in JSON");
     assert_eq!(fs::read_dir(run_dir.events()).expect("readable").count(), 2);
     assert!(run_dir.curve().is_file());
+}
+
+fn evaluated(iteration: u64) -> Evaluated {
+    let tail = MeanErrors { position: 0.01, orientation: 0.02, base: 0.03 };
+    let errors = Means { tail, min: tail };
+    let env_steps = iteration * 12800;
+    Evaluated { iteration, env_steps, score: 0.5, episodes: 32, steps: 200, errors }
+}
+
+#[test]
+fn evaluations_of_policies_that_are_trained_again_are_dropped() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    let mut reporter = Reporter::create(&run_dir, &config(), None, true).expect("creates");
+    for iteration in 0..6 {
+        reporter.iteration(&report(iteration), &live(1.0 + iteration as f64)).expect("writes");
+        if iteration % 2 == 1 {
+            reporter.evaluation(&evaluated(iteration + 1), 1.5).expect("writes");
+        }
+    }
+    drop(reporter);
+    // Four iterations are kept, and with them the policy after the fourth.
+    let mut reporter = Reporter::create(&run_dir, &config(), Some(4), true).expect("creates");
+    reporter.evaluation(&evaluated(5), 0.25).expect("writes");
+    reporter.rewind(4).expect("rewinds");
+    reporter.evaluation(&evaluated(6), 0.5).expect("writes");
+    let lines = jsonl::read(&run_dir.evaluations()).expect("readable");
+    let of = |key: &str| lines.iter().map(|(_, line)| line[key].clone()).collect::<Vec<_>>();
+    assert_eq!(of("iteration"), [2, 4, 6]);
+    assert_eq!(of("wall_s"), [1.5, 1.5, 4.5]);
+    assert_eq!(lines[0].1["errors"]["tail"]["orientation"], 0.02);
 }
 
 /// A reporter as a kill leaves it: nothing is finished.

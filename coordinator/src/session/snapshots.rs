@@ -15,6 +15,7 @@ use tokio::sync::oneshot;
 
 use crate::checkpoint::{Assembly, CheckpointStore, Name, Snapshot};
 use crate::committer::{Committed, Committer};
+use crate::report::Evaluated;
 use crate::selection::Selection;
 
 /// Who asked for a checkpoint, and is told its name or why there is none.
@@ -192,14 +193,28 @@ impl Snapshots {
         Evaluation { play: self.selection.begin(snapshot, commits), drop }
     }
 
-    /// Takes in played episodes, and keeps what is the best so far.
-    pub(super) fn played(&mut self, chunk: EvaluationChunk, errors: Vec<EpisodeErrors>) {
-        let Some(verdict) = self.selection.played(chunk, errors) else { return };
+    /// Takes in played episodes, and keeps what is the best so far; returns what an evaluation says
+    /// that is complete now.
+    pub(super) fn played(
+        &mut self,
+        chunk: EvaluationChunk,
+        errors: Vec<EpisodeErrors>,
+    ) -> Option<Evaluated> {
+        let verdict = self.selection.played(chunk, errors)?;
+        let evaluated = Evaluated {
+            iteration: verdict.snapshot.iteration,
+            env_steps: verdict.snapshot.iteration * self.steps_per_iteration,
+            score: verdict.score.value,
+            episodes: verdict.score.episodes,
+            steps: verdict.score.steps,
+            errors: verdict.means,
+        };
         if verdict.improved {
             self.committer.commit(verdict.snapshot, Some(verdict.score));
         } else if verdict.committed {
             self.committer.score(verdict.snapshot.iteration, verdict.score);
         }
+        Some(evaluated)
     }
 
     /// What has been written since the last call.

@@ -1,4 +1,5 @@
 use proto::config::{Layers, Preset};
+use proto::message::TaskErrors;
 use serde_json::json;
 use sim_worker::robot::Robot;
 use tempfile::TempDir;
@@ -54,7 +55,10 @@ impl Fixture {
 
 fn errors(chunk: &EvaluationChunk, position: f32) -> Vec<EpisodeErrors> {
     vec![
-        EpisodeErrors { position, orientation: 0.1, base: 0.1 };
+        EpisodeErrors {
+            tail: TaskErrors { position, orientation: 0.1, base: 0.1 },
+            ..Default::default()
+        };
         usize::try_from(chunk.episodes).expect("few")
     ]
 }
