@@ -53,8 +53,8 @@ pub enum Observation {
     Paper,
     /// The released code: 31 numbers (25 for reorientation).
     Release,
-    /// The whole arm, pose errors at three scales, the last action; vectors in the arm's frame, so that all
-    /// arms see alike.
+    /// The whole arm, pose errors at three scales, the last action; vectors in the arm's frame, which moves
+    /// with the base, so that all arms see alike wherever it is.
     Arm,
 }
 
