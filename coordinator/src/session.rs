@@ -133,7 +133,7 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitE
 }
 
 /// What metrics say of a run cannot be kept.
-fn unwritten(error: anyhow::Error) -> ExitError {
+fn unwritten(error: &anyhow::Error) -> ExitError {
     ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be written: {error:#}"))
 }
 
@@ -335,7 +335,9 @@ impl<'a> Session<'a> {
                     }
                     if let Some(evaluated) = self.snapshots.played(chunk, errors) {
                         let wall_s = self.started.elapsed().as_secs_f64();
-                        reporter.evaluation(&evaluated, wall_s).map_err(unwritten)?;
+                        reporter
+                            .evaluation(&evaluated, wall_s)
+                            .map_err(|error| unwritten(&error))?;
                     }
                 }
                 Status::Failed { worker, incarnation, message, fault } => {
@@ -440,7 +442,7 @@ impl<'a> Session<'a> {
             workers: self.workers,
             restarts: supervisor.restarts() + self.learner_restarts,
         };
-        let line = reporter.iteration(&report, &live).map_err(unwritten)?;
+        let line = reporter.iteration(&report, &live).map_err(|error| unwritten(&error))?;
         self.monitor.iteration(&report);
         self.monitor.env_steps_per_s = live.env_steps_per_s;
         self.monitor.last = line;
