@@ -69,3 +69,11 @@ pub mod value_norm;
 
 pub use algorithm::Algorithm;
 pub use error::LearnerError;
+
+/// Held by tests that compare bits: an update sets the number of libtorch's threads, which belongs to the whole
+/// process, and sums of one network depend on it.
+#[cfg(test)]
+fn alone() -> std::sync::MutexGuard<'static, ()> {
+    static ALONE: std::sync::Mutex<()> = std::sync::Mutex::new(());
+    ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}

@@ -61,6 +61,7 @@ const VARIANTS: [&[&str]; 4] = [
 
 #[test]
 fn the_same_samples_give_the_same_bits() {
+    let _alone = crate::alone();
     for (variant, arithmetic) in
         VARIANTS.iter().flat_map(|v| [(v, Arithmetic::F32), (v, Arithmetic::Bf16)])
     {
@@ -77,6 +78,7 @@ fn the_same_samples_give_the_same_bits() {
 /// The ring of 17 episodes is full in the third iteration of eight; the stop is after the second.
 #[test]
 fn a_resumed_run_goes_on_as_if_it_had_never_stopped() {
+    let _alone = crate::alone();
     for variant in VARIANTS {
         let config = config(variant);
         let mut run = Run::new(&config, Arithmetic::Bf16);
@@ -103,6 +105,7 @@ fn a_resumed_run_goes_on_as_if_it_had_never_stopped() {
 
 #[test]
 fn the_digest_covers_targets_and_replay() {
+    let _alone = crate::alone();
     let mut run = Run::new(&config(&[]), Arithmetic::F32);
     run.update(1);
     let before = run.state.digest();
@@ -123,6 +126,7 @@ fn the_digest_covers_targets_and_replay() {
 
 #[test]
 fn nothing_is_learned_before_it_starts_and_then_as_often_as_configured() {
+    let _alone = crate::alone();
     let mut run = Run::new(&config(&[]), Arithmetic::F32);
     let work = run.maddpg.work();
     let initial = run.state.actor.flat.copy();
@@ -139,6 +143,7 @@ fn nothing_is_learned_before_it_starts_and_then_as_often_as_configured() {
 
 #[test]
 fn targets_follow_slowly() {
+    let _alone = crate::alone();
     let mut run = Run::new(&config(&["algorithm.maddpg.updates_per_step=0.025"]), Arithmetic::F32);
     run.update(1);
     let before = run.off_policy().target_critic.copy();
@@ -160,6 +165,7 @@ fn targets_follow_slowly() {
 
 #[test]
 fn gradients_that_are_not_finite_are_reported() {
+    let _alone = crate::alone();
     let mut run = Run::new(&config(&[]), Arithmetic::F32);
     run.update(1);
     let layout = BlockLayout::new(&run.dimensions);
@@ -202,6 +208,7 @@ fn learn(
 
 #[test]
 fn critics_learn_what_actions_are_worth() {
+    let _alone = crate::alone();
     for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
         // An agent is paid its first action; without a future that is all there is to learn.
         let reports = learn(
@@ -223,6 +230,7 @@ fn critics_learn_what_actions_are_worth() {
 
 #[test]
 fn actors_climb_to_what_their_critics_value() {
+    let _alone = crate::alone();
     for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
         // Critics stay as they were drawn; actors that learn are compared with those that do not.
         let loss = |rate: &str| {

@@ -64,6 +64,7 @@ const VARIANTS: [&[&str]; 9] = [
 
 #[test]
 fn the_same_samples_give_the_same_bits() {
+    let _alone = crate::alone();
     for (variant, arithmetic) in
         VARIANTS.iter().flat_map(|v| [(v, Arithmetic::F32), (v, Arithmetic::Bf16)])
     {
@@ -80,6 +81,7 @@ fn the_same_samples_give_the_same_bits() {
 
 #[test]
 fn a_resumed_run_goes_on_as_if_it_had_never_stopped() {
+    let _alone = crate::alone();
     for variant in VARIANTS {
         let config = config(variant);
         let mut run = Run::new(&config, Arithmetic::Bf16);
@@ -102,6 +104,7 @@ fn a_resumed_run_goes_on_as_if_it_had_never_stopped() {
 
 #[test]
 fn an_update_counts_its_mini_batches_while_it_makes_them() {
+    let _alone = crate::alone();
     let config = config(&["run.learner_threads=1"]);
     let mut run = Run::new(&config, Arithmetic::F32);
     let work = run.mappo.work();
@@ -115,6 +118,7 @@ fn an_update_counts_its_mini_batches_while_it_makes_them() {
 
 #[test]
 fn what_is_learned_does_not_depend_on_the_number_of_threads() {
+    let _alone = crate::alone();
     for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
         let digest = |threads: &str| {
             let mut run = Run::new(&config(&[threads]), arithmetic);
@@ -131,6 +135,7 @@ fn what_is_learned_does_not_depend_on_the_number_of_threads() {
 
 #[test]
 fn agents_learn_together_what_each_learns_alone() {
+    let _alone = crate::alone();
     let config = config(&[]);
     let mut alone = Run::new(&config, Arithmetic::F32);
     let mut together = Run::new(&config, Arithmetic::F32);
@@ -147,6 +152,7 @@ fn agents_learn_together_what_each_learns_alone() {
 
 #[test]
 fn a_shared_network_stays_one_network() {
+    let _alone = crate::alone();
     let mut run = Run::new(&config(VARIANTS[1]), Arithmetic::F32);
     run.update(1);
     let NetworkState { spec, flat, .. } = &run.state.actor;
@@ -158,6 +164,7 @@ fn a_shared_network_stays_one_network() {
 
 #[test]
 fn a_centralised_actor_is_paid_the_sum_and_its_density_is_the_product() {
+    let _alone = crate::alone();
     let config = config(&["algorithm.name=ppo", "run.learner_threads=1"]);
     let learn = |change: &dyn Fn(&mut [f32], &BlockLayout)| {
         let mut run = Run::new(&config, Arithmetic::F32);
@@ -194,6 +201,7 @@ fn a_centralised_actor_is_paid_the_sum_and_its_density_is_the_product() {
 
 #[test]
 fn a_kl_limit_holds_agents_back() {
+    let _alone = crate::alone();
     let free = config(&["algorithm.max_kl=0", "optimizer.actor_lr=0.05"]);
     let held = config(&["algorithm.max_kl=1e-9", "optimizer.actor_lr=0.05"]);
     let steps = |config: &Config| {
@@ -208,6 +216,7 @@ fn a_kl_limit_holds_agents_back() {
 
 #[test]
 fn the_learning_rate_follows_the_divergence() {
+    let _alone = crate::alone();
     assert_eq!(steered(0.6, 0.03, 0.01), 0.6 / 1.5);
     assert_eq!(steered(0.6, 0.01, 0.01), 0.6);
     assert_eq!(steered(0.6, 0.001, 0.01), 0.6 * 1.5);
@@ -237,6 +246,7 @@ fn the_learning_rate_follows_the_divergence() {
 
 #[test]
 fn gradients_that_are_not_finite_are_reported() {
+    let _alone = crate::alone();
     let mut run = Run::new(&config(&[]), Arithmetic::F32);
     let mut blocks = blocks(&run.dimensions, 1);
     let place = run.mappo.layout.action.start;
@@ -248,6 +258,7 @@ fn gradients_that_are_not_finite_are_reported() {
 
 #[test]
 fn the_learning_rate_falls_to_zero_over_the_planned_steps() {
+    let _alone = crate::alone();
     let linear = config(&["run.env_steps=1000", "optimizer.schedule=linear"]);
     let rate = |env_steps| learning_rates(&linear, env_steps).0;
     assert_eq!([rate(0), rate(500), rate(1000), rate(5000)], [1e-3, 5e-4, 0.0, 0.0]);
@@ -259,6 +270,7 @@ fn the_learning_rate_falls_to_zero_over_the_planned_steps() {
 /// −‖a − c·o‖²; each iteration samples from the policy as it is now, as workers would.
 #[test]
 fn a_toy_problem_is_learned_in_a_fixed_number_of_updates() {
+    let _alone = crate::alone();
     for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
         let config = config(&[
             "env.n_envs=64",

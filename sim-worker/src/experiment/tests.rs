@@ -18,6 +18,8 @@ fn world(task: TaskName, robot: &Robot) -> World {
     config.env.n_envs = 18;
     config.env.n_shards = 1;
     config.task.episode_steps = 6;
+    // Trials begin at home.
+    config.task.start.share = 0.0;
     World::new(&config, robot)
 }
 
