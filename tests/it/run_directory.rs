@@ -46,6 +46,7 @@ fn a_run_leaves_metrics_checkpoints_events_and_a_curve() {
 
     // The one after three iterations may have been overtaken, the last one never is.
     let text = std::fs::read_to_string(run.path().join("evaluations.jsonl")).expect("lines");
+    assert!((1..=2).contains(&text.lines().count()), "once each: {text}");
     let last: Value = serde_json::from_str(text.lines().last().expect("a line")).expect("JSON");
     assert_eq!((&last["iteration"], &last["env_steps"]), (&json!(6), &json!(6 * 16 * 8)));
     assert_eq!((&last["episodes"], &last["steps"]), (&json!(3), &json!(4)));

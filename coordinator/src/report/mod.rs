@@ -72,6 +72,7 @@
 
 pub mod csv;
 pub mod curve;
+mod evaluations;
 pub mod jsonl;
 mod line;
 pub mod progress;
@@ -79,19 +80,19 @@ pub mod promised;
 pub mod tensorboard;
 
 use anyhow::Context as _;
+pub use evaluations::Evaluated;
 pub use line::{Cell, Line};
 use proto::config::Config;
 use proto::message::IterationReport;
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
-use serde::Serialize;
 
 use self::csv::CsvTable;
+use self::evaluations::Evaluations;
 use self::jsonl::JsonLines;
 use self::progress::Progress;
 use self::promised::Promised;
 use self::tensorboard::EventWriter;
-use crate::selection::Means;
 
 /// What only the coordinator knows about the iteration that has just ended.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -106,39 +107,13 @@ pub struct Live {
     pub restarts: u64,
 }
 
-/// What an evaluation on held-out goals says.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Evaluated {
-    /// Iterations that the policy was trained on.
-    pub iteration: u64,
-    /// The same in env-steps.
-    pub env_steps: u64,
-    /// The smaller, the better.
-    pub score: f64,
-    /// Goals.
-    pub episodes: u64,
-    /// Control steps of an episode.
-    pub steps: u64,
-    /// Means over episodes.
-    pub errors: Means,
-}
-
-/// A line of `evaluations.jsonl`.
-#[derive(Debug, Serialize)]
-struct EvaluationLine<'a> {
-    #[serde(flatten)]
-    evaluated: &'a Evaluated,
-    /// Time since the run began (s).
-    wall_s: f64,
-}
-
 /// Writes the metrics of a run and shows its progress.
 #[derive(Debug)]
 pub struct Reporter {
     run_dir: RunDir,
     config: Config,
     lines: JsonLines,
-    evaluations: JsonLines,
+    evaluations: Evaluations,
     table: CsvTable,
     events: EventWriter,
     progress: Progress,
@@ -161,7 +136,7 @@ impl Reporter {
         let mut promised = Promised::read(run_dir)?;
         promised.add(digests_from(run_dir, keep)?)?;
         let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
-        let evaluations = evaluations_up_to(run_dir, keep)?;
+        let evaluations = Evaluations::open(run_dir, keep)?;
         let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
         let last = last.unwrap_or_default();
         let env_steps = last["env_steps"].as_u64().unwrap_or(0);
@@ -199,7 +174,7 @@ impl Reporter {
         self.promised.add(digests_from(&self.run_dir, iteration)?)?;
         let (lines, last) = JsonLines::open(&self.run_dir.metrics_jsonl(), iteration)?;
         self.lines = lines;
-        self.evaluations = evaluations_up_to(&self.run_dir, iteration)?;
+        self.evaluations = Evaluations::open(&self.run_dir, iteration)?;
         self.table = CsvTable::open(&self.run_dir.metrics_csv(), iteration)?;
         let env_steps = last.and_then(|last| last["env_steps"].as_u64()).unwrap_or(0);
         self.events.forget_after(env_steps)?;
@@ -228,9 +203,10 @@ impl Reporter {
 
     /// Records an evaluation that was done `wall_s` after this session began.
     pub fn evaluation(&mut self, evaluated: &Evaluated, wall_s: f64) -> anyhow::Result<()> {
-        let wall_s = wall_s + self.wall_before_s;
-        self.evaluations.append(&EvaluationLine { evaluated, wall_s })?;
-        self.events.append_evaluation(evaluated)
+        if self.evaluations.append(evaluated, wall_s + self.wall_before_s)? {
+            self.events.append_evaluation(evaluated)?;
+        }
+        Ok(())
     }
 
     /// Says something that the owner should know: above the bar, or on a line of its own.
@@ -267,11 +243,6 @@ pub fn recorded(run_dir: &RunDir) -> anyhow::Result<u64> {
     let lines = jsonl::read(&run_dir.metrics_jsonl())?;
     let follow = |((_, line), index): &((_, serde_json::Value), u64)| line["iteration"] == *index;
     Ok(lines.into_iter().zip(0..).take_while(follow).count() as u64)
-}
-
-/// The evaluations of policies that were trained on at most so many iterations, to go on with.
-fn evaluations_up_to(run_dir: &RunDir, iterations: u64) -> anyhow::Result<JsonLines> {
-    Ok(JsonLines::open(&run_dir.evaluations(), iterations + 1)?.0)
 }
 
 /// Iterations from `keep` on that the metrics hold, and their digests.

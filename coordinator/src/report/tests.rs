@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::curve::Point;
 use super::*;
-use crate::selection::MeanErrors;
+use crate::selection::{MeanErrors, Means};
 
 fn report(iteration: u64) -> IterationReport {
     IterationReport {
@@ -128,7 +128,9 @@ fn evaluations_of_policies_that_are_trained_again_are_dropped() {
     let mut reporter = Reporter::create(&run_dir, &config(), Some(4), true).expect("creates");
     reporter.evaluation(&evaluated(5), 0.25).expect("writes");
     reporter.rewind(4).expect("rewinds");
+    // By plan, and once more at the end.
     reporter.evaluation(&evaluated(6), 0.5).expect("writes");
+    reporter.evaluation(&evaluated(6), 0.75).expect("writes nothing");
     let lines = jsonl::read(&run_dir.evaluations()).expect("readable");
     let of = |key: &str| lines.iter().map(|(_, line)| line[key].clone()).collect::<Vec<_>>();
     assert_eq!(of("iteration"), [2, 4, 6]);
