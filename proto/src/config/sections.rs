@@ -118,9 +118,9 @@ pub struct Reward {
 pub struct Start {
     /// Share of the episodes that begin at rest away from home.
     pub share: f64,
-    /// There, joint angles are uniform in home ± this (rad).
+    /// There, joint angles are off home by up to this (rad), small offsets being more frequent.
     pub joints: f64,
-    /// There, the base is turned by a rotation vector uniform in ± this, per axis (rad).
+    /// There, the base is turned by up to this about each axis (rad), likewise.
     pub attitude: f64,
 }
 

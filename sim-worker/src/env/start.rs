@@ -44,6 +44,9 @@ pub(super) fn scatter<S: Real>(
     let mut open: Vec<usize> =
         (0..S::LANES).filter(|&lane| uniforms(lane, 0, 0)[1] < start.share).collect();
     for draw in 0..MOST_DRAWS {
+        if open.is_empty() {
+            return;
+        }
         for &lane in &open {
             let scale = uniforms(lane, draw, 0)[0];
             let offset = |range: f64, u: f64| scale * range * (2.0 * u - 1.0);

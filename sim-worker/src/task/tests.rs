@@ -198,7 +198,7 @@ fn tuned_base_errors() -> Vec<f64> {
     let goal = quaternion_product(&quaternion_product(&x, &y), &z);
     let [w, x, y, z] = readings().base_quaternion;
     let [w, x, y, z] = quaternion_product(&[w, -x, -y, -z], &goal);
-    let [plain, squashed] = at_widths([x, y, z].map(|c| (2.0 * c).copysign(c * w)), [0.08, 0.025]);
+    let [plain, squashed] = at_widths([x, y, z].map(|c| 2.0 * w.signum() * c), [0.08, 0.025]);
     [plain, squashed].concat()
 }
 
