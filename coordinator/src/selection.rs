@@ -18,7 +18,7 @@ use crate::checkpoint::{Score, Snapshot};
 
 /// Errors that the paper reports for its best policies: position (m), orientation (rad), and
 /// attitude of the base (rad). Scores are in these units, so that 1 is as good as the paper.
-const PAPER: TaskErrors = TaskErrors { position: 0.025, orientation: 0.04, base: 0.03 };
+pub(crate) const PAPER: TaskErrors = TaskErrors { position: 0.025, orientation: 0.04, base: 0.03 };
 
 /// Errors of a policy, means over the episodes of its evaluation. Positions in m, attitudes in rad.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -41,6 +41,22 @@ pub struct MeanErrors {
 }
 
 impl MeanErrors {
+    /// Position (m), orientation (rad), and attitude of the base (rad).
+    pub fn numbers(&self) -> [f64; 3] {
+        [self.position, self.orientation, self.base]
+    }
+
+    /// The largest of the errors that `task` is about, in units of the paper's: at most 1 is as good as the paper.
+    pub fn in_papers(&self, task: TaskName) -> f64 {
+        let of = |error: f64, paper: f32| error / f64::from(paper);
+        match task {
+            TaskName::Trajectory => {
+                of(self.position, PAPER.position).max(of(self.orientation, PAPER.orientation))
+            }
+            TaskName::Reorientation => of(self.base, PAPER.base),
+        }
+    }
+
     /// One kind of the errors of some episodes.
     fn of(episodes: &[EpisodeErrors], kind: fn(&EpisodeErrors) -> &TaskErrors) -> Self {
         let mean = |error: fn(&TaskErrors) -> f32| {

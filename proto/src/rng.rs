@@ -31,6 +31,8 @@ pub enum Purpose {
     SensorNoise = 9,
     /// Torques that disturb the joints, in experiments alone.
     JointDisturbance = 10,
+    /// Resamples of runs, in statistics alone.
+    Bootstrap = 11,
 }
 
 /// The address of four 32-bit random words.

@@ -13,9 +13,12 @@ Examples:
   octopus plot runs/* --over time --out curves.svg
   octopus plot runs/* --save curves.json
 
-Return and errors of training, exploration included, with a panel for each. Runs that differ in their
-seeds alone are one curve: their mean, with a band from the lowest to the highest. A run that is still
-going on can be drawn, too.";
+The return of training episodes, exploration included, and the errors that evaluations on held-out goals
+found in the last steps of an episode, with a panel for each. Runs that differ in their seeds alone are
+one curve: their mean within its 95 % bootstrap interval, which of three runs is all that they span. The
+table says where curves end, and where the errors are first as good as the paper's, in the median over
+the runs: by its own measure, the minimum over time, and in the last steps. A run that is still going on
+can be drawn, too.";
 
 /// Options of `octopus plot`.
 #[derive(Debug, Clone, Args)]

@@ -23,24 +23,7 @@ pub fn run(args: &PlotArgs) -> anyhow::Result<()> {
     if args.json {
         return output::json(&families);
     }
-    let last = |values: &[[f64; 3]]| {
-        values.last().map_or_else(String::new, |[low, mean, high]| {
-            format!("{mean:.1} ({low:.1} to {high:.1})")
-        })
-    };
-    let row = |family: &Family| {
-        [
-            family.name(),
-            family.task.as_str().to_owned(),
-            family.runs.len().to_string(),
-            last(&family.returns),
-            last(&family.position),
-            last(&family.orientation),
-            last(&family.base),
-        ]
-    };
-    let header =
-        ["curve", "task", "runs", "return", "position (mm)", "orientation (mrad)", "base (mrad)"];
-    let table = output::table(header, families.iter().map(row));
+    let rows = families.iter().map(|family| family.row(args.over));
+    let table = output::table(Family::HEADER, rows);
     output::line(&format!("{table}\n\npicture  {}", args.out.display()))
 }

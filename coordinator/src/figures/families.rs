@@ -6,8 +6,13 @@ use clap::ValueEnum;
 use proto::config::{AlgorithmName, Config, TaskName};
 use serde::Serialize;
 
+use super::bootstrap::Resamples;
 use super::recorded::Recorded;
 use crate::report::curve::Point;
+use crate::report::evaluations::HeldOut;
+use crate::report::progress::grouped;
+use crate::report::row::Row;
+use crate::selection::{MeanErrors, Means};
 
 /// Points of a curve.
 const POINTS: usize = 300;
@@ -22,10 +27,11 @@ pub enum Over {
 }
 
 impl Over {
-    fn of(self, point: &Point) -> f64 {
+    fn of(self, row: &impl Row) -> f64 {
+        let [env_steps, wall_s, ..] = row.numbers();
         match self {
-            Self::EnvSteps => point.env_steps,
-            Self::Time => point.wall_s / 60.0,
+            Self::EnvSteps => env_steps,
+            Self::Time => wall_s / 60.0,
         }
     }
 
@@ -36,52 +42,83 @@ impl Over {
             Self::Time => "time (min)",
         }
     }
+
+    /// A place on its axis in words.
+    fn place(self, place: f64) -> String {
+        match self {
+            Self::EnvSteps => grouped(place as u64),
+            Self::Time => format!("{place:.1} min"),
+        }
+    }
 }
 
-/// Runs that learn the same but for their seeds; `[low, mean, high]` over them at every one of `along`.
+/// Runs that learn the same but for their seeds: `[low, mean, high]` of their mean within its 95 % bootstrap
+/// interval, see [`Resamples::interval`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct Family {
+pub struct Family {
     pub(crate) task: TaskName,
     algorithm: AlgorithmName,
     /// The runs, with their seeds.
     pub(crate) runs: Vec<(PathBuf, u64)>,
+    /// Places of `returns` on the horizontal axis.
+    pub(crate) along: Vec<f64>,
+    /// Return of training episodes, mean over the agents.
+    pub(crate) returns: Vec<[f64; 3]>,
+    /// Errors of deterministic actions; none if a run was never evaluated.
+    pub held_out: Errors,
+    /// Where they are as good as the paper's.
+    to_paper: ToPaper,
+}
+
+/// Errors on held-out goals in the last steps of an episode.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Errors {
     /// Places on the horizontal axis.
     pub(crate) along: Vec<f64>,
-    pub(crate) returns: Vec<[f64; 3]>,
-    /// (mm)
+    /// Of hands (mm).
     pub(crate) position: Vec<[f64; 3]>,
-    /// (mrad)
+    /// Of hands (mrad).
     pub(crate) orientation: Vec<[f64; 3]>,
-    /// (mrad)
+    /// Of the base (mrad).
     pub(crate) base: Vec<[f64; 3]>,
+}
+
+/// Where on the horizontal axis the held-out errors are first within the paper's, in the median over the runs; `None` if
+/// that is never.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+struct ToPaper {
+    /// By the paper's measure, the minimum over time.
+    min: Option<f64>,
+    /// In the last steps of an episode.
+    tail: Option<f64>,
 }
 
 /// Runs of one configuration, without its seed.
 struct Kind {
     config: Config,
     runs: Vec<(PathBuf, u64)>,
-    curves: Vec<Vec<Point>>,
+    points: Vec<Vec<Point>>,
+    held_out: Vec<Vec<HeldOut>>,
 }
 
 /// Puts those curves together that learn the same but for their seeds; how often a run is evaluated, or what it
 /// keeps, makes no difference.
-pub(crate) fn families(curves: &[Recorded], over: Over) -> Vec<Family> {
+pub fn families(curves: &[Recorded], over: Over) -> Vec<Family> {
     let mut kinds: Vec<Kind> = Vec::new();
-    for Recorded { run, config, points, .. } in curves {
+    for Recorded { run, config, points, held_out, .. } in curves {
         let mut config = config.clone();
-        let (run, points) = ((run.clone(), std::mem::take(&mut config.run.seed)), points.clone());
-        match kinds.iter_mut().find(|kind| learn_alike(&kind.config, &config)) {
-            Some(kind) => {
-                kind.runs.push(run);
-                kind.curves.push(points);
-            }
-            None => kinds.push(Kind { config, runs: vec![run], curves: vec![points] }),
-        }
+        let run = (run.clone(), std::mem::take(&mut config.run.seed));
+        let at = kinds.iter().position(|kind| learn_alike(&kind.config, &config));
+        let at = at.unwrap_or_else(|| {
+            let (runs, points, held_out) = (Vec::new(), Vec::new(), Vec::new());
+            kinds.push(Kind { config, runs, points, held_out });
+            kinds.len() - 1
+        });
+        kinds[at].runs.push(run);
+        kinds[at].points.push(points.clone());
+        kinds[at].held_out.push(held_out.clone());
     }
-    let family = |Kind { config, runs, curves }: Kind| {
-        Family::new(config.task.name, config.algorithm.name, runs, &curves, over)
-    };
-    kinds.into_iter().map(family).collect()
+    kinds.into_iter().map(|kind| Family::new(kind, over)).collect()
 }
 
 /// Whether two configurations differ in what does not change what is learned, at most.
@@ -93,44 +130,32 @@ fn learn_alike(one: &Config, other: &Config) -> bool {
 }
 
 impl Family {
-    fn new(
-        task: TaskName,
-        algorithm: AlgorithmName,
-        runs: Vec<(PathBuf, u64)>,
-        curves: &[Vec<Point>],
-        over: Over,
-    ) -> Self {
-        let ends = |end: fn(&[Point]) -> Option<&Point>| {
-            curves.iter().filter_map(move |curve| Some(over.of(end(curve)?)))
+    fn new(kind: Kind, over: Over) -> Self {
+        let Kind { config, runs, points, held_out } = kind;
+        let task = config.task.name;
+        let along = places(&points, over);
+        let returns = spanned(&points, over, &along, |point| point.mean);
+        let places = places(&held_out, over);
+        let errors = |read: fn(&MeanErrors) -> f64| {
+            spanned(&held_out, over, &places, |at: &HeldOut| 1e3 * read(&at.errors.tail))
         };
-        // Where all runs have been.
-        let first = ends(<[Point]>::first).fold(0.0, f64::max);
-        let last = ends(<[Point]>::last).fold(f64::INFINITY, f64::min);
-        let at = |index: usize| first + (last - first) * index as f64 / (POINTS - 1) as f64;
-        let along: Vec<f64> = (0..POINTS).map(at).collect();
-        let spanned = |read: fn(&Point) -> f64| -> Vec<[f64; 3]> {
-            let at = |place: &f64| {
-                let values = curves.iter().map(|curve| interpolate(curve, over, *place, read));
-                let (low, sum, high) = values.fold(
-                    (f64::INFINITY, 0.0, f64::NEG_INFINITY),
-                    |(low, sum, high): (f64, f64, f64), value| {
-                        (low.min(value), sum + value, high.max(value))
-                    },
-                );
-                [low, sum / curves.len() as f64, high]
+        let errors = Errors {
+            position: errors(|errors| errors.position),
+            orientation: errors(|errors| errors.orientation),
+            base: errors(|errors| errors.base),
+            along: places.clone(),
+        };
+        let reached = |measure: fn(&Means) -> &MeanErrors| {
+            let first = |run: &Vec<HeldOut>| {
+                let good = |at: &&HeldOut| measure(&at.errors).in_papers(task) <= 1.0;
+                run.iter().find(good).map_or(f64::INFINITY, |at| over.of(at))
             };
-            along.iter().map(at).collect()
+            median(held_out.iter().map(first).collect())
         };
-        Self {
-            task,
-            algorithm,
-            runs,
-            returns: spanned(|point| point.mean),
-            position: spanned(|point| 1e3 * point.position),
-            orientation: spanned(|point| 1e3 * point.orientation),
-            base: spanned(|point| 1e3 * point.base),
-            along,
-        }
+        let to_paper =
+            ToPaper { min: reached(|errors| &errors.min), tail: reached(|errors| &errors.tail) };
+        let algorithm = config.algorithm.name;
+        Self { task, algorithm, runs, along, returns, held_out: errors, to_paper }
     }
 
     /// What its curve is called.
@@ -146,16 +171,90 @@ impl Family {
             ),
         }
     }
+
+    /// What the cells of a [row](Self::row) are.
+    pub(crate) const HEADER: [&'static str; 9] = [
+        "curve",
+        "task",
+        "runs",
+        "return",
+        "position (mm)",
+        "orientation (mrad)",
+        "base (mrad)",
+        "minimum as the paper's",
+        "last steps as the paper's",
+    ];
+
+    /// Where it ends, as a row of a table.
+    pub(crate) fn row(&self, over: Over) -> [String; 9] {
+        let last = |values: &[[f64; 3]]| {
+            values.last().map_or_else(String::new, |[low, mean, high]| {
+                format!("{mean:.1} ({low:.1} to {high:.1})")
+            })
+        };
+        let reached = |place: Option<f64>| place.map_or("never".to_owned(), |at| over.place(at));
+        let hands = self.task == TaskName::Trajectory;
+        let of_hands = |values| if hands { last(values) } else { String::new() };
+        [
+            self.name(),
+            self.task.as_str().to_owned(),
+            self.runs.len().to_string(),
+            last(&self.returns),
+            of_hands(&self.held_out.position),
+            of_hands(&self.held_out.orientation),
+            last(&self.held_out.base),
+            reached(self.to_paper.min),
+            reached(self.to_paper.tail),
+        ]
+    }
 }
 
-/// A number between the iterations beside `place`.
-fn interpolate(curve: &[Point], over: Over, place: f64, read: fn(&Point) -> f64) -> f64 {
-    let next = curve.partition_point(|point| over.of(point) < place);
-    let after = &curve[next.min(curve.len() - 1)];
-    let before = &curve[next.saturating_sub(1)];
+/// Places where all runs have been.
+fn places<R: Row>(runs: &[Vec<R>], over: Over) -> Vec<f64> {
+    let ends = |end: fn(&[R]) -> Option<&R>| -> Option<Vec<f64>> {
+        runs.iter().map(|run| Some(over.of(end(run)?))).collect()
+    };
+    let (Some(firsts), Some(lasts)) = (ends(<[R]>::first), ends(<[R]>::last)) else {
+        return Vec::new();
+    };
+    let first = firsts.into_iter().fold(0.0, f64::max);
+    let last = lasts.into_iter().fold(f64::INFINITY, f64::min);
+    let at = |index: usize| first + (last - first) * index as f64 / (POINTS - 1) as f64;
+    (0..POINTS).map(at).collect()
+}
+
+/// The mean over the runs of what `read` takes, with its interval, at each of `places`.
+fn spanned<R: Row>(
+    runs: &[Vec<R>],
+    over: Over,
+    places: &[f64],
+    read: impl Fn(&R) -> f64,
+) -> Vec<[f64; 3]> {
+    let resamples = Resamples::of(runs.len());
+    let at = |place: &f64| {
+        let values: Vec<f64> =
+            runs.iter().map(|run| interpolate(run, over, *place, &read)).collect();
+        resamples.interval(&values)
+    };
+    places.iter().map(at).collect()
+}
+
+/// A number between the rows beside `place`.
+fn interpolate<R: Row>(run: &[R], over: Over, place: f64, read: impl Fn(&R) -> f64) -> f64 {
+    let next = run.partition_point(|row| over.of(row) < place);
+    let after = &run[next.min(run.len() - 1)];
+    let before = &run[next.saturating_sub(1)];
     let length = over.of(after) - over.of(before);
     let share = if length > 0.0 { (place - over.of(before)) / length } else { 0.0 };
     read(before) + share * (read(after) - read(before))
+}
+
+/// The middle one, or the mean of the two in the middle; `None` if that is not finite.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let upper = *values.get(values.len() / 2)?;
+    let lower = *values.get((values.len() - 1) / 2)?;
+    Some(0.5 * (lower + upper)).filter(|middle| middle.is_finite())
 }
 
 #[cfg(test)]
@@ -164,18 +263,25 @@ mod tests {
 
     use super::*;
 
+    fn config(set: &str) -> Config {
+        let layers = Layers::new(Preset::Tuned, None).set(set).expect("well formed");
+        layers.resolve().expect("valid")
+    }
+
     fn point(env_steps: f64, mean: f64) -> Point {
         let wall_s = 6.0 * env_steps;
-        let (low, high, position, orientation, base) = (0.0, 0.0, 0.1, 0.2, 0.3);
-        Point { env_steps, wall_s, mean, low, high, position, orientation, base }
+        Point::from_numbers([env_steps, wall_s, mean, 0.0, 0.0, 0.1, 0.2, 0.3])
+    }
+
+    /// An evaluation with errors in units of the paper's.
+    fn held_out(env_steps: f64, tail: f64, min: f64) -> HeldOut {
+        let of = |errors: f64| [0.025 * errors, 0.04 * errors, 0.0];
+        let ([a, b, c], [d, e, f]) = (of(tail), of(min));
+        HeldOut::from_numbers([env_steps, 6.0 * env_steps, a, b, c, d, e, f])
     }
 
     #[test]
     fn seeds_and_housekeeping_alone_make_no_other_family() {
-        let config = |set: &str| {
-            let layers = Layers::new(Preset::Tuned, None).set(set).expect("well formed");
-            layers.resolve().expect("valid")
-        };
         let plain = config("run.seed=1");
         for alike in ["run.keep_every=7", "run.checkpoint_every=3", "run.evaluate_every=1"] {
             assert!(learn_alike(&config(alike), &plain), "{alike}");
@@ -185,19 +291,19 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_family_is_where_all_its_runs_have_been() {
+    fn family(held_out: [Vec<HeldOut>; 2], over: Over) -> Family {
         let one = vec![point(10.0, 0.0), point(20.0, 1.0), point(40.0, 5.0)];
         let other = vec![point(20.0, 3.0), point(30.0, 3.0)];
         let runs = vec![("runs/a".into(), 1), ("runs/b".into(), 2)];
-        let curves = [one, other];
-        let over = |over| {
-            let runs = runs.clone();
-            Family::new(TaskName::Trajectory, AlgorithmName::Mappo, runs, &curves, over)
-        };
-        let time = over(Over::Time);
+        let (points, held_out) = (vec![one, other], held_out.to_vec());
+        Family::new(Kind { config: config("run.seed=1"), runs, points, held_out }, over)
+    }
+
+    #[test]
+    fn a_family_is_where_all_its_runs_have_been() {
+        let time = family([Vec::new(), Vec::new()], Over::Time);
         assert_eq!((time.along[0], time.along[POINTS - 1]), (2.0, 3.0));
-        let family = over(Over::EnvSteps);
+        let family = family([Vec::new(), vec![held_out(9.0, 1.0, 1.0)]], Over::EnvSteps);
         assert_eq!((family.along[0], family.along[POINTS - 1]), (20.0, 30.0));
         for (by_steps, by_time) in family.returns.iter().zip(&time.returns) {
             for (x, y) in by_steps.iter().zip(by_time) {
@@ -206,7 +312,35 @@ mod tests {
         }
         assert_eq!(family.returns[0], [1.0, 2.0, 3.0]);
         assert_eq!(family.returns[POINTS - 1], [3.0, 3.0, 3.0]);
-        assert!((family.position[0][1] - 100.0).abs() < 1e-9);
         assert_eq!(family.name(), "mappo: a and 1 more");
+        assert_eq!(family.held_out, Errors::default(), "one of them was never evaluated");
+        let row = family.row(Over::EnvSteps);
+        assert_eq!((row[3].as_str(), row[4].as_str()), ("3.0 (3.0 to 3.0)", ""));
+    }
+
+    #[test]
+    fn held_out_errors_are_of_the_last_steps() {
+        let one =
+            vec![held_out(10.0, 4.0, 2.0), held_out(30.0, 2.0, 1.0), held_out(40.0, 1.0, 0.5)];
+        let other = vec![held_out(10.0, 4.0, 0.9), held_out(40.0, 3.0, 0.8)];
+        let family = family([one, other], Over::EnvSteps);
+        let errors = &family.held_out;
+        assert_eq!((errors.along[0], errors.along[POINTS - 1]), (10.0, 40.0));
+        assert_eq!(errors.position[0], [100.0; 3]);
+        for (end, expected) in errors.orientation[POINTS - 1].iter().zip([40.0, 80.0, 120.0]) {
+            assert!((end - expected).abs() < 1e-9, "{:?}", errors.orientation[POINTS - 1]);
+        }
+        assert_eq!(family.to_paper, ToPaper { min: Some(20.0), tail: None });
+        let row = family.row(Over::EnvSteps);
+        assert_eq!(row[4], "50.0 (25.0 to 75.0)");
+        assert_eq!((row[7].as_str(), row[8].as_str()), ("20", "never"));
+    }
+
+    #[test]
+    fn medians_by_hand() {
+        assert_eq!(median(vec![3.0, 1.0, f64::INFINITY]), Some(3.0));
+        assert_eq!(median(vec![3.0, 1.0]), Some(2.0));
+        assert_eq!(median(vec![f64::INFINITY, 1.0]), None);
+        assert_eq!(median(Vec::new()), None);
     }
 }

@@ -2,65 +2,84 @@
 
 use proto::config::TaskName;
 
-use super::families::{Family, Over};
+use super::families::{Errors, Family, Over};
 use super::panels::{Axis, COLORS, Item, Panel, line, render};
+use crate::selection::PAPER;
 
 /// A quantity `[low, mean, high]` along a curve.
-type Read = fn(&Family) -> &[[f64; 3]];
+type Read = fn(&Errors) -> &[[f64; 3]];
 
-/// Return and errors of families over `over`: their mean, and what their seeds span.
-pub(crate) fn learning(families: &[Family], over: Over) -> anyhow::Result<String> {
+/// Return in training and errors on held-out goals of families over `over`: their mean, and its interval.
+pub fn learning(families: &[Family], over: Over) -> anyhow::Result<String> {
     let mut panels = Vec::new();
     for task in [TaskName::Trajectory, TaskName::Reorientation] {
         let families: Vec<&Family> = families.iter().filter(|family| family.task == task).collect();
         let ends = families.iter().filter_map(|family| family.along.last());
         let Some(most) = ends.copied().reduce(f64::max) else { continue };
         let x = Axis::linear(over.axis(), 0.0, most);
-        let (name, errors): (_, &[(&str, &str, Read)]) = match task {
+        let (name, errors): (_, &[(&str, &str, f32, Read)]) = match task {
             TaskName::Trajectory => (
                 "Trajectory",
                 &[
-                    ("position", "position error (mm)", |family| &family.position),
-                    ("orientation", "orientation error (mrad)", |family| &family.orientation),
+                    ("position", "position error (mm)", PAPER.position, |errors| &errors.position),
+                    ("orientation", "orientation error (mrad)", PAPER.orientation, |errors| {
+                        &errors.orientation
+                    }),
                 ],
             ),
-            TaskName::Reorientation => {
-                ("Reorientation", &[("base", "attitude error (mrad)", |family| &family.base)])
-            }
+            TaskName::Reorientation => (
+                "Reorientation",
+                &[("base", "attitude error (mrad)", PAPER.base, |errors| &errors.base)],
+            ),
         };
-        let returns = items(&families, |family| &family.returns);
-        let (low, high) = span(&families, |family| &family.returns);
+        let returns = items(&families, |family| (&family.along, &family.returns));
+        let (low, high) = span(&families);
         let margin = 0.05 * (high - low);
         panels.push(Panel {
-            title: format!("{name}: return"),
+            title: format!("{name}: return in training"),
             x: x.clone(),
             y: Axis::linear("return, mean of the agents", low - margin, high + margin),
             items: returns,
         });
-        for (error, axis, read) in errors {
-            let title = format!("{name}: {error}");
-            panels.push(Panel::log(title, x.clone(), axis, items(&families, *read)));
+        for &(error, axis, paper, read) in errors {
+            let mut items =
+                items(&families, |family| (&family.held_out.along, read(&family.held_out)));
+            if items.is_empty() {
+                continue;
+            }
+            items.push(Item::Threshold {
+                name: "the paper's".to_owned(),
+                at: 1e3 * f64::from(paper),
+            });
+            let title = format!("{name}: {error}, held-out goals");
+            panels.push(Panel::log(title, x.clone(), axis, items));
         }
     }
     let columns = panels.len().clamp(1, 3);
     render(&panels, columns)
 }
 
-fn items(families: &[&Family], read: Read) -> Vec<Item> {
-    let of_family = |(color, family): (usize, &&Family)| {
+/// Lines with their bands, of all families that have been measured.
+fn items<'a>(
+    families: &[&'a Family],
+    read: impl Fn(&'a Family) -> (&'a [f64], &'a [[f64; 3]]),
+) -> Vec<Item> {
+    let of_family = |(color, family): (usize, &&'a Family)| {
+        let (along, values) = read(family);
         let at = |place: usize| -> Vec<(f64, f64)> {
-            let values = read(family).iter().map(|values| values[place]);
-            family.along.iter().copied().zip(values).collect()
+            along.iter().copied().zip(values.iter().map(|values| values[place])).collect()
         };
         let color = color % COLORS.len();
         let band = Item::Band { name: String::new(), color, low: at(0), high: at(2) };
-        [band, line(family.name(), color, at(1))]
+        let items = [band, line(family.name(), color, at(1))];
+        (!along.is_empty()).then_some(items)
     };
-    families.iter().enumerate().flat_map(of_family).collect()
+    families.iter().enumerate().filter_map(of_family).flatten().collect()
 }
 
-fn span(families: &[&Family], read: Read) -> (f64, f64) {
-    let values = families.iter().flat_map(|family| read(family)).flatten();
+/// The lowest and the highest return.
+fn span(families: &[&Family]) -> (f64, f64) {
+    let values = families.iter().flat_map(|family| &family.returns).flatten();
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
         (low.min(*value), high.max(*value))
     })

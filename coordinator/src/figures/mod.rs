@@ -1,6 +1,7 @@
 //! Pictures as SVG: panels of lines, bands and boxes, and the learning curves of several runs.
 
+mod bootstrap;
 pub mod families;
-pub(crate) mod learning;
+pub mod learning;
 pub(crate) mod panels;
-pub(crate) mod recorded;
+pub mod recorded;

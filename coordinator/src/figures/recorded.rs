@@ -10,7 +10,9 @@ use serde_json::Value;
 use crate::commands::{read_config, run_directory};
 use crate::files;
 use crate::report::curve::{Point, read_points, thin_out};
+use crate::report::evaluations::{self, HeldOut};
 use crate::report::jsonl;
+use crate::report::row::Row;
 
 /// Points that a file keeps of a curve, at most.
 const POINTS: usize = 130;
@@ -22,9 +24,9 @@ const MOST_BYTES: u64 = 64 << 20;
 /// The curve of one run, and what it came from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Recorded {
+pub struct Recorded {
     /// Name of the run's directory.
-    pub(crate) run: PathBuf,
+    pub run: PathBuf,
     /// The commit that its program was built from.
     commit: Option<String>,
     /// The processor that it ran on.
@@ -32,10 +34,13 @@ pub(crate) struct Recorded {
     /// Digest of the training state after the last iteration.
     digest: Option<String>,
     /// Its resolved configuration.
-    pub(crate) config: Config,
-    /// What was measured.
+    pub config: Config,
+    /// What was measured while it trained.
     #[serde(with = "columns")]
-    pub(crate) points: Vec<Point>,
+    pub points: Vec<Point>,
+    /// What its evaluations on held-out goals say; nothing, where none was made.
+    #[serde(with = "columns")]
+    pub held_out: Vec<HeldOut>,
 }
 
 /// A file of curves.
@@ -56,6 +61,7 @@ impl Recorded {
             let message = format!("{}: has no two iterations; there is no curve", path.display());
             return Err(ExitError::new(ExitCode::RunDirectory, message).into());
         }
+        let held_out = evaluations::read(&run_dir.evaluations())?;
         let last = jsonl::read(&metrics)?.pop().map(|(_, line)| line);
         let digest = last.and_then(|line| Some(line["digest"].as_str()?.to_owned()));
         let provenance = std::fs::read(run_dir.provenance()).unwrap_or_default();
@@ -64,24 +70,32 @@ impl Recorded {
         let said = |key: &str| Some(session?[key].as_str()?.to_owned());
         let (commit, processor) = (said("commit"), said("processor"));
         let run = path.file_name().unwrap_or(path.as_os_str()).into();
-        Ok(Self { run, commit, processor, digest, config, points })
+        Ok(Self { run, commit, processor, digest, config, points, held_out })
     }
 
     /// Refuses what is no curve.
     fn check(&self) -> Result<(), String> {
         let name = self.run.display();
         self.config.validate().map_err(|error| format!("{name}: {error}"))?;
-        let finite = |point: &Point| point.numbers().iter().all(|number| number.is_finite());
-        if self.points.len() < 2 || !self.points.iter().all(finite) {
-            return Err(format!("{name}: wants two points or more, all of finite numbers"));
+        if self.points.len() < 2 {
+            return Err(format!("{name}: wants two points or more"));
         }
-        let along =
-            |of: fn(&Point) -> f64| self.points.windows(2).all(|pair| of(&pair[0]) <= of(&pair[1]));
-        if !along(|point| point.env_steps) || !along(|point| point.wall_s) {
-            return Err(format!("{name}: env_steps and wall_s must not fall"));
-        }
-        Ok(())
+        check_rows(&self.points)
+            .and_then(|()| check_rows(&self.held_out))
+            .map_err(|error| format!("{name}: {error}"))
     }
+}
+
+/// Refuses numbers that are not finite, and rows that go back.
+fn check_rows<R: Row>(rows: &[R]) -> Result<(), String> {
+    let rows: Vec<_> = rows.iter().map(Row::numbers).collect();
+    if !rows.iter().flatten().all(|number| number.is_finite()) {
+        return Err("wants finite numbers".to_owned());
+    }
+    if rows.windows(2).any(|pair| pair[0][0] > pair[1][0] || pair[0][1] > pair[1][1]) {
+        return Err("env_steps and wall_s must not fall".to_owned());
+    }
+    Ok(())
 }
 
 /// The curve of a run directory, or the curves of a file that [`write`] made.
@@ -101,26 +115,36 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<Recorded>> {
         return Err(refuse(format!("has {length} bytes, more than {MOST_BYTES}")).into());
     }
     let bytes = std::fs::read(path).map_err(|error| refuse(error.to_string()))?;
-    let content: Content = serde_json::from_slice(&bytes)
-        .map_err(|error| refuse(format!("is no file of curves ({error})")))?;
-    for curve in &content.curves {
-        curve.check().map_err(&refuse)?;
-    }
+    Ok(parse(&bytes).map_err(refuse)?)
+}
+
+/// The curves in the bytes of a file, or what is wrong with them.
+pub fn parse(bytes: &[u8]) -> Result<Vec<Recorded>, String> {
+    let content: Content =
+        serde_json::from_slice(bytes).map_err(|error| format!("is no file of curves ({error})"))?;
+    content.curves.iter().try_for_each(Recorded::check)?;
     Ok(content.curves)
 }
 
 /// Writes curves into one file, thinned out and rounded.
 pub(crate) fn write(path: &Path, curves: &[Recorded]) -> anyhow::Result<()> {
     let small = |curve: &Recorded| {
-        let mut points = thin_out(&curve.points, POINTS);
-        for point in &mut points {
-            *point = Point::from_numbers(point.numbers().map(rounded));
-        }
-        Recorded { points, ..curve.clone() }
+        let points = shortened(&thin_out(&curve.points, POINTS));
+        Recorded { points, held_out: shortened(&curve.held_out), ..curve.clone() }
     };
-    let content = Content { curves: curves.iter().map(small).collect() };
-    files::replace_output(path, &serde_json::to_vec(&content)?)?;
+    let curves: Vec<Recorded> = curves.iter().map(small).collect();
+    files::replace_output(path, &to_json(&curves)?)?;
     Ok(())
+}
+
+/// A file of these curves, as they are.
+pub fn to_json(curves: &[Recorded]) -> anyhow::Result<Vec<u8>> {
+    Ok(serde_json::to_vec(&Content { curves: curves.to_vec() })?)
+}
+
+/// Rows of shorter numbers.
+fn shortened<R: Row>(rows: &[R]) -> Vec<R> {
+    rows.iter().map(|row| R::from_numbers(row.numbers().map(rounded))).collect()
 }
 
 /// A number with [`DIGITS`] significant digits; env-steps and the like, which are larger, as a whole number.
@@ -131,28 +155,30 @@ fn rounded(value: f64) -> f64 {
     format!("{value:.*e}", DIGITS - 1).parse().unwrap_or(value)
 }
 
-/// Points as an object of columns, in which a file is a third as long as with an object a point.
+/// Rows as an object of columns, in which a file is a third as long as with an object a row.
 mod columns {
     use std::collections::BTreeMap;
 
     use serde::de::Error as _;
     use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
 
-    use super::Point;
+    use super::Row;
 
-    pub(super) fn serialize<S: Serializer>(points: &[Point], to: S) -> Result<S::Ok, S::Error> {
+    pub(super) fn serialize<R: Row, S: Serializer>(rows: &[R], to: S) -> Result<S::Ok, S::Error> {
         let column = |(index, name): (usize, &&'static str)| {
-            (*name, points.iter().map(|point| point.numbers()[index]).collect::<Vec<f64>>())
+            (*name, rows.iter().map(|row| row.numbers()[index]).collect::<Vec<f64>>())
         };
-        Point::NAMES.iter().enumerate().map(column).collect::<BTreeMap<_, _>>().serialize(to)
+        R::NAMES.iter().enumerate().map(column).collect::<BTreeMap<_, _>>().serialize(to)
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Point>, D::Error> {
+    pub(super) fn deserialize<'de, R: Row, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<Vec<R>, D::Error> {
         let mut columns = BTreeMap::<String, Vec<f64>>::deserialize(from)?;
         let mut of = |name: &&str| {
             columns.remove(*name).ok_or_else(|| D::Error::custom(format!("no column {name}")))
         };
-        let values = Point::NAMES.iter().map(&mut of).collect::<Result<Vec<_>, _>>()?;
+        let values = R::NAMES.iter().map(&mut of).collect::<Result<Vec<_>, _>>()?;
         if let Some(name) = columns.keys().next() {
             return Err(D::Error::custom(format!("unknown column {name}")));
         }
@@ -160,9 +186,8 @@ mod columns {
         if values.iter().any(|column| column.len() != len) {
             return Err(D::Error::custom("the columns have different lengths"));
         }
-        let point =
-            |at: usize| Point::from_numbers(std::array::from_fn(|column| values[column][at]));
-        Ok((0..len).map(point).collect())
+        let row = |at: usize| R::from_numbers(std::array::from_fn(|column| values[column][at]));
+        Ok((0..len).map(row).collect())
     }
 }
 
@@ -195,6 +220,9 @@ mod tests {
                 .resolve()
                 .expect("valid"),
             points: (0..points).map(point).collect(),
+            held_out: [20.0, 30.0]
+                .map(|at| HeldOut::from_numbers([at, at, 0.012_345_6, 0.02, 0.0, 0.01, 0.01, 0.0]))
+                .to_vec(),
         }
     }
 
@@ -216,6 +244,10 @@ mod tests {
             [25_600.0, 3.704, -0.3333, -2.0, 1.0, 0.1, 0.2, 0.3]
         );
         assert_eq!(read[0].points[0].env_steps, 16_000.0, "the mean of four");
+        assert_eq!(
+            read[1].held_out[1].numbers(),
+            [30.0, 30.0, 0.01235, 0.02, 0.0, 0.01, 0.01, 0.0]
+        );
     }
 
     #[test]
@@ -237,6 +269,8 @@ mod tests {
         };
         refused(&|curve| curve["points"]["wall_s"] = json!([1.0]), "different lengths");
         refused(&|curve| curve["points"]["wall_s"] = json!([3.0, 2.0, 1.0]), "must not fall");
+        refused(&|curve| curve["held_out"]["env_steps"] = json!([2.0, 1.0]), "must not fall");
+        refused(&|curve| curve["held_out"] = json!(null), "null");
         refused(&|curve| curve["points"]["more"] = json!([1.0]), "unknown column more");
         refused(&|curve| curve["points"] = json!({}), "no column env_steps");
         refused(&|curve| curve["points"]["base"] = json!([0.1, null, 0.1]), "null");

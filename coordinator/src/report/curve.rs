@@ -16,6 +16,7 @@ use proto::config::TaskName;
 use serde_json::Value;
 
 use super::jsonl;
+use super::row::Row;
 use crate::files;
 
 const SIZE: (u32, u32) = (960, 720);
@@ -52,9 +53,8 @@ pub struct Point {
     pub base: f64,
 }
 
-impl Point {
-    /// Names of its numbers.
-    pub const NAMES: [&str; 8] = [
+impl Row for Point {
+    const NAMES: [&'static str; 8] = [
         "env_steps",
         "wall_s",
         "return_mean",
@@ -65,14 +65,12 @@ impl Point {
         "base",
     ];
 
-    /// Its numbers, in the order of their [names](Self::NAMES).
-    pub fn numbers(&self) -> [f64; 8] {
+    fn numbers(&self) -> [f64; 8] {
         let Self { env_steps, wall_s, mean, low, high, position, orientation, base } = *self;
         [env_steps, wall_s, mean, low, high, position, orientation, base]
     }
 
-    /// The point with these [numbers](Self::numbers).
-    pub fn from_numbers(numbers: [f64; 8]) -> Self {
+    fn from_numbers(numbers: [f64; 8]) -> Self {
         let [env_steps, wall_s, mean, low, high, position, orientation, base] = numbers;
         Self { env_steps, wall_s, mean, low, high, position, orientation, base }
     }

@@ -72,11 +72,12 @@
 
 pub mod csv;
 pub mod curve;
-mod evaluations;
+pub mod evaluations;
 pub mod jsonl;
 mod line;
 pub mod progress;
 pub mod promised;
+pub mod row;
 pub mod tensorboard;
 
 use anyhow::Context as _;

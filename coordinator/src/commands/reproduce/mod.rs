@@ -31,7 +31,6 @@ use crate::commands::experiment::lab::Lab;
 use crate::commands::experiment::report::RobotIdentity;
 use crate::commands::experiment::{Experiment, Name, ReportOf, perform};
 use crate::commands::trained::PolicyIdentity;
-use crate::figures::families::{Over, families};
 use crate::figures::recorded;
 use crate::provenance::{Provenance, utc};
 use crate::report::progress::Parts;
@@ -87,7 +86,6 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
     for path in &runs {
         curves.extend(recorded::read(path)?);
     }
-    let families = families(&curves, Over::EnvSteps);
     let line = |name, quick: &[&str]| Line::new(name, args, &policies, quick);
     let jobs = Jobs {
         precision: Job::new(line(Name::Precision, &[]), &out, |command| match command {
@@ -127,7 +125,7 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
         reports: &reports,
         claims: &claims,
         commands: &commands,
-        families: &families,
+        curves: &curves,
         robot: &robot,
         quick: args.quick,
     })?;

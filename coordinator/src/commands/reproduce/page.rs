@@ -13,8 +13,9 @@ use crate::cli::experiment::{
 use crate::commands::experiment::report::{Goals, Report};
 use crate::commands::experiment::{Experiment, Name, ReportOf};
 use crate::commands::trained::PolicyIdentity;
-use crate::figures::families::{Family, Over};
+use crate::figures::families::{Family, Over, families};
 use crate::figures::learning::learning as learning_curves;
+use crate::figures::recorded::Recorded;
 use crate::output;
 use crate::provenance::{Provenance, utc};
 use crate::report::progress::grouped;
@@ -25,7 +26,8 @@ pub(super) struct Content<'a> {
     pub(super) claims: &'a [Claim],
     /// The command behind each experiment.
     pub(super) commands: &'a [(Name, String)],
-    pub(super) families: &'a [Family],
+    /// Of the trainings.
+    pub(super) curves: &'a [Recorded],
     pub(super) robot: &'a Robot,
     pub(super) quick: bool,
 }
@@ -64,9 +66,9 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             },
         ),
     ];
-    let learning = match content.families {
+    let learning = match content.curves {
         [] => None,
-        families => Some(learning(families)?),
+        curves => Some(learning(curves)?),
     };
     let markup = html! {
         (DOCTYPE)
@@ -259,13 +261,21 @@ fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
     Ok(section::<ReassemblyArgs>(content, "Reassembly", report, &figures))
 }
 
-fn learning(families: &[Family]) -> anyhow::Result<Markup> {
+fn learning(curves: &[Recorded]) -> anyhow::Result<Markup> {
+    let (by_steps, by_time) = (families(curves, Over::EnvSteps), families(curves, Over::Time));
     Ok(html! {
         h2 id="learning" { "Learning" }
-        (figure(&learning_curves(families, Over::EnvSteps)?, "Mean over the runs of one configuration, and the span of their seeds; errors after the last step of \
-            training episodes, exploration included, so an evaluation ends lower."))
+        (figure(&learning_curves(&by_steps, Over::EnvSteps)?, "Mean over the runs of one configuration within its 95 % bootstrap interval, which of three runs \
+            is all that they span. Returns are of training episodes, exploration included; errors of deterministic actions on held-out goals, in the last steps."))
+        (figure(&learning_curves(&by_time, Over::Time)?, "The same against the time that the trainings took."))
+        p { "Where the curves end, and the env-steps until the errors are first as good as the paper's, in the median over the runs: by its own measure, the \
+            minimum over time, and in the last steps." }
+        div class="scroll" { table {
+            thead { tr { @for cell in Family::HEADER { th { (cell) } } } }
+            tbody { @for family in &by_steps { tr { @for cell in family.row(Over::EnvSteps) { td { (cell) } } } } }
+        } }
         dl {
-            @for family in families {
+            @for family in &by_steps {
                 dt { (family.name()) }
                 dd { @for (run, seed) in &family.runs { code { (run.display()) } " (seed " (seed) ") " } }
             }
