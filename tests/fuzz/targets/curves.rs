@@ -1,0 +1,66 @@
+//! Files of learning curves: what is taken goes out as it came in, and is drawn, whatever its numbers.
+
+#![no_main]
+
+use coordinator::figures::families::{Over, families};
+use coordinator::figures::learning::learning;
+use coordinator::figures::recorded::{parse, to_json};
+use libfuzzer_sys::fuzz_target;
+use serde_json::{Value, json};
+
+fn seeds() -> Vec<Vec<u8>> {
+    let config = serde_json::to_value(fuzz::small_config()).expect("a configuration is JSON");
+    let columns = |names: &[&str]| -> Value {
+        names.iter().map(|name| ((*name).to_owned(), json!([1.0, 2.5]))).collect()
+    };
+    let training = [
+        "env_steps",
+        "wall_s",
+        "return_mean",
+        "return_low",
+        "return_high",
+        "position",
+        "orientation",
+        "base",
+    ];
+    let held_out = [
+        "env_steps",
+        "wall_s",
+        "tail_position",
+        "tail_orientation",
+        "tail_base",
+        "min_position",
+        "min_orientation",
+        "min_base",
+    ];
+    let curve = json!({
+        "run": "a", "commit": null, "processor": "b", "digest": null, "config": config,
+        "points": columns(&training), "held_out": columns(&held_out),
+    });
+    let mut other = curve.clone();
+    other["config"]["task"]["name"] = json!("reorientation");
+    let file = |curves: Value| json!({ "curves": curves }).to_string().into_bytes();
+    vec![file(json!([curve])), file(json!([curve, curve, other])), file(json!([]))]
+}
+
+fuzz_target!(
+    init: {
+        for seed in seeds() {
+            if let Err(error) = parse(&seed) {
+                panic!("a seed is refused: {error}");
+            }
+        }
+        fuzz::write_seeds(seeds);
+    },
+    |bytes: &[u8]| {
+        let Ok(curves) = parse(bytes) else { return };
+        let again = to_json(&curves).expect("what came in goes out");
+        assert_eq!(parse(&again).expect("and comes in again"), curves);
+        for over in [Over::EnvSteps, Over::Time] {
+            let families = families(&curves, over);
+            if !families.is_empty() {
+                learning(&families, over).expect("drawn");
+            }
+        }
+    }
+);
