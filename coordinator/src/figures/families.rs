@@ -286,7 +286,7 @@ mod tests {
         for alike in ["run.keep_every=7", "run.checkpoint_every=3", "run.evaluate_every=1"] {
             assert!(learn_alike(&config(alike), &plain), "{alike}");
         }
-        for other in ["run.env_steps=9_000_000", "run.overlap=0", "algorithm.gamma=0.5"] {
+        for other in ["run.env_steps=9_000_000", "run.overlap=1", "algorithm.gamma=0.5"] {
             assert!(!learn_alike(&config(other), &plain), "{other}");
         }
     }
@@ -321,7 +321,7 @@ mod tests {
     #[test]
     fn held_out_errors_are_of_the_last_steps() {
         let one =
-            vec![held_out(10.0, 4.0, 2.0), held_out(30.0, 2.0, 1.0), held_out(40.0, 1.0, 0.5)];
+            vec![held_out(10.0, 4.0, 2.0), held_out(30.0, 2.0, 0.9), held_out(40.0, 1.0, 0.5)];
         let other = vec![held_out(10.0, 4.0, 0.9), held_out(40.0, 3.0, 0.8)];
         let family = family([one, other], Over::EnvSteps);
         let errors = &family.held_out;
