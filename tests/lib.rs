@@ -55,6 +55,7 @@ pub const SMALL: &[&str] = &[
     "--set=env.n_shards=4",
     "--set=task.episode_steps=8",
     "--set=network.hidden=[16]",
+    "--set=network.critic_hidden=[16]",
     "--set=algorithm.mini_batches=2",
     "--set=run.learner_threads=1",
     "--set=run.checkpoint_every=5",

@@ -118,6 +118,9 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
     if !quiet {
         reporter.note(&introduction(&config, &run_dir, resume_from));
     }
+    if let Some(note) = idle_workers(&config) {
+        reporter.note(&note);
+    }
     let Counter { live, service } = counter;
     if let Some(service) = &service {
         lock.announce(&service.address().to_string())
@@ -354,6 +357,19 @@ pub(super) fn check_machine(
     Ok(())
 }
 
+/// Says so if there are more workers than an iteration has shards.
+fn idle_workers(config: &Config) -> Option<String> {
+    let (workers, shards) = (config.run.workers, config.env.n_shards);
+    (workers > shards).then(|| {
+        format!(
+            "note: an iteration has {}, so that {} of the {workers} workers will be idle; \
+             --envs N --set env.n_shards={workers} makes work for all, and another training",
+            output::counted(shards as u64, "shard"),
+            workers - shards
+        )
+    })
+}
+
 /// Refuses a run directory with anything in it.
 fn check_vacant(path: &Path) -> Result<(), ExitError> {
     let shown = path.display();
@@ -455,6 +471,11 @@ mod tests {
             assert_eq!(config.env.n_envs, n_envs);
             assert_eq!(n_envs % config.env.n_shards, 0);
         }
+        let five = parse("octopus train --workers 5 --set env.n_shards=4").expect("valid");
+        let note = idle_workers(&five).expect("one is idle");
+        assert!(note.contains("4 shards, so that 1 of the 5 workers"), "{note}");
+        let four = parse("octopus train --workers 4 --set env.n_shards=4").expect("valid");
+        assert_eq!(idle_workers(&four), None);
         let error = parse("octopus train --envs 10 --set env.n_shards=3").expect_err("impossible");
         assert!(error.to_string().contains("env.n_shards"), "{error}");
     }
