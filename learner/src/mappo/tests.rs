@@ -12,6 +12,8 @@ fn config(assignments: &[&str]) -> Config {
         "env.n_shards=2",
         "task.episode_steps=5",
         "network.hidden=[16,12]",
+        "network.critic_hidden=[]",
+        "algorithm.max_kl=0",
         "network.activation=relu",
         "network.parameter_sharing=none",
     ]

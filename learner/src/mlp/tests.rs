@@ -53,6 +53,7 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
                     &format!("network.layer_norm={norm}"),
                     &format!("network.input_norm={input}"),
                     "network.hidden=[24,16,20]",
+                    "network.critic_hidden=[]",
                 ]);
                 for fused in [true, false] {
                     compare(&config, kind, Arithmetic::F32, fused, 3e-6);
