@@ -211,7 +211,7 @@ fn a_kl_limit_holds_agents_back() {
         run.update(1);
         run.state.actor.adam.steps.clone()
     };
-    assert_eq!(steps(&free), [40; 4]);
+    assert_eq!(steps(&free), [20; 4], "five epochs of four mini-batches");
     // Log-probabilities of the synthetic blocks are not the network's: over the limit at once.
     assert_eq!(steps(&held), [0; 4]);
 }

@@ -4,7 +4,7 @@ use super::image::Image;
 use super::*;
 
 fn config(assignments: &[&str]) -> Config {
-    ["network.hidden=[8]", "env.n_envs=8"]
+    ["network.hidden=[8]", "network.critic_hidden=[]", "env.n_envs=8"]
         .iter()
         .chain(assignments)
         .fold(Layers::new(Preset::Tuned, None), |layers, a| layers.set(a).expect("well formed"))
