@@ -291,7 +291,7 @@ mod tests {
         }
     }
 
-    fn family(held_out: [Vec<HeldOut>; 2], over: Over) -> Family {
+    fn family(held_out: &[Vec<HeldOut>; 2], over: Over) -> Family {
         let one = vec![point(10.0, 0.0), point(20.0, 1.0), point(40.0, 5.0)];
         let other = vec![point(20.0, 3.0), point(30.0, 3.0)];
         let runs = vec![("runs/a".into(), 1), ("runs/b".into(), 2)];
@@ -301,9 +301,9 @@ mod tests {
 
     #[test]
     fn a_family_is_where_all_its_runs_have_been() {
-        let time = family([Vec::new(), Vec::new()], Over::Time);
+        let time = family(&[Vec::new(), Vec::new()], Over::Time);
         assert_eq!((time.along[0], time.along[POINTS - 1]), (2.0, 3.0));
-        let family = family([Vec::new(), vec![held_out(9.0, 1.0, 1.0)]], Over::EnvSteps);
+        let family = family(&[Vec::new(), vec![held_out(9.0, 1.0, 1.0)]], Over::EnvSteps);
         assert_eq!((family.along[0], family.along[POINTS - 1]), (20.0, 30.0));
         for (by_steps, by_time) in family.returns.iter().zip(&time.returns) {
             for (x, y) in by_steps.iter().zip(by_time) {
@@ -323,7 +323,7 @@ mod tests {
         let one =
             vec![held_out(10.0, 4.0, 2.0), held_out(30.0, 2.0, 0.9), held_out(40.0, 1.0, 0.5)];
         let other = vec![held_out(10.0, 4.0, 0.9), held_out(40.0, 3.0, 0.8)];
-        let family = family([one, other], Over::EnvSteps);
+        let family = family(&[one, other], Over::EnvSteps);
         let errors = &family.held_out;
         assert_eq!((errors.along[0], errors.along[POINTS - 1]), (10.0, 40.0));
         assert_eq!(errors.position[0], [100.0; 3]);
