@@ -53,7 +53,7 @@ impl Over {
 }
 
 /// Runs that learn the same but for their seeds: `[low, mean, high]` of their mean within its 95 % bootstrap
-/// interval, see [`Resamples::interval`].
+/// interval, as `bootstrap.rs` has it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Family {
     pub(crate) task: TaskName,
