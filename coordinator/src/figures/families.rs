@@ -192,7 +192,12 @@ impl Family {
                 format!("{mean:.1} ({low:.1} to {high:.1})")
             })
         };
-        let reached = |place: Option<f64>| place.map_or("never".to_owned(), |at| over.place(at));
+        let evaluated = !self.held_out.along.is_empty();
+        let reached = |place: Option<f64>| match place {
+            Some(place) => over.place(place),
+            None if evaluated => "never".to_owned(),
+            None => String::new(),
+        };
         let hands = self.task == TaskName::Trajectory;
         let of_hands = |values| if hands { last(values) } else { String::new() };
         [
@@ -316,6 +321,7 @@ mod tests {
         assert_eq!(family.held_out, Errors::default(), "one of them was never evaluated");
         let row = family.row(Over::EnvSteps);
         assert_eq!((row[3].as_str(), row[4].as_str()), ("3.0 (3.0 to 3.0)", ""));
+        assert_eq!(row[8], "", "which is not never");
     }
 
     #[test]
