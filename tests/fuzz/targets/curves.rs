@@ -5,37 +5,20 @@
 use coordinator::figures::families::{Over, families};
 use coordinator::figures::learning::learning;
 use coordinator::figures::recorded::{parse, to_json};
+use coordinator::report::curve::Point;
+use coordinator::report::evaluations::HeldOut;
+use coordinator::report::row::Row as _;
 use libfuzzer_sys::fuzz_target;
 use serde_json::{Value, json};
 
 fn seeds() -> Vec<Vec<u8>> {
     let config = serde_json::to_value(fuzz::small_config()).expect("a configuration is JSON");
-    let columns = |names: &[&str]| -> Value {
-        names.iter().map(|name| ((*name).to_owned(), json!([1.0, 2.5]))).collect()
+    let columns = |names: [&str; 8]| -> Value {
+        names.into_iter().map(|name| (name.to_owned(), json!([1.0, 2.5]))).collect()
     };
-    let training = [
-        "env_steps",
-        "wall_s",
-        "return_mean",
-        "return_low",
-        "return_high",
-        "position",
-        "orientation",
-        "base",
-    ];
-    let held_out = [
-        "env_steps",
-        "wall_s",
-        "tail_position",
-        "tail_orientation",
-        "tail_base",
-        "min_position",
-        "min_orientation",
-        "min_base",
-    ];
     let curve = json!({
         "run": "a", "commit": null, "processor": "b", "digest": null, "config": config,
-        "points": columns(&training), "held_out": columns(&held_out),
+        "points": columns(Point::NAMES), "held_out": columns(HeldOut::NAMES),
     });
     let mut other = curve.clone();
     other["config"]["task"]["name"] = json!("reorientation");
