@@ -471,13 +471,17 @@ mod tests {
             assert_eq!(config.env.n_envs, n_envs);
             assert_eq!(n_envs % config.env.n_shards, 0);
         }
+        let error = parse("octopus train --envs 10 --set env.n_shards=3").expect_err("impossible");
+        assert!(error.to_string().contains("env.n_shards"), "{error}");
+    }
+
+    #[test]
+    fn more_workers_than_shards_are_said_to_be_idle() {
         let five = parse("octopus train --workers 5 --set env.n_shards=4").expect("valid");
         let note = idle_workers(&five).expect("one is idle");
         assert!(note.contains("4 shards, so that 1 of the 5 workers"), "{note}");
         let four = parse("octopus train --workers 4 --set env.n_shards=4").expect("valid");
         assert_eq!(idle_workers(&four), None);
-        let error = parse("octopus train --envs 10 --set env.n_shards=3").expect_err("impossible");
-        assert!(error.to_string().contains("env.n_shards"), "{error}");
     }
 
     #[test]
