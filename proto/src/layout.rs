@@ -54,22 +54,24 @@ impl Dimensions {
     /// The sizes that follow from a configuration and the robot's number of arms.
     pub fn new(config: &Config, n_arms: usize) -> Self {
         let n_agents = n_arms * AGENTS_PER_ARM;
+        // Six angles of an arm and as many rates.
+        let joints = 6 * config.task.joint_angles.numbers() + 6;
         let observation = match (config.task.observation, config.task.name) {
             (Observation::Paper, TaskName::Trajectory) => 28,
             (Observation::Release, TaskName::Trajectory) => 31,
             (Observation::Paper | Observation::Release, TaskName::Reorientation) => 25,
-            // Base's velocity 6, own arm's q and q̇ 12, errors 6 plain and 12 squashed, last action 6.
-            (Observation::Arm, TaskName::Trajectory) => 6 + 12 + 6 + 12 + 6,
-            // Base's velocity 6, own arm's q and q̇ 12, errors 3 plain and 6 squashed, last action 6.
-            (Observation::Arm, TaskName::Reorientation) => 6 + 12 + 3 + 6 + 6,
+            // Base's velocity 6, own arm's q and q̇, errors 6 plain and 12 squashed, last action 6.
+            (Observation::Arm, TaskName::Trajectory) => 6 + joints + 6 + 12 + 6,
+            // Base's velocity 6, own arm's q and q̇, errors 3 plain and 6 squashed, last action 6.
+            (Observation::Arm, TaskName::Reorientation) => 6 + joints + 3 + 6 + 6,
         };
         let state = match (config.network.critic_state, config.task.name) {
             (CriticState::Own, _) => 0,
             (CriticState::Concatenated, _) => n_agents * observation,
-            // Base 13; each arm's q, q̇ and last action 18 and errors 18.
-            (CriticState::Compact, TaskName::Trajectory) => 13 + n_arms * (18 + 18),
-            // Base 13, errors 9; each arm's q, q̇ and last action 18.
-            (CriticState::Compact, TaskName::Reorientation) => 13 + 9 + n_arms * 18,
+            // Base 13; each arm's q and q̇, last action 6 and errors 18.
+            (CriticState::Compact, TaskName::Trajectory) => 13 + n_arms * (joints + 6 + 18),
+            // Base 13, errors 9; each arm's q and q̇, and last action 6.
+            (CriticState::Compact, TaskName::Reorientation) => 13 + 9 + n_arms * (joints + 6),
         };
         Self {
             n_arms,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use proto::config::{Config, InputNorm};
+use proto::config::{Config, InputNorm, JointAngles, Observation};
 use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
@@ -217,7 +217,7 @@ type Dependency = (&'static str, fn(&Config) -> String);
 
 /// Everything of a configuration that the meaning of a policy's numbers depends on, besides the
 /// task: what it sees, what its actions do, and how its network computes.
-const DEPENDENCIES: [Dependency; 12] = [
+const DEPENDENCIES: [Dependency; 13] = [
     // What an actor sees and moves, and what becomes of its output.
     ("the kind of actor", |c| c.algorithm.name.actor().to_owned()),
     ("algorithm.maddpg.action_limit", |c| {
@@ -228,6 +228,11 @@ const DEPENDENCIES: [Dependency; 12] = [
         }
     }),
     ("task.observation", |c| format!("{:?}", c.task.observation).to_lowercase()),
+    ("task.joint_angles", |c| match (c.task.observation, c.task.joint_angles) {
+        (Observation::Arm, JointAngles::SinCos) => "sin-cos".to_owned(),
+        (Observation::Arm, JointAngles::Unwound) => "unwound".to_owned(),
+        (Observation::Paper | Observation::Release, _) => "unused".to_owned(),
+    }),
     ("task.action_scale", |c| c.task.action_scale.to_string()),
     ("env.control_period", |c| c.env.control_period.to_string()),
     ("network.hidden", |c| format!("{:?}", c.network.hidden)),

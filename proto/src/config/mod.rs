@@ -23,8 +23,9 @@ mod sections;
 pub use layers::{Layers, Preset};
 pub use sections::{
     Activation, Algorithm, AlgorithmName, Config, CriticState, Env, Exploration, GoalBox,
-    Inference, InputNorm, Integrator, Maddpg, Network, Observation, Optimizer, ParameterSharing,
-    Precision, Reward, RewardWeights, RobotSection, Run, Schedule, Start, Task, TaskName,
+    Inference, InputNorm, Integrator, JointAngles, Maddpg, Network, Observation, Optimizer,
+    ParameterSharing, Precision, Reward, RewardWeights, RobotSection, Run, Schedule, Start, Task,
+    TaskName,
 };
 
 #[cfg(test)]

@@ -58,6 +58,27 @@ pub enum Observation {
     Arm,
 }
 
+/// How agents see a joint angle. Joints have no stops: angles that differ by 2π are one pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum JointAngles {
+    /// The angle relative to home (rad), with all turns that the joint has made.
+    #[default]
+    Unwound,
+    /// Its sine and cosine: the same in every turn.
+    SinCos,
+}
+
+impl JointAngles {
+    /// Numbers that say one angle.
+    pub fn numbers(self) -> usize {
+        match self {
+            Self::Unwound => 1,
+            Self::SinCos => 2,
+        }
+    }
+}
+
 /// The box that trajectory goals are drawn from, as offsets to the hand's home position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -122,6 +143,9 @@ pub struct Start {
     pub joints: f64,
     /// There, the base is turned by up to this about each axis (rad), likewise.
     pub attitude: f64,
+    /// There, share of the arms that stand anywhere: every joint angle uniform in ±π of home.
+    #[serde(default)]
+    pub anywhere: f64,
 }
 
 /// Group `task`.
@@ -132,6 +156,9 @@ pub struct Task {
     pub name: TaskName,
     /// What the agents see.
     pub observation: Observation,
+    /// How they see joint angles (layout `arm`), and critics (`compact`).
+    #[serde(default)]
+    pub joint_angles: JointAngles,
     /// Control steps of an episode; its end is a truncation, never a termination.
     pub episode_steps: usize,
     /// Factor from a clipped action to a joint velocity command in rad/s.
@@ -675,6 +702,7 @@ impl Config {
         within("task.start.share", task.start.share, 0.0, 1.0)?;
         within("task.start.joints", task.start.joints, 0.0, 3.0)?;
         within("task.start.attitude", task.start.attitude, 0.0, 1.5)?;
+        within("task.start.anywhere", task.start.anywhere, 0.0, 1.0)?;
         within("task.reward.epsilon", task.reward.epsilon, 1e-30, 1.0)?;
         within("task.reward.team_spirit", task.reward.team_spirit, 0.0, 1.0)?;
         let Reward { position, orientation, base, .. } = &task.reward;

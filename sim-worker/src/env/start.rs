@@ -4,6 +4,8 @@
 //! else has brought the robot. (Starts from many states: Kakade and Langford 2002, "Approximately
 //! optimal approximate reinforcement learning", section 4, there called restart distribution.)
 
+use std::f64::consts::PI;
+
 use proto::config::Start;
 use proto::rng::{Address, Purpose};
 
@@ -21,7 +23,8 @@ const MOST_DRAWS: u32 = 8;
 /// Puts lanes of `state`, which is at home, where `start` lets their episodes begin.
 ///
 /// `goals` tells the run and the iteration, `env_of` a lane's environment. A number that is uniform in
-/// [0, 1) scales the ranges of a draw, so that poses near home are frequent.
+/// [0, 1) scales the ranges of a draw, so that poses near home are frequent; arms that stand anywhere are
+/// drawn from all poses alike.
 #[inline(always)]
 pub(super) fn scatter<S: Real>(
     start: &Start,
@@ -53,10 +56,14 @@ pub(super) fn scatter<S: Real>(
             let mut pose = home.clone();
             let [x, y, z, _] = uniforms(lane, draw, 1).map(|u| offset(start.attitude, u));
             pose.base_quaternion = quaternion_exp([x, y, z]);
-            // Two groups of four words an arm: three of each are used.
-            for (half, joints) in pose.q.chunks_exact_mut(JOINTS_PER_ARM / 2).enumerate() {
-                for (q, u) in joints.iter_mut().zip(uniforms(lane, draw, 2 + half as u32)) {
-                    *q += offset(start.joints, u);
+            // Two groups of four words an arm: three of each tell the angles, the first one's last
+            // word whether the arm stands anywhere.
+            for (arm, joints) in pose.q.chunks_exact_mut(JOINTS_PER_ARM).enumerate() {
+                let words = [0, 1].map(|half| uniforms(lane, draw, 2 + (2 * arm + half) as u32));
+                let anywhere = words[0][3] < start.anywhere;
+                let angles = words.iter().flat_map(|half| &half[..JOINTS_PER_ARM / 2]);
+                for (q, &u) in joints.iter_mut().zip(angles) {
+                    *q += if anywhere { PI * (2.0 * u - 1.0) } else { offset(start.joints, u) };
                 }
             }
             state.set_lane(lane, &pose);
@@ -75,7 +82,7 @@ mod tests {
     use crate::dynamics::StepOptions;
     use crate::spatial::quaternion_to_rotation;
 
-    const START: Start = Start { share: 0.5, joints: 1.0, attitude: 0.4 };
+    const START: Start = Start { share: 0.5, joints: 1.0, attitude: 0.4, anywhere: 0.0 };
 
     /// Starts of 400 environments, one a lane.
     fn starts(start: Start) -> Vec<State<f64>> {
@@ -121,6 +128,31 @@ mod tests {
         }
         assert!(joints > 0.9 && joints <= START.joints, "{joints}");
         assert!(attitude > 0.4 && attitude <= 3.0_f64.sqrt() * START.attitude, "{attitude}");
+    }
+
+    #[test]
+    fn a_share_of_the_arms_stands_anywhere() {
+        let robot = Robot::builtin("paper").expect("built in");
+        let home = State::<f64>::home(&robot);
+        let start = Start { share: 1.0, joints: 0.1, attitude: 0.0, anywhere: 0.25 };
+        let mut far = 0;
+        let mut largest = [0.0_f64; JOINTS_PER_ARM];
+        for state in starts(start) {
+            let arms = state.q.chunks_exact(JOINTS_PER_ARM);
+            for (q, home) in arms.zip(home.q.chunks_exact(JOINTS_PER_ARM)) {
+                let offset: Vec<f64> =
+                    q.iter().zip(home).map(|(q, home)| (q - home).abs()).collect();
+                if offset.iter().any(|&offset| offset > start.joints) {
+                    far += 1;
+                    for (largest, offset) in largest.iter_mut().zip(offset) {
+                        *largest = largest.max(offset);
+                    }
+                }
+            }
+        }
+        // Fewer than a quarter of the 1,600 arms: poses that touch are drawn again, and far ones do more often.
+        assert!((200..=400).contains(&far), "{far}");
+        assert!(largest.iter().all(|&offset| offset > 0.9 * PI && offset <= PI), "{largest:?}");
     }
 
     #[test]

@@ -26,7 +26,7 @@ mod readings;
 pub use goal::{ArmGoals, GoalRanges, Goals};
 pub use readings::{ATTITUDE_WIDTHS, Errors, HandReading, POSITION_WIDTHS, Readings};
 
-use proto::config::{CriticState, GoalBox, Observation, Reward, TaskName};
+use proto::config::{CriticState, GoalBox, JointAngles, Observation, Reward, TaskName};
 
 use self::frame::ArmFrame;
 use crate::robot::JOINTS_PER_ARM;
@@ -38,6 +38,8 @@ pub struct Task {
     pub name: TaskName,
     /// What agents see.
     pub observation: Observation,
+    /// How agents see joint angles.
+    pub joint_angles: JointAngles,
     /// What critics see.
     pub critic_state: CriticState,
     /// Weights of the rewards.
@@ -85,6 +87,7 @@ impl Task {
         Self {
             name: task.name,
             observation: task.observation,
+            joint_angles: task.joint_angles,
             critic_state: config.network.critic_state,
             action_scale: task.action_scale,
             action_limit: home.arms.iter().flat_map(|arm| arm.command_limit).collect(),

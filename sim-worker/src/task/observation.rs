@@ -29,9 +29,13 @@
 //! | 24–35 | 21–26 | the errors squashed at two widths, see [`Errors`] |
 //! | 36–41 | 27–32 | the arm's last action: clipped, before scaling (rad/s) |
 //!
+//! With `task.joint_angles = "sin-cos"` six sines and six cosines stand in the place of the joint
+//! angles, and what follows moves on by six: joints have no stops, so a turn more or less is the same
+//! pose, and looks it.
+//!
 //! Nothing in it tells where the base is or how it is turned: see [`Errors`].
 
-use proto::config::{Observation, TaskName};
+use proto::config::{JointAngles, Observation, TaskName};
 use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 
 use super::frame::ArmFrame;
@@ -84,12 +88,22 @@ impl<'a, S: Real> Writer<'a, S> {
         self.put(&frame.vector(readings.base_angular));
     }
 
-    /// Joints of `arm` in the layout `arm`: angles relative to home, rates.
+    /// Joints of `arm` in the layout `arm`: angles relative to home, or their sines and then their
+    /// cosines; rates.
     #[inline(always)]
     pub(super) fn put_joints(&mut self, task: &Task, readings: &Readings<S>, arm: usize) {
         let first = arm * JOINTS_PER_ARM;
-        for (j, &home) in task.goals.home.arms[arm].q.iter().enumerate() {
-            self.put(&[readings.q[first + j] - S::splat(home)]);
+        let mut angles = task.goals.home.arms[arm].q.map(S::splat);
+        for (angle, &q) in angles.iter_mut().zip(&readings.q[first..]) {
+            *angle = q - *angle;
+        }
+        match task.joint_angles {
+            JointAngles::Unwound => self.put(&angles),
+            JointAngles::SinCos => {
+                let turned = angles.map(Real::sin_cos);
+                self.put(&turned.map(|(sin, _)| sin));
+                self.put(&turned.map(|(_, cos)| cos));
+            }
         }
         self.put(&readings.qd[first..first + JOINTS_PER_ARM]);
     }

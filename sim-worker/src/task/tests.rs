@@ -1,7 +1,7 @@
 //! Every layout and every term, worked by hand in `f64`.
 #![expect(clippy::approx_constant, reason = "the released model's own rounded numbers")]
 
-use proto::config::{Config, Layers, Preset, Reward, TaskName};
+use proto::config::{Config, JointAngles, Layers, Preset, Reward, TaskName};
 use proto::layout::Dimensions;
 use proto::rng::Purpose;
 
@@ -218,6 +218,46 @@ fn tuned_observation_is_the_same_for_both_agents_of_an_arm() {
     expected.extend(tuned_base_errors());
     expected.extend(TUNED_ACTION);
     assert_close(&observed(Preset::Tuned, TaskName::Reorientation, 4), &expected);
+}
+
+#[test]
+fn with_sines_and_cosines_a_turn_more_is_the_same_pose() {
+    let mut config = config(Preset::Tuned, TaskName::Trajectory);
+    let seen = |config: &Config, turns: f64| {
+        let task = Task::new(config, home());
+        let mut readings = readings();
+        for q in &mut readings.q[12..18] {
+            *q += turns * std::f64::consts::TAU;
+        }
+        let sizes = Dimensions::new(config, 4);
+        let (mut actor, mut critic) =
+            (vec![f64::NAN; sizes.observation], vec![f64::NAN; sizes.state]);
+        observe(&task, &readings, &goals(), &errors(), 4, &mut actor);
+        critic_state(&task, &readings, &errors(), &[], &mut critic);
+        (actor, critic)
+    };
+    config.task.joint_angles = JointAngles::Unwound;
+    let (plain, plain_critic) = seen(&config, 0.0);
+    config.task.joint_angles = JointAngles::SinCos;
+    let (actor, critic) = seen(&config, 0.0);
+    let (angles, rates) = TUNED_JOINTS.split_at(6);
+    let joints = [
+        angles.iter().map(|q| q.sin()).collect(),
+        angles.iter().map(|q| q.cos()).collect(),
+        rates.to_vec(),
+    ];
+    assert_close(&actor, &[&plain[..6], &joints.concat(), &plain[18..]].concat());
+    assert_eq!(critic.len(), plain_critic.len() + 4 * 6);
+    // 13, then two arms of 42.
+    assert_close(&critic[97..115], &joints.concat());
+    assert_close(&critic[115..139], &plain_critic[97..121]);
+    for turns in [-3.0, 1.0] {
+        let (turned, turned_critic) = seen(&config, turns);
+        for (turned, still) in turned.iter().chain(&turned_critic).zip(actor.iter().chain(&critic))
+        {
+            assert!((turned - still).abs() < 1e-12, "{turned} instead of {still}");
+        }
+    }
 }
 
 /// A robot, its goals and all velocities are moved and turned as one: no arm of preset `tuned` sees it.
