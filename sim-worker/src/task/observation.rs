@@ -16,22 +16,23 @@
 //!
 //! The factor 0.02 is the released environment's `dt` property, 1 ms × 20.
 //!
-//! Layout `arm`, the same for both agents of an arm, 42 numbers for `trajectory`, 33 for
+//! Layout `arm`, the same for both agents of an arm, 48 numbers for `trajectory`, 39 for
 //! `reorientation`, all vectors in the arm's frame (see `task::frame`), which moves with the base:
 //!
 //! | trajectory | reorientation | numbers |
 //! |---|---|---|
 //! | 0–2 | 0–2 | base linear velocity (m/s) |
 //! | 3–5 | 3–5 | base angular velocity (rad/s) |
-//! | 6–11 | 6–11 | the arm's joint angles relative to home (rad) |
-//! | 12–17 | 12–17 | the arm's joint rates (rad/s) |
-//! | 18–23 | 18–20 | error, goal − actual: position (m) and rotation (rad) of the hand; rotation of the base |
-//! | 24–35 | 21–26 | the errors squashed at two widths, see [`Errors`] |
-//! | 36–41 | 27–32 | the arm's last action: clipped, before scaling (rad/s) |
+//! | 6–11 | 6–11 | sines of the arm's joint angles relative to home |
+//! | 12–17 | 12–17 | their cosines |
+//! | 18–23 | 18–23 | the arm's joint rates (rad/s) |
+//! | 24–29 | 24–26 | error, goal − actual: position (m) and rotation (rad) of the hand; rotation of the base |
+//! | 30–41 | 27–32 | the errors squashed at two widths, see [`Errors`] |
+//! | 42–47 | 33–38 | the arm's last action: clipped, before scaling (rad/s) |
 //!
-//! With `task.joint_angles = "sin-cos"` six sines and six cosines stand in the place of the joint
-//! angles, and what follows moves on by six: joints have no stops, so a turn more or less is the same
-//! pose, and looks it.
+//! Joints have no stops, so a turn more or less is the same pose, and looks it. With
+//! `task.joint_angles = "unwound"` the angles themselves (rad) stand in the place of sines and cosines,
+//! and what follows moves up by six.
 //!
 //! Nothing in it tells where the base is or how it is turned: see [`Errors`].
 

@@ -159,9 +159,15 @@ const TUNED_BASE: [f64; 13] = [
     1.1, 1.2, 1.3, 2.1, 2.2, 2.3,
 ];
 
-/// Joints of arm 2 (third): 112…117 less home (0, −1.57, 0, −1.57, 0, 0), rates 212…217.
-const TUNED_JOINTS: [f64; 12] =
-    [112.0, 114.57, 114.0, 116.57, 116.0, 117.0, 212.0, 213.0, 214.0, 215.0, 216.0, 217.0];
+/// Angles of arm 2 (third): 112…117 less home (0, −1.57, 0, −1.57, 0, 0).
+const ARM_2_ANGLES: [f64; 6] = [112.0, 114.57, 114.0, 116.57, 116.0, 117.0];
+/// Its rates.
+const ARM_2_RATES: [f64; 6] = [212.0, 213.0, 214.0, 215.0, 216.0, 217.0];
+
+/// Joints of arm 2: sines, cosines, rates.
+fn tuned_joints() -> Vec<f64> {
+    [ARM_2_ANGLES.map(f64::sin), ARM_2_ANGLES.map(f64::cos), ARM_2_RATES].concat()
+}
 
 /// Velocities of the base in its axes: the linear one is turned by the quaternion's inverse.
 const TUNED_BASE_SEEN: [f64; 6] = [0.18, 0.748, 1.936, 2.1, 2.2, 2.3];
@@ -207,54 +213,53 @@ const TUNED_ACTION: [f64; 6] = [312.0, 313.0, 314.0, 315.0, 316.0, 317.0];
 #[test]
 fn tuned_observation_is_the_same_for_both_agents_of_an_arm() {
     let mut expected = TUNED_BASE_SEEN.to_vec();
-    expected.extend(TUNED_JOINTS);
+    expected.extend(tuned_joints());
     expected.extend(tuned_errors());
     expected.extend(TUNED_ACTION);
     assert_close(&observed(Preset::Tuned, TaskName::Trajectory, 4), &expected);
     assert_close(&observed(Preset::Tuned, TaskName::Trajectory, 5), &expected);
 
     let mut expected = TUNED_BASE_SEEN.to_vec();
-    expected.extend(TUNED_JOINTS);
+    expected.extend(tuned_joints());
     expected.extend(tuned_base_errors());
     expected.extend(TUNED_ACTION);
     assert_close(&observed(Preset::Tuned, TaskName::Reorientation, 4), &expected);
 }
 
+/// What agent 4 and critics of preset `tuned` see when the joints of arm 2 have made more turns.
+fn seen_after_turns(joint_angles: JointAngles, turns: f64) -> [Vec<f64>; 2] {
+    let mut config = config(Preset::Tuned, TaskName::Trajectory);
+    config.task.joint_angles = joint_angles;
+    let task = Task::new(&config, home());
+    let mut readings = readings();
+    for q in &mut readings.q[12..18] {
+        *q += turns * std::f64::consts::TAU;
+    }
+    let sizes = Dimensions::new(&config, 4);
+    let mut seen = [sizes.observation, sizes.state].map(|len| vec![f64::NAN; len]);
+    observe(&task, &readings, &goals(), &errors(), 4, &mut seen[0]);
+    critic_state(&task, &readings, &errors(), &[], &mut seen[1]);
+    seen
+}
+
+#[test]
+fn unwound_angles_stand_where_sines_and_cosines_do() {
+    let [actor, critic] = seen_after_turns(JointAngles::Unwound, 0.0);
+    let [tuned, tuned_critic] = seen_after_turns(JointAngles::SinCos, 0.0);
+    let joints = [ARM_2_ANGLES, ARM_2_RATES].concat();
+    assert_close(&actor, &[&tuned[..6], &joints, &tuned[24..]].concat());
+    // 13, then two arms of 36; or of 42.
+    assert_close(&critic[85..121], &[&joints, &tuned_critic[115..139]].concat());
+    let [turned, _] = seen_after_turns(JointAngles::Unwound, 1.0);
+    assert!(turned.iter().zip(&actor).filter(|(a, b)| a != b).count() == 6);
+}
+
 #[test]
 fn with_sines_and_cosines_a_turn_more_is_the_same_pose() {
-    let mut config = config(Preset::Tuned, TaskName::Trajectory);
-    let seen = |config: &Config, turns: f64| {
-        let task = Task::new(config, home());
-        let mut readings = readings();
-        for q in &mut readings.q[12..18] {
-            *q += turns * std::f64::consts::TAU;
-        }
-        let sizes = Dimensions::new(config, 4);
-        let (mut actor, mut critic) =
-            (vec![f64::NAN; sizes.observation], vec![f64::NAN; sizes.state]);
-        observe(&task, &readings, &goals(), &errors(), 4, &mut actor);
-        critic_state(&task, &readings, &errors(), &[], &mut critic);
-        (actor, critic)
-    };
-    config.task.joint_angles = JointAngles::Unwound;
-    let (plain, plain_critic) = seen(&config, 0.0);
-    config.task.joint_angles = JointAngles::SinCos;
-    let (actor, critic) = seen(&config, 0.0);
-    let (angles, rates) = TUNED_JOINTS.split_at(6);
-    let joints = [
-        angles.iter().map(|q| q.sin()).collect(),
-        angles.iter().map(|q| q.cos()).collect(),
-        rates.to_vec(),
-    ];
-    assert_close(&actor, &[&plain[..6], &joints.concat(), &plain[18..]].concat());
-    assert_eq!(critic.len(), plain_critic.len() + 4 * 6);
-    // 13, then two arms of 42.
-    assert_close(&critic[97..115], &joints.concat());
-    assert_close(&critic[115..139], &plain_critic[97..121]);
+    let [actor, critic] = seen_after_turns(JointAngles::SinCos, 0.0);
     for turns in [-3.0, 1.0] {
-        let (turned, turned_critic) = seen(&config, turns);
-        for (turned, still) in turned.iter().chain(&turned_critic).zip(actor.iter().chain(&critic))
-        {
+        let turned = seen_after_turns(JointAngles::SinCos, turns).concat();
+        for (turned, still) in turned.iter().zip(actor.iter().chain(&critic)) {
             assert!((turned - still).abs() < 1e-12, "{turned} instead of {still}");
         }
     }
@@ -322,14 +327,14 @@ fn compact_critic_state_holds_every_quantity_once() {
         critic_state(&task, &readings(), &errors(), &[], &mut out);
         assert_close(&out[..13], &TUNED_BASE);
         let (arm_2, of_arm) = if name == TaskName::Trajectory {
-            // 13, then two arms of 36.
-            assert_close(&out[13 + 72 + 12..13 + 72 + 30], &tuned_errors());
-            (13 + 72, 36)
+            // 13, then two arms of 42.
+            assert_close(&out[13 + 84 + 18..13 + 84 + 36], &tuned_errors());
+            (13 + 84, 42)
         } else {
             assert_close(&out[13..22], &tuned_base_errors());
-            (22 + 36, 18)
+            (22 + 48, 24)
         };
-        assert_close(&out[arm_2..arm_2 + 12], &TUNED_JOINTS);
+        assert_close(&out[arm_2..arm_2 + 18], &tuned_joints());
         assert_close(&out[arm_2 + of_arm - 6..arm_2 + of_arm], &TUNED_ACTION);
     }
 }
