@@ -355,10 +355,11 @@ fn paid(preset: Preset, name: TaskName, count: bool) -> Vec<f64> {
         reward.count_collisions = count;
         reward.own_collisions = false;
         reward.team_spirit = 0.0;
-        // What preset `tuned` asks for contacts is its own.
+        // What preset `tuned` asks for contacts and effort is its own.
         if preset == Preset::Tuned {
             for weights in [&mut reward.position, &mut reward.orientation, &mut reward.base] {
                 weights.collision = 0.5;
+                weights.effort = 0.05;
             }
         }
     })
