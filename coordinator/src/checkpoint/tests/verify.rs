@@ -175,7 +175,7 @@ fn a_policy_that_does_not_fit_is_found() {
 
     let problems =
         problems_after(CONFIG, |_| config_with(&["network.hidden=[8]"]).to_toml().into_bytes());
-    assert!(problems.contains("the configuration wants F32 [8, 42, 8]"), "{problems}");
+    assert!(problems.contains("the configuration wants F32 [8, 48, 8]"), "{problems}");
     let problems = problems_after(ROBOT, |_| b"name = 3".to_vec());
     assert!(problems.contains(ROBOT), "{problems}");
 }
