@@ -64,9 +64,9 @@ fn a_state_of_another_shape_is_refused_by_name() {
     let error = refusal(&bytes, &config(&["network.layer_norm=true"]));
     assert!(error.contains("`actor.adam.m.hidden.0.gain` is missing"), "{error}");
     let error = refusal(&bytes, &config(&["network.input_norm=none"]));
-    assert!(error.contains("`previous_policy` is F32 [960], expected F32 [768]"), "{error}");
+    assert!(error.contains("`previous_policy` is F32 [1056], expected F32 [864]"), "{error}");
     let error = refusal(&bytes, &config(&["network.critic_state=own", "algorithm.name=ippo"]));
-    assert!(error.contains("`critic.adam.m.hidden.0.weight` is F32 [2, 49, 8]"), "{error}");
+    assert!(error.contains("`critic.adam.m.hidden.0.weight` is F32 [2, 55, 8]"), "{error}");
     let (steered, _) = self::state(&config(&["optimizer.target_kl=0.1"]));
     let error = refusal(&steered.to_safetensors(), &config(&[]));
     assert!(error.contains("`actor.rate`") && error.contains("is unknown"), "{error}");
@@ -101,7 +101,8 @@ fn a_published_policy_holds_floored_deviations_and_the_normaliser() {
     assert_eq!(get("input.mean")[1], 2.5);
     assert!((get("input.inverse_std")[0] - 1.0).abs() < 1e-6);
     let weight = state.actor.spec.view("hidden.0.weight", &state.actor.flat).get(1).get(2).get(3);
-    assert_eq!(f64::from(get("hidden.0.weight")[(42 + 2) * 8 + 3]), weight.double_value(&[]));
+    let at = (dimensions.observation + 2) * 8 + 3;
+    assert_eq!(f64::from(get("hidden.0.weight")[at]), weight.double_value(&[]));
 }
 
 #[test]

@@ -167,7 +167,10 @@ mod tests {
         }
         // A quarter of the 1,600 arms, 400 ± 4 standard deviations.
         assert!((330..=470).contains(&far), "{far}");
-        assert!(largest.iter().all(|&offset| offset > 0.9 * PI && offset <= PI), "{largest:?}");
+        // The second and fourth joint soon bring the arm into the base or itself.
+        for (largest, least) in largest.into_iter().zip([3.0, 1.7, 2.7, 1.7, 3.0, 3.0]) {
+            assert!(largest > least && largest <= PI, "{largest}");
+        }
     }
 
     #[test]
