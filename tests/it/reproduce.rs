@@ -187,7 +187,7 @@ fn the_shipped_policies_are_better_than_the_papers() {
     }
     let page = read(&out, "report.html");
     stands_alone(&page);
-    for curve in ["mappo: trajectory-1", "mappo: reorientation-1"] {
+    for curve in ["mappo: mappo-trajectory-1", "mappo: mappo-reorientation-1"] {
         assert!(page.contains(curve), "{curve}");
     }
 }
