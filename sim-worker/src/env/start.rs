@@ -44,11 +44,10 @@ pub(super) fn scatter<S: Real>(
         let address = Address { seed, purpose, iteration, env: env_of(lane), step: draw, index };
         address.uniforms().map(f64::from)
     };
-    let away: Vec<usize> =
-        (0..S::LANES).filter(|&lane| uniforms(lane, 0, 0)[1] < start.share).collect();
-    // Which arms of a lane are yet to be drawn.
+    // Lanes that begin away from home, and which of their arms are yet to be drawn.
+    let away = (0..S::LANES).filter(|&lane| uniforms(lane, 0, 0)[1] < start.share);
     let mut open: Vec<(usize, Vec<bool>)> =
-        away.into_iter().map(|lane| (lane, vec![true; robot.n_arms])).collect();
+        away.map(|lane| (lane, vec![true; robot.n_arms])).collect();
     for draw in 0..MOST_DRAWS {
         if open.is_empty() {
             return;

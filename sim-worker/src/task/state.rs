@@ -3,8 +3,8 @@
 //! * `concatenated`: the observations of all agents, one after the other, A · O numbers.
 //! * `compact`: every quantity once: base 13, in the world's axes, and errors in the base's; for
 //!   `reorientation` the base's errors, plain 3 and squashed 6; then for each arm its joint angles
-//!   (6, or as sines and cosines 12) and rates 6, for `trajectory` its hand's errors, plain 6 and squashed 12, and its last
-//!   action 6.
+//!   (6, or as sines and cosines 12) and rates 6, for `trajectory` its hand's errors, plain 6 and
+//!   squashed 12, and its last action 6.
 //! * `own`: nothing; each critic sees its agent's observation.
 
 use proto::config::{CriticState, TaskName};
