@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::collision::ContactKind;
 use crate::env::EpisodeError;
-use crate::experiment::{Player, Recording, TAIL_STEPS, Trial, play, play_some};
+use crate::experiment::{Player, Pose, Recording, TAIL_STEPS, Trial, play, play_some};
 use crate::policy::Policy;
 use crate::rollout::World;
 
@@ -67,6 +67,8 @@ pub struct EpisodeResult {
     pub contact_pairs: u32,
     /// Control steps at whose end bodies of each kind touched.
     pub contact_steps_by_kind: ContactSteps,
+    /// Where the robot stood after the last step.
+    pub end: Pose,
 }
 
 /// Control steps at whose end bodies touched, by what touched what.
@@ -173,6 +175,7 @@ impl Evaluation {
                     arm_itself: steps_of(ContactKind::Own),
                     arm_arm: steps_of(ContactKind::Arms),
                 },
+                end: recording.pose(episode, steps - 1),
             }
         };
         Self { steps, episodes: (0..recording.episodes()).map(of_episode).collect() }

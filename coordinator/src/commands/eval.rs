@@ -181,7 +181,27 @@ pub struct ContactRates {
 /// What remains without the goals that cannot be reached.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reachable {
-    /// Hand goals that a controller which knows the robot reaches; there may be more.
+    /// Of the hand goals that a controller which knows the robot reaches; there may be more.
+    #[serde(flatten)]
+    pub part: Part,
+    /// How the controller did, `[episode][arm]`.
+    pub controller: Vec<Vec<HandReach>>,
+}
+
+/// What remains without the goals that no joint angles reached with the base where the episode ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WithinReach {
+    /// Of the hand goals for which inverse kinematics has a solution there; fewer can be held, as arms touch.
+    #[serde(flatten)]
+    pub part: Part,
+    /// Which they are, `[episode][arm]`.
+    pub hands: Vec<Vec<bool>>,
+}
+
+/// What an evaluation found of some of the hand goals.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Part {
+    /// So many goals.
     pub goals: usize,
     /// Of so many.
     pub of: usize,
@@ -189,8 +209,6 @@ pub struct Reachable {
     pub overall: Vec<ErrorSummary>,
     /// Shares of these goals.
     pub success: Vec<Success>,
-    /// How the controller did, `[episode][arm]`.
-    pub controller: Vec<Vec<HandReach>>,
 }
 
 /// What an evaluation found; the form of `eval --json` and `evaluation.json`.
@@ -216,6 +234,8 @@ pub struct Summary {
     pub success: Vec<Success>,
     /// The same for goals that can be reached; in `trajectory`, if it was asked for.
     pub reachable: Option<Reachable>,
+    /// The same for goals that were within reach at the end; likewise.
+    pub within_reach_at_end: Option<WithinReach>,
     /// Share of control steps at whose end any two bodies touched.
     pub contact_rate: f64,
     /// The same by what touched what.
@@ -234,33 +254,43 @@ pub fn evaluate(checkpoint: Checkpoint, options: &EvaluationOptions) -> anyhow::
     progress.begin("evaluation", (chunks * options.steps) as u64);
     let on_step = || progress.advance();
     let evaluation = evaluate::evaluate(&trained.world, &trained.policy, options, &on_step)?;
-    let controller = controller(&trained.world, options, &progress)?;
-    Ok(Summary::new(&trained, options.seed, evaluation, controller))
+    let reach = Reach::of(&trained.world, &evaluation, options, &progress)?;
+    Ok(Summary::new(&trained, options.seed, evaluation, reach))
 }
 
-/// How a controller that knows the robot does on an evaluation's hand goals; none in `reorientation`.
-pub fn controller(
-    world: &World,
-    options: &EvaluationOptions,
-    progress: &Parts,
-) -> anyhow::Result<Option<Vec<Vec<HandReach>>>> {
-    if world.task.name != TaskName::Trajectory {
-        return Ok(None);
+/// Which hand goals of an evaluation could be reached, `[episode][arm]`.
+#[derive(Debug, Clone)]
+pub struct Reach {
+    /// How a controller that knows the robot does.
+    controller: Vec<Vec<HandReach>>,
+    /// Whether a goal was within reach with the base where the episode ended.
+    at_end: Vec<Vec<bool>>,
+}
+
+impl Reach {
+    /// Of the goals of `options`, in whose episodes `evaluation` ended; none in `reorientation`.
+    pub fn of(
+        world: &World,
+        evaluation: &Evaluation,
+        options: &EvaluationOptions,
+        progress: &Parts,
+    ) -> anyhow::Result<Option<Self>> {
+        if world.task.name != TaskName::Trajectory {
+            return Ok(None);
+        }
+        let EvaluationOptions { seed, episodes, threads, .. } = *options;
+        progress.begin("which goals can be reached", episodes as u64);
+        let on_episodes = |n| (0..n).for_each(|_| progress.advance());
+        let controller = reach::reach(world, seed, episodes, threads, &on_episodes)?;
+        let ends: Vec<_> = evaluation.episodes.iter().map(|episode| &episode.end).collect();
+        let at_end = reach::within_reach(world, seed, &ends, threads);
+        Ok(Some(Self { controller, at_end }))
     }
-    let EvaluationOptions { seed, episodes, threads, .. } = *options;
-    progress.begin("which goals can be reached", episodes as u64);
-    let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-    Ok(Some(reach::reach(world, seed, episodes, threads, &on_episodes)?))
 }
 
 impl Summary {
-    /// What `evaluation` of a policy on the goals of `seed` says; `controller` as from [`controller`].
-    pub fn new(
-        trained: &Trained,
-        seed: u64,
-        evaluation: Evaluation,
-        controller: Option<Vec<Vec<HandReach>>>,
-    ) -> Self {
+    /// What `evaluation` of a policy on the goals of `seed` says; `reach` as from [`Reach::of`].
+    pub fn new(trained: &Trained, seed: u64, evaluation: Evaluation, reach: Option<Reach>) -> Self {
         let task = trained.task();
         let Evaluation { steps, episodes } = evaluation;
         let share = |contact_steps: fn(&EpisodeResult) -> u32| {
@@ -272,6 +302,18 @@ impl Summary {
                 episodes.iter().map(|episode| f64::from(kind(&episode.contact_steps_by_kind)));
             each.sum::<f64>() / (episodes.len() * steps).max(1) as f64
         };
+        let (reachable, within_reach_at_end) = reach
+            .map(|Reach { controller, at_end }| {
+                let reached: Vec<Vec<bool>> = controller
+                    .iter()
+                    .map(|hands| hands.iter().map(|hand| hand.reached).collect())
+                    .collect();
+                let reachable = Reachable { part: Part::of(&episodes, &reached), controller };
+                let within_reach =
+                    WithinReach { part: Part::of(&episodes, &at_end), hands: at_end };
+                (reachable, within_reach)
+            })
+            .unzip();
         Self {
             checkpoint: trained.checkpoint.dir.clone(),
             iteration: trained.checkpoint.manifest.iteration,
@@ -282,7 +324,8 @@ impl Summary {
             overall: overall(task, &episodes),
             agents: agents(task, &episodes),
             success: success(task, &episodes),
-            reachable: controller.map(|found| reachable(task, &episodes, found)),
+            reachable,
+            within_reach_at_end,
             contact_rate: share(|episode| episode.contact_steps),
             contact_rate_by_kind: ContactRates {
                 arm_base: of_kind(|kinds| kinds.arm_base),
@@ -313,23 +356,21 @@ fn summarise(error: ErrorOf, agent: Option<usize>, courses: &[Course]) -> ErrorS
     }
 }
 
-/// The same of the hands alone that the controller brought to their goals.
-fn reachable(
-    task: TaskName,
-    episodes: &[EpisodeResult],
-    controller: Vec<Vec<HandReach>>,
-) -> Reachable {
-    let of_episode = |(episode, reach): (&EpisodeResult, &Vec<HandReach>)| {
-        let hands = episode.hands.iter().zip(reach).filter(|(_, reach)| reach.reached);
-        EpisodeResult { hands: hands.map(|(hand, _)| *hand).collect(), ..episode.clone() }
-    };
-    let episodes: Vec<_> = episodes.iter().zip(&controller).map(of_episode).collect();
-    Reachable {
-        goals: episodes.iter().map(|episode| episode.hands.len()).sum(),
-        of: controller.iter().map(Vec::len).sum(),
-        overall: overall(task, &episodes),
-        success: success(task, &episodes),
-        controller,
+impl Part {
+    /// Of the hands that `chosen` names, `[episode][arm]`.
+    fn of(episodes: &[EpisodeResult], chosen: &[Vec<bool>]) -> Self {
+        let of_episode = |(episode, chosen): (&EpisodeResult, &Vec<bool>)| {
+            let hands = episode.hands.iter().zip(chosen).filter(|(_, chosen)| **chosen);
+            EpisodeResult { hands: hands.map(|(hand, _)| *hand).collect(), ..episode.clone() }
+        };
+        let of = chosen.iter().map(Vec::len).sum();
+        let episodes: Vec<_> = episodes.iter().zip(chosen).map(of_episode).collect();
+        Self {
+            goals: episodes.iter().map(|episode| episode.hands.len()).sum(),
+            of,
+            overall: overall(TaskName::Trajectory, &episodes),
+            success: success(TaskName::Trajectory, &episodes),
+        }
     }
 }
 
@@ -405,6 +446,8 @@ fn success(task: TaskName, episodes: &[EpisodeResult]) -> Vec<Success> {
 
 /// What stands before rows of a table that are about goals that can be reached.
 const REACHABLE: &str = "reachable ";
+/// Likewise, about those that were within reach at the end.
+const AT_END: &str = "in reach at the end ";
 
 impl Summary {
     /// The summary as a person reads it.
@@ -429,17 +472,22 @@ impl Summary {
         };
         let header = ["error", "min", "final", "tail", "std", "p50", "p90", "p99"];
         let all = self.overall.iter().map(|summary| ("", summary));
-        let reachable = self.reachable.iter().flat_map(|reachable| &reachable.overall);
-        let reachable = reachable.map(|summary| (REACHABLE, summary));
+        let parts = || {
+            let reachable = self.reachable.iter().map(|reachable| (REACHABLE, &reachable.part));
+            let at_end = self.within_reach_at_end.iter().map(|within| (AT_END, &within.part));
+            reachable.chain(at_end)
+        };
+        let of_parts = parts()
+            .flat_map(|(whose, part)| part.overall.iter().map(move |summary| (whose, summary)));
         let agents = self.agents.iter().map(|summary| ("", summary));
-        let errors = output::table(header, all.chain(reachable).chain(agents).map(row));
+        let errors = output::table(header, all.chain(of_parts).chain(agents).map(row));
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         let all = self.success.iter().map(|success| ("", success));
-        let reachable = self.reachable.iter().flat_map(|reachable| &reachable.success);
-        let reachable = reachable.map(|success| (REACHABLE, success));
+        let of_parts = parts()
+            .flat_map(|(whose, part)| part.success.iter().map(move |success| (whose, success)));
         let success = output::table(
             ["success within", "goals", "episodes"],
-            all.chain(reachable).map(|(whose, success)| {
+            all.chain(of_parts).map(|(whose, success)| {
                 let orientation = format!("{} mrad", 1e3 * success.orientation);
                 let name = match success.position {
                     Some(position) => format!("{whose}{} mm and {orientation}", 1e3 * position),
@@ -449,13 +497,20 @@ impl Summary {
             }),
         );
         let episodes = output::counted(self.episodes.len() as u64, "episode");
-        let reachable = self.reachable.as_ref().map_or_else(String::new, |reachable| {
-            let Reachable { goals, of, .. } = reachable;
-            format!("a controller that knows the robot reaches {goals} of the {of} hand goals\n")
-        });
+        let mut reach = String::new();
+        if let Some(Reachable { part: Part { goals, of, .. }, .. }) = &self.reachable {
+            reach += &format!(
+                "a controller that knows the robot reaches {goals} of the {of} hand goals\n"
+            );
+        }
+        if let Some(WithinReach { part: Part { goals, .. }, .. }) = &self.within_reach_at_end {
+            reach += &format!(
+                "with the base where episodes ended, {goals} were within an arm's reach\n"
+            );
+        }
         format!(
             "{} of {}, seed {}; std and percentiles are those of tail\n{errors}\n\n\
-             {success}\n\n{reachable}contact in {} of steps, in {} of {}\n\
+             {success}\n\n{reach}contact in {} of steps, in {} of {}\n\
              of an arm with the base {}, a mount {}, itself {}, another arm {}",
             episodes,
             output::counted(self.steps as u64, "step"),
@@ -474,6 +529,7 @@ impl Summary {
 #[cfg(test)]
 mod tests {
     use sim_worker::evaluate::HandCourse;
+    use sim_worker::experiment::Pose;
 
     use super::*;
 
@@ -500,6 +556,11 @@ mod tests {
             contact_steps: 0,
             contact_pairs: 0,
             contact_steps_by_kind: ContactSteps::default(),
+            end: Pose {
+                base_position: [0.0; 3],
+                base_quaternion: [1.0, 0.0, 0.0, 0.0],
+                joints: vec![],
+            },
         };
         let episodes = [
             episode(vec![hand(0.01, 0.01), hand(0.03, 0.01)]),
@@ -510,12 +571,10 @@ mod tests {
         assert_eq!((loose[1].goals, loose[1].episodes), (0.5, 0.0));
         let base = success(TaskName::Reorientation, &episodes);
         assert_eq!((base[0].goals, base[1].goals), (1.0, 0.0));
-        let reach = |reached| HandReach { reached, position: 0.0, orientation: 0.0, tried: 1 };
-        let controller = vec![vec![reach(true), reach(false)], vec![reach(false), reach(true)]];
-        let reachable = reachable(TaskName::Trajectory, &episodes, controller);
-        assert_eq!((reachable.goals, reachable.of), (2, 4));
-        assert_eq!((reachable.success[1].goals, reachable.success[1].episodes), (1.0, 1.0));
-        assert!((reachable.overall[0].tail.mean - 0.01).abs() < 1e-9);
+        let part = Part::of(&episodes, &[vec![true, false], vec![false, true]]);
+        assert_eq!((part.goals, part.of), (2, 4));
+        assert_eq!((part.success[1].goals, part.success[1].episodes), (1.0, 1.0));
+        assert!((part.overall[0].tail.mean - 0.01).abs() < 1e-9);
         let agents = agents(TaskName::Trajectory, &episodes);
         assert_eq!(agents.len(), 4);
         assert_eq!((agents[1].error, agents[1].agent), (ErrorOf::Orientation, Some(1)));

@@ -17,7 +17,7 @@ use crate::robot::{JOINTS_PER_ARM, Robot};
 pub(super) type Angles = [f64; JOINTS_PER_ARM];
 
 /// Starts beside home.
-const STARTS: usize = 64;
+const STARTS: u64 = 64;
 /// Iterations from each of them.
 const ITERATIONS: usize = 60;
 /// Longest change of a joint in an iteration (rad).
@@ -25,6 +25,8 @@ const LONGEST: f64 = 0.5;
 /// Residual (m and rad, together) above which an end is no candidate: the base may move a hand by
 /// so much.
 const NEAR: f64 = 0.2;
+/// Residual below which an end is a solution.
+const EXACT: f64 = 1e-6;
 /// Ends that differ by less in every joint (rad) are the same.
 const SAME: f64 = 0.05;
 /// Primes whose radical inverses are the starts [Halton 1960].
@@ -105,16 +107,25 @@ fn radical_inverse(mut index: u64, prime: u64) -> f64 {
     inverse
 }
 
+/// Where the search for joint angles begins: at home, then all over the half turns around it.
+fn starts(home: &Angles) -> impl Iterator<Item = Angles> {
+    let spread = |start, j: usize| home[j] + TAU * radical_inverse(start, PRIMES[j]) - PI;
+    let others = (1..=STARTS).map(move |start| std::array::from_fn(|j| spread(start, j)));
+    std::iter::once(*home).chain(others)
+}
+
+/// Whether some joint angles bring the hand of `arm` to `target` (base frame).
+pub(super) fn solvable(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> bool {
+    let solves = |q| approach(robot, arm, target, q, ITERATIONS).1 < EXACT;
+    starts(&robot.arms[arm].home).any(solves)
+}
+
 /// Joint angles that bring the hand of `arm` to `target` (base frame) or near it, each joint within
 /// half a turn of home; those first that leave less, and of equally good ones those nearer to home.
 pub(super) fn candidates(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> Vec<Angles> {
     let home = robot.arms[arm].home;
     let mut found: Vec<(Angles, bool, f64)> = Vec::new();
-    for start in 0..=STARTS {
-        let q = std::array::from_fn(|j| match start {
-            0 => home[j],
-            _ => home[j] + TAU * radical_inverse(start as u64, PRIMES[j]) - PI,
-        });
+    for q in starts(&home) {
         let (mut q, left) = approach(robot, arm, target, q, ITERATIONS);
         if left > NEAR {
             continue;
@@ -125,7 +136,7 @@ pub(super) fn candidates(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> 
         let same = |other: &Angles| q.iter().zip(other).all(|(a, b)| (a - b).abs() < SAME);
         if !found.iter().any(|(other, ..)| same(other)) {
             let turn = q.iter().zip(home).map(|(a, h)| (a - h).abs()).fold(0.0, f64::max);
-            found.push((q, left > 1e-6, turn));
+            found.push((q, left > EXACT, turn));
         }
     }
     found.sort_by(|a, b| a.1.cmp(&b.1).then(a.2.total_cmp(&b.2)));
@@ -166,6 +177,7 @@ mod tests {
             let ways = candidates(&robot, arm, &target);
             let is_q = |way: &Angles| way.iter().zip(&q).all(|(a, b)| (a - b).abs() < 1e-6);
             assert!(ways.iter().any(is_q), "arm {arm}");
+            assert!(solvable(&robot, arm, &target), "arm {arm}");
             let exact = ways
                 .iter()
                 .filter(|way| residual(&target, &forward(&robot, arm, way).0).norm() < 1e-6)
@@ -181,5 +193,33 @@ mod tests {
         let mut target = forward(&robot, 0, &robot.arms[0].home).0;
         target.translation.vector.y += 3.0;
         assert!(candidates(&robot, 0, &target).is_empty());
+        assert!(!solvable(&robot, 0, &target));
+    }
+
+    /// The wrist's centre keeps at least the 93 mm of its third link's offset from the first joint's axis.
+    #[test]
+    fn a_wrist_cannot_enter_the_cylinder_around_its_first_joint() {
+        let robot = Robot::builtin("paper").expect("built in");
+        for arm in 0..robot.n_arms {
+            let mount = &robot.arms[arm];
+            let axis = mount.rotation.column(2).into_owned();
+            let hand = forward(&robot, arm, &mount.home).0;
+            let centre = |hand: &Isometry3<f64>| {
+                hand.translation.vector - hand.rotation * Vector3::z() * robot.tool_position.z
+            };
+            let from_axis = |centre: Vector3<f64>| {
+                let offset = centre - mount.position;
+                offset - axis * axis.dot(&offset)
+            };
+            let radius = from_axis(centre(&hand)).norm();
+            assert!((radius - 0.093).abs() < 1e-3, "at home on the cylinder: {radius}");
+            // Lower by 0.25 m, where the elbow has room to fold, and nearer to or further from the axis.
+            for (share, within_reach) in [(0.7, false), (1.3, true)] {
+                let mut target = hand;
+                let out = from_axis(centre(&hand));
+                target.translation.vector += out * (share - 1.0) - axis * 0.25;
+                assert_eq!(solvable(&robot, arm, &target), within_reach, "arm {arm}, {share}");
+            }
+        }
     }
 }

@@ -7,14 +7,21 @@
 //! hand does not arrive, the next way is tried. Hands of an episode are tried together, as a policy
 //! moves them. A goal that no way reaches may still be reachable on a detour: what is told is a lower
 //! bound of what can be reached.
+//!
+//! The base floats, so that whether an arm can reach a goal depends on how all arms have moved: a wrist
+//! cannot enter the cylinder around its first joint, and a base that turns by a few hundredths of a radian carries
+//! goals into it and out of it. [`within_reach`] tells what was left to an arm where an episode ended.
 
 mod inverse_kinematics;
+
+use std::convert::Infallible;
 
 use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
 use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
 
 use crate::env::{EpisodeError, Physics, check_state};
+use crate::experiment::Pose;
 use crate::parallel;
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
@@ -22,7 +29,7 @@ use crate::scalar::{LANES, LaneFn, Real, dispatch};
 use crate::state::State;
 use crate::task::goal::GoalAddress;
 use crate::task::{Errors, Readings};
-use inverse_kinematics::{Angles, approach, candidates};
+use inverse_kinematics::{Angles, approach, candidates, solvable};
 
 /// A hand has arrived when it ends nearer than this to its goal (m).
 pub const ARRIVED_POSITION: f64 = 2e-3;
@@ -72,6 +79,31 @@ pub fn reach(
         Ok(())
     })?;
     Ok(results)
+}
+
+/// Whether inverse kinematics has a solution for the hand goals of evaluation episodes with the base
+/// where each of them ended, stops and contacts aside: `[episode][arm]`, one episode for each of `ends`. What
+/// is told is an upper bound of what a policy could still have reached there.
+pub fn within_reach(world: &World, seed: u64, ends: &[&Pose], threads: usize) -> Vec<Vec<bool>> {
+    let robot = &world.robot;
+    let mut results = vec![Vec::new(); ends.len()];
+    let each = results.iter_mut().zip(ends).enumerate().collect();
+    let decided = parallel::for_each(each, threads, |(env, (results, end))| {
+        let purpose = Purpose::EvaluationGoal;
+        let address = GoalAddress { seed, purpose, iteration: 0, env: *env as u32 };
+        let base = base_pose(end.base_position.map(f64::from), end.base_quaternion.map(f64::from));
+        **results = (0..robot.n_arms)
+            .map(|arm| {
+                let target = base.inverse() * pose(world.task.goals.hand(arm, address));
+                solvable(robot, arm, &target)
+            })
+            .collect();
+        Ok::<_, Infallible>(())
+    });
+    match decided {
+        Ok(()) => results,
+        Err(never) => match never {},
+    }
 }
 
 /// What is known of a hand while ways are tried.
@@ -193,7 +225,7 @@ fn attempt<S: Real>(
     for step in 0..STEPS {
         for (lane, (hands, wanted)) in hands.iter().zip(&mut wanted).enumerate() {
             let now = state.lane(lane);
-            let base = base_pose(&now);
+            let base = base_pose(now.base_position, now.base_quaternion);
             for (arm, (hand, wanted)) in hands.iter().zip(wanted).enumerate() {
                 let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
                 let rates = match wanted {
@@ -226,10 +258,10 @@ fn attempt<S: Real>(
         .collect())
 }
 
-fn base_pose(state: &State<f64>) -> Isometry3<f64> {
-    let [w, x, y, z] = state.base_quaternion;
+/// Position (m) and attitude (w, x, y, z) of the base.
+fn base_pose(position: [f64; 3], [w, x, y, z]: [f64; 4]) -> Isometry3<f64> {
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    Isometry3::from_parts(Translation3::from(Vector3::from(state.base_position)), rotation)
+    Isometry3::from_parts(Translation3::from(Vector3::from(position)), rotation)
 }
 
 /// Joint rates (rad/s) from `q` towards `wanted`, all joints in proportion, as fast as policies can.

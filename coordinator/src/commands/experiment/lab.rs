@@ -6,9 +6,8 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use sim_worker::evaluate::EvaluationOptions;
+use sim_worker::evaluate::{Evaluation, EvaluationOptions};
 use sim_worker::experiment::{CHUNK, Recording, Trial, play};
-use sim_worker::reach::HandReach;
 use sim_worker::robot::Robot;
 
 #[cfg(test)]
@@ -21,7 +20,7 @@ use {
 use super::report::{Protocol, Report, RobotIdentity};
 use super::{Experiment, Name};
 use crate::cli::experiment::CommonArgs;
-use crate::commands::eval::controller;
+use crate::commands::eval::Reach;
 use crate::commands::trained::{PolicyIdentity, Trained, open_checkpoint};
 use crate::provenance::Provenance;
 use crate::report::progress::Parts;
@@ -201,18 +200,19 @@ impl Lab {
         play(trial, self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
     }
 
-    /// How a controller that knows the robot does on the trial's hand goals; none in `reorientation`.
-    pub(crate) fn controller(
+    /// Which of the trial's hand goals could be reached; none in `reorientation`.
+    pub(crate) fn reach(
         &self,
         policy: &Trained,
-    ) -> anyhow::Result<Option<Vec<Vec<HandReach>>>> {
+        evaluation: &Evaluation,
+    ) -> anyhow::Result<Option<Reach>> {
         let options = EvaluationOptions {
             seed: self.seed,
             episodes: self.episodes,
             steps: self.steps,
             threads: self.threads,
         };
-        controller(&policy.world, &options, &self.progress)
+        Reach::of(&policy.world, evaluation, &options, &self.progress)
     }
 
     /// Shows progress there, together with others.

@@ -64,8 +64,9 @@ impl Experiment for PrecisionArgs {
                     .collect(),
                 TaskName::Reorientation => vec![ErrorOfMany::base(&recording)],
             };
-            let controller = lab.controller(policy)?;
-            let summary = Summary::new(policy, lab.seed, Evaluation::of(&recording), controller);
+            let evaluation = Evaluation::of(&recording);
+            let reach = lab.reach(policy, &evaluation)?;
+            let summary = Summary::new(policy, lab.seed, evaluation, reach);
             Ok(Precision { summary, errors })
         };
         lab.policies().iter().map(measure).collect()
