@@ -497,20 +497,17 @@ impl Summary {
             }),
         );
         let episodes = output::counted(self.episodes.len() as u64, "episode");
-        let mut reach = String::new();
-        if let Some(Reachable { part: Part { goals, of, .. }, .. }) = &self.reachable {
-            reach += &format!(
-                "a controller that knows the robot reaches {goals} of the {of} hand goals\n"
-            );
-        }
-        if let Some(WithinReach { part: Part { goals, .. }, .. }) = &self.within_reach_at_end {
-            reach += &format!(
-                "with the base where episodes ended, {goals} were within an arm's reach\n"
-            );
-        }
+        let reachable = self.reachable.as_ref().map_or_else(String::new, |reachable| {
+            let Part { goals, of, .. } = reachable.part;
+            format!("a controller that knows the robot reaches {goals} of the {of} hand goals\n")
+        });
+        let at_end = self.within_reach_at_end.as_ref().map_or_else(String::new, |within| {
+            let Part { goals, .. } = within.part;
+            format!("with the base where episodes ended, {goals} were within an arm's reach\n")
+        });
         format!(
             "{} of {}, seed {}; std and percentiles are those of tail\n{errors}\n\n\
-             {success}\n\n{reach}contact in {} of steps, in {} of {}\n\
+             {success}\n\n{reachable}{at_end}contact in {} of steps, in {} of {}\n\
              of an arm with the base {}, a mount {}, itself {}, another arm {}",
             episodes,
             output::counted(self.steps as u64, "step"),
