@@ -59,7 +59,7 @@ fn all_finite(value: &Value, path: &str) {
     match value {
         Value::Null => {
             // The base has none of them, nor goals that can or cannot be reached.
-            let absent = ["/agent", "/arm", "/position", "/reachable"];
+            let absent = ["/agent", "/arm", "/position", "/reachable", "/within_reach_at_end"];
             assert!(absent.iter().any(|key| path.ends_with(key)), "{path} is null");
         }
         Value::Array(values) => {

@@ -312,6 +312,27 @@ mod tests {
     }
 
     #[test]
+    fn what_is_within_reach_depends_on_where_the_base_is() {
+        let world = world();
+        let count = |position: [f32; 3], threads| {
+            let base_quaternion = [1.0, 0.0, 0.0, 0.0];
+            let end = Pose { base_position: position, base_quaternion, joints: vec![] };
+            let hands = within_reach(&world, 0, &vec![&end; 20], threads).concat();
+            assert_eq!(hands.len(), 80);
+            hands.into_iter().filter(|&within| within).count()
+        };
+        let home = world.robot.home_position.map(|x| x as f32);
+        let [x, y, z] = home;
+        // With the base at home a fifth of the goals have their wrist's centre in the cylinder.
+        let at_home = count(home, 1);
+        assert!((55..70).contains(&at_home), "{at_home} of 80");
+        assert_eq!(at_home, count(home, 2));
+        let lost = count([x, y, z + 0.5], 2);
+        assert!(lost < at_home, "{lost} of {at_home}");
+        assert_eq!(count([x, y, z + 3.0], 2), 0);
+    }
+
+    #[test]
     fn a_pose_from_angles_has_those_angles() {
         let angles = [0.7, -0.4, 1.1];
         let [a, b, c] = angles;
