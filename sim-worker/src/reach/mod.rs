@@ -317,7 +317,7 @@ mod tests {
         let count = |position: [f32; 3], threads| {
             let base_quaternion = [1.0, 0.0, 0.0, 0.0];
             let end = Pose { base_position: position, base_quaternion, joints: vec![] };
-            let hands = within_reach(&world, 0, &vec![&end; 20], threads).concat();
+            let hands = within_reach(&world, 0, &[&end; 20], threads).concat();
             assert_eq!(hands.len(), 80);
             hands.into_iter().filter(|&within| within).count()
         };
