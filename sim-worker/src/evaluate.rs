@@ -20,7 +20,7 @@ pub struct EvaluationOptions {
     pub seed: u64,
     /// E: episodes.
     pub episodes: usize,
-    /// Control steps of an episode.
+    /// Control steps of an episode, one at least.
     pub steps: usize,
     /// Threads; the result does not depend on them.
     pub threads: usize,
@@ -220,6 +220,14 @@ mod tests {
         let other = evaluate(&world, &policy, &EvaluationOptions { seed: 4, ..options }, &|| {});
         assert_ne!(one, other.expect("an evaluation"));
         assert_eq!((one.steps, one.episodes.len()), (3, 35));
+        for EpisodeResult { end, .. } in &one.episodes {
+            // Commands of an untrained policy are small and not nothing.
+            let moved = end.joints.iter().zip(world.robot.home_q());
+            assert_eq!(moved.len(), 24);
+            assert!(moved.map(|(&q, home)| (f64::from(q) - home).abs()).fold(0.0, f64::max) > 1e-4);
+            let length = end.base_quaternion.iter().map(|x| x * x).sum::<f32>();
+            assert!((length - 1.0).abs() < 1e-5, "{length}");
+        }
         for hand in one.episodes.iter().flat_map(|episode| &episode.hands) {
             // Goals are 0.15 to 0.55 m away, and an arm moves less than 0.3 m in 1.2 s.
             assert!(hand.position.last > 0.0 && hand.position.last < 1.0, "{hand:?}");
