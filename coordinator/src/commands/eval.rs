@@ -183,7 +183,7 @@ pub struct ContactRates {
 pub struct Reachable {
     /// Of the hand goals that a controller which knows the robot reaches; there may be more.
     #[serde(flatten)]
-    pub part: Part,
+    pub subset: GoalSubset,
     /// How the controller did, `[episode][arm]`.
     pub controller: Vec<Vec<HandReach>>,
 }
@@ -193,14 +193,14 @@ pub struct Reachable {
 pub struct WithinReach {
     /// Of the hand goals for which inverse kinematics has a solution there; fewer can be held, as arms touch.
     #[serde(flatten)]
-    pub part: Part,
+    pub subset: GoalSubset,
     /// Which they are, `[episode][arm]`.
     pub hands: Vec<Vec<bool>>,
 }
 
 /// What an evaluation found of some of the hand goals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Part {
+pub struct GoalSubset {
     /// So many goals.
     pub goals: usize,
     /// Of so many.
@@ -308,9 +308,10 @@ impl Summary {
                     .iter()
                     .map(|hands| hands.iter().map(|hand| hand.reached).collect())
                     .collect();
-                let reachable = Reachable { part: Part::of(&episodes, &reached), controller };
+                let reachable =
+                    Reachable { subset: GoalSubset::of(&episodes, &reached), controller };
                 let within_reach =
-                    WithinReach { part: Part::of(&episodes, &at_end), hands: at_end };
+                    WithinReach { subset: GoalSubset::of(&episodes, &at_end), hands: at_end };
                 (reachable, within_reach)
             })
             .unzip();
@@ -356,7 +357,7 @@ fn summarise(error: ErrorOf, agent: Option<usize>, courses: &[Course]) -> ErrorS
     }
 }
 
-impl Part {
+impl GoalSubset {
     /// Of the hands that `chosen` names, `[episode][arm]`.
     fn of(episodes: &[EpisodeResult], chosen: &[Vec<bool>]) -> Self {
         let of_episode = |(episode, chosen): (&EpisodeResult, &Vec<bool>)| {
@@ -472,22 +473,22 @@ impl Summary {
         };
         let header = ["error", "min", "final", "tail", "std", "p50", "p90", "p99"];
         let all = self.overall.iter().map(|summary| ("", summary));
-        let parts = || {
-            let reachable = self.reachable.iter().map(|reachable| (REACHABLE, &reachable.part));
-            let at_end = self.within_reach_at_end.iter().map(|within| (AT_END, &within.part));
+        let subsets = || {
+            let reachable = self.reachable.iter().map(|reachable| (REACHABLE, &reachable.subset));
+            let at_end = self.within_reach_at_end.iter().map(|within| (AT_END, &within.subset));
             reachable.chain(at_end)
         };
-        let of_parts = parts()
-            .flat_map(|(whose, part)| part.overall.iter().map(move |summary| (whose, summary)));
+        let of_subsets = subsets()
+            .flat_map(|(whose, subset)| subset.overall.iter().map(move |summary| (whose, summary)));
         let agents = self.agents.iter().map(|summary| ("", summary));
-        let errors = output::table(header, all.chain(of_parts).chain(agents).map(row));
+        let errors = output::table(header, all.chain(of_subsets).chain(agents).map(row));
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         let all = self.success.iter().map(|success| ("", success));
-        let of_parts = parts()
-            .flat_map(|(whose, part)| part.success.iter().map(move |success| (whose, success)));
+        let of_subsets = subsets()
+            .flat_map(|(whose, subset)| subset.success.iter().map(move |success| (whose, success)));
         let success = output::table(
             ["success within", "goals", "episodes"],
-            all.chain(of_parts).map(|(whose, success)| {
+            all.chain(of_subsets).map(|(whose, success)| {
                 let orientation = format!("{} mrad", 1e3 * success.orientation);
                 let name = match success.position {
                     Some(position) => format!("{whose}{} mm and {orientation}", 1e3 * position),
@@ -498,11 +499,11 @@ impl Summary {
         );
         let episodes = output::counted(self.episodes.len() as u64, "episode");
         let reachable = self.reachable.as_ref().map_or_else(String::new, |reachable| {
-            let Part { goals, of, .. } = reachable.part;
+            let GoalSubset { goals, of, .. } = reachable.subset;
             format!("a controller that knows the robot reaches {goals} of the {of} hand goals\n")
         });
         let at_end = self.within_reach_at_end.as_ref().map_or_else(String::new, |within| {
-            let Part { goals, .. } = within.part;
+            let GoalSubset { goals, .. } = within.subset;
             format!("with the base where episodes ended, {goals} were within an arm's reach\n")
         });
         format!(
@@ -568,10 +569,10 @@ mod tests {
         assert_eq!((loose[1].goals, loose[1].episodes), (0.5, 0.0));
         let base = success(TaskName::Reorientation, &episodes);
         assert_eq!((base[0].goals, base[1].goals), (1.0, 0.0));
-        let part = Part::of(&episodes, &[vec![true, false], vec![false, true]]);
-        assert_eq!((part.goals, part.of), (2, 4));
-        assert_eq!((part.success[1].goals, part.success[1].episodes), (1.0, 1.0));
-        assert!((part.overall[0].tail.mean - 0.01).abs() < 1e-9);
+        let subset = GoalSubset::of(&episodes, &[vec![true, false], vec![false, true]]);
+        assert_eq!((subset.goals, subset.of), (2, 4));
+        assert_eq!((subset.success[1].goals, subset.success[1].episodes), (1.0, 1.0));
+        assert!((subset.overall[0].tail.mean - 0.01).abs() < 1e-9);
         let agents = agents(TaskName::Trajectory, &episodes);
         assert_eq!(agents.len(), 4);
         assert_eq!((agents[1].error, agents[1].agent), (ErrorOf::Orientation, Some(1)));

@@ -88,7 +88,7 @@ pub fn within_reach(world: &World, seed: u64, ends: &[&Pose], threads: usize) ->
     let robot = &world.robot;
     let mut results = vec![Vec::new(); ends.len()];
     let each = results.iter_mut().zip(ends).enumerate().collect();
-    let decided = parallel::for_each(each, threads, |(env, (results, end))| {
+    let Ok(()) = parallel::for_each(each, threads, |(env, (results, end))| {
         let purpose = Purpose::EvaluationGoal;
         let address = GoalAddress { seed, purpose, iteration: 0, env: *env as u32 };
         let base = base_pose(end.base_position.map(f64::from), end.base_quaternion.map(f64::from));
@@ -100,10 +100,7 @@ pub fn within_reach(world: &World, seed: u64, ends: &[&Pose], threads: usize) ->
             .collect();
         Ok::<_, Infallible>(())
     });
-    match decided {
-        Ok(()) => results,
-        Err(never) => match never {},
-    }
+    results
 }
 
 /// What is known of a hand while ways are tried.

@@ -141,7 +141,7 @@ fn precision(reports: &Reports) -> Vec<Claim> {
             let claim = Claim::new(Name::Precision, what, measure, paper, ours)
                 .stricter("last 20 steps, all goals", Some(error.tail.mean));
             let same = reachable.as_ref().and_then(|reachable| {
-                let mut all = reachable.part.overall.iter();
+                let mut all = reachable.subset.overall.iter();
                 all.find(|other| other.error == error.error).map(|other| other.tail.mean)
             });
             claims.push(claim.stricter("last 20 steps, goals that can be reached", same));
