@@ -12,7 +12,7 @@ use proto::rng::Purpose;
 use crate::env::{Batch, EpisodeError, Episodes, Noise, Output, Timing};
 use crate::policy::{Policy, PolicyError};
 use crate::robot::Robot;
-use crate::scalar::{Backend, dispatch_on};
+use crate::scalar::{Backend, dispatch_for};
 use crate::task::Task;
 use crate::task::goal::GoalAddress;
 
@@ -149,7 +149,7 @@ pub fn rollout_on(
     on_step: &mut dyn FnMut(),
 ) -> Result<RolloutStats, RolloutError> {
     let job = prepare(world, spec, block, on_step)?;
-    finish(world, spec, dispatch_on(backend, job))
+    finish(world, spec, dispatch_for(world.dimensions.n_envs, backend, job))
 }
 
 /// The rollout with one environment a lane in `S` itself: the readable twin for tests.

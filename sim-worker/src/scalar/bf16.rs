@@ -87,7 +87,7 @@ pub(super) use pairs_side_by_side;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scalar::{Backend, LaneFn, dispatch_on};
+    use crate::scalar::{Backend, LaneFn, dispatch_for, dispatch_on};
 
     #[test]
     fn rounding_is_to_nearest_even_and_small_numbers_vanish() {
@@ -161,6 +161,11 @@ mod tests {
             if backend.is_available() {
                 assert!(dispatch_on(backend, Products) == portable, "{backend:?}");
             }
+        }
+        if Backend::Avx512.is_available() {
+            let eight = dispatch_for(8, Backend::Avx512, Products);
+            assert_eq!(eight.len(), portable.len() / 2);
+            assert!(eight.chunks(8).eq(portable.chunks(16).map(|all| &all[..8])), "eight lanes");
         }
         let lone: Vec<u32> = f32::compiled_for_pairs(Products);
         let first_lanes: Vec<u32> = portable.iter().copied().step_by(16).collect();

@@ -1,7 +1,7 @@
 //! Scalars the simulator is generic over.
 //!
 //! One text of the dynamics serves three purposes: `f64` is the reference, `f32` the lone single-precision twin, and the lane types
-//! advance sixteen environments side by side, one per lane. The lane types come in three back ends ([`Backend`]) that compute
+//! advance sixteen environments side by side, one per lane, or eight where there are no more. The lane types come in three back ends ([`Backend`]) that compute
 //! **the same bits**: every operation is an IEEE operation with one rounding (fused multiply-add included), and every elementary
 //! function is one polynomial written once, in [`elementary`].
 //!
@@ -36,11 +36,11 @@ mod single;
 
 pub(crate) use bf16::bias as bf16_bias;
 pub use bf16::{PairKernel, WeightPair};
-pub use lanes::{Backend, F32x16Portable, LaneFn, dispatch, dispatch_on};
+pub use lanes::{Backend, F32x16Portable, LaneFn, dispatch, dispatch_for, dispatch_on};
 #[cfg(target_arch = "x86_64")]
-pub use lanes::{F32x16Avx2, F32x16Avx512};
+pub use lanes::{F32x8Avx512, F32x16Avx2, F32x16Avx512};
 
-/// Number of environments one lane type carries.
+/// Number of environments that lane types carry, but for those of eight lanes.
 pub const LANES: usize = 16;
 
 /// One truth value per lane.

@@ -59,13 +59,20 @@ impl LaneFn for All<'_> {
         let mut out = Vec::new();
         let (mut x, mut y) = (S::zero(), S::zero());
         for chunk in self.0.chunks_exact(LANES) {
-            for i in 0..LANES {
-                x.set_lane(i, f64::from(chunk[i]));
-                y.set_lane(i, f64::from(chunk[(i + 5) % LANES]));
+            let mut columns = [[0; LANES]; FUNCTIONS];
+            for first in (0..LANES).step_by(S::LANES) {
+                for lane in 0..S::LANES {
+                    let i = first + lane;
+                    x.set_lane(lane, f64::from(chunk[i]));
+                    y.set_lane(lane, f64::from(chunk[(i + 5) % LANES]));
+                }
+                for (column, f) in columns.iter_mut().zip(all_functions(x, y)) {
+                    for lane in 0..S::LANES {
+                        column[first + lane] = canonical(f.lane(lane) as f32);
+                    }
+                }
             }
-            for f in all_functions(x, y) {
-                out.extend((0..LANES).map(|i| canonical(f.lane(i) as f32)));
-            }
+            out.extend(columns.concat());
         }
         out
     }
@@ -91,14 +98,15 @@ fn every_back_end_and_lone_f32_give_the_same_bits() {
     assert!(lone == portable, "lone f32 differs from the portable lanes");
     for backend in [Backend::Avx2, Backend::Avx512] {
         if backend.is_available() {
-            let other = dispatch_on(backend, All(&xs));
-            let differing = (0..other.len()).find(|&i| other[i] != portable[i]);
-            assert_eq!(
-                differing,
-                None,
-                "{backend:?}, function {:?}",
-                differing.map(|i| i / LANES % FUNCTIONS)
-            );
+            for other in [dispatch_on(backend, All(&xs)), dispatch_for(8, backend, All(&xs))] {
+                let differing = (0..other.len()).find(|&i| other[i] != portable[i]);
+                assert_eq!(
+                    differing,
+                    None,
+                    "{backend:?}, function {:?}",
+                    differing.map(|i| i / LANES % FUNCTIONS)
+                );
+            }
         }
     }
 }
@@ -174,6 +182,7 @@ fn masks_set_and_read_single_lanes() {
     for b in [Backend::Portable, Backend::Avx2, Backend::Avx512] {
         if b.is_available() {
             dispatch_on(b, M);
+            dispatch_for(8, b, M);
         }
     }
 }
