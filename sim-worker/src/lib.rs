@@ -2,7 +2,7 @@
 //!
 //! From the bottom up, which is also an order to read in:
 //!
-//! * [`scalar`]: the numbers everything is generic over, `f64` or sixteen `f32` lanes, one
+//! * [`scalar`]: the numbers everything is generic over, `f64` or `f32` lanes, one
 //!   environment a lane;
 //! * [`spatial`]: three- and six-dimensional vectors, rotations;
 //! * [`robot`]: descriptions from files, checked and laid out for the dynamics; MJCF;

@@ -90,6 +90,12 @@ pub enum RolloutError {
         /// Shards of the run.
         n_shards: usize,
     },
+    /// Random numbers have no addresses that far.
+    #[error("iteration {iteration} does not exist: random numbers are addressed for 2³² of them")]
+    NoSuchIteration {
+        /// The iteration asked for.
+        iteration: u64,
+    },
     /// The memory for the block has another size than the layout.
     #[error("the block has {found} numbers, the configuration's layout has {expected}")]
     BlockLength {
@@ -174,7 +180,7 @@ fn prepare<'a>(
     let RolloutSpec { seed, iteration, shard, policy } = *spec;
     let dimensions = &world.dimensions;
     let Ok(address_iteration) = u32::try_from(iteration) else {
-        return Err(RolloutError::NoSuchShard { shard, iteration, n_shards: dimensions.n_shards });
+        return Err(RolloutError::NoSuchIteration { iteration });
     };
     if shard as usize >= dimensions.n_shards {
         return Err(RolloutError::NoSuchShard { shard, iteration, n_shards: dimensions.n_shards });

@@ -34,11 +34,6 @@ impl<S: Real> State<S> {
         }
     }
 
-    /// Puts lane `i` at the home pose, at rest.
-    pub fn reset_lane(&mut self, robot: &Robot, i: usize) {
-        self.set_lane(i, &State::<f64>::home(robot));
-    }
-
     /// The state of lane `i`.
     pub fn lane(&self, i: usize) -> State<f64> {
         State {

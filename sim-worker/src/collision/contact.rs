@@ -11,7 +11,7 @@ use crate::spatial::{Vec3, Vec6};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Contact<S: Real> {
     pub(super) pair: usize,
-    /// Lanes in which the pair is near.
+    /// Lanes in which it may push within the substep.
     pub(super) lanes: S::Mask,
     /// Surface points, fixed to the bodies: A's in its link frame, B's in its link frame or the base frame (m).
     pub(super) on_a: Vec3<S>,
@@ -70,7 +70,7 @@ pub(crate) struct ContactSet<S: Real> {
     /// Pairs with an alarm before `next_scan`, in ascending order; when all are looked through again, since the period's start (s).
     pub(super) due: Vec<usize>,
     pub(super) next_scan: f64,
-    /// Whether some contact of the substep is one of each arm.
+    /// By arm: whether some contact of the substep involves it.
     pub(super) touched: Vec<bool>,
 }
 

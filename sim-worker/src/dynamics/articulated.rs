@@ -242,7 +242,7 @@ impl<S: Real> ArticulatedInertia<S> {
             let rb = mat_mat(r, &self.b);
             b = [mat_vec(r, rb[0]), mat_vec(r, rb[1]), mat_vec(r, rb[2])];
         }
-        // Row j of B Rᵀ… as rows: ([p] Bᵀ)ᵢⱼ = (p × bⱼ)ᵢ with bⱼ the rows of B, and B' = B + [p] C columnwise.
+        // With bⱼ row j of B, column j of [p] Bᵀ is p × bⱼ; B' = B + [p] C, column by column.
         let p = arm.position;
         let [xx, yy, zz, xy, xz, yz] = c;
         let old = b;

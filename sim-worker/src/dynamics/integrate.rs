@@ -85,16 +85,6 @@ impl StepOptions {
         };
         reach / h
     }
-
-    /// Number of evaluations of the dynamics in a control period.
-    pub fn n_evaluations(&self) -> usize {
-        let stages = match self.integrator {
-            Integrator::Rk4 => 4,
-            Integrator::Rk3 => 3,
-            Integrator::Euler => 1,
-        };
-        stages * self.substeps().count() + usize::from(self.contacts)
-    }
 }
 
 // Layout of a flat state: displacement of the base since the period's start, quaternion, velocities, q, q̇. The displacement is small, so

@@ -1,6 +1,6 @@
 //! Many environments at once: the loop that plays whole episodes with a policy.
 //!
-//! Environments stand in lanes, [`LANES`](crate::scalar::LANES) to a group; everything from the
+//! Environments stand in lanes, sixteen to a group, or eight if there are no more; everything from the
 //! equations of motion to the reward is evaluated for a group at a time, and the policy for all
 //! groups. Lanes never mix, so what happens to an environment does not depend on its neighbours; the
 //! lanes beyond the last environment repeat it and are never written.

@@ -15,7 +15,7 @@ pub struct Moment {
     pub hand_goals: Vec<[f64; 6]>,
     /// Target attitude of the base, Euler angles (rad).
     pub base_goal: [f64; 3],
-    /// Joint velocity commands of the step (rad/s); of the step before, if the policy failed.
+    /// Joint velocity commands of the step (rad/s); if the policy failed, those of the step before for its agent and the ones after it.
     pub command: Vec<f64>,
 }
 

@@ -158,8 +158,8 @@ fn write_rows<S: Real>(rows: &mut [f32], n: usize, features: &[S]) {
         for (i, slot) in values.iter_mut().enumerate().take(S::LANES) {
             *slot = value.lane(i) as f32;
         }
-        if lanes == LANES {
-            for (lane, &value) in values.iter().enumerate() {
+        if lanes == S::LANES {
+            for (lane, &value) in values.iter().enumerate().take(S::LANES) {
                 rows[lane * width + feature] = value;
             }
         } else {

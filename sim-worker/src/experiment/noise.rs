@@ -17,7 +17,7 @@ use crate::task::Readings;
 pub struct SensorNoise {
     /// Of positions of base and hands, each axis (m).
     pub position: f64,
-    /// Of joint angles, and of attitudes about each axis (rad).
+    /// Of joint angles, of the base's attitude about each axis and of hands' Euler angles (rad).
     pub angle: f64,
     /// Of linear velocities, each axis (m/s).
     pub velocity: f64,

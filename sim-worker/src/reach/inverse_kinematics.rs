@@ -68,7 +68,7 @@ fn residual(target: &Isometry3<f64>, hand: &Isometry3<f64>) -> Vector6<f64> {
 }
 
 /// At most `iterations` steps from `q` towards `target` (base frame); the angles, and the length of
-/// the residual that is left.
+/// the residual before the last step.
 pub(super) fn approach(
     robot: &Robot,
     arm: usize,
@@ -121,7 +121,7 @@ pub(super) fn solvable(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> bo
 }
 
 /// Joint angles that bring the hand of `arm` to `target` (base frame) or near it, each joint within
-/// half a turn of home; those first that leave less, and of equally good ones those nearer to home.
+/// half a turn of home: solutions first, then near misses, of each those nearer to home first.
 pub(super) fn candidates(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> Vec<Angles> {
     let home = robot.arms[arm].home;
     let mut found: Vec<(Angles, bool, f64)> = Vec::new();

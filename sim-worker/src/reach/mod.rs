@@ -83,7 +83,7 @@ pub fn reach(
 
 /// Whether inverse kinematics has a solution for the hand goals of evaluation episodes with the base
 /// where each of them ended, stops and contacts aside: `[episode][arm]`, one episode for each of `ends`. What
-/// is told is an upper bound of what a policy could still have reached there.
+/// is told is, but for solutions that no start finds, an upper bound of what a policy could still have reached there.
 pub fn within_reach(world: &World, seed: u64, ends: &[&Pose], threads: usize) -> Vec<Vec<bool>> {
     let robot = &world.robot;
     let mut results = vec![Vec::new(); ends.len()];

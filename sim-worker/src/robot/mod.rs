@@ -139,8 +139,6 @@ pub struct Link {
     pub name: String,
     /// The next link frame's origin: (a, 0, d) (m).
     pub shift: Vector3<f64>,
-    /// Twist to the next link frame, about x (rad).
-    pub alpha: f64,
     /// Rotation about x by the twist; right angles are exact.
     pub twist: Matrix3<f64>,
     /// Inertial in the link frame.
@@ -356,6 +354,10 @@ impl Robot {
             .enumerate()
             .map(|(i, link)| resolve_link(&check, i, link))
             .collect::<Result<Vec<_>, _>>()?;
+        let link_names: Vec<&str> = d.links.iter().map(|link| link.name.as_str()).collect();
+        check.names("links", &link_names, &["mount", "pedestal"])?;
+        let arm_names: Vec<&str> = d.arms.iter().map(|arm| arm.name.as_str()).collect();
+        check.names("arms", &arm_names, &[])?;
         check.finite("tool.position", &d.tool.position)?;
         let last = &links[JOINTS_PER_ARM - 1];
         let tool_position = last.shift + last.twist * Vector3::from(d.tool.position);
@@ -467,6 +469,24 @@ impl Check {
             &format!("{value}"),
             "a finite number above zero",
         )
+    }
+
+    /// Names by which files, messages and MJCF tell parts apart.
+    fn names(&self, list: &str, names: &[&str], taken: &[&str]) -> Result<(), RobotError> {
+        for (i, name) in names.iter().enumerate() {
+            let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+            let free = !names[..i].contains(name) && !taken.contains(name);
+            self.that(
+                free && !name.is_empty() && name.chars().all(plain),
+                &format!("{list}[{i}].name"),
+                &format!("{name:?}"),
+                &format!(
+                    "letters, digits, `-` and `_`, other than {:?} and the names before it",
+                    taken
+                ),
+            )?;
+        }
+        Ok(())
     }
 }
 
@@ -602,7 +622,6 @@ fn resolve_link(
     Ok(Link {
         name: link.name.clone(),
         shift,
-        alpha: dh.alpha_deg.to_radians(),
         twist,
         body: body.moved(&twist, &shift),
         armature: link.armature,
@@ -653,6 +672,12 @@ fn resolve_stop(
         &format!("{key}.narrowing"),
         &stop.narrowing.to_string(),
         "at least zero and less than half of the interval",
+    )?;
+    check.that(
+        !stop.push || d.links[stop.joint - 1].armature > 0.0,
+        &format!("{key}.push"),
+        "true at a joint whose link has no armature",
+        "an armature above zero, which is the mass that a stop pushes against",
     )?;
     Ok(Stop {
         pair,

@@ -61,6 +61,14 @@ fn bad_descriptions_name_file_key_and_expectation() {
         ("radius = 0.0595", "radius = -1.0", &["capsules[0].radius"]),
         ("joint = 2", "joint = 7", &["stops[0].joint", "1 to 6"]),
         ("\"upper_arm\"]", "\"elbow\"]", &["stops[0].pair", "elbow"]),
+        ("name = \"forearm\"", "name = \"mount\"", &["links[2].name", "mount"]),
+        ("name = \"minus_y\"", "name = \"plus_y\"", &["arms[1].name", "before it"]),
+        ("name = \"minus_z\"", "name = \"minus<z\"", &["arms[3].name", "letters"]),
+        (
+            "0.3553, 0.0, 0.0, 0.0]\narmature = 1.0",
+            "0.3553, 0.0, 0.0, 0.0]\narmature = 0.0",
+            &["stops[0].push", "armature"],
+        ),
         ("size = [0.8726", "size = [0.0", &["base[0] (cube).size"]),
     ] {
         let message = error_of(from, to);

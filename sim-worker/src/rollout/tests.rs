@@ -121,8 +121,8 @@ fn single_precision_lanes_follow_the_f64_twin() {
         let lanes = block(&world, 0, 0);
         let mut twin = vec![0.0; world.block_layout().len];
         rollout_with::<f64>(&world, &spec, &mut twin).expect("a block");
-        // Single precision carries 6e-8 relative per operation; 40 substeps of about a thousand
-        // operations each add like a random walk, 200 × 6e-8 = 1e-5 a step, on numbers up to 6
+        // Single precision carries 6e-8 relative per operation; 27 substeps of about a thousand
+        // operations each add like a random walk, 164 × 6e-8 = 1e-5 a step, on numbers up to 6
         // (rates up to 2.5 rad/s). Rewards magnify: d log10(e²)/de = 0.87/e ≤ 9 for e ≥ 0.1.
         let layout = world.block_layout();
         for (range, tolerance) in [

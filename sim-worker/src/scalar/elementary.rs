@@ -19,7 +19,7 @@ fn horner<S: Real, const N: usize>(x: S, coefficients: [f64; N]) -> S {
     y
 }
 
-/// Sine and cosine; at most 2 ulp for |x| ≤ 1000 rad (absolute error 1e-7 where the result is small beyond that).
+/// Sine and cosine; for |x| ≤ 1000 rad at most 2 ulp of the larger of the result and 0.01.
 #[inline(always)]
 pub fn sin_cos<S: Real>(x: S) -> (S, S) {
     // x = j·π/2 + r, |r| ≤ π/4; π/2 in two f32 parts, so that the two fused products lose nothing down to 1e-15·j.

@@ -18,11 +18,7 @@ mod avx2;
 mod avx512;
 mod portable;
 
-#[cfg(target_arch = "x86_64")]
-pub use avx2::F32x16Avx2;
-#[cfg(target_arch = "x86_64")]
-pub use avx512::{eight::F32x8Avx512, sixteen::F32x16Avx512};
-pub use portable::F32x16Portable;
+use portable::F32x16Portable;
 
 /// A computation over lanes, to be compiled once per lane type.
 ///
@@ -132,7 +128,7 @@ macro_rules! bit_mask {
     ($mask:ident, $bits:ident) => {
         /// One bit per lane.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub struct $mask($bits);
+        pub(crate) struct $mask($bits);
 
         impl BitAnd for $mask {
             type Output = Self;
@@ -223,7 +219,7 @@ macro_rules! operator {
             #[inline(always)]
             fn $f(self, other: Self) -> Self {
                 let ($a, $b) = (self, other);
-                // SAFETY: values of this type exist only where `dispatch_on` has found the processor features.
+                // SAFETY: values of this type exist only where `dispatch_on` or `dispatch_for` has found the processor features.
                 unsafe { $e }
             }
         }

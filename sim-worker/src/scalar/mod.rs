@@ -36,11 +36,9 @@ mod single;
 
 pub(crate) use bf16::bias as bf16_bias;
 pub use bf16::{PairKernel, WeightPair};
-pub use lanes::{Backend, F32x16Portable, LaneFn, dispatch, dispatch_for, dispatch_on};
-#[cfg(target_arch = "x86_64")]
-pub use lanes::{F32x8Avx512, F32x16Avx2, F32x16Avx512};
+pub use lanes::{Backend, LaneFn, dispatch, dispatch_for, dispatch_on};
 
-/// Number of environments that lane types carry, but for those of eight lanes.
+/// Lanes of the lane types; where there are few environments, [`dispatch_for`] has one of eight.
 pub const LANES: usize = 16;
 
 /// One truth value per lane.

@@ -72,7 +72,7 @@ impl<'a, S: Real> Writer<'a, S> {
         assert_eq!(self.at, self.out.len(), "layout and size in proto differ");
     }
 
-    /// Base as all arms see it, in the world: 13 numbers.
+    /// Base as all arms see it: 13 numbers; position, attitude and linear velocity in the world's axes, angular velocity in its own.
     #[inline(always)]
     pub(super) fn put_base(&mut self, task: &Task, readings: &Readings<S>) {
         self.put(&base_offset(task, readings));

@@ -1,7 +1,7 @@
 //! The numbers a critic sees.
 //!
 //! * `concatenated`: the observations of all agents, one after the other, A · O numbers.
-//! * `compact`: every quantity once: base 13, in the world's axes, and errors in the base's; for
+//! * `compact`: every quantity once: base 13 (angular velocity in its own axes, the rest in the world's), and errors in the base's; for
 //!   `reorientation` the base's errors, plain 3 and squashed 6; then for each arm its joint angles
 //!   (6, or as sines and cosines 12) and rates 6, for `trajectory` its hand's errors, plain 6 and
 //!   squashed 12, and its last action 6.

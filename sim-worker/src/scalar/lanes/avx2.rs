@@ -19,11 +19,11 @@ use crate::scalar::{Kernel, LANES, Mask, Real, elementary};
 
 /// Sixteen `f32` in two AVX registers; needs AVX2 and FMA.
 #[derive(Clone, Copy, Debug)]
-pub struct F32x16Avx2(__m256, __m256);
+pub(crate) struct F32x16Avx2(__m256, __m256);
 
 /// All bits of a lane set or none, in two AVX registers.
 #[derive(Clone, Copy, Debug)]
-pub struct Mask2x8(__m256, __m256);
+pub(crate) struct Mask2x8(__m256, __m256);
 
 /// Applies an intrinsic to both halves.
 macro_rules! both {

@@ -1,6 +1,6 @@
 //! `f32` in one register of AVX-512: sixteen in one of 512 bits, eight in one of 256.
 //!
-//! Eight do as much in the same time on processors that work through 512 bits in two halves, and are there for groups that would leave half of sixteen idle.
+//! Where a processor works through 512 bits in two halves, eight lanes have the same throughput; they are for groups that would leave half of sixteen idle.
 #![expect(unsafe_code, reason = "vector intrinsics have no safe form")]
 #![allow(clippy::wildcard_imports, reason = "both widths see the same names")]
 
@@ -22,11 +22,11 @@ macro_rules! back_end {
     ($vector:ident, $mask:ident($bits:ident), $pair:ident, $lanes:literal) => {
         #[doc = concat!("Two bfloat16 in each of ", stringify!($lanes), " lanes.")]
         #[derive(Clone, Copy, Debug)]
-        pub struct $pair(Ints);
+        pub(crate) struct $pair(Ints);
 
-        #[doc = concat!(stringify!($lanes), " `f32` in one AVX-512 register.")]
+        #[doc = concat!(stringify!($lanes), " `f32` in one register.")]
         #[derive(Clone, Copy, Debug)]
-        pub struct $vector(Floats);
+        pub(crate) struct $vector(Floats);
 
         operator!($vector, Add, add, |a, b| $vector(add_ps(a.0, b.0)));
         operator!($vector, Sub, sub, |a, b| $vector(sub_ps(a.0, b.0)));

@@ -10,7 +10,7 @@ use crate::scalar::{LANES, Mask, Real, elementary};
 /// Sixteen `f32` in plain Rust: any processor. Without hardware fused multiply-add it is slow and still right.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
-pub struct F32x16Portable([f32; LANES]);
+pub(crate) struct F32x16Portable([f32; LANES]);
 
 impl F32x16Portable {
     #[inline(always)]
