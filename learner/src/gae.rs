@@ -55,30 +55,6 @@ impl Gae {
         }
         advantage
     }
-
-    /// [`Self::advantages`] of one agent and one environment, written as the loop that the
-    /// equations are; the twin that tests compare with.
-    ///
-    /// `value` holds one more entry than the others.
-    pub fn advantages_of_one(
-        &self,
-        reward: &[f64],
-        value: &[f64],
-        terminated: &[bool],
-        truncated: &[bool],
-    ) -> Vec<f64> {
-        let mut advantage = vec![0.0; reward.len()];
-        let mut next = 0.0;
-        for step in (0..reward.len()).rev() {
-            let has_future = !terminated[step] && (self.bootstrap_truncated || !truncated[step]);
-            let future = if has_future { value[step + 1] } else { 0.0 };
-            let delta = reward[step] + self.gamma * future - value[step];
-            let carried = if terminated[step] || truncated[step] { 0.0 } else { next };
-            advantage[step] = delta + self.gamma * self.lambda * carried;
-            next = advantage[step];
-        }
-        advantage
-    }
 }
 
 /// Standardises `[A, …]` advantages over the samples of each agent: zero mean, unit variance
@@ -99,6 +75,27 @@ mod tests {
     const REWARD: [f64; 3] = [1.0, 2.0, 3.0];
     const VALUE: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
 
+    /// [`Gae::advantages`] of one agent and one environment, written as the loop that the equations are. `value` holds one more entry than the others.
+    fn advantages_of_one(
+        gae: Gae,
+        reward: &[f64],
+        value: &[f64],
+        terminated: &[bool],
+        truncated: &[bool],
+    ) -> Vec<f64> {
+        let mut advantage = vec![0.0; reward.len()];
+        let mut next = 0.0;
+        for step in (0..reward.len()).rev() {
+            let has_future = !terminated[step] && (gae.bootstrap_truncated || !truncated[step]);
+            let future = if has_future { value[step + 1] } else { 0.0 };
+            let delta = reward[step] + gae.gamma * future - value[step];
+            let carried = if terminated[step] || truncated[step] { 0.0 } else { next };
+            advantage[step] = delta + gae.gamma * gae.lambda * carried;
+            next = advantage[step];
+        }
+        advantage
+    }
+
     fn one(gae: Gae, terminated: [bool; 3], truncated: [bool; 3]) -> Vec<f64> {
         let tensor = |x: &[f64], len: i64| Tensor::from_slice(x).view([1, len, 1]);
         let flags =
@@ -110,7 +107,7 @@ mod tests {
             &flags(truncated),
         );
         let vectorised = Vec::<f64>::try_from(vectorised.view([-1])).expect("a vector");
-        let loop_twin = gae.advantages_of_one(&REWARD, &VALUE, &terminated, &truncated);
+        let loop_twin = advantages_of_one(gae, &REWARD, &VALUE, &terminated, &truncated);
         for (a, b) in vectorised.iter().zip(&loop_twin) {
             assert!((a - b).abs() < 1e-15, "{vectorised:?} {loop_twin:?}");
         }

@@ -337,6 +337,8 @@ impl Learner {
         let digest_s = begun.elapsed().as_secs_f64();
         let begun = Instant::now();
         if self.run.plans_snapshot(self.trainer.state.iteration) {
+            // One that was asked for meanwhile would be the same.
+            self.ports.wants_snapshot = false;
             self.take_snapshot();
         }
         let copy_s = begun.elapsed().as_secs_f64();

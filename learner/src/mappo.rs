@@ -393,9 +393,13 @@ impl Group {
                 let rows = order.narrow(0, start, bound(mini_batch + 1) - start);
                 let step = (epoch, mini_batch);
                 job.work.fetch_add(1, Ordering::Relaxed);
-                let kl =
-                    self.actor_step(job, actor, &samples, &rows, &mut active, &mut sums, step)?;
-                add(&mut last_kl, kl.iter().map(|kl| kl / options.mini_batches as f64));
+                // Actors that are held back stay where they are; how far that is, only steering asks for.
+                let idle = !active.contains(&true) && options.target_kl == 0.0 && trace.is_none();
+                if !idle {
+                    let kl =
+                        self.actor_step(job, actor, &samples, &rows, &mut active, &mut sums, step)?;
+                    add(&mut last_kl, kl.iter().map(|kl| kl / options.mini_batches as f64));
+                }
                 self.critic_step(job, critic, &samples, &rows, moments.as_ref(), &mut sums, step)?;
                 if let Some(trace) = trace.as_deref_mut() {
                     let recorded = |half: &Half| {

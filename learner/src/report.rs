@@ -65,7 +65,8 @@ pub(crate) fn interleaved<T: Copy, G: AsRef<[T]>>(groups: &[G]) -> Vec<T> {
 
 /// Sums of statistics over optimiser steps.
 pub(crate) struct Sums {
-    steps: f64,
+    actor_steps: f64,
+    critic_steps: f64,
     policy: Vec<f64>,
     kl: Vec<f64>,
     clipped: Vec<f64>,
@@ -83,7 +84,8 @@ impl Sums {
     pub(crate) fn new(actors: usize) -> Self {
         let zeros = || vec![0.0; actors];
         Self {
-            steps: 0.0,
+            actor_steps: 0.0,
+            critic_steps: 0.0,
             policy: zeros(),
             kl: zeros(),
             clipped: zeros(),
@@ -103,7 +105,7 @@ impl Sums {
         clipped: impl Iterator<Item = f64>,
         norms: &[f64],
     ) {
-        self.steps += 1.0;
+        self.actor_steps += 1.0;
         self.last_policy = policy.collect();
         add(&mut self.policy, self.last_policy.iter().copied());
         add(&mut self.kl, kl);
@@ -113,6 +115,7 @@ impl Sums {
 
     /// Adds a step of the critics.
     pub(crate) fn critic(&mut self, value: impl Iterator<Item = f64>, norms: &[f64]) {
+        self.critic_steps += 1.0;
         self.last_value = value.collect();
         add(&mut self.value, self.last_value.iter().copied());
         add(&mut self.critic_norm, norms.iter().copied());
@@ -120,15 +123,16 @@ impl Sums {
 
     /// The means; zeros if there were no steps.
     pub(crate) fn means(self) -> UpdateReport {
-        let steps = self.steps.max(1.0);
-        let mean = |sums: Vec<f64>| sums.iter().map(|sum| sum / steps).collect();
+        let mean =
+            |sums: Vec<f64>, steps: f64| sums.iter().map(|sum| sum / steps.max(1.0)).collect();
+        let (actor, critic) = (self.actor_steps, self.critic_steps);
         UpdateReport {
-            policy_loss: mean(self.policy),
-            kl: mean(self.kl),
-            clip_fraction: mean(self.clipped),
-            actor_grad_norm: mean(self.actor_norm),
-            value_loss: mean(self.value),
-            critic_grad_norm: mean(self.critic_norm),
+            policy_loss: mean(self.policy, actor),
+            kl: mean(self.kl, actor),
+            clip_fraction: mean(self.clipped, actor),
+            actor_grad_norm: mean(self.actor_norm, actor),
+            value_loss: mean(self.value, critic),
+            critic_grad_norm: mean(self.critic_norm, critic),
             ..UpdateReport::default()
         }
     }

@@ -121,16 +121,31 @@ fn an_update_counts_its_mini_batches_while_it_makes_them() {
 #[test]
 fn what_is_learned_does_not_depend_on_the_number_of_threads() {
     let _alone = crate::alone();
-    for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
-        let digest = |threads: &str| {
-            let mut run = Run::new(&config(&[threads]), arithmetic);
-            run.update(1);
-            run.update(2);
-            run.state.digest()
-        };
-        let alone = digest("run.learner_threads=1");
-        for threads in ["run.learner_threads=2", "run.learner_threads=3", "run.learner_threads=4"] {
-            assert_eq!(digest(threads), alone, "{threads} {arithmetic:?}");
+    let of_its_own: &[&str] =
+        &["run.learner_threads=2", "run.learner_threads=3", "run.learner_threads=4"];
+    // Two networks are shared among eight agents: up to two threads.
+    let shared: &[&str] = &["run.learner_threads=2"];
+    for (variant, more) in [
+        (&[][..], of_its_own),
+        (&["network.parameter_sharing=roles"], shared),
+        (&["network.parameter_sharing=roles", "algorithm.max_kl=0.001"], shared),
+        (
+            &["network.parameter_sharing=roles", "algorithm.name=ippo", "network.critic_state=own"],
+            shared,
+        ),
+    ] {
+        for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
+            let digest = |threads: &str| {
+                let config = config(&[variant, &[threads]].concat());
+                let mut run = Run::new(&config, arithmetic);
+                run.update(1);
+                run.update(2);
+                run.state.digest()
+            };
+            let alone = digest("run.learner_threads=1");
+            for threads in more {
+                assert_eq!(digest(threads), alone, "{variant:?} {threads} {arithmetic:?}");
+            }
         }
     }
 }
@@ -214,6 +229,29 @@ fn a_kl_limit_holds_agents_back() {
     assert_eq!(steps(&free), [20; 4], "five epochs of four mini-batches");
     // Log-probabilities of the synthetic blocks are not the network's: over the limit at once.
     assert_eq!(steps(&held), [0; 4]);
+}
+
+#[test]
+fn nothing_is_computed_for_actors_that_are_held_back() {
+    let _alone = crate::alone();
+    // Log-probabilities of the synthetic blocks are not the network's: over the limit soon.
+    let config = config(&["algorithm.max_kl=0.02", "algorithm.name=ppo", "run.learner_threads=1"]);
+    let update = |trace: Option<&mut Trace>| {
+        let mut run = Run::new(&config, Arithmetic::F32);
+        let blocks = blocks(&run.dimensions, 1);
+        let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+        let report = run.mappo.update_traced(&mut run.state, &shards, trace).expect("finite");
+        (run.state.digest(), run.state.actor.adam.steps.clone(), report)
+    };
+    let mut trace = Trace::default();
+    // A trace has every step's gradient, also of steps that are not made.
+    let (all, steps, every) = update(Some(&mut trace));
+    let (spared, _, made) = update(None);
+    assert!(steps[0] < 20, "held back: {steps:?}");
+    assert_eq!(trace.gradients.len(), 20);
+    assert_eq!(all, spared);
+    assert_eq!(every.value_loss, made.value_loss, "critics go on");
+    assert_ne!(every.kl, made.kl, "means over the steps that were looked at");
 }
 
 #[test]
