@@ -76,9 +76,6 @@ pub enum LearnerError {
     /// The device is not there.
     #[error("{0}")]
     Device(String),
-    /// libtorch reports an error.
-    #[error("libtorch: {0}")]
-    Torch(#[from] tch::TchError),
     /// A channel fails.
     #[error(transparent)]
     Channel(#[from] ChannelError),

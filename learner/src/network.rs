@@ -15,7 +15,7 @@ use std::collections::BTreeSet;
 use proto::config::{Config, CriticState, InputNorm, Network, ParameterSharing};
 use proto::layout::{AGENTS_PER_ARM, Dimensions};
 use proto::rng::{Address, Purpose};
-use tch::{Device, Kind, Tensor};
+use tch::{Kind, Tensor};
 
 /// Name, shape and columns of one parameter.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -330,15 +330,11 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + rest
 }
 
-/// A zeroed tensor `[A, P]` beside the parameters of `spec`.
-pub fn zeros_like(spec: &NetworkSpec, device: Device) -> Tensor {
-    Tensor::zeros([spec.n_actors as i64, spec.len], (Kind::Float, device))
-}
-
 #[cfg(test)]
 mod tests {
     use proto::config::{Config, Layers, Preset, TaskName};
     use proto::layout::ActorLayout;
+    use tch::Device;
 
     use super::*;
 

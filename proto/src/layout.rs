@@ -371,18 +371,16 @@ pub struct SnapshotHeader {
     pub digest: [u8; 16],
 }
 
-/// Hash of every layout in this module, part of each channel's name: programs of different
-/// layouts do not find each other's channels, instead of reading garbage.
+/// Hash of the text that every layout and message is written in, part of each channel's name:
+/// programs of different layouts do not find each other's channels, instead of reading garbage.
 pub fn layout_hash() -> String {
-    let description = format!(
-        "v1 block {} {} policy {} snapshot {} bincode-standard {}",
-        size_of::<BlockHeader>(),
-        std::any::type_name::<BlockHeader>(),
-        size_of::<PolicyHeader>(),
-        size_of::<SnapshotHeader>(),
+    let text = concat!(
+        include_str!("layout.rs"),
+        include_str!("message.rs"),
+        include_str!("digest.rs"),
         env!("CARGO_PKG_VERSION"),
     );
-    blake3::hash(description.as_bytes()).to_hex()[..8].to_owned()
+    blake3::hash(text.as_bytes()).to_hex()[..8].to_owned()
 }
 
 #[cfg(test)]

@@ -133,7 +133,7 @@ pub enum Progress {
         /// The arithmetic in use: `f32` or `bf16`.
         precision: String,
     },
-    /// The learner is alive: sent about once a second while it waits, and while its update moves on.
+    /// The learner is alive: sent about twice a second while it waits, and while its update moves on.
     Heartbeat,
     /// A block has arrived.
     BlockReceived {
@@ -233,7 +233,7 @@ pub struct IterationReport {
     pub critic_lr: f64,
     /// Mean standard deviation of the actions.
     pub action_std: f32,
-    /// What became of every step, law 8.
+    /// What became of every env-step.
     pub accounting: Accounting,
     /// Where the learner's time went.
     pub timing: Timing,
@@ -248,7 +248,7 @@ pub struct Losses {
     pub value: f32,
     /// Entropy of the action distribution (nats).
     pub entropy: f32,
-    /// KL divergence from the sampling policy, estimator k3 of Schulman (nats).
+    /// KL divergence from the sampling policy, estimator k3 of Schulman (nats), over the steps before `algorithm.max_kl` ends them; MADDPG has none.
     pub kl: f32,
     /// Share of samples whose ratio was clipped.
     pub clip_fraction: f32,
@@ -325,12 +325,11 @@ pub fn decode<M: for<'de> Deserialize<'de>>(bytes: &[u8]) -> Result<M, String> {
 /// What a decoder is willing to read (bytes): more than any channel carries.
 const MAX_MESSAGE_LEN: usize = 64 * 1024;
 
-/// Cuts a text that came from anywhere to what fits in a status message.
+/// Cuts a text that came from anywhere to what fits in a status message: 2,000 bytes.
 pub fn clip(text: &str) -> String {
-    const LIMIT: usize = 2000;
-    match text.char_indices().nth(LIMIT) {
-        Some((end, _)) => format!("{}…", &text[..end]),
-        None => text.to_owned(),
+    match text.floor_char_boundary(2000) {
+        end if end < text.len() => format!("{}…", &text[..end]),
+        _ => text.to_owned(),
     }
 }
 

@@ -48,7 +48,7 @@ pub struct Address {
     pub env: u32,
     /// Control step within the episode.
     pub step: u32,
-    /// Agent and, in the upper bits, which group of four words: below 2^24.
+    /// What tells draws of one step apart (agent, group of four words), as the purpose has it: below 2^24.
     pub index: u32,
 }
 
@@ -56,7 +56,7 @@ impl Address {
     /// Four uniform 32-bit words.
     #[inline]
     pub fn words(self) -> [u32; 4] {
-        debug_assert!(self.index < 1 << 24, "index {} does not fit in 24 bits", self.index);
+        assert!(self.index < 1 << 24, "index {} does not fit in 24 bits", self.index);
         philox4x32_10(
             [self.step, self.index | (self.purpose as u32) << 24, self.env, self.iteration],
             [self.seed as u32, (self.seed >> 32) as u32],
@@ -108,7 +108,7 @@ pub fn philox4x32_10(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
 
 /// The permutation of `0..n` for `address`, by Fisher and Yates with rejection-free scaling.
 ///
-/// Only `seed`, `purpose`, `iteration` and `env` of the address are used; `step` counts draws.
+/// `step` of the address is not used: it counts groups of four draws.
 pub fn permutation(address: Address, n: usize) -> Vec<i64> {
     let mut items: Vec<i64> = (0..n as i64).collect();
     let mut words = [0; 4];

@@ -387,11 +387,6 @@ impl<M: Serialize> MessageSender<M> {
         self.bells.iter().for_each(Bell::ring);
         Ok(())
     }
-
-    /// Connects to receivers that appeared since the last send.
-    pub fn update_connections(&self) {
-        let _ = self.publisher.update_connections();
-    }
 }
 
 /// Receives control messages.

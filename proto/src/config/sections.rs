@@ -400,7 +400,7 @@ pub struct Algorithm {
     pub bootstrap_truncated: bool,
     /// Limit of the gradient's global norm, actor and critic apart, per agent; 0 turns it off.
     pub max_grad_norm: f64,
-    /// Ends an iteration's epochs for an agent when its KL divergence passes this; 0 turns it off.
+    /// Ends an iteration's steps of an actor when its KL divergence passes this, the mean over its agents; the critic goes on. 0 turns it off.
     pub max_kl: f64,
     /// What only MADDPG uses. Of the keys above it uses `gamma`, `bootstrap_truncated` and
     /// `max_grad_norm`. Configurations from before MADDPG go on without.
@@ -811,7 +811,8 @@ impl Config {
         within("algorithm.entropy_coefficient", algorithm.entropy_coefficient, 0.0, 100.0)?;
         within("algorithm.value_coefficient", algorithm.value_coefficient, 0.0, 1e6)?;
         within("algorithm.huber_delta", algorithm.huber_delta, 0.0, 1e9)?;
-        within("algorithm.value_norm_beta", algorithm.value_norm_beta, 0.0, 1.0)?;
+        // Beyond, the normaliser would not begin within an update (its average of ones has a floor of 1e-5).
+        within("algorithm.value_norm_beta", algorithm.value_norm_beta, 0.0, 0.99999)?;
         within("algorithm.surrogate_multiplier", algorithm.surrogate_multiplier, 0.0, 1e6)?;
         within("algorithm.max_grad_norm", algorithm.max_grad_norm, 0.0, 1e9)?;
         within("algorithm.max_kl", algorithm.max_kl, 0.0, 1e9)?;
