@@ -89,18 +89,22 @@ impl Cause {
         }
     }
 
-    /// What the coordinator ends with if this ends the run: what the child said, where that is about
-    /// the machine or the files, or that a child failed.
+    /// What the coordinator ends with if this ends the run: what the child [`said`], or that it failed.
     pub fn exit_code(self) -> ExitCode {
-        let said = match self {
-            Self::Crash(status) => status.code(),
-            Self::Hang | Self::Killed(_) => None,
-        };
-        [ExitCode::BadInput, ExitCode::Environment, ExitCode::RunDirectory]
-            .into_iter()
-            .find(|code| said == Some(*code as i32))
-            .unwrap_or(ExitCode::Child)
+        match self {
+            Self::Crash(status) => said(status),
+            Self::Hang | Self::Killed(_) => ExitCode::Child,
+        }
     }
+}
+
+/// What a child said with its exit code, where that is about the machine or the files; else that a
+/// child failed.
+pub fn said(status: ExitStatus) -> ExitCode {
+    [ExitCode::BadInput, ExitCode::Environment, ExitCode::RunDirectory]
+        .into_iter()
+        .find(|code| status.code() == Some(*code as i32))
+        .unwrap_or(ExitCode::Child)
 }
 
 impl std::fmt::Display for Cause {
@@ -131,6 +135,15 @@ impl Deaths {
             Cause::Killed(_) => self.kills += 1,
             Cause::Crash(_) | Cause::Hang => self.crashes += 1,
         }
+    }
+
+    /// These and one more, of a process that had lived for `lived`.
+    fn and(self, cause: Cause, lived: Duration) -> Self {
+        // Who hangs lives on for as long as silence is borne, which may be longer, and has done nothing.
+        let settled = lived > SETTLED && cause != Cause::Hang;
+        let mut deaths = if settled { Self::default() } else { self };
+        deaths.count(cause);
+        deaths
     }
 
     /// All of them.
@@ -168,7 +181,8 @@ pub struct ProcessView {
     pub leaving: bool,
 }
 
-/// All children of a run. Dropping it kills and reaps them.
+/// All children of a run. [`Self::close`] ends them. Without it they die with the thread that started
+/// them, as they asked the kernel to kill them then, and the janitor removes what is left.
 #[derive(Debug)]
 pub struct Supervisor {
     programs: Programs,
@@ -195,6 +209,8 @@ pub struct Supervisor {
 const MAX_CRASHES: u32 = 5;
 /// The same for deaths by a signal from outside, which say less.
 const MAX_KILLS: u32 = 50;
+/// Who has lived for this long did not die of what killed its predecessors.
+const SETTLED: Duration = Duration::from_mins(1);
 /// First back-off; doubles with every failure in a row.
 const BACK_OFF: Duration = Duration::from_millis(50);
 /// How long a worker that was asked to go may take for the block at hand.
@@ -383,11 +399,7 @@ impl Supervisor {
                 WorkerState::Running { child, started, hung } => {
                     let Ok(Some(status)) = child.try_wait() else { continue };
                     let cause = Cause::of(status, *hung);
-                    // Who has worked for a while did not die of what killed it before.
-                    if started.elapsed() > Duration::from_mins(1) {
-                        slot.deaths = Deaths::default();
-                    }
-                    slot.deaths.count(cause);
+                    slot.deaths = slot.deaths.and(cause, started.elapsed());
                     let delay = BACK_OFF * 2_u32.pow((slot.deaths.total() - 1).min(6));
                     slot.state = WorkerState::Due { after: now + delay };
                     deaths.push(Death::Worker(worker, cause));
@@ -555,10 +567,13 @@ impl Supervisor {
     /// Kills what still runs, removes the domain's leftovers and sends the janitor home.
     pub fn close(mut self) {
         self.kill_all();
-        if let Err(error) = self.domain.remove_leftovers() {
-            tracing::warn!(%error, "shared memory of this run could not be removed");
+        match self.domain.remove_leftovers() {
+            Ok(_) => self.janitor.dismiss(),
+            // The janitor tries once more when its pipe is closed, which it is without that word.
+            Err(error) => {
+                tracing::warn!(%error, "shared memory of this run could not be removed");
+            }
         }
-        self.janitor.dismiss();
     }
 }
 
@@ -568,4 +583,25 @@ pub fn log_tail(path: &Path, lines: usize) -> String {
     let text = String::from_utf8_lossy(&text);
     let tail: Vec<_> = text.lines().rev().take(lines).collect();
     tail.into_iter().rev().collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn deaths(cause: Cause, lived: Duration, times: u32) -> Deaths {
+        (0..times).fold(Deaths::default(), |deaths, _| deaths.and(cause, lived))
+    }
+
+    #[test]
+    fn who_hangs_again_and_again_is_given_up_however_long_silence_is_borne() {
+        // A second more than the default of run.order_deadline_s, after which it is killed.
+        let silent = deaths(Cause::Hang, Duration::from_secs(61), MAX_CRASHES);
+        assert!(silent.are_too_many(MAX_CRASHES, MAX_KILLS), "{silent:?}");
+        let crash = Cause::Crash(ExitStatus::from_raw(Signal::SEGV.as_raw()));
+        let rare = deaths(crash, Duration::from_hours(1), 10 * MAX_CRASHES);
+        assert_eq!(rare.total(), 1, "an hour of work lies between any two of them");
+        let often = deaths(crash, Duration::from_secs(1), MAX_CRASHES);
+        assert!(often.are_too_many(MAX_CRASHES, MAX_KILLS), "{often:?}");
+    }
 }

@@ -3,14 +3,14 @@
 use std::fs::File;
 use std::io::Read as _;
 use std::os::unix::process::CommandExt as _;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
 
 use super::Bench;
-use crate::supervisor::log_tail;
+use crate::supervisor::{log_tail, said};
 
 /// How often a program is asked whether it has ended: seldom enough to cost nothing.
 const PATIENCE: Duration = Duration::from_millis(10);
@@ -65,22 +65,13 @@ pub(super) fn output_of(
     };
     if !status.success() {
         let message = format!("{program} failed ({status}):\n{}", log_tail(&log, 5));
-        return Err(ExitError::new(code(status), message).into());
+        return Err(ExitError::new(said(status), message).into());
     }
     let mut text = String::new();
     if let Some(mut stdout) = running.0.stdout.take() {
         stdout.read_to_string(&mut text).context("a child's output cannot be read")?;
     }
     Ok(text)
-}
-
-/// What the program said with its exit code, if that is about the machine or the input; else that a
-/// child failed.
-fn code(status: ExitStatus) -> ExitCode {
-    [ExitCode::BadInput, ExitCode::Environment, ExitCode::RunDirectory]
-        .into_iter()
-        .find(|code| status.code() == Some(*code as i32))
-        .unwrap_or(ExitCode::Child)
 }
 
 pub(super) fn environment(message: String) -> ExitError {

@@ -7,15 +7,15 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use proto::ExitError;
 use proto::run_dir::RunDir;
-use proto::{ExitCode, ExitError};
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::Bench;
 use super::child::Running;
 use super::figures::{Figure, Figures};
 use crate::report::jsonl;
-use crate::supervisor::log_tail;
+use crate::supervisor::{log_tail, said};
 
 /// Iterations that count, at least; the first one does not.
 const ITERATIONS: usize = 3;
@@ -138,12 +138,8 @@ impl Run {
             return Ok(());
         };
         self.ended = true;
-        let code = [ExitCode::BadInput, ExitCode::Environment, ExitCode::RunDirectory]
-            .into_iter()
-            .find(|code| status.code() == Some(*code as i32))
-            .unwrap_or(ExitCode::Child);
-        let said = log_tail(&self.log, 5);
-        Err(ExitError::new(code, format!("the training ended ({status}):\n{said}")).into())
+        let end = log_tail(&self.log, 5);
+        Err(ExitError::new(said(status), format!("the training ended ({status}):\n{end}")).into())
     }
 
     fn signal(&self) {
