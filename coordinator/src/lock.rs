@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use proto::channel::Domain;
 use rustix::fs::{FlockOperation, flock};
@@ -26,16 +27,17 @@ pub struct Holder {
 pub enum LockError {
     /// Another coordinator runs there.
     #[error(
-        "{path}: a run is going on in this directory (process {pid}); stop it first; \
+        "{path}: a run is going on in this directory{who}; stop it first; \
          `octopus status {dir}` shows how it is doing",
         path = path.display(),
+        who = pid.map_or_else(String::new, |pid| format!(" (process {pid})")),
         dir = path.parent().unwrap_or(path).display()
     )]
     Held {
         /// The lock file.
         path: PathBuf,
-        /// The other coordinator's process.
-        pid: u32,
+        /// The other coordinator's process, if it has said which it is.
+        pid: Option<u32>,
     },
     /// The lock file cannot be written.
     #[error("{path}: cannot be locked: {source}", path = path.display())]
@@ -46,6 +48,10 @@ pub enum LockError {
         source: std::io::Error,
     },
 }
+
+/// How long a lock is tried for. Who only looks, as [`RunLock::holder`] does, has it for a moment, and
+/// then the text may name a coordinator that was killed; who has just taken it has not written yet.
+const GLANCE: Duration = Duration::from_millis(100);
 
 /// A held lock. The kernel lets go of it when the process ends, however it ends.
 #[derive(Debug)]
@@ -65,9 +71,13 @@ impl RunLock {
             .truncate(false)
             .open(path)
             .map_err(io)?;
-        if flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
-            let pid = read(&mut file).map_or(0, |holder| holder.pid);
-            return Err(LockError::Held { path: path.to_owned(), pid });
+        let patience = Instant::now() + GLANCE;
+        while flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
+            if Instant::now() > patience {
+                let pid = read(&mut file).map(|holder| holder.pid);
+                return Err(LockError::Held { path: path.to_owned(), pid });
+            }
+            std::thread::sleep(Duration::from_millis(5));
         }
         let holder =
             Holder { pid: std::process::id(), domain: domain.as_str().to_owned(), http: None };
@@ -129,5 +139,27 @@ mod tests {
         drop(first);
         assert_eq!(RunLock::holder(&path), None);
         RunLock::acquire(&path, &domain).expect("free again");
+    }
+
+    #[test]
+    fn who_only_looks_keeps_nobody_out() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("run.lock");
+        let look = || {
+            let file = File::options().create(true).append(true).open(&path).expect("writable");
+            flock(&file, FlockOperation::NonBlockingLockShared).expect("free");
+            file
+        };
+        let glance = look();
+        std::thread::scope(|scope| {
+            scope.spawn(move || {
+                std::thread::sleep(Duration::from_millis(20));
+                drop(glance);
+            });
+            RunLock::acquire(&path, &Domain::fresh()).expect("free in a moment");
+        });
+        let _long = look();
+        let error = RunLock::acquire(&path, &Domain::fresh()).expect_err("held").to_string();
+        assert!(!error.contains("process"), "{error}");
     }
 }
