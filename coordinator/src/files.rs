@@ -8,7 +8,7 @@ use proto::{ExitCode, ExitError};
 
 /// Replaces the content of `path`: temporary file beside it, fsync, rename, fsync of the directory.
 pub fn replace(path: &Path, content: &[u8]) -> Result<(), ExitError> {
-    write(path, content).map_err(|error| failure(ExitCode::RunDirectory, path, &error))
+    replace_io(path, content).map_err(|error| failure(ExitCode::RunDirectory, path, &error))
 }
 
 /// Like [`replace`], for a file that the user named on the command line; one that is no regular
@@ -18,7 +18,7 @@ pub fn replace_output(path: &Path, content: &[u8]) -> Result<(), ExitError> {
     let written = if special {
         File::options().write(true).open(path).and_then(|mut file| file.write_all(content))
     } else {
-        write(path, content)
+        replace_io(path, content)
     };
     written.map_err(|error| failure(ExitCode::Failure, path, &error))
 }
@@ -27,7 +27,8 @@ fn failure(code: ExitCode, path: &Path, error: &std::io::Error) -> ExitError {
     ExitError::new(code, format!("{}: cannot be written: {error}", path.display()))
 }
 
-fn write(path: &Path, content: &[u8]) -> std::io::Result<()> {
+/// [`replace`], with the system's own error for who says himself what failed.
+pub(crate) fn replace_io(path: &Path, content: &[u8]) -> std::io::Result<()> {
     let temporary = temporary(path);
     let written = (|| {
         let mut file = File::create(&temporary)?;
@@ -53,5 +54,21 @@ fn parent(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::ErrorKind;
+
+    use super::*;
+
+    #[test]
+    fn a_failure_keeps_the_kind_that_the_system_gave_it() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("gone").join("labels.json");
+        assert_eq!(replace_io(&path, b"{}").expect_err("no directory").kind(), ErrorKind::NotFound);
+        let said = replace(&path, b"{}").expect_err("no directory").to_string();
+        assert_eq!(said.matches("labels.json").count(), 1, "{said}");
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use proto::config::Config;
 use safetensors::SafeTensors;
 use safetensors::tensor::TensorView;
 use serde::Serialize;
@@ -54,7 +55,7 @@ pub struct Difference {
 
 /// Compares configuration, robot and all tensors of two checkpoints.
 pub fn compare(a: &Checkpoint, b: &Checkpoint) -> Result<Difference, CheckpointError> {
-    let config = keys(&flatten(&a.config.to_toml()), &flatten(&b.config.to_toml()));
+    let config = keys(&leaves(&a.config), &leaves(&b.config));
     let same_robot = a.robot_toml == b.robot_toml;
     let mut equal_tensors = 0;
     let mut tensors = Vec::new();
@@ -75,25 +76,27 @@ pub fn compare(a: &Checkpoint, b: &Checkpoint) -> Result<Difference, CheckpointE
     Ok(Difference { same, config, same_robot, equal_tensors, tensors })
 }
 
-/// The leaves of a TOML text by dotted key.
-pub(super) fn flatten(text: &str) -> BTreeMap<String, String> {
-    fn walk(prefix: &str, value: &toml::Value, leaves: &mut BTreeMap<String, String>) {
-        match value {
-            toml::Value::Table(table) => {
-                for (key, value) in table {
-                    let dot = if prefix.is_empty() { "" } else { "." };
-                    walk(&format!("{prefix}{dot}{key}"), value, leaves);
+/// The keys of a configuration, as [`flatten`] has them.
+pub(super) fn leaves(config: &Config) -> BTreeMap<String, String> {
+    flatten(&toml::from_str(&config.to_toml()).unwrap_or_default())
+}
+
+/// Dotted keys and their values as TOML.
+pub(crate) fn flatten(table: &toml::Table) -> BTreeMap<String, String> {
+    fn walk(prefix: &str, table: &toml::Table, into: &mut BTreeMap<String, String>) {
+        for (name, value) in table {
+            let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+            match value {
+                toml::Value::Table(inner) => walk(&key, inner, into),
+                value => {
+                    into.insert(key, value.to_string());
                 }
-            }
-            leaf => {
-                leaves.insert(prefix.to_owned(), leaf.to_string());
             }
         }
     }
-    let mut leaves = BTreeMap::new();
-    let table: toml::Table = toml::from_str(text).unwrap_or_default();
-    walk("", &toml::Value::Table(table), &mut leaves);
-    leaves
+    let mut flat = BTreeMap::new();
+    walk("", table, &mut flat);
+    flat
 }
 
 fn keys(a: &BTreeMap<String, String>, b: &BTreeMap<String, String>) -> Vec<KeyDifference> {

@@ -257,7 +257,7 @@ fn same_robot(one: &str, other: &str) -> bool {
 fn notes(parts: &[Part]) -> Vec<String> {
     let mut keys = Vec::new();
     for part in &parts[1..] {
-        let flat = |part: &Part| super::compare::flatten(&part.checkpoint.config.to_toml());
+        let flat = |part: &Part| super::compare::leaves(&part.checkpoint.config);
         let (first, other) = (flat(&parts[0]), flat(part));
         for (key, value) in &first {
             let matters = key.starts_with("task.") || key.starts_with("env.");

@@ -126,8 +126,6 @@ impl Disk {
 
     /// Replaces a small file at once.
     pub(super) fn replace(&self, path: &Path, bytes: &[u8]) -> Result<(), CheckpointError> {
-        self.step("write", path, || {
-            files::replace(path, bytes).map_err(|error| io::Error::other(error.message))
-        })
+        self.step("write", path, || files::replace_io(path, bytes))
     }
 }

@@ -57,6 +57,7 @@ pub use archive::MAX_CONTENT;
 pub use assembly::{Assembly, Snapshot};
 pub use catalogue::CATALOGUE;
 pub use checked::Checked;
+pub(crate) use compare::flatten;
 pub use compare::{Difference, KeyDifference, TensorDifference, compare};
 pub use compose::{Composition, Part};
 pub use entry::{DamagedEntry, Entry, Kind, Survey};
@@ -70,6 +71,7 @@ pub use read::{Checkpoint, read_policy};
 pub use retention::Retention;
 pub use selector::{Selector, runs_in, store_at, store_to_be};
 pub use store::{CheckpointStore, Placement};
+pub(crate) use tensors::shapes;
 pub use verify::Verification;
 
 /// The format that this version writes.

@@ -51,6 +51,11 @@ pub(super) fn digest(file: &SafeTensors<'_>) -> Digest {
     builder.finish()
 }
 
+/// Names, types and shapes of a file's tensors, in alphabetical order; their bytes are not read.
+pub(crate) fn shapes(path: &Path) -> Result<BTreeMap<String, TensorInfo>, String> {
+    TensorFile::open(path).map(|file| file.tensors)
+}
+
 /// A safetensors file of which only the header is in memory: however large it is, reading it takes
 /// a buffer.
 #[derive(Debug)]

@@ -19,7 +19,7 @@ pub fn run(args: &PlotArgs) -> anyhow::Result<()> {
     let picture = learning(&families, args.over)?;
     // A picture by itself has a ground of its own; what it is drawn on may be dark.
     let ground = r##"><rect width="100%" height="100%" fill="#FFFFFF"/>"##;
-    files::replace(&args.out, picture.replacen('>', ground, 1).as_bytes())?;
+    files::replace_output(&args.out, picture.replacen('>', ground, 1).as_bytes())?;
     if args.json {
         return output::json(&families);
     }

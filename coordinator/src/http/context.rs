@@ -27,7 +27,7 @@ pub(super) struct Context {
     /// Counts requests.
     pub(super) requests: Requests,
     /// Bounds uploads.
-    pub(super) uploads: Semaphore,
+    pub(super) uploads: Arc<Semaphore>,
     /// Bounds archives on their way out.
     pub(super) archives: Arc<Semaphore>,
     /// Held while an upload is taken into the store: two of one name meet there, not on the way.
@@ -47,7 +47,7 @@ impl Context {
             token,
             checked: Arc::default(),
             requests: Requests::default(),
-            uploads: Semaphore::new(limits.uploads),
+            uploads: Arc::new(Semaphore::new(limits.uploads)),
             archives: Arc::new(Semaphore::new(limits.archives)),
             import: Mutex::new(()),
             limits,

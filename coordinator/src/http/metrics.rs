@@ -17,7 +17,8 @@ use crate::live::{LiveStatus, ProcessStatus, Role};
     (status = 500, description = "The store cannot be read", body = ErrorBody),
 ))]
 pub(super) async fn metrics(State(context): State<Shared>) -> Result<impl IntoResponse, Problem> {
-    let entries = context.with_store(CheckpointStore::entries).await?;
+    // Not `entries`, which logs what is damaged: once would do, and this is asked every few seconds.
+    let entries = context.with_store(CheckpointStore::survey).await?.entries;
     let mut page = Exposition::default();
     let version = env!("CARGO_PKG_VERSION");
     page.by(("octopus_build_info", "gauge", "The program."), "version", [(version, 1.0)]);

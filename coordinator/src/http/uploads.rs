@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io::{BufReader, Seek as _};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::Json;
@@ -11,6 +12,7 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse as _, Response};
 use rustix::fs::{Mode, OFlags};
 use tokio::io::AsyncWriteExt as _;
+use tokio::sync::OwnedSemaphorePermit;
 
 use super::context::{Context, Shared, blocking};
 use super::document::Bytes;
@@ -46,7 +48,7 @@ pub(super) async fn upload(
 ) -> Result<Response, Problem> {
     let limit = context.upload_limit().await?;
     let mut intake = Intake::new(request, limit, &context.limits);
-    let (name, file) = match receive(&context, &name, &mut intake).await {
+    let (name, file, place) = match receive(&context, &name, &mut intake).await {
         Ok(received) => received,
         Err(problem) => {
             intake.discard().await;
@@ -59,6 +61,8 @@ pub(super) async fn upload(
     let (status, entry) = blocking(move || {
         let there = store.entry(&name).is_ok();
         let entry = store.import(BufReader::with_capacity(BUFFER, file), Some(name))?;
+        // Until here, also if the client has gone meanwhile: what waits for its turn is on the disk.
+        drop(place);
         Ok((if there { StatusCode::OK } else { StatusCode::CREATED }, entry))
     })
     .await?
@@ -66,19 +70,18 @@ pub(super) async fn upload(
     Ok((status, Json(entry)).into_response())
 }
 
-/// Takes the body in, into a file that nobody else sees.
+/// Takes the body in, into a file that nobody else sees, and a place among the uploads.
 async fn receive(
     context: &Context,
     name: &str,
     intake: &mut Intake,
-) -> Result<(Name, File), Problem> {
+) -> Result<(Name, File, OwnedSemaphorePermit), Problem> {
     let name: Name = name.parse().map_err(CheckpointError::from)?;
     let wanted = name.clone();
     context.with_store(move |store| store.check_free(&wanted)).await?;
     intake.check_announced()?;
-    let _place = context
-        .uploads
-        .try_acquire()
+    let place = Arc::clone(&context.uploads)
+        .try_acquire_owned()
         .map_err(|_| Problem::busy("too many uploads at once; try again in a moment"))?;
     let root = context.store.root().to_owned();
     let failure = {
@@ -93,7 +96,7 @@ async fn receive(
     file.flush().await.map_err(failure.clone())?;
     let mut file = file.into_std().await;
     file.rewind().map_err(failure)?;
-    Ok((name, file))
+    Ok((name, file, place))
 }
 
 /// What is damaged here is what the client sent.

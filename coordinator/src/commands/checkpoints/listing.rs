@@ -3,10 +3,11 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use proto::{ExitCode, ExitError};
-use safetensors::SafeTensors;
 use serde::Serialize;
 
-use crate::checkpoint::{Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, runs_in, store_at};
+use crate::checkpoint::{
+    Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, runs_in, shapes, store_at,
+};
 use crate::cli::checkpoints::{ListArgs, ShowArgs};
 use crate::output;
 use crate::output::counted;
@@ -87,15 +88,12 @@ pub(super) fn show(args: &ShowArgs) -> anyhow::Result<()> {
             continue;
         }
         // What cannot be read is among the problems.
-        let Ok(bytes) = std::fs::read(entry.dir.join(file)) else { continue };
-        let Ok(content) = SafeTensors::deserialize(&bytes) else { continue };
-        let mut found = content.tensors();
-        found.sort_by(|(a, _), (b, _)| a.cmp(b));
-        tensors.extend(found.into_iter().map(|(name, view)| Tensor {
+        let Ok(found) = shapes(&entry.dir.join(file)) else { continue };
+        tensors.extend(found.into_iter().map(|(name, info)| Tensor {
             file,
             name,
-            dtype: format!("{:?}", view.dtype()),
-            shape: view.shape().to_vec(),
+            dtype: format!("{:?}", info.dtype),
+            shape: info.shape,
         }));
     }
     let damaged = !problems.is_empty();

@@ -1,12 +1,13 @@
 //! In what two runs differ that could make, or excuse, different digests.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use proto::config::Run;
 use serde::Serialize;
 use serde_json::Value;
 
 use super::record::Record;
+use crate::checkpoint::flatten;
 
 /// What the promise does not extend over, as `provenance.json` names it.
 const EXCLUDED: &[&str] = &["version", "commit", "build", "processor", "vector_extensions"];
@@ -94,24 +95,6 @@ fn shown(value: &Value) -> String {
 
 fn fingerprint(text: &str) -> String {
     format!("blake3:{}", &blake3::hash(text.as_bytes()).to_hex()[..16])
-}
-
-/// Dotted keys and their values as TOML.
-fn flatten(table: &toml::Table) -> BTreeMap<String, String> {
-    fn walk(prefix: &str, table: &toml::Table, into: &mut BTreeMap<String, String>) {
-        for (name, value) in table {
-            let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
-            match value {
-                toml::Value::Table(inner) => walk(&key, inner, into),
-                value => {
-                    into.insert(key, value.to_string());
-                }
-            }
-        }
-    }
-    let mut flat = BTreeMap::new();
-    walk("", table, &mut flat);
-    flat
 }
 
 #[cfg(test)]
