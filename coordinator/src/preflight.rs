@@ -307,25 +307,42 @@ pub fn libtorch(learner: &Path) -> Check {
     Check::failure(NAME, format!("the learner does not start: {last}"), CURE)
 }
 
-/// Room for a run's directory: checkpoints, metrics and logs.
-pub fn disk(directory: &Path, config: &Config, dimensions: &Dimensions) -> Check {
+/// What helps where a disk is not enough, in the words of the command that asks: not all have the same
+/// flags.
+#[derive(Debug, Clone, Copy)]
+pub struct Remedy {
+    /// How to use another directory.
+    pub elsewhere: &'static str,
+    /// How to need less.
+    pub less: Option<&'static str>,
+}
+
+/// Room for a run's directory: checkpoints, metrics and logs. `there` checkpoints lie in it already.
+pub fn disk(
+    directory: &Path,
+    config: &Config,
+    dimensions: &Dimensions,
+    there: usize,
+    remedy: &Remedy,
+) -> Check {
     const NAME: &str = "disk";
     let existing = directory.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
     let existing = if existing.as_os_str().is_empty() { Path::new(".") } else { existing };
     if let Err(error) = rustix::fs::access(existing, rustix::fs::Access::WRITE_OK) {
         let found = format!("{} cannot be written to: {error}", existing.display());
-        return Check::failure(NAME, found, "choose another --run-dir");
+        return Check::failure(NAME, found, remedy.elsewhere);
     }
     // Actors and critics of the same size, parameters and two moments of each, the actors apart,
     // and a replay; one checkpoint more than is kept while the newest is written.
     let policy = ChannelSizes::new(config, dimensions).policy_len as u64;
     let checkpoint = 4 * policy * 7 + replay_bytes(config, dimensions);
-    let needed = checkpoint * (config.run.checkpoints_kept as u64 + 1) + (16 << 20);
+    let kept = config.run.checkpoints_kept;
+    let needed = checkpoint * ((kept - there.min(kept)) as u64 + 1) + (16 << 20);
     match free_space(existing) {
         Err(error) => Check::failure(
             NAME,
             format!("{} cannot be measured: {error}", existing.display()),
-            "choose another --run-dir",
+            remedy.elsewhere,
         ),
         Ok(free) if free < needed => Check::failure(
             NAME,
@@ -335,7 +352,10 @@ pub fn disk(directory: &Path, config: &Config, dimensions: &Dimensions) -> Check
                 mib(free),
                 mib(needed)
             ),
-            "make room, choose another --run-dir, or --set run.checkpoints_kept=1",
+            match remedy.less {
+                Some(less) => format!("make room, {}, or {less}", remedy.elsewhere),
+                None => format!("make room, or {}", remedy.elsewhere),
+            },
         ),
         Ok(free) => Check::good(NAME, format!("{} free of {} needed", mib(free), mib(needed))),
     }
@@ -374,6 +394,24 @@ mod tests {
         for part in ["mount -o remount,size=", "--workers 128", "--envs 32768", "octopus clean"] {
             assert!(cure.contains(part), "{cure}");
         }
+    }
+
+    #[test]
+    fn what_lies_on_the_disk_already_is_not_asked_for_again() {
+        let config = config("run.checkpoints_kept=3");
+        let dimensions = Dimensions::new(&config, 4);
+        let remedy = Remedy { elsewhere: "elsewhere", less: None };
+        let dir = tempfile::tempdir().expect("tempdir");
+        let wanted = |there| {
+            let found = disk(dir.path(), &config, &dimensions, there, &remedy).found;
+            found.rsplit(" free ").next().map(str::to_owned)
+        };
+        assert_ne!(wanted(0), wanted(3));
+        // More than are kept: milestones, or what the user pinned.
+        assert_eq!(wanted(3), wanted(9));
+        // No file is written there, whoever asks, and it has no free space.
+        let check = disk(Path::new("/proc/1"), &config, &dimensions, 0, &remedy);
+        assert!(check.cure.as_ref().is_some_and(|cure| cure.contains("elsewhere")), "{check:?}");
     }
 
     #[test]

@@ -13,19 +13,50 @@ use super::train::{self, Counter, Ended, Start};
 use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore};
 use crate::cli::ResumeArgs;
 use crate::lock::RunLock;
+use crate::preflight::Remedy;
 use crate::provenance::Provenance;
 use crate::report;
 use crate::report::promised::Promised;
 use crate::supervisor::Programs;
 use crate::{files, output};
 
+/// What helps an old run that its disk does not carry.
+const REMEDY: Remedy = Remedy {
+    elsewhere: "move the run directory to another disk",
+    less: Some("lower run.checkpoints_kept in its config.toml"),
+};
+
 /// Resumes, evaluates and says where everything is.
 pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
-    resume(args)?.map_or(Ok(()), |ended| ended.conclude(args.ending))
+    match resume(args)? {
+        Resumed::Trained(ended) => ended.conclude(args.ending),
+        Resumed::Done(ended) if args.ending.json => {
+            let evaluation = ended.recorded_evaluation().filter(|_| !args.ending.no_eval);
+            ended.print_json(evaluation.as_ref())
+        }
+        Resumed::Done(_) => Ok(()),
+    }
 }
 
-/// Resumes; nothing if the run has done already what it was asked for.
-pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Option<Ended>> {
+/// What came of it.
+pub(super) enum Resumed {
+    /// A session.
+    Trained(Ended),
+    /// Nothing: the run has done already what it was asked for.
+    Done(Ended),
+}
+
+impl Resumed {
+    /// How the run ended, now or before.
+    pub(super) fn into_inner(self) -> Ended {
+        match self {
+            Self::Trained(ended) | Self::Done(ended) => ended,
+        }
+    }
+}
+
+/// Resumes.
+pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let run_dir = super::run_directory(&args.run_dir)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
@@ -41,22 +72,24 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Option<Ended>> {
     }
 
     let (config, overrides) = override_limits(&before, args)?;
-    let done = resume.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
-    if done >= config.planned_iterations() {
+    if let Some(last) = &resume
+        && last.manifest.iteration >= config.planned_iterations()
+    {
+        let done = last.manifest.iteration;
         eprintln!(
             "note: nothing to do: {} {} done, {} wanted; a larger --iterations or --env-steps goes on",
             output::counted(done, "iteration"),
             if done == 1 { "is" } else { "are" },
             config.planned_iterations()
         );
-        return Ok(None);
+        return Ok(Resumed::Done(Ended::before(run_dir, last)));
     }
     for change in &overrides {
         eprintln!("note: {change}");
     }
 
     let programs = Programs::find()?;
-    train::check_machine(&config, &robot, &run_dir, &programs)?;
+    train::check_machine(&config, &robot, &run_dir, &programs, &REMEDY)?;
     let counter = Counter::open(&args.http, &run_dir)?;
     let provenance = Provenance::gather();
     if !overrides.is_empty() {
@@ -73,7 +106,7 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Option<Ended>> {
     let same = config.run.env_steps == before.run.env_steps;
     let start =
         Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter };
-    train::run_session(start, lock, args.ending.quiet).map(Some)
+    train::run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
 }
 
 /// The newest checkpoint that the metrics reach; none if the run has none at all.

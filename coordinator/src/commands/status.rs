@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::train::RUNS;
-use crate::checkpoint::CheckpointStore;
+use crate::checkpoint::{CheckpointStore, Name};
 use crate::cli::StatusArgs;
 use crate::client::Client;
 use crate::http::Token;
@@ -290,9 +290,12 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
     let holder = RunLock::holder(&run_dir.lock());
     let planned_iterations = config.planned_iterations();
+    let checkpoint = CheckpointStore::new(run_dir.checkpoints()).list()?.pop();
+    // A run that was killed between its last line and its last checkpoint has that still to make.
+    let done = iterations.min(checkpoint.as_deref().map_or(0, iteration_of));
     let state = match &holder {
         Some(_) => "running",
-        None if iterations >= planned_iterations => "finished",
+        None if done >= planned_iterations => "finished",
         None => "stopped",
     };
     Ok(RunStatus {
@@ -303,8 +306,40 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         iterations,
         planned_iterations,
         last,
-        checkpoint: CheckpointStore::new(run_dir.checkpoints()).list()?.pop(),
+        checkpoint,
         live: None,
         live_error: None,
     })
+}
+
+/// The iteration that a checkpoint of a run is named for.
+fn iteration_of(dir: &Path) -> u64 {
+    let name = dir.file_name().and_then(|name| name.to_str());
+    name.and_then(|name| name.parse::<Name>().ok()?.iteration()).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+
+    use super::*;
+
+    #[test]
+    fn a_run_is_finished_when_its_last_checkpoint_is_there() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let run_dir = RunDir::new(dir.path());
+        let mut config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+        config.run.env_steps = 2 * config.steps_per_iteration();
+        std::fs::write(run_dir.config(), config.to_toml()).expect("writable");
+        let lines = "{\"iteration\":0}\n{\"iteration\":1}\n";
+        std::fs::write(run_dir.metrics_jsonl(), lines).expect("writable");
+        let state = || inspect(dir.path()).expect("a run").state;
+        assert_eq!(state(), "stopped", "without any checkpoint");
+        for (name, expected) in
+            [("iteration-00000001", "stopped"), ("iteration-00000002", "finished")]
+        {
+            std::fs::create_dir_all(run_dir.checkpoints().join(name)).expect("writable");
+            assert_eq!(state(), expected, "{name}");
+        }
+    }
 }

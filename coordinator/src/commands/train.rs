@@ -19,7 +19,7 @@ use crate::cli::{Ending, HttpArgs, Listen, TrainArgs};
 use crate::http::{Service, ServiceSpec, Token};
 use crate::live::LiveRun;
 use crate::lock::RunLock;
-use crate::preflight::{self, Verdict};
+use crate::preflight::{self, Remedy, Verdict};
 use crate::provenance::{self, Provenance};
 use crate::report::Reporter;
 use crate::report::progress::grouped;
@@ -43,11 +43,13 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     }
     let config = configure(args)?;
     let robot = super::load_robot(&config.robot.description)?;
-    let run_dir = args.run_dir.clone().map_or_else(|| default_dir(&config), RunDir::new);
-    check_vacant(run_dir.path())?;
+    if let Some(path) = &args.run_dir {
+        check_vacant(path)?;
+    }
     let programs = Programs::find()?;
-    check_machine(&config, &robot, &run_dir, &programs)?;
-    let counter = Counter::open(&args.http, &run_dir)?;
+    let place = args.run_dir.as_deref().unwrap_or(Path::new(RUNS));
+    check_machine(&config, &robot, &RunDir::new(place), &programs, &REMEDY)?;
+    let (run_dir, counter) = open(args, &config)?;
 
     create(&run_dir)?;
     let domain = Domain::fresh();
@@ -60,6 +62,30 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     let start =
         Start { run_dir, config, robot, resume: None, same, programs, domain, provenance, counter };
     run_session(start, lock, args.ending.quiet)
+}
+
+/// What helps a new run that its disk does not carry.
+const REMEDY: Remedy =
+    Remedy { elsewhere: "choose another --run-dir", less: Some("--set run.checkpoints_kept=1") };
+
+/// The run directory and the counter that belongs to it. A directory of our own choice is made here, so
+/// that no other run chooses it, and is gone again if there is no counter.
+fn open(args: &TrainArgs, config: &Config) -> anyhow::Result<(RunDir, Counter)> {
+    let chosen = args.run_dir.is_none();
+    let run_dir = match &args.run_dir {
+        Some(path) => RunDir::new(path),
+        None => claim(Path::new(RUNS), &default_name(config))?,
+    };
+    match Counter::open(&args.http, &run_dir) {
+        Ok(counter) => Ok((run_dir, counter)),
+        Err(error) => {
+            if chosen {
+                // The error above is the one to report; an empty directory is no harm.
+                let _ = std::fs::remove_dir(run_dir.path());
+            }
+            Err(error)
+        }
+    }
 }
 
 /// What a session starts from, of a new run or of an old one.
@@ -78,7 +104,7 @@ pub(super) struct Start {
 
 /// Where others see the run and ask it for something: its HTTP service, if it is to have one.
 ///
-/// Opened before a run writes anything, so that an address or a token that is wrong leaves nothing.
+/// Opened before a run writes any file, so that an address or a token that is wrong leaves nothing.
 pub(super) struct Counter {
     live: LiveRun,
     service: Option<Service>,
@@ -166,14 +192,59 @@ fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> 
 }
 
 impl Ended {
-    /// Evaluates the final policy and prints what a person wants to know next.
-    pub(super) fn conclude(self, ending: Ending) -> anyhow::Result<()> {
-        let Self { run_dir, outcome, stop } = &self;
-        let stopped_by = match outcome.stopped_by {
+    /// Of a run that was at its end already, with its last checkpoint.
+    pub(super) fn before(run_dir: RunDir, last: &Checkpoint) -> Self {
+        let outcome = Outcome {
+            iterations: last.manifest.iteration,
+            env_steps: last.manifest.env_steps,
+            stopped_by: StoppedBy::Budget,
+            checkpoint: last.dir.clone(),
+        };
+        Self { run_dir, outcome, stop: StopRequests::new() }
+    }
+
+    /// Whether anybody asked it to stop, also where it was about to end anyway.
+    pub(super) fn was_interrupted(&self) -> bool {
+        self.stop.count() > 0
+    }
+
+    /// The evaluation of its last checkpoint that lies in the run directory, if there is one.
+    pub(super) fn recorded_evaluation(&self) -> Option<Summary> {
+        let bytes = std::fs::read(evaluation_path(&self.run_dir)).ok()?;
+        let summary: Summary = serde_json::from_slice(&bytes).ok()?;
+        (summary.iteration == self.outcome.iterations).then_some(summary)
+    }
+
+    /// The learning curve, if it was drawn.
+    fn curve(&self) -> Option<PathBuf> {
+        Some(self.run_dir.curve()).filter(|curve| curve.is_file())
+    }
+
+    /// How it ended, in a word or two.
+    fn stopped_by(&self) -> &'static str {
+        match self.outcome.stopped_by {
             StoppedBy::Budget => "budget",
             StoppedBy::TimeLimit => "time limit",
             StoppedBy::Signal => "signal",
-        };
+        }
+    }
+
+    /// Prints the result as JSON.
+    pub(super) fn print_json(&self, evaluation: Option<&Summary>) -> anyhow::Result<()> {
+        output::json(&json!({
+            "run_dir": self.run_dir.path(),
+            "iterations": self.outcome.iterations,
+            "env_steps": self.outcome.env_steps,
+            "stopped_by": self.stopped_by(),
+            "checkpoint": self.outcome.checkpoint,
+            "curve": self.curve(),
+            "evaluation": evaluation,
+        }))
+    }
+
+    /// Evaluates the final policy and prints what a person wants to know next.
+    pub(super) fn conclude(self, ending: Ending) -> anyhow::Result<()> {
+        let Self { run_dir, outcome, stop } = &self;
         let evaluation = if ending.no_eval || outcome.stopped_by == StoppedBy::Signal {
             None
         } else {
@@ -185,29 +256,20 @@ impl Ended {
             files::replace(&evaluation_path(run_dir), &text)?;
             Some(summary)
         };
-        let curve = run_dir.curve();
-        let curve = curve.is_file().then_some(curve);
         if ending.json {
-            return output::json(&json!({
-                "run_dir": run_dir.path(),
-                "iterations": outcome.iterations,
-                "env_steps": outcome.env_steps,
-                "stopped_by": stopped_by,
-                "checkpoint": outcome.checkpoint,
-                "curve": curve,
-                "evaluation": evaluation,
-            }));
+            return self.print_json(evaluation.as_ref());
         }
         output::line(&format!(
-            "{}, {} env-steps, ended by the {stopped_by}",
+            "{}, {} env-steps, ended by the {}",
             output::counted(outcome.iterations, "iteration"),
-            grouped(outcome.env_steps)
+            grouped(outcome.env_steps),
+            self.stopped_by()
         ))?;
         if let Some(evaluation) = &evaluation {
             output::line(&format!("\n{}\n", evaluation.table()))?;
             output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
         }
-        if let Some(curve) = curve {
+        if let Some(curve) = self.curve() {
             output::line(&format!("curve       {}", curve.display()))?;
         }
         output::line(&format!("checkpoint  {}", outcome.checkpoint.display()))?;
@@ -341,16 +403,18 @@ fn sets(args: &TrainArgs, key: &str) -> bool {
     args.sets.iter().any(|set| set.split('=').next().is_some_and(|name| name.trim() == key))
 }
 
-/// Refuses what the machine cannot carry.
+/// Refuses what the machine cannot carry; `remedy` is what helps where the disk is at fault.
 pub(super) fn check_machine(
     config: &Config,
     robot: &Robot,
     run_dir: &RunDir,
     programs: &Programs,
+    remedy: &Remedy,
 ) -> Result<(), ExitError> {
     let dimensions = Dimensions::new(config, robot.n_arms);
     preflight::check_run(config, &dimensions, &programs.learner)?;
-    let disk = preflight::disk(run_dir.path(), config, &dimensions);
+    let there = CheckpointStore::new(run_dir.checkpoints()).list().map_or(0, |there| there.len());
+    let disk = preflight::disk(run_dir.path(), config, &dimensions, there, remedy);
     if disk.verdict == Verdict::Failure {
         return Err(ExitError::new(ExitCode::RunDirectory, disk.sentence()));
     }
@@ -401,17 +465,33 @@ fn create(run_dir: &RunDir) -> Result<(), ExitError> {
     Ok(())
 }
 
-/// `runs/<task>-<UTC time>`, with a number if that second has a run already.
-fn default_dir(config: &Config) -> RunDir {
+/// `<task>-<UTC time>`.
+fn default_name(config: &Config) -> String {
     let time = provenance::utc(SystemTime::now()).compact();
-    let name = format!("{}-{time}", config.task.name.as_str());
-    let mut path = Path::new(RUNS).join(&name);
-    let mut n = 2;
-    while path.exists() {
-        path = Path::new(RUNS).join(format!("{name}-{n}"));
-        n += 1;
+    format!("{}-{time}", config.task.name.as_str())
+}
+
+/// Makes the directory `name` in `parent`, with a number if another run has that name: making it is what
+/// tells who was first, of runs that start in the same second.
+fn claim(parent: &Path, name: &str) -> Result<RunDir, ExitError> {
+    let fail = |path: &Path, error: std::io::Error| {
+        let shown = path.display();
+        let message =
+            format!("{shown}: cannot be created: {error}; choose another place by --run-dir");
+        ExitError::new(ExitCode::RunDirectory, message)
+    };
+    std::fs::create_dir_all(parent).map_err(|error| fail(parent, error))?;
+    let mut path = parent.join(name);
+    let mut n = 1;
+    loop {
+        match std::fs::create_dir(&path) {
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
+                n += 1;
+                path = parent.join(format!("{name}-{n}"));
+            }
+            made => return made.map(|()| RunDir::new(&path)).map_err(|error| fail(&path, error)),
+        }
     }
-    RunDir::new(path)
 }
 
 /// Adds a session to `provenance.json`.
@@ -482,6 +562,19 @@ mod tests {
         assert!(note.contains("4 shards, so that 1 of the 5 workers"), "{note}");
         let four = parse("octopus train --workers 4 --set env.n_shards=4").expect("valid");
         assert_eq!(idle_workers(&four), None);
+    }
+
+    #[test]
+    fn runs_that_start_in_the_same_second_get_directories_of_their_own() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let parent = dir.path().join("runs");
+        let names: std::collections::BTreeSet<_> = std::thread::scope(|scope| {
+            let starts: Vec<_> = (0..8).map(|_| scope.spawn(|| claim(&parent, "x"))).collect();
+            let claimed = starts.into_iter().map(|start| start.join().expect("no panic"));
+            claimed.map(|run_dir| run_dir.expect("writable").path().to_owned()).collect()
+        });
+        let expected = ["x", "x-2", "x-3", "x-4", "x-5", "x-6", "x-7", "x-8"];
+        assert_eq!(names, expected.map(|name| parent.join(name)).into());
     }
 
     #[test]

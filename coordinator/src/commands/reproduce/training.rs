@@ -3,6 +3,7 @@
 //! Each run is asked for as on the command line of `octopus train`, one after the other, since every run uses the whole machine. Called again, finished
 //! runs are left as they are, and one that was stopped goes on.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -12,7 +13,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
 
-use super::refused;
+use super::{Line, refused};
 use crate::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
 use crate::cli::reproduce::ReproduceArgs;
 use crate::cli::{AlgorithmArg, Cli, Command};
@@ -29,7 +30,7 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
     for (index, run) in runs.iter().enumerate() {
         if !run.is_finished()? {
             eprintln!("run {} of {}: {}", index + 1, runs.len(), run.dir.display());
-            run.go_on(args)?;
+            run.go_on(args, out)?;
         }
     }
     let policies = out.join("policies");
@@ -86,7 +87,7 @@ impl Run {
     }
 
     /// Begins it or goes on with it, until it is finished.
-    fn go_on(&self, args: &ReproduceArgs) -> anyhow::Result<()> {
+    fn go_on(&self, args: &ReproduceArgs, out: &Path) -> anyhow::Result<()> {
         let dir = self.dir.display().to_string();
         let words: Vec<String> = if RunDir::new(&self.dir).config().is_file() {
             ["octopus", "resume", &dir, "--no-eval", "--listen=off"].map(str::to_owned).into()
@@ -105,15 +106,16 @@ impl Run {
             let sets = args.sets.iter().map(|set| format!("--set={set}"));
             line.iter().chain(&rest).map(ToString::to_string).chain(sets).collect()
         };
-        match Cli::try_parse_from(&words)?.command {
-            Command::Train(args) => drop(train::train(&args)?),
-            Command::Resume(args) => drop(resume::resume(&args)?),
+        let ended = match Cli::try_parse_from(&words)?.command {
+            Command::Train(args) => train::train(&args)?,
+            Command::Resume(args) => resume::resume(&args)?.into_inner(),
             other => unreachable!("{words:?} was read as {other:?}"),
-        }
-        if self.is_finished()? {
+        };
+        // Ctrl-C in the last iteration, too, is meant for the trainings that would follow.
+        if !ended.was_interrupted() && self.is_finished()? {
             return Ok(());
         }
-        let message = format!("{dir}: stopped before its end; the same command goes on with it");
+        let message = format!("{dir}: stopped; `{}` goes on", again(args, out).text());
         Err(ExitError::new(ExitCode::Interrupted, message).into())
     }
 
@@ -141,6 +143,30 @@ impl Run {
     }
 }
 
+/// The command that goes on with the trainings below `out`, wherever that was named.
+fn again(args: &ReproduceArgs, out: &Path) -> Line {
+    let mut out_flag = OsString::from("--out=");
+    out_flag.push(out);
+    let baselines: Vec<String> = args.baselines.iter().map(|baseline| name(*baseline)).collect();
+    let baselines = match &*baselines {
+        [] => "--baselines".to_owned(),
+        some => format!("--baselines={}", some.join(",")),
+    };
+    let mut words = vec!["octopus".into(), "reproduce".into(), "--train".into(), out_flag];
+    words.extend([format!("--seeds={}", args.seeds), baselines].map(OsString::from));
+    words.extend(args.sets.iter().map(|set| format!("--set={set}").into()));
+    words.extend(args.episodes.map(|episodes| format!("--episodes={episodes}").into()));
+    words.extend(
+        [("--quick", args.quick), ("--json", args.json)]
+            .into_iter()
+            .filter_map(|(flag, given)| given.then(|| flag.into())),
+    );
+    words.extend(
+        [format!("--steps={}", args.steps), format!("--seed={}", args.seed)].map(OsString::from),
+    );
+    Line(words)
+}
+
 /// Puts the policy of the best MAPPO run of `task` below `policies`.
 fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()> {
     let of_mappo =
@@ -164,4 +190,32 @@ fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()
     let composition = Composition::new(&[part])?;
     store.compose(&name, &composition, &serde_json::to_value(Provenance::gather())?)?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(words: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> ReproduceArgs {
+        let Command::Reproduce(args) = Cli::try_parse_from(words).expect("valid").command else {
+            panic!("another command")
+        };
+        args
+    }
+
+    #[test]
+    fn the_command_that_goes_on_asks_for_the_same_in_the_directory_that_was_made() {
+        let out = Path::new("reproduction-20260101-120000");
+        for line in [
+            "octopus reproduce --train",
+            "octopus reproduce --train --baselines --quick --json",
+            "octopus reproduce --train --seeds 1 --baselines ippo --set run.workers=2 --episodes 3 --steps 9 --seed 8",
+        ] {
+            let args = parse(line.split(' '));
+            let asked = ReproduceArgs { out: Some(out.to_owned()), ..args.clone() };
+            let again = again(&args, out);
+            assert!(again.text().contains("--train --out=reproduction-20260101-120000"));
+            assert_eq!(format!("{:?}", parse(again.0)), format!("{asked:?}"), "{line}");
+        }
+    }
 }

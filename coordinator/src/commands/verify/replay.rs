@@ -1,8 +1,8 @@
 //! Trains a part of a run again, beside it, and compares.
 
-use std::os::unix::fs::DirBuilderExt as _;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 use proto::channel::Domain;
@@ -11,6 +11,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use sim_worker::robot::Robot;
+use tempfile::TempDir;
 
 use super::differences::{self, ProvenanceDifference};
 use super::record::{self, Record, damaged};
@@ -18,12 +19,17 @@ use super::{Comparison, iterations, promise, provenance_table};
 use crate::checkpoint::{Checkpoint, CheckpointStore};
 use crate::commands::{read_config, train};
 use crate::live::LiveRun;
+use crate::preflight::Remedy;
 use crate::provenance::Provenance;
 use crate::report::Reporter;
 use crate::session::{self, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
 use crate::{files, output};
+
+/// What helps where the system's temporary files have too little room; no flag makes a repetition smaller.
+const REMEDY: Remedy =
+    Remedy { elsewhere: "set TMPDIR to a directory on another disk", less: None };
 
 /// The result of a repetition, as `--json` prints it.
 #[derive(Debug, Serialize)]
@@ -66,9 +72,9 @@ pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
     let here = serde_json::to_value(&now).context("provenance has no JSON form")?;
 
     let scratch = Scratch::create()?;
-    let stopped = train_again(run, &scratch.0, checkpoint, last, stop, here.clone())?;
-    let again = record::read_iterations(&scratch.0.metrics_jsonl(), from)?;
-    drop(scratch);
+    let stopped = train_again(run, &scratch.run_dir, checkpoint, last, stop, here.clone())?;
+    let again = record::read_iterations(&scratch.run_dir.metrics_jsonl(), from)?;
+    scratch.remove();
 
     let comparison = Comparison::of(&run.iterations, &again);
     let provenance = differences::of_provenance(&run.sessions, &[here]);
@@ -121,7 +127,7 @@ fn train_again(
     let config = Config { run: recorded.run.clone().without_housekeeping(), ..recorded };
 
     let programs = Programs::find()?;
-    train::check_machine(&config, &robot, scratch, &programs)?;
+    train::check_machine(&config, &robot, scratch, &programs, &REMEDY)?;
     files::replace(&scratch.robot(), run.robot.as_bytes())?;
     files::replace(&scratch.config(), config.to_toml().as_bytes())?;
     // Progress is shown over what is repeated, not over the budget of the run.
@@ -183,35 +189,40 @@ fn warn_of_budgets(run: &Record) {
 
 /// A run directory among the system's temporary files that goes away with this value.
 #[derive(Debug)]
-struct Scratch(RunDir);
+struct Scratch {
+    run_dir: RunDir,
+    dir: TempDir,
+}
 
 impl Scratch {
     fn create() -> Result<Self, ExitError> {
-        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let name = format!(
-            "octopus-verify-{}-{}",
-            std::process::id(),
-            since_epoch.as_nanos() % 1_000_000_007
-        );
-        let path = std::env::temp_dir().join(name);
         let fail = |error: std::io::Error| {
-            let message = format!("{}: cannot be created: {error}", path.display());
+            let place = std::env::temp_dir();
+            let message = format!(
+                "{}: a directory cannot be created in it: {error}; {}",
+                place.display(),
+                REMEDY.elsewhere
+            );
             ExitError::new(ExitCode::Environment, message)
         };
-        // Nobody else's directory is taken over, and nobody else reads what is in it.
-        std::fs::DirBuilder::new().mode(0o700).create(&path).map_err(fail)?;
-        let scratch = Self(RunDir::new(&path));
-        for folder in [scratch.0.logs(), scratch.0.checkpoints()] {
+        // Nobody else reads what is in it.
+        let dir = tempfile::Builder::new()
+            .prefix("octopus-verify-")
+            .permissions(Permissions::from_mode(0o700))
+            .tempdir()
+            .map_err(fail)?;
+        let run_dir = RunDir::new(dir.path());
+        for folder in [run_dir.logs(), run_dir.checkpoints()] {
             std::fs::create_dir(folder).map_err(fail)?;
         }
-        Ok(scratch)
+        Ok(Self { run_dir, dir })
     }
-}
 
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        if let Err(error) = std::fs::remove_dir_all(self.0.path()) {
-            eprintln!("note: {}: cannot be removed: {error}", self.0.path().display());
+    /// Removes it, and says so if that fails.
+    fn remove(self) {
+        let path = self.dir.path().to_owned();
+        if let Err(error) = self.dir.close() {
+            eprintln!("note: {}: cannot be removed: {error}", path.display());
         }
     }
 }
@@ -222,13 +233,12 @@ mod tests {
 
     #[test]
     fn a_scratch_directory_is_private_and_goes_away_with_everything_in_it() {
-        use std::os::unix::fs::PermissionsExt as _;
         let scratch = Scratch::create().expect("writable");
-        let path = scratch.0.path().to_owned();
-        std::fs::write(scratch.0.logs().join("learner.log"), "words").expect("writable");
+        let path = scratch.run_dir.path().to_owned();
+        std::fs::write(scratch.run_dir.logs().join("learner.log"), "words").expect("writable");
         let mode = std::fs::metadata(&path).expect("exists").permissions().mode();
         assert_eq!(mode & 0o777, 0o700);
-        drop(scratch);
+        scratch.remove();
         assert!(!path.exists());
     }
 }
