@@ -1,10 +1,9 @@
 //! `octopus eval`: how well a policy does on goals it never saw.
 
-use std::fmt;
 use std::path::PathBuf;
 
 use proto::config::TaskName;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 use sim_worker::evaluate::{
     self, ContactSteps, Course, EpisodeResult, Evaluation, EvaluationOptions,
 };
@@ -12,6 +11,7 @@ use sim_worker::experiment::CHUNK;
 use sim_worker::reach::{self, HandReach};
 use sim_worker::rollout::World;
 
+use super::errors::{ErrorOf, Spread, Unit, milli, number, papers, percent};
 use super::trained::{Trained, open_checkpoint};
 use crate::checkpoint::Checkpoint;
 use crate::cli::EvalArgs;
@@ -40,100 +40,6 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
     ))
 }
 
-/// Mean, spread and percentiles over a set of errors.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Spread {
-    /// Arithmetic mean.
-    #[serde(deserialize_with = "number")]
-    pub mean: f64,
-    /// Standard deviation.
-    #[serde(deserialize_with = "number")]
-    pub std: f64,
-    /// Median.
-    #[serde(deserialize_with = "number")]
-    pub p50: f64,
-    /// 90th percentile.
-    #[serde(deserialize_with = "number")]
-    pub p90: f64,
-    /// 99th percentile.
-    #[serde(deserialize_with = "number")]
-    pub p99: f64,
-}
-
-/// A number, or `null`, which stands for one that JSON cannot write.
-fn number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
-}
-
-impl Spread {
-    /// Of `values`; percentiles are interpolated between neighbours.
-    pub fn of(mut values: Vec<f64>) -> Self {
-        values.sort_by(f64::total_cmp);
-        let n = values.len().max(1) as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n;
-        let percentile = |share: f64| {
-            let place = share * (n - 1.0);
-            let at = |index: f64| values.get(index as usize).copied().unwrap_or(f64::NAN);
-            at(place.floor()) + place.fract() * (at(place.ceil()) - at(place.floor()))
-        };
-        let [p50, p90, p99] = [0.5, 0.9, 0.99].map(percentile);
-        Self { mean, std: variance.sqrt(), p50, p90, p99 }
-    }
-}
-
-/// What an error is of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ErrorOf {
-    /// Position of a hand.
-    Position,
-    /// Orientation of a hand.
-    Orientation,
-    /// Attitude of the base.
-    Base,
-}
-
-impl ErrorOf {
-    /// What it is measured in.
-    pub fn unit(self) -> Unit {
-        match self {
-            Self::Position => Unit::Metre,
-            Self::Orientation | Self::Base => Unit::Radian,
-        }
-    }
-}
-
-impl fmt::Display for ErrorOf {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Position => "position",
-            Self::Orientation => "orientation",
-            Self::Base => "base",
-        })
-    }
-}
-
-/// What an error is measured in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Unit {
-    /// m.
-    #[serde(rename = "m")]
-    Metre,
-    /// rad.
-    #[serde(rename = "rad")]
-    Radian,
-}
-
-impl fmt::Display for Unit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Metre => "m",
-            Self::Radian => "rad",
-        })
-    }
-}
-
 /// One kind of error, of one agent or of all together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ErrorSummary {
@@ -160,8 +66,10 @@ pub struct Success {
     /// Largest orientation or attitude error that counts (rad).
     pub orientation: f64,
     /// Share of goals: of hands in `trajectory`, of the base in `reorientation`.
+    #[serde(deserialize_with = "number")]
     pub goals: f64,
-    /// Share of episodes that reached all their goals.
+    /// Share of episodes that reached all their goals, of those that have any.
+    #[serde(deserialize_with = "number")]
     pub episodes: f64,
 }
 
@@ -417,6 +325,7 @@ fn agents(task: TaskName, episodes: &[EpisodeResult]) -> Vec<ErrorSummary> {
         .collect()
 }
 
+/// By the released code's thresholds, and by the paper's. Where there are no goals the shares are NaN.
 fn success(task: TaskName, episodes: &[EpisodeResult]) -> Vec<Success> {
     let judge = |(position, orientation): (f64, f64)| {
         let reached: Vec<Vec<bool>> = episodes
@@ -431,19 +340,24 @@ fn success(task: TaskName, episodes: &[EpisodeResult]) -> Vec<Success> {
                 }
                 TaskName::Reorientation => vec![f64::from(episode.base.last) < orientation],
             })
+            // An episode without goals has neither reached nor missed them all.
+            .filter(|reached: &Vec<bool>| !reached.is_empty())
             .collect();
-        let goals = reached.iter().map(Vec::len).sum::<usize>().max(1) as f64;
+        let goals = reached.iter().map(Vec::len).sum::<usize>() as f64;
         let hits = reached.iter().flatten().filter(|hit| **hit).count() as f64;
         let whole = reached.iter().filter(|goals| goals.iter().all(|hit| *hit)).count() as f64;
         Success {
             position: (task == TaskName::Trajectory).then_some(position),
             orientation,
             goals: hits / goals,
-            episodes: whole / episodes.len().max(1) as f64,
+            episodes: whole / reached.len() as f64,
         }
     };
-    [(0.05, 0.05), (0.025, 0.04)].map(judge).to_vec()
+    [RELEASED, papers(task)].map(judge).to_vec()
 }
+
+/// Largest errors that count in the released code: of positions (m) and attitudes (rad).
+const RELEASED: (f64, f64) = (0.05, 0.05);
 
 /// What stands before rows of a table that are about goals that can be reached.
 const REACHABLE: &str = "reachable ";
@@ -453,7 +367,6 @@ const AT_END: &str = "in reach at the end ";
 impl Summary {
     /// The summary as a person reads it.
     pub fn table(&self) -> String {
-        let scaled = |value: f64| format!("{:.1}", 1e3 * value);
         let row = |(whose, summary): (&str, &ErrorSummary)| {
             let ErrorSummary { error, unit, agent, min, last, tail } = summary;
             let name = match agent {
@@ -462,13 +375,13 @@ impl Summary {
             };
             [
                 name,
-                scaled(min.mean),
-                scaled(last.mean),
-                scaled(tail.mean),
-                scaled(tail.std),
-                scaled(tail.p50),
-                scaled(tail.p90),
-                scaled(tail.p99),
+                milli(min.mean),
+                milli(last.mean),
+                milli(tail.mean),
+                milli(tail.std),
+                milli(tail.p50),
+                milli(tail.p90),
+                milli(tail.p99),
             ]
         };
         let header = ["error", "min", "final", "tail", "std", "p50", "p90", "p99"];
@@ -482,7 +395,6 @@ impl Summary {
             .flat_map(|(whose, subset)| subset.overall.iter().map(move |summary| (whose, summary)));
         let agents = self.agents.iter().map(|summary| ("", summary));
         let errors = output::table(header, all.chain(of_subsets).chain(agents).map(row));
-        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         let all = self.success.iter().map(|success| ("", success));
         let of_subsets = subsets()
             .flat_map(|(whose, subset)| subset.success.iter().map(move |success| (whose, success)));
@@ -532,16 +444,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn spread_by_hand() {
-        let spread = Spread::of(vec![4.0, 1.0, 2.0, 3.0, 5.0]);
-        assert_eq!((spread.mean, spread.p50), (3.0, 3.0));
-        assert_eq!(spread.std, 2.0_f64.sqrt());
-        // 0.9 · 4 = 3.6: between 4 and 5.
-        assert!((spread.p90 - 4.6).abs() < 1e-12);
-        assert_eq!(Spread::of(vec![7.0]).p99, 7.0);
-    }
-
-    #[test]
     fn a_goal_counts_when_both_errors_are_small_at_the_end() {
         let course = |last: f32| Course { min: 0.0, last, tail: last };
         let hand = |position, orientation| HandCourse {
@@ -550,7 +452,7 @@ mod tests {
         };
         let episode = |hands| EpisodeResult {
             hands,
-            base: course(0.045),
+            base: course(0.035),
             contact_steps: 0,
             contact_pairs: 0,
             contact_steps_by_kind: ContactSteps::default(),
@@ -573,6 +475,13 @@ mod tests {
         assert_eq!((subset.goals, subset.of), (2, 4));
         assert_eq!((subset.success[1].goals, subset.success[1].episodes), (1.0, 1.0));
         assert!((subset.overall[0].tail.mean - 0.01).abs() < 1e-9);
+        // Of the second episode no goal was chosen: it neither reaches nor misses any.
+        let subset = GoalSubset::of(&episodes, &[vec![false, true], vec![false, false]]);
+        assert_eq!((subset.success[0].goals, subset.success[0].episodes), (1.0, 1.0));
+        assert_eq!((subset.success[1].goals, subset.success[1].episodes), (0.0, 0.0));
+        let none = GoalSubset::of(&episodes, &[vec![false; 2], vec![false; 2]]);
+        assert!(none.success.iter().all(|share| share.goals.is_nan() && share.episodes.is_nan()));
+        assert!(none.overall[0].tail.mean.is_nan());
         let agents = agents(TaskName::Trajectory, &episodes);
         assert_eq!(agents.len(), 4);
         assert_eq!((agents[1].error, agents[1].agent), (ErrorOf::Orientation, Some(1)));

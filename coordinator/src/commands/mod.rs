@@ -4,6 +4,7 @@ pub mod bench;
 pub mod checkpoints;
 pub mod clean;
 pub mod doctor;
+pub mod errors;
 pub mod eval;
 pub mod experiment;
 pub mod mjcf;

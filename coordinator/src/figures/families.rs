@@ -214,7 +214,7 @@ impl Family {
     }
 }
 
-/// Places where all runs have been.
+/// Places where all runs have been; none if one ended before another began.
 fn places<R: Row>(runs: &[Vec<R>], over: Over) -> Vec<f64> {
     let ends = |end: fn(&[R]) -> Option<&R>| -> Option<Vec<f64>> {
         runs.iter().map(|run| Some(over.of(end(run)?))).collect()
@@ -224,6 +224,9 @@ fn places<R: Row>(runs: &[Vec<R>], over: Over) -> Vec<f64> {
     };
     let first = firsts.into_iter().fold(0.0, f64::max);
     let last = lasts.into_iter().fold(f64::INFINITY, f64::min);
+    if last < first {
+        return Vec::new();
+    }
     let at = |index: usize| first + (last - first) * index as f64 / (POINTS - 1) as f64;
     (0..POINTS).map(at).collect()
 }
@@ -322,6 +325,15 @@ mod tests {
         let row = family.row(Over::EnvSteps);
         assert_eq!((row[3].as_str(), row[4].as_str()), ("3.0 (3.0 to 3.0)", ""));
         assert_eq!(row[8], "", "which is not never");
+    }
+
+    #[test]
+    fn runs_that_were_never_at_one_place_have_no_curve_together() {
+        let ended = vec![held_out(10.0, 4.0, 4.0), held_out(20.0, 2.0, 2.0)];
+        let began = vec![held_out(30.0, 3.0, 3.0), held_out(40.0, 1.0, 1.0)];
+        let family = family(&[ended, began], Over::EnvSteps);
+        assert_eq!(family.held_out, Errors::default());
+        assert_eq!(family.to_paper.tail, None, "one of them never was as good");
     }
 
     #[test]

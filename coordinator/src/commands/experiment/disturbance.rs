@@ -14,7 +14,7 @@ use super::lab::{Lab, Needs};
 use super::report::{CourseOfMany, Figure, Goals, Report, Words, milli, percent, share, spread};
 use super::{Experiment, Name};
 use crate::cli::experiment::{CommonArgs, DisturbanceArgs};
-use crate::commands::eval::{ErrorOf, Spread, Unit};
+use crate::commands::errors::{ErrorOf, Spread, Unit};
 use crate::commands::trained::Trained;
 use crate::output;
 

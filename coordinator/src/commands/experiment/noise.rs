@@ -223,7 +223,7 @@ fn table(results: &[Point], episodes: usize) -> String {
     });
     let header = ["tail", "mean", "p50", "p90", "success"];
     format!(
-        "{} each; success at the paper's 25 mm and 40 mrad, of the base 40 mrad\n{}",
+        "{} each; success at the paper's 25 mm and 40 mrad, of the base 30 mrad\n{}",
         output::counted(episodes as u64, "episode"),
         output::table(header, rows)
     )

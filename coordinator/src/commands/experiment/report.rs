@@ -9,7 +9,8 @@ use sim_worker::experiment::Recording;
 use sim_worker::robot::Robot;
 
 use super::Name;
-use crate::commands::eval::{ErrorOf, Spread, Unit};
+use crate::commands::errors::{ErrorOf, Spread, Unit};
+pub(crate) use crate::commands::errors::{milli, percent};
 use crate::commands::trained::PolicyIdentity;
 use crate::provenance::Provenance;
 
@@ -229,16 +230,6 @@ impl Figure {
 /// The share of `n` episodes that satisfy a condition.
 pub(crate) fn share(n: usize, holds: impl Fn(usize) -> bool) -> f64 {
     (0..n).filter(|&episode| holds(episode)).count() as f64 / n.max(1) as f64
-}
-
-/// A number in thousandths: mm or mrad.
-pub(crate) fn milli(value: f64) -> String {
-    format!("{:.1}", 1e3 * value)
-}
-
-/// A share as a person reads it.
-pub(crate) fn percent(share: f64) -> String {
-    format!("{:.1} %", 100.0 * share)
 }
 
 #[cfg(test)]

@@ -7,7 +7,8 @@ use proto::config::TaskName;
 use serde::Serialize;
 
 use super::Reports;
-use crate::commands::eval::{ErrorOf, Summary, Unit};
+use crate::commands::errors::{ErrorOf, Spread, Unit, thousandths};
+use crate::commands::eval::Summary;
 use crate::commands::experiment::Name;
 use crate::commands::experiment::arm_failure::Failure;
 use crate::commands::experiment::disturbance::Disturbance;
@@ -107,8 +108,12 @@ impl Claim {
     }
 
     fn stricter(mut self, measure: &'static str, value: Option<f64>) -> Self {
-        let stricter =
-            value.map(|value| Stricter { measure, value, holds: self.paper.holds(value) });
+        // Nothing is measured where there was nothing to measure, such as goals that can be reached.
+        let stricter = value.filter(|value| !value.is_nan()).map(|value| Stricter {
+            measure,
+            value,
+            holds: self.paper.holds(value),
+        });
         self.stricter.extend(stricter);
         self
     }
@@ -181,11 +186,6 @@ fn disturbance(reports: &Reports) -> Vec<Claim> {
     claims
 }
 
-/// A single-precision number of thousandths in double precision.
-fn thousandths(value: f32) -> f64 {
-    (1e3 * f64::from(value)).round() / 1e3
-}
-
 /// The largest of three axes.
 fn largest(axes: &[f32; 3]) -> f64 {
     f64::from(axes.iter().fold(0.0_f32, |largest, axis| largest.max(axis.abs())))
@@ -228,13 +228,11 @@ fn base_mass(reports: &Reports) -> Claim {
 
 /// What the paper's figures show: one episode of each stage, at its end; the worst hand of both stages.
 fn reassembly(reports: &Reports) -> Vec<Claim> {
-    let of =
-        |goals: Goals, error: ErrorOf, read: fn(&crate::commands::eval::Spread) -> f64, last| {
-            let stages = reports.reassembly.results.iter().filter(|stage| stage.goals == goals);
-            let errors =
-                stages.flat_map(|stage| &stage.errors).filter(|other| other.error == error);
-            errors.map(|error| read(if last { &error.last } else { &error.tail })).reduce(f64::max)
-        };
+    let of = |goals: Goals, error: ErrorOf, read: fn(&Spread) -> f64, last| {
+        let stages = reports.reassembly.results.iter().filter(|stage| stage.goals == goals);
+        let errors = stages.flat_map(|stage| &stage.errors).filter(|other| other.error == error);
+        errors.map(|error| read(if last { &error.last } else { &error.tail })).reduce(f64::max)
+    };
     let claim = |error: ErrorOf, what, bound| {
         let last = of(Goals::Theirs, error, |spread| spread.mean, true);
         let tail = of(Goals::HeldOut, error, |spread| spread.mean, false);
@@ -247,6 +245,29 @@ fn reassembly(reports: &Reports) -> Vec<Claim> {
         claim(ErrorOf::Orientation, "reassembly, orientation", 0.045),
         claim(ErrorOf::Base, "reassembly, base", 0.035),
     ]
+}
+
+/// How many claims hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Tally {
+    pub(super) hold: usize,
+    pub(super) of: usize,
+    not_judged: usize,
+}
+
+impl Tally {
+    pub(super) fn of(claims: &[Claim]) -> Self {
+        let count = |holds| claims.iter().filter(|claim| claim.holds == holds).count();
+        Self { hold: count(Some(true)), of: claims.len(), not_judged: count(None) }
+    }
+
+    /// How many claims say nothing about this robot; empty if all are judged.
+    pub(super) fn not_judged(self) -> String {
+        match self.not_judged {
+            0 => String::new(),
+            n => format!(", {n} not judged"),
+        }
+    }
 }
 
 /// The claims as a person reads them.
@@ -289,8 +310,19 @@ mod tests {
         assert_eq!(Bound::below(Unit::Metre, 0.025).show(0.0131), "13.1 mm");
         assert_eq!(Bound::MostOf(10).show(8.0), "8 of 10");
         assert_eq!(Bound::MostOf(10).text(), "most of 10");
-        // Thresholds of single precision are the paper's again.
-        assert_eq!(thousandths(0.015), 0.015);
+    }
+
+    #[test]
+    fn what_is_not_judged_does_not_hold() {
+        let claim = |ours| {
+            let bound = Bound::BelowRadians(0.03);
+            Claim::new(Name::ArmFailure, "what", "measure", bound, ours)
+        };
+        let tally = Tally::of(&[claim(Some(0.01)), claim(Some(0.05)), claim(None)]);
+        assert_eq!((tally.hold, tally.of), (1, 3));
+        assert_eq!(tally.not_judged(), ", 1 not judged");
+        assert_eq!(Tally::of(&[claim(Some(0.01))]).not_judged(), "");
+        assert!(claim(Some(0.01)).stricter("none to measure", Some(f64::NAN)).stricter.is_empty());
     }
 
     #[test]

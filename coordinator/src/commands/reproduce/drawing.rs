@@ -17,7 +17,7 @@ const TITLE: f64 = 26.0;
 /// Moments that are drawn, as they are counted on the axes of figures; the last step follows.
 const MOMENTS: [usize; 4] = [1, 8, 70, 78];
 
-/// Colours of [`super::plot`], in words.
+/// Colours of [`crate::figures::panels`], in words.
 const INK: &str = "#263238";
 const FAINT: &str = "#607078";
 const TURNING: &str = "#0072B2";

@@ -4,7 +4,7 @@ use proto::config::TaskName;
 
 use super::Reports;
 use super::claims::{MASS_SHARE, MASS_THRESHOLD};
-use crate::commands::eval::ErrorOf;
+use crate::commands::errors::ErrorOf;
 use crate::commands::experiment::disturbance::{Disturbance, Disturbed};
 use crate::commands::experiment::noise::Quantity;
 use crate::commands::experiment::report::{ErrorOfMany, Figure, Goals};

@@ -20,7 +20,7 @@ use clap::Parser as _;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
 
-use self::claims::Claim;
+use self::claims::{Claim, Tally};
 use crate::cli::experiment::{
     ArmFailureArgs, BaseMassArgs, DisturbanceArgs, ExperimentCommand, NoiseArgs, PrecisionArgs,
     ReassemblyArgs,
@@ -133,12 +133,13 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
     if args.json {
         return output::json(&Outcome { report: &page, claims: &claims });
     }
-    let failed = claims.iter().filter(|claim| claim.holds == Some(false)).count();
+    let tally = Tally::of(&claims);
     output::line(&format!(
-        "{}\n\n{} of {} claims hold\nreport      {}",
+        "{}\n\n{} of {} claims hold{}\nreport      {}",
         claims::table(&claims),
-        claims.len() - failed,
-        claims.len(),
+        tally.hold,
+        tally.of,
+        tally.not_judged(),
         page.display()
     ))
 }

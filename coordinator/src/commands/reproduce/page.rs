@@ -5,7 +5,7 @@ use std::time::SystemTime;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use sim_worker::robot::Robot;
 
-use super::claims::{Claim, verdict};
+use super::claims::{Claim, Tally, verdict};
 use super::{GENERATOR, Reports, drawing, figures};
 use crate::cli::experiment::{
     ArmFailureArgs, BaseMassArgs, DisturbanceArgs, NoiseArgs, PrecisionArgs, ReassemblyArgs,
@@ -129,10 +129,10 @@ fn identity(policy: &PolicyIdentity) -> Markup {
 
 /// The claims.
 fn table(content: &Content<'_>) -> Markup {
-    let judged = content.claims.iter().filter(|claim| claim.holds == Some(true)).count();
+    let tally = Tally::of(content.claims);
     html! {
         h2 id="claims" { "The paper's claims" }
-        p { (judged) " of " (content.claims.len()) " hold by the paper's measure, as far as it is known. The last column is stricter: the mean \
+        p { (tally.hold) " of " (tally.of) " hold by the paper's measure, as far as it is known" (tally.not_judged()) ". The last column is stricter: the mean \
             over the last 20 steps of all episodes, from which no lucky moment can be picked. Goals that can be reached are those that a controller \
             which knows the robot reaches." }
         div class="scroll" {
