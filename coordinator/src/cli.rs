@@ -36,7 +36,7 @@ Results go to standard output, progress and logs to standard error (RUST_LOG=inf
 const TRAIN_EXAMPLES: &str = "\
 Examples:
   octopus train
-  octopus train reorientation --workers 4 --time-limit 10m
+  octopus train reorientation --time-limit 10m
   octopus train --preset paper --seed 7 --run-dir runs/paper-7
   octopus train --preset paper --algorithm ppo
   octopus train --set network.hidden=[64,64] --set algorithm.gamma=0.97 --iterations 20
@@ -52,14 +52,15 @@ Examples:
   octopus resume runs/trajectory-20260101-120000 --workers 4
   octopus resume runs/trajectory-20260101-120000 --env-steps 4e6
 
-The limits are those of the whole run, not of what is left. The number of workers changes nothing
-that is learned; another budget does when the learning rate falls over it.";
+--iterations and --env-steps are those of the whole run, not of what is left; --time-limit is that of
+this session. The number of workers changes nothing that is learned; another budget does when the
+learning rate falls over it.";
 
 const EVAL_EXAMPLES: &str = "\
 Examples:
   octopus eval runs/trajectory-20260101-120000
   octopus eval runs/trajectory-20260101-120000:best
-  octopus eval runs/trajectory-20260101-120000:130 --episodes 200
+  octopus eval runs/trajectory-20260101-120000:500 --episodes 200
   octopus eval runs/trajectory-20260101-120000 --json | jq .overall
 
 Of every episode three numbers are taken for each error: its minimum over time (`min`), its value
@@ -372,8 +373,8 @@ pub struct DoctorArgs {
 pub struct StatusArgs {
     /// The run directory [default: all in runs/].
     pub run_dir: Option<PathBuf>,
-    /// Show it again and again, until the run ends or Ctrl-C.
-    #[arg(long, requires = "run_dir", value_name = "SECONDS", num_args = 0..=1, default_missing_value = "2", value_parser = duration)]
+    /// Show it again and again, until the run ends or Ctrl-C: every 2 s, or as in --watch=10s.
+    #[arg(long, requires = "run_dir", value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "2", value_parser = duration)]
     pub watch: Option<Duration>,
     /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
     #[arg(long, value_name = "FILE")]
@@ -478,9 +479,9 @@ pub enum PrecisionArg {
 /// An integration scheme on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum IntegratorArg {
-    /// Classical Runge and Kutta, as training integrates.
+    /// Classical Runge and Kutta.
     Rk4,
-    /// Runge–Kutta of third order.
+    /// Runge–Kutta of third order, as training integrates.
     Rk3,
     /// Semi-implicit Euler, as the robot's authors do.
     Euler,
@@ -512,6 +513,26 @@ mod tests {
         assert!(parse("octopus train --iterations 3 --time-limit 1m").is_err());
         assert!(parse("octopus train --iterations 3").is_ok());
         assert!(parse("octopus train --no-eval --eval").is_ok());
+    }
+
+    #[test]
+    fn what_is_watched_may_stand_before_or_after_the_flag() {
+        let parse = |line: &str| {
+            let Command::Status(args) = Cli::try_parse_from(line.split(' ')).expect(line).command
+            else {
+                panic!("{line} is another command")
+            };
+            (args.run_dir, args.watch)
+        };
+        let run = || Some(PathBuf::from("runs/x"));
+        for (line, seconds) in [
+            ("octopus status --watch runs/x", 2),
+            ("octopus status runs/x --watch", 2),
+            ("octopus status --watch=1m runs/x", 60),
+            ("octopus status runs/x --watch=10", 10),
+        ] {
+            assert_eq!(parse(line), (run(), Some(Duration::from_secs(seconds))), "{line}");
+        }
     }
 
     /// The README promises it.

@@ -7,8 +7,8 @@ use clap::Args;
 
 const EXAMPLES: &str = "\
 Examples:
-  octopus rollout runs/trajectory-20260101-120000 --address 1/17/3
-  octopus rollout runs/trajectory-20260101-120000 --address 1/50/0 --out block.safetensors
+  octopus rollout runs/trajectory-20260101-120000 --address 1/500/1
+  octopus rollout runs/trajectory-20260101-120000 --address 1/500/0 --out block.safetensors
 
 A rollout is a pure function of seed, iteration, shard and policy, so this makes the very block that
 a worker of the run made, to the bit. The policy is looked for beside the block, if it failed in the
@@ -50,7 +50,7 @@ impl FromStr for BlockAddress {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || "wants SEED/ITERATION/SHARD, such as 1/17/3".to_owned();
+        let wrong = || "wants SEED/ITERATION/SHARD, such as 1/500/1".to_owned();
         let mut parts = text.split('/');
         let mut next = || parts.next().ok_or_else(wrong);
         let (seed, iteration, shard) = (next()?, next()?, next()?);

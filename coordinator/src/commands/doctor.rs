@@ -69,7 +69,10 @@ fn leftovers() -> Check {
         Ok(found) if found.is_empty() => Check::good(NAME, "none"),
         Ok(found) => Check::warning(
             NAME,
-            format!("{} killed runs left shared memory behind", found.len()),
+            format!(
+                "{} left shared memory behind",
+                output::counted(found.len() as u64, "killed run")
+            ),
             "`octopus clean`",
         ),
         Err(error) => Check::warning(

@@ -22,7 +22,7 @@
 //! | `policy_version` | | version of the policy that collected the samples |
 //! | `wall_s` | s | time since the run began, over all its sessions |
 //! | `env_steps_per_s` | 1/s | env-steps trained on a second, of late |
-//! | `workers`, `restarts` | | live workers; workers and learners replaced so far |
+//! | `workers`, `restarts` | | workers wanted; workers and learners replaced so far |
 //! | `returns` | | undiscounted return of an episode, mean over the iteration, an agent each |
 //! | `return_mean` | | mean of `returns` |
 //! | `policy_loss`, `value_loss` | | clipped surrogate, negated; value loss |
@@ -102,7 +102,7 @@ pub struct Live {
     pub wall_s: f64,
     /// Env-steps trained on a second, of late.
     pub env_steps_per_s: f64,
-    /// Live workers.
+    /// Workers wanted; as many live, but for those that are being replaced.
     pub workers: usize,
     /// Workers and learners replaced so far.
     pub restarts: u64,

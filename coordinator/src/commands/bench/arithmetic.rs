@@ -297,8 +297,8 @@ mod tests {
         let robot = Robot::builtin("paper").expect("built in");
         let count = |contacts| physics(&robot, &StepOptions { contacts, ..StepOptions::default() });
         let (without, with) = (count(false), count(true));
-        // 40 substeps of four evaluations on 26 bodies: some hundred operations a body each time.
-        assert!((40.0 * 4.0 * 26.0 * 100.0..1e8).contains(&without), "{without}");
+        // 27 substeps of three evaluations on 26 bodies: some hundred operations a body each time.
+        assert!((27.0 * 3.0 * 26.0 * 100.0..1e8).contains(&without), "{without}");
         assert!(with > without, "{with}");
     }
 }
