@@ -2,7 +2,7 @@
 //! makes sure that nothing outlives a test, also when it fails.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, ChildStdin, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -61,6 +61,39 @@ pub const SMALL: &[&str] = &[
     "--set=run.checkpoint_every=5",
     "--set=run.evaluate_every=0",
 ];
+
+/// A process that a failed test does not leave behind.
+#[derive(Debug)]
+pub struct Owned(Child);
+
+impl Owned {
+    /// Starts it.
+    pub fn spawn(command: &mut Command) -> Self {
+        Self(command.spawn().expect("the program can be started"))
+    }
+
+    /// Its process id.
+    pub fn id(&self) -> u32 {
+        self.0.id()
+    }
+
+    /// The writing end of its standard input, if that is a pipe and was not taken before.
+    pub fn stdin(&mut self) -> Option<ChildStdin> {
+        self.0.stdin.take()
+    }
+
+    /// How it ended, if it has.
+    pub fn ended(&mut self) -> Option<ExitStatus> {
+        self.0.try_wait().expect("own child")
+    }
+}
+
+impl Drop for Owned {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
 
 /// A run in a directory that goes away with it.
 #[derive(Debug)]

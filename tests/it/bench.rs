@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use serde_json::Value;
-use tests::{assert_nothing_left, kill, octopus, program, stderr};
+use tests::{Owned, assert_nothing_left, kill, octopus, program, stderr};
 
 /// A configuration that is measured in a moment.
 const SMALL: &[&str] = &[
@@ -93,29 +93,26 @@ fn every_figure_is_measured_and_nothing_is_left() {
 #[test]
 fn ctrl_c_ends_a_measured_training_and_removes_it() {
     let dir = tempfile::tempdir().expect("a directory");
-    let mut process = bench(dir.path(), &["train", "--seconds=3000", "--workers=1"])
-        .stderr(Stdio::null())
-        .stdout(Stdio::null())
-        .spawn()
-        .expect("octopus starts");
+    let mut command = bench(dir.path(), &["train", "--seconds=3000", "--workers=1"]);
+    let mut process = Owned::spawn(command.stderr(Stdio::null()).stdout(Stdio::null()));
     let watchdog = Instant::now() + Duration::from_mins(2);
     let domain = loop {
         if let Some(domain) = lock_of_a_run(dir.path()) {
             break domain;
         }
-        let ended = process.try_wait().expect("own child");
+        let ended = process.ended();
         assert!(ended.is_none() && Instant::now() < watchdog, "no run begins: {ended:?}");
         std::thread::sleep(Duration::from_millis(20));
     };
     kill(process.id(), Signal::INT);
-    while process.try_wait().expect("own child").is_none() {
-        if Instant::now() > watchdog {
-            let _ = process.kill();
-            panic!("it does not end");
+    let status = loop {
+        if let Some(status) = process.ended() {
+            break status;
         }
+        assert!(Instant::now() < watchdog, "it does not end");
         std::thread::sleep(Duration::from_millis(20));
-    }
-    assert_eq!(process.wait().expect("own child").code(), Some(130));
+    };
+    assert_eq!(status.code(), Some(130));
     assert_nothing_left(&domain);
     assert!(is_empty(dir.path()), "the run directory is removed");
 }

@@ -3,9 +3,10 @@
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use tests::{Run, SMALL, octopus, program, python, stderr};
+use tests::{Owned, Run, SMALL, octopus, program, python, stderr};
 
 /// A finished run with checkpoints after 2, 4 and 6 iterations.
 fn run(more: &[&str]) -> (Run, String) {
@@ -330,23 +331,26 @@ fn an_import_that_is_killed_leaves_nothing_in_sight() {
     let archive = checkpoints(&["export", &dir, "--out", "-"], 0).stdout;
     let store = Path::new(&dir).join("checkpoints");
     for part in [600, archive.len() / 3, archive.len() - 1100] {
-        let mut import = Command::new(program("octopus"))
-            .args(["checkpoints", "import", "-", "--store", &dir, "--name", "copy"])
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .spawn()
-            .expect("starts");
-        let mut pipe = import.stdin.take().expect("a pipe");
+        let mut import = Owned::spawn(
+            Command::new(program("octopus"))
+                .args(["checkpoints", "import", "-", "--store", &dir, "--name", "copy"])
+                .stdin(Stdio::piped())
+                .stdout(Stdio::null()),
+        );
+        let mut pipe = import.stdin().expect("a pipe");
         pipe.write_all(&archive[..part]).expect("it reads");
+        let watchdog = Instant::now() + Duration::from_mins(1);
         while temporary(&store).is_empty() {
-            std::thread::sleep(std::time::Duration::from_millis(2));
+            let ended = import.ended();
+            assert!(ended.is_none() && Instant::now() < watchdog, "it imports nothing: {ended:?}");
+            std::thread::sleep(Duration::from_millis(2));
         }
         // Others see nothing of it, and a sweep leaves a living one alone.
         assert_eq!(names(&dir).len(), 3);
         text(&["prune", &dir]);
         assert_eq!(temporary(&store).len(), 1);
-        import.kill().expect("own child");
-        import.wait().expect("own child");
+        // Killed.
+        drop(import);
         drop(pipe);
         assert_eq!(names(&dir).len(), 3);
         text(&["prune", &dir]);

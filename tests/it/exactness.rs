@@ -1,5 +1,7 @@
 //! The same bits whatever happens.
 
+use std::time::{Duration, Instant};
+
 use rustix::process::Signal;
 use tests::{Run, assert_nothing_left, kill, octopus, stderr};
 
@@ -181,10 +183,14 @@ fn processes_that_hang_before_they_are_ready_are_replaced() {
     let domain = run.domain_when_there();
     // As soon as they exist: they have loaded nothing yet.
     for program in ["sim-worker", "learner"] {
+        let watchdog = Instant::now() + Duration::from_mins(1);
         let hung = loop {
             if let Some(&process) = run.children(program).first() {
                 break process;
             }
+            let ended = run.ended();
+            let waits = ended.is_none() && Instant::now() < watchdog;
+            assert!(waits, "no {program} starts: {ended:?}; log:\n{}", run.log());
         };
         kill(hung, Signal::STOP);
     }
