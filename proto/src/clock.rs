@@ -48,7 +48,7 @@ mod tests {
         let (wall, cpu) = (monotonic(), thread_cpu());
         let mut word = 1_u64;
         while thread_cpu() - cpu < 1e-3 {
-            assert!(monotonic().saturating_sub(wall) < Duration::from_secs(60), "it stands still");
+            assert!(monotonic().saturating_sub(wall) < Duration::from_mins(1), "it stands still");
             word = std::hint::black_box(word.wrapping_mul(3));
         }
         let (wall, cpu) = (monotonic(), thread_cpu());

@@ -480,10 +480,7 @@ impl Check {
                 free && !name.is_empty() && name.chars().all(plain),
                 &format!("{list}[{i}].name"),
                 &format!("{name:?}"),
-                &format!(
-                    "letters, digits, `-` and `_`, other than {:?} and the names before it",
-                    taken
-                ),
+                &format!("letters, digits, `-`, `_`, other than {taken:?} and the names before it"),
             )?;
         }
         Ok(())

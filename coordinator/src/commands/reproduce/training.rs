@@ -159,7 +159,8 @@ fn again(args: &ReproduceArgs, out: &Path) -> Line {
     words.extend(
         [("--quick", args.quick), ("--json", args.json)]
             .into_iter()
-            .filter_map(|(flag, given)| given.then(|| flag.into())),
+            .filter(|&(_, given)| given)
+            .map(|(flag, _)| flag.into()),
     );
     words.extend(
         [format!("--steps={}", args.steps), format!("--seed={}", args.seed)].map(OsString::from),

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::*;
 use crate::dynamics::tests::Noise;
 use crate::dynamics::twin::{Momentum, kinetic_energy, momentum};
-use crate::dynamics::{Hand, StepOptions, hands, step, step_disturbed};
+use crate::dynamics::{StepOptions, step, step_disturbed};
 use crate::robot::Robot;
 use crate::scalar::{LANES, LaneFn, dispatch};
 use crate::state::State;
