@@ -157,6 +157,8 @@ struct Session<'a> {
     heard: BTreeMap<WorkerId, Instant>,
     /// When the learner was last heard, or was started.
     learner_heard: Instant,
+    /// What the learner chose for its products: one that takes its place must not choose otherwise.
+    precision: Option<String>,
     /// Workers that are ready before the learner is.
     early: Vec<(WorkerId, u32)>,
     /// Where the learner was started from, in iterations.
@@ -209,6 +211,7 @@ impl<'a> Session<'a> {
             scheduler: None,
             heard: BTreeMap::new(),
             learner_heard: now,
+            precision: None,
             early: Vec::new(),
             origin: 0,
             reported: 0,
@@ -236,7 +239,8 @@ impl<'a> Session<'a> {
         self.reported = self.origin;
         self.snapshots.begin_from(from.map(|checkpoint| (self.origin, checkpoint.dir.clone())));
         self.learner_heard = Instant::now();
-        supervisor.start_learner(from.map(Checkpoint::state).as_deref())?;
+        let state = from.map(Checkpoint::state);
+        supervisor.start_learner(state.as_deref(), self.precision.as_deref())?;
         supervisor.scale(self.workers)?;
         Ok(())
     }
@@ -368,6 +372,7 @@ impl<'a> Session<'a> {
             match progress {
                 Progress::Ready { iteration, digest, precision, .. } => {
                     tracing::info!(iteration, %digest, precision, "learner is ready");
+                    self.precision = Some(precision);
                     self.learner_ready(iteration, now, reporter)?;
                 }
                 Progress::Heartbeat => {}

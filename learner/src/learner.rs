@@ -51,6 +51,9 @@ pub struct Arguments {
     /// Training state to go on from.
     #[arg(long, value_name = "FILE")]
     pub resume: Option<PathBuf>,
+    /// What a learner before this one chose for `run.precision = "auto"`; the state to go on from knows better.
+    #[arg(long, value_name = "f32|bf16", value_parser = precision)]
+    pub precision: Option<Arithmetic>,
     /// Process that started this one: the learner does not start if that is gone already.
     #[arg(long, value_name = "PID")]
     pub parent: Option<i32>,
@@ -66,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     tch::set_num_interop_threads(1);
     let state = match &arguments.resume {
         None => {
-            let arithmetic = Arithmetic::choose(config.run.precision, None, device);
+            let arithmetic = Arithmetic::choose(config.run.precision, arguments.precision, device);
             TrainingState::initial(&config, &dimensions, arithmetic, device)
         }
         Some(path) => {
@@ -96,6 +99,10 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         let _ = learner.ports.progress.send(&Progress::Failed { message });
     }
     Ok(result?)
+}
+
+fn precision(name: &str) -> Result<Arithmetic, String> {
+    Arithmetic::from_name(name).ok_or_else(|| "expected `f32` or `bf16`".to_owned())
 }
 
 fn read(path: &std::path::Path) -> Result<Vec<u8>, LearnerError> {

@@ -18,7 +18,8 @@ impl Arithmetic {
     /// Decides: what the configuration asks for, else what a resumed state was trained with, else
     /// bf16 if the processor (or the GPU) multiplies it natively and a measurement finds it faster.
     ///
-    /// The run's state records the choice, and a resume keeps it: a machine that is busy at the wrong moment may choose otherwise, but never midway.
+    /// The run's state records the choice, and a resume keeps it: a machine that is busy at the wrong moment may choose otherwise, but never midway. Before there
+    /// is a state, the coordinator tells a learner that takes another's place what that one chose.
     pub fn choose(wanted: Precision, resumed: Option<Self>, device: Device) -> Self {
         match (wanted, resumed) {
             (Precision::Auto, Some(resumed)) => resumed,
@@ -30,6 +31,11 @@ impl Arithmetic {
             (Precision::Bf16, _) => Self::Bf16,
             (Precision::F32 | Precision::Auto, _) => Self::F32,
         }
+    }
+
+    /// By its name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        [Self::F32, Self::Bf16].into_iter().find(|arithmetic| arithmetic.as_str() == name)
     }
 
     /// Its name in configurations and messages.
