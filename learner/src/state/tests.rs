@@ -42,20 +42,25 @@ fn the_digest_can_be_recomputed_from_the_file() {
 #[test]
 fn every_array_changes_the_digest() {
     let config = config(&[]);
-    let (state, _) = state(&config);
+    let (state, dimensions) = state(&config);
     let bytes = state.to_safetensors();
     let file = SafeTensors::deserialize(&bytes).expect("valid");
-    let dimensions = Dimensions::new(&config, 2);
-    for (name, tensor) in file.tensors() {
-        // The lowest bit of the array's first number; what follows from other arrays may be refused instead.
+    let mut refused = Vec::new();
+    // `policy.` repeats what actors and moments say, for other readers of the file.
+    for (name, tensor) in
+        file.tensors().into_iter().filter(|(name, _)| !name.starts_with("policy."))
+    {
+        // The lowest bit of the array's first number.
         let at = tensor.data().as_ptr() as usize - bytes.as_ptr() as usize;
         let mut changed = bytes.clone();
         changed[at] ^= 1;
         let read = TrainingState::from_safetensors(&changed, &config, &dimensions, Device::Cpu);
-        if let Ok(read) = read {
-            assert_ne!(read.digest(), state.digest(), "{name}");
+        match read {
+            Ok(read) => assert_ne!(read.digest(), state.digest(), "{name}"),
+            Err(_) => refused.push(name),
         }
     }
+    assert_eq!(refused, ["counters.precision"], "another name is none");
 }
 
 #[test]
