@@ -89,10 +89,10 @@ impl Cause {
         }
     }
 
-    /// What the coordinator ends with if this ends the run: what the child [`said`], or that it failed.
+    /// What the coordinator ends with if this ends the run: what the child [`child_exit_code`], or that it failed.
     pub fn exit_code(self) -> ExitCode {
         match self {
-            Self::Crash(status) => said(status),
+            Self::Crash(status) => child_exit_code(status),
             Self::Hang | Self::Killed(_) => ExitCode::Child,
         }
     }
@@ -100,7 +100,7 @@ impl Cause {
 
 /// What a child said with its exit code, where that is about the machine or the files; else that a
 /// child failed.
-pub fn said(status: ExitStatus) -> ExitCode {
+pub fn child_exit_code(status: ExitStatus) -> ExitCode {
     [ExitCode::BadInput, ExitCode::Environment, ExitCode::RunDirectory]
         .into_iter()
         .find(|code| status.code() == Some(*code as i32))

@@ -11,7 +11,7 @@ use sim_worker::experiment::CHUNK;
 use sim_worker::reach::{self, HandReach};
 use sim_worker::rollout::World;
 
-use super::errors::{ErrorOf, Spread, Unit, milli, number, papers, percent};
+use super::statistics::{ErrorOf, Spread, Unit, milli, number, papers, percent};
 use super::trained::{Trained, open_checkpoint};
 use crate::checkpoint::Checkpoint;
 use crate::cli::EvalArgs;

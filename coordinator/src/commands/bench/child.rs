@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
 
 use super::Bench;
-use crate::supervisor::{log_tail, said};
+use crate::supervisor::{child_exit_code, log_tail};
 
 /// How often a program is asked whether it has ended: seldom enough to cost nothing.
 const PATIENCE: Duration = Duration::from_millis(10);
@@ -65,7 +65,7 @@ pub(super) fn output_of(
     };
     if !status.success() {
         let message = format!("{program} failed ({status}):\n{}", log_tail(&log, 5));
-        return Err(ExitError::new(said(status), message).into());
+        return Err(ExitError::new(child_exit_code(status), message).into());
     }
     let mut text = String::new();
     if let Some(mut stdout) = running.0.stdout.take() {

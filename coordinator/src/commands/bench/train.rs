@@ -15,7 +15,7 @@ use super::Bench;
 use super::child::Running;
 use super::figures::{Figure, Figures};
 use crate::report::jsonl;
-use crate::supervisor::{log_tail, said};
+use crate::supervisor::{child_exit_code, log_tail};
 
 /// Iterations that count, at least; the first one does not.
 const ITERATIONS: usize = 3;
@@ -139,7 +139,11 @@ impl Run {
         };
         self.ended = true;
         let end = log_tail(&self.log, 5);
-        Err(ExitError::new(said(status), format!("the training ended ({status}):\n{end}")).into())
+        Err(ExitError::new(
+            child_exit_code(status),
+            format!("the training ended ({status}):\n{end}"),
+        )
+        .into())
     }
 
     fn signal(&self) {

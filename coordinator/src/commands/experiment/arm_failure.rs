@@ -5,9 +5,10 @@ use serde::{Deserialize, Serialize};
 use sim_worker::experiment::{Effect, FixedGoals, Intervention, Trial};
 
 use super::lab::{Lab, Needs};
-use super::report::{ErrorOfMany, Figure, Goals, Report, milli, percent, share};
+use super::report::{ErrorOfMany, Figure, Goals, Report, share};
 use super::{Experiment, Name};
 use crate::cli::experiment::{ArmFailureArgs, CommonArgs, Failing};
+use crate::commands::statistics::{milli, percent};
 use crate::output;
 
 /// The authors' goal of the figure.

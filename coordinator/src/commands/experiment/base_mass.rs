@@ -5,9 +5,10 @@ use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 
 use super::lab::{Lab, Needs};
-use super::report::{ErrorOfMany, Report, Words, milli, share};
+use super::report::{ErrorOfMany, Report, Words, share};
 use super::{Experiment, Name};
 use crate::cli::experiment::{BaseMassArgs, CommonArgs};
+use crate::commands::statistics::milli;
 use crate::output;
 
 /// How well a base of some mass turns.

@@ -11,10 +11,10 @@ use sim_worker::experiment::{Effect, FixedGoals, Intervention, Recording};
 use sim_worker::robot::JOINTS_PER_ARM;
 
 use super::lab::{Lab, Needs};
-use super::report::{CourseOfMany, Figure, Goals, Report, Words, milli, percent, share, spread};
+use super::report::{CourseOfMany, Figure, Goals, Report, Words, share, spread};
 use super::{Experiment, Name};
 use crate::cli::experiment::{CommonArgs, DisturbanceArgs};
-use crate::commands::errors::{ErrorOf, Spread, Unit};
+use crate::commands::statistics::{ErrorOf, Spread, Unit, milli, percent};
 use crate::commands::trained::Trained;
 use crate::output;
 

@@ -7,10 +7,11 @@ use sim_worker::evaluate::Evaluation;
 use sim_worker::experiment::{Effect, Intervention, SensorNoise};
 
 use super::lab::{Lab, Needs};
-use super::report::{Report, Words, milli, percent};
+use super::report::{Report, Words};
 use super::{Experiment, Name};
 use crate::cli::experiment::{Amounts, CommonArgs, NoiseArgs};
 use crate::commands::eval::{ErrorSummary, Success, Summary};
+use crate::commands::statistics::{milli, percent};
 use crate::commands::trained::Trained;
 use crate::output;
 

@@ -9,9 +9,10 @@ use sim_worker::env::step_options;
 use sim_worker::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
 
 use super::lab::{Lab, Needs};
-use super::report::{ErrorOfMany, Figure, Goals, Report, milli};
+use super::report::{ErrorOfMany, Figure, Goals, Report};
 use super::{Experiment, Name};
 use crate::cli::experiment::{CommonArgs, ReassemblyArgs};
+use crate::commands::statistics::milli;
 use crate::output;
 
 /// The players, in the order of a trial's.

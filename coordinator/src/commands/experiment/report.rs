@@ -9,8 +9,7 @@ use sim_worker::experiment::Recording;
 use sim_worker::robot::Robot;
 
 use super::Name;
-use crate::commands::errors::{ErrorOf, Spread, Unit};
-pub(crate) use crate::commands::errors::{milli, percent};
+use crate::commands::statistics::{ErrorOf, Spread, Unit};
 use crate::commands::trained::PolicyIdentity;
 use crate::provenance::Provenance;
 

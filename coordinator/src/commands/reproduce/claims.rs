@@ -7,12 +7,12 @@ use proto::config::TaskName;
 use serde::Serialize;
 
 use super::Reports;
-use crate::commands::errors::{ErrorOf, Spread, Unit, thousandths};
 use crate::commands::eval::Summary;
 use crate::commands::experiment::Name;
 use crate::commands::experiment::arm_failure::Failure;
 use crate::commands::experiment::disturbance::Disturbance;
 use crate::commands::experiment::report::Goals;
+use crate::commands::statistics::{ErrorOf, Spread, Unit, thousandths};
 use crate::output;
 
 /// Share of episodes that a mass must bring within [`MASS_THRESHOLD`], as the paper says of most masses.

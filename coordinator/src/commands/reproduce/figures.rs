@@ -4,10 +4,10 @@ use proto::config::TaskName;
 
 use super::Reports;
 use super::claims::{MASS_SHARE, MASS_THRESHOLD};
-use crate::commands::errors::ErrorOf;
 use crate::commands::experiment::disturbance::{Disturbance, Disturbed};
 use crate::commands::experiment::noise::Quantity;
 use crate::commands::experiment::report::{ErrorOfMany, Figure, Goals};
+use crate::commands::statistics::ErrorOf;
 use crate::figures::panels::{Axis, COLORS, Item, Panel, Quantiles, line, render};
 
 const STEP: &str = "control step";
