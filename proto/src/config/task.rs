@@ -1,0 +1,152 @@
+//! Group `task`: what is to be learned, what is seen, and what is paid.
+
+use serde::{Deserialize, Serialize};
+
+/// The two tasks of the paper.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TaskName {
+    /// Every hand to a target pose.
+    Trajectory,
+    /// The base to a target attitude.
+    Reorientation,
+}
+
+impl TaskName {
+    /// The name as it is written in configurations and on the command line.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Trajectory => "trajectory",
+            Self::Reorientation => "reorientation",
+        }
+    }
+}
+
+/// Which numbers an agent sees; the layouts stand in `sim-worker`'s `task::observation`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Observation {
+    /// The paper's text: 28 numbers (25 for reorientation).
+    Paper,
+    /// The released code: 31 numbers (25 for reorientation).
+    Release,
+    /// The whole arm, pose errors at three scales, the last action; vectors in the arm's frame, which moves
+    /// with the base, so that all arms see alike wherever it is.
+    Arm,
+}
+
+/// How agents see a joint angle. Joints have no stops: angles that differ by 2π are one pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum JointAngles {
+    /// The angle relative to home (rad), with all turns that the joint has made.
+    #[default]
+    Unwound,
+    /// Its sine and cosine: the same in every turn.
+    SinCos,
+}
+
+impl JointAngles {
+    /// Numbers that say one angle.
+    pub fn numbers(self) -> usize {
+        match self {
+            Self::Unwound => 1,
+            Self::SinCos => 2,
+        }
+    }
+}
+
+/// The box that trajectory goals are drawn from, as offsets to the hand's home position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum GoalBox {
+    /// A cube of 0.3 m, as the paper says.
+    Paper,
+    /// The released code: 0.25 m.
+    Release,
+    /// The authors' working repository: 0.20 m.
+    Narrow,
+}
+
+/// Weights of one agent kind's reward,
+/// r = −(`quadratic`·e² + `log`·log₁₀(e² + ε) + `smoothness`·‖u − u⁻‖² + `effort`·‖u‖² + `collision`·co),
+/// with e = `scale` × the norm of the task error and u the clipped action before scaling.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RewardWeights {
+    /// Factor on the error norm before it enters the reward.
+    pub scale: f64,
+    /// Weight of the squared error.
+    pub quadratic: f64,
+    /// Weight of the logarithm of the squared error.
+    pub log: f64,
+    /// Weight of the squared change of the action.
+    pub smoothness: f64,
+    /// Weight of the squared action.
+    pub effort: f64,
+    /// Weight of the collision term.
+    pub collision: f64,
+}
+
+/// The reward of a task.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reward {
+    /// ε inside the logarithm.
+    pub epsilon: f64,
+    /// Whether the collision term counts touching pairs (`true`) or only says whether any touch.
+    pub count_collisions: bool,
+    /// Whether an agent answers for contacts of its own arm alone, instead of the whole robot's (trajectory).
+    #[serde(default)]
+    pub own_collisions: bool,
+    /// Share of the mean of its arm's two rewards in an agent's (trajectory); the rest is its own reward.
+    #[serde(default)]
+    pub team_spirit: f64,
+    /// Agents of shoulder joints, who care for the hand's position (trajectory).
+    pub position: RewardWeights,
+    /// Agents of wrist joints, who care for the hand's orientation (trajectory).
+    pub orientation: RewardWeights,
+    /// The one reward that all agents share (reorientation).
+    pub base: RewardWeights,
+}
+
+/// Table `task.start`: where training episodes begin. Evaluations and experiments begin at home.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Start {
+    /// Share of the episodes that begin at rest away from home.
+    pub share: f64,
+    /// There, joint angles are off home by up to this (rad), small offsets being more frequent.
+    pub joints: f64,
+    /// There, the base is turned by up to this about each axis (rad), likewise.
+    pub attitude: f64,
+    /// There, share of the arms that stand anywhere: every joint angle uniform in ±π of home.
+    #[serde(default)]
+    pub anywhere: f64,
+}
+
+/// Group `task`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Task {
+    /// Which task.
+    pub name: TaskName,
+    /// What the agents see.
+    pub observation: Observation,
+    /// How they see joint angles (layout `arm`), and critics (`compact`).
+    #[serde(default)]
+    pub joint_angles: JointAngles,
+    /// Control steps of an episode; its end is a truncation, never a termination.
+    pub episode_steps: usize,
+    /// Factor from a clipped action to a joint velocity command in rad/s.
+    pub action_scale: f64,
+    /// Where hand goals are drawn from.
+    pub goal_box: GoalBox,
+    /// Base goals are Euler angles uniform in ± this, per axis (rad).
+    pub base_goal_range: f64,
+    /// Where training episodes begin; at home if nothing is said.
+    #[serde(default)]
+    pub start: Start,
+    /// The reward.
+    pub reward: Reward,
+}
