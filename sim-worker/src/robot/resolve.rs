@@ -1,0 +1,386 @@
+//! From a description to a robot: every value checked, with the file and the key in the message, and everything derived from them.
+
+use std::path::Path;
+
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+
+use super::description::{
+    CapsuleDescription, DiscDescription, LinkDescription, RobotDescription, StopDescription,
+};
+use super::{
+    Arm, ArmBody, BaseBox, JOINTS_PER_ARM, Link, MAX_ARMS, RigidBody, Robot, RobotError, Shape,
+    Stop,
+};
+
+impl Robot {
+    /// Validates and completes a description; `path` is only for messages.
+    pub fn from_description(d: RobotDescription, path: &Path) -> Result<Self, RobotError> {
+        let check = Check { path: path.display().to_string() };
+        check.that(!d.name.is_empty(), "name", "empty", "a name")?;
+        check.finite("home_position", &d.home_position)?;
+        check.that(!d.base.is_empty(), "base", "no box", "at least one [[base]] box")?;
+        check.that(
+            d.links.len() == JOINTS_PER_ARM,
+            "links",
+            &format!("{} rows", d.links.len()),
+            &format!(
+                "{JOINTS_PER_ARM} [[links]] rows, one a joint, each with dh, mass, com and inertia"
+            ),
+        )?;
+        check.that(
+            (1..=MAX_ARMS).contains(&d.arms.len()),
+            "arms",
+            &format!("{} arms", d.arms.len()),
+            &format!("1 to {MAX_ARMS} [[arms]]"),
+        )?;
+
+        let mut boxes = Vec::new();
+        for (i, b) in d.base.iter().enumerate() {
+            let key = format!("base[{i}] ({})", b.name);
+            check.finite(&format!("{key}.position"), &b.position)?;
+            check.finite(&format!("{key}.euler_deg"), &b.euler_deg)?;
+            let rotation = rotation_xyz_deg(b.euler_deg);
+            boxes.push(solid_box(
+                &check,
+                &key,
+                &b.name,
+                b.size,
+                b.mass,
+                rotation,
+                b.position.into(),
+            )?);
+        }
+        let links = d
+            .links
+            .iter()
+            .enumerate()
+            .map(|(i, link)| resolve_link(&check, i, link))
+            .collect::<Result<Vec<_>, _>>()?;
+        let link_names: Vec<&str> = d.links.iter().map(|link| link.name.as_str()).collect();
+        check.names("links", &link_names, &["mount", "pedestal"])?;
+        let arm_names: Vec<&str> = d.arms.iter().map(|arm| arm.name.as_str()).collect();
+        check.names("arms", &arm_names, &[])?;
+        check.finite("tool.position", &d.tool.position)?;
+        let last = &links[JOINTS_PER_ARM - 1];
+        let tool_position = last.shift + last.twist * Vector3::from(d.tool.position);
+        let tool_rotation = last.twist;
+
+        let p = &d.pedestal;
+        let pedestal = rigid_body(&check, "pedestal", p.mass, p.com, p.inertia)?;
+        check.finite("pedestal.euler_deg", &p.euler_deg)?;
+        let pedestal_shapes = shapes(&check, "pedestal", &p.capsules, &p.discs)?;
+        check.finite("mount.position", &d.mount.position)?;
+
+        let mut arms = Vec::new();
+        for (i, a) in d.arms.iter().enumerate() {
+            let key = format!("arms[{i}] ({})", a.name);
+            check.finite(&format!("{key}.mount_position"), &a.mount_position)?;
+            check.finite(&format!("{key}.mount_euler_deg"), &a.mount_euler_deg)?;
+            check.finite(&format!("{key}.home"), &a.home)?;
+            let home = a.home.as_slice().try_into().map_err(|_| {
+                check.error(
+                    &format!("{key}.home"),
+                    &format!("{} angles", a.home.len()),
+                    &format!("{JOINTS_PER_ARM} angles, one a joint"),
+                )
+            })?;
+            let mount_rotation = rotation_xyz_deg(a.mount_euler_deg);
+            let position = Vector3::from(a.mount_position);
+            let rotation = mount_rotation * rotation_xyz_deg(p.euler_deg);
+            let centre = position + mount_rotation * Vector3::from(d.mount.position);
+            let name = format!("{}_mount", a.name);
+            arms.push(Arm {
+                mount: solid_box(
+                    &check,
+                    "mount",
+                    &name,
+                    d.mount.size,
+                    d.mount.mass,
+                    mount_rotation,
+                    centre,
+                )?,
+                pedestal: pedestal.moved(&rotation, &position),
+                pedestal_shapes: pedestal_shapes
+                    .iter()
+                    .map(|s| s.moved(&rotation, &position))
+                    .collect(),
+                name: a.name.clone(),
+                position,
+                rotation,
+                home,
+            });
+        }
+        let stops = d
+            .stops
+            .iter()
+            .enumerate()
+            .map(|(i, s)| resolve_stop(&check, i, s, &d))
+            .collect::<Result<Vec<_>, _>>()?;
+
+        let welded = boxes.iter().map(|b| &b.body);
+        let welded = welded.chain(arms.iter().flat_map(|a| [&a.mount.body, &a.pedestal]));
+        let base = welded.cloned().reduce(|a, b| a.welded(&b)).expect("a base has a box");
+        Ok(Self {
+            name: d.name.clone(),
+            n_arms: arms.len(),
+            base,
+            boxes,
+            links,
+            tool_position,
+            tool_rotation,
+            arms,
+            stops,
+            home_position: d.home_position,
+            description: d,
+        })
+    }
+}
+
+/// Refuses values, naming file and key.
+struct Check {
+    path: String,
+}
+
+impl Check {
+    fn error(&self, key: &str, found: &str, expected: &str) -> RobotError {
+        RobotError::Value {
+            path: self.path.clone(),
+            key: key.to_owned(),
+            found: found.to_owned(),
+            expected: expected.to_owned(),
+        }
+    }
+
+    fn that(&self, ok: bool, key: &str, found: &str, expected: &str) -> Result<(), RobotError> {
+        if ok { Ok(()) } else { Err(self.error(key, found, expected)) }
+    }
+
+    fn finite(&self, key: &str, values: &[f64]) -> Result<(), RobotError> {
+        self.that(
+            values.iter().all(|v| v.is_finite()),
+            key,
+            &format!("{values:?}"),
+            "finite numbers",
+        )
+    }
+
+    fn positive(&self, key: &str, value: f64) -> Result<(), RobotError> {
+        self.that(
+            value > 0.0 && value.is_finite(),
+            key,
+            &format!("{value}"),
+            "a finite number above zero",
+        )
+    }
+
+    /// Names by which files, messages and MJCF tell parts apart.
+    fn names(&self, list: &str, names: &[&str], taken: &[&str]) -> Result<(), RobotError> {
+        for (i, name) in names.iter().enumerate() {
+            let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+            let free = !names[..i].contains(name) && !taken.contains(name);
+            self.that(
+                free && !name.is_empty() && name.chars().all(plain),
+                &format!("{list}[{i}].name"),
+                &format!("{name:?}"),
+                &format!("letters, digits, `-`, `_`, other than {taken:?} and the names before it"),
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn resolve_link(check: &Check, i: usize, link: &LinkDescription) -> Result<Link, RobotError> {
+    let key = format!("links[{i}] ({})", link.name);
+    let dh = link.dh;
+    check.finite(&format!("{key}.dh"), &[dh.a, dh.d, dh.alpha_deg])?;
+    let body = rigid_body(check, &key, link.mass, link.com, link.inertia)?;
+    let armature_ok = link.armature >= 0.0 && link.armature.is_finite();
+    check.that(
+        armature_ok,
+        &format!("{key}.armature"),
+        &link.armature.to_string(),
+        "a finite number, zero or above",
+    )?;
+    check.positive(&format!("{key}.servo.gain"), link.servo.gain)?;
+    check.positive(&format!("{key}.servo.max_rate"), link.servo.max_rate)?;
+    check.positive(&format!("{key}.servo.max_torque"), link.servo.max_torque)?;
+    let (s, c) = sin_cos_deg(dh.alpha_deg);
+    let twist = Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c);
+    let shift = Vector3::new(dh.a, 0.0, dh.d);
+    let local = shapes(check, &key, &link.capsules, &link.discs)?;
+    Ok(Link {
+        name: link.name.clone(),
+        shift,
+        twist,
+        body: body.moved(&twist, &shift),
+        armature: link.armature,
+        gain: link.servo.gain,
+        max_rate: link.servo.max_rate,
+        max_torque: link.servo.max_torque,
+        shapes: local.iter().map(|s| s.moved(&twist, &shift)).collect(),
+    })
+}
+
+fn resolve_stop(
+    check: &Check,
+    i: usize,
+    stop: &StopDescription,
+    d: &RobotDescription,
+) -> Result<Stop, RobotError> {
+    let key = format!("stops[{i}]");
+    let body = |name: &str| match name {
+        "mount" => Some(ArmBody::Mount),
+        "pedestal" => Some(ArmBody::Pedestal),
+        _ => d.links.iter().position(|l| l.name == name).map(ArmBody::Link),
+    };
+    let named = |name: &str| {
+        body(name).ok_or_else(|| {
+            check.error(&format!("{key}.pair"), name, "`mount`, `pedestal` or the name of a link")
+        })
+    };
+    let pair = [named(&stop.pair[0])?, named(&stop.pair[1])?];
+    for (what, joint) in [("joint", stop.joint), ("narrowing_joint", stop.narrowing_joint)] {
+        check.that(
+            (1..=JOINTS_PER_ARM).contains(&joint),
+            &format!("{key}.{what}"),
+            &joint.to_string(),
+            &format!("a joint from 1 to {JOINTS_PER_ARM}"),
+        )?;
+    }
+    check.finite(&format!("{key}.interval"), &stop.interval)?;
+    let [lo, hi] = stop.interval;
+    let half = (hi - lo) / 2.0;
+    check.that(
+        half > 0.0 && half < std::f64::consts::PI,
+        &format!("{key}.interval"),
+        &format!("{:?}", stop.interval),
+        "lower end, then upper end, less than a turn apart",
+    )?;
+    check.that(
+        (0.0..half).contains(&stop.narrowing),
+        &format!("{key}.narrowing"),
+        &stop.narrowing.to_string(),
+        "at least zero and less than half of the interval",
+    )?;
+    check.that(
+        !stop.push || d.links[stop.joint - 1].armature > 0.0,
+        &format!("{key}.push"),
+        "true at a joint whose link has no armature",
+        "an armature above zero, which is the mass that a stop pushes against",
+    )?;
+    Ok(Stop {
+        pair,
+        joint: stop.joint - 1,
+        centre: f64::midpoint(lo, hi),
+        half,
+        narrowing: stop.narrowing,
+        narrowing_joint: stop.narrowing_joint - 1,
+        push: stop.push,
+    })
+}
+
+fn solid_box(
+    check: &Check,
+    key: &str,
+    name: &str,
+    size: [f64; 3],
+    mass: f64,
+    rotation: Matrix3<f64>,
+    centre: Vector3<f64>,
+) -> Result<BaseBox, RobotError> {
+    for (axis, edge) in ["x", "y", "z"].iter().zip(size) {
+        check.positive(&format!("{key}.size ({axis})"), edge)?;
+    }
+    check.positive(&format!("{key}.mass"), mass)?;
+    let [x2, y2, z2] = size.map(|e| e * e);
+    let inertia = Vector3::new(y2 + z2, x2 + z2, x2 + y2) * (mass / 12.0);
+    let body = RigidBody { mass, com: Vector3::zeros(), inertia: Matrix3::from_diagonal(&inertia) };
+    Ok(BaseBox {
+        name: name.to_owned(),
+        half: Vector3::from(size) / 2.0,
+        centre,
+        rotation,
+        body: body.moved(&rotation, &centre),
+    })
+}
+
+fn rigid_body(
+    check: &Check,
+    key: &str,
+    mass: f64,
+    com: [f64; 3],
+    inertia: [f64; 6],
+) -> Result<RigidBody, RobotError> {
+    check.positive(&format!("{key}.mass"), mass)?;
+    check.finite(&format!("{key}.com"), &com)?;
+    check.finite(&format!("{key}.inertia"), &inertia)?;
+    let [xx, yy, zz, xy, xz, yz] = inertia;
+    let tensor = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+    let mut principal = SymmetricEigen::new(tensor).eigenvalues;
+    principal.as_mut_slice().sort_by(f64::total_cmp);
+    check.that(
+        principal[0] > 0.0,
+        &format!("{key}.inertia"),
+        &format!("{inertia:?} with principal moments {:?}", principal.as_slice()),
+        "a positive definite tensor (xx, yy, zz, xy, xz, yz)",
+    )?;
+    // No mass distribution has a principal moment above the sum of the two others. The slack is the rounding of decimal tables.
+    check.that(
+        principal[2] <= (principal[0] + principal[1]) * (1.0 + 1e-6),
+        &format!("{key}.inertia"),
+        &format!("{inertia:?} with principal moments {:?}", principal.as_slice()),
+        "no principal moment above the sum of the two others (triangle inequality)",
+    )?;
+    Ok(RigidBody { mass, com: com.into(), inertia: tensor })
+}
+
+fn shapes(
+    check: &Check,
+    key: &str,
+    capsules: &[CapsuleDescription],
+    discs: &[DiscDescription],
+) -> Result<Vec<Shape>, RobotError> {
+    let mut out = Vec::new();
+    for (i, c) in capsules.iter().enumerate() {
+        check.finite(&format!("{key}.capsules[{i}].from"), &c.from)?;
+        check.finite(&format!("{key}.capsules[{i}].to"), &c.to)?;
+        check.positive(&format!("{key}.capsules[{i}].radius"), c.radius)?;
+        out.push(Shape::Capsule { from: c.from.into(), to: c.to.into(), radius: c.radius });
+    }
+    for (i, d) in discs.iter().enumerate() {
+        check.positive(&format!("{key}.discs[{i}].radius"), d.radius)?;
+        check.that(
+            d.z[0] < d.z[1] && d.z.iter().all(|z| z.is_finite()),
+            &format!("{key}.discs[{i}].z"),
+            &format!("{:?}", d.z),
+            "the lower end, then the upper end",
+        )?;
+        out.push(Shape::Disc {
+            centre: Vector3::new(0.0, 0.0, f64::midpoint(d.z[0], d.z[1])),
+            axis: Vector3::z(),
+            radius: d.radius,
+            half_height: (d.z[1] - d.z[0]) / 2.0,
+        });
+    }
+    Ok(out)
+}
+
+/// Rx(a) Ry(b) Rz(c), angles in degrees.
+fn rotation_xyz_deg(angles: [f64; 3]) -> Matrix3<f64> {
+    let [(sa, ca), (sb, cb), (sc, cc)] = angles.map(sin_cos_deg);
+    let x = Matrix3::new(1.0, 0.0, 0.0, 0.0, ca, -sa, 0.0, sa, ca);
+    let y = Matrix3::new(cb, 0.0, sb, 0.0, 1.0, 0.0, -sb, 0.0, cb);
+    let z = Matrix3::new(cc, -sc, 0.0, sc, cc, 0.0, 0.0, 0.0, 1.0);
+    // Adding zero turns −0 into 0, which keeps exported numbers tidy.
+    (x * y * z).map(|v| v + 0.0)
+}
+
+/// Sine and cosine of an angle in degrees, exact at right angles.
+fn sin_cos_deg(deg: f64) -> (f64, f64) {
+    let turns = deg / 90.0;
+    if turns == turns.round() && turns.abs() < 1e9 {
+        [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)][(turns as i64).rem_euclid(4) as usize]
+    } else {
+        deg.to_radians().sin_cos()
+    }
+}
