@@ -55,6 +55,12 @@ pub struct ActorGradient {
 }
 
 impl ActorLoss {
+    /// Brings the parameter `[A, U]` back to its floor after a step, in place. Adam's momentum goes on where the
+    /// gradient has ended, and from below the floor, where there is none, nothing would lead back.
+    pub fn project(&self, parameter: &Tensor) {
+        let _ = parameter.shallow_clone().clamp_min_(self.min_log_std);
+    }
+
     /// The logarithm of the deviation in force: the parameter, floored.
     pub fn log_std(&self, parameter: &Tensor) -> Tensor {
         parameter.clamp_min(self.min_log_std)

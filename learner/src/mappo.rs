@@ -631,6 +631,7 @@ impl Group {
         let rates: Vec<f64> = self.actors.iter().map(|actor| job.actor_lr[actor]).collect();
         let norms = job.options.descent.step(learned, &mut self.actor, &rates, active);
         check(&norms, "actor", self.actors, job.iteration, step)?;
+        loss.project(&learned.spec.view("log_std", &learned.flat));
         sums.actor(column(0), column(1), column(2), &norms);
         Ok(kl)
     }

@@ -171,11 +171,14 @@ class Learner:
             "returns": jnp.stack([rows(x) for x in returns]),
         }
 
+        floor = self.config["network"]["min_log_std"]
+
         def actor_loss(p, a, batch):
             mean = self.apply(p, actor_in[a][batch])
             if self.config["network"]["squash_mean"]:
                 mean = jnp.tanh(mean)
-            log_std = jnp.maximum(p["log_std"], self.config["network"]["min_log_std"])
+            # A parameter that stands on the floor still moves: no half gradient, as of a maximum.
+            log_std = jnp.where(p["log_std"] >= floor, p["log_std"], floor)
             z = (samples["action"][a][batch] - mean) / jnp.exp(log_std)
             log_prob = (-(z**2) / 2 - log_std - jnp.log(2 * jnp.pi) / 2).sum(-1)
             ratio = jnp.exp(log_prob - samples["log_prob"][a][batch])
@@ -275,12 +278,18 @@ class Learner:
                     )
                     half.states.append((state[0], (adam, *state[1][1:])))
 
+            def projected(half, tree):
+                """With no deviation below its floor."""
+                if "log_std" not in tree:
+                    return tree
+                return {**tree, "log_std": jnp.maximum(tree["log_std"], floor)}
+
             def step(half, index, batch, *rest):
                 gradients, losses = [], []
                 for i, tree in enumerate(half.trees):
                     (_, loss), gradient = half.gradient(tree, i, batch, *rest)
                     update, half.states[i] = half.optimizer.update(gradient, half.states[i], tree)
-                    half.trees[i] = optax.apply_updates(tree, update)
+                    half.trees[i] = half.projected(optax.apply_updates(tree, update))
                     gradients.append(gradient)
                     losses.append(loss)
                 tolerance = GRADIENT if index == 0 else DRIFTED

@@ -105,6 +105,31 @@ fn a_resumed_run_goes_on_as_if_it_had_never_stopped() {
 }
 
 #[test]
+fn a_deviation_stops_at_its_floor_and_leaves_it_when_the_loss_asks_for_it() {
+    let _alone = crate::alone();
+    let floored = ["network.initial_log_std=-0.7", "network.min_log_std=-0.7"];
+    let mut run = Run::new(&config(&floored), Arithmetic::F32);
+    let log_std = |state: &TrainingState| {
+        let parameter = state.actor.spec.view("log_std", &state.actor.flat).contiguous();
+        Vec::<f32>::try_from(parameter.view([-1])).expect("f32")
+    };
+    run.update(1);
+    let after = log_std(&run.state);
+    let at_floor = after.iter().filter(|&&x| x == -0.7).count();
+    assert!(after.iter().all(|&x| x >= -0.7), "{after:?}");
+    assert!(0 < at_floor && at_floor < after.len(), "{after:?}");
+
+    // With a bonus that outweighs the surrogate every deviation grows.
+    let bonus = config(&[&floored[..], &["algorithm.entropy_coefficient=100"]].concat());
+    run.mappo = Mappo::new(&bonus, &run.dimensions, &run.state);
+    for seed in 2..6 {
+        run.update(seed);
+    }
+    let later = log_std(&run.state);
+    assert!(later.iter().all(|&x| x > -0.7), "{later:?}");
+}
+
+#[test]
 fn an_update_counts_its_mini_batches_while_it_makes_them() {
     let _alone = crate::alone();
     let config = config(&["run.learner_threads=1"]);
