@@ -1,4 +1,8 @@
+use std::sync::atomic::Ordering;
+
 use proto::config::{Layers, Preset, TaskName};
+use proto::rng::{Address, Purpose};
+use tch::{Device, Kind};
 
 use super::*;
 use crate::mlp::Compute;

@@ -1,0 +1,212 @@
+//! The samples of an iteration as a group of actors learns from them: gathered from the blocks, normalised, with
+//! predicted values and advantages.
+
+use std::ops::Range;
+
+use proto::config::InputNorm as InputNormKind;
+use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use tch::{Kind, Tensor};
+
+use super::Trace;
+use super::group::{Group, Job};
+use crate::actors::Actors;
+use crate::gae::standardise;
+use crate::memory::view;
+use crate::mlp::standardise_input;
+use crate::value_norm::ValueNorm;
+
+/// Samples of an iteration as a group uses them.
+pub(super) struct Samples {
+    /// `[(T + 1)·E, A·O]` in the products' kind.
+    pub(super) observation: Tensor,
+    /// `[(T + 1)·E, S]` likewise; absent if critics see observations.
+    pub(super) state: Option<Tensor>,
+    /// `[M, A·(U + 2)]`: action, old log-probability, advantage.
+    pub(super) actor: Tensor,
+    /// `[M, A·2]`: old value (normalised), return.
+    pub(super) critic: Tensor,
+    pub(super) explained_variance: Vec<f64>,
+    pub(super) episode_return: Vec<f64>,
+    pub(super) returns: Tensor,
+}
+
+impl Group {
+    /// Normalises inputs, predicts values, estimates advantages, packs samples.
+    pub(super) fn prepare(
+        &mut self,
+        job: &Job<'_>,
+        critic: &Tensor,
+        value_norm: &ValueNorm,
+        trace: Option<&mut Trace>,
+    ) -> Samples {
+        let Dimensions { n_agents, n_steps, n_envs, observation, state, .. } = *job.dimensions;
+        let (input, g) = (job.dimensions.actor_input(), job.dimensions.agents_per_actor());
+        let (t, n, s) = (n_steps as i64, n_envs as i64, state as i64);
+        let (o, own, g) = (input as i64, observation as i64, g as i64);
+        let e = n * job.shards.len() as i64;
+        let (a, u, m) = (self.actors.len as i64, job.dimensions.actor_output() as i64, t * e);
+        let joints = JOINTS_PER_AGENT as i64;
+        let float = (Kind::Float, self.device);
+        let options = job.options;
+
+        let observations = Tensor::empty([(t + 1) * e, a * o], (self.kind, self.device));
+        let states = (!options.own_critic_state)
+            .then(|| Tensor::empty([(t + 1) * e, s], (self.kind, self.device)));
+        let actor = Tensor::empty([m, a * (u + 2)], float);
+        let critic_rows = Tensor::empty([m, a * 2], float);
+        let agent_reward = Tensor::empty([a, g, t, e], float);
+        let terminated = Tensor::empty([t, e], float);
+        let truncated = Tensor::empty([t, e], float);
+
+        let moments_of = |norm: &Option<(Vec<f32>, Vec<f32>)>, rows: Actors, width: usize| {
+            norm.as_ref().map(|(mean, inverse_std)| {
+                let part = |values: &[f32]| {
+                    let all = Tensor::from_slice(values).view([-1, 1, 1, width as i64]);
+                    rows.rows(&all).to_device(self.device)
+                };
+                (part(mean), part(inverse_std))
+            })
+        };
+        let observation_norm = moments_of(&job.observation_norm, self.actors, input);
+        let state_norm = moments_of(&job.state_norm, Actors::all(1), state);
+        let normalise = |x: &Tensor, norm: &Option<(Tensor, Tensor)>| match options.input_norm {
+            InputNormKind::None => x.shallow_clone(),
+            InputNormKind::LayerNorm => standardise_input(x),
+            InputNormKind::Running => {
+                let (mean, inverse_std) = norm.as_ref().expect("running moments");
+                let mut x = (x - mean).g_mul_(inverse_std);
+                x.clamp_(-options.input_clip, options.input_clip)
+            }
+        };
+        let actor_columns = actor.view([t, e, a, u + 2]);
+        for (index, shard) in job.shards.iter().enumerate() {
+            let of_actors = |range: &Range<usize>, shape: &[i64]| {
+                let shape = [&[(n_agents as i64) / g, g][..], shape].concat();
+                self.actors.rows(view(&shard[range.clone()], &shape).tensor())
+            };
+            let first = index as i64 * n;
+            // With one agent an actor, bringing G beside the features moves nothing.
+            let seen = of_actors(&job.layout.observation, &[t + 1, n, own]);
+            let seen = seen.to_device(self.device).permute([0, 2, 3, 1, 4]);
+            let x = normalise(&seen.reshape([a, t + 1, n, o]), &observation_norm);
+            let mut slot = observations.view([t + 1, e, a, o]).narrow(1, first, n);
+            slot.copy_(&x.permute([1, 2, 0, 3]));
+            if let Some(states) = &states {
+                let x = view(&shard[job.layout.state.clone()], &[1, t + 1, n, s]);
+                let x = normalise(&x.tensor().to_device(self.device), &state_norm);
+                let mut slot = states.view([t + 1, e, s]).narrow(1, first, n);
+                slot.copy_(&x.squeeze_dim(0));
+            }
+            let part = actor_columns.narrow(1, first, n);
+            let action = of_actors(&job.layout.action, &[t, n, joints]);
+            let action = action.permute([2, 3, 0, 1, 4]).reshape([t, n, a, u]);
+            part.narrow(3, 0, u).copy_(&action);
+            let log_prob = of_actors(&job.layout.log_prob, &[t, n]);
+            part.select(3, u).copy_(&over_agents(&log_prob).permute([1, 2, 0]));
+            agent_reward.narrow(3, first, n).copy_(&of_actors(&job.layout.reward, &[t, n]));
+            for (flags, range) in
+                [(&terminated, &job.layout.terminated), (&truncated, &job.layout.truncated)]
+            {
+                let shard_flags = view(&shard[range.clone()], &[t, n]);
+                flags.narrow(1, first, n).copy_(shard_flags.tensor());
+            }
+        }
+
+        let reward = over_agents(&agent_reward);
+        let value = self.values(&observations, states.as_ref(), critic, (t + 1) * e);
+        let scaled = if options.value_norm_beta.is_some() {
+            let (mean, std) = moments(value_norm);
+            &value * std + mean
+        } else {
+            value.shallow_clone()
+        };
+        let scaled = scaled.view([a, t + 1, e]);
+        let advantage = options.gae.advantages(&reward, &scaled, &terminated, &truncated);
+        let returns = &advantage + scaled.narrow(1, 0, t);
+        let in_force =
+            if options.normalize_advantage { standardise(&advantage) } else { advantage.copy() };
+        actor_columns.select(3, u + 1).copy_(&in_force.permute([1, 2, 0]));
+        let critic_columns = critic_rows.view([t, e, a, 2]);
+        let old = value.view([a, t + 1, e]).narrow(1, 0, t);
+        critic_columns.select(3, 0).copy_(&old.permute([1, 2, 0]));
+        critic_columns.select(3, 1).copy_(&returns.permute([1, 2, 0]));
+
+        let rows = &[1i64][..];
+        let variance =
+            |x: &Tensor| x.reshape([a, -1]).to_kind(Kind::Double).var_dim(rows, false, false);
+        let explained = 1.0 - variance(&advantage) / variance(&returns).clamp_min(1e-12);
+        let episode = agent_reward.view([a * g, t, e]).sum_dim_intlist(rows, false, Kind::Double);
+        let episode = episode.mean_dim(rows, false, None);
+        if let Some(trace) = trace {
+            trace.value = Some(value.view([a, t + 1, e]).copy());
+            trace.advantage = Some(advantage.copy());
+            trace.returns = Some(returns.copy());
+        }
+        Samples {
+            observation: observations,
+            state: states,
+            actor,
+            critic: critic_rows,
+            explained_variance: Vec::try_from(explained).expect("one number an actor"),
+            episode_return: Vec::try_from(episode).expect("one number an agent"),
+            returns,
+        }
+    }
+
+    /// The critics' predictions `[A, rows]` for the first `rows` samples.
+    fn values(
+        &mut self,
+        observation: &Tensor,
+        state: Option<&Tensor>,
+        critic: &Tensor,
+        rows: i64,
+    ) -> Tensor {
+        let a = self.actors.len as i64;
+        let value = Tensor::empty([a, rows], (Kind::Float, self.device));
+        self.critic.compute.load(critic);
+        for chunk in chunks(rows, self.chunk_rows) {
+            let len = chunk.end - chunk.start;
+            let x = match state {
+                Some(state) => shared_input(&state.narrow(0, chunk.start, len), a),
+                None => actor_input(&observation.narrow(0, chunk.start, len), a),
+            };
+            let output = self.critic.compute.forward(&x);
+            value.narrow(1, chunk.start, len).copy_(&output.squeeze_dim(1));
+        }
+        value
+    }
+}
+
+/// `rows` in parts of nearly equal length, none longer than `limit`.
+pub(super) fn chunks(rows: i64, limit: i64) -> impl Iterator<Item = Range<i64>> {
+    let count = if limit >= rows { 1 } else { (rows + limit - 1) / limit };
+    (0..count).map(move |i| i * rows / count..(i + 1) * rows / count)
+}
+
+/// `[B, A·F]` as the actors' inputs `[A, B, F]`.
+pub(super) fn actor_input(rows: &Tensor, agents: i64) -> Tensor {
+    rows.view([rows.size()[0], agents, -1]).transpose(0, 1)
+}
+
+/// `[A, G, …]` summed over the agents of each actor.
+pub(super) fn over_agents(x: &Tensor) -> Tensor {
+    x.sum_dim_intlist(&[1i64][..], false, Kind::Float)
+}
+
+/// `[B, F]` as the same input of all actors, `[A, B, F]`.
+pub(super) fn shared_input(rows: &Tensor, agents: i64) -> Tensor {
+    let (b, f) = rows.size2().expect("[B, F]");
+    rows.unsqueeze(0).expand([agents, b, f], true)
+}
+
+/// `[B, A·C]` as columns `[A, C, B]`, contiguous.
+pub(super) fn columns(rows: &Tensor, agents: i64) -> Tensor {
+    rows.view([rows.size()[0], agents, -1]).permute([1, 2, 0]).contiguous()
+}
+
+/// Mean and standard deviation of the returns, `[A, 1]` each, in f32.
+pub(super) fn moments(norm: &ValueNorm) -> (Tensor, Tensor) {
+    let (mean, std) = norm.mean_and_std();
+    let column = |x: Tensor| x.to_kind(Kind::Float).unsqueeze(1);
+    (column(mean), column(std))
+}
