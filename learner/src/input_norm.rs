@@ -9,8 +9,44 @@
 //! update. The first iteration alone is trained with its own moments: an untrained policy has
 //! nothing to unlearn, and critics would otherwise begin on raw inputs.
 
+use proto::config::{InputNorm as Kind, Network};
+use tch::Tensor;
+
+use crate::mlp::standardise_input;
+
 /// Added to the variance, so that a feature that never moves does not divide by zero.
 const EPSILON: f64 = 1e-6;
+
+/// What a configuration makes of inputs.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Inputs {
+    kind: Kind,
+    clip: f64,
+}
+
+impl Inputs {
+    /// Of `network`'s actors and critics.
+    pub(crate) fn new(network: &Network) -> Self {
+        Self { kind: network.input_norm, clip: network.input_clip }
+    }
+
+    /// `x` `[…, features]` as networks see it. `moments` are mean and inverse deviation in force, in a
+    /// shape that broadcasts over `x`.
+    ///
+    /// # Panics
+    /// If running moments are asked for and there are none.
+    pub(crate) fn normalise(self, x: &Tensor, moments: Option<&(Tensor, Tensor)>) -> Tensor {
+        match self.kind {
+            Kind::None => x.shallow_clone(),
+            Kind::LayerNorm => standardise_input(x),
+            Kind::Running => {
+                let (mean, inverse_std) = moments.expect("running moments");
+                let mut x = (x - mean).g_mul_(inverse_std);
+                x.clamp_(-self.clip, self.clip)
+            }
+        }
+    }
+}
 
 /// Running moments of `rows` × `features` inputs, in `f64`.
 #[derive(Debug, Clone, PartialEq)]

@@ -37,7 +37,7 @@ pub mod replay;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use proto::config::{Config, InputNorm as InputNormKind, Maddpg as Settings};
+use proto::config::{Config, Maddpg as Settings};
 use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 use tch::{Device, Kind, Tensor};
@@ -46,8 +46,7 @@ use self::replay::{Batch, Replay};
 use crate::LearnerError;
 use crate::actors::Actors;
 use crate::descent::{Descent, Half, Learned, check, learning_rates};
-use crate::input_norm::InputNorm;
-use crate::mlp::standardise_input;
+use crate::input_norm::{InputNorm, Inputs};
 use crate::report::{Sums, UpdateReport, add};
 use crate::state::{NetworkState, TrainingState};
 
@@ -106,7 +105,7 @@ pub struct Maddpg {
     work: Arc<AtomicU64>,
 }
 
-/// Moments of what is seen, in force during an iteration: mean and inverse deviation, `[1, features]`.
+/// Moments of what is seen, in force during an iteration: mean and inverse deviation, `[1, rows, features]`.
 struct Moments {
     observation: Option<(Tensor, Tensor)>,
     state: Option<(Tensor, Tensor)>,
@@ -248,30 +247,23 @@ impl Maddpg {
 
     fn moments(&self, state: &TrainingState) -> Moments {
         let rows = |norm: &Option<InputNorm>| {
-            norm.as_ref().map(InputNorm::mean_and_inverse_std).map(|(mean, inverse_std)| {
-                let row = |x: &[f32]| Tensor::from_slice(x).unsqueeze(0).to_device(self.device);
+            norm.as_ref().map(|norm| {
+                let (mean, inverse_std) = norm.mean_and_inverse_std();
+                let row = |x: &[f32]| {
+                    let row = Tensor::from_slice(x).view([1, norm.rows as i64, -1]);
+                    row.to_device(self.device)
+                };
                 (row(&mean), row(&inverse_std))
             })
         };
         Moments { observation: rows(&state.observation_norm), state: rows(&state.state_norm) }
     }
 
-    /// `x` `[B, …]` as networks see it; `groups` parts of a row are standardised by themselves.
+    /// `x` `[B, G·F]` as networks see it, each of `groups` G parts of a row standardised by itself.
     fn normalise(&self, x: &Tensor, moments: Option<&(Tensor, Tensor)>, groups: i64) -> Tensor {
-        let x = x.to_device(self.device);
-        match self.config.network.input_norm {
-            InputNormKind::None => x,
-            InputNormKind::LayerNorm => {
-                let size = x.size();
-                standardise_input(&x.view([size[0], groups, -1])).view(size.as_slice())
-            }
-            InputNormKind::Running => {
-                let (mean, inverse_std) = moments.expect("running moments");
-                let mut x = (x - mean).g_mul_(inverse_std);
-                let clip = self.config.network.input_clip;
-                x.clamp_(-clip, clip)
-            }
-        }
+        let size = x.size();
+        let x = x.to_device(self.device).view([size[0], groups, -1]);
+        Inputs::new(&self.config.network).normalise(&x, moments).view(size.as_slice())
     }
 
     /// Inputs `[A, B, O]` of all actors for observations `[B, A·O]`.

@@ -36,7 +36,7 @@ mod samples;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use proto::config::{Config, CriticState, InputNorm as InputNormKind};
+use proto::config::{Config, CriticState};
 use proto::layout::{BlockLayout, Dimensions};
 use tch::Tensor;
 
@@ -45,7 +45,7 @@ use crate::LearnerError;
 use crate::actors::Actors;
 use crate::descent::{Descent, Half, Learned, learning_rates};
 use crate::gae::Gae;
-use crate::input_norm::InputNorm;
+use crate::input_norm::{InputNorm, Inputs};
 use crate::loss::{ActorLoss, CriticLoss};
 use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
@@ -84,8 +84,7 @@ struct Options {
     target_kl: f64,
     value_norm_beta: Option<f64>,
     normalize_advantage: bool,
-    input_norm: InputNormKind,
-    input_clip: f64,
+    inputs: Inputs,
     own_critic_state: bool,
     seed: u64,
 }
@@ -148,8 +147,7 @@ impl Mappo {
             target_kl: config.optimizer.target_kl,
             value_norm_beta: a.value_norm.then_some(a.value_norm_beta),
             normalize_advantage: a.normalize_advantage,
-            input_norm: config.network.input_norm,
-            input_clip: config.network.input_clip,
+            inputs: Inputs::new(&config.network),
             own_critic_state: config.network.critic_state == CriticState::Own,
             seed: config.run.seed,
         };

@@ -3,7 +3,6 @@
 
 use std::ops::Range;
 
-use proto::config::InputNorm as InputNormKind;
 use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 use tch::{Kind, Tensor};
 
@@ -12,7 +11,6 @@ use super::group::{Group, Job};
 use crate::actors::Actors;
 use crate::gae::standardise;
 use crate::memory::view;
-use crate::mlp::standardise_input;
 use crate::value_norm::ValueNorm;
 
 /// Samples of an iteration as a group uses them.
@@ -69,15 +67,6 @@ impl Group {
         };
         let observation_norm = moments_of(&job.observation_norm, self.actors, input);
         let state_norm = moments_of(&job.state_norm, Actors::all(1), state);
-        let normalise = |x: &Tensor, norm: &Option<(Tensor, Tensor)>| match options.input_norm {
-            InputNormKind::None => x.shallow_clone(),
-            InputNormKind::LayerNorm => standardise_input(x),
-            InputNormKind::Running => {
-                let (mean, inverse_std) = norm.as_ref().expect("running moments");
-                let mut x = (x - mean).g_mul_(inverse_std);
-                x.clamp_(-options.input_clip, options.input_clip)
-            }
-        };
         let actor_columns = actor.view([t, e, a, u + 2]);
         for (index, shard) in job.shards.iter().enumerate() {
             let of_actors = |range: &Range<usize>, shape: &[i64]| {
@@ -88,12 +77,14 @@ impl Group {
             // With one agent an actor, bringing G beside the features moves nothing.
             let seen = of_actors(&job.layout.observation, &[t + 1, n, own]);
             let seen = seen.to_device(self.device).permute([0, 2, 3, 1, 4]);
-            let x = normalise(&seen.reshape([a, t + 1, n, o]), &observation_norm);
+            let seen = seen.reshape([a, t + 1, n, o]);
+            let x = options.inputs.normalise(&seen, observation_norm.as_ref());
             let mut slot = observations.view([t + 1, e, a, o]).narrow(1, first, n);
             slot.copy_(&x.permute([1, 2, 0, 3]));
             if let Some(states) = &states {
                 let x = view(&shard[job.layout.state.clone()], &[1, t + 1, n, s]);
-                let x = normalise(&x.tensor().to_device(self.device), &state_norm);
+                let x = x.tensor().to_device(self.device);
+                let x = options.inputs.normalise(&x, state_norm.as_ref());
                 let mut slot = states.view([t + 1, e, s]).narrow(1, first, n);
                 slot.copy_(&x.squeeze_dim(0));
             }
