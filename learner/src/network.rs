@@ -178,8 +178,8 @@ impl NetworkSpec {
     /// gains, `initial_log_std`.
     pub fn initial(&self, network: &Network, seed: u64) -> Tensor {
         let mut flat = vec![0.0f32; self.n_actors * self.len as usize];
-        for (agent, row) in flat.chunks_exact_mut(self.len as usize).enumerate() {
-            let source = agent % self.n_networks;
+        let (first, others) = flat.split_at_mut(self.n_networks * self.len as usize);
+        for (source, row) in first.chunks_exact_mut(self.len as usize).enumerate() {
             for (index, parameter) in self.parameters.iter().enumerate() {
                 let start = parameter.offset as usize;
                 let slot = &mut row[start..start + parameter.len() as usize];
@@ -211,6 +211,9 @@ impl NetworkSpec {
                     _ => slot.fill(0.0),
                 }
             }
+        }
+        for rows in others.chunks_exact_mut(first.len()) {
+            rows.copy_from_slice(first);
         }
         Tensor::from_slice(&flat).view([self.n_actors as i64, self.len])
     }
