@@ -13,7 +13,7 @@
 use std::collections::BTreeSet;
 
 use proto::config::{Config, CriticState, InputNorm, Network, ParameterSharing};
-use proto::layout::{AGENTS_PER_ARM, Dimensions};
+use proto::layout::{AGENTS_PER_ARM, Dimensions, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 use tch::{Kind, Tensor};
 
@@ -175,7 +175,7 @@ impl NetworkSpec {
 
     /// Initial parameters `[A, P]`: orthogonal weights (Saxe, McClelland and Ganguli 2014), gain √2
     /// for hidden layers, `head_gain` for the actors' head and 1 for the critics'; zero biases, unit
-    /// gains, `initial_log_std`.
+    /// gains, the initial deviations of the configuration.
     pub fn initial(&self, network: &Network, seed: u64) -> Tensor {
         let mut flat = vec![0.0f32; self.n_actors * self.len as usize];
         let (first, others) = flat.split_at_mut(self.n_networks * self.len as usize);
@@ -207,7 +207,13 @@ impl NetworkSpec {
                         orthogonal(address, rows as usize, columns as usize, gain, slot);
                     }
                     Some("gain") => slot.fill(1.0),
-                    Some("log_std") => slot.fill(network.initial_log_std as f32),
+                    Some("log_std") => {
+                        let of_an_actor = slot.len() / JOINTS_PER_AGENT;
+                        for (i, joints) in slot.chunks_exact_mut(JOINTS_PER_AGENT).enumerate() {
+                            let agent = source * of_an_actor + i;
+                            joints.fill(network.initial_log_std_of(agent) as f32);
+                        }
+                    }
                     _ => slot.fill(0.0),
                 }
             }
@@ -374,6 +380,27 @@ mod tests {
             let ours: Vec<(String, Vec<i64>)> =
                 spec.parameters.iter().map(|p| (p.name.clone(), p.shape.clone())).collect();
             assert_eq!(ours, expected);
+        }
+    }
+
+    #[test]
+    fn wrists_may_begin_with_another_deviation() {
+        let offset = ["network.initial_log_std=-0.75", "network.wrist_log_std_offset=0.5"];
+        let arm = [[-0.75f32; 3], [-0.25; 3]].concat();
+        for (variant, expected) in [
+            (&["network.parameter_sharing=none"][..], arm.repeat(2)),
+            (&["network.parameter_sharing=roles"], arm.repeat(2)),
+            (&["network.parameter_sharing=all"], vec![-0.75; 12]),
+            (&["algorithm.name=ppo", "network.critic_state=own"], arm.repeat(2)),
+        ] {
+            let config = config(&[&offset[..], variant].concat());
+            let spec = NetworkSpec::new(NetworkKind::Actor, &config, &Dimensions::new(&config, 2));
+            let log_std = spec.view("log_std", &spec.initial(&config.network, 5)).contiguous();
+            assert_eq!(
+                Vec::<f32>::try_from(log_std.view([-1])).expect("f32"),
+                expected,
+                "{variant:?}"
+            );
         }
     }
 

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::layout::AGENTS_PER_ARM;
+
 /// The non-linearity of hidden layers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -90,6 +92,9 @@ pub struct Network {
     pub squash_mean: bool,
     /// Initial logarithm of the action's standard deviation.
     pub initial_log_std: f64,
+    /// What is added to it for the joints of wrists, unless shoulders and wrists are one network.
+    #[serde(default)]
+    pub wrist_log_std_offset: f64,
     /// Floor of the logarithm of the action's standard deviation.
     pub min_log_std: f64,
     /// Gain of the orthogonal initialisation of the action head.
@@ -97,6 +102,13 @@ pub struct Network {
 }
 
 impl Network {
+    /// Initial logarithm of the standard deviation of `agent`'s actions; each arm's second agent is its wrist.
+    pub fn initial_log_std_of(&self, agent: usize) -> f64 {
+        let apart = self.parameter_sharing != ParameterSharing::All;
+        let is_wrist = agent % AGENTS_PER_ARM == 1;
+        self.initial_log_std + if apart && is_wrist { self.wrist_log_std_offset } else { 0.0 }
+    }
+
     /// Width of each hidden layer of critics.
     pub fn hidden_of_critics(&self) -> &[usize] {
         if self.critic_hidden.is_empty() { &self.hidden } else { &self.critic_hidden }

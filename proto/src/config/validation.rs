@@ -72,7 +72,9 @@ impl Config {
         }
         within("network.input_clip", network.input_clip, 0.1, 1e6)?;
         within("network.initial_log_std", network.initial_log_std, -10.0, 5.0)?;
-        within("network.min_log_std", network.min_log_std, -20.0, network.initial_log_std)?;
+        within("network.wrist_log_std_offset", network.wrist_log_std_offset, -5.0, 5.0)?;
+        let lowest = network.initial_log_std_of(0).min(network.initial_log_std_of(1));
+        within("network.min_log_std", network.min_log_std, -20.0, lowest)?;
         within("network.head_gain", network.head_gain, 0.0, 100.0)?;
 
         let name = algorithm.name.as_str();

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use proto::clock::thread_cpu;
 use proto::config::{Config, Inference};
-use proto::layout::{ActorLayout, Dimensions, EpisodeMetrics};
+use proto::layout::{ActorLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 use sim_worker::env::step_options;
 use sim_worker::robot::Robot;
@@ -116,7 +116,11 @@ fn initial_policy(config: &Config, dimensions: &Dimensions) -> Vec<f32> {
         let name = tensor.name.as_str();
         match (name, name.rsplit('.').next().unwrap_or_default()) {
             ("head.weight", _) => fill(part, index, config.network.head_gain / fan_in.sqrt()),
-            ("log_std", _) => part.fill(config.network.initial_log_std as f32),
+            ("log_std", _) => {
+                for (agent, joints) in part.chunks_exact_mut(JOINTS_PER_AGENT).enumerate() {
+                    joints.fill(config.network.initial_log_std_of(agent) as f32);
+                }
+            }
             (_, "weight") => fill(part, index, (2.0 / fan_in).sqrt()),
             (_, "gain" | "inverse_std") => part.fill(1.0),
             _ => {}
