@@ -19,6 +19,7 @@ fn config(assignments: &[&str]) -> Config {
         "algorithm.maddpg.updates_per_step=0.2",
         "algorithm.maddpg.replay_steps=85",
         "algorithm.maddpg.soft_update=0.1",
+        "optimizer.actor_lr=1e-3",
         "run.learner_threads=2",
     ]
     .iter()
