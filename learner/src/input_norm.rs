@@ -1,6 +1,6 @@
-//! Running normalisation of network inputs.
+//! Normalisation of network inputs: none, each input by itself, or by running moments.
 //!
-//! Mean and variance of every feature over all samples of the run, by the parallel update of Chan,
+//! Of running moments: mean and variance of every feature over all samples of the run, by the parallel update of Chan,
 //! Golub and LeVeque, "Algorithms for computing the sample variance", The American Statistician
 //! 1983, equation 2.1. An input becomes clip((x − mean) · inverse_std, ± `input_clip`).
 //!
@@ -9,7 +9,7 @@
 //! update. The first iteration alone is trained with its own moments: an untrained policy has
 //! nothing to unlearn, and critics would otherwise begin on raw inputs.
 
-use proto::config::{InputNorm as Kind, Network};
+use proto::config::{InputNorm as InputNormKind, Network};
 use tch::Tensor;
 
 use crate::mlp::standardise_input;
@@ -17,14 +17,14 @@ use crate::mlp::standardise_input;
 /// Added to the variance, so that a feature that never moves does not divide by zero.
 const EPSILON: f64 = 1e-6;
 
-/// What a configuration makes of inputs.
+/// How a configuration normalises inputs.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Inputs {
-    kind: Kind,
+pub(crate) struct Normalisation {
+    kind: InputNormKind,
     clip: f64,
 }
 
-impl Inputs {
+impl Normalisation {
     /// Of `network`'s actors and critics.
     pub(crate) fn new(network: &Network) -> Self {
         Self { kind: network.input_norm, clip: network.input_clip }
@@ -37,9 +37,9 @@ impl Inputs {
     /// If running moments are asked for and there are none.
     pub(crate) fn normalise(self, x: &Tensor, moments: Option<&(Tensor, Tensor)>) -> Tensor {
         match self.kind {
-            Kind::None => x.shallow_clone(),
-            Kind::LayerNorm => standardise_input(x),
-            Kind::Running => {
+            InputNormKind::None => x.shallow_clone(),
+            InputNormKind::LayerNorm => standardise_input(x),
+            InputNormKind::Running => {
                 let (mean, inverse_std) = moments.expect("running moments");
                 let mut x = (x - mean).g_mul_(inverse_std);
                 x.clamp_(-self.clip, self.clip)

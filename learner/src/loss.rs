@@ -56,7 +56,8 @@ pub struct ActorGradient {
 
 impl ActorLoss {
     /// Brings the parameter `[A, U]` back to its floor after a step, in place. Adam's momentum goes on where the
-    /// gradient has ended, and from below the floor, where there is none, nothing would lead back.
+    /// gradient has ended, and from below the floor, where there is none, nothing would lead back. So only states
+    /// from before this was done begin below it; for them the floor is also where the parameter is read.
     pub fn project(&self, parameter: &Tensor) {
         let _ = parameter.shallow_clone().clamp_min_(self.min_log_std);
     }
@@ -119,7 +120,7 @@ impl ActorLoss {
     }
 
     /// Completes the gradient `[A, U]` by the log-deviation parameter, once a mini-batch: adds the
-    /// entropy bonus, −c · d Σ ln σ / d ln σ = −c, and lets nothing through a floor.
+    /// entropy bonus, −c · d Σ ln σ / d ln σ = −c, and lets nothing through below the floor.
     pub fn finish_log_std(&self, gradient: &Tensor, parameter: &Tensor) -> Tensor {
         (gradient - self.entropy_coefficient) * parameter.ge(self.min_log_std)
     }

@@ -46,7 +46,7 @@ use self::replay::{Batch, Replay};
 use crate::LearnerError;
 use crate::actors::Actors;
 use crate::descent::{Descent, Half, Learned, check, learning_rates};
-use crate::input_norm::{InputNorm, Inputs};
+use crate::input_norm::{InputNorm, Normalisation};
 use crate::report::{Sums, UpdateReport, add};
 use crate::state::{NetworkState, TrainingState};
 
@@ -263,7 +263,7 @@ impl Maddpg {
     fn normalise(&self, x: &Tensor, moments: Option<&(Tensor, Tensor)>, groups: i64) -> Tensor {
         let size = x.size();
         let x = x.to_device(self.device).view([size[0], groups, -1]);
-        Inputs::new(&self.config.network).normalise(&x, moments).view(size.as_slice())
+        Normalisation::new(&self.config.network).normalise(&x, moments).view(size.as_slice())
     }
 
     /// Inputs `[A, B, O]` of all actors for observations `[B, A·O]`.

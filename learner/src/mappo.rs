@@ -45,7 +45,7 @@ use crate::LearnerError;
 use crate::actors::Actors;
 use crate::descent::{Descent, Half, Learned, learning_rates};
 use crate::gae::Gae;
-use crate::input_norm::{InputNorm, Inputs};
+use crate::input_norm::{InputNorm, Normalisation};
 use crate::loss::{ActorLoss, CriticLoss};
 use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
@@ -84,7 +84,7 @@ struct Options {
     target_kl: f64,
     value_norm_beta: Option<f64>,
     normalize_advantage: bool,
-    inputs: Inputs,
+    normalisation: Normalisation,
     own_critic_state: bool,
     seed: u64,
 }
@@ -147,7 +147,7 @@ impl Mappo {
             target_kl: config.optimizer.target_kl,
             value_norm_beta: a.value_norm.then_some(a.value_norm_beta),
             normalize_advantage: a.normalize_advantage,
-            inputs: Inputs::new(&config.network),
+            normalisation: Normalisation::new(&config.network),
             own_critic_state: config.network.critic_state == CriticState::Own,
             seed: config.run.seed,
         };

@@ -178,8 +178,8 @@ impl NetworkSpec {
     /// gains, the initial deviations of the configuration.
     pub fn initial(&self, network: &Network, seed: u64) -> Tensor {
         let mut flat = vec![0.0f32; self.n_actors * self.len as usize];
-        let (first, others) = flat.split_at_mut(self.n_networks * self.len as usize);
-        for (source, row) in first.chunks_exact_mut(self.len as usize).enumerate() {
+        let (networks, repeats) = flat.split_at_mut(self.n_networks * self.len as usize);
+        for (network_index, row) in networks.chunks_exact_mut(self.len as usize).enumerate() {
             for (index, parameter) in self.parameters.iter().enumerate() {
                 let start = parameter.offset as usize;
                 let slot = &mut row[start..start + parameter.len() as usize];
@@ -197,7 +197,7 @@ impl NetworkSpec {
                             seed,
                             purpose: Purpose::Initialisation,
                             iteration: tensor,
-                            env: source as u32,
+                            env: network_index as u32,
                             step: 0,
                             index: 0,
                         };
@@ -208,9 +208,9 @@ impl NetworkSpec {
                     }
                     Some("gain") => slot.fill(1.0),
                     Some("log_std") => {
-                        let of_an_actor = slot.len() / JOINTS_PER_AGENT;
+                        let agents_per_actor = slot.len() / JOINTS_PER_AGENT;
                         for (i, joints) in slot.chunks_exact_mut(JOINTS_PER_AGENT).enumerate() {
-                            let agent = source * of_an_actor + i;
+                            let agent = network_index * agents_per_actor + i;
                             joints.fill(network.initial_log_std_of(agent) as f32);
                         }
                     }
@@ -218,8 +218,9 @@ impl NetworkSpec {
                 }
             }
         }
-        for rows in others.chunks_exact_mut(first.len()) {
-            rows.copy_from_slice(first);
+        // Row r is network r mod N.
+        for rows in repeats.chunks_exact_mut(networks.len()) {
+            rows.copy_from_slice(networks);
         }
         Tensor::from_slice(&flat).view([self.n_actors as i64, self.len])
     }

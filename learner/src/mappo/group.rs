@@ -1,4 +1,6 @@
 //! A group of actors: their steps over the epochs and mini-batches of an iteration.
+//!
+//! Letters as in [`super`].
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -193,6 +195,7 @@ impl Group {
         Ok(kl)
     }
 
+    /// A step of the critics on the samples of `rows`; `moments` are those of the returns, if they are normalised.
     #[expect(clippy::too_many_arguments, reason = "one call site; a struct would only rename them")]
     fn critic_step(
         &mut self,

@@ -1,5 +1,7 @@
 //! The samples of an iteration as a group of actors learns from them: gathered from the blocks, normalised, with
 //! predicted values and advantages.
+//!
+//! Letters as in [`super`].
 
 use std::ops::Range;
 
@@ -78,13 +80,13 @@ impl Group {
             let seen = of_actors(&job.layout.observation, &[t + 1, n, own]);
             let seen = seen.to_device(self.device).permute([0, 2, 3, 1, 4]);
             let seen = seen.reshape([a, t + 1, n, o]);
-            let x = options.inputs.normalise(&seen, observation_norm.as_ref());
+            let x = options.normalisation.normalise(&seen, observation_norm.as_ref());
             let mut slot = observations.view([t + 1, e, a, o]).narrow(1, first, n);
             slot.copy_(&x.permute([1, 2, 0, 3]));
             if let Some(states) = &states {
                 let x = view(&shard[job.layout.state.clone()], &[1, t + 1, n, s]);
                 let x = x.tensor().to_device(self.device);
-                let x = options.inputs.normalise(&x, state_norm.as_ref());
+                let x = options.normalisation.normalise(&x, state_norm.as_ref());
                 let mut slot = states.view([t + 1, e, s]).narrow(1, first, n);
                 slot.copy_(&x.squeeze_dim(0));
             }
@@ -180,7 +182,7 @@ pub(super) fn actor_input(rows: &Tensor, agents: i64) -> Tensor {
 }
 
 /// `[A, G, …]` summed over the agents of each actor.
-pub(super) fn over_agents(x: &Tensor) -> Tensor {
+fn over_agents(x: &Tensor) -> Tensor {
     x.sum_dim_intlist(&[1i64][..], false, Kind::Float)
 }
 

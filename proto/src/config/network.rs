@@ -90,9 +90,10 @@ pub struct Network {
     pub parameter_sharing: ParameterSharing,
     /// Squashes the mean action with tanh.
     pub squash_mean: bool,
-    /// Initial logarithm of the action's standard deviation.
+    /// Initial logarithm of the actions' standard deviation; of wrists' but for `wrist_log_std_offset`.
     pub initial_log_std: f64,
-    /// What is added to it for the joints of wrists, unless shoulders and wrists are one network.
+    /// What is added to it for the joints of wrists. Nothing with `parameter_sharing = "all"`, where one set of
+    /// deviations is shoulders' and wrists'.
     #[serde(default)]
     pub wrist_log_std_offset: f64,
     /// Floor of the logarithm of the action's standard deviation.
@@ -102,7 +103,8 @@ pub struct Network {
 }
 
 impl Network {
-    /// Initial logarithm of the standard deviation of `agent`'s actions; each arm's second agent is its wrist.
+    /// Initial logarithm of the standard deviation of `agent`'s actions, also where one actor acts for all. Each
+    /// arm's second agent is its wrist.
     pub fn initial_log_std_of(&self, agent: usize) -> f64 {
         let apart = self.parameter_sharing != ParameterSharing::All;
         let is_wrist = agent % AGENTS_PER_ARM == 1;

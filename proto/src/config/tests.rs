@@ -158,6 +158,13 @@ fn errors_name_the_layer_the_key_and_the_cure() {
     let name = message(&["algorithm.name=pppo"]);
     assert!(name.contains("pppo") && name.contains("mappo"), "{name}");
 
+    let wide = message(&["network.initial_log_std=3", "network.wrist_log_std_offset=3"]);
+    assert!(wide.contains("network.wrist_log_std_offset") && wide.contains("begin at 6"), "{wide}");
+    let below = ["network.min_log_std=-1", "network.wrist_log_std_offset=-1.5"];
+    assert!(message(&below).contains("network.min_log_std"));
+    let one_for_both = [&below[..], &["network.parameter_sharing=all"]].concat();
+    assert!(resolve(&one_for_both).is_ok(), "there are no deviations of wrists");
+
     let nan = message(&["algorithm.gamma=nan"]);
     assert!(nan.contains("algorithm.gamma"), "{nan}");
 }

@@ -72,8 +72,16 @@ impl Config {
         }
         within("network.input_clip", network.input_clip, 0.1, 1e6)?;
         within("network.initial_log_std", network.initial_log_std, -10.0, 5.0)?;
-        within("network.wrist_log_std_offset", network.wrist_log_std_offset, -5.0, 5.0)?;
-        let lowest = network.initial_log_std_of(0).min(network.initial_log_std_of(1));
+        within("network.wrist_log_std_offset", network.wrist_log_std_offset, -15.0, 15.0)?;
+        let [shoulder, wrist] = [0, 1].map(|agent| network.initial_log_std_of(agent));
+        if !(-10.0..=5.0).contains(&wrist) {
+            return Err(ConfigError::Invalid {
+                key: "network.wrist_log_std_offset",
+                problem: format!("wrists would begin at {wrist}, the sum with initial_log_std"),
+                cure: "choose a sum from -10 to 5".to_owned(),
+            });
+        }
+        let lowest = shoulder.min(wrist);
         within("network.min_log_std", network.min_log_std, -20.0, lowest)?;
         within("network.head_gain", network.head_gain, 0.0, 100.0)?;
 
