@@ -1,7 +1,7 @@
 //! Normalisation of network inputs: none, each input by itself, or by running moments.
 //!
-//! Of running moments: mean and variance of every feature over all samples of the run, by the parallel update of Chan,
-//! Golub and LeVeque, "Algorithms for computing the sample variance", The American Statistician
+//! Running moments are mean and variance of every feature over all samples of the run, by the parallel update
+//! of Chan, Golub and LeVeque, "Algorithms for computing the sample variance", The American Statistician
 //! 1983, equation 2.1. An input becomes clip((x − mean) · inverse_std, ± `input_clip`).
 //!
 //! Actions are sampled with the normaliser that was published with their policy. So the normaliser

@@ -56,8 +56,8 @@ pub struct ActorGradient {
 
 impl ActorLoss {
     /// Brings the parameter `[A, U]` back to its floor after a step, in place. Adam's momentum goes on where the
-    /// gradient has ended, and from below the floor, where there is none, nothing would lead back. So only states
-    /// from before this was done begin below it; for them the floor is also where the parameter is read.
+    /// gradient has ended, and from below the floor, where there is none, nothing would lead back. States
+    /// that were saved before this was done may hold less; for them the parameter is floored where it is read, too.
     pub fn project(&self, parameter: &Tensor) {
         let _ = parameter.shallow_clone().clamp_min_(self.min_log_std);
     }

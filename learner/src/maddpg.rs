@@ -96,6 +96,7 @@ pub struct Maddpg {
     config: Config,
     dimensions: Dimensions,
     settings: Settings,
+    normalisation: Normalisation,
     descent: Descent,
     actor: Half,
     critic: Half,
@@ -141,6 +142,7 @@ impl Maddpg {
         Self {
             config: config.clone(),
             dimensions: *dimensions,
+            normalisation: Normalisation::new(&config.network),
             descent: Descent::new(config),
             actor: half(&state.actor),
             critic: half(&state.critic),
@@ -263,7 +265,7 @@ impl Maddpg {
     fn normalise(&self, x: &Tensor, moments: Option<&(Tensor, Tensor)>, groups: i64) -> Tensor {
         let size = x.size();
         let x = x.to_device(self.device).view([size[0], groups, -1]);
-        Normalisation::new(&self.config.network).normalise(&x, moments).view(size.as_slice())
+        self.normalisation.normalise(&x, moments).view(size.as_slice())
     }
 
     /// Inputs `[A, B, O]` of all actors for observations `[B, A·O]`.
