@@ -1,6 +1,6 @@
 //! One fully connected layer on lanes: packed weights and the register-tiled product.
 
-use crate::scalar::{PairKernel, Real, WeightPair, bf16_bias};
+use crate::scalar::{PairKernel, PairProducts, Real, WeightPair, bf16_bias};
 
 /// Units of a panel: what one pass over the inputs accumulates in registers.
 ///
@@ -22,27 +22,29 @@ pub(super) struct Dense<W> {
 }
 
 /// What one weight adds to a unit's sum.
-trait Accumulate<S, X, W> {
-    fn add(sum: S, x: X, w: W) -> S;
+trait Accumulate<S, X, W>: Copy {
+    fn add(self, sum: S, x: X, w: W) -> S;
 }
 
 /// `x · w + sum`, one fused multiply-add.
+#[derive(Clone, Copy)]
 struct Single;
 
 impl<S: Real> Accumulate<S, S, f32> for Single {
     #[inline(always)]
-    fn add(sum: S, x: S, w: f32) -> S {
+    fn add(self, sum: S, x: S, w: f32) -> S {
         S::splat(f64::from(w)).mul_add(x, sum)
     }
 }
 
-/// A pair's two products, by the processor's own instruction if `NATIVE`.
-struct Pairs<const NATIVE: bool>;
+/// A pair's two products.
+#[derive(Clone, Copy)]
+struct Pairs<P>(P);
 
-impl<S: Real, const NATIVE: bool> Accumulate<S, S::Pair, WeightPair> for Pairs<NATIVE> {
+impl<S: Real, P: PairProducts> Accumulate<S, S::Pair, WeightPair> for Pairs<P> {
     #[inline(always)]
-    fn add(sum: S, x: S::Pair, w: WeightPair) -> S {
-        sum.add_pair_product::<NATIVE>(x, w)
+    fn add(self, sum: S, x: S::Pair, w: WeightPair) -> S {
+        sum.add_pair_product(x, w, self.0)
     }
 }
 
@@ -71,7 +73,7 @@ impl Dense<f32> {
     /// `x` and `out` hold tile `t` from `first group · stride` on, as `[feature][group of the tile]`.
     #[inline(always)]
     pub(super) fn apply<S: Real>(&self, x: &[S], out: &mut [S], groups: usize, stride: usize) {
-        self.tiles::<S, S, Single>(x, out, groups, stride);
+        self.tiles(x, out, groups, stride, Single);
     }
 }
 
@@ -115,9 +117,9 @@ struct PairProduct<'a, S: Real> {
 impl<S: Real> PairKernel<S> for PairProduct<'_, S> {
     type Output = ();
     #[inline(always)]
-    fn run<const NATIVE: bool>(self) {
+    fn run<P: PairProducts>(self, products: P) {
         let Self { dense, x, out, groups, stride } = self;
-        dense.tiles::<S, S::Pair, Pairs<NATIVE>>(x, out, groups, stride);
+        dense.tiles(x, out, groups, stride, Pairs(products));
     }
 }
 
@@ -134,6 +136,7 @@ impl<W: Copy> Dense<W> {
         out: &mut [S],
         groups: usize,
         stride: usize,
+        accumulate: A,
     ) {
         let panels = self.bias.len();
         let mut panel = 0;
@@ -144,16 +147,21 @@ impl<W: Copy> Dense<W> {
             while left > 0 {
                 let at = group * stride;
                 if left >= 2 {
-                    self.multiply::<S, X, A, 1, 2>(panel, &x[at..], &mut out[at..]);
+                    self.multiply::<S, X, A, 1, 2>(panel, &x[at..], &mut out[at..], accumulate);
                     if pair {
-                        self.multiply::<S, X, A, 1, 2>(panel + 1, &x[at..], &mut out[at..]);
+                        self.multiply::<S, X, A, 1, 2>(
+                            panel + 1,
+                            &x[at..],
+                            &mut out[at..],
+                            accumulate,
+                        );
                     }
                     (group, left) = (group + 2, left - 2);
                 } else {
                     if pair {
-                        self.multiply::<S, X, A, 2, 1>(panel, &x[at..], &mut out[at..]);
+                        self.multiply::<S, X, A, 2, 1>(panel, &x[at..], &mut out[at..], accumulate);
                     } else {
-                        self.multiply::<S, X, A, 1, 1>(panel, &x[at..], &mut out[at..]);
+                        self.multiply::<S, X, A, 1, 1>(panel, &x[at..], &mut out[at..], accumulate);
                     }
                     (group, left) = (group + 1, left - 1);
                 }
@@ -169,6 +177,7 @@ impl<W: Copy> Dense<W> {
         panel: usize,
         x: &[X],
         out: &mut [S],
+        accumulate: A,
     ) {
         let n = self.rows;
         let x = &x.as_chunks::<G>().0[..n];
@@ -186,7 +195,7 @@ impl<W: Copy> Dense<W> {
                 let row = &weights[q][k];
                 for unit in 0..PANEL {
                     for g in 0..G {
-                        sums[q][unit][g] = A::add(sums[q][unit][g], x[g], row[unit]);
+                        sums[q][unit][g] = accumulate.add(sums[q][unit][g], x[g], row[unit]);
                     }
                 }
             }

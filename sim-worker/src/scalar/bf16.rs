@@ -48,8 +48,45 @@ pub(crate) fn bias(x: f32) -> f32 {
 pub trait PairKernel<S: Real> {
     /// What the computation returns.
     type Output;
-    /// Computes, with the processor's own products if `NATIVE`.
-    fn run<const NATIVE: bool>(self) -> Self::Output;
+    /// Computes, by `products`.
+    fn run<P: PairProducts>(self, products: P) -> Self::Output;
+}
+
+/// How products of pairs are computed: known when a kernel is compiled, and of no size.
+pub trait PairProducts: Copy {
+    /// The proof that the processor has an instruction for them, if that is to be used.
+    fn native(self) -> Option<Native>;
+}
+
+/// By two fused multiply-adds.
+#[derive(Debug, Clone, Copy)]
+struct Fused;
+
+impl PairProducts for Fused {
+    #[inline(always)]
+    fn native(self) -> Option<Native> {
+        None
+    }
+}
+
+/// By the processor's own instruction. Whoever has a value of this type knows that it is there.
+#[derive(Debug, Clone, Copy)]
+pub struct Native(());
+
+impl Native {
+    /// Asks the processor.
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    pub(super) fn detect() -> Option<Self> {
+        std::arch::is_x86_feature_detected!("avx512bf16").then_some(Self(()))
+    }
+}
+
+impl PairProducts for Native {
+    #[inline(always)]
+    fn native(self) -> Option<Native> {
+        Some(self)
+    }
 }
 
 /// A kernel on a processor without products of pairs.
@@ -59,7 +96,7 @@ impl<S: Real, K: PairKernel<S>> Kernel<S> for WithoutNative<K> {
     type Output = K::Output;
     #[inline(always)]
     fn run(self) -> K::Output {
-        self.0.run::<false>()
+        self.0.run(Fused)
     }
 }
 
@@ -72,10 +109,11 @@ macro_rules! pairs_side_by_side {
             [$round(first), $round(second)]
         }
         #[inline(always)]
-        fn add_pair_product<const NATIVE: bool>(
+        fn add_pair_product<P: crate::scalar::PairProducts>(
             self,
             x: [Self; 2],
             w: crate::scalar::WeightPair,
+            _: P,
         ) -> Self {
             let [first, second] = w.widened().map(|w| Self::splat(f64::from(w)));
             x[0].mul_add(first, x[1].mul_add(second, self))
@@ -118,7 +156,7 @@ mod tests {
     impl<S: Real> PairKernel<S> for Products {
         type Output = Vec<u32>;
         #[inline(always)]
-        fn run<const NATIVE: bool>(self) -> Vec<u32> {
+        fn run<P: PairProducts>(self, products: P) -> Vec<u32> {
             let mut word = 1_u32;
             let mut next = || {
                 word = word.wrapping_mul(1664525).wrapping_add(1013904223);
@@ -143,7 +181,7 @@ mod tests {
                 // What is not a number must not vanish among the small ones.
                 first.set_lane(0, if call % 100 == 7 { f64::NAN } else { first.lane(0) });
                 let w = WeightPair::new(next() as f32, next() as f32);
-                let sum = sum.add_pair_product::<NATIVE>(S::pair(first, second), w);
+                let sum = sum.add_pair_product(S::pair(first, second), w, products);
                 // All that is not a number alike: its sign depends on the instruction.
                 let bits = |x: f32| if x.is_nan() { u32::MAX } else { x.to_bits() };
                 out.extend((0..S::LANES).map(|lane| bits(sum.lane(lane) as f32)));

@@ -35,7 +35,7 @@ mod lanes;
 mod single;
 
 pub(crate) use bf16::bias as bf16_bias;
-pub use bf16::{PairKernel, WeightPair};
+pub use bf16::{PairKernel, PairProducts, WeightPair};
 pub use lanes::{Backend, LaneFn, dispatch, dispatch_for, dispatch_on};
 
 /// Lanes of the lane types; where there are few environments, [`dispatch_for`] has one of eight.
@@ -181,8 +181,8 @@ pub trait Real:
     fn pair(first: Self, second: Self) -> Self::Pair;
     /// `x.first · w.first + (x.second · w.second + self)`, each product and sum with one rounding, second first.
     ///
-    /// `NATIVE` is that of the [`PairKernel`] around it.
-    fn add_pair_product<const NATIVE: bool>(self, x: Self::Pair, w: WeightPair) -> Self;
+    /// `by` is what the [`PairKernel`] around it was given.
+    fn add_pair_product<P: PairProducts>(self, x: Self::Pair, w: WeightPair, by: P) -> Self;
     /// Runs `kernel` as [`Real::compiled`] does, with the processor's own products of pairs where it has them.
     #[inline(always)]
     fn compiled_for_pairs<K: PairKernel<Self>>(kernel: K) -> K::Output {

@@ -13,7 +13,9 @@ use proto::clock::thread_cpu;
 use sim_worker::collision::count_contacts;
 use sim_worker::dynamics::{StepOptions, Workspace, step};
 use sim_worker::robot::{Model, Robot};
-use sim_worker::scalar::{LaneFn, PairKernel, Real, WeightPair, dispatch, elementary};
+use sim_worker::scalar::{
+    LaneFn, PairKernel, PairProducts, Real, WeightPair, dispatch, elementary,
+};
 use sim_worker::state::State;
 
 use super::physics::{EPISODE, commands};
@@ -50,7 +52,7 @@ impl LaneFn for Peak {
 #[inline(always)]
 fn chains<S: Real, const N: usize>(time: f64) -> f64 {
     let (a, b) = (std::hint::black_box(S::splat(0.5)), std::hint::black_box(S::splat(0.25)));
-    2.0 * rate::<S, FusedMultiplyAdd, S, S, N>(time, a, b)
+    2.0 * rate::<S, _, _, _, N>(time, FusedMultiplyAdd, a, b)
 }
 
 impl LaneFn for PairPeak {
@@ -66,33 +68,35 @@ impl<S: Real> PairKernel<S> for PairPeak {
     type Output = f64;
 
     #[inline(always)]
-    fn run<const NATIVE: bool>(self) -> f64 {
+    fn run<P: PairProducts>(self, products: P) -> f64 {
         let x = std::hint::black_box(S::pair(S::splat(0.5), S::splat(0.25)));
         let w = std::hint::black_box(WeightPair::new(0.5, -0.25));
-        4.0 * rate::<S, PairProduct<NATIVE>, S::Pair, WeightPair, 10>(self.0, x, w)
+        4.0 * rate::<S, _, _, _, 10>(self.0, PairProduct(products), x, w)
     }
 }
 
 /// One operation on a chain's number.
-trait Operation<S, A, B> {
-    fn apply(x: S, a: A, b: B) -> S;
+trait Operation<S, A, B>: Copy {
+    fn apply(self, x: S, a: A, b: B) -> S;
 }
 
+#[derive(Clone, Copy)]
 struct FusedMultiplyAdd;
 
 impl<S: Real> Operation<S, S, S> for FusedMultiplyAdd {
     #[inline(always)]
-    fn apply(x: S, a: S, b: S) -> S {
+    fn apply(self, x: S, a: S, b: S) -> S {
         x.mul_add(a, b)
     }
 }
 
-struct PairProduct<const NATIVE: bool>;
+#[derive(Clone, Copy)]
+struct PairProduct<P>(P);
 
-impl<S: Real, const NATIVE: bool> Operation<S, S::Pair, WeightPair> for PairProduct<NATIVE> {
+impl<S: Real, P: PairProducts> Operation<S, S::Pair, WeightPair> for PairProduct<P> {
     #[inline(always)]
-    fn apply(x: S, a: S::Pair, b: WeightPair) -> S {
-        x.add_pair_product::<NATIVE>(a, b)
+    fn apply(self, x: S, a: S::Pair, b: WeightPair) -> S {
+        x.add_pair_product(a, b, self.0)
     }
 }
 
@@ -100,6 +104,7 @@ impl<S: Real, const NATIVE: bool> Operation<S, S::Pair, WeightPair> for PairProd
 #[inline(always)]
 fn rate<S: Real, O: Operation<S, A, B>, A: Copy, B: Copy, const N: usize>(
     time: f64,
+    operation: O,
     a: A,
     b: B,
 ) -> f64 {
@@ -111,7 +116,7 @@ fn rate<S: Real, O: Operation<S, A, B>, A: Copy, B: Copy, const N: usize>(
         while i < ROW {
             let mut chain = 0;
             while chain < N {
-                x[chain] = O::apply(x[chain], a, b);
+                x[chain] = operation.apply(x[chain], a, b);
                 chain += 1;
             }
             i += 1;
@@ -202,7 +207,7 @@ impl Real for Counted {
     fn pair(first: Self, second: Self) -> [Self; 2] {
         [first, second]
     }
-    fn add_pair_product<const NATIVE: bool>(self, x: [Self; 2], w: WeightPair) -> Self {
+    fn add_pair_product<P: PairProducts>(self, x: [Self; 2], w: WeightPair, _: P) -> Self {
         let [first, second] = w.widened().map(Self);
         x[0].mul_add(first, x[1].mul_add(second, self))
     }

@@ -8,7 +8,7 @@ use std::arch::x86_64::{_CMP_EQ_OQ, _CMP_LE_OQ, _CMP_LT_OQ, _CMP_NLT_UQ};
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
 use super::{LaneFn, Mask16, bit_mask, derive_operators, operator};
-use crate::scalar::bf16::{self, PairKernel, WeightPair, WithoutNative};
+use crate::scalar::bf16::{self, Native, PairKernel, PairProducts, WeightPair, WithoutNative};
 use crate::scalar::single::single_precision_functions;
 use crate::scalar::{Kernel, Mask, Real, elementary};
 
@@ -91,10 +91,10 @@ macro_rules! back_end {
                 }
             }
             #[inline(always)]
-            fn add_pair_product<const NATIVE: bool>(self, x: $pair, w: WeightPair) -> Self {
-                // SAFETY: as for `splat`; `compiled_for_pairs` has found AVX-512 BF16 where `NATIVE` is set. The transmuted types are of one size.
+            fn add_pair_product<P: PairProducts>(self, x: $pair, w: WeightPair, by: P) -> Self {
+                // SAFETY: as for `splat`; there is no `Native` without AVX-512 BF16. The transmuted types are of one size.
                 unsafe {
-                    if NATIVE {
+                    if by.native().is_some() {
                         let w = set1_epi32(w.0 as i32);
                         Self(dpbf16_ps(
                             self.0,
@@ -112,9 +112,9 @@ macro_rules! back_end {
             }
             #[inline(always)]
             fn compiled_for_pairs<K: PairKernel<Self>>(kernel: K) -> K::Output {
-                if std::arch::is_x86_feature_detected!("avx512bf16") {
+                if let Some(native) = Native::detect() {
                     // SAFETY: as for `splat`, and the feature was just found.
-                    return unsafe { run_with_bf16(kernel) };
+                    return unsafe { run_with_bf16(kernel, native) };
                 }
                 Self::compiled(WithoutNative(kernel))
             }
@@ -243,8 +243,8 @@ macro_rules! back_end {
 
         #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw,avx512bf16,fma")]
         #[inline(never)]
-        fn run_with_bf16<K: PairKernel<$vector>>(kernel: K) -> K::Output {
-            kernel.run::<true>()
+        fn run_with_bf16<K: PairKernel<$vector>>(kernel: K, native: Native) -> K::Output {
+            kernel.run(native)
         }
     };
 }
