@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use proto::ExitCode;
 use tokio::signal::unix::{SignalKind, signal};
 
 /// How often the user asked to stop: once means finish the iteration, twice means now.
@@ -17,24 +18,8 @@ impl StopRequests {
 
     /// Counts SIGINT and SIGTERM from now on, on a thread of its own.
     pub fn listen(&self) -> std::io::Result<()> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
         let requests = self.clone();
-        // Registered before this function returns, so that no signal is missed.
-        let (mut interrupt, mut terminate) = {
-            let _context = runtime.enter();
-            (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?)
-        };
-        std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
-            runtime.block_on(async {
-                loop {
-                    tokio::select! {
-                        _ = interrupt.recv() => requests.ask(),
-                        _ = terminate.recv() => requests.ask(),
-                    }
-                }
-            });
-        })?;
-        Ok(())
+        watch(move || requests.ask())
     }
 
     /// Asks once more.
@@ -46,4 +31,38 @@ impl StopRequests {
     pub fn count(&self) -> usize {
         self.0.load(Ordering::Relaxed)
     }
+}
+
+/// Ends the process at SIGINT and SIGTERM from now on, with `message`. Once anything has listened
+/// to them, they no longer do so by themselves.
+#[expect(
+    clippy::exit,
+    reason = "a request to stop at once; whoever asks for this has nothing to undo"
+)]
+pub fn exit_when_asked(message: String) -> std::io::Result<()> {
+    watch(move || {
+        eprintln!("error: {message}");
+        std::process::exit(ExitCode::Interrupted as i32)
+    })
+}
+
+/// Calls `act` at each SIGINT and SIGTERM, on a thread of its own.
+fn watch(act: impl Fn() + Send + 'static) -> std::io::Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
+    // Registered before this function returns, so that no signal is missed.
+    let (mut interrupt, mut terminate) = {
+        let _context = runtime.enter();
+        (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?)
+    };
+    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
+        runtime.block_on(async {
+            loop {
+                tokio::select! {
+                    _ = interrupt.recv() => act(),
+                    _ = terminate.recv() => act(),
+                }
+            }
+        });
+    })?;
+    Ok(())
 }

@@ -1,10 +1,12 @@
 //! `octopus reproduce`: all experiments with tiny policies, what it leaves, and what it refuses.
 
 use std::path::Path;
-use std::time::SystemTime;
+use std::process::{Command, Stdio};
+use std::time::{Duration, SystemTime};
 
+use rustix::process::Signal;
 use serde_json::Value;
-use tests::{SMALL, octopus, stderr};
+use tests::{Owned, SMALL, kill, octopus, program, stderr};
 
 use crate::experiment::policies;
 
@@ -260,6 +262,40 @@ fn everything_is_trained_once() {
     assert!(said.contains("run 1 of 8") && said.contains(" to 3 of 128 env-steps"), "{said}");
     assert_eq!(digest(&last), before);
     assert_eq!(manifest("trajectory"), policy);
+}
+
+#[test]
+fn experiments_after_trainings_heed_ctrl_c() {
+    let scratch = tempfile::tempdir().expect("tempdir");
+    let out = scratch.path().join("out");
+    let log = scratch.path().join("log");
+    let more = ["run.evaluate_every=1", "run.evaluation_episodes=4", "run.best_after=0"];
+    let budget = ["run.evaluation_steps=8", "run.env_steps=384"];
+    let mut process = Owned::spawn(
+        Command::new(program("octopus"))
+            .args(["reproduce", "--train", "--seeds=1", "--baselines", "--out"])
+            .arg(&out)
+            .args(SMALL.iter().filter(|set| set.starts_with("--set=")))
+            .args(more.iter().chain(&budget).map(|set| format!("--set={set}")))
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(std::fs::File::create(&log).expect("written")),
+    );
+    let trained = out.join("policies/reorientation/manifest.json");
+    let ended = loop {
+        if let Some(ended) = process.ended() {
+            break ended;
+        }
+        // More than once: the first may come while the trainings' own handler is still in charge.
+        if trained.exists() {
+            kill(process.id(), Signal::INT);
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    let said = read(scratch.path(), "log");
+    assert_eq!(ended.code(), Some(130), "{said}");
+    assert!(said.contains("stopped; `octopus reproduce --train --out="), "{said}");
+    assert!(!out.join("report.html").exists(), "it went on");
 }
 
 #[test]

@@ -143,8 +143,8 @@ impl Run {
     }
 }
 
-/// The command that goes on with the trainings below `out`, wherever that was named.
-fn again(args: &ReproduceArgs, out: &Path) -> Line {
+/// The command that goes on below `out`, wherever that was named.
+pub(super) fn again(args: &ReproduceArgs, out: &Path) -> Line {
     let mut out_flag = OsString::from("--out=");
     out_flag.push(out);
     let baselines: Vec<String> = args.baselines.iter().map(|baseline| name(*baseline)).collect();
