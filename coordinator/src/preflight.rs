@@ -84,6 +84,7 @@ pub fn check_run(
         memory_maps(workers),
         processors(workers, config.run.learner_threads),
         libtorch(learner),
+        device(learner, &config.run.device),
     ];
     for check in checks {
         match check.verdict {
@@ -253,25 +254,45 @@ pub fn memory() -> Check {
 /// Whether the learner starts: it links libtorch, so the loader finds out what is missing.
 pub fn libtorch(learner: &Path) -> Check {
     const NAME: &str = "libtorch";
-    const PATIENCE: Duration = Duration::from_mins(1);
     const CURE: &str = "`make setup && make build` fetches libtorch and builds against it; with a \
                         libtorch of your own, set LIBTORCH to it while building";
-    let child = Command::new(learner)
-        .arg("--version")
+    match answer(learner, &["--version"]) {
+        Ok(version) => {
+            let version = version.lines().collect::<Vec<_>>().join(", ");
+            Check::good(NAME, format!("{version} ({})", learner.display()))
+        }
+        Err(found) => Check::failure(NAME, found, CURE),
+    }
+}
+
+/// Whether the learner can compute on the device called `name`.
+pub fn device(learner: &Path, name: &str) -> Check {
+    const NAME: &str = "device";
+    // Every learner can.
+    if name == "cpu" {
+        return Check::good(NAME, name);
+    }
+    match answer(learner, &["probe", name]) {
+        Ok(nothing) if nothing.trim().is_empty() => Check::good(NAME, name),
+        Ok(reason) | Err(reason) => Check {
+            name: NAME,
+            verdict: Verdict::Failure,
+            found: reason.trim().to_owned(),
+            cure: None,
+        },
+    }
+}
+
+/// What the learner prints if it is started with `args`, or why it prints nothing.
+fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
+    const PATIENCE: Duration = Duration::from_mins(1);
+    let mut child = Command::new(learner)
+        .args(args)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
-        .spawn();
-    let mut child = match child {
-        Ok(child) => child,
-        Err(error) => {
-            return Check::failure(
-                NAME,
-                format!("{} does not start: {error}", learner.display()),
-                CURE,
-            );
-        }
-    };
+        .spawn()
+        .map_err(|error| format!("{} does not start: {error}", learner.display()))?;
     let deadline = Instant::now() + PATIENCE;
     let status = loop {
         match child.try_wait() {
@@ -283,12 +304,12 @@ pub fn libtorch(learner: &Path) -> Check {
                 // It is killed so that it does not outlive this check.
                 let _ = child.kill();
                 let _ = child.wait();
-                let found = format!(
-                    "{} --version does not answer within {} s",
+                return Err(format!(
+                    "{} {} does not answer within {} s",
                     learner.display(),
+                    args.join(" "),
                     PATIENCE.as_secs()
-                );
-                return Check::failure(NAME, found, CURE);
+                ));
             }
         }
     };
@@ -300,11 +321,10 @@ pub fn libtorch(learner: &Path) -> Check {
         let _ = stderr.read_to_string(&mut complaint);
     }
     if status.success() {
-        let version = output.lines().collect::<Vec<_>>().join(", ");
-        return Check::good(NAME, format!("{version} ({})", learner.display()));
+        return Ok(output);
     }
     let last = complaint.lines().last().unwrap_or("no message");
-    Check::failure(NAME, format!("the learner does not start: {last}"), CURE)
+    Err(format!("the learner does not start: {last}"))
 }
 
 /// What helps where a disk is not enough, in the words of the command that asks: not all have the same

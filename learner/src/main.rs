@@ -1,5 +1,6 @@
 //! The learner program; see [`learner::learner`] and, for the hidden `bench`, [`learner::bench`].
 
+use std::io::Write as _;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -22,6 +23,12 @@ enum Command {
     /// Measures parts of the learner; started by `octopus bench`.
     #[command(subcommand, hide = true)]
     Bench(Measurement),
+    /// Prints why nothing can be computed on a device, or nothing; started by `octopus train`.
+    #[command(hide = true)]
+    Probe {
+        /// As `run.device` names it.
+        device: String,
+    },
 }
 
 fn main() -> ExitCode {
@@ -29,6 +36,13 @@ fn main() -> ExitCode {
     proto::logging::init();
     let result = match (cli.command, cli.arguments) {
         (Some(Command::Bench(measurement)), _) => bench::run(&measurement),
+        (Some(Command::Probe { device }), _) => {
+            if let Err(reason) = learner::learner::device(&device) {
+                // Nobody is left to be told if this fails.
+                let _ = writeln!(std::io::stdout(), "{reason}");
+            }
+            Ok(())
+        }
         (None, Some(arguments)) => run(&arguments),
         (None, None) => unreachable!("--run-dir and --domain are required without a subcommand"),
     };

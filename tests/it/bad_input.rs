@@ -33,7 +33,9 @@ fn configurations_that_cannot_be() {
     train(at, &["--set=env.n_shards=32"], 3, &["env.n_shards", "divides"]);
     train(at, &["--set=env.substep=0.03"], 3, &["env.substep", "control period"]);
     train(at, &["--device=tpu"], 3, &["tpu", "cuda:0"]);
+    train(at, &["--device=cuda:99"], 4, &["run.device is `cuda:99`", "--device cpu"]);
     train(at, &["--robot=no-such-robot.toml"], 3, &["no-such-robot.toml"]);
+    train(at, &["--listen=off", "--token-file=no-such-token"], 3, &["no-such-token"]);
     let file = at.join("my.toml");
     std::fs::write(&file, "[network]\nhiden = [64]\n").expect("write");
     let flag = format!("--config={}", file.display());
@@ -108,6 +110,26 @@ fn a_second_run_in_the_same_directory() {
     }
     run.signal(rustix::process::Signal::INT);
     run.succeed();
+}
+
+#[test]
+fn a_checkpoint_is_not_resumed_as_if_it_were_a_run() {
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/policies/trajectory");
+    let copy = tempfile::tempdir().expect("tempdir");
+    let files = || {
+        let entries = std::fs::read_dir(copy.path()).expect("a directory");
+        let mut names: Vec<_> = entries.map(|entry| entry.expect("readable").file_name()).collect();
+        names.sort();
+        names
+    };
+    for entry in std::fs::read_dir(shipped).expect("the policies of the repository") {
+        let path = entry.expect("readable").path();
+        std::fs::copy(&path, copy.path().join(path.file_name().expect("a file"))).expect("copied");
+    }
+    let before = files();
+    let path = copy.path().to_str().expect("UTF-8");
+    refused(&["resume", path], 5, &[path, "is a checkpoint", "octopus eval"]);
+    assert_eq!(files(), before);
 }
 
 #[test]

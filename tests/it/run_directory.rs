@@ -83,6 +83,29 @@ fn a_run_leaves_metrics_checkpoints_events_and_a_curve() {
 }
 
 #[test]
+fn a_dry_run_prints_a_configuration_that_gives_itself_and_trains_nothing() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = format!("--run-dir={}", dir.path().join("run").display());
+    let dry = |more: &[&str]| {
+        let output = octopus(&[&["train", "--dry-run", &run_dir][..], more].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        String::from_utf8(output.stdout).expect("UTF-8")
+    };
+    let asked = ["reorientation", "--algorithm=ippo", "--set=task.reward.base.collision=3.5"];
+    let text = dry(&asked);
+    let table: toml::Table = text.parse().expect("TOML");
+    assert_eq!(table["task"]["name"].as_str(), Some("reorientation"));
+    assert_eq!(table["task"]["reward"]["base"]["collision"].as_float(), Some(3.5));
+    let file = dir.path().join("my.toml");
+    std::fs::write(&file, &text).expect("written");
+    assert_eq!(dry(&[&format!("--config={}", file.display())]), text);
+    let json: Value =
+        serde_json::from_str(&dry(&[&asked[..], &["--json"]].concat())).expect("JSON");
+    assert_eq!(json["algorithm"]["name"], "ippo");
+    assert!(!dir.path().join("run").exists(), "something was begun");
+}
+
+#[test]
 fn checkpoints_by_time_and_milestones_outlive_the_newest() {
     let mut run = Run::train(&[
         "--workers=2",

@@ -10,7 +10,7 @@ use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
 
 use super::train::{self, Counter, Ended, Start};
-use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore};
+use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore, MANIFEST};
 use crate::cli::ResumeArgs;
 use crate::lock::RunLock;
 use crate::preflight::Remedy;
@@ -58,6 +58,7 @@ impl Resumed {
 /// Resumes.
 pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let run_dir = super::run_directory(&args.run_dir)?;
+    check_no_checkpoint(&run_dir)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
 
@@ -107,6 +108,20 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let start =
         Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter };
     train::run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
+}
+
+/// Refuses a checkpoint: it has a configuration and a robot as a run has, and would become one.
+fn check_no_checkpoint(run_dir: &RunDir) -> Result<(), ExitError> {
+    let dir = run_dir.path();
+    if !dir.join(MANIFEST).is_file() {
+        return Ok(());
+    }
+    let message = format!(
+        "{0}: is a checkpoint, not a run directory; `octopus eval {0}` measures it, and \
+         `octopus resume` wants the directory of the run that it comes from",
+        dir.display()
+    );
+    Err(ExitError::new(ExitCode::RunDirectory, message))
 }
 
 /// The newest checkpoint that the metrics reach; none if the run has none at all.

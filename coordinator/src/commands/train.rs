@@ -33,14 +33,18 @@ pub(super) const RUNS: &str = "runs";
 
 /// Trains, evaluates and says where everything is.
 pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
-    train(args)?.conclude(args.ending)
+    if args.dry_run { show(args) } else { train(args)?.conclude(args.ending) }
 }
 
-/// Trains.
-pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
-    if args.parent.is_some() {
-        proto::child::die_with_parent(args.parent)?;
-    }
+/// What would be trained, if it can be.
+struct Plan {
+    config: Config,
+    robot: Robot,
+    programs: Programs,
+}
+
+/// Everything that is asked for, checked; nothing is written.
+fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let config = configure(args)?;
     let robot = super::load_robot(&config.robot.description)?;
     if let Some(path) = &args.run_dir {
@@ -49,6 +53,24 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     let programs = Programs::find()?;
     let place = args.run_dir.as_deref().unwrap_or(Path::new(RUNS));
     check_machine(&config, &robot, &RunDir::new(place), &programs, &REMEDY)?;
+    Ok(Plan { config, robot, programs })
+}
+
+/// Prints the configuration of a training that could start.
+fn show(args: &TrainArgs) -> anyhow::Result<()> {
+    let config = plan(args)?.config;
+    if args.ending.json {
+        return output::json(&config);
+    }
+    output::line(config.to_toml().trim_end())
+}
+
+/// Trains.
+pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
+    if args.parent.is_some() {
+        proto::child::die_with_parent(args.parent)?;
+    }
+    let Plan { config, robot, programs } = plan(args)?;
     let (run_dir, counter) = open(args, &config)?;
 
     create(&run_dir)?;
@@ -114,7 +136,14 @@ impl Counter {
     /// Begins to listen.
     pub(super) fn open(args: &HttpArgs, run_dir: &RunDir) -> anyhow::Result<Self> {
         let live = LiveRun::new();
-        let Listen::At(address) = args.listen else { return Ok(Self { live, service: None }) };
+        let address = match args.listen {
+            Listen::At(address) => address,
+            Listen::Off => {
+                // Who names a file wants it to be one, whatever else the flags say.
+                args.token_file.as_deref().map(|path| Token::find(Some(path))).transpose()?;
+                return Ok(Self { live, service: None });
+            }
+        };
         let token = Token::find(args.token_file.as_deref())?;
         let store = CheckpointStore::new(run_dir.checkpoints());
         let spec =
