@@ -190,6 +190,37 @@ fn an_evaluation_reads_a_run_and_a_checkpoint() {
     assert_ne!(first, evaluate(dir, "2"), "other goals");
 }
 
+/// The means that NumPy computes are those that workers acted on, whatever the networks are made of.
+#[test]
+fn a_policy_acts_the_same_in_numpy() {
+    for (more, largest) in [
+        (&["--set=network.inference=\"f32\""][..], 1e-4),
+        (&["--set=network.inference=\"bf16\""], 0.02),
+        (&["--preset=paper"], 1e-4),
+        (&["--preset=paper", "--set=network.activation=\"tanh\"", "--algorithm=ppo"], 1e-4),
+        (&["--preset=release", "--set=network.squash_mean=false"], 1e-4),
+    ] {
+        let mut run =
+            Run::train(&[&["--iterations=3", "--set=network.hidden=[16,16]"], more].concat());
+        run.succeed();
+        let path = run.path();
+        let block = path.join("block.safetensors");
+        let [of_run, out] = [&path, &block].map(|path| path.to_str().expect("UTF-8"));
+        let latest = format!("{of_run}:latest");
+        let rollout = ["rollout", of_run, "--address=7/2/1", "--policy", &latest, "--out", out];
+        let output = octopus(&rollout);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let output = Command::new(python())
+            .arg(crosscheck("actor.py"))
+            .args([path.join("checkpoints/iteration-00000003"), block])
+            .output()
+            .expect("Python can be started");
+        let said = String::from_utf8_lossy(&output.stdout);
+        let error: f64 = said.trim().parse().unwrap_or_else(|_| panic!("{}", stderr(&output)));
+        assert!(error < largest, "{more:?}: means differ by {error} standard deviations");
+    }
+}
+
 #[test]
 fn help_names_every_command() {
     let help = octopus(&["--help"]);
