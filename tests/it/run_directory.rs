@@ -193,12 +193,15 @@ fn an_evaluation_reads_a_run_and_a_checkpoint() {
 /// The means that NumPy computes are those that workers acted on, whatever the networks are made of.
 #[test]
 fn a_policy_acts_the_same_in_numpy() {
+    let f32 = "--set=network.inference=\"f32\"";
+    let [tanh, plain] = ["--set=network.activation=\"tanh\"", "--set=network.squash_mean=false"];
     for (more, largest) in [
-        (&["--set=network.inference=\"f32\""][..], 1e-4),
-        (&["--set=network.inference=\"bf16\""], 0.02),
-        (&["--preset=paper"], 1e-4),
-        (&["--preset=paper", "--set=network.activation=\"tanh\"", "--algorithm=ppo"], 1e-4),
-        (&["--preset=release", "--set=network.squash_mean=false"], 1e-4),
+        (&[f32][..], 1e-5),
+        // Products of bfloat16 are not NumPy's.
+        (&["--set=network.inference=\"bf16\""], 5e-3),
+        (&[f32, "--preset=paper"], 1e-5),
+        (&[f32, "--preset=paper", tanh, "--algorithm=ppo"], 1e-5),
+        (&[f32, "--preset=release", plain], 1e-5),
     ] {
         let mut run =
             Run::train(&[&["--iterations=3", "--set=network.hidden=[16,16]"], more].concat());
@@ -217,6 +220,7 @@ fn a_policy_acts_the_same_in_numpy() {
             .expect("Python can be started");
         let said = String::from_utf8_lossy(&output.stdout);
         let error: f64 = said.trim().parse().unwrap_or_else(|_| panic!("{}", stderr(&output)));
+
         assert!(error < largest, "{more:?}: means differ by {error} standard deviations");
     }
 }
