@@ -220,7 +220,6 @@ fn a_policy_acts_the_same_in_numpy() {
             .expect("Python can be started");
         let said = String::from_utf8_lossy(&output.stdout);
         let error: f64 = said.trim().parse().unwrap_or_else(|_| panic!("{}", stderr(&output)));
-
         assert!(error < largest, "{more:?}: means differ by {error} standard deviations");
     }
 }
