@@ -225,7 +225,7 @@ pub struct TrainArgs {
     /// The run's HTTP service.
     #[command(flatten)]
     pub http: HttpArgs,
-    /// Check everything, print the whole configuration as TOML (or JSON), and train nothing.
+    /// Check what is asked for, print the whole configuration as TOML (or JSON), and train nothing.
     #[arg(long)]
     pub dry_run: bool,
     /// What happens around the training.

@@ -1,7 +1,8 @@
 //! What a run needs of the machine, checked before anything is created.
 //!
 //! Every check ends in a [`Check`]: what was found, and if that is not enough, the flag or command
-//! that cures it. A run stops at the first one that fails; `octopus doctor` shows them all.
+//! that cures it. A run stops at the first one that fails; `octopus doctor` shows all that do not depend on
+//! the run.
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -78,15 +79,16 @@ pub fn check_run(
     learner: &Path,
 ) -> Result<(), ExitError> {
     let workers = config.run.workers;
-    let checks = [
-        shared_memory(config, dimensions),
-        descriptors(workers),
-        memory_maps(workers),
-        processors(workers, config.run.learner_threads),
-        libtorch(learner),
-        device(learner, &config.run.device),
+    let checks: [&dyn Fn() -> Check; 6] = [
+        &|| shared_memory(config, dimensions),
+        &|| descriptors(workers),
+        &|| memory_maps(workers),
+        &|| processors(workers, config.run.learner_threads),
+        &|| libtorch(learner),
+        &|| device(learner, &config.run.device),
     ];
     for check in checks {
+        let check = check();
         match check.verdict {
             Verdict::Good => {}
             Verdict::Warning => eprintln!("note: {}", check.sentence()),
@@ -272,15 +274,14 @@ pub fn device(learner: &Path, name: &str) -> Check {
     if name == "cpu" {
         return Check::good(NAME, name);
     }
-    match answer(learner, &["probe", name]) {
-        Ok(nothing) if nothing.trim().is_empty() => Check::good(NAME, name),
-        Ok(reason) | Err(reason) => Check {
-            name: NAME,
-            verdict: Verdict::Failure,
-            found: reason.trim().to_owned(),
-            cure: None,
-        },
-    }
+    let reason = match answer(learner, &["probe", name]) {
+        Ok(nothing) if nothing.trim().is_empty() => return Check::good(NAME, name),
+        Ok(reason) | Err(reason) => reason,
+    };
+    // The learner says what helps after a semicolon, as all errors do.
+    let (found, cure) =
+        reason.trim().rsplit_once("; ").unwrap_or((reason.trim(), "run.device=cpu does without"));
+    Check::failure(NAME, found, cure)
 }
 
 /// What the learner prints if it is started with `args`, or why it prints nothing.
@@ -324,7 +325,7 @@ fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
         return Ok(output);
     }
     let last = complaint.lines().last().unwrap_or("no message");
-    Err(format!("the learner does not start: {last}"))
+    Err(format!("{} {} fails: {last}", learner.display(), args.join(" ")))
 }
 
 /// What helps where a disk is not enough, in the words of the command that asks: not all have the same

@@ -120,11 +120,6 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitE
     result
 }
 
-/// What metrics say of a run cannot be kept.
-fn unwritten(error: &anyhow::Error) -> ExitError {
-    ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be written: {error:#}"))
-}
-
 /// The state of a run's loop.
 struct Session<'a> {
     spec: &'a SessionSpec,

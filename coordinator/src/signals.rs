@@ -1,5 +1,6 @@
 //! Ctrl-C and friends, counted.
 
+use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -41,7 +42,8 @@ impl StopRequests {
 )]
 pub fn exit_when_asked(message: String) -> std::io::Result<()> {
     watch(move || {
-        eprintln!("error: {message}");
+        // Nobody may be left to read it, and that is no reason to stay.
+        let _ = writeln!(std::io::stderr(), "error: {message}");
         std::process::exit(ExitCode::Interrupted as i32)
     })
 }

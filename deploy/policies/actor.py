@@ -1,4 +1,4 @@
-"""A trained policy with NumPy alone, to be taken elsewhere.
+"""A trained policy in NumPy, to be taken elsewhere.
 
     from actor import Actor
     actor = Actor("deploy/policies/trajectory")

@@ -140,14 +140,14 @@ pub fn device(name: &str) -> Result<Device, LearnerError> {
     if !cfg!(feature = "cuda") {
         return Err(LearnerError::Device(format!(
             "run.device is `{name}`, but this learner was built without CUDA; \
-             `make setup DEVICE=cuda && make build` builds one with it, --device cpu does without"
+             `make setup DEVICE=cuda && make build` builds one with it, run.device=cpu does without"
         )));
     }
     let count = tch::Cuda::device_count() as usize;
     if !tch::Cuda::is_available() || index >= count {
         return Err(LearnerError::Device(format!(
             "run.device is `{name}`, but libtorch sees {count} CUDA devices; `nvidia-smi` lists \
-             them, --device cpu does without"
+             them, run.device=cpu does without"
         )));
     }
     Ok(Device::Cuda(index))

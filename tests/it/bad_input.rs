@@ -33,9 +33,11 @@ fn configurations_that_cannot_be() {
     train(at, &["--set=env.n_shards=32"], 3, &["env.n_shards", "divides"]);
     train(at, &["--set=env.substep=0.03"], 3, &["env.substep", "control period"]);
     train(at, &["--device=tpu"], 3, &["tpu", "cuda:0"]);
-    train(at, &["--device=cuda:99"], 4, &["run.device is `cuda:99`", "--device cpu"]);
+    train(at, &["--device=cuda:99"], 4, &["run.device is `cuda:99`", "run.device=cpu"]);
     train(at, &["--robot=no-such-robot.toml"], 3, &["no-such-robot.toml"]);
-    train(at, &["--listen=off", "--token-file=no-such-token"], 3, &["no-such-token"]);
+    for more in ["--listen=off", "--dry-run"] {
+        train(at, &[more, "--token-file=no-such-token"], 3, &["no-such-token"]);
+    }
     let file = at.join("my.toml");
     std::fs::write(&file, "[network]\nhiden = [64]\n").expect("write");
     let flag = format!("--config={}", file.display());

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -282,10 +282,12 @@ fn experiments_after_trainings_heed_ctrl_c() {
             .stderr(std::fs::File::create(&log).expect("written")),
     );
     let trained = out.join("policies/reorientation/manifest.json");
+    let watchdog = Instant::now() + Duration::from_mins(5);
     let ended = loop {
         if let Some(ended) = process.ended() {
             break ended;
         }
+        assert!(Instant::now() < watchdog, "it hangs:\n{}", read(scratch.path(), "log"));
         // More than once: the first may come while the trainings' own handler is still in charge.
         if trained.exists() {
             kill(process.id(), Signal::INT);

@@ -59,6 +59,7 @@ impl Resumed {
 pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let run_dir = super::run_directory(&args.run_dir)?;
     check_no_checkpoint(&run_dir)?;
+    train::check_token_file(&args.http)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
 

@@ -43,9 +43,10 @@ struct Plan {
     programs: Programs,
 }
 
-/// Everything that is asked for, checked; nothing is written.
+/// Everything that is asked for, checked, but for the address of the service; nothing is written.
 fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let config = configure(args)?;
+    check_token_file(&args.http)?;
     let robot = super::load_robot(&config.robot.description)?;
     if let Some(path) = &args.run_dir {
         check_vacant(path)?;
@@ -136,14 +137,7 @@ impl Counter {
     /// Begins to listen.
     pub(super) fn open(args: &HttpArgs, run_dir: &RunDir) -> anyhow::Result<Self> {
         let live = LiveRun::new();
-        let address = match args.listen {
-            Listen::At(address) => address,
-            Listen::Off => {
-                // Who names a file wants it to be one, whatever else the flags say.
-                args.token_file.as_deref().map(|path| Token::find(Some(path))).transpose()?;
-                return Ok(Self { live, service: None });
-            }
-        };
+        let Listen::At(address) = args.listen else { return Ok(Self { live, service: None }) };
         let token = Token::find(args.token_file.as_deref())?;
         let store = CheckpointStore::new(run_dir.checkpoints());
         let spec =
@@ -461,6 +455,14 @@ fn idle_workers(config: &Config) -> Option<String> {
             workers - shards
         )
     })
+}
+
+/// Refuses a token file that is none, also where no service would ask for the token.
+pub(super) fn check_token_file(args: &HttpArgs) -> Result<(), ExitError> {
+    match &args.token_file {
+        Some(path) => Token::find(Some(path)).map(drop),
+        None => Ok(()),
+    }
 }
 
 /// Refuses a run directory with anything in it.

@@ -2,17 +2,21 @@
 
 use std::time::Instant;
 
-use proto::message::Order;
-use proto::message::{IterationReport, Progress, Status};
+use proto::message::{IterationReport, Order, Progress, Status};
 use proto::{ExitCode, ExitError};
 
 use super::snapshots::{Evaluation, Phase};
-use super::{Session, StoppedBy, unwritten};
+use super::{Session, StoppedBy};
 use crate::checkpoint::Name;
 use crate::committer::Committed;
 use crate::report::{Live, Reporter};
 use crate::scheduler::Scheduler;
 use crate::supervisor::{Deaths, Supervisor};
+
+/// What metrics say of a run cannot be kept.
+fn unwritten(error: &anyhow::Error) -> ExitError {
+    ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be written: {error:#}"))
+}
 
 impl Session<'_> {
     pub(super) fn hear_workers(

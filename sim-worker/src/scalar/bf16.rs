@@ -52,7 +52,7 @@ pub trait PairKernel<S: Real> {
     fn run<P: PairProducts>(self, products: P) -> Self::Output;
 }
 
-/// How products of pairs are computed: known when a kernel is compiled, and of no size.
+/// How products of pairs are computed. A kernel is compiled for each way, so that a look at `native` costs nothing.
 pub trait PairProducts: Copy {
     /// The proof that the processor has an instruction for them, if that is to be used.
     fn native(self) -> Option<Native>;

@@ -34,7 +34,7 @@ use crate::commands::trained::PolicyIdentity;
 use crate::figures::recorded;
 use crate::provenance::{Provenance, utc};
 use crate::report::progress::Parts;
-use crate::{files, output, signals};
+use crate::{files, output};
 
 /// Episodes of a setting with `--quick`.
 const QUICK_EPISODES: u32 = 10;
@@ -75,12 +75,7 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
     let page = out.join(PAGE);
     check_page(&page)?;
     let (policies, runs) = if args.train {
-        let trained = training::train(args, &out)?;
-        // The trainings ended at Ctrl-C by themselves; each experiment is whole or not there.
-        let again = training::again(args, &out).text();
-        signals::exit_when_asked(format!("stopped; `{again}` goes on"))
-            .context("signals cannot be caught")?;
-        trained
+        training::train(args, &out)?
     } else {
         let policies = args.policies.clone().map_or_else(default_policies, Ok)?;
         let shipped = policies.join(CURVES);

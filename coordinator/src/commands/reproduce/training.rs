@@ -20,6 +20,7 @@ use crate::cli::{AlgorithmArg, Cli, Command};
 use crate::commands::{read_config, resume, train};
 use crate::provenance::Provenance;
 use crate::report::recorded;
+use crate::signals;
 
 /// Tasks that are trained.
 const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
@@ -33,6 +34,9 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
             run.go_on(args, out)?;
         }
     }
+    // The trainings ended at Ctrl-C by themselves; what follows is whole or not there at any time.
+    signals::exit_when_asked(format!("stopped; `{}` goes on", again(args, out).text()))
+        .context("signals cannot be caught")?;
     let policies = out.join("policies");
     for task in TASKS {
         take_best(task, &runs, &policies)?;
@@ -144,7 +148,7 @@ impl Run {
 }
 
 /// The command that goes on below `out`, wherever that was named.
-pub(super) fn again(args: &ReproduceArgs, out: &Path) -> Line {
+fn again(args: &ReproduceArgs, out: &Path) -> Line {
     let mut out_flag = OsString::from("--out=");
     out_flag.push(out);
     let baselines: Vec<String> = args.baselines.iter().map(|baseline| name(*baseline)).collect();
