@@ -1,8 +1,8 @@
 //! What a run needs of the machine, checked before anything is created.
 //!
 //! Every check ends in a [`Check`]: what was found, and if that is not enough, the flag or command
-//! that cures it. A run stops at the first one that fails; `octopus doctor` shows all that do not depend on
-//! the run.
+//! that cures it. A run stops at the first one that fails; `octopus doctor` shows all that do not
+//! depend on the run.
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
