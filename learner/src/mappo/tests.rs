@@ -17,6 +17,8 @@ fn config(assignments: &[&str]) -> Config {
         "task.episode_steps=5",
         "network.hidden=[16,12]",
         "network.critic_hidden=[]",
+        "algorithm.epochs=5",
+        "algorithm.mini_batches=4",
         "algorithm.max_kl=0",
         "network.activation=relu",
         "network.parameter_sharing=none",
