@@ -245,7 +245,9 @@ mod tests {
     }
 
     fn inbox(overlap: usize) -> (Inbox<Copy>, BlockLayout, Dimensions) {
-        let config = ["env.n_envs=4", "env.n_shards=2", "task.episode_steps=3"]
+        let small =
+            ["env.n_envs=4", "env.n_shards=2", "task.episode_steps=3", "algorithm.mini_batches=1"];
+        let config = small
             .into_iter()
             .fold(Layers::new(Preset::Tuned, None), |layers, a| layers.set(a).expect("valid"))
             .set(&format!("run.overlap={overlap}"))

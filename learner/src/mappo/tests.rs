@@ -20,6 +20,8 @@ fn config(assignments: &[&str]) -> Config {
         "algorithm.epochs=5",
         "algorithm.mini_batches=4",
         "algorithm.max_kl=0",
+        "optimizer.actor_lr=1e-3",
+        "optimizer.critic_lr=1e-3",
         "network.activation=relu",
         "network.parameter_sharing=none",
     ]

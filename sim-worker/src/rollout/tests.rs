@@ -16,6 +16,7 @@ fn world_of(layers: &Layers, n_envs: usize, n_shards: usize, steps: usize) -> Wo
     config.env.n_shards = n_shards;
     config.task.episode_steps = steps;
     config.network.hidden = vec![24, 17];
+    config.algorithm.mini_batches = 1;
     config.validate().expect("valid");
     let robot = Robot::builtin(&config.robot.description).expect("built in");
     World::new(&config, &robot)

@@ -23,6 +23,7 @@ fn world() -> World {
         .and_then(|layers| layers.set("env.n_shards=3"))
         .and_then(|layers| layers.set("task.episode_steps=2"))
         .and_then(|layers| layers.set("network.hidden=[8]"))
+        .and_then(|layers| layers.set("algorithm.mini_batches=1"))
         .and_then(|layers| layers.resolve())
         .expect("valid");
     World::new(&config, &Robot::builtin("paper").expect("built in"))
