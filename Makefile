@@ -11,10 +11,11 @@ DEVICE ?= auto
 TARGET := $(or $(CARGO_TARGET_DIR),target)
 # A gate that quietly updates the lock file tests something else than what was committed.
 LOCKED := $(if $(CI),--locked)
-# Nothing is built twice there, and what would speed that up takes two gigabytes of the disk.
+# Files that speed up a second build take two gigabytes of the disk; CI builds once.
 ifdef CI
 export CARGO_INCREMENTAL ?= 0
 endif
+
 # Arguments of `octopus train` or `octopus bench`, as in: make train ARGS="--preset paper"
 ARGS ?=
 
