@@ -85,6 +85,14 @@ chaos: setup ## kill runs at random and compare bits (KILLS=200 RESTARTS=1000 SE
 	@$(TARGET)/debug/examples/chaos --seed $(SEED) --kills $(KILLS) \
 		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS)
 
+# Any value records what is found instead of checking it.
+RECORD ?=
+
+.PHONY: golden
+golden: setup ## compare small rollouts, evaluations and trainings with their recorded digests
+	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
+	@$(TARGET)/debug/examples/golden $(if $(RECORD),--record)
+
 .PHONY: fuzz
 fuzz: ## fuzz everything that reads bytes from outside (SECONDS=60 for each target)
 	tests/fuzz/run.sh $(FUZZ_SECONDS) $(FUZZ_TARGETS)

@@ -10,6 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 pub mod chaos;
+pub mod golden;
 
 /// Path of a built program: programs lie beside the directory of the test executables.
 pub fn program(name: &str) -> PathBuf {
@@ -156,9 +157,14 @@ impl Run {
 
     /// Starts `octopus train trajectory` in this directory, as [`Self::train`] does.
     pub fn start_training(&mut self, more: &[&str]) {
+        self.start_training_of("trajectory", more);
+    }
+
+    /// The same for a task by its name.
+    pub fn start_training_of(&mut self, task: &str, more: &[&str]) {
         let dir = format!("--run-dir={}", self.path().display());
         let args: Vec<&str> =
-            ["train", "trajectory", &dir].iter().chain(SMALL).chain(more).copied().collect();
+            ["train", task, &dir].iter().chain(SMALL).chain(more).copied().collect();
         self.start(&args);
     }
 

@@ -8,6 +8,7 @@ mod checkpoints;
 mod exactness;
 mod experiment;
 mod failures;
+mod golden;
 mod http;
 mod mujoco;
 mod reproduce;

@@ -27,7 +27,7 @@ use crate::parallel;
 use crate::policy::Policy;
 use crate::robot::Robot;
 use crate::rollout::World;
-use crate::scalar::{LANES, dispatch};
+use crate::scalar::{Backend, LANES, dispatch_on};
 use crate::task::goal::GoalAddress;
 
 /// A policy with the world it was trained in, which says what it sees and what its actions mean.
@@ -107,6 +107,8 @@ pub struct Trial<'a> {
     pub episodes: usize,
     /// Control steps of an episode.
     pub steps: usize,
+    /// What computes; all give the same bits.
+    pub backend: Backend,
 }
 
 impl<'a> Trial<'a> {
@@ -125,6 +127,7 @@ impl<'a> Trial<'a> {
             delay: 0,
             episodes,
             steps,
+            backend: Backend::detect(),
         }
     }
 
@@ -184,7 +187,7 @@ pub(crate) fn play_some(
     on_step: &mut dyn FnMut(),
 ) -> Result<(), EpisodeError> {
     trial.check();
-    dispatch(Play { trial, first: first as u32, n_envs, series, on_step })
+    dispatch_on(trial.backend, Play { trial, first: first as u32, n_envs, series, on_step })
 }
 
 #[cfg(test)]
