@@ -42,7 +42,9 @@ fn main() -> Result<()> {
         differences(&known, &trainings),
     ]
     .concat();
-    lines.iter().for_each(|line| say(line));
+    for line in &lines {
+        say(line);
+    }
     if !lines.is_empty() {
         bail!("{} of {found} digests differ from the record, or are not in it", lines.len());
     }
