@@ -39,6 +39,7 @@ pub mod figures;
 pub mod preflight;
 pub mod provenance;
 pub mod report;
+pub mod shakedown;
 
 pub mod files;
 pub mod logs;

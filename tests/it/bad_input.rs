@@ -207,6 +207,43 @@ fn robots_that_cannot_be() {
     check("", &["robot.toml"]);
 }
 
+/// Every value of such a file may be allowed; what simulates it looks at what the robot does at home before anything begins.
+#[test]
+fn robots_that_are_unfit_at_home() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
+    let good = std::fs::read_to_string(shipped).expect("shipped");
+    let path = dir.path().join("robot.toml");
+    let flag = format!("--robot={}", path.display());
+    let description = format!("--set=robot.description={}", path.display());
+    let actions = dir.path().join("actions.csv");
+    std::fs::write(&actions, vec!["0"; 12].join(",")).expect("write");
+    let input = format!("--actions={}", actions.display());
+    let every = |from: &str, to: &str, words: &[&str]| {
+        assert!(good.contains(from), "the test's text {from:?}");
+        std::fs::write(&path, good.replacen(from, to, 1)).expect("write");
+        let words = [&["robot.toml: ", "expected"], words].concat();
+        train(dir.path(), &[&flag], 3, &words);
+        train(dir.path(), &[&flag, "--dry-run"], 3, &words);
+        refused(&["bench", "physics", &description], 3, &words);
+        refused(&["simulate", &flag, &input, "--out=-"], 3, &words);
+        // The way to look at it stays open.
+        assert!(octopus(&["mjcf", &flag]).status.success());
+    };
+    let mount = good.lines().find(|line| line.starts_with("mount_position")).expect("a mount");
+    let inside = ["`upper_arm` of arm", "touches the base", "at home", "change mount_position"];
+    every(mount, "mount_position = [0.0, 0.0, 0.0]", &inside);
+    let mass = good.lines().find(|line| line.starts_with("mass = ")).expect("a mass");
+    every(mass, "mass = 1e30", &["base[0] (", ").mass is 1e30 kg", "in kg"]);
+    assert!(!dir.path().join("run").exists(), "a refused run leaves no directory");
+
+    let policies = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/policies");
+    for (experiment, option) in [("base-mass", "--masses"), ("noise", "--arm-masses")] {
+        let args = ["experiment", experiment, "--policies", policies, option, "1,1e30"];
+        refused(&args, 3, &[&format!("robot paper with {option} 1e30: "), "expected"]);
+    }
+}
+
 #[test]
 fn what_a_finished_run_cannot_do_is_said_before_anything_else() {
     let mut run = Run::train(&["--iterations=7", "--overlap=0"]);

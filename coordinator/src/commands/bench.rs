@@ -18,6 +18,7 @@ use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use serde_json::Value;
+use sim_worker::env::step_options;
 use sim_worker::robot::Robot;
 use tempfile::TempDir;
 
@@ -106,7 +107,7 @@ impl Bench {
             layers = layers.set(assignment)?;
         }
         let config = layers.resolve()?;
-        let robot = super::load_robot(&config.robot.description)?;
+        let robot = super::load_fit_robot(&config.robot.description, &step_options(&config))?;
         let mut train_args =
             vec![format!("--preset={}", preset.as_str()), format!("--workers={}", args.workers)];
         train_args.extend(args.sets.iter().map(|assignment| format!("--set={assignment}")));

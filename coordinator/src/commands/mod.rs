@@ -28,12 +28,14 @@ use proto::channel::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
+use sim_worker::dynamics::StepOptions;
 use sim_worker::robot::{Robot, RobotError};
 
 use crate::checkpoint::CheckpointError;
 use crate::cli::{Command, JanitorArgs};
 use crate::janitor;
 use crate::lock::LockError;
+use crate::shakedown::shakedown;
 
 /// Two things that were compared are not the same. No failure but the answer, which standard output
 /// holds: the program ends with exit code 1 and says no more.
@@ -109,6 +111,16 @@ pub(crate) fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
 /// The robot called `name`, or described by the file of that name.
 fn load_robot(name: &str) -> anyhow::Result<Robot> {
     Ok(Robot::load(name)?)
+}
+
+/// The same, refused if it is no robot that can be simulated so; every command that simulates takes this one.
+fn load_fit_robot(name: &str, options: &StepOptions) -> anyhow::Result<Robot> {
+    let robot = load_robot(name)?;
+    // What is built in is fit: a test holds it to that.
+    if Robot::builtin_names().all(|builtin| builtin != name) {
+        shakedown(&robot, name, options)?;
+    }
+    Ok(robot)
 }
 
 fn janitor_run(args: &JanitorArgs) -> anyhow::Result<()> {

@@ -14,7 +14,8 @@ use crate::{files, output};
 
 /// Integrates.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
-    let robot = super::load_robot(&args.robot)?;
+    // Judged as training would run it: how coarse the steps are is what may be tried here.
+    let robot = super::load_fit_robot(&args.robot, &StepOptions::default())?;
     check_steps(args)?;
     let actions = read_actions(&args.actions, robot.n_joints())?;
     let precision = match args.precision {

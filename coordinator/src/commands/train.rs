@@ -10,6 +10,7 @@ use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use serde_json::json;
+use sim_worker::env::step_options;
 use sim_worker::evaluate::EvaluationOptions;
 use sim_worker::robot::Robot;
 
@@ -47,7 +48,7 @@ struct Plan {
 fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let config = configure(args)?;
     check_token_file(&args.http)?;
-    let robot = super::load_robot(&config.robot.description)?;
+    let robot = super::load_fit_robot(&config.robot.description, &step_options(&config))?;
     if let Some(path) = &args.run_dir {
         check_vacant(path)?;
     }

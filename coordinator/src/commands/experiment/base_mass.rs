@@ -45,13 +45,16 @@ impl Experiment for BaseMassArgs {
         &self.common
     }
 
-    fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {
+    fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
         let usage = |message: &str| Err(ExitError::new(ExitCode::Usage, message.to_owned()).into());
         if self.masses.0.contains(&0.0) {
             return usage("--masses: a base without mass has no inertia; leave 0 out");
         }
         if self.thresholds.0.contains(&0.0) {
             return usage("--thresholds: no error is below 0; leave it out");
+        }
+        for &mass in &self.masses.0 {
+            lab.check_fit(&lab.robot.with_base_mass(mass)?, &format!("--masses {mass:?}"))?;
         }
         Ok(Settings {
             thresholds_rad: self.thresholds.0.clone(),

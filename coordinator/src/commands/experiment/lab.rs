@@ -6,8 +6,11 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
+use sim_worker::dynamics::StepOptions;
+use sim_worker::env::step_options;
 use sim_worker::evaluate::{Evaluation, EvaluationOptions};
-use sim_worker::experiment::{CHUNK, Recording, Trial, play};
+use sim_worker::experiment::{CHUNK, Pose, Recording, Trial, play};
+use sim_worker::reach::within_reach;
 use sim_worker::robot::Robot;
 
 #[cfg(test)]
@@ -24,6 +27,7 @@ use crate::commands::eval::Reach;
 use crate::commands::trained::{PolicyIdentity, Trained, open_checkpoint};
 use crate::provenance::Provenance;
 use crate::report::progress::Parts;
+use crate::shakedown::shakedown;
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,7 +78,8 @@ impl Lab {
             let message = "--trajectory has no meaning here: this experiment turns the base";
             return Err(usage(message.to_owned()).into());
         }
-        let robot = args.robot.as_deref().map(crate::commands::load_robot).transpose()?;
+        let load = |name| crate::commands::load_fit_robot(name, &StepOptions::default());
+        let robot = args.robot.as_deref().map(load).transpose()?;
         let mut policies = Vec::new();
         for &task in tasks {
             let Some(path) = place(args, task, needs) else { continue };
@@ -213,6 +218,22 @@ impl Lab {
             threads: self.threads,
         };
         Reach::of(&policy.world, evaluation, &options, &self.progress)
+    }
+
+    /// Whether inverse kinematics has a solution for the goals of a trial's hands with the base where each episode ended: `[episode][arm]`.
+    pub(crate) fn within_reach(&self, policy: &Trained, recording: &Recording) -> Vec<Vec<bool>> {
+        let last = recording.steps() - 1;
+        let ends: Vec<Pose> =
+            (0..recording.episodes()).map(|episode| recording.pose(episode, last)).collect();
+        let ends: Vec<&Pose> = ends.iter().collect();
+        within_reach(&policy.world, self.seed, &ends, self.threads)
+    }
+
+    /// Refuses a robot that an option has made of the policies'.
+    pub(crate) fn check_fit(&self, robot: &Robot, option: &str) -> anyhow::Result<()> {
+        let name = format!("{} with {option}", self.robot.name);
+        let options = step_options(&self.policies[0].world.config);
+        Ok(shakedown(robot, &name, &options)?)
     }
 
     /// Shows progress there, together with others.

@@ -96,7 +96,7 @@ impl Experiment for NoiseArgs {
         &self.common
     }
 
-    fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {
+    fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
         let usage = |message: String| Err(ExitError::new(ExitCode::Usage, message).into());
         let whole = |delay: &f64| delay.fract() == 0.0 && *delay <= MAX_DELAY;
         if let Some(delay) = self.delays.0.iter().find(|delay| !whole(delay)) {
@@ -106,6 +106,9 @@ impl Experiment for NoiseArgs {
         }
         if self.arm_masses.0.contains(&0.0) {
             return usage("--arm-masses: arms have a mass; leave 0 out".to_owned());
+        }
+        for &factor in &self.arm_masses.0 {
+            lab.check_fit(&lab.robot.with_arm_mass(factor)?, &format!("--arm-masses {factor:?}"))?;
         }
         let sweep = |(quantity, strengths): (Quantity, &Amounts)| Sweep {
             quantity,
