@@ -142,12 +142,12 @@ fn every_experiment_measures_and_says_with_what() {
     assert_eq!(names.len(), 6, "{names:?}");
     has_keys(
         &results[0],
-        "arm base_rate_peak base_rate_tail disturbance errors figure steps task what",
+        "arm base_rate_peak base_rate_tail base_turns disturbance errors figure steps task what within_reach",
     );
     has_keys(
         &results[0]["errors"][0],
-        "at before below_before below_tail course error peak recovered steps_to_recover tail \
-         threshold unit",
+        "at before below_before below_tail below_tail_within_reach course error peak recovered \
+         steps_to_recover tail threshold unit",
     );
     for result in results {
         let hand = result["task"] == "trajectory";
@@ -159,6 +159,9 @@ fn every_experiment_measures_and_says_with_what() {
     // A push leaves momentum: the base turns faster at the end than after push and pull.
     let rate = |index: usize| results[index]["base_rate_tail"]["mean"].as_f64().expect("number");
     assert!(rate(1) > 1.5 * rate(2), "{} {}", rate(1), rate(2));
+    let turns = |index: usize| results[index]["base_turns"]["mean"].as_f64().expect("number");
+    assert!(turns(1) > turns(2) && turns(2) > 0.0, "{} {}", turns(1), turns(2));
+    assert!(results[2]["within_reach"].is_number() && results[5]["within_reach"].is_null());
 
     let failure = run("arm-failure", &["--arm=all"]);
     check_identity(&failure, "arm-failure", &dir, &BOTH[1..]);

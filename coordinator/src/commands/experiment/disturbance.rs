@@ -89,6 +89,12 @@ pub(crate) struct Disturbed {
     /// Largest angular velocity of the base from the disturbance on, and its mean over the last 20 steps (rad/s).
     base_rate_peak: Spread,
     base_rate_tail: Spread,
+    /// Angle by which the base turns between the end of the disturbance and that of the episode (rad).
+    #[serde(default)]
+    base_turns: Option<Spread>,
+    /// Share of episodes for whose goal of the disturbed hand inverse kinematics has a solution with the base where the episode ended.
+    #[serde(default)]
+    within_reach: Option<f64>,
     /// An episode with the authors' goals; none on robots with other arms than theirs.
     pub(crate) figure: Option<Figure>,
 }
@@ -116,6 +122,12 @@ pub(crate) struct Recovery {
     steps_to_recover: Option<Spread>,
     /// Share of episodes below the threshold in the mean of the last 20 steps.
     pub(crate) below_tail: f64,
+    /// Mean of the last 20 steps of each episode.
+    #[serde(skip)]
+    tails: Vec<f32>,
+    /// The same share of the episodes whose goal is within reach where they end.
+    #[serde(default)]
+    below_tail_within_reach: Option<f64>,
     pub(crate) course: CourseOfMany,
 }
 
@@ -189,7 +201,7 @@ fn has_figures(lab: &Lab) -> bool {
 fn cases(args: &DisturbanceArgs, task: TaskName, n_joints: usize) -> Vec<Case> {
     let first = args.at;
     let all_along = |steps: Range<usize>, effect| Intervention { steps, effect };
-    // What is given and taken back leaves no momentum, but for the way that it has moved meanwhile.
+    // A force that is given and taken back leaves angular momentum, because the hand has moved meanwhile; a torque leaves none.
     let (unit, length, amount): (_, _, Box<dyn Fn(f64) -> Effect>) = match task {
         TaskName::Trajectory => {
             let (arm, force) = (args.arm - 1, args.force);
@@ -255,7 +267,10 @@ fn measure(lab: &Lab, policy: &Trained, arm: usize, case: Case) -> anyhow::Resul
         None
     };
     let axes = |[x, y, z]: [f32; 3]| x.abs().max(y.abs()).max(z.abs());
-    let errors = match task {
+    let within_reach = (task == TaskName::Trajectory).then(|| lab.within_reach(policy, &recording));
+    let of_arm = |hands: &[Vec<bool>]| hands.iter().map(|hands| hands[arm]).collect::<Vec<bool>>();
+    let within_reach = within_reach.as_deref().map(of_arm);
+    let mut errors = match task {
         TaskName::Trajectory => {
             let position = |episode, step| {
                 let [x, y, z, ..] = recording.hand(episode, step, arm);
@@ -287,6 +302,17 @@ fn measure(lab: &Lab, policy: &Trained, arm: usize, case: Case) -> anyhow::Resul
     };
     let episodes = || 0..recording.episodes();
     let (first, steps) = (case.steps.start, recording.steps());
+    if let Some(within_reach) = &within_reach {
+        for error in &mut errors {
+            error.below_tail_within_reach =
+                share_of(within_reach, |e| error.tails[e] < error.threshold);
+        }
+    }
+    let turns = |episode| {
+        let [from, to] = [case.steps.end - 1, steps - 1]
+            .map(|step| recording.pose(episode, step).base_quaternion);
+        angle_between(from, to)
+    };
     Ok(Disturbed {
         task,
         disturbance: case.name,
@@ -300,8 +326,24 @@ fn measure(lab: &Lab, policy: &Trained, arm: usize, case: Case) -> anyhow::Resul
         base_rate_tail: spread(
             episodes().map(|e| Course::of((0..steps).map(move |step| rate(e, step))).tail),
         ),
+        base_turns: Some(spread(episodes().map(turns))),
+        within_reach: within_reach.map(|within| share(within.len(), |episode| within[episode])),
         figure,
     })
+}
+
+/// The share of the episodes that `of` names which satisfy a condition; none if it names none.
+fn share_of(of: &[bool], holds: impl Fn(usize) -> bool) -> Option<f64> {
+    let named: Vec<usize> = (0..of.len()).filter(|&episode| of[episode]).collect();
+    (!named.is_empty()).then(|| share(named.len(), |index| holds(named[index])))
+}
+
+/// The angle from one attitude to another (rad), by the chord between their quaternions: exact for small ones, too.
+fn angle_between(a: [f32; 4], b: [f32; 4]) -> f32 {
+    let chord =
+        |sign: f32| a.iter().zip(&b).map(|(a, b)| (a - sign * b).powi(2)).sum::<f32>().sqrt();
+    // A quaternion and its negative are one attitude.
+    4.0 * (chord(1.0).min(chord(-1.0)) / 2.0).min(1.0).asin()
 }
 
 impl Recovery {
@@ -338,6 +380,8 @@ impl Recovery {
             recovered: soonest.len() as f64 / n.max(1) as f64,
             steps_to_recover: (!soonest.is_empty()).then(|| spread(soonest.into_iter())),
             below_tail: share(n, |episode| tails[episode] < threshold),
+            below_tail_within_reach: None,
+            tails,
             course: CourseOfMany::of(recording, value),
         }
     }
@@ -359,7 +403,7 @@ fn table(results: &[Disturbed], episodes: usize) -> String {
                 percent(error.recovered),
                 soonest,
                 percent(error.below_tail),
-                milli(result.base_rate_peak.p50),
+                result.base_turns.map_or("–".to_owned(), |turns| milli(turns.p50)),
             ]
         })
     });
@@ -374,9 +418,43 @@ fn table(results: &[Disturbed], episodes: usize) -> String {
         "recovered",
         "steps",
         "below in tail",
-        "base mrad/s",
+        "base turns",
     ];
-    format!("{} each\n{}", output::counted(episodes as u64, "episode"), output::table(header, rows))
+    format!(
+        "{} each\n{}{}",
+        output::counted(episodes as u64, "episode"),
+        output::table(header, rows),
+        notes(results)
+    )
+}
+
+/// What a push leaves, in words: where the base goes, and what that leaves to the hand.
+fn notes(results: &[Disturbed]) -> String {
+    let mut lines = Vec::new();
+    for result in results {
+        let (Some(turns), Some(within_reach)) = (result.base_turns, result.within_reach) else {
+            continue;
+        };
+        let below: Vec<String> = result
+            .errors
+            .iter()
+            .filter_map(|error| {
+                Some(format!("{} in {}", percent(error.below_tail_within_reach?), error.error))
+            })
+            .collect();
+        let below = match below.as_slice() {
+            [] => String::new(),
+            below => format!(";\n  of these end below: {}", below.join(", ")),
+        };
+        lines.push(format!(
+            "{}: then the base turns by {} mrad, {} at 90 %;\n  {} of the goals are within the arm's reach at the end{below}",
+            result.what,
+            milli(turns.p50),
+            milli(turns.p90),
+            percent(within_reach),
+        ));
+    }
+    if lines.is_empty() { String::new() } else { format!("\n\n{}", lines.join("\n")) }
 }
 
 #[cfg(test)]
@@ -415,6 +493,9 @@ mod tests {
         // 50, 25, 12.5: the third step after.
         let steps = recovery.steps_to_recover.expect("one recovers");
         assert_eq!((steps.mean, steps.std), (3.0, 0.0));
+        assert_eq!(share_of(&[true, false], |e| recovery.tails[e] < 20.0), Some(1.0));
+        assert_eq!(share_of(&[false, true], |e| recovery.tails[e] < 20.0), Some(0.0));
+        assert_eq!(share_of(&[false, false], |_| true), None);
         let never = Recovery::of(&recording, ErrorOf::Base, 1e-9, &(4..5), value);
         assert_eq!((never.recovered, never.steps_to_recover), (0.0, None));
     }
@@ -439,7 +520,37 @@ mod tests {
     }
 
     #[test]
-    fn the_released_overrides_and_pushes_that_leave_nothing() {
+    fn angles_between_attitudes_by_hand() {
+        let about_x = |angle: f32| [(angle / 2.0).cos(), (angle / 2.0).sin(), 0.0, 0.0];
+        for angle in [0.0, 1e-4, 0.3, 3.0] {
+            let turned = angle_between(about_x(0.2), about_x(0.2 + angle));
+            assert!((turned - angle).abs() < 1e-5, "{turned} {angle}");
+            let negative = about_x(0.2 + angle).map(|x| -x);
+            assert!((angle_between(about_x(0.2), negative) - angle).abs() < 1e-5);
+        }
+    }
+
+    /// The hand has moved between push and pull, so that they leave angular momentum; a torque and its opposite leave none.
+    #[test]
+    fn a_force_that_is_taken_back_leaves_the_base_turning_and_a_torque_does_not() {
+        let args = args("octopus experiment disturbance --at 1");
+        let turned = |task: TaskName, case: usize| {
+            let recording = super::super::report::tests::changed(task, 1, 40, |trial| {
+                trial.interventions = cases(&args, task, 24).swap_remove(case).interventions;
+            });
+            let [from, to] = [15, 39].map(|step| recording.pose(0, step).base_quaternion);
+            angle_between(from, to)
+        };
+        let [push, pull] = [1, 2].map(|case| turned(TaskName::Trajectory, case));
+        assert!(push > 1.0, "{push}");
+        assert!(pull > 0.01 && pull < 0.5 * push, "{pull} of {push}");
+        let [push, pull] = [1, 2].map(|case| turned(TaskName::Reorientation, case));
+        assert!(push > 0.5, "{push}");
+        assert!(pull < 1e-3, "{pull}");
+    }
+
+    #[test]
+    fn the_released_overrides_and_pushes_that_are_taken_back() {
         let args = args("octopus experiment disturbance --arm 3 --force 20 --at 10");
         let trajectory = cases(&args, TaskName::Trajectory, 24);
         // Arm 3's lift is joint 13.

@@ -227,7 +227,8 @@ fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
                 from home is cut off at the edges."))
         }
         (figure(&figures::disturbed_courses(reports)?, "Medians over held-out goals of the worst axis: overwritten actions, a push from outside, and the \
-            same push taken back. What is pushed in space keeps the momentum, so after a push alone errors do not return."))
+            same push taken back. What is pushed in space keeps the momentum, so after a push alone errors do not return. A force that is taken back leaves \
+            angular momentum, because the hand has moved in between: errors return, and grow again as the base turns the goals out of reach."))
     };
     let title = "Disturbance";
     let report = &reports.disturbance;
