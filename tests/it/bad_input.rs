@@ -217,7 +217,7 @@ fn robots_that_are_unfit_at_home() {
     let flag = format!("--robot={}", path.display());
     let description = format!("--set=robot.description={}", path.display());
     let actions = dir.path().join("actions.csv");
-    std::fs::write(&actions, vec!["0"; 12].join(",")).expect("write");
+    std::fs::write(&actions, ["0"; 12].join(",")).expect("write");
     let input = format!("--actions={}", actions.display());
     let every = |from: &str, to: &str, words: &[&str]| {
         assert!(good.contains(from), "the test's text {from:?}");
