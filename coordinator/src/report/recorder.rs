@@ -161,11 +161,13 @@ fn work(mut files: Files, jobs: &Receiver<Job>, failure: &OnceLock<String>) {
             Job::End => return,
             Job::Do(work, done) => {
                 let result = failed().and_then(|()| work(&mut files));
-                let told =
-                    result.as_ref().map_or_else(|error| Err(anyhow!("{error:#}")), |()| Ok(()));
+                if let Err(error) = &result {
+                    // Before anybody knows of it, so that nothing is handed over any more then.
+                    let _ = failure.set(format!("{error:#}"));
+                }
                 // Who asked may have gone.
-                let _ = done.send(told);
-                result
+                let _ = done.send(result);
+                continue;
             }
             _ if failure.get().is_some() => continue,
             Job::Line(line) => files.append(&line),

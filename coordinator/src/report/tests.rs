@@ -171,6 +171,7 @@ fn what_was_cut_off_is_compared_even_after_a_second_kill() {
         reporter.check_promised(iteration, report(iteration).digest).expect("the same");
         reporter.iteration(&report(iteration), &live(1.0)).expect("writes");
     }
+    reporter.durability().wait().expect("writes");
     assert!(!run_dir.promised().exists(), "all is passed");
     reporter.check_promised(9, Digest([77; 16])).expect("nothing is known of it");
     assert_eq!(iterations(&run_dir), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
