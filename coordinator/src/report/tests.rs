@@ -131,6 +131,7 @@ fn evaluations_of_policies_that_are_trained_again_are_dropped() {
     // By plan, and once more at the end.
     reporter.evaluation(&evaluated(6), 0.5).expect("writes");
     reporter.evaluation(&evaluated(6), 0.75).expect("writes nothing");
+    reporter.durability().wait().expect("writes");
     let lines = jsonl::read(&run_dir.evaluations()).expect("readable");
     let of = |key: &str| lines.iter().map(|(_, line)| line[key].clone()).collect::<Vec<_>>();
     assert_eq!(of("iteration"), [2, 4, 6]);
