@@ -33,6 +33,7 @@ pub mod http;
 
 pub mod janitor;
 pub mod lock;
+pub mod shield;
 pub mod signals;
 
 pub mod figures;

@@ -1,5 +1,6 @@
 //! The `octopus` program; see [`coordinator::cli`].
 
+use std::io::Write as _;
 use std::process::ExitCode;
 
 use clap::Parser as _;
@@ -15,7 +16,8 @@ fn main() -> ExitCode {
             if error.is::<commands::NotTheSame>() {
                 return ExitCode::from(commands::exit_code(&error) as u8);
             }
-            eprintln!("error: {}", format!("{error:#}").trim_end());
+            // Nobody may be left to read it: a terminal that is closed ends a run, too.
+            let _ = writeln!(std::io::stderr(), "error: {}", format!("{error:#}").trim_end());
             ExitCode::from(commands::exit_code(&error) as u8)
         }
     }

@@ -4,6 +4,8 @@ use std::io::{ErrorKind, Write as _};
 
 use anyhow::Context as _;
 use comfy_table::{CellAlignment, Table, presets};
+use rustix::fs::{FileType, fstat};
+use rustix::io::Errno;
 use serde::Serialize;
 
 use crate::report::progress::grouped;
@@ -25,15 +27,26 @@ pub fn json_bytes(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {
     Ok(text)
 }
 
-/// Writes bytes as they are. A reader that has seen enough, such as `head`, is no error.
+/// Writes bytes as they are. A reader that has seen enough, such as `head`, is no error, and neither is a
+/// terminal that is closed.
 pub fn write(bytes: &[u8]) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(bytes).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe && !is_closed_terminal(&error) => {
             Err(error).context("standard output cannot be written")
         }
         _ => Ok(()),
     }
+}
+
+/// Whether standard output was a terminal, which answers EIO once it is closed. A file on a broken disk
+/// does so, too, but is no character device.
+fn is_closed_terminal(error: &std::io::Error) -> bool {
+    let is_device = || {
+        fstat(std::io::stdout())
+            .is_ok_and(|stat| FileType::from_raw_mode(stat.st_mode) == FileType::CharacterDevice)
+    };
+    error.raw_os_error() == Some(Errno::IO.raw_os_error()) && is_device()
 }
 
 /// A count and what is counted: `1 worker`, `1,200 workers`.

@@ -11,9 +11,11 @@
 
 pub mod failures;
 
+mod attention;
 mod books;
 mod control;
 mod hearing;
+mod mail;
 mod monitor;
 mod recovery;
 mod snapshots;
@@ -23,8 +25,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use proto::channel::{
-    BellListener, ChannelSizes, Channels, Domain, MessageReceiver, MessageSender, PieceReceiver,
-    Role,
+    BellListener, ChannelSizes, Channels, Domain, MessageReceiver, PieceReceiver, Role,
 };
 use proto::config::Config;
 use proto::layout::Dimensions;
@@ -33,8 +34,10 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
 
+use self::attention::{Attention, STANDSTILL};
 use self::books::Books;
 use self::failures::Failures;
+use self::mail::Mail;
 use self::monitor::Monitor;
 use self::snapshots::Snapshots;
 use crate::checkpoint::{Checkpoint, CheckpointStore};
@@ -113,8 +116,16 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitE
         &spec.config.run,
         sizes.max_workers,
     )?;
-    let result = Session::start(spec, &dimensions, sizes, &mut supervisor)
-        .and_then(|mut session| session.run(&mut supervisor, reporter));
+    let result = Session::start(spec, &dimensions, sizes, &mut supervisor, reporter).and_then(
+        |mut session| {
+            let result = session.run(&mut supervisor, reporter);
+            if result.as_ref().is_err_and(|error| error.code == ExitCode::Interrupted) {
+                // Somebody does not want to wait, for a lock or a disk neither.
+                session.snapshots.abandon();
+            }
+            result
+        },
+    );
     spec.live.close();
     supervisor.close();
     result
@@ -126,10 +137,11 @@ struct Session<'a> {
     store: CheckpointStore,
     channels: Channels,
     bell: BellListener,
-    orders: MessageSender<Order>,
+    orders: Mail,
     progress: MessageReceiver<Progress>,
     status: MessageReceiver<Status>,
     pieces: PieceReceiver,
+    attention: Attention,
     snapshots: Snapshots,
     failures: Failures,
     books: Books,
@@ -165,6 +177,7 @@ impl<'a> Session<'a> {
         dimensions: &Dimensions,
         sizes: ChannelSizes,
         supervisor: &mut Supervisor,
+        reporter: &Reporter,
     ) -> Result<Self, ExitError> {
         let config = &spec.config;
         let channels = Channels::create(&spec.domain, sizes)?;
@@ -176,7 +189,7 @@ impl<'a> Session<'a> {
         let now = Instant::now();
         let mut session = Self {
             bell: channels.listener(Role::Coordinator)?,
-            orders: channels.order_sender()?,
+            orders: Mail::new(channels.order_sender()?),
             progress: channels.progress_receiver()?,
             status: channels.status_receiver()?,
             pieces: channels.snapshot_receiver()?,
@@ -185,7 +198,12 @@ impl<'a> Session<'a> {
                 spec.robot.to_toml(),
                 spec.provenance.clone(),
                 store.clone(),
+                {
+                    let durability = reporter.durability();
+                    move || durability.wait()
+                },
             ),
+            attention: Attention::new(now),
             failures: Failures::new(&spec.run_dir, config, dimensions, channels.policy_receiver()?),
             books: Books::default(),
             monitor,
@@ -235,12 +253,13 @@ impl<'a> Session<'a> {
     ) -> Result<Outcome, ExitError> {
         loop {
             self.bell.wait(TICK);
+            self.look_at_the_clock(supervisor);
             self.tick(supervisor, reporter)?;
             self.check_stop(reporter);
             if self.scheduler.as_ref().is_some_and(Scheduler::is_finished)
                 && let Some(checkpoint) = self.finish(reporter)?
             {
-                self.orders.send(&Order::Stop)?;
+                self.orders.send(Order::Stop)?;
                 supervisor.wait_for_all(EXIT_DEADLINE);
                 return Ok(Outcome {
                     iterations: self.reported,
@@ -250,6 +269,32 @@ impl<'a> Session<'a> {
                 });
             }
         }
+    }
+
+    /// Begins a turn. Where it is late, because this process or its disk stood still, nobody was heard
+    /// meanwhile, and all deadlines move by as much.
+    fn look_at_the_clock(&mut self, supervisor: &mut Supervisor) {
+        let late = self.attention.turn(Instant::now());
+        if late.is_zero() {
+            return;
+        }
+        if late > STANDSTILL {
+            let seconds = late.as_secs();
+            tracing::warn!(
+                "the coordinator stood still for {seconds} s; deadlines move by as much"
+            );
+        }
+        for heard in self.heard.values_mut() {
+            *heard += late;
+        }
+        self.learner_heard += late;
+        if let Some(deadline) = &mut self.finishing {
+            *deadline += late;
+        }
+        if let Some(scheduler) = &mut self.scheduler {
+            scheduler.forgive(late);
+        }
+        supervisor.forgive(late);
     }
 
     /// Looks at everything once.
@@ -272,7 +317,7 @@ impl<'a> Session<'a> {
         self.hear_committer(reporter)?;
         self.bury(supervisor, reporter)?;
         self.obey(supervisor, reporter)?;
-        self.send_orders()?;
+        self.send_orders(supervisor)?;
         self.check_deadlines(supervisor, reporter);
         if self.monitor.is_due() {
             self.spec.live.publish(self.look(supervisor));
@@ -280,18 +325,26 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    fn send_orders(&mut self) -> Result<(), ExitError> {
+    fn send_orders(&mut self, supervisor: &Supervisor) -> Result<(), ExitError> {
         let Some(scheduler) = &mut self.scheduler else { return Ok(()) };
+        let snapshots = &self.snapshots;
+        let missed = self.orders.retry(|order| match order {
+            Order::Snapshot => snapshots.is_awaited(),
+            Order::Leave { worker, incarnation } => supervisor.is_leaving(*worker, *incarnation),
+            order => scheduler.awaits(order),
+        })?;
+        self.monitor.orders_missed += missed as u64;
         if self.snapshots.must_tell_learner() {
-            self.orders.send(&Order::Snapshot)?;
+            self.orders.send(Order::Snapshot)?;
         }
-        let now = Instant::now();
+        let now = self.attention.now();
         let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
         let repeated = scheduler.repeat_overdue(now, deadline);
         if !repeated.is_empty() {
             tracing::warn!(orders = repeated.len(), "orders are overdue and sent again");
+            self.monitor.orders_overdue += repeated.len() as u64;
         }
-        for order in scheduler.assign(now).iter().chain(&repeated) {
+        for order in scheduler.assign(now).into_iter().chain(repeated) {
             self.orders.send(order)?;
         }
         Ok(())
@@ -321,7 +374,7 @@ impl<'a> Session<'a> {
     /// Has the final state committed and evaluated; returns its directory once that is done.
     fn finish(&mut self, reporter: &mut Reporter) -> Result<Option<PathBuf>, ExitError> {
         let Some(deadline) = self.finishing else {
-            self.finishing = Some(Instant::now() + FINISH_DEADLINE);
+            self.finishing = Some(self.attention.now() + FINISH_DEADLINE);
             self.snapshots.ask(self.reported);
             return Ok(None);
         };
@@ -331,7 +384,7 @@ impl<'a> Session<'a> {
             self.hear_committer(reporter)?;
             return Ok(Some(checkpoint));
         }
-        if Instant::now() > deadline {
+        if self.attention.now() > deadline {
             return Err(ExitError::new(
                 ExitCode::Child,
                 format!("no final checkpoint after {} s", FINISH_DEADLINE.as_secs()),

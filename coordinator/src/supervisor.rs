@@ -15,6 +15,7 @@ use proto::{ExitCode, ExitError};
 use rustix::process::Signal;
 
 use crate::janitor::Janitor;
+use crate::shield;
 
 /// Where the programs of a run are.
 #[derive(Debug, Clone)]
@@ -365,7 +366,7 @@ impl Supervisor {
             .open(&path)
             .map_err(|error| fail(&path.display().to_string(), &error))?;
         let copy = file.try_clone().map_err(|error| fail("cannot share the log file", &error))?;
-        let child = command
+        command
             .arg("--run-dir")
             .arg(self.run_dir.path())
             .args(["--domain", self.domain.as_str()])
@@ -374,11 +375,10 @@ impl Supervisor {
             .stdout(copy)
             .stderr(file)
             // Ctrl-C on the terminal is for the coordinator, who tells the others.
-            .process_group(0)
-            .spawn()
-            .map_err(|error| {
-                fail(&format!("cannot start {}", command.get_program().display()), &error)
-            })?;
+            .process_group(0);
+        let child = shield::spawn(&mut command).map_err(|error| {
+            fail(&format!("cannot start {}", command.get_program().display()), &error)
+        })?;
         self.janitor.watch(child.id());
         Ok(child)
     }
@@ -470,6 +470,17 @@ impl Supervisor {
     pub fn worker_delivered(&mut self, worker: WorkerId) {
         if let Some(slot) = self.workers.get_mut(&worker) {
             slot.deaths = Deaths::default();
+        }
+    }
+
+    /// Nobody could be heard for so long: what is to happen by the clock happens so much later.
+    pub fn forgive(&mut self, late: Duration) {
+        for slot in self.workers.values_mut() {
+            match &mut slot.state {
+                WorkerState::Running { started, .. } => *started += late,
+                WorkerState::Leaving { until, .. } => *until += late,
+                WorkerState::Due { .. } => {}
+            }
         }
     }
 

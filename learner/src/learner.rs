@@ -10,11 +10,11 @@ use std::time::{Duration, Instant};
 
 use proto::channel::{
     ArrayReceiver, ArraySample, ArraySender, BellListener, ChannelSizes, Channels, Domain,
-    MessageReceiver, MessageSender, PieceSender, Role,
+    MessageReceiver, MessageSender, PieceSender, Role, WHILE_THE_PARENT_LIVES,
 };
 use proto::config::{Config, Run};
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
-use proto::message::{self, IterationReport, Losses, Order, Progress, Timing};
+use proto::message::{self, HEARTBEAT, IterationReport, Losses, Order, Progress, Timing};
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitError};
 use tch::Device;
@@ -27,12 +27,8 @@ use crate::report::UpdateReport;
 use crate::state::TrainingState;
 use crate::state::image::Image;
 
-/// How long the coordinator may take to make room.
-const SEND_DEADLINE: Duration = Duration::from_mins(1);
 /// How often a learner with nothing to do looks for workers that came late.
 const IDLE: Duration = Duration::from_millis(20);
-/// How often the learner says that it is alive.
-const HEARTBEAT: Duration = Duration::from_millis(500);
 /// How long a piece of a snapshot waits for room before it is tried again later.
 const PIECE_DEADLINE: Duration = Duration::from_millis(1);
 /// How often it looks whether training is done.
@@ -214,7 +210,7 @@ impl Ports {
             orders: channels.order_receiver()?,
             blocks: channels.block_receiver()?,
             policy: channels.policy_sender()?,
-            progress: channels.progress_sender(SEND_DEADLINE)?,
+            progress: channels.progress_sender(WHILE_THE_PARENT_LIVES)?,
             snapshot: channels.snapshot_sender(PIECE_DEADLINE)?,
             bell: channels.listener(Role::Learner)?,
             _channels: channels,
@@ -285,6 +281,7 @@ impl Learner {
             env_steps: state.env_steps,
             digest: self.digest,
             precision: precision.to_owned(),
+            orders: self.ports.orders.port(),
         })?;
         tracing::info!(iteration = state.iteration, digest = %self.digest, precision, "ready");
         let mut idle_since = Instant::now();
@@ -308,9 +305,13 @@ impl Learner {
         }
     }
 
-    /// Copies the state; its pieces are sent while training goes on.
+    /// Copies the state; its pieces are sent while training goes on. Whoever asks again while it is on
+    /// its way gets this one.
     fn take_snapshot(&mut self) {
         let state = &self.trainer.state;
+        if self.ports.outbox.back().is_some_and(|last| last.header.iteration == state.iteration) {
+            return;
+        }
         let header = SnapshotHeader {
             iteration: state.iteration,
             digest: self.digest.0,

@@ -12,11 +12,11 @@ use std::time::{Duration, Instant};
 
 use proto::channel::{
     ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, MessageReceiver,
-    MessageSender, Role,
+    MessageSender, Role, WHILE_THE_PARENT_LIVES,
 };
 use proto::config::Config;
 use proto::layout::{BlockHeader, PolicyHeader};
-use proto::message::{self, EvaluationChunk, Fault, Order, Status, WorkerId};
+use proto::message::{self, EvaluationChunk, Fault, HEARTBEAT, Order, Status, WorkerId};
 use proto::run_dir::RunDir;
 use proto::{ChannelError, ExitCode, ExitError};
 
@@ -26,8 +26,6 @@ use crate::policy::Policy;
 use crate::robot::Robot;
 use crate::rollout::{RolloutError, RolloutSpec, World, rollout};
 
-/// How often a worker says that it is alive.
-const HEARTBEAT: Duration = Duration::from_millis(500);
 /// Policy versions that a worker keeps: with overlap it acts with the one before the newest.
 const KEPT_POLICIES: usize = 3;
 /// Pause before a block is made again that no learner was there to take.
@@ -149,7 +147,6 @@ impl<'a> Worker<'a> {
             let domain = Domain::parse(&arguments.domain)?;
             let sizes = ChannelSizes::new(&world.config, &world.dimensions);
             let channels = Channels::open(&domain, sizes)?;
-            let deadline = Duration::from_secs_f64(world.config.run.order_deadline_s);
             Ok(Self {
                 world,
                 id: arguments.worker,
@@ -163,7 +160,7 @@ impl<'a> Worker<'a> {
                 bell: channels.listener(Role::Workers)?,
                 orders: channels.order_receiver()?,
                 policy: channels.policy_receiver()?,
-                blocks: channels.block_sender(deadline)?,
+                blocks: channels.block_sender(WHILE_THE_PARENT_LIVES)?,
                 _channels: channels,
             })
         };
@@ -172,7 +169,7 @@ impl<'a> Worker<'a> {
 
     fn serve(&mut self) -> Result<(), ExitError> {
         let (worker, incarnation) = (self.id, self.incarnation);
-        self.send(&Status::Ready { worker, incarnation })?;
+        self.send(&Status::Ready { worker, incarnation, orders: self.orders.port() })?;
         loop {
             self.take_orders()?;
             self.take_policies()?;
@@ -326,10 +323,6 @@ impl<'a> Worker<'a> {
                 return Ok(Outcome::Unclaimed);
             }
             Ok(_) => {}
-            Err(error @ ChannelError::Backpressure { .. }) => {
-                self.fail(&error.to_string(), None)?;
-                return Ok(Outcome::Done);
-            }
             Err(error) => return Err(failure(&error)),
         }
         let (worker, incarnation) = (self.id, self.incarnation);

@@ -13,4 +13,5 @@ mod http;
 mod mujoco;
 mod reproduce;
 mod run_directory;
+mod signals;
 mod verify;

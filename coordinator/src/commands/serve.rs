@@ -24,7 +24,7 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     let root = store.root().to_owned();
     let checkpoints = store.survey()?.entries.len();
     let stop = StopRequests::new();
-    stop.listen().context("signals cannot be caught")?;
+    stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     let service = Service::start(ServiceSpec {
         address: args.listen,
         token,

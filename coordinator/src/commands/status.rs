@@ -16,8 +16,9 @@ use crate::live::{Best, LiveStatus, Role, Stages};
 use crate::lock::RunLock;
 use crate::output;
 use crate::preflight::mib;
-use crate::report::jsonl;
+use crate::report::divergence::{CURE, Divergence};
 use crate::report::progress::grouped;
+use crate::report::{Diverged, jsonl};
 
 /// What can be said about a run from outside.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -38,6 +39,8 @@ pub struct RunStatus {
     pub last: Option<Value>,
     /// Its newest checkpoint.
     pub checkpoint: Option<PathBuf>,
+    /// Where the training has diverged, unless it has recovered.
+    pub divergence: Option<Diverged>,
     /// Its processes and stages, while it runs and its HTTP service answers.
     pub live: Option<LiveStatus>,
     /// Why there is no `live`, although the run goes on.
@@ -149,6 +152,9 @@ fn show(status: &RunStatus) -> String {
     if let Some(checkpoint) = &status.checkpoint {
         lines.push(format!("{:14}{}", "checkpoint", checkpoint.display()));
     }
+    if let Some(diverged) = &status.divergence {
+        lines.push(format!("{:14}{diverged}; {CURE}", "warning"));
+    }
     if let Some(live) = &status.live {
         lines.push(show_live(live));
     }
@@ -185,7 +191,7 @@ fn show_live(live: &LiveStatus) -> String {
         lines.push(format!("{:14}{name}, score {score:.3}", "best"));
     }
     if let Some(eta) = live.eta_s {
-        lines.push(format!("{:14}{eta:.0} s", "left"));
+        lines.push(format!("{:14}{:.0} s", "left", eta.ceil()));
     }
     let stages = [
         ("rollout", rollout_s),
@@ -307,6 +313,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         planned_iterations,
         last,
         checkpoint,
+        divergence: Divergence::recorded(&run_dir)?.found().cloned(),
         live: None,
         live_error: None,
     })

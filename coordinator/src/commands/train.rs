@@ -22,8 +22,9 @@ use crate::live::LiveRun;
 use crate::lock::RunLock;
 use crate::preflight::{self, Remedy, Verdict};
 use crate::provenance::{self, Provenance};
-use crate::report::Reporter;
+use crate::report::divergence::{CURE, Divergence};
 use crate::report::progress::grouped;
+use crate::report::{Diverged, Reporter};
 use crate::session::{self, Outcome, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
@@ -159,7 +160,7 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
     let Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter } =
         start;
     let stop = StopRequests::new();
-    stop.listen().context("signals cannot be caught")?;
+    stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
     let mut reporter = Reporter::create(&run_dir, &config, resume_from, quiet)?;
     if !same {
@@ -198,6 +199,10 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
     finished?;
     Ok(Ended { run_dir, outcome, stop })
 }
+
+/// What a second request to stop says if something in this process does not end.
+pub(super) const ABANDONED: &str = "stopped at once; what was being written is abandoned, and the last checkpoint is where \
+     `octopus resume` goes on";
 
 fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
     let task = config.task.name.as_str();
@@ -244,6 +249,11 @@ impl Ended {
         Some(self.run_dir.curve()).filter(|curve| curve.is_file())
     }
 
+    /// Where the training has diverged, unless it has recovered.
+    fn divergence(&self) -> anyhow::Result<Option<Diverged>> {
+        Ok(Divergence::recorded(&self.run_dir)?.found().cloned())
+    }
+
     /// How it ended, in a word or two.
     fn stopped_by(&self) -> &'static str {
         match self.outcome.stopped_by {
@@ -262,6 +272,7 @@ impl Ended {
             "stopped_by": self.stopped_by(),
             "checkpoint": self.outcome.checkpoint,
             "curve": self.curve(),
+            "divergence": self.divergence()?,
             "evaluation": evaluation,
         }))
     }
@@ -289,6 +300,9 @@ impl Ended {
             grouped(outcome.env_steps),
             self.stopped_by()
         ))?;
+        if let Some(diverged) = self.divergence()? {
+            output::line(&format!("warning: {diverged}; {CURE}"))?;
+        }
         if let Some(evaluation) = &evaluation {
             output::line(&format!("\n{}\n", evaluation.table()))?;
             output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;

@@ -66,33 +66,42 @@
 //! iterations that are trained on again must end with the same digests. TensorBoard's files are never
 //! rewritten: the new one begins with the mark that makes TensorBoard forget what follows it.
 //!
-//! Before a checkpoint is committed the lines of its iterations are made durable ([`Reporter::sync`]),
+//! Before a checkpoint is committed the lines of its iterations are made durable ([`Durability`]),
 //! so that they do not end before it after a power cut; a resume takes none that they do not reach
-//! ([`recorded`]).
+//! ([`recorded`]). A thread of its own writes them ([`recorder`]): the run goes on while a disk stands still.
 
 pub mod csv;
 pub mod curve;
+pub mod divergence;
+mod eta;
 pub mod evaluations;
 pub mod jsonl;
 mod line;
+mod margin;
 pub mod progress;
 pub mod promised;
+mod recorder;
 pub mod row;
 pub mod tensorboard;
 
 use anyhow::Context as _;
+pub use divergence::Diverged;
+pub use eta::Eta;
 pub use evaluations::Evaluated;
 pub use line::{Cell, Line};
 use proto::config::Config;
 use proto::message::IterationReport;
 use proto::run_dir::RunDir;
-use proto::{Digest, ExitCode, ExitError};
+use proto::{Digest, ExitError};
+pub use recorder::Durability;
 
 use self::csv::CsvTable;
+use self::divergence::{CURE, Change, Divergence};
 use self::evaluations::Evaluations;
 use self::jsonl::JsonLines;
 use self::progress::Progress;
 use self::promised::Promised;
+use self::recorder::{Files, Recorder};
 use self::tensorboard::EventWriter;
 
 /// What only the coordinator knows about the iteration that has just ended.
@@ -113,11 +122,9 @@ pub struct Live {
 pub struct Reporter {
     run_dir: RunDir,
     config: Config,
-    lines: JsonLines,
-    evaluations: Evaluations,
-    table: CsvTable,
-    events: EventWriter,
+    recorder: Recorder,
     progress: Progress,
+    divergence: Divergence,
     /// What earlier sessions of the run took, as the last kept line says (s).
     wall_before_s: f64,
     promised: Promised,
@@ -139,6 +146,7 @@ impl Reporter {
         let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
         let evaluations = Evaluations::open(run_dir, keep)?;
         let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
+        let divergence = Divergence::recorded(run_dir)?;
         let last = last.unwrap_or_default();
         let env_steps = last["env_steps"].as_u64().unwrap_or(0);
         let mut events = EventWriter::create(&run_dir.events())
@@ -149,11 +157,9 @@ impl Reporter {
         Ok(Self {
             run_dir: run_dir.clone(),
             config: config.clone(),
-            lines,
-            evaluations,
-            table,
-            events,
+            recorder: Recorder::start(Files { lines, evaluations, table, events })?,
             progress: Progress::new(config, env_steps, quiet),
+            divergence,
             wall_before_s: last["wall_s"].as_f64().unwrap_or(0.0),
             promised,
         })
@@ -172,42 +178,68 @@ impl Reporter {
 
     /// Drops the lines of `iteration` and later, which are to be trained on again.
     pub fn rewind(&mut self, iteration: u64) -> anyhow::Result<()> {
+        // All lines are in the file, and no promise is being forgotten.
+        self.recorder.wait_for(|_| Ok(()))?;
         self.promised.add(digests_from(&self.run_dir, iteration)?)?;
-        let (lines, last) = JsonLines::open(&self.run_dir.metrics_jsonl(), iteration)?;
-        self.lines = lines;
-        self.evaluations = Evaluations::open(&self.run_dir, iteration)?;
-        self.table = CsvTable::open(&self.run_dir.metrics_csv(), iteration)?;
-        let env_steps = last.and_then(|last| last["env_steps"].as_u64()).unwrap_or(0);
-        self.events.forget_after(env_steps)?;
+        let run_dir = self.run_dir.clone();
+        self.recorder.wait_for(move |files| {
+            let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), iteration)?;
+            files.lines = lines;
+            files.evaluations = Evaluations::open(&run_dir, iteration)?;
+            files.table = CsvTable::open(&run_dir.metrics_csv(), iteration)?;
+            let env_steps = last.and_then(|last| last["env_steps"].as_u64()).unwrap_or(0);
+            files.events.forget_after(env_steps)
+        })?;
+        self.divergence = Divergence::recorded(&self.run_dir)?;
         Ok(())
     }
 
-    /// Records an iteration; returns its line.
+    /// Records an iteration; returns its line. It is written on another thread; what fails there is the
+    /// error of the next call.
     pub fn iteration(
         &mut self,
         report: &IterationReport,
         live: &Live,
     ) -> anyhow::Result<serde_json::Value> {
-        let live = Live { wall_s: live.wall_s + self.wall_before_s, ..*live };
+        let session_s = live.wall_s;
+        let live = Live { wall_s: session_s + self.wall_before_s, ..*live };
         let line = Line::new(report, &live);
-        self.lines.append(&line)?;
-        self.table.append(&line)?;
-        self.events.append(&line)?;
-        self.progress.iteration(&line);
-        if self.promised.is_passed(line.iteration + 1) {
-            // Only once the digests are safe in the lines again.
-            self.lines.sync()?;
-            self.promised.clear()?;
+        self.progress.iteration(&line, session_s);
+        self.watch(&line);
+        let value = serde_json::to_value(&line).context("a line of metrics has no JSON form")?;
+        let next = line.iteration + 1;
+        self.recorder.line(line)?;
+        if self.promised.is_passed(next) {
+            self.recorder.kept(self.promised.take())?;
         }
-        serde_json::to_value(&line).context("a line of metrics has no JSON form")
+        Ok(value)
+    }
+
+    /// Says so if the training diverges or has recovered.
+    fn watch(&mut self, line: &Line) {
+        match self.divergence.add(line.into()) {
+            Some(Change::Diverged) => {
+                if let Some(diverged) = self.divergence.found() {
+                    let text = format!("warning: {diverged}; {CURE}");
+                    self.progress.note(&text);
+                }
+            }
+            Some(Change::Recovered) => {
+                let text = format!("the training has recovered by iteration {}", line.iteration);
+                self.progress.note(&text);
+            }
+            None => {}
+        }
+    }
+
+    /// Where the training has diverged, unless it has recovered.
+    pub fn diverged(&self) -> Option<&Diverged> {
+        self.divergence.found()
     }
 
     /// Records an evaluation that was done `wall_s` after this session began.
     pub fn evaluation(&mut self, evaluated: &Evaluated, wall_s: f64) -> anyhow::Result<()> {
-        if self.evaluations.append(evaluated, wall_s + self.wall_before_s)? {
-            self.events.append_evaluation(evaluated)?;
-        }
-        Ok(())
+        self.recorder.evaluation(evaluated.clone(), wall_s + self.wall_before_s)
     }
 
     /// Says something that the owner should know: above the bar, or on a line of its own.
@@ -215,22 +247,19 @@ impl Reporter {
         self.progress.note(line);
     }
 
-    /// Makes all lines durable. Called before a checkpoint of their iterations is committed.
-    pub fn sync(&self) -> Result<(), ExitError> {
-        self.lines
-            .sync()
-            .and_then(|()| self.table.sync())
-            .and_then(|()| self.evaluations.sync())
-            .map_err(|error| ExitError::new(ExitCode::RunDirectory, format!("metrics: {error:#}")))
+    /// What waits until the lines of all iterations so far are durable. Whoever commits a checkpoint of
+    /// them does so first.
+    pub fn durability(&self) -> Durability {
+        self.recorder.durability()
     }
 
     /// Makes everything durable and draws the learning curve.
     pub fn finish(&mut self) -> anyhow::Result<()> {
         self.progress.finish();
-        self.lines.sync()?;
-        self.table.sync()?;
-        self.evaluations.sync()?;
-        self.events.sync()?;
+        self.recorder.wait_for(|files| {
+            files.sync()?;
+            files.events.sync()
+        })?;
         let points = curve::read_points(&self.run_dir.metrics_jsonl())?;
         if points.len() > 1 {
             curve::draw(&self.run_dir.curve(), &points, self.config.task.name)?;

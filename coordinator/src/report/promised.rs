@@ -101,6 +101,11 @@ impl Promised {
         self.digests.last_key_value().is_some_and(|(last, _)| *last < iteration)
     }
 
+    /// Forgets everything but the file, which whoever gets this has to [clear](Self::clear).
+    pub fn take(&mut self) -> Self {
+        Self { path: self.path.clone(), digests: std::mem::take(&mut self.digests) }
+    }
+
     /// Forgets everything, the file included.
     pub fn clear(&mut self) -> anyhow::Result<()> {
         self.digests.clear();

@@ -131,6 +131,7 @@ fn evaluations_of_policies_that_are_trained_again_are_dropped() {
     // By plan, and once more at the end.
     reporter.evaluation(&evaluated(6), 0.5).expect("writes");
     reporter.evaluation(&evaluated(6), 0.75).expect("writes nothing");
+    reporter.durability().wait().expect("writes");
     let lines = jsonl::read(&run_dir.evaluations()).expect("readable");
     let of = |key: &str| lines.iter().map(|(_, line)| line[key].clone()).collect::<Vec<_>>();
     assert_eq!(of("iteration"), [2, 4, 6]);
@@ -171,6 +172,7 @@ fn what_was_cut_off_is_compared_even_after_a_second_kill() {
         reporter.check_promised(iteration, report(iteration).digest).expect("the same");
         reporter.iteration(&report(iteration), &live(1.0)).expect("writes");
     }
+    reporter.durability().wait().expect("writes");
     assert!(!run_dir.promised().exists(), "all is passed");
     reporter.check_promised(9, Digest([77; 16])).expect("nothing is known of it");
     assert_eq!(iterations(&run_dir), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
@@ -274,4 +276,38 @@ fn the_curve_of_a_long_run_stays_small() {
 #[test]
 fn thousands_are_set_apart() {
     assert_eq!([7, 1000, 1_664_000].map(progress::grouped), ["7", "1,000", "1,664,000"]);
+}
+
+#[test]
+fn lines_are_durable_when_a_checkpoint_may_be_committed_and_in_order() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    let mut reporter = Reporter::create(&run_dir, &config(), None, true).expect("creates");
+    let durability = reporter.durability();
+    for iteration in 0..200 {
+        reporter.iteration(&report(iteration), &live(1.0)).expect("hands over");
+        if iteration % 50 == 49 {
+            // On another thread, as a committer is.
+            let durability = durability.clone();
+            std::thread::spawn(move || durability.wait().expect("writes")).join().expect("waits");
+            assert_eq!(iterations(&run_dir), (0..=iteration).collect::<Vec<_>>());
+        }
+    }
+    reporter.finish().expect("finishes");
+}
+
+#[test]
+fn a_line_that_cannot_be_written_is_told_and_nothing_is_written_after_it() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    let reporter = Reporter::create(&run_dir, &config(), None, true).expect("creates");
+    let failing = reporter.recorder.wait_for(|_| Err(anyhow::anyhow!("no space left")));
+    assert!(failing.expect_err("fails").to_string().contains("no space left"));
+    let mut reporter = reporter;
+    let refused = reporter.iteration(&report(0), &live(1.0)).expect_err("nothing more is taken");
+    assert!(refused.to_string().contains("no space left"), "{refused}");
+    let refused = reporter.durability().wait().expect_err("nothing is durable");
+    assert!(refused.to_string().contains("no space left"), "{refused}");
+    drop(reporter);
+    assert_eq!(iterations(&run_dir), [0; 0]);
 }

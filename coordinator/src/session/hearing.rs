@@ -5,6 +5,7 @@ use std::time::Instant;
 use proto::message::{IterationReport, Order, Progress, Status};
 use proto::{ExitCode, ExitError};
 
+use super::mail::Addressee;
 use super::snapshots::{Evaluation, Phase};
 use super::{Session, StoppedBy};
 use crate::checkpoint::Name;
@@ -24,12 +25,13 @@ impl Session<'_> {
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
-        let now = Instant::now();
+        let now = self.attention.now();
         while let Some(status) = self.status.try_receive()? {
             match status {
-                Status::Ready { worker, incarnation } => {
+                Status::Ready { worker, incarnation, orders } => {
+                    self.orders.introduce(Addressee::Worker(worker), orders);
                     if supervisor.is_leaving(worker, incarnation) {
-                        self.orders.send(&Order::Leave { worker, incarnation })?;
+                        self.orders.send(Order::Leave { worker, incarnation })?;
                     }
                     if !supervisor.is_current(worker, incarnation) {
                         continue;
@@ -88,11 +90,12 @@ impl Session<'_> {
         supervisor: &Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
-        let now = Instant::now();
+        let now = self.attention.now();
         while let Some(progress) = self.progress.try_receive()? {
             self.learner_heard = now;
             match progress {
-                Progress::Ready { iteration, digest, precision, .. } => {
+                Progress::Ready { iteration, digest, precision, orders, .. } => {
+                    self.orders.introduce(Addressee::Learner, orders);
                     tracing::info!(iteration, %digest, precision, "learner is ready");
                     self.precision = Some(precision);
                     self.learner_ready(iteration, now, reporter)?;
@@ -172,6 +175,8 @@ impl Session<'_> {
         let line = reporter.iteration(&report, &live).map_err(|error| unwritten(&error))?;
         self.monitor.iteration(&report);
         self.monitor.env_steps_per_s = live.env_steps_per_s;
+        self.monitor.eta.iteration(report.accounting.trained, live.env_steps_per_s);
+        self.monitor.divergence = reporter.diverged().cloned();
         self.monitor.last = line;
         self.reported = iteration + 1;
         self.learner_deaths = Deaths::default();
@@ -192,9 +197,8 @@ impl Session<'_> {
                 continue;
             };
             // No checkpoint without the lines of its iterations: the learner reported them before
-            // it sent the snapshot, and they are durable before that is.
+            // it sent the snapshot, and the committer waits until they are durable.
             self.hear_learner(supervisor, reporter)?;
-            reporter.sync()?;
             let phase = match self.finishing {
                 None => Phase::Training,
                 Some(_) => {
@@ -204,7 +208,7 @@ impl Session<'_> {
             let Evaluation { play, drop } = self.snapshots.arrived(snapshot, phase);
             if let Some(scheduler) = &mut self.scheduler {
                 for chunk in drop {
-                    scheduler.evaluation_done(chunk, Instant::now());
+                    scheduler.evaluation_done(chunk, self.attention.now());
                 }
                 scheduler.evaluate(play);
             }
@@ -237,6 +241,7 @@ impl Session<'_> {
                     // What was committed before is whole, and there may be room again next time.
                     reporter.note(&format!("warning: {message}; the training goes on without it"));
                 }
+                Committed::Unrecorded { error, .. } => return Err(unwritten(&error)),
                 Committed::ScoreFailed { iteration, error } => reporter.note(&format!(
                     "warning: the score of checkpoint {iteration} was not written: {error}"
                 )),

@@ -6,6 +6,7 @@ use proto::channel::Domain;
 use proto::message::{IterationReport, WorkerId};
 
 use crate::live::{ProcessStatus, Role, Stages};
+use crate::report::{Diverged, Eta};
 use crate::supervisor::ProcessView;
 
 /// Time between two looks.
@@ -21,6 +22,10 @@ pub(super) struct Monitor {
     pub(super) best: Option<(String, f64)>,
     pub(super) last: serde_json::Value,
     pub(super) env_steps_per_s: f64,
+    pub(super) eta: Eta,
+    pub(super) divergence: Option<Diverged>,
+    pub(super) orders_missed: u64,
+    pub(super) orders_overdue: u64,
     workers: std::collections::BTreeMap<WorkerId, (u64, Duration)>,
 }
 
@@ -34,6 +39,10 @@ impl Monitor {
             best: None,
             last: serde_json::Value::Null,
             env_steps_per_s: 0.0,
+            eta: Eta::default(),
+            divergence: None,
+            orders_missed: 0,
+            orders_overdue: 0,
             workers: std::collections::BTreeMap::new(),
         }
     }

@@ -7,7 +7,7 @@
 //!   trained on again must end with the digest that it had.
 //! * A block cannot be made: see [`failures`](super::failures).
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use proto::{ExitCode, ExitError};
 
@@ -90,6 +90,9 @@ impl Session<'_> {
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
+        if self.stopped_by.is_some() {
+            return Err(self.died_while_stopping(cause));
+        }
         self.learner_deaths.count(cause);
         // One that cannot even come up will not come up the next time.
         let is_hopeless = self.scheduler.is_none() && matches!(cause, Cause::Crash(_));
@@ -122,6 +125,7 @@ impl Session<'_> {
         self.books.all_lost(received as u64 * self.steps_per_block);
         self.early.clear();
         self.heard.clear();
+        self.orders.forget_all();
         self.finishing = None;
 
         // A newer one is of a future that the metrics have lost, see `octopus resume`.
@@ -143,8 +147,23 @@ impl Session<'_> {
         self.start_children(from.as_ref(), supervisor)
     }
 
+    /// The end of a run that somebody or its time limit has stopped: there is no time to train again
+    /// what the learner has taken with it, and that must not look like a stop in order.
+    fn died_while_stopping(&mut self, cause: Cause) -> ExitError {
+        self.snapshots.learner_gone();
+        let kept = self.store.latest_until(self.reported).map_or(0, |last| last.manifest.iteration);
+        let message = format!(
+            "the learner died ({cause}) while the run was stopping; the last checkpoint is of \
+             iteration {kept} of {}; `octopus resume {}` trains the others again",
+            self.reported,
+            self.spec.run_dir.path().display()
+        );
+        ExitError::new(cause.exit_code(), message)
+    }
+
     /// Kills who has not been heard for too long.
     pub(super) fn check_deadlines(&mut self, supervisor: &mut Supervisor, reporter: &mut Reporter) {
+        let now = self.attention.now();
         let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
         let start_deadline = deadline.max(START_DEADLINE);
         // When it was heard last, or started, and how long it may be silent.
@@ -155,7 +174,8 @@ impl Session<'_> {
                     Some(&heard) => (heard, deadline),
                     None => (started, start_deadline),
                 };
-                (since.elapsed() > deadline).then_some((worker, deadline.as_secs_f64()))
+                (now.saturating_duration_since(since) > deadline)
+                    .then_some((worker, deadline.as_secs_f64()))
             })
             .collect();
         for (worker, seconds) in silent {
@@ -166,10 +186,10 @@ impl Session<'_> {
             }
         }
         let deadline = if self.scheduler.is_some() { deadline } else { start_deadline };
-        if self.learner_heard.elapsed() > deadline {
+        if now.saturating_duration_since(self.learner_heard) > deadline {
             let seconds = deadline.as_secs_f64();
             reporter.note(&format!("the learner has been silent for {seconds} s and is replaced"));
-            self.learner_heard = Instant::now();
+            self.learner_heard = now;
             supervisor.kill_learner();
         }
     }

@@ -2,6 +2,7 @@
 
 use std::fmt::Debug;
 use std::marker::PhantomData;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use iceoryx2::port::listener::Listener;
@@ -9,7 +10,7 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::port::{BackpressureAction, SendError};
+use iceoryx2::port::{BackpressureAction, BackpressureFn, BackpressureInfo, SendError};
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::sample_mut::SampleMut;
@@ -23,11 +24,14 @@ use super::sizes::{
 use super::{ChannelSizes, Domain, PIECE_LEN};
 use crate::ChannelError;
 use crate::layout::{BlockHeader, PolicyHeader, SnapshotHeader, layout_hash};
-use crate::message::{self, Order, Progress, Status};
+use crate::message::{self, Order, PortId, Progress, Status};
 
 type Ipc = ipc::Service;
 type Bytes<H> = publish_subscribe::PortFactory<Ipc, [u8], H>;
 type Floats<H> = publish_subscribe::PortFactory<Ipc, [f32], H>;
+
+/// The deadline of who gives up for nobody but the kernel, see [`die_with_parent`](crate::child::die_with_parent).
+pub const WHILE_THE_PARENT_LIVES: Duration = Duration::MAX;
 
 /// Who can be woken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -150,7 +154,12 @@ impl Channels {
         };
 
         Ok(Self {
-            orders: service!("orders", u8, (), Limits { subscribers: max_workers + 2, ..messages }),
+            orders: service!(
+                "orders",
+                u8,
+                (),
+                Limits { subscribers: max_workers + 2, buffer: sizes.order_buffer, ..messages }
+            ),
             progress: service!("progress", u8, (), messages),
             status: service!(
                 "status",
@@ -237,10 +246,15 @@ impl Channels {
         }
     }
 
-    /// The coordinator's end of `orders`. A full receiver misses an order; deadlines re-send it.
-    pub fn order_sender(&self) -> Result<MessageSender<Order>, ChannelError> {
+    /// The coordinator's end of `orders`. A full receiver misses an order, and is named.
+    pub fn order_sender(&self) -> Result<OrderSender, ChannelError> {
         let bells = vec![self.bell(Role::Workers)?, self.bell(Role::Learner)?];
-        MessageSender::new(&self.orders, "orders", bells, ORDER_LEN, Duration::ZERO)
+        let missed = Arc::default();
+        let handler = note_the_full(Arc::clone(&missed));
+        let deadline = Duration::ZERO;
+        let sender =
+            MessageSender::new(&self.orders, "orders", bells, ORDER_LEN, deadline, handler)?;
+        Ok(OrderSender { sender, missed })
     }
 
     /// A worker's or the learner's end of `orders`.
@@ -254,7 +268,8 @@ impl Channels {
         deadline: Duration,
     ) -> Result<MessageSender<Progress>, ChannelError> {
         let bells = vec![self.bell(Role::Coordinator)?];
-        MessageSender::new(&self.progress, "progress", bells, PROGRESS_LEN, deadline)
+        let handler = give_up_after(deadline);
+        MessageSender::new(&self.progress, "progress", bells, PROGRESS_LEN, deadline, handler)
     }
 
     /// The coordinator's end of `progress`.
@@ -265,7 +280,9 @@ impl Channels {
     /// A worker's end of `status`.
     pub fn status_sender(&self) -> Result<MessageSender<Status>, ChannelError> {
         let bells = vec![self.bell(Role::Coordinator)?];
-        MessageSender::new(&self.status, "status", bells, STATUS_LEN, Duration::ZERO)
+        let deadline = Duration::ZERO;
+        let handler = give_up_after(deadline);
+        MessageSender::new(&self.status, "status", bells, STATUS_LEN, deadline, handler)
     }
 
     /// The coordinator's end of `status`.
@@ -363,13 +380,14 @@ impl<M: Serialize> MessageSender<M> {
         bells: Vec<Bell>,
         max_len: usize,
         deadline: Duration,
+        when_full: impl BackpressureFn + 'static,
     ) -> Result<Self, ChannelError> {
         let publisher = factory
             .publisher_builder()
             .initial_max_slice_len(max_len)
             .max_loaned_samples(1)
             .backpressure_strategy(strategy(deadline))
-            .set_backpressure_handler(give_up_after(deadline))
+            .set_backpressure_handler(when_full)
             .create()
             .map_err(|error| port_error(service, "publisher", &error))?;
         Ok(Self { publisher, service, bells, deadline, message: PhantomData })
@@ -389,6 +407,23 @@ impl<M: Serialize> MessageSender<M> {
     }
 }
 
+/// Sends orders to all workers and the learner, and waits for none of them.
+#[derive(Debug)]
+pub struct OrderSender {
+    sender: MessageSender<Order>,
+    /// Receivers whose queues were full at the last send.
+    missed: Arc<Mutex<Vec<PortId>>>,
+}
+
+impl OrderSender {
+    /// Sends `order` and wakes the receivers. Returns those that it has missed, because their queues
+    /// were full.
+    pub fn send(&self, order: &Order) -> Result<Vec<PortId>, ChannelError> {
+        self.sender.send(order)?;
+        Ok(std::mem::take(&mut self.missed.lock().unwrap_or_else(PoisonError::into_inner)))
+    }
+}
+
 /// Receives control messages.
 #[derive(Debug)]
 pub struct MessageReceiver<M> {
@@ -404,6 +439,11 @@ impl<M: for<'de> Deserialize<'de>> MessageReceiver<M> {
             .create()
             .map_err(|error| port_error(service, "subscriber", &error))?;
         Ok(Self { subscriber, service, message: PhantomData })
+    }
+
+    /// This end, as [`OrderSender::send`] names it.
+    pub fn port(&self) -> PortId {
+        self.subscriber.id().value()
     }
 
     /// The next message, if one is there.
@@ -599,18 +639,27 @@ fn strategy(deadline: Duration) -> BackpressureStrategy {
 }
 
 /// Retries until `deadline`, then fails the send; a zero deadline drops the sample instead.
-fn give_up_after(
-    deadline: Duration,
-) -> impl Fn(&iceoryx2::port::BackpressureInfo) -> BackpressureAction {
-    move |info| {
+fn give_up_after(deadline: Duration) -> impl BackpressureFn {
+    move |info: &BackpressureInfo| {
         if deadline.is_zero() {
             BackpressureAction::DiscardData
         } else if info.elapsed_time < deadline {
-            std::thread::sleep(Duration::from_micros(50));
+            // Who has waited for long may be late by more, and a receiver that stands still costs
+            // no processor.
+            let pause = info.elapsed_time / 16;
+            std::thread::sleep(pause.clamp(Duration::from_micros(50), Duration::from_millis(5)));
             BackpressureAction::Retry
         } else {
             BackpressureAction::DiscardDataAndFail
         }
+    }
+}
+
+/// Drops the sample for a receiver without room, and writes down which it was.
+fn note_the_full(missed: Arc<Mutex<Vec<PortId>>>) -> impl BackpressureFn {
+    move |info: &BackpressureInfo| {
+        missed.lock().unwrap_or_else(PoisonError::into_inner).push(info.receiver_port_id);
+        BackpressureAction::DiscardData
     }
 }
 

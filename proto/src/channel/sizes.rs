@@ -16,16 +16,22 @@ pub struct ChannelSizes {
     pub block_len: usize,
     /// Length of a policy (`f32`).
     pub policy_len: usize,
+    /// Orders that may wait in a receiver's queue: every receiver gets those of all.
+    pub order_buffer: usize,
     /// Blocks of one worker that may wait in the learner's queue.
     pub block_buffer: usize,
     /// Blocks that the learner may hold: two iterations, one trained on, one arriving.
     pub block_borrowed: usize,
 }
 
+/// Orders that a worker may have at once: one that it works on, one that waits, so that it never
+/// idles for the length of a message.
+pub const ORDERS_PER_WORKER: usize = 2;
+
 /// Messages that may wait in a receiver's queue.
 pub(super) const MESSAGE_BUFFER: usize = 64;
-/// Longest encoded order (bytes).
-pub(super) const ORDER_LEN: usize = 4 << 10;
+/// Longest encoded order (bytes); one shard or one part of an evaluation takes less than 50.
+pub(super) const ORDER_LEN: usize = 256;
 /// Longest encoded status (bytes).
 pub(super) const STATUS_LEN: usize = 4 << 10;
 /// Longest encoded progress (bytes).
@@ -40,8 +46,11 @@ pub(super) const PIECE_BUFFER: usize = 4;
 impl ChannelSizes {
     /// The sizes for a configuration on a robot with `dimensions`.
     pub fn new(config: &Config, dimensions: &Dimensions) -> Self {
+        let max_workers = (2 * config.run.workers).max(16);
         Self {
-            max_workers: (2 * config.run.workers).max(16),
+            max_workers,
+            // When an iteration begins, all workers are sent their fill before any of them has read.
+            order_buffer: (ORDERS_PER_WORKER * max_workers).max(MESSAGE_BUFFER),
             block_len: BlockLayout::new(dimensions).len,
             policy_len: ActorLayout::new(config, dimensions).len,
             block_buffer: dimensions.n_shards,
@@ -58,9 +67,10 @@ impl ChannelSizes {
         let policies =
             (self.max_workers + 1) * (POLICY_BUFFER + POLICY_BORROWED) + POLICY_BUFFER + 1;
         let messages =
-            |receivers: usize, len: usize| bytes(receivers * (MESSAGE_BUFFER + 1) + 1, len);
-        let orders = messages(self.max_workers + 2, ORDER_LEN);
-        let reports = messages(2, PROGRESS_LEN) + workers as u64 * messages(2, STATUS_LEN);
+            |receivers: usize, buffer: usize, len: usize| bytes(receivers * (buffer + 1) + 1, len);
+        let orders = messages(self.max_workers + 2, self.order_buffer, ORDER_LEN);
+        let reports = messages(2, MESSAGE_BUFFER, PROGRESS_LEN)
+            + workers as u64 * messages(2, MESSAGE_BUFFER, STATUS_LEN);
         [
             ("rollouts", blocks * workers as u64),
             ("policy", bytes(policies, 4 * self.policy_len)),

@@ -1,8 +1,9 @@
 use std::time::Duration;
 
 use super::*;
-use crate::layout::{BlockHeader, PolicyHeader, SnapshotHeader};
-use crate::message::{Order, Status};
+use crate::config::{Layers, Preset};
+use crate::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
+use crate::message::{Order, Progress, Status};
 
 /// A domain that leaves nothing, also when a test fails.
 struct TestDomain(Domain);
@@ -23,6 +24,7 @@ const SIZES: ChannelSizes = ChannelSizes {
     max_workers: 4,
     block_len: 1000,
     policy_len: 100,
+    order_buffer: 64,
     block_buffer: 2,
     block_borrowed: 4,
 };
@@ -42,6 +44,65 @@ fn orders_reach_every_receiver_and_ring_the_bell() {
         assert_eq!(receiver.try_receive().expect("receive"), Some(Order::Stop));
         assert_eq!(receiver.try_receive().expect("receive"), None);
     }
+}
+
+#[test]
+fn an_order_that_a_full_receiver_misses_names_that_receiver() {
+    let domain = TestDomain::new();
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    let orders = channels.order_sender().expect("sender");
+    let [quick, slow] = [(); 2].map(|()| channels.order_receiver().expect("receiver"));
+    for _ in 0..SIZES.order_buffer {
+        assert!(orders.send(&Order::Snapshot).expect("send").is_empty());
+        assert_eq!(quick.try_receive().expect("receive"), Some(Order::Snapshot));
+    }
+    assert_eq!(orders.send(&Order::Stop).expect("send"), [slow.port()]);
+    assert_eq!(quick.try_receive().expect("receive"), Some(Order::Stop));
+    assert_eq!(slow.try_receive().expect("receive"), Some(Order::Snapshot));
+    assert!(orders.send(&Order::Stop).expect("send").is_empty(), "there is room again");
+}
+
+#[test]
+fn every_worker_of_a_run_can_be_sent_its_fill_at_once() {
+    for workers in [1, 8, 33, 256] {
+        let workers_set = format!("run.workers={workers}");
+        let layers = Layers::new(Preset::Tuned, None).set(&workers_set).expect("a key");
+        let config = layers.resolve().expect("valid");
+        let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, 4));
+        assert!(sizes.max_workers >= 2 * workers, "{sizes:?}");
+        assert!(sizes.order_buffer >= ORDERS_PER_WORKER * sizes.max_workers, "{sizes:?}");
+    }
+}
+
+#[test]
+fn who_reports_waits_for_a_coordinator_that_stands_still() {
+    let domain = TestDomain::new();
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    let receiver = channels.progress_receiver().expect("receiver");
+    let last = Progress::BlockReceived { iteration: 9, shard: 9, duplicate: false };
+    std::thread::scope(|scope| {
+        let learner = scope.spawn(|| {
+            let learner = Channels::open(&domain.0, SIZES).expect("open");
+            let sender = learner.progress_sender(WHILE_THE_PARENT_LIVES).expect("sender");
+            // Twice as many as there is room for.
+            for _ in 0..128 {
+                sender.send(&Progress::Heartbeat).expect("waits");
+            }
+            sender.send(&last).expect("waits");
+            // Messages live in the sender's memory: it stays until the receiver has them.
+            std::thread::sleep(DEADLINE);
+        });
+        std::thread::sleep(3 * DEADLINE);
+        assert!(!learner.is_finished(), "there is no room");
+        let mut heard = Vec::new();
+        while heard.last() != Some(&last) {
+            match receiver.try_receive().expect("receive") {
+                Some(message) => heard.push(message),
+                None => std::thread::sleep(Duration::from_millis(1)),
+            }
+        }
+        assert_eq!(heard.len(), 129, "nothing is lost");
+    });
 }
 
 #[test]

@@ -77,7 +77,7 @@ fn a_worker_makes_what_is_ordered_and_nothing_else() {
             let mut worker = Worker::connect(&arguments(&domain.0), &world).expect("connect");
             worker.serve()
         });
-        assert_eq!(next_status(&status), Status::Ready { worker: 2, incarnation: 1 });
+        assert!(matches!(next_status(&status), Status::Ready { worker: 2, incarnation: 1, .. }));
         let order = |worker, incarnation, shards: &[u32]| Order::Rollout {
             worker,
             incarnation,

@@ -59,7 +59,7 @@ pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
         return Err(damaged(&RunDir::new(&run.path).metrics_jsonl(), &what).into());
     }
     let stop = StopRequests::new();
-    stop.listen().context("signals cannot be caught")?;
+    stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     warn_of_budgets(run);
     let checkpoint = newest_until(run, last)?;
     let from = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
