@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use coordinator::{cli::Cli, commands, logs};
+use coordinator::{cli::Cli, commands, logs, output};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -15,7 +15,7 @@ fn main() -> ExitCode {
             if error.is::<commands::NotTheSame>() {
                 return ExitCode::from(commands::exit_code(&error) as u8);
             }
-            eprintln!("error: {}", format!("{error:#}").trim_end());
+            output::note(&format!("error: {}", format!("{error:#}").trim_end()));
             ExitCode::from(commands::exit_code(&error) as u8)
         }
     }

@@ -1,11 +1,12 @@
 //! Ctrl-C and friends, counted.
 
-use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use proto::ExitCode;
 use tokio::signal::unix::{SignalKind, signal};
+
+use crate::output;
 
 /// How often the user asked to stop: once means finish the iteration, twice means now.
 #[derive(Debug, Clone, Default)]
@@ -42,8 +43,7 @@ impl StopRequests {
 )]
 pub fn exit_when_asked(message: String) -> std::io::Result<()> {
     watch(move || {
-        // Nobody may be left to read it, and that is no reason to stay.
-        let _ = writeln!(std::io::stderr(), "error: {message}");
+        output::note(&format!("error: {message}"));
         std::process::exit(ExitCode::Interrupted as i32)
     })
 }

@@ -94,6 +94,7 @@ use self::jsonl::JsonLines;
 use self::progress::Progress;
 use self::promised::Promised;
 use self::tensorboard::EventWriter;
+use crate::printable::printable;
 
 /// What only the coordinator knows about the iteration that has just ended.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -212,7 +213,7 @@ impl Reporter {
 
     /// Says something that the owner should know: above the bar, or on a line of its own.
     pub fn note(&mut self, line: &str) {
-        self.progress.note(line);
+        self.progress.note(&printable(line));
     }
 
     /// Makes all lines durable. Called before a checkpoint of their iterations is committed.
