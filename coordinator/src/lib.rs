@@ -32,6 +32,7 @@ pub mod selection;
 
 pub mod client;
 pub mod http;
+pub mod peer;
 
 pub mod janitor;
 pub mod lock;
