@@ -184,7 +184,7 @@ fn inputs_are_regular_files_and_have_an_end() {
             (&["train", "--dry-run", "--config", there], 3),
             (&["train", "--dry-run", "--robot", there], 3),
             (&["train", "--dry-run", "--token-file", there], 3),
-            (&["simulate", "--actions", there, "--out", out], 3),
+            (&["simulate", "--robot=paper", "--actions", there, "--out", out], 3),
             (&["simulate", "--robot", there, "--actions", "-", "--out", out], 3),
             (&["mjcf", "--robot", there], 3),
             (&["checkpoints", "import", there, "--store", out], 3),
@@ -198,7 +198,7 @@ fn inputs_are_regular_files_and_have_an_end() {
     }
     assert!(!Path::new(out).exists(), "nothing was made");
     let endless = || Stdio::from(std::fs::File::open("/dev/zero").expect("a device"));
-    let output = ends(&["simulate", "--actions=-", "--out", out], endless());
+    let output = ends(&["simulate", "--robot=paper", "--actions=-", "--out", out], endless());
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(3), "{said}");
     assert!(said.contains("standard input") && said.contains("longer than"), "{said}");

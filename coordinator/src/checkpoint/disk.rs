@@ -34,7 +34,11 @@ pub(super) struct Disk {
 
 impl std::fmt::Debug for Disk {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Disk").field("observed", &self.observer.is_some()).finish()
+        let Self { observer, patience } = self;
+        f.debug_struct("Disk")
+            .field("observed", &observer.is_some())
+            .field("patience", patience)
+            .finish()
     }
 }
 

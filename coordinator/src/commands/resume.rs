@@ -71,7 +71,7 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
         Some(checkpoint) => check_unchanged(&run_dir, &before, &robot_text, checkpoint)?,
         // Nothing was lost: the same seed gives the same run from the beginning.
         None => {
-            output::note("note: the run was stopped before its first checkpoint and starts anew")
+            output::note("note: the run was stopped before its first checkpoint and starts anew");
         }
     }
 

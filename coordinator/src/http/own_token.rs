@@ -76,7 +76,7 @@ impl OwnToken {
 fn random() -> std::io::Result<Token> {
     let mut bytes = [0; BYTES];
     std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-    let text: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    let text = blake3::Hash::from_bytes(bytes).to_hex();
     Token::parse(&text, "/dev/urandom").map_err(std::io::Error::other)
 }
 

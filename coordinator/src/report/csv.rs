@@ -5,6 +5,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use proto::{ExitCode, ExitError};
 
 use super::Line;
 use crate::{files, regular};
@@ -26,7 +27,8 @@ impl CsvTable {
             Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => {
-                return Err(error).with_context(|| format!("{}: cannot be read", path.display()));
+                let message = format!("{}: cannot be read: {error}", path.display());
+                return Err(ExitError::new(ExitCode::RunDirectory, message).into());
             }
         };
         let mut rows = old.split_inclusive('\n').filter(|row| row.ends_with('\n'));

@@ -5,6 +5,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -59,7 +60,8 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => {
-            return Err(error).with_context(|| format!("{}: cannot be read", path.display()));
+            let message = format!("{}: cannot be read: {error}", path.display());
+            return Err(ExitError::new(ExitCode::RunDirectory, message).into());
         }
     };
     let parsed = bytes
