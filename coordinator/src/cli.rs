@@ -242,7 +242,7 @@ pub struct HttpArgs {
     /// Where it listens; port 0 takes a free one; `off` has none.
     #[arg(long, value_name = "ADDRESS:PORT|off", default_value = "127.0.0.1:0", value_parser = listen, help_heading = "Service")]
     pub listen: Listen,
-    /// A file with the token that clients must show; needed beyond this machine.
+    /// A file with a token that clients may show beside the run's own; needed beyond this machine.
     #[arg(long, value_name = "FILE", help_heading = "Service")]
     pub token_file: Option<PathBuf>,
 }
@@ -379,7 +379,7 @@ pub struct StatusArgs {
     /// Show it again and again, until the run ends or Ctrl-C: every 2 s, or as in --watch=10s.
     #[arg(long, requires = "run_dir", value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "2", value_parser = duration)]
     pub watch: Option<Duration>,
-    /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
+    /// A file with the token to show [default: http.token of the run directory].
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
     /// Print as JSON; with --watch one line each time.

@@ -9,7 +9,9 @@
 //! * [`cli`] and [`commands`]: the command line, one file a command;
 //! * [`report`]: metrics, TensorBoard events, progress, the learning curve;
 //! * [`provenance`]: which program and machine made a run;
-//! * [`output`], [`logs`]: standard output is data, standard error is for people;
+//! * [`output`], [`logs`]: standard output is data, standard error is for people; [`printable`]: neither
+//!   tells a terminal what to do;
+//! * [`regular`], [`own`]: files that others may have put there, read with care;
 //! * [`signals`]: Ctrl-C once and twice;
 //! * [`janitor`]: who cleans up when the coordinator is killed.
 //!
@@ -30,6 +32,7 @@ pub mod selection;
 
 pub mod client;
 pub mod http;
+pub mod peer;
 
 pub mod janitor;
 pub mod lock;
@@ -45,3 +48,6 @@ pub mod shakedown;
 pub mod files;
 pub mod logs;
 pub mod output;
+pub mod own;
+pub mod printable;
+pub mod regular;

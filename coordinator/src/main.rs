@@ -1,10 +1,9 @@
 //! The `octopus` program; see [`coordinator::cli`].
 
-use std::io::Write as _;
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use coordinator::{cli::Cli, commands, logs};
+use coordinator::{cli::Cli, commands, logs, output};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -16,8 +15,7 @@ fn main() -> ExitCode {
             if error.is::<commands::NotTheSame>() {
                 return ExitCode::from(commands::exit_code(&error) as u8);
             }
-            // Nobody may be left to read it: a terminal that is closed ends a run, too.
-            let _ = writeln!(std::io::stderr(), "error: {}", format!("{error:#}").trim_end());
+            output::note(&format!("error: {}", format!("{error:#}").trim_end()));
             ExitCode::from(commands::exit_code(&error) as u8)
         }
     }

@@ -1,4 +1,5 @@
-//! The one place that writes to standard output: data, as tables a person reads or as JSON.
+//! The one place that writes to standard output: data, as tables a person reads or as JSON. Notes go
+//! to standard error.
 
 use std::io::{ErrorKind, Write as _};
 
@@ -8,11 +9,18 @@ use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
 use serde::Serialize;
 
+use crate::printable::{printable, printable_json};
 use crate::report::progress::grouped;
 
 /// Writes a text with a line end.
 pub fn line(text: &str) -> anyhow::Result<()> {
-    write(format!("{text}\n").as_bytes())
+    write(format!("{}\n", printable(text)).as_bytes())
+}
+
+/// Writes a text with a line end to standard error, for a person.
+pub fn note(text: &str) {
+    // Nobody may be left to read it, and that is no reason to stop.
+    let _ = writeln!(std::io::stderr(), "{}", printable(text));
 }
 
 /// Writes a value as indented JSON.
@@ -20,11 +28,17 @@ pub fn json(value: &impl Serialize) -> anyhow::Result<()> {
     write(&json_bytes(value)?)
 }
 
+/// Writes a value as JSON in one line.
+pub fn json_line(value: &impl Serialize) -> anyhow::Result<()> {
+    let text = serde_json::to_string(value).context("the result has no JSON form")?;
+    write(format!("{}\n", printable_json(&text)).as_bytes())
+}
+
 /// What [`json`] writes.
 pub fn json_bytes(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {
-    let mut text = serde_json::to_vec_pretty(value).context("the result has no JSON form")?;
-    text.push(b'\n');
-    Ok(text)
+    let mut text = serde_json::to_string_pretty(value).context("the result has no JSON form")?;
+    text.push('\n');
+    Ok(printable_json(&text).into_owned().into_bytes())
 }
 
 /// Writes bytes as they are. A reader that has seen enough, such as `head`, is no error, and neither is a

@@ -16,7 +16,7 @@ use proto::{ExitCode, ExitError};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 
-use crate::provenance;
+use crate::{output, provenance};
 
 /// Variable that names another directory than `/dev/shm` to be measured, for tests of a machine
 /// with little shared memory.
@@ -91,7 +91,7 @@ pub fn check_run(
         let check = check();
         match check.verdict {
             Verdict::Good => {}
-            Verdict::Warning => eprintln!("note: {}", check.sentence()),
+            Verdict::Warning => output::note(&format!("note: {}", check.sentence())),
             Verdict::Failure => {
                 return Err(ExitError::new(ExitCode::Environment, check.sentence()));
             }

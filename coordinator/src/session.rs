@@ -40,7 +40,7 @@ use self::failures::Failures;
 use self::mail::Mail;
 use self::monitor::Monitor;
 use self::snapshots::Snapshots;
-use crate::checkpoint::{Checkpoint, CheckpointStore};
+use crate::checkpoint::{Checkpoint, CheckpointStore, Patience};
 use crate::live::LiveRun;
 use crate::report::Reporter;
 use crate::scheduler::Scheduler;
@@ -101,6 +101,8 @@ pub struct Outcome {
 const TICK: Duration = Duration::from_millis(20);
 /// How long the last snapshot may take, from the request to the committed checkpoint.
 const FINISH_DEADLINE: Duration = Duration::from_mins(5);
+/// How long a commit waits while somebody else has the lock of the store.
+const LOCK_TIME: Duration = Duration::from_mins(1);
 /// How long children may take to exit after [`Order::Stop`].
 const EXIT_DEADLINE: Duration = Duration::from_secs(5);
 
@@ -181,7 +183,9 @@ impl<'a> Session<'a> {
     ) -> Result<Self, ExitError> {
         let config = &spec.config;
         let channels = Channels::create(&spec.domain, sizes)?;
-        let store = CheckpointStore::new(spec.run_dir.checkpoints());
+        let stop = spec.stop.clone();
+        let store = CheckpointStore::new(spec.run_dir.checkpoints())
+            .with_patience(Patience::new(LOCK_TIME).unless(move || stop.count() > 1));
         let best = store.best().ok().flatten();
         let mut monitor = Monitor::new();
         monitor.best = best

@@ -4,7 +4,6 @@
 //! first one lets what is under way come to its end, the second one ends it at once. Whoever was told to
 //! ignore SIGHUP, as `nohup` does, goes on ignoring it.
 
-use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -15,6 +14,7 @@ use tokio::signal::unix::{SignalKind, signal};
 
 /// How long a process may take to end by itself after the second request.
 const GRACE: Duration = Duration::from_secs(3);
+use crate::output;
 
 /// How often the user asked to stop: once means finish the iteration, twice means now.
 #[derive(Debug, Clone, Default)]
@@ -78,8 +78,7 @@ pub fn exit_when_asked(message: String) -> std::io::Result<()> {
     reason = "a request to stop at once; whoever asks for this has nothing to undo"
 )]
 fn end(message: &str) -> ! {
-    // Nobody may be left to read it, and that is no reason to stay.
-    let _ = writeln!(std::io::stderr(), "error: {message}");
+    output::note(&format!("error: {message}"));
     std::process::exit(ExitCode::Interrupted as i32)
 }
 

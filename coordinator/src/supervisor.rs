@@ -16,6 +16,7 @@ use rustix::process::Signal;
 
 use crate::janitor::Janitor;
 use crate::shield;
+use crate::regular::{self, Links};
 
 /// Where the programs of a run are.
 #[derive(Debug, Clone)]
@@ -360,10 +361,9 @@ impl Supervisor {
         let fail = |what: &str, error: &std::io::Error| {
             ExitError::new(ExitCode::Environment, format!("{what}: {error}"))
         };
-        let file = File::options()
-            .create(true)
-            .append(true)
-            .open(&path)
+        let mut options = File::options();
+        options.create(true).append(true);
+        let file = regular::open_with(&path, &mut options, Links::Follow)
             .map_err(|error| fail(&path.display().to_string(), &error))?;
         let copy = file.try_clone().map_err(|error| fail("cannot share the log file", &error))?;
         command
@@ -598,7 +598,7 @@ impl Supervisor {
 
 /// The last lines of a child's log, to be shown with its death.
 pub fn log_tail(path: &Path, lines: usize) -> String {
-    let text = std::fs::read(path).unwrap_or_default();
+    let text = regular::read(path, regular::RECORD).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
     let tail: Vec<_> = text.lines().rev().take(lines).collect();
     tail.into_iter().rev().collect::<Vec<_>>().join("\n")

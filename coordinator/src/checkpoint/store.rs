@@ -15,6 +15,7 @@ use super::labels::{Labels, Score};
 use super::manifest::{FileEntry, Manifest};
 use super::name::Name;
 use super::opening::{Stamp, is_directory};
+use super::patience::Patience;
 use super::read::{self, Checkpoint};
 use super::{
     CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE, Snapshot, catalogue, tensors,
@@ -78,6 +79,13 @@ impl CheckpointStore {
     /// A store in `root`, which is made with the first commit.
     pub fn new(root: impl Into<PathBuf>) -> Self {
         Self { root: root.into(), disk: Disk::default() }
+    }
+
+    /// The same store, for somebody who waits for its lock as long as `patience` says.
+    #[must_use]
+    pub fn with_patience(mut self, patience: Patience) -> Self {
+        self.disk.patience = patience;
+        self
     }
 
     /// Its directory.

@@ -36,6 +36,7 @@ use crate::cli::{Command, JanitorArgs};
 use crate::janitor;
 use crate::lock::LockError;
 use crate::shakedown::shakedown;
+use crate::regular;
 
 /// Two things that were compared are not the same. No failure but the answer, which standard output
 /// holds: the program ends with exit code 1 and says no more.
@@ -84,8 +85,13 @@ pub fn exit_code(error: &anyhow::Error) -> ExitCode {
 /// The run directory at `path`, if it is one.
 pub(crate) fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
     let run_dir = RunDir::new(path);
-    if run_dir.config().is_file() {
+    let config = run_dir.config();
+    if config.is_file() {
         return Ok(run_dir);
+    }
+    if let Err(error) = regular::check(&config) {
+        let message = format!("{}: cannot be read: {error}", config.display());
+        return Err(ExitError::new(ExitCode::RunDirectory, message));
     }
     let message = format!(
         "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
@@ -96,7 +102,7 @@ pub(crate) fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
 
 /// A text file of a run directory.
 fn read_text(path: &Path) -> Result<String, ExitError> {
-    std::fs::read_to_string(path).map_err(|error| {
+    regular::read_text(path, regular::TEXT).map_err(|error| {
         let message = format!("{}: cannot be read: {error}", path.display());
         ExitError::new(ExitCode::RunDirectory, message)
     })
@@ -110,7 +116,16 @@ pub(crate) fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
 
 /// The robot called `name`, or described by the file of that name.
 fn load_robot(name: &str) -> anyhow::Result<Robot> {
-    Ok(Robot::load(name)?)
+    if let Some(robot) = Robot::builtin(name) {
+        return Ok(robot);
+    }
+    let path = Path::new(name);
+    let text = regular::read_text(path, regular::TEXT).map_err(|error| RobotError::Unreadable {
+        path: name.to_owned(),
+        reason: error.to_string(),
+        builtin: Robot::builtin_names().collect::<Vec<_>>().join(", "),
+    })?;
+    Ok(Robot::from_toml(&text, path)?)
 }
 
 /// The same, refused if it is no robot that can be simulated so; every command that simulates takes this one.

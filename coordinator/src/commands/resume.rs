@@ -70,7 +70,9 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     match &resume {
         Some(checkpoint) => check_unchanged(&run_dir, &before, &robot_text, checkpoint)?,
         // Nothing was lost: the same seed gives the same run from the beginning.
-        None => eprintln!("note: the run was stopped before its first checkpoint and starts anew"),
+        None => {
+            output::note("note: the run was stopped before its first checkpoint and starts anew");
+        }
     }
 
     let (config, overrides) = override_limits(&before, args)?;
@@ -78,16 +80,16 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
         && last.manifest.iteration >= config.planned_iterations()
     {
         let done = last.manifest.iteration;
-        eprintln!(
+        output::note(&format!(
             "note: nothing to do: {} {} done, {} wanted; a larger --iterations or --env-steps goes on",
             output::counted(done, "iteration"),
             if done == 1 { "is" } else { "are" },
             config.planned_iterations()
-        );
+        ));
         return Ok(Resumed::Done(Ended::before(run_dir, last)));
     }
     for change in &overrides {
-        eprintln!("note: {change}");
+        output::note(&format!("note: {change}"));
     }
 
     let programs = Programs::find()?;
@@ -148,10 +150,10 @@ fn find_start(run_dir: &RunDir) -> anyhow::Result<Option<Checkpoint>> {
     );
     match store.latest_until(recorded) {
         Ok(older) => {
-            eprintln!(
+            output::note(&format!(
                 "warning: {lost}; going on from checkpoint {} instead, so that there is no gap",
                 older.manifest.iteration
-            );
+            ));
             // That one's digest is known all the same.
             Promised::read(run_dir)?.add([(iteration - 1, newest.manifest.digest)])?;
             Ok(Some(older))

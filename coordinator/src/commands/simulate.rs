@@ -1,6 +1,5 @@
 //! `octopus simulate`: the robot under given joint commands, open loop.
 
-use std::io::Read as _;
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -10,7 +9,7 @@ use sim_worker::robot::Robot;
 use sim_worker::simulate::{self, Precision, SimulationRow};
 
 use crate::cli::{IntegratorArg, PrecisionArg, SimulateArgs, Switch};
-use crate::{files, output};
+use crate::{files, output, regular};
 
 /// Integrates.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
@@ -73,18 +72,20 @@ fn check_steps(args: &SimulateArgs) -> Result<(), ExitError> {
     Ok(())
 }
 
+/// Longest file of commands that is read (bytes): a million control steps of a large robot.
+const MAX_ACTIONS: u64 = 256 << 20;
+
 /// Reads the commands: one row a control step, `width` numbers each.
 fn read_actions(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError> {
     let shown =
         if path == Path::new("-") { "standard input".into() } else { path.to_string_lossy() };
     let bad = |what: String| ExitError::new(ExitCode::BadInput, format!("{shown}: {what}"));
-    let mut bytes = Vec::new();
     let read = if path == Path::new("-") {
-        std::io::stdin().read_to_end(&mut bytes)
+        regular::drain(std::io::stdin().lock(), MAX_ACTIONS)
     } else {
-        std::fs::File::open(path).and_then(|mut file| file.read_to_end(&mut bytes))
+        regular::read(path, MAX_ACTIONS)
     };
-    read.map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let bytes = read.map_err(|error| bad(format!("cannot be read: {error}")))?;
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)

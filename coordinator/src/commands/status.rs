@@ -47,7 +47,7 @@ pub struct RunStatus {
     pub live_error: Option<String>,
 }
 
-/// The token to show to runs, and the file that it is from.
+/// The token to show to runs instead of their own, and the file that it is from.
 struct Key<'a> {
     token: Option<Token>,
     file: Option<&'a Path>,
@@ -70,7 +70,7 @@ impl RunStatus {
     /// Says on standard error what is missing and why.
     fn complain(&self) {
         if let Some(reason) = &self.live_error {
-            eprintln!("note: processes, shards and stages are not known: {reason}");
+            output::note(&format!("note: processes, shards and stages are not known: {reason}"));
         }
     }
 }
@@ -78,7 +78,7 @@ impl RunStatus {
 /// Shows one run or all.
 pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
     let file = args.token_file.as_deref();
-    let key = Key { token: Token::find(file)?, file };
+    let key = Key { token: file.map(Token::from_file).transpose()?, file };
     let Some(run_dir) = &args.run_dir else { return list(args.json, &key) };
     let look = || -> anyhow::Result<RunStatus> {
         let mut status = inspect(run_dir)?;
@@ -100,11 +100,13 @@ pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
     loop {
         let status = look()?;
         if args.json {
-            output::line(&serde_json::to_string(&status)?)?;
+            output::json_line(&status)?;
         } else {
             // From the top left corner, and nothing of before below it.
-            let (before, after) = if clear { ("\x1b[H\x1b[J", "") } else { ("", "\n") };
-            output::line(&format!("{before}{}{after}", show(&status)))?;
+            if clear {
+                output::write(b"\x1b[H\x1b[J")?;
+            }
+            output::line(&format!("{}{}", show(&status), if clear { "" } else { "\n" }))?;
         }
         // Once, unless it is cleared away with the rest.
         if clear || complained != status.live_error {
@@ -257,7 +259,7 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
         match inspect(&path) {
             Ok(status) => runs.push(status),
             // One damaged run does not hide the others.
-            Err(error) => eprintln!("note: {error:#}"),
+            Err(error) => output::note(&format!("note: {error:#}")),
         }
     }
     if json {
@@ -294,7 +296,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let config = super::read_config(&run_dir)?;
     let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
-    let holder = RunLock::holder(&run_dir.lock());
+    let holder = RunLock::holder(&run_dir.lock())?;
     let planned_iterations = config.planned_iterations();
     let checkpoint = CheckpointStore::new(run_dir.checkpoints()).list()?.pop();
     // A run that was killed between its last line and its last checkpoint has that still to make.

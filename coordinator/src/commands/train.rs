@@ -17,7 +17,7 @@ use sim_worker::robot::Robot;
 use super::eval::{self, Summary};
 use crate::checkpoint::{Checkpoint, CheckpointStore};
 use crate::cli::{Ending, HttpArgs, Listen, TrainArgs};
-use crate::http::{Service, ServiceSpec, Token};
+use crate::http::{OwnToken, Service, ServiceSpec, TOKEN_FILE, Token};
 use crate::live::LiveRun;
 use crate::lock::RunLock;
 use crate::preflight::{self, Remedy, Verdict};
@@ -28,7 +28,7 @@ use crate::report::{Diverged, Reporter};
 use crate::session::{self, Outcome, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
-use crate::{files, output};
+use crate::{files, output, regular};
 
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
@@ -132,19 +132,26 @@ pub(super) struct Start {
 /// Opened before a run writes any file, so that an address or a token that is wrong leaves nothing.
 pub(super) struct Counter {
     live: LiveRun,
-    service: Option<Service>,
+    desk: Option<Desk>,
+}
+
+/// A service, and the token of its own.
+struct Desk {
+    service: Service,
+    token: OwnToken,
 }
 
 impl Counter {
     /// Begins to listen.
     pub(super) fn open(args: &HttpArgs, run_dir: &RunDir) -> anyhow::Result<Self> {
         let live = LiveRun::new();
-        let Listen::At(address) = args.listen else { return Ok(Self { live, service: None }) };
+        let Listen::At(address) = args.listen else { return Ok(Self { live, desk: None }) };
         let token = Token::find(args.token_file.as_deref())?;
+        let own = OwnToken::prepare(run_dir.path().join(TOKEN_FILE))?;
         let store = CheckpointStore::new(run_dir.checkpoints());
-        let spec =
-            ServiceSpec { address, token, live: Some(live.clone()), ..ServiceSpec::new(store) };
-        Ok(Self { live, service: Some(Service::start(spec)?) })
+        let spec = ServiceSpec::new(store, own.token());
+        let spec = ServiceSpec { address, token, live: Some(live.clone()), ..spec };
+        Ok(Self { live, desk: Some(Desk { service: Service::start(spec)?, token: own }) })
     }
 }
 
@@ -172,8 +179,10 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
     if let Some(note) = idle_workers(&config) {
         reporter.note(&note);
     }
-    let Counter { live, service } = counter;
-    if let Some(service) = &service {
+    let Counter { live, mut desk } = counter;
+    if let Some(Desk { service, token }) = &mut desk {
+        // Whoever reads the address finds the token.
+        token.keep()?;
         lock.announce(&service.address().to_string())
             .with_context(|| format!("{}: cannot be written", run_dir.lock().display()))?;
     }
@@ -190,7 +199,7 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
         live,
     };
     let result = session::run(&spec, &mut reporter);
-    if let Some(service) = service {
+    if let Some(Desk { service, .. }) = desk {
         service.stop();
     }
     // Also after a failure: what was measured until then is worth keeping.
@@ -239,7 +248,7 @@ impl Ended {
 
     /// The evaluation of its last checkpoint that lies in the run directory, if there is one.
     pub(super) fn recorded_evaluation(&self) -> Option<Summary> {
-        let bytes = std::fs::read(evaluation_path(&self.run_dir)).ok()?;
+        let bytes = regular::read(&evaluation_path(&self.run_dir), regular::RECORD).ok()?;
         let summary: Summary = serde_json::from_slice(&bytes).ok()?;
         (summary.iteration == self.outcome.iterations).then_some(summary)
     }
@@ -403,7 +412,9 @@ fn flags(args: &TrainArgs) -> Vec<Flag> {
 fn resolve(args: &TrainArgs) -> Result<Config, ConfigError> {
     let mut layers = Layers::new(args.preset.into(), args.task.map(Into::into));
     if let Some(path) = &args.config {
-        layers = layers.file(path)?;
+        let text = regular::read_text(path, regular::TEXT)
+            .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+        layers = layers.text(&text, &path.display().to_string())?;
     }
     for flag in flags(args) {
         let text = format!("[{}]\n{} = {}", flag.group, flag.name, flag.value);
@@ -547,7 +558,7 @@ pub(super) fn record(
     overrides: &[String],
 ) -> anyhow::Result<()> {
     let path = run_dir.provenance();
-    let mut sessions: Vec<serde_json::Value> = std::fs::read(&path)
+    let mut sessions: Vec<serde_json::Value> = regular::read(&path, regular::RECORD)
         .ok()
         .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
         .and_then(|document| document["sessions"].as_array().cloned())

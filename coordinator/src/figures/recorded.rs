@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::commands::{read_config, run_directory};
-use crate::files;
 use crate::report::curve::{Point, read_points, thin_out};
 use crate::report::evaluations::{self, HeldOut};
 use crate::report::jsonl;
 use crate::report::row::Row;
+use crate::{files, regular};
 
 /// Points that a file keeps of a curve, at most.
 const POINTS: usize = 130;
@@ -64,7 +64,7 @@ impl Recorded {
         let held_out = evaluations::read(&run_dir.evaluations())?;
         let last = jsonl::read(&metrics)?.pop().map(|(_, line)| line);
         let digest = last.and_then(|line| Some(line["digest"].as_str()?.to_owned()));
-        let provenance = std::fs::read(run_dir.provenance()).unwrap_or_default();
+        let provenance = regular::read(&run_dir.provenance(), regular::RECORD).unwrap_or_default();
         let provenance: Value = serde_json::from_slice(&provenance).unwrap_or_default();
         let session = provenance["sessions"].as_array().and_then(|sessions| sessions.last());
         let said = |key: &str| Some(session?[key].as_str()?.to_owned());
@@ -110,11 +110,7 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<Recorded>> {
         );
         ExitError::new(ExitCode::BadInput, message)
     };
-    let length = path.metadata().map_err(|error| refuse(error.to_string()))?.len();
-    if length > MOST_BYTES {
-        return Err(refuse(format!("has {length} bytes, more than {MOST_BYTES}")).into());
-    }
-    let bytes = std::fs::read(path).map_err(|error| refuse(error.to_string()))?;
+    let bytes = regular::read(path, MOST_BYTES).map_err(|error| refuse(error.to_string()))?;
     Ok(parse(&bytes).map_err(refuse)?)
 }
 

@@ -103,6 +103,7 @@ use self::progress::Progress;
 use self::promised::Promised;
 use self::recorder::{Files, Recorder};
 use self::tensorboard::EventWriter;
+use crate::printable::printable;
 
 /// What only the coordinator knows about the iteration that has just ended.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -244,7 +245,7 @@ impl Reporter {
 
     /// Says something that the owner should know: above the bar, or on a line of its own.
     pub fn note(&mut self, line: &str) {
-        self.progress.note(line);
+        self.progress.note(&printable(line));
     }
 
     /// What waits until the lines of all iterations so far are durable. Whoever commits a checkpoint of

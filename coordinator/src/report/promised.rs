@@ -12,7 +12,7 @@ use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 
-use crate::files;
+use crate::{files, regular};
 
 /// A line of the file.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
@@ -44,7 +44,7 @@ impl Promised {
                 ),
             )
         };
-        let text = match std::fs::read_to_string(&path) {
+        let text = match regular::read_text(&path, regular::RECORD) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => return Err(refuse(format!("cannot be read: {error}"))),

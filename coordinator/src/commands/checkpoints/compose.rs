@@ -5,6 +5,7 @@ use proto::{ExitCode, ExitError};
 use super::{refused, report};
 use crate::checkpoint::{Composition, Name, Part, store_to_be};
 use crate::cli::checkpoints::ComposeArgs;
+use crate::output;
 use crate::output::counted;
 use crate::provenance::Provenance;
 
@@ -31,7 +32,10 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
     let composition = Composition::new(&parts).map_err(refused(ExitCode::BadInput))?;
     if !composition.notes.is_empty() {
         let first = parts[0].checkpoint.dir.display();
-        eprintln!("note: the parts differ in {}; {first} decides", composition.notes.join(", "));
+        output::note(&format!(
+            "note: the parts differ in {}; {first} decides",
+            composition.notes.join(", ")
+        ));
     }
     let provenance = serde_json::to_value(Provenance::gather())?;
     let entry =

@@ -10,7 +10,7 @@ use proto::{ExitCode, ExitError};
 use super::{refused, report};
 use crate::checkpoint::{CheckpointError, CheckpointStore, Name, store_to_be};
 use crate::cli::checkpoints::{ExportArgs, ImportArgs};
-use crate::files;
+use crate::{files, regular};
 
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
@@ -19,7 +19,7 @@ pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let imported = if args.archive == Path::new("-") {
         store.import(std::io::stdin().lock(), name)
     } else {
-        let file = File::open(&args.archive).map_err(|error| {
+        let file = regular::open(&args.archive).map_err(|error| {
             let message = format!("{}: cannot be read: {error}", args.archive.display());
             ExitError::new(ExitCode::BadInput, message)
         })?;

@@ -34,7 +34,7 @@ use crate::commands::trained::PolicyIdentity;
 use crate::figures::recorded;
 use crate::provenance::{Provenance, utc};
 use crate::report::progress::Parts;
-use crate::{files, output};
+use crate::{files, output, regular};
 
 /// Episodes of a setting with `--quick`.
 const QUICK_EPISODES: u32 = 10;
@@ -164,7 +164,7 @@ fn default_policies() -> Result<PathBuf, ExitError> {
 /// Refuses to write over a page that is none of ours.
 fn check_page(path: &Path) -> Result<(), ExitError> {
     let mark = format!("content=\"{GENERATOR}\"");
-    match std::fs::read(path) {
+    match regular::read(path, regular::RECORD) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
         Ok(there) if String::from_utf8_lossy(&there).contains(&mark) => Ok(()),
         Ok(_) => Err(refused(path, "is there already and was not made by this command")),
@@ -267,7 +267,7 @@ fn find<E: Experiment>(
     lab: &Lab,
     settings: E::Settings,
 ) -> Result<Option<ReportOf<E>>, ExitError> {
-    let bytes = match std::fs::read(path) {
+    let bytes = match regular::read(path, regular::RECORD) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(refused(path, &format!("cannot be read: {error}"))),

@@ -18,6 +18,7 @@ use crate::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest
 use crate::cli::reproduce::ReproduceArgs;
 use crate::cli::{AlgorithmArg, Cli, Command};
 use crate::commands::{read_config, resume, train};
+use crate::output;
 use crate::provenance::Provenance;
 use crate::report::recorded;
 use crate::signals;
@@ -30,7 +31,7 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
     let runs = planned(args, out);
     for (index, run) in runs.iter().enumerate() {
         if !run.is_finished()? {
-            eprintln!("run {} of {}: {}", index + 1, runs.len(), run.dir.display());
+            output::note(&format!("run {} of {}: {}", index + 1, runs.len(), run.dir.display()));
             run.go_on(args, out)?;
         }
     }

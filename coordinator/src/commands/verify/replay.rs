@@ -64,10 +64,10 @@ pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
     let checkpoint = newest_until(run, last)?;
     let from = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
     let dir = checkpoint.as_ref().map(|checkpoint| checkpoint.dir.clone());
-    eprintln!(
+    output::note(&format!(
         "training iterations {from} to {last} again, from {}",
         dir.as_ref().map_or_else(|| "nothing".to_owned(), |dir| dir.display().to_string())
-    );
+    ));
     let now = Provenance::gather();
     let here = serde_json::to_value(&now).context("provenance has no JSON form")?;
 
@@ -163,7 +163,7 @@ fn newest_until(run: &Record, last: u64) -> anyhow::Result<Option<Checkpoint>> {
                 return Ok(Some(found));
             }
             Ok(_) => {}
-            Err(error) => eprintln!("note: {error}; taking the checkpoint before"),
+            Err(error) => output::note(&format!("note: {error}; taking the checkpoint before")),
         }
     }
     Ok(None)
@@ -180,10 +180,10 @@ fn warn_of_budgets(run: &Record) {
         .filter_map(|change| change.as_str())
         .filter(|change| change.starts_with("run.env_steps "));
     for change in changes {
-        eprintln!(
+        output::note(&format!(
             "note: a resume changed the budget ({change}); with a learning rate that falls over \
              it, iterations before that resume are not repeated by today's configuration"
-        );
+        ));
     }
 }
 
@@ -222,7 +222,7 @@ impl Scratch {
     fn remove(self) {
         let path = self.dir.path().to_owned();
         if let Err(error) = self.dir.close() {
-            eprintln!("note: {}: cannot be removed: {error}", path.display());
+            output::note(&format!("note: {}: cannot be removed: {error}", path.display()));
         }
     }
 }

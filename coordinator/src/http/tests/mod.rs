@@ -32,8 +32,9 @@ use super::token::Token;
 use crate::checkpoint::{CheckpointStore, Snapshot};
 use crate::live::LiveRun;
 
-/// A token.
+/// The tokens of every service here.
 const TOKEN: &str = "correct-horse-battery";
+const OTHER_TOKEN: &str = "staple-staple-staple";
 
 /// A service of a store in a directory of its own.
 struct Bench {
@@ -68,33 +69,31 @@ impl Answer {
 }
 
 impl Bench {
-    /// A store with checkpoints of these iterations, beside no run, without a token.
+    /// A store with checkpoints of these iterations, beside no run.
     fn new(iterations: &[u64]) -> Self {
-        Self::with(iterations, None, None, Limits::default())
+        Self::with(iterations, None, Limits::default())
     }
 
-    fn with(
-        iterations: &[u64],
-        live: Option<LiveRun>,
-        token: Option<&str>,
-        limits: Limits,
-    ) -> Self {
+    fn with(iterations: &[u64], live: Option<LiveRun>, limits: Limits) -> Self {
         let dir = tempfile::tempdir().expect("tempdir");
         let store = CheckpointStore::new(dir.path().join("checkpoints"));
         for &iteration in iterations {
             commit(&store, iteration);
         }
-        let token = token.map(|token| Token::parse(token, "test").expect("valid"));
-        let context = Context::new(store.clone(), live, token, limits);
+        let tokens = [TOKEN, OTHER_TOKEN].map(|token| Token::parse(token, "test").expect("valid"));
+        let context = Context::new(store.clone(), live, tokens.into(), limits);
         Self { dir, store, router: router(Arc::new(context)) }
     }
 
-    /// Sends a request with these headers, as a client on this machine does.
+    /// Sends a request with these headers, and the token unless they say otherwise.
     async fn send(&self, line: &str, headers: &[(&str, &str)], body: impl Into<Body>) -> Answer {
         let (method, path) = line.split_once(' ').expect("METHOD PATH");
         let mut request = Request::builder().method(method).uri(path);
-        if !headers.iter().any(|(name, _)| *name == "host") {
-            request = request.header("host", "127.0.0.1:8270");
+        let bearer = format!("Bearer {TOKEN}");
+        for (name, value) in [("host", "127.0.0.1:8270"), ("authorization", &bearer)] {
+            if !headers.iter().any(|(there, _)| *there == name) {
+                request = request.header(name, value);
+            }
         }
         for (name, value) in headers {
             // An empty value stands for no header.
