@@ -70,6 +70,7 @@
 //! so that they do not end before it after a power cut; a resume takes none that they do not reach
 //! ([`recorded`]).
 
+pub mod budgets;
 pub mod csv;
 pub mod curve;
 pub mod evaluations;
@@ -77,6 +78,7 @@ pub mod jsonl;
 mod line;
 pub mod progress;
 pub mod promised;
+pub mod recorded;
 pub mod row;
 pub mod tensorboard;
 
@@ -88,6 +90,7 @@ use proto::message::IterationReport;
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 
+use self::budgets::Budgets;
 use self::csv::CsvTable;
 use self::evaluations::Evaluations;
 use self::jsonl::JsonLines;
@@ -121,11 +124,13 @@ pub struct Reporter {
     /// What earlier sessions of the run took, as the last kept line says (s).
     wall_before_s: f64,
     promised: Promised,
+    budgets: Budgets,
 }
 
 impl Reporter {
     /// Opens the metrics files of `run_dir`. A run that continues at iteration `resume_from` keeps
-    /// the lines before it. With `quiet` nothing is shown but notes.
+    /// the lines before it; what the others were is promised of those to come, unless the run had
+    /// another [budget](budgets) then. With `quiet` nothing is shown but notes.
     pub fn create(
         run_dir: &RunDir,
         config: &Config,
@@ -133,10 +138,9 @@ impl Reporter {
         quiet: bool,
     ) -> anyhow::Result<Self> {
         let keep = resume_from.unwrap_or(0);
-        // Before the cut: a kill in between loses nothing.
         let mut promised = Promised::read(run_dir)?;
-        promised.add(digests_from(run_dir, keep)?)?;
-        let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
+        let mut budgets = Budgets::read(run_dir)?;
+        let (lines, last) = cut(run_dir, config, keep, &mut promised, &mut budgets)?;
         let evaluations = Evaluations::open(run_dir, keep)?;
         let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
         let last = last.unwrap_or_default();
@@ -156,6 +160,7 @@ impl Reporter {
             progress: Progress::new(config, env_steps, quiet),
             wall_before_s: last["wall_s"].as_f64().unwrap_or(0.0),
             promised,
+            budgets,
         })
     }
 
@@ -165,15 +170,10 @@ impl Reporter {
         self.promised.check(iteration, digest)
     }
 
-    /// Forgets what iterations to come were before: the configuration has changed what they learn.
-    pub fn forget_promised(&mut self) -> anyhow::Result<()> {
-        self.promised.clear()
-    }
-
     /// Drops the lines of `iteration` and later, which are to be trained on again.
     pub fn rewind(&mut self, iteration: u64) -> anyhow::Result<()> {
-        self.promised.add(digests_from(&self.run_dir, iteration)?)?;
-        let (lines, last) = JsonLines::open(&self.run_dir.metrics_jsonl(), iteration)?;
+        let (promised, budgets) = (&mut self.promised, &mut self.budgets);
+        let (lines, last) = cut(&self.run_dir, &self.config, iteration, promised, budgets)?;
         self.lines = lines;
         self.evaluations = Evaluations::open(&self.run_dir, iteration)?;
         self.table = CsvTable::open(&self.run_dir.metrics_csv(), iteration)?;
@@ -239,11 +239,31 @@ impl Reporter {
     }
 }
 
-/// How many iterations the metrics of a run hold, counted from the first up to a gap.
-pub fn recorded(run_dir: &RunDir) -> anyhow::Result<u64> {
-    let lines = jsonl::read(&run_dir.metrics_jsonl())?;
-    let follow = |((_, line), index): &((_, serde_json::Value), u64)| line["iteration"] == *index;
-    Ok(lines.into_iter().zip(0..).take_while(follow).count() as u64)
+/// Cuts the lines of iteration `keep` and later off the metrics; what they say is promised of these
+/// iterations, if they are to be trained on again as they were.
+fn cut(
+    run_dir: &RunDir,
+    config: &Config,
+    keep: u64,
+    promised: &mut Promised,
+    budgets: &mut Budgets,
+) -> anyhow::Result<(JsonLines, Option<serde_json::Value>)> {
+    let repeat = budgets.repeat(config, keep);
+    if repeat {
+        // Before the cut: a kill in between loses nothing.
+        promised.add(digests_from(run_dir, keep)?)?;
+    }
+    let opened = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
+    if !repeat {
+        promised.clear()?;
+    }
+    // Only now: until then the next session finds another budget than this one's, and does it again.
+    match budgets.last() {
+        Some(last) if repeat => budgets.begin(last.from, config.run.env_steps)?,
+        Some(_) => budgets.begin(keep, config.run.env_steps)?,
+        None => budgets.begin(0, config.run.env_steps)?,
+    }
+    Ok(opened)
 }
 
 /// Iterations from `keep` on that the metrics hold, and their digests.
