@@ -2,9 +2,10 @@
 //! bits as one that was left alone, every env-step accounted for, and nothing left behind.
 //!
 //! [`plan`] draws what happens from a seed, [`Chaos::run`] lets it happen, and [`restarts`] kills
-//! workers of one live run a thousand times. Nothing here depends on luck to pass: the moments
+//! workers of one live run a thousand times. [`damage`] harms the files of a dead one. Nothing here depends on luck to pass: the moments
 //! fall differently on every machine, the bits must not.
 
+pub mod damage;
 pub mod measure;
 pub mod observe;
 pub mod plan;

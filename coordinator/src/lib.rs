@@ -26,6 +26,7 @@ pub mod session;
 pub mod scheduler;
 pub mod supervisor;
 
+pub mod base;
 pub mod checkpoint;
 pub mod committer;
 pub mod selection;

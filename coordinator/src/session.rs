@@ -31,7 +31,7 @@ use proto::config::Config;
 use proto::layout::Dimensions;
 use proto::message::{Order, Progress, Status, WorkerId};
 use proto::run_dir::RunDir;
-use proto::{ExitCode, ExitError};
+use proto::{Digest, ExitCode, ExitError};
 use sim_worker::robot::Robot;
 
 use self::attention::{Attention, STANDSTILL};
@@ -160,6 +160,10 @@ struct Session<'a> {
     early: Vec<(WorkerId, u32)>,
     /// Where the learner was started from, in iterations.
     origin: u64,
+    /// The checkpoint that it was started from, and the digest that it must find there.
+    base: Option<(PathBuf, Digest)>,
+    /// Checkpoints that a learner could not start from, and why.
+    refused: BTreeMap<PathBuf, String>,
     /// Iterations reported.
     reported: u64,
     learner_deaths: Deaths,
@@ -219,6 +223,8 @@ impl<'a> Session<'a> {
             precision: None,
             early: Vec::new(),
             origin: 0,
+            base: None,
+            refused: BTreeMap::new(),
             reported: 0,
             learner_deaths: Deaths::default(),
             learner_restarts: 0,
@@ -241,6 +247,7 @@ impl<'a> Session<'a> {
         supervisor: &mut Supervisor,
     ) -> Result<(), ExitError> {
         self.origin = from.map_or(0, |checkpoint| checkpoint.manifest.iteration);
+        self.base = from.map(|checkpoint| (checkpoint.dir.clone(), checkpoint.manifest.digest));
         self.reported = self.origin;
         self.snapshots.begin_from(from.map(|checkpoint| (self.origin, checkpoint.dir.clone())));
         self.learner_heard = Instant::now();
@@ -317,6 +324,7 @@ impl<'a> Session<'a> {
         // Before the deaths: what a process said before it died still counts.
         self.hear_workers(supervisor, reporter)?;
         self.hear_learner(supervisor, reporter)?;
+        self.leave_base(supervisor, reporter)?;
         self.collect_pieces(supervisor, reporter)?;
         self.hear_committer(reporter)?;
         self.bury(supervisor, reporter)?;

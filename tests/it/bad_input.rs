@@ -151,7 +151,7 @@ fn a_checkpoint_truncated_or_edited_by_hand() {
     let output = octopus(&["eval", path.to_str().expect("UTF-8"), "--episodes=1", "--steps=2"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let warning = stderr(&output);
-    assert!(warning.starts_with("error: damaged checkpoint, taking the one before: "), "{warning}");
+    assert!(warning.starts_with("error: damaged checkpoint, passed over: "), "{warning}");
     let said = warning.lines().filter(|line| line.contains("state.safetensors")).count();
     assert_eq!(said, 1, "{warning}");
 

@@ -555,7 +555,7 @@ fn what_does_not_exist_is_answered_with_what_does() {
     assert!(stderr(&output).contains("iteration-00000006"), "{}", stderr(&output));
     for command in [
         "list", "show", "verify", "diff", "pin", "unpin", "tag", "untag", "prune", "rebuild",
-        "import", "export", "compose", "delete",
+        "import", "export", "compose", "delete", "commit",
     ] {
         let help = text(&[command, "--help"]);
         assert!(help.contains("--json"), "{command}: {help}");

@@ -5,6 +5,7 @@ mod bad_input;
 mod bench;
 mod chaos;
 mod checkpoints;
+mod damage;
 mod exactness;
 mod experiment;
 mod failures;

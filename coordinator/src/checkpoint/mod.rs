@@ -27,6 +27,7 @@
 //! | `catalogue` | the index |
 //! | `checked` | which files were found whole |
 //! | `archive` | a checkpoint as one file |
+//! | `state_layout` | what a training state must hold |
 //! | `verify`, `compare` | the thorough check; two checkpoints side by side |
 //! | `compose` | one policy set from several checkpoints |
 //! | `selector` | how users name a checkpoint |
@@ -50,6 +51,7 @@ mod patience;
 mod read;
 mod retention;
 mod selector;
+mod state_layout;
 mod store;
 mod tensors;
 mod verify;
@@ -72,6 +74,7 @@ pub use patience::Patience;
 pub use read::{Checkpoint, read_policy};
 pub use retention::Retention;
 pub use selector::{Selector, runs_in, store_at, store_to_be};
+pub use state_layout::{STATE_FORMAT, StateLayout, StateTensor};
 pub use store::{CheckpointStore, Placement};
 pub(crate) use tensors::shapes;
 pub use verify::Verification;

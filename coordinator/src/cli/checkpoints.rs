@@ -47,8 +47,8 @@ Examples:
   octopus checkpoints verify runs/trajectory-20260101-120000:best
 
 Checks length and BLAKE3 hash of every file, that configuration, robot and tensors are readable,
-that all numbers are finite, that the actors fit the configuration, and that digest and counters of
-the manifest are those of the training state. A run or STORE without `:` means all its checkpoints.
+that all numbers are finite, that all tensors fit the configuration, that digest and counters of the
+manifest are those of the training state, and that the actors are its. A run or STORE without `:` means all its checkpoints.
 Exits with 5 if anything is wrong.";
 
 const DIFF_EXAMPLES: &str = "\
@@ -107,13 +107,22 @@ Examples:
 
 The archive is an uncompressed tar; the same checkpoint always gives the same bytes.";
 
+const COMMIT_EXAMPLES: &str = "\
+Examples:
+  octopus checkpoints commit runs/trajectory-20260101-120000
+  octopus checkpoints commit runs/trajectory-20260101-120000 && octopus eval runs/trajectory-20260101-120000
+
+Asks the run that is going on there, which commits after the iteration that it is training on. A run
+commits by itself, too: see run.checkpoint_every and run.checkpoint_every_s.";
+
 const IMPORT_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints import best.tar --store shared
   octopus checkpoints import best.tar --store runs/trajectory-20260101-120000 --name from-alice
 
 The archive is checked as `verify` does before anything appears in the store. A name iteration-N is
-for checkpoints of the store's own run only. Pins, tags and scores do not travel.";
+for checkpoints of the store's own run only; `octopus resume` goes on from it only if the run has
+recorded its digest. Pins, tags and scores do not travel.";
 
 const COMPOSE_EXAMPLES: &str = "\
 Examples:
@@ -157,6 +166,8 @@ pub enum CheckpointsCommand {
     Prune(PruneArgs),
     /// Rebuild the catalogue from the checkpoints.
     Rebuild(RebuildArgs),
+    /// Have a live run commit a checkpoint now.
+    Commit(CommitArgs),
     /// Unpack an archive into a store.
     Import(ImportArgs),
     /// Pack a checkpoint into an archive.
@@ -288,6 +299,21 @@ pub struct RebuildArgs {
     /// A run directory or a directory of checkpoints.
     #[arg(value_name = "STORE")]
     pub store: PathBuf,
+    /// Print as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of `octopus checkpoints commit`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = COMMIT_EXAMPLES)]
+pub struct CommitArgs {
+    /// The run directory.
+    #[arg(value_name = "RUN")]
+    pub run_dir: PathBuf,
+    /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
     /// Print as JSON.
     #[arg(long)]
     pub json: bool,

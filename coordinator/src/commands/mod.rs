@@ -108,10 +108,26 @@ fn read_text(path: &Path) -> Result<String, ExitError> {
     })
 }
 
-/// The resolved configuration of a run.
+/// The resolved configuration of a run. One that is none is damage: the run itself wrote it.
 pub(crate) fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
     let path = run_dir.config();
-    Ok(Config::from_resolved_toml(&read_text(&path)?, &path.display().to_string())?)
+    let text = read_text(&path)?;
+    let config = Config::from_resolved_toml(&text, &path.display().to_string());
+    Ok(config.map_err(|error| damaged(&error))?)
+}
+
+/// The robot of a run, and its text.
+pub(crate) fn read_robot(run_dir: &RunDir) -> anyhow::Result<(Robot, String)> {
+    let path = run_dir.robot();
+    let text = read_text(&path)?;
+    let robot = Robot::from_toml(&text, &path).map_err(|error| damaged(&error))?;
+    Ok((robot, text))
+}
+
+/// A file that a run has written is not as it was.
+fn damaged(error: &dyn std::fmt::Display) -> ExitError {
+    let message = format!("{error}; put the file back from a copy: every checkpoint holds one");
+    ExitError::new(ExitCode::RunDirectory, message)
 }
 
 /// The robot called `name`, or described by the file of that name.

@@ -13,7 +13,6 @@ use safetensors::tensor::TensorView;
 use serde::Serialize;
 use serde_json::json;
 use sim_worker::env::Moment;
-use sim_worker::robot::Robot;
 use sim_worker::rollout::{RolloutError, RolloutSpec, World, rollout};
 
 use crate::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
@@ -44,7 +43,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let run_dir = super::run_directory(&args.run_dir)?;
     let BlockAddress { seed, iteration, shard } = args.address;
     let config = super::read_config(&run_dir)?;
-    let robot = Robot::from_toml(&super::read_text(&run_dir.robot())?, &run_dir.robot())?;
+    let (robot, _) = super::read_robot(&run_dir)?;
     let world = World::new(&config, &robot);
     check_address(args, &config)?;
     let version = policy_version_for(iteration, config.run.overlap);

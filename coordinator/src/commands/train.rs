@@ -83,9 +83,8 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     files::replace(&run_dir.robot(), robot.to_toml().as_bytes())?;
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     record(&run_dir, &provenance, &[])?;
-    let same = true;
-    let start =
-        Start { run_dir, config, robot, resume: None, same, programs, domain, provenance, counter };
+    let resume = None;
+    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, counter };
     run_session(start, lock, args.ending.quiet)
 }
 
@@ -119,8 +118,6 @@ pub(super) struct Start {
     pub(super) config: Config,
     pub(super) robot: Robot,
     pub(super) resume: Option<Checkpoint>,
-    /// Whether what is trained on again must end as it did before.
-    pub(super) same: bool,
     pub(super) programs: Programs,
     pub(super) domain: Domain,
     pub(super) provenance: Provenance,
@@ -164,15 +161,11 @@ pub(super) struct Ended {
 
 /// Runs a session to its end.
 pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Result<Ended> {
-    let Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter } =
-        start;
+    let Start { run_dir, config, robot, resume, programs, domain, provenance, counter } = start;
     let stop = StopRequests::new();
     stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
     let mut reporter = Reporter::create(&run_dir, &config, resume_from, quiet)?;
-    if !same {
-        reporter.forget_promised()?;
-    }
     if !quiet {
         reporter.note(&introduction(&config, &run_dir, resume_from));
     }

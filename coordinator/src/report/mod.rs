@@ -70,6 +70,7 @@
 //! so that they do not end before it after a power cut; a resume takes none that they do not reach
 //! ([`recorded`]). A thread of its own writes them ([`recorder`]): the run goes on while a disk stands still.
 
+pub mod budgets;
 pub mod csv;
 pub mod curve;
 pub mod divergence;
@@ -80,6 +81,7 @@ mod line;
 mod margin;
 pub mod progress;
 pub mod promised;
+pub mod recorded;
 mod recorder;
 pub mod row;
 pub mod tensorboard;
@@ -95,6 +97,7 @@ use proto::run_dir::RunDir;
 use proto::{Digest, ExitError};
 pub use recorder::Durability;
 
+use self::budgets::Budgets;
 use self::csv::CsvTable;
 use self::divergence::{CURE, Change, Divergence};
 use self::evaluations::Evaluations;
@@ -129,11 +132,13 @@ pub struct Reporter {
     /// What earlier sessions of the run took, as the last kept line says (s).
     wall_before_s: f64,
     promised: Promised,
+    budgets: Budgets,
 }
 
 impl Reporter {
     /// Opens the metrics files of `run_dir`. A run that continues at iteration `resume_from` keeps
-    /// the lines before it. With `quiet` nothing is shown but notes.
+    /// the lines before it; what the others were is promised of those to come, unless the run had
+    /// another [budget](budgets) then. With `quiet` nothing is shown but notes.
     pub fn create(
         run_dir: &RunDir,
         config: &Config,
@@ -141,10 +146,9 @@ impl Reporter {
         quiet: bool,
     ) -> anyhow::Result<Self> {
         let keep = resume_from.unwrap_or(0);
-        // Before the cut: a kill in between loses nothing.
         let mut promised = Promised::read(run_dir)?;
-        promised.add(digests_from(run_dir, keep)?)?;
-        let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
+        let mut budgets = Budgets::read(run_dir)?;
+        let (lines, last) = cut(run_dir, config, keep, &mut promised, &mut budgets)?;
         let evaluations = Evaluations::open(run_dir, keep)?;
         let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
         let divergence = Divergence::recorded(run_dir)?;
@@ -163,6 +167,7 @@ impl Reporter {
             divergence,
             wall_before_s: last["wall_s"].as_f64().unwrap_or(0.0),
             promised,
+            budgets,
         })
     }
 
@@ -172,19 +177,14 @@ impl Reporter {
         self.promised.check(iteration, digest)
     }
 
-    /// Forgets what iterations to come were before: the configuration has changed what they learn.
-    pub fn forget_promised(&mut self) -> anyhow::Result<()> {
-        self.promised.clear()
-    }
-
     /// Drops the lines of `iteration` and later, which are to be trained on again.
     pub fn rewind(&mut self, iteration: u64) -> anyhow::Result<()> {
         // All lines are in the file, and no promise is being forgotten.
         self.recorder.wait_for(|_| Ok(()))?;
-        self.promised.add(digests_from(&self.run_dir, iteration)?)?;
+        let (promised, budgets) = (&mut self.promised, &mut self.budgets);
+        let (lines, last) = cut(&self.run_dir, &self.config, iteration, promised, budgets)?;
         let run_dir = self.run_dir.clone();
         self.recorder.wait_for(move |files| {
-            let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), iteration)?;
             files.lines = lines;
             files.evaluations = Evaluations::open(&run_dir, iteration)?;
             files.table = CsvTable::open(&run_dir.metrics_csv(), iteration)?;
@@ -269,11 +269,31 @@ impl Reporter {
     }
 }
 
-/// How many iterations the metrics of a run hold, counted from the first up to a gap.
-pub fn recorded(run_dir: &RunDir) -> anyhow::Result<u64> {
-    let lines = jsonl::read(&run_dir.metrics_jsonl())?;
-    let follow = |((_, line), index): &((_, serde_json::Value), u64)| line["iteration"] == *index;
-    Ok(lines.into_iter().zip(0..).take_while(follow).count() as u64)
+/// Cuts the lines of iteration `keep` and later off the metrics; what they say is promised of these
+/// iterations, if they are to be trained on again as they were.
+fn cut(
+    run_dir: &RunDir,
+    config: &Config,
+    keep: u64,
+    promised: &mut Promised,
+    budgets: &mut Budgets,
+) -> anyhow::Result<(JsonLines, Option<serde_json::Value>)> {
+    let repeat = budgets.repeat(config, keep);
+    if repeat {
+        // Before the cut: a kill in between loses nothing.
+        promised.add(digests_from(run_dir, keep)?)?;
+    }
+    let opened = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
+    if !repeat {
+        promised.clear()?;
+    }
+    // Only now: until then the next session finds another budget than this one's, and does it again.
+    match budgets.last() {
+        Some(last) if repeat => budgets.begin(last.from, config.run.env_steps)?,
+        Some(_) => budgets.begin(keep, config.run.env_steps)?,
+        None => budgets.begin(0, config.run.env_steps)?,
+    }
+    Ok(opened)
 }
 
 /// Iterations from `keep` on that the metrics hold, and their digests.

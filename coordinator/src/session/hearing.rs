@@ -97,6 +97,16 @@ impl Session<'_> {
                 Progress::Ready { iteration, digest, precision, orders, .. } => {
                     self.orders.introduce(Addressee::Learner, orders);
                     tracing::info!(iteration, %digest, precision, "learner is ready");
+                    if let Some((dir, expected)) = &self.base
+                        && *expected != digest
+                    {
+                        let reason = format!(
+                            "the learner found digest {digest} in its training state, not that of \
+                             its manifest, {expected}: one of the two was changed, or run.precision"
+                        );
+                        self.refused.insert(dir.clone(), reason);
+                        continue;
+                    }
                     self.precision = Some(precision);
                     self.learner_ready(iteration, now, reporter)?;
                 }

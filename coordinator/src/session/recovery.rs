@@ -5,6 +5,8 @@
 //! * The learner dies: everything since the last checkpoint is gone with it. All children are
 //!   started anew from that checkpoint, the metrics are wound back, and every iteration that is
 //!   trained on again must end with the digest that it had.
+//! * The learner cannot start from a checkpoint, or finds another state there than the manifest says:
+//!   the run goes on from the one before.
 //! * A block cannot be made: see [`failures`](super::failures).
 
 use std::time::Duration;
@@ -12,7 +14,8 @@ use std::time::Duration;
 use proto::{ExitCode, ExitError};
 
 use super::Session;
-use crate::checkpoint::CheckpointError;
+use crate::base;
+use crate::checkpoint::Checkpoint;
 use crate::report::Reporter;
 use crate::supervisor::{Cause, Death, Supervisor, log_tail};
 
@@ -93,12 +96,24 @@ impl Session<'_> {
         if self.stopped_by.is_some() {
             return Err(self.died_while_stopping(cause));
         }
+        let log = self.spec.run_dir.logs().join("learner.log");
+        let is_up = self.scheduler.is_some();
+        // With this code, and before it is ready, it says that the training state is none for it.
+        if let Some((dir, _)) = &self.base
+            && !is_up
+            && matches!(cause, Cause::Crash(_))
+            && cause.exit_code() == ExitCode::RunDirectory
+        {
+            let reason = format!("the learner refuses it: {}", log_tail(&log, 1));
+            self.refused.insert(dir.clone(), reason);
+            return self.leave_base(supervisor, reporter);
+        }
         self.learner_deaths.count(cause);
         // One that cannot even come up will not come up the next time.
-        let is_hopeless = self.scheduler.is_none() && matches!(cause, Cause::Crash(_));
+        let is_hopeless = !is_up && matches!(cause, Cause::Crash(_));
         if is_hopeless || self.learner_deaths.are_too_many(MAX_LEARNER_CRASHES, MAX_LEARNER_KILLS) {
-            let log = self.spec.run_dir.logs().join("learner.log");
-            let cure = if self.store.latest_until(self.reported).is_ok() {
+            // What has never come up does not do so for being asked again.
+            let cure = if !is_hopeless && self.find_base().is_ok_and(|(base, _)| base.is_some()) {
                 let run_dir = self.spec.run_dir.path().display();
                 format!("\n`octopus resume {run_dir}` goes on from the last checkpoint")
             } else {
@@ -111,6 +126,37 @@ impl Session<'_> {
             );
             return Err(ExitError::new(cause.exit_code(), message));
         }
+        self.learner_restarts += 1;
+        self.go_back(&format!("the learner died ({cause})"), supervisor, reporter)
+    }
+
+    /// Leaves the checkpoint that the learner was started from for the one before, if it is none to
+    /// start from.
+    pub(super) fn leave_base(
+        &mut self,
+        supervisor: &mut Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
+        let refused = self.base.as_ref().and_then(|(dir, _)| self.refused.get(dir));
+        if refused.is_none() {
+            return Ok(());
+        }
+        self.go_back("the learner cannot start from that checkpoint", supervisor, reporter)
+    }
+
+    /// The checkpoint to go on from, and what is to be said about those that are none.
+    fn find_base(&self) -> Result<(Option<Checkpoint>, Vec<String>), ExitError> {
+        let run_dir = &self.spec.run_dir;
+        base::find(&self.store, run_dir, &self.refused)?.settle(run_dir)
+    }
+
+    /// Starts everything anew from the last checkpoint. `why` is told to the owner.
+    fn go_back(
+        &mut self,
+        why: &str,
+        supervisor: &mut Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
         // Workers hold orders and policies of the future that is now undone.
         supervisor.kill_all();
         self.snapshots.learner_gone();
@@ -128,21 +174,15 @@ impl Session<'_> {
         self.orders.forget_all();
         self.finishing = None;
 
-        // A newer one is of a future that the metrics have lost, see `octopus resume`.
-        let from = match self.store.latest_until(self.reported) {
-            Ok(checkpoint) => Some(checkpoint),
-            Err(CheckpointError::NotFound { .. }) => None,
-            Err(error) => return Err(ExitError::new(ExitCode::RunDirectory, error.to_string())),
-        };
+        let (from, said) = self.find_base()?;
+        for sentence in said {
+            reporter.note(&format!("warning: {sentence}"));
+        }
         let iteration = from.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
-        reporter.note(&format!(
-            "the learner died ({cause}); going on from iteration {iteration} of {}",
-            self.reported
-        ));
+        reporter.note(&format!("{why}; going on from iteration {iteration} of {}", self.reported));
         reporter.rewind(iteration).map_err(|error| {
             ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be rewound: {error:#}"))
         })?;
-        self.learner_restarts += 1;
         self.snapshots.go_on_from(iteration);
         self.start_children(from.as_ref(), supervisor)
     }

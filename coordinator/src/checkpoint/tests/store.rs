@@ -174,7 +174,7 @@ fn the_same_iteration_twice_stays_and_another_state_replaces_it() {
     assert!(store.entry(&nth(5)).expect("there").labels.has_tag("mine"), "it was left alone");
 
     // A run whose budget was changed comes to another state; what was said of the old is void.
-    let other = snapshot_of(&config(), 5, 0.0, 11);
+    let other = snapshot_of(&config(), 5, 1.0);
     for _ in 0..2 {
         commit_of(&store, &config(), &other);
         let entry = store.entry(&nth(5)).expect("there");

@@ -1,5 +1,6 @@
 //! `octopus checkpoints`: the checkpoint service on the command line.
 
+mod commit;
 mod compose;
 mod inspect;
 mod keep;
@@ -27,6 +28,7 @@ pub fn run(args: &CheckpointsArgs) -> anyhow::Result<()> {
         CheckpointsCommand::Prune(args) => keep::prune(args),
         CheckpointsCommand::Rebuild(args) => keep::rebuild(args),
         CheckpointsCommand::Delete(args) => keep::delete(args),
+        CheckpointsCommand::Commit(args) => commit::commit(args),
         CheckpointsCommand::Import(args) => transfer::import(args),
         CheckpointsCommand::Export(args) => transfer::export(args),
         CheckpointsCommand::Compose(args) => compose::compose(args),

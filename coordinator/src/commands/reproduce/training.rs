@@ -20,7 +20,7 @@ use crate::cli::{AlgorithmArg, Cli, Command};
 use crate::commands::{read_config, resume, train};
 use crate::output;
 use crate::provenance::Provenance;
-use crate::report::recorded;
+use crate::report::recorded::Recorded;
 use crate::signals;
 
 /// Tasks that are trained.
@@ -88,7 +88,7 @@ impl Run {
         let planned = read_config(&run_dir)?.planned_iterations();
         let done = CheckpointStore::new(run_dir.checkpoints()).entries()?;
         let done = done.iter().map(|entry| entry.iteration).max().unwrap_or(0);
-        Ok(done >= planned && recorded(&run_dir)? >= planned)
+        Ok(done >= planned && Recorded::read(&run_dir)?.iterations() >= planned)
     }
 
     /// Begins it or goes on with it, until it is finished.

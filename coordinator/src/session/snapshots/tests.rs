@@ -20,6 +20,7 @@ impl Fixture {
     fn new(settings: &[&str]) -> Self {
         let common = [
             "network.hidden=[4]",
+            "network.critic_hidden=[4]",
             "run.checkpoints_kept=1",
             "run.evaluate_every=10",
             "run.evaluation_episodes=8",
@@ -38,7 +39,7 @@ impl Fixture {
     }
 
     fn arrives(&mut self, iteration: u64) -> Evaluation {
-        let snapshot = snapshot_of(&self.config, iteration, 0.0, 10);
+        let snapshot = snapshot_of(&self.config, iteration, 0.0);
         self.snapshots.arrived(snapshot, Phase::Training)
     }
 
