@@ -11,6 +11,7 @@ mod failures;
 mod golden;
 mod http;
 mod mujoco;
+mod precision;
 mod reproduce;
 mod run_directory;
 mod verify;

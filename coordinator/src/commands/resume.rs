@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use proto::channel::Domain;
-use proto::config::Config;
+use proto::config::{Config, Precision};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use sim_worker::robot::Robot;
@@ -18,7 +18,7 @@ use crate::provenance::Provenance;
 use crate::report;
 use crate::report::promised::Promised;
 use crate::supervisor::Programs;
-use crate::{files, output};
+use crate::{files, output, precision};
 
 /// What helps an old run that its disk does not carry.
 const REMEDY: Remedy = Remedy {
@@ -63,14 +63,18 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
 
-    let before = super::read_config(&run_dir)?;
+    let recorded = super::read_config(&run_dir)?;
     let robot_text = super::read_text(&run_dir.robot())?;
     let robot = Robot::from_toml(&robot_text, &run_dir.robot())?;
     let resume = find_start(&run_dir)?;
+    let before = decided(&recorded, resume.as_ref())?;
     match &resume {
         Some(checkpoint) => check_unchanged(&run_dir, &before, &robot_text, checkpoint)?,
         // Nothing was lost: the same seed gives the same run from the beginning.
         None => eprintln!("note: the run was stopped before its first checkpoint and starts anew"),
+    }
+    if recorded.run.precision == Precision::Auto {
+        eprintln!("note: {}", decision(before.run.precision, resume.is_some()));
     }
 
     let (config, overrides) = override_limits(&before, args)?;
@@ -94,7 +98,7 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     train::check_machine(&config, &robot, &run_dir, &programs, &REMEDY)?;
     let counter = Counter::open(&args.http, &run_dir)?;
     let provenance = Provenance::gather();
-    if !overrides.is_empty() {
+    if config != recorded {
         files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     }
     train::record(&run_dir, &provenance, &overrides)?;
@@ -105,10 +109,37 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
         )
     })?;
     // Another budget is another course of the learning rate.
-    let same = config.run.env_steps == before.run.env_steps;
+    let same = config.run.env_steps == before.run.env_steps
+        // What was computed in before the first checkpoint is not known.
+        && (resume.is_some() || recorded.run.precision != Precision::Auto);
     let start =
         Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter };
     train::run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
+}
+
+/// The configuration with a precision that is decided. A run of an earlier version has `auto` in its `config.toml`: its
+/// training state knows what that was, and where there is none the processor decides, as of a new run.
+fn decided(config: &Config, checkpoint: Option<&Checkpoint>) -> anyhow::Result<Config> {
+    let mut config = config.clone();
+    if config.run.precision == Precision::Auto
+        && let Some(checkpoint) = checkpoint
+    {
+        config.run.precision = checkpoint.precision()?;
+    }
+    Ok(precision::resolve(config))
+}
+
+/// Says what has become of an `auto` that an earlier version left.
+fn decision(precision: Precision, recorded: bool) -> String {
+    let name = precision::name(precision);
+    if recorded {
+        format!("run.precision is now {name}, as its checkpoints were trained; it was auto")
+    } else {
+        format!(
+            "run.precision is now {name}, by this processor; it was auto, and what it computed in before is \
+             not recorded, so that its digests may be others than those of before"
+        )
+    }
 }
 
 /// Refuses a checkpoint: it has a configuration and a robot as a run has, and would become one.
@@ -206,7 +237,7 @@ fn check_unchanged(
     config: &Config,
     robot_toml: &str,
     checkpoint: &Checkpoint,
-) -> Result<(), ExitError> {
+) -> anyhow::Result<()> {
     let refuse = |path: &Path, what: &str| {
         Err(ExitError::new(
             ExitCode::RunDirectory,
@@ -216,9 +247,13 @@ fn check_unchanged(
                 path.display(),
                 checkpoint.dir.display()
             ),
-        ))
+        )
+        .into())
     };
     let then = &checkpoint.config;
+    // Also by the checkpoints of a version that left `auto` undecided.
+    let mut then_run = then.run.clone();
+    then_run.precision = checkpoint.precision()?;
     let groups = [
         ("task", config.task == then.task),
         ("robot", config.robot == then.robot),
@@ -226,7 +261,7 @@ fn check_unchanged(
         ("network", config.network == then.network),
         ("algorithm", config.algorithm == then.algorithm),
         ("optimizer", config.optimizer == then.optimizer),
-        ("run", config.run.continues(&then.run)),
+        ("run", config.run.continues(&then_run)),
     ];
     if let Some((group, _)) = groups.iter().find(|(_, same)| !same) {
         return refuse(&run_dir.config(), &format!("group `{group}` was changed"));

@@ -26,7 +26,7 @@ use crate::report::progress::grouped;
 use crate::session::{self, Outcome, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
-use crate::{files, output};
+use crate::{files, output, precision};
 
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
@@ -45,7 +45,7 @@ struct Plan {
 
 /// Everything that is asked for, checked, but for the address of the service; nothing is written.
 fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
-    let config = configure(args)?;
+    let config = precision::resolve(configure(args)?);
     check_token_file(&args.http)?;
     let robot = super::load_robot(&config.robot.description)?;
     if let Some(path) = &args.run_dir {

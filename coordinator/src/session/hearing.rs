@@ -94,7 +94,6 @@ impl Session<'_> {
             match progress {
                 Progress::Ready { iteration, digest, precision, .. } => {
                     tracing::info!(iteration, %digest, precision, "learner is ready");
-                    self.precision = Some(precision);
                     self.learner_ready(iteration, now, reporter)?;
                 }
                 Progress::Heartbeat => {}
