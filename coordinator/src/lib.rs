@@ -8,6 +8,7 @@
 //!
 //! * [`cli`] and [`commands`]: the command line, one file a command;
 //! * [`report`]: metrics, TensorBoard events, progress, the learning curve;
+//! * [`precision`]: what `run.precision = "auto"` means on this machine;
 //! * [`provenance`]: which program and machine made a run;
 //! * [`output`], [`logs`]: standard output is data, standard error is for people; [`printable`]: neither
 //!   tells a terminal what to do;
@@ -41,6 +42,7 @@ pub mod shield;
 pub mod signals;
 
 pub mod figures;
+pub mod precision;
 pub mod preflight;
 pub mod provenance;
 pub mod report;

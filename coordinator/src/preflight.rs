@@ -10,13 +10,13 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use proto::channel::ChannelSizes;
-use proto::config::Config;
+use proto::config::{Config, Precision};
 use proto::layout::{Dimensions, replay_bytes};
 use proto::{ExitCode, ExitError};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 
-use crate::{output, provenance};
+use crate::{output, precision, provenance};
 
 /// Variable that names another directory than `/dev/shm` to be measured, for tests of a machine
 /// with little shared memory.
@@ -79,11 +79,12 @@ pub fn check_run(
     learner: &Path,
 ) -> Result<(), ExitError> {
     let workers = config.run.workers;
-    let checks: [&dyn Fn() -> Check; 6] = [
+    let checks: [&dyn Fn() -> Check; 7] = [
         &|| shared_memory(config, dimensions),
         &|| descriptors(workers),
         &|| memory_maps(workers),
         &|| processors(workers, config.run.learner_threads),
+        &|| arithmetic(config, &provenance::vector_extensions()),
         &|| libtorch(learner),
         &|| device(learner, &config.run.device),
     ];
@@ -239,6 +240,33 @@ pub fn processors(workers: usize, learner_threads: usize) -> Check {
     Check::good(NAME, found)
 }
 
+/// Whether a processor with these `instructions` has one for the products that are asked for. It computes them
+/// without, all the same.
+pub fn arithmetic(config: &Config, instructions: &[&str]) -> Check {
+    const NAME: &str = "precision";
+    let best = precision::decide(&config.run.device, instructions);
+    let wanted = match config.run.precision {
+        Precision::Auto => best,
+        wanted => wanted,
+    };
+    if wanted == Precision::Bf16 && best == Precision::F32 {
+        return Check::warning(
+            NAME,
+            "bf16, which this processor has no instructions for; libtorch computes it slowly by others, which may \
+             round sums otherwise than where a run began",
+            "a new run with --set run.precision=f32 is faster here",
+        );
+    }
+    let name = precision::name(wanted);
+    Check::good(
+        NAME,
+        match config.run.precision {
+            Precision::Auto => format!("the learner multiplies in {name} unless told otherwise"),
+            _ => name.to_owned(),
+        },
+    )
+}
+
 /// Memory of the machine.
 pub fn memory() -> Check {
     const NAME: &str = "memory";
@@ -282,6 +310,50 @@ pub fn device(learner: &Path, name: &str) -> Check {
     let (found, cure) =
         reason.trim().rsplit_once("; ").unwrap_or((reason.trim(), "run.device=cpu does without"));
     Check::failure(NAME, found, cure)
+}
+
+/// Whether there are GPUs, and whether the learner can compute on them; `driver` is where NVIDIA's kernel module tells of
+/// its devices.
+pub fn gpu(learner: Option<&Path>, driver: &Path) -> Check {
+    const NAME: &str = "GPU";
+    let models = gpus(driver);
+    let shown = match models.as_slice() {
+        [] => "no CUDA device".to_owned(),
+        all => all.join(", "),
+    };
+    let reason = match learner.map(|learner| answer(learner, &["probe", "cuda:0"])) {
+        None => "there is no learner to ask".to_owned(),
+        Some(Ok(nothing)) if nothing.trim().is_empty() => {
+            // Where the driver's files are hidden, libtorch's word counts.
+            let shown = if models.is_empty() { "a CUDA device" } else { &shown };
+            let found =
+                format!("{shown}; the learner uses it with --device cuda:0, else the processor");
+            return Check::good(NAME, found);
+        }
+        Some(Ok(reason) | Err(reason)) => reason.trim().to_owned(),
+    };
+    if models.is_empty() {
+        return Check::good(NAME, format!("{shown}; the learner uses the processor"));
+    }
+    let (why, cure) =
+        reason.rsplit_once("; ").unwrap_or((&reason, "`make setup DEVICE=cuda && make build`"));
+    Check::warning(NAME, format!("{shown}; the learner uses the processor: {why}"), cure)
+}
+
+/// Models of the GPUs that NVIDIA's kernel module knows.
+fn gpus(driver: &Path) -> Vec<String> {
+    let mut models: Vec<String> = std::fs::read_dir(driver.join("gpus"))
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter_map(|entry| std::fs::read_to_string(entry.path().join("information")).ok())
+        .map(|text| {
+            let model = text.lines().find_map(|line| line.strip_prefix("Model:"));
+            model.map_or("a GPU", str::trim).to_owned()
+        })
+        .collect();
+    models.sort();
+    models
 }
 
 /// What the learner prints if it is started with `args`, or why it prints nothing.
@@ -442,6 +514,42 @@ mod tests {
         assert!(missing.sentence().contains("make setup"), "{}", missing.sentence());
         let failing = libtorch(Path::new("/bin/false"));
         assert_eq!(failing.verdict, Verdict::Failure);
+    }
+
+    #[test]
+    fn a_precision_without_instructions_is_said_to_be_slow() {
+        let verdict =
+            |set: &str, instructions: &[&str]| arithmetic(&config(set), instructions).verdict;
+        assert_eq!(verdict("run.precision=bf16", &["avx2"]), Verdict::Warning);
+        for (set, instructions) in [
+            ("run.precision=bf16", &["avx512_bf16"][..]),
+            ("run.precision=f32", &["avx2"]),
+            ("run.precision=auto", &["avx2"]),
+        ] {
+            assert_eq!(verdict(set, instructions), Verdict::Good, "{set}");
+        }
+    }
+
+    #[test]
+    fn gpus_are_named_with_what_the_learner_makes_of_them() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let (usable, complains) = (Path::new("/bin/true"), Path::new("/bin/echo"));
+        let none = gpu(Some(complains), dir.path());
+        assert_eq!(none.verdict, Verdict::Good);
+        assert_eq!(none.found, "no CUDA device; the learner uses the processor");
+        let place = dir.path().join("gpus/0000:01:00.0");
+        std::fs::create_dir_all(&place).expect("writable");
+        let text = "Model: \t\t NVIDIA H100\nIRQ:   5\n";
+        std::fs::write(place.join("information"), text).expect("writable");
+        let good = gpu(Some(usable), dir.path());
+        assert_eq!(good.verdict, Verdict::Good);
+        assert!(good.found.starts_with("NVIDIA H100; ") && good.found.contains("--device cuda:0"));
+        for learner in [Some(complains), None] {
+            let check = gpu(learner, dir.path());
+            assert_eq!(check.verdict, Verdict::Warning, "{check:?}");
+            assert!(check.found.starts_with("NVIDIA H100; the learner uses the processor: "));
+            assert!(check.cure.is_some_and(|cure| cure.contains("DEVICE=cuda")));
+        }
     }
 
     #[test]

@@ -154,8 +154,6 @@ struct Session<'a> {
     heard: BTreeMap<WorkerId, Instant>,
     /// When the learner was last heard, or was started.
     learner_heard: Instant,
-    /// What the learner chose for its products: one that takes its place must not choose otherwise.
-    precision: Option<String>,
     /// Workers that are ready before the learner is.
     early: Vec<(WorkerId, u32)>,
     /// Where the learner was started from, in iterations.
@@ -220,7 +218,6 @@ impl<'a> Session<'a> {
             scheduler: None,
             heard: BTreeMap::new(),
             learner_heard: now,
-            precision: None,
             early: Vec::new(),
             origin: 0,
             base: None,
@@ -252,7 +249,7 @@ impl<'a> Session<'a> {
         self.snapshots.begin_from(from.map(|checkpoint| (self.origin, checkpoint.dir.clone())));
         self.learner_heard = Instant::now();
         let state = from.map(Checkpoint::state);
-        supervisor.start_learner(state.as_deref(), self.precision.as_deref())?;
+        supervisor.start_learner(state.as_deref())?;
         supervisor.scale(self.workers)?;
         Ok(())
     }

@@ -284,22 +284,14 @@ impl Supervisor {
         })
     }
 
-    /// Starts the learner, from a training state if one is given, and with the precision that one before
-    /// it has chosen.
+    /// Starts the learner, from a training state if one is given.
     ///
     /// Children ask the kernel to be killed when the *thread* that started them ends, so this and
     /// [`Self::scale`] must be called from a thread that lives as long as the run.
-    pub fn start_learner(
-        &mut self,
-        resume: Option<&Path>,
-        precision: Option<&str>,
-    ) -> Result<(), ExitError> {
+    pub fn start_learner(&mut self, resume: Option<&Path>) -> Result<(), ExitError> {
         let mut command = Command::new(&self.programs.learner);
         if let Some(state) = resume {
             command.arg("--resume").arg(state);
-        }
-        if let Some(precision) = precision {
-            command.args(["--precision", precision]);
         }
         set_numerical_environment(&mut command, self.threads);
         self.learner_hung = false;

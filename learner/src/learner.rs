@@ -47,9 +47,6 @@ pub struct Arguments {
     /// Training state to go on from.
     #[arg(long, value_name = "FILE")]
     pub resume: Option<PathBuf>,
-    /// What a learner before this one chose for `run.precision = "auto"`; the state to go on from knows better.
-    #[arg(long, value_name = "f32|bf16", value_parser = precision)]
-    pub precision: Option<Arithmetic>,
     /// Process that started this one: the learner does not start if that is gone already.
     #[arg(long, value_name = "PID")]
     pub parent: Option<i32>,
@@ -63,17 +60,22 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     let threads = i32::try_from(config.run.learner_threads).unwrap_or(i32::MAX);
     tch::set_num_threads(threads);
     tch::set_num_interop_threads(1);
+    let arithmetic = Arithmetic::of(config.run.precision)?;
     let state = match &arguments.resume {
-        None => {
-            let arithmetic = Arithmetic::choose(config.run.precision, arguments.precision, device);
-            TrainingState::initial(&config, &dimensions, arithmetic, device)
-        }
+        None => TrainingState::initial(&config, &dimensions, arithmetic, device),
         Some(path) => {
             let data = read(path)?;
-            let mut state = TrainingState::from_safetensors(&data, &config, &dimensions, device)
+            let state = TrainingState::from_safetensors(&data, &config, &dimensions, device)
                 .map_err(|error| LearnerError::State(format!("{}: {error}", path.display())))?;
-            state.arithmetic =
-                Arithmetic::choose(config.run.precision, Some(state.arithmetic), device);
+            if state.arithmetic != arithmetic {
+                return Err(LearnerError::State(format!(
+                    "{}: was trained in {}, and run.precision is {}; is it a state of this run?",
+                    path.display(),
+                    state.arithmetic.as_str(),
+                    arithmetic.as_str()
+                ))
+                .into());
+            }
             state
         }
     };
@@ -95,10 +97,6 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         let _ = learner.ports.progress.send(&Progress::Failed { message });
     }
     Ok(result?)
-}
-
-fn precision(name: &str) -> Result<Arithmetic, String> {
-    Arithmetic::from_name(name).ok_or_else(|| "expected `f32` or `bf16`".to_owned())
 }
 
 fn read(path: &std::path::Path) -> Result<Vec<u8>, LearnerError> {

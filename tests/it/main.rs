@@ -14,6 +14,7 @@ mod golden;
 mod http;
 mod mujoco;
 mod others;
+mod precision;
 mod reproduce;
 mod run_directory;
 mod signals;

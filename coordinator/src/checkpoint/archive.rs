@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::Path;
 
-use proto::config::Config;
+use proto::config::{Config, Precision, Run};
 use proto::run_dir::RunDir;
 use tar::{Archive, Builder, EntryType, Header};
 
@@ -156,12 +156,21 @@ impl CheckpointStore {
     }
 }
 
+/// `run`, with a precision that an earlier version left undecided taken to be that of `other`.
+fn decided(run: &Run, other: &Run) -> Run {
+    let mut run = run.clone();
+    if run.precision == Precision::Auto {
+        run.precision = other.precision;
+    }
+    run
+}
+
 /// Whether two configurations can be of one run. Budgets, processes and what is kept may change
 /// when a run is resumed; the rest, and the seed, may not.
 fn same_run(a: &Config, b: &Config) -> bool {
     (&a.task, &a.robot, &a.env) == (&b.task, &b.robot, &b.env)
         && (&a.network, &a.algorithm, &a.optimizer) == (&b.network, &b.algorithm, &b.optimizer)
-        && a.run.continues(&b.run)
+        && decided(&a.run, &b.run).continues(&decided(&b.run, &a.run))
 }
 
 /// The header of a file of a checkpoint.
@@ -283,4 +292,29 @@ fn place(header: &Header) -> Result<(Name, String), CheckpointError> {
     let folder: Name = folder.parse().map_err(|_| wrong())?;
     let known = super::manifest::KNOWN.contains(&file) || file == MANIFEST;
     if known { Ok((folder, file.to_owned())) } else { Err(wrong()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+
+    use super::*;
+
+    #[test]
+    fn what_an_earlier_version_left_undecided_does_not_make_another_run() {
+        let config = |precision: &str| {
+            let layers = Layers::new(Preset::Tuned, None);
+            let layers = layers.set(&format!("run.precision={precision}")).expect("valid");
+            layers.resolve().expect("valid")
+        };
+        for (a, b, same) in [
+            ("auto", "bf16", true),
+            ("f32", "auto", true),
+            ("auto", "auto", true),
+            ("f32", "f32", true),
+            ("f32", "bf16", false),
+        ] {
+            assert_eq!(same_run(&config(a), &config(b)), same, "{a} and {b}");
+        }
+    }
 }

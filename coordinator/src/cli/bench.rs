@@ -28,14 +28,19 @@ machine hardly matters; all others are per second of wall time and want a machin
 
 Floor is what this machine allows at best: for physics and rollout, the operations counted in the source
 at the rate of fused multiply-adds of one core; for the learner, its matrix products at the best rate
-of libtorch's own; for the transport, waking a process through a pipe; for the training, its own rollout
-and update without anything around them (if they were measured).
+of libtorch's own; for the transport, the fastest waking of a process through a pipe; for the training, its own
+rollout and fastest update without anything around them (if they were measured, and unless algorithm.max_kl may
+hold actors back, which the updates of `learner` never are).
 
 Peers run in Python, `make venv-benches` installs them: MuJoCo with the same robot, commands and contacts
 (400 Euler steps of 1 ms), and MAPPO as it is commonly written in PyTorch (f32). A peer's rollout is
 1 / (1 / MuJoCo + threads / its inference), its training
 1 / (1 / (workers · MuJoCo) + 1 / its learner + 1 / its inference), with no more workers than processors.
 The transport's peers are a pipe and a Unix socket, always measured, each with the same bytes.
+
+What else the machine did meanwhile is said below the table. Measurements that contradict each other end with exit code 1 and no
+table: something that is faster than its floor, or products beyond the peak of the processor (cores × ports × lanes × 2 × the
+highest clock). That happens on a machine that does other work at the same time.
 
 Ctrl-C stops at once and leaves nothing behind.";
 
@@ -52,7 +57,7 @@ pub struct BenchArgs {
     /// How long each measurement takes, at least.
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measuring_time)]
     pub seconds: f64,
-    /// The configuration to measure.
+    /// The configuration to measure. `paper`, as its peers do the same work; `octopus train` takes `tuned` unless told otherwise.
     #[arg(long, value_enum, default_value_t = PresetArg::Paper)]
     pub preset: PresetArg,
     /// Change one key; may be given again: --set algorithm.epochs=10.

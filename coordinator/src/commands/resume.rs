@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use proto::channel::Domain;
-use proto::config::Config;
+use proto::config::{Config, Precision};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 
@@ -15,11 +15,12 @@ use crate::cli::ResumeArgs;
 use crate::lock::RunLock;
 use crate::preflight::Remedy;
 use crate::provenance::Provenance;
+use crate::report;
 use crate::report::budgets::{self, Budgets};
 use crate::report::promised::Promised;
 use crate::report::recorded::Recorded;
 use crate::supervisor::Programs;
-use crate::{files, output};
+use crate::{files, output, precision};
 
 /// What helps an old run that its disk does not carry.
 const REMEDY: Remedy = Remedy {
@@ -64,12 +65,19 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
 
-    let before = super::read_config(&run_dir)?;
+    let recorded = super::read_config(&run_dir)?;
     let (robot, robot_text) = super::read_robot(&run_dir)?;
     let mut budgets = Budgets::read(&run_dir)?;
-    let resume = find_start(&run_dir, &before)?;
+    let resume = find_start(&run_dir, &recorded)?;
+    let before = decided(&recorded, resume.as_ref())?;
     if let Some(checkpoint) = &resume {
         check_unchanged(&run_dir, &before, &robot_text, checkpoint)?;
+    }
+    if recorded.run.precision == Precision::Auto {
+        output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
+    }
+    if recorded.run.precision == Precision::Auto {
+        eprintln!("note: {}", decision(before.run.precision, resume.is_some()));
     }
 
     note_budget(&run_dir, &budgets, &before);
@@ -99,7 +107,11 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
         let then = resume.as_ref().map_or(&before, |checkpoint| &checkpoint.config);
         budgets.begin(0, then.run.env_steps)?;
     }
-    if !overrides.is_empty() {
+    if recorded.run.precision == Precision::Auto && resume.is_none() {
+        // What was computed in before the first checkpoint is not known, so that nothing is promised.
+        report::forget(&run_dir)?;
+    }
+    if config != recorded {
         files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     }
     train::record(&run_dir, &provenance, &overrides)?;
@@ -111,6 +123,31 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     })?;
     let start = Start { run_dir, config, robot, resume, programs, domain, provenance, counter };
     train::run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
+}
+
+/// The configuration with a precision that is decided. A run of an earlier version has `auto` in its `config.toml`: its
+/// training state knows what that was, and where there is none the processor decides, as of a new run.
+fn decided(config: &Config, checkpoint: Option<&Checkpoint>) -> anyhow::Result<Config> {
+    let mut config = config.clone();
+    if config.run.precision == Precision::Auto
+        && let Some(checkpoint) = checkpoint
+    {
+        config.run.precision = checkpoint.precision()?;
+    }
+    Ok(precision::resolve(config))
+}
+
+/// Says what has become of an `auto` that an earlier version left.
+fn decision(precision: Precision, recorded: bool) -> String {
+    let name = precision::name(precision);
+    if recorded {
+        format!("run.precision is now {name}, as its checkpoints were trained; it was auto")
+    } else {
+        format!(
+            "run.precision is now {name}, by this processor; it was auto, and what it computed in before is \
+             not recorded, so that its digests may be others than those of before"
+        )
+    }
 }
 
 /// Refuses a checkpoint: it has a configuration and a robot as a run has, and would become one.
@@ -167,13 +204,13 @@ fn note_budget(run_dir: &RunDir, budgets: &Budgets, before: &Config) {
     if let Some(last) = budgets.last()
         && last.env_steps != before.run.env_steps
     {
-        eprintln!(
+        output::note(&format!(
             "note: {}: run.env_steps is {}, and was {} for the iterations so far: it was changed by \
              hand, or a resume that changes it was cut short",
             run_dir.config().display(),
             before.run.env_steps,
             last.env_steps
-        );
+        ));
     }
 }
 
@@ -212,7 +249,7 @@ fn check_unchanged(
     config: &Config,
     robot_toml: &str,
     checkpoint: &Checkpoint,
-) -> Result<(), ExitError> {
+) -> anyhow::Result<()> {
     let refuse = |path: &Path, what: &str| {
         Err(ExitError::new(
             ExitCode::RunDirectory,
@@ -222,9 +259,13 @@ fn check_unchanged(
                 path.display(),
                 checkpoint.dir.display()
             ),
-        ))
+        )
+        .into())
     };
     let then = &checkpoint.config;
+    // Also by the checkpoints of a version that left `auto` undecided.
+    let mut then_run = then.run.clone();
+    then_run.precision = checkpoint.precision()?;
     let groups = [
         ("task", config.task == then.task),
         ("robot", config.robot == then.robot),
@@ -232,7 +273,7 @@ fn check_unchanged(
         ("network", config.network == then.network),
         ("algorithm", config.algorithm == then.algorithm),
         ("optimizer", config.optimizer == then.optimizer),
-        ("run", config.run.continues(&then.run)),
+        ("run", config.run.continues(&then_run)),
     ];
     if let Some((group, _)) = groups.iter().find(|(_, same)| !same) {
         return refuse(&run_dir.config(), &format!("group `{group}` was changed"));

@@ -28,7 +28,7 @@ use crate::report::{Diverged, Reporter};
 use crate::session::{self, Outcome, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
-use crate::{files, output, regular};
+use crate::{files, output, precision, regular};
 
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
@@ -47,7 +47,7 @@ struct Plan {
 
 /// Everything that is asked for, checked, but for the address of the service; nothing is written.
 fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
-    let config = configure(args)?;
+    let config = precision::resolve(configure(args)?);
     check_token_file(&args.http)?;
     let robot = super::load_fit_robot(&config.robot.description, &step_options(&config))?;
     if let Some(path) = &args.run_dir {

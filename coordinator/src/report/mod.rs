@@ -296,6 +296,12 @@ fn cut(
     Ok(opened)
 }
 
+/// Drops all lines of a run that starts anew, and what they promise: what they were made with is not known.
+pub fn forget(run_dir: &RunDir) -> anyhow::Result<()> {
+    JsonLines::open(&run_dir.metrics_jsonl(), 0)?;
+    Ok(Promised::read(run_dir)?.clear()?)
+}
+
 /// Iterations from `keep` on that the metrics hold, and their digests.
 fn digests_from(run_dir: &RunDir, keep: u64) -> anyhow::Result<Vec<(u64, Digest)>> {
     let lines = jsonl::read(&run_dir.metrics_jsonl())?;

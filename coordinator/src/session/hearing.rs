@@ -107,7 +107,6 @@ impl Session<'_> {
                         self.refused.insert(dir.clone(), reason);
                         continue;
                     }
-                    self.precision = Some(precision);
                     self.learner_ready(iteration, now, reporter)?;
                 }
                 Progress::Heartbeat => {}

@@ -1,5 +1,7 @@
 use proto::layout::SnapshotHeader;
 
+use proto::config::Precision;
+
 use super::*;
 
 #[test]
@@ -223,4 +225,27 @@ fn what_finds_nothing_leaves_nothing() {
     std::fs::write(dir.path().join("notes"), "mine").expect("write");
     assert!(store.import(&b"no archive"[..], None).is_err());
     assert!(dir.path().join("notes").exists());
+}
+
+#[test]
+fn a_state_tells_the_precision_that_an_earlier_version_left_undecided() {
+    let (_dir, store) = store_with(&[7]);
+    let mut checkpoint = store.load(&store.dir(&nth(7))).expect("whole");
+    for known in [Precision::F32, Precision::Bf16] {
+        checkpoint.config.run.precision = known;
+        assert_eq!(checkpoint.precision().ok(), Some(known));
+    }
+    checkpoint.config.run.precision = Precision::Auto;
+    let error = checkpoint.precision().expect_err("nothing tells").to_string();
+    assert!(error.contains("state.safetensors") && error.contains("counters.precision"), "{error}");
+    // Bits of the products' operands, as the learner writes them.
+    for (bits, expected) in
+        [(16_u64, Some(Precision::Bf16)), (32, Some(Precision::F32)), (8, None), (1 << 40, None)]
+    {
+        let bytes = bits.to_le_bytes();
+        let view = TensorView::new(Dtype::U64, vec![1], &bytes).expect("sized");
+        let file = safetensors::serialize([("counters.precision", view)], None).expect("a file");
+        std::fs::write(checkpoint.state(), file).expect("writable");
+        assert_eq!(checkpoint.precision().ok(), expected, "{bits}");
+    }
 }

@@ -17,7 +17,7 @@ use super::differences::{self, ProvenanceDifference};
 use super::record::{self, Record, damaged};
 use super::{Comparison, iterations, promise, provenance_table};
 use crate::checkpoint::{Checkpoint, CheckpointStore};
-use crate::commands::{read_config, train};
+use crate::commands::train;
 use crate::live::LiveRun;
 use crate::preflight::Remedy;
 use crate::provenance::Provenance;
@@ -25,7 +25,7 @@ use crate::report::Reporter;
 use crate::session::{self, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
-use crate::{files, output};
+use crate::{files, output, precision};
 
 /// What helps where the system's temporary files have too little room; no flag makes a repetition smaller.
 const REMEDY: Remedy =
@@ -86,7 +86,7 @@ pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
         through: last,
         same: comparison.parting.is_none(),
         comparison,
-        promised: !gpu && provenance.is_empty(),
+        promised: !gpu && provenance.is_empty() && !run.is_undecided(),
         provenance,
     };
     if json {
@@ -122,9 +122,17 @@ fn train_again(
     provenance: serde_json::Value,
 ) -> anyhow::Result<StoppedBy> {
     let origin = RunDir::new(&run.path);
-    let recorded = read_config(&origin)?;
+    let text = run.config.to_string();
+    let recorded = Config::from_resolved_toml(&text, &origin.config().display().to_string())?;
     let robot = Robot::from_toml(&run.robot, &origin.robot())?;
     let config = Config { run: recorded.run.clone().without_housekeeping(), ..recorded };
+    let config = precision::resolve(config);
+    if run.is_undecided() {
+        eprintln!(
+            "note: run.precision is auto, and no checkpoint says what was chosen; training again in {}",
+            precision::name(config.run.precision)
+        );
+    }
 
     let programs = Programs::find()?;
     train::check_machine(&config, &robot, scratch, &programs, &REMEDY)?;
