@@ -15,8 +15,8 @@ use proto::{ExitCode, ExitError};
 use rustix::process::Signal;
 
 use crate::janitor::Janitor;
-use crate::shield;
 use crate::regular::{self, Links};
+use crate::shield;
 
 /// Where the programs of a run are.
 #[derive(Debug, Clone)]

@@ -195,7 +195,7 @@ fn explain(store: &CheckpointStore, error: CheckpointError) -> CheckpointError {
 /// How a run without a checkpoint gets one.
 fn none_of_run(run: &RunDir) -> String {
     let shown = run.path().display();
-    if RunLock::holder(&run.lock()).is_some() {
+    if matches!(RunLock::holder(&run.lock()), Ok(Some(_))) {
         format!(
             "holds no checkpoint yet; `octopus checkpoints commit {shown}` has the run commit one now"
         )

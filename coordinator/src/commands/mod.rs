@@ -35,8 +35,8 @@ use crate::checkpoint::CheckpointError;
 use crate::cli::{Command, JanitorArgs};
 use crate::janitor;
 use crate::lock::LockError;
-use crate::shakedown::shakedown;
 use crate::regular;
+use crate::shakedown::shakedown;
 
 /// Two things that were compared are not the same. No failure but the answer, which standard output
 /// holds: the program ends with exit code 1 and says no more.

@@ -77,7 +77,7 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
         output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
     }
     if recorded.run.precision == Precision::Auto {
-        eprintln!("note: {}", decision(before.run.precision, resume.is_some()));
+        output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
     }
 
     note_budget(&run_dir, &budgets, &before);
@@ -193,8 +193,10 @@ fn find_start(run_dir: &RunDir, config: &Config) -> anyhow::Result<Option<Checkp
             1 => "one iteration is recorded, which must end as it did".to_owned(),
             n => format!("{n} iterations are recorded, which must end as they did"),
         };
-        output::note(&format!("note: {}: holds no checkpoint to go on from; the run starts from the beginning ({is_there})",
-            store.root().display()));
+        output::note(&format!(
+            "note: {}: holds no checkpoint to go on from; the run starts from the beginning ({is_there})",
+            store.root().display()
+        ));
     }
     Ok(base)
 }

@@ -299,7 +299,7 @@ fn cut(
 /// Drops all lines of a run that starts anew, and what they promise: what they were made with is not known.
 pub fn forget(run_dir: &RunDir) -> anyhow::Result<()> {
     JsonLines::open(&run_dir.metrics_jsonl(), 0)?;
-    Ok(Promised::read(run_dir)?.clear()?)
+    Promised::read(run_dir)?.clear()
 }
 
 /// Iterations from `keep` on that the metrics hold, and their digests.

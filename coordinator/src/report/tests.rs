@@ -1,8 +1,8 @@
 use std::fs;
 
-use proto::Digest;
 use proto::config::{Layers, Preset, Schedule, TaskName};
 use proto::message::{Errors, Losses};
+use proto::{Digest, ExitCode};
 use serde_json::Value;
 
 use super::curve::Point;

@@ -191,7 +191,8 @@ impl Session<'_> {
     /// what the learner has taken with it, and that must not look like a stop in order.
     fn died_while_stopping(&mut self, cause: Cause) -> ExitError {
         self.snapshots.learner_gone();
-        let kept = self.store.latest_until(self.reported).map_or(0, |last| last.manifest.iteration);
+        let base = self.find_base().ok().and_then(|(base, _)| base);
+        let kept = base.map_or(0, |base| base.manifest.iteration);
         let message = format!(
             "the learner died ({cause}) while the run was stopping; the last checkpoint is of \
              iteration {kept} of {}; `octopus resume {}` trains the others again",
