@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 use proto::channel::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::environment;
+
 /// The coordinator's side.
 #[derive(Debug)]
 pub struct Janitor {
@@ -25,7 +27,9 @@ pub struct Janitor {
 impl Janitor {
     /// Starts the janitor of `domain`.
     pub fn start(domain: &Domain) -> std::io::Result<Self> {
-        let mut process = Command::new(std::env::current_exe()?)
+        let mut command = Command::new(std::env::current_exe()?);
+        environment::clean(&mut command);
+        let mut process = command
             .args(["janitor", "--domain", domain.as_str()])
             .stdin(Stdio::piped())
             .stdout(Stdio::null())

@@ -11,7 +11,8 @@
 //! * [`provenance`]: which program and machine made a run;
 //! * [`output`], [`logs`]: standard output is data, standard error is for people;
 //! * [`signals`]: Ctrl-C once and twice;
-//! * [`janitor`]: who cleans up when the coordinator is killed.
+//! * [`janitor`]: who cleans up when the coordinator is killed;
+//! * [`environment`], [`limits`]: what a shell leaves to the processes of a run.
 //!
 //! It links no libtorch and starts in milliseconds.
 
@@ -31,7 +32,9 @@ pub mod selection;
 pub mod client;
 pub mod http;
 
+pub mod environment;
 pub mod janitor;
+pub mod limits;
 pub mod lock;
 pub mod signals;
 

@@ -13,6 +13,7 @@ pub mod failures;
 
 mod books;
 mod control;
+mod headroom;
 mod hearing;
 mod monitor;
 mod recovery;
@@ -35,6 +36,7 @@ use sim_worker::robot::Robot;
 
 use self::books::Books;
 use self::failures::Failures;
+use self::headroom::Headroom;
 use self::monitor::Monitor;
 use self::snapshots::Snapshots;
 use crate::checkpoint::{Checkpoint, CheckpointStore};
@@ -125,6 +127,7 @@ struct Session<'a> {
     spec: &'a SessionSpec,
     store: CheckpointStore,
     channels: Channels,
+    headroom: Headroom,
     bell: BellListener,
     orders: MessageSender<Order>,
     progress: MessageReceiver<Progress>,
@@ -175,6 +178,7 @@ impl<'a> Session<'a> {
             .and_then(|entry| Some((entry.name.to_string(), entry.labels.score.as_ref()?.value)));
         let now = Instant::now();
         let mut session = Self {
+            headroom: Headroom::take(&spec.domain),
             bell: channels.listener(Role::Coordinator)?,
             orders: channels.order_sender()?,
             progress: channels.progress_receiver()?,
@@ -275,6 +279,7 @@ impl<'a> Session<'a> {
         self.send_orders()?;
         self.check_deadlines(supervisor, reporter);
         if self.monitor.is_due() {
+            self.headroom.keep();
             self.spec.live.publish(self.look(supervisor));
         }
         Ok(())

@@ -62,6 +62,7 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     train::check_token_file(&args.http)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+    files::sweep(run_dir.path());
 
     let before = super::read_config(&run_dir)?;
     let robot_text = super::read_text(&run_dir.robot())?;

@@ -33,6 +33,7 @@ impl Session<'_> {
     ) -> Result<(), ExitError> {
         let deaths = supervisor.reap();
         if !deaths.is_empty() {
+            self.headroom.release();
             // Once for all of them: it waits where one has died in the middle of something.
             self.channels.clean_up_after_the_dead();
         }
@@ -66,9 +67,8 @@ impl Session<'_> {
                         "worker {worker} died ({cause}); {} open shards are ordered again",
                         estate.undelivered.len()
                     ));
-                    // Who was killed from outside says nothing about the block it was making.
                     if let Some(address) = estate.at_hand
-                        && !matches!(cause, Cause::Killed(_))
+                        && cause.blames_its_work()
                     {
                         let message = format!("its worker died ({cause})");
                         self.failures.failed(address, &message, None)?;
@@ -92,7 +92,8 @@ impl Session<'_> {
     ) -> Result<(), ExitError> {
         self.learner_deaths.count(cause);
         // One that cannot even come up will not come up the next time.
-        let is_hopeless = self.scheduler.is_none() && matches!(cause, Cause::Crash(_));
+        let is_hopeless =
+            self.scheduler.is_none() && matches!(cause, Cause::Crash(_) | Cause::SharedMemoryFull);
         if is_hopeless || self.learner_deaths.are_too_many(MAX_LEARNER_CRASHES, MAX_LEARNER_KILLS) {
             let log = self.spec.run_dir.logs().join("learner.log");
             let cure = if self.store.latest_until(self.reported).is_ok() {

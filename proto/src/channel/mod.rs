@@ -12,14 +12,18 @@
 //! Every send rings the receiver's bell (an iceoryx2 event), so nobody polls.
 //!
 //! The coordinator [creates](Channels::create) all services, everybody else [opens](Channels::open)
-//! them. All resources carry the [`Domain`]'s name, so several users and runs share a machine
-//! without seeing each other, and what a killed run left behind can be removed by name.
+//! them. Everything lies in a private directory of shared memory with the [`Domain`]'s name, so several
+//! users and runs share a machine without seeing each other, and what a killed run left behind can be
+//! removed by name.
 
 mod domain;
+mod line;
 mod ports;
+mod segment;
 mod sizes;
+mod transport;
 
-pub use domain::Domain;
+pub use domain::{Domain, SHARED_MEMORY};
 pub use ports::{
     ArrayReceiver, ArraySample, ArraySampleMut, ArraySender, Bell, BellListener, Channels,
     MessageReceiver, MessageSender, PieceReceiver, PieceSample, PieceSender, Role,

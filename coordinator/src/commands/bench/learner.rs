@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::figures::{Figure, Figures};
 use super::rollout::OTHERS;
 use super::{Bench, child};
-use crate::supervisor::set_numerical_environment;
+use crate::environment;
 
 /// Figures `learner.*`.
 pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()> {
@@ -97,6 +97,6 @@ pub(super) fn complete(
         .arg(bench.run_dir(config)?.path())
         .args(["--seconds", &bench.seconds.to_string()])
         .args(["--parent", &std::process::id().to_string()]);
-    set_numerical_environment(command, config.run.learner_threads);
+    environment::set_numerical(command, config.run.learner_threads);
     Ok(())
 }
