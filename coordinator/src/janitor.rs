@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use proto::channel::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::shield;
+use crate::{environment, shield};
 
 /// The coordinator's side.
 #[derive(Debug)]
@@ -28,6 +28,7 @@ impl Janitor {
     /// Starts the janitor of `domain`.
     pub fn start(domain: &Domain) -> std::io::Result<Self> {
         let mut command = Command::new(std::env::current_exe()?);
+        environment::clean(&mut command);
         command
             .args(["janitor", "--domain", domain.as_str()])
             .stdin(Stdio::piped())

@@ -14,7 +14,8 @@
 //!   tells a terminal what to do;
 //! * [`regular`], [`own`]: files that others may have put there, read with care;
 //! * [`signals`]: Ctrl-C once and twice;
-//! * [`janitor`]: who cleans up when the coordinator is killed.
+//! * [`janitor`]: who cleans up when the coordinator is killed;
+//! * [`environment`], [`limits`]: what a shell leaves to the processes of a run.
 //!
 //! It links no libtorch and starts in milliseconds.
 
@@ -36,7 +37,9 @@ pub mod client;
 pub mod http;
 pub mod peer;
 
+pub mod environment;
 pub mod janitor;
+pub mod limits;
 pub mod lock;
 pub mod shield;
 pub mod signals;

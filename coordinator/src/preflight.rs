@@ -5,22 +5,23 @@
 //! depend on the run.
 
 use std::io::Read as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use proto::channel::ChannelSizes;
+use proto::channel::{ChannelSizes, SHARED_MEMORY};
 use proto::config::{Config, Precision};
 use proto::layout::{Dimensions, replay_bytes};
+pub use proto::mib;
 use proto::{ExitCode, ExitError};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 
-use crate::{output, precision, provenance};
+use crate::{environment, output, precision, provenance};
 
-/// Variable that names another directory than `/dev/shm` to be measured, for tests of a machine
-/// with little shared memory.
-pub const SHM_DIR: &str = "SPACEOCTOPUS_SHM_DIR";
+/// What helps where shared memory is full and no run's needs are known.
+pub const MAKE_ROOM: &str = "`octopus clean` removes what killed runs left, `ls -l /dev/shm` shows what \
+                             others have there, `mount -o remount,size=SIZE /dev/shm` enlarges it";
 
 /// How a check ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -81,6 +82,7 @@ pub fn check_run(
     let workers = config.run.workers;
     let checks: [&dyn Fn() -> Check; 7] = [
         &|| shared_memory(config, dimensions),
+        &|| file_size(config, dimensions),
         &|| descriptors(workers),
         &|| memory_maps(workers),
         &|| processors(workers, config.run.learner_threads),
@@ -104,10 +106,10 @@ pub fn check_run(
 /// Free shared memory against what the channels of the run reserve.
 pub fn shared_memory(config: &Config, dimensions: &Dimensions) -> Check {
     const NAME: &str = "shared memory";
-    let directory = shm_dir();
-    let free = match free_space(&directory) {
+    let directory = Path::new(SHARED_MEMORY);
+    let free = match free_space(directory) {
         Ok(free) => free,
-        Err(error) => return unmounted(NAME, &directory, &error),
+        Err(error) => return unmounted(NAME, directory, &error),
     };
     let workers = config.run.workers;
     let budget = ChannelSizes::new(config, dimensions).shared_memory(workers);
@@ -152,7 +154,8 @@ fn unmounted(name: &'static str, directory: &Path, error: &std::io::Error) -> Ch
 pub fn scale(sizes: &ChannelSizes, from: usize, to: usize) -> Result<(), String> {
     let total = |workers| sizes.shared_memory(workers).iter().map(|(_, bytes)| bytes).sum::<u64>();
     let more = total(to).saturating_sub(total(from));
-    let free = free_space(&shm_dir()).map_err(|error| format!("shared memory: {error}"))?;
+    let free =
+        free_space(Path::new(SHARED_MEMORY)).map_err(|error| format!("shared memory: {error}"))?;
     if more <= free {
         return Ok(());
     }
@@ -163,15 +166,40 @@ pub fn scale(sizes: &ChannelSizes, from: usize, to: usize) -> Result<(), String>
     ))
 }
 
-/// Where shared memory lives.
-fn shm_dir() -> PathBuf {
-    std::env::var_os(SHM_DIR).map_or_else(|| PathBuf::from("/dev/shm"), PathBuf::from)
+/// Whether there is not even room for what a process needs to come up.
+pub fn shared_memory_is_full() -> bool {
+    free_space(Path::new(SHARED_MEMORY)).is_ok_and(|free| free < 1 << 20)
 }
 
 /// Bytes that this user may still write where `path` lies.
 pub fn free_space(path: &Path) -> std::io::Result<u64> {
     let space = rustix::fs::statvfs(path)?;
     Ok(space.f_bavail * space.f_frsize)
+}
+
+/// How large a file may become, against the largest segment of shared memory and the largest file of a
+/// checkpoint.
+pub fn file_size(config: &Config, dimensions: &Dimensions) -> Check {
+    const NAME: &str = "file size";
+    let Some(limit) = getrlimit(Resource::Fsize).current else {
+        return Check::good(NAME, "no limit");
+    };
+    let segments = ChannelSizes::new(config, dimensions).shared_memory(1);
+    let segment = segments.iter().map(|(_, bytes)| *bytes).max().unwrap_or(0);
+    let needed = segment.max(checkpoint_size(config, dimensions));
+    if limit < needed {
+        let found =
+            format!("a file may have {} and this run makes one of {}", mib(limit), mib(needed));
+        return Check::failure(NAME, found, "`ulimit -f unlimited`");
+    }
+    Check::good(NAME, format!("{} allowed, {} needed", mib(limit), mib(needed)))
+}
+
+/// Size of a checkpoint, about (bytes): actors and critics of the same size, parameters and two moments
+/// of each, the actors apart, and a replay.
+fn checkpoint_size(config: &Config, dimensions: &Dimensions) -> u64 {
+    let policy = ChannelSizes::new(config, dimensions).policy_len as u64;
+    4 * policy * 7 + replay_bytes(config, dimensions)
 }
 
 /// Open files that a process of the run may have, against what the transport opens.
@@ -359,7 +387,9 @@ fn gpus(driver: &Path) -> Vec<String> {
 /// What the learner prints if it is started with `args`, or why it prints nothing.
 fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
     const PATIENCE: Duration = Duration::from_mins(1);
-    let mut child = Command::new(learner)
+    let mut command = Command::new(learner);
+    environment::clean(&mut command);
+    let mut child = command
         .args(args)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -425,10 +455,8 @@ pub fn disk(
         let found = format!("{} cannot be written to: {error}", existing.display());
         return Check::failure(NAME, found, remedy.elsewhere);
     }
-    // Actors and critics of the same size, parameters and two moments of each, the actors apart,
-    // and a replay; one checkpoint more than is kept while the newest is written.
-    let policy = ChannelSizes::new(config, dimensions).policy_len as u64;
-    let checkpoint = 4 * policy * 7 + replay_bytes(config, dimensions);
+    // One checkpoint more than is kept while the newest is written.
+    let checkpoint = checkpoint_size(config, dimensions);
     let kept = config.run.checkpoints_kept;
     let needed = checkpoint * ((kept - there.min(kept)) as u64 + 1) + (16 << 20);
     match free_space(existing) {
@@ -452,12 +480,6 @@ pub fn disk(
         ),
         Ok(free) => Check::good(NAME, format!("{} free of {} needed", mib(free), mib(needed))),
     }
-}
-
-/// A size for people.
-pub fn mib(bytes: u64) -> String {
-    let mib = bytes as f64 / f64::from(1 << 20);
-    if mib >= 10_000.0 { format!("{:.1} GiB", mib / 1024.0) } else { format!("{mib:.0} MiB") }
 }
 
 /// A size in MiB with some reserve, in whole 64 MiB.

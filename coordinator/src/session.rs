@@ -14,6 +14,7 @@ pub mod failures;
 mod attention;
 mod books;
 mod control;
+mod headroom;
 mod hearing;
 mod mail;
 mod monitor;
@@ -37,6 +38,7 @@ use sim_worker::robot::Robot;
 use self::attention::{Attention, STANDSTILL};
 use self::books::Books;
 use self::failures::Failures;
+use self::headroom::Headroom;
 use self::mail::Mail;
 use self::monitor::Monitor;
 use self::snapshots::Snapshots;
@@ -138,6 +140,7 @@ struct Session<'a> {
     spec: &'a SessionSpec,
     store: CheckpointStore,
     channels: Channels,
+    headroom: Headroom,
     bell: BellListener,
     orders: Mail,
     progress: MessageReceiver<Progress>,
@@ -194,6 +197,7 @@ impl<'a> Session<'a> {
             .and_then(|entry| Some((entry.name.to_string(), entry.labels.score.as_ref()?.value)));
         let now = Instant::now();
         let mut session = Self {
+            headroom: Headroom::take(&spec.domain),
             bell: channels.listener(Role::Coordinator)?,
             orders: Mail::new(channels.order_sender()?),
             progress: channels.progress_receiver()?,
@@ -329,6 +333,7 @@ impl<'a> Session<'a> {
         self.send_orders(supervisor)?;
         self.check_deadlines(supervisor, reporter);
         if self.monitor.is_due() {
+            self.headroom.keep();
             self.spec.live.publish(self.look(supervisor));
         }
         Ok(())

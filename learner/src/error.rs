@@ -105,7 +105,9 @@ impl From<LearnerError> for ExitError {
     fn from(error: LearnerError) -> Self {
         let code = match &error {
             LearnerError::State(_) => ExitCode::RunDirectory,
-            LearnerError::Device(_) => ExitCode::Environment,
+            LearnerError::Device(_) | LearnerError::Channel(ChannelError::Full { .. }) => {
+                ExitCode::Environment
+            }
             LearnerError::Config(_)
             | LearnerError::File { .. }
             | LearnerError::Robot(_)

@@ -389,7 +389,11 @@ fn describe(job: Block, error: &RolloutError) -> Fault {
 }
 
 fn failure(error: &ChannelError) -> ExitError {
-    ExitError::new(ExitCode::Failure, error.to_string())
+    let code = match error {
+        ChannelError::Full { .. } => ExitCode::Environment,
+        _ => ExitCode::Failure,
+    };
+    ExitError::new(code, error.to_string())
 }
 
 mod fault;

@@ -81,10 +81,8 @@ fn leftovers() -> Check {
             ),
             "`octopus clean`",
         ),
-        Err(error) => Check::warning(
-            NAME,
-            format!("cannot be looked for: {error}"),
-            "check /dev/shm and /tmp",
-        ),
+        Err(error) => {
+            Check::warning(NAME, format!("cannot be looked for: {error}"), "check /dev/shm")
+        }
     }
 }

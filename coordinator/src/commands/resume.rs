@@ -64,6 +64,7 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     train::check_token_file(&args.http)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+    files::sweep(run_dir.path());
 
     let recorded = super::read_config(&run_dir)?;
     let (robot, robot_text) = super::read_robot(&run_dir)?;

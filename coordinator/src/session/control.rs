@@ -4,7 +4,7 @@ use proto::ExitError;
 use proto::message::Order;
 
 use super::Session;
-use super::monitor::{self, Monitor};
+use super::monitor::Monitor;
 use crate::live::{Best, Command, LiveStatus};
 use crate::preflight;
 use crate::report::Reporter;
@@ -113,7 +113,7 @@ impl Session<'_> {
             learner_restarts: self.learner_restarts,
             stages: self.monitor.stages,
             accounting: self.books.totals,
-            shared_memory_bytes: monitor::shared_memory(&self.spec.domain),
+            shared_memory_bytes: self.spec.domain.size(),
             commits: self.monitor.commits,
             checkpoint: self.monitor.checkpoint.clone(),
             best: self.monitor.best.clone().map(|(name, score)| Best { name, score }),

@@ -1,6 +1,6 @@
 //! What the processes of a run and its committer say, and what follows from it.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use proto::message::{IterationReport, Order, Progress, Status};
 use proto::{ExitCode, ExitError};
@@ -18,6 +18,9 @@ use crate::supervisor::{Deaths, Supervisor};
 fn unwritten(error: &anyhow::Error) -> ExitError {
     ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be written: {error:#}"))
 }
+
+/// How long a learner that has said why it fails may take to end.
+const LAST_WORD: Duration = Duration::from_secs(2);
 
 impl Session<'_> {
     pub(super) fn hear_workers(
@@ -87,7 +90,7 @@ impl Session<'_> {
 
     pub(super) fn hear_learner(
         &mut self,
-        supervisor: &Supervisor,
+        supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
         let now = self.attention.now();
@@ -120,7 +123,8 @@ impl Session<'_> {
                     self.iteration_done(*report, supervisor, reporter)?;
                 }
                 Progress::Failed { message } => {
-                    return Err(ExitError::new(ExitCode::Child, format!("learner: {message}")));
+                    let code = supervisor.learner_exit_code(LAST_WORD);
+                    return Err(ExitError::new(code, format!("learner: {message}")));
                 }
                 other => tracing::warn!(?other, "progress of an unknown kind"),
             }
@@ -198,7 +202,7 @@ impl Session<'_> {
 
     pub(super) fn collect_pieces(
         &mut self,
-        supervisor: &Supervisor,
+        supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
         while let Some(piece) = self.pieces.try_receive()? {

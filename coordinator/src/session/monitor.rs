@@ -2,7 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use proto::channel::Domain;
 use proto::message::{IterationReport, WorkerId};
 
 use crate::live::{ProcessStatus, Role, Stages};
@@ -145,15 +144,4 @@ fn usage(pid: u32) -> Usage {
     };
     let ticks = read("stat").ok().and_then(ticks).unwrap_or(0);
     Usage { resident_bytes, cpu_s: ticks as f64 / rustix::param::clock_ticks_per_second() as f64 }
-}
-
-/// Memory that the run's files in /dev/shm take (bytes).
-pub(super) fn shared_memory(domain: &Domain) -> u64 {
-    use std::os::unix::fs::MetadataExt as _;
-    let Ok(entries) = std::fs::read_dir("/dev/shm") else { return 0 };
-    entries
-        .flatten()
-        .filter(|entry| entry.file_name().to_string_lossy().starts_with(domain.as_str()))
-        .filter_map(|entry| Some(entry.metadata().ok()?.blocks() * 512))
-        .sum()
 }

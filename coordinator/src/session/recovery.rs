@@ -36,6 +36,7 @@ impl Session<'_> {
     ) -> Result<(), ExitError> {
         let deaths = supervisor.reap();
         if !deaths.is_empty() {
+            self.headroom.release();
             // Once for all of them: it waits where one has died in the middle of something.
             self.channels.clean_up_after_the_dead();
         }
@@ -69,9 +70,8 @@ impl Session<'_> {
                         "worker {worker} died ({cause}); {} open shards are ordered again",
                         estate.undelivered.len()
                     ));
-                    // Who was killed from outside says nothing about the block it was making.
                     if let Some(address) = estate.at_hand
-                        && !matches!(cause, Cause::Killed(_))
+                        && cause.blames_its_work()
                     {
                         let message = format!("its worker died ({cause})");
                         self.failures.failed(address, &message, None)?;
@@ -110,7 +110,7 @@ impl Session<'_> {
         }
         self.learner_deaths.count(cause);
         // One that cannot even come up will not come up the next time.
-        let is_hopeless = !is_up && matches!(cause, Cause::Crash(_));
+        let is_hopeless = !is_up && matches!(cause, Cause::Crash(_) | Cause::SharedMemoryFull);
         if is_hopeless || self.learner_deaths.are_too_many(MAX_LEARNER_CRASHES, MAX_LEARNER_KILLS) {
             // What has never come up does not do so for being asked again.
             let cure = if !is_hopeless && self.find_base().is_ok_and(|(base, _)| base.is_some()) {

@@ -14,14 +14,18 @@
 //! it was stopped or its disk is, comes back, and with one that is dead the kernel ends its children.
 //!
 //! The coordinator [creates](Channels::create) all services, everybody else [opens](Channels::open)
-//! them. All resources carry the [`Domain`]'s name, so several users and runs share a machine
-//! without seeing each other, and what a killed run left behind can be removed by name.
+//! them. Everything lies in a private directory of shared memory with the [`Domain`]'s name, so several
+//! users and runs share a machine without seeing each other, and what a killed run left behind can be
+//! removed by name.
 
 mod domain;
+mod line;
 mod ports;
+mod segment;
 mod sizes;
+mod transport;
 
-pub use domain::Domain;
+pub use domain::{Domain, SHARED_MEMORY};
 pub use ports::{
     ArrayReceiver, ArraySample, ArraySampleMut, ArraySender, Bell, BellListener, Channels,
     MessageReceiver, MessageSender, OrderSender, PieceReceiver, PieceSample, PieceSender, Role,

@@ -2,6 +2,7 @@
 
 use std::fmt::Debug;
 use std::marker::PhantomData;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -17,18 +18,19 @@ use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use serde::{Deserialize, Serialize};
 
+use super::line::Line;
 use super::sizes::{
     MESSAGE_BUFFER, ORDER_LEN, PIECE_BUFFER, POLICY_BORROWED, POLICY_BUFFER, PROGRESS_LEN,
     STATUS_LEN,
 };
-use super::{ChannelSizes, Domain, PIECE_LEN};
+use super::transport::Private as Ipc;
+use super::{ChannelSizes, Domain, PIECE_LEN, SHARED_MEMORY, segment};
 use crate::ChannelError;
 use crate::layout::{BlockHeader, PolicyHeader, SnapshotHeader, layout_hash};
 use crate::message::{self, Order, PortId, Progress, Status};
 
-type Ipc = ipc::Service;
 type Bytes<H> = publish_subscribe::PortFactory<Ipc, [u8], H>;
-type Floats<H> = publish_subscribe::PortFactory<Ipc, [f32], H>;
+type Floats<H> = publish_subscribe::PortFactory<Ipc, [Line], H>;
 
 /// The deadline of who gives up for nobody but the kernel, see [`die_with_parent`](crate::child::die_with_parent).
 pub const WHILE_THE_PARENT_LIVES: Duration = Duration::MAX;
@@ -102,6 +104,10 @@ impl Channels {
 
     fn new(domain: &Domain, sizes: ChannelSizes, access: Access) -> Result<Self, ChannelError> {
         set_log_level(LogLevel::Fatal);
+        match access {
+            Access::Create => domain.make_root()?,
+            Access::Open => domain.check_root()?,
+        }
         let node = NodeBuilder::new()
             .config(&domain.config(access == Access::Create))
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -126,7 +132,6 @@ impl Channels {
                     .service_builder(&service_name($name)?)
                     .publish_subscribe::<[$payload]>()
                     .user_header::<$header>()
-                    .payload_alignment(Alignment::new(64).expect("64 is a power of two"))
                     .max_publishers(limits.publishers)
                     .max_subscribers(limits.subscribers)
                     .max_nodes(max_nodes)
@@ -169,7 +174,7 @@ impl Channels {
             ),
             policy: service!(
                 "policy",
-                f32,
+                Line,
                 PolicyHeader,
                 Limits {
                     publishers: 2,
@@ -183,7 +188,7 @@ impl Channels {
             ),
             rollouts: service!(
                 "rollouts",
-                f32,
+                Line,
                 BlockHeader,
                 Limits {
                     publishers: max_workers,
@@ -293,12 +298,13 @@ impl Channels {
     /// The learner's end of `policy`.
     pub fn policy_sender(&self) -> Result<ArraySender<PolicyHeader>, ChannelError> {
         let bell = self.bell(Role::Workers)?;
-        ArraySender::new(&self.policy, "policy", bell, self.sizes.policy_len, Duration::ZERO)
+        let (len, slots) = (self.sizes.policy_len, self.sizes.policy_slots());
+        ArraySender::new(&self.policy, "policy", bell, len, slots, Duration::ZERO)
     }
 
     /// A worker's or the coordinator's end of `policy`.
     pub fn policy_receiver(&self) -> Result<ArrayReceiver<PolicyHeader>, ChannelError> {
-        ArrayReceiver::new(&self.policy, "policy")
+        ArrayReceiver::new(&self.policy, "policy", self.sizes.policy_len)
     }
 
     /// A worker's end of `rollouts`.
@@ -307,12 +313,13 @@ impl Channels {
         deadline: Duration,
     ) -> Result<ArraySender<BlockHeader>, ChannelError> {
         let bell = self.bell(Role::Learner)?;
-        ArraySender::new(&self.rollouts, "rollouts", bell, self.sizes.block_len, deadline)
+        let len = self.sizes.block_len;
+        ArraySender::new(&self.rollouts, "rollouts", bell, len, usize::MAX, deadline)
     }
 
     /// The learner's end of `rollouts`.
     pub fn block_receiver(&self) -> Result<ArrayReceiver<BlockHeader>, ChannelError> {
-        ArrayReceiver::new(&self.rollouts, "rollouts")
+        ArrayReceiver::new(&self.rollouts, "rollouts", self.sizes.block_len)
     }
 
     /// The learner's end of `snapshot`; a piece waits for room no longer than `deadline`.
@@ -403,7 +410,7 @@ impl<M: Serialize> MessageSender<M> {
             .write_from_slice(&bytes);
         sample.send().map_err(|error| send_error(self.service, self.deadline, error))?;
         self.bells.iter().for_each(Bell::ring);
-        Ok(())
+        check_connections(self.service)
     }
 }
 
@@ -452,6 +459,7 @@ impl<M: for<'de> Deserialize<'de>> MessageReceiver<M> {
             .subscriber
             .receive()
             .map_err(|error| transfer_error(self.service, "receive", &error))?;
+        check_connections(self.service)?;
         sample
             .map(|sample| {
                 message::decode(sample.payload()).map_err(|reason| ChannelError::Decode {
@@ -467,7 +475,7 @@ impl<M: for<'de> Deserialize<'de>> MessageReceiver<M> {
 /// Sends arrays of `f32` that are filled in place.
 #[derive(Debug)]
 pub struct ArraySender<H: Debug + ZeroCopySend + Default> {
-    publisher: Publisher<Ipc, [f32], H>,
+    publisher: Publisher<Ipc, [Line], H>,
     service: &'static str,
     bell: Bell,
     len: usize,
@@ -475,16 +483,20 @@ pub struct ArraySender<H: Debug + ZeroCopySend + Default> {
 }
 
 impl<H: Debug + ZeroCopySend + Default + Copy> ArraySender<H> {
+    /// With `slots` arrays of length `len`, or as many as iceoryx2 takes for the worst case if that is
+    /// less.
     fn new(
         factory: &Floats<H>,
         service: &'static str,
         bell: Bell,
         len: usize,
+        slots: usize,
         deadline: Duration,
     ) -> Result<Self, ChannelError> {
         let publisher = factory
             .publisher_builder()
-            .initial_max_slice_len(len)
+            .initial_max_slice_len(Line::count(len))
+            .override_sample_preallocation(move |worst| worst.min(slots))
             .max_loaned_samples(1)
             .backpressure_strategy(strategy(deadline))
             .set_backpressure_handler(give_up_after(deadline))
@@ -497,16 +509,17 @@ impl<H: Debug + ZeroCopySend + Default + Copy> ArraySender<H> {
     pub fn loan(&self) -> Result<ArraySampleMut<H>, ChannelError> {
         let sample = self
             .publisher
-            .loan_slice(self.len)
+            .loan_slice(Line::count(self.len))
             .map_err(|error| transfer_error(self.service, "loan", &error))?;
-        Ok(ArraySampleMut(sample))
+        Ok(ArraySampleMut { sample, len: self.len })
     }
 
     /// Sends a filled array and wakes the receivers. Returns how many receivers got it.
-    pub fn send(&self, sample: ArraySampleMut<H>) -> Result<usize, ChannelError> {
+    pub fn send(&self, array: ArraySampleMut<H>) -> Result<usize, ChannelError> {
         let receivers =
-            sample.0.send().map_err(|error| send_error(self.service, self.deadline, error))?;
+            array.sample.send().map_err(|error| send_error(self.service, self.deadline, error))?;
         self.bell.ring();
+        check_connections(self.service)?;
         Ok(receivers)
     }
 
@@ -518,56 +531,74 @@ impl<H: Debug + ZeroCopySend + Default + Copy> ArraySender<H> {
 
 /// An array in shared memory that is being filled.
 #[derive(Debug)]
-pub struct ArraySampleMut<H: Debug + ZeroCopySend>(SampleMut<Ipc, [f32], H>);
+pub struct ArraySampleMut<H: Debug + ZeroCopySend> {
+    sample: SampleMut<Ipc, [Line], H>,
+    len: usize,
+}
 
 impl<H: Debug + ZeroCopySend> ArraySampleMut<H> {
     /// The elements, 64-byte aligned.
     pub fn payload_mut(&mut self) -> &mut [f32] {
-        self.0.payload_mut()
+        Line::numbers_mut(self.sample.payload_mut(), self.len)
     }
 
     /// The header.
     pub fn header_mut(&mut self) -> &mut H {
-        self.0.user_header_mut()
+        self.sample.user_header_mut()
     }
 }
 
 /// Receives arrays of `f32` as views of shared memory.
 #[derive(Debug)]
 pub struct ArrayReceiver<H: Debug + ZeroCopySend> {
-    subscriber: Subscriber<Ipc, [f32], H>,
+    subscriber: Subscriber<Ipc, [Line], H>,
     service: &'static str,
+    len: usize,
 }
 
 impl<H: Debug + ZeroCopySend> ArrayReceiver<H> {
-    fn new(factory: &Floats<H>, service: &'static str) -> Result<Self, ChannelError> {
+    fn new(factory: &Floats<H>, service: &'static str, len: usize) -> Result<Self, ChannelError> {
         let subscriber = factory
             .subscriber_builder()
             .create()
             .map_err(|error| port_error(service, "subscriber", &error))?;
-        Ok(Self { subscriber, service })
+        Ok(Self { subscriber, service, len })
     }
 
     /// The next array, if one is there. Its memory stays the sender's until the sample is dropped.
     pub fn try_receive(&self) -> Result<Option<ArraySample<H>>, ChannelError> {
         let sample = self.subscriber.receive();
-        Ok(sample.map_err(|e| transfer_error(self.service, "receive", &e))?.map(ArraySample))
+        let sample = sample.map_err(|e| transfer_error(self.service, "receive", &e))?;
+        check_connections(self.service)?;
+        let Some(sample) = sample else { return Ok(None) };
+        let (lines, len) = (sample.payload().len(), self.len);
+        if lines != Line::count(len) {
+            return Err(ChannelError::Decode {
+                service: self.service.to_owned(),
+                len: size_of_val(sample.payload()),
+                reason: format!("an array of {len} numbers was expected"),
+            });
+        }
+        Ok(Some(ArraySample { sample, len }))
     }
 }
 
 /// An array in shared memory, read-only.
 #[derive(Debug)]
-pub struct ArraySample<H: Debug + ZeroCopySend>(Sample<Ipc, [f32], H>);
+pub struct ArraySample<H: Debug + ZeroCopySend> {
+    sample: Sample<Ipc, [Line], H>,
+    len: usize,
+}
 
 impl<H: Debug + ZeroCopySend> ArraySample<H> {
     /// The elements, 64-byte aligned.
     pub fn payload(&self) -> &[f32] {
-        self.0.payload()
+        Line::numbers(self.sample.payload(), self.len)
     }
 
     /// The header.
     pub fn header(&self) -> &H {
-        self.0.user_header()
+        self.sample.user_header()
     }
 }
 
@@ -598,6 +629,7 @@ impl PieceSender {
             Err(error) => return Err(transfer_error("snapshot", "send", &error)),
         }
         self.bell.ring();
+        check_connections("snapshot")?;
         Ok((begin + piece.len()) as u64)
     }
 }
@@ -610,6 +642,7 @@ impl PieceReceiver {
     /// The next piece, if one is there.
     pub fn try_receive(&self) -> Result<Option<PieceSample>, ChannelError> {
         let sample = self.0.receive().map_err(|e| transfer_error("snapshot", "receive", &e))?;
+        check_connections("snapshot")?;
         Ok(sample.map(PieceSample))
     }
 }
@@ -669,19 +702,47 @@ fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
 }
 
 fn open_error(service: &str, error: &dyn Debug) -> ChannelError {
-    ChannelError::Open {
+    full(service).or_else(|| no_room(service)).unwrap_or_else(|| ChannelError::Open {
         service: service.to_owned(),
         reason: format!("{error:?}"),
         layout: layout_hash(),
-    }
+    })
 }
 
 fn port_error(service: &str, port: &'static str, error: &dyn Debug) -> ChannelError {
-    ChannelError::Port { service: service.to_owned(), port, reason: format!("{error:?}") }
+    full(service).or_else(|| no_room(service)).unwrap_or_else(|| ChannelError::Port {
+        service: service.to_owned(),
+        port,
+        reason: format!("{error:?}"),
+    })
 }
 
 fn transfer_error(service: &str, action: &'static str, error: &dyn Debug) -> ChannelError {
-    ChannelError::Transfer { service: service.to_owned(), action, reason: format!("{error:?}") }
+    full(service).unwrap_or_else(|| ChannelError::Transfer {
+        service: service.to_owned(),
+        action,
+        reason: format!("{error:?}"),
+    })
+}
+
+/// The error of a segment that could not be made, if there was one.
+fn full(service: &str) -> Option<ChannelError> {
+    let segment::Shortage { needed, free } = segment::take_shortage()?;
+    Some(ChannelError::Full { what: format!("channel `{service}`"), needed, free })
+}
+
+/// The error of a small file that could not be written because there is no room at all: iceoryx2 does
+/// not say so.
+fn no_room(service: &str) -> Option<ChannelError> {
+    let free = segment::free_space(Path::new(SHARED_MEMORY)).ok()?;
+    let what = format!("channel `{service}`");
+    (free < segment::MARGIN).then_some(ChannelError::Full { what, needed: segment::MARGIN, free })
+}
+
+/// Fails if a connection to the other end could not be made. Ports connect while they send and receive,
+/// and go on without those to whom they could not.
+fn check_connections(service: &str) -> Result<(), ChannelError> {
+    full(service).map_or(Ok(()), Err)
 }
 
 fn send_error(service: &str, deadline: Duration, error: SendError) -> ChannelError {

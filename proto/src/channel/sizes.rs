@@ -1,5 +1,6 @@
 //! How large the channels are, and how much shared memory they take.
 
+use super::segment::MARGIN;
 use crate::config::Config;
 use crate::layout::{ActorLayout, BlockLayout, Dimensions};
 
@@ -38,8 +39,12 @@ pub(super) const STATUS_LEN: usize = 4 << 10;
 pub(super) const PROGRESS_LEN: usize = 16 << 10;
 /// Policies that may wait, and that a late worker still gets.
 pub(super) const POLICY_BUFFER: usize = 2;
-/// Policies that a worker may hold.
+/// Policies that the coordinator may hold: two and one that it has just received. A worker holds one,
+/// while it reads it.
 pub(super) const POLICY_BORROWED: usize = 3;
+/// Services, connections and what must stay free (bytes): an allowance, which a test compares with what
+/// is taken.
+const MANAGEMENT: u64 = (3 << 20) + MARGIN;
 /// Pieces of a snapshot that may wait.
 pub(super) const PIECE_BUFFER: usize = 4;
 
@@ -58,14 +63,20 @@ impl ChannelSizes {
         }
     }
 
+    /// Policies that exist at once, at most. All receivers' queues hold the same, the newest; beside them
+    /// there are the one that is written, the one that it pushes out, what the coordinator holds, and
+    /// one for every worker that stands still while it reads. iceoryx2 would reckon with queues of which
+    /// each holds others, and reserve four times as much.
+    pub(super) fn policy_slots(&self) -> usize {
+        POLICY_BUFFER + 2 + POLICY_BORROWED + self.max_workers
+    }
+
     /// Shared memory that `workers` workers, the learner and the coordinator reserve, by channel
-    /// (bytes). iceoryx2 reserves, for each sender, as many slots as all receivers can queue and
-    /// hold, plus its history and the ones it fills.
+    /// (bytes). Each sender has as many slots as all receivers can queue and hold, plus its history and
+    /// the ones it fills; of policies see [`Self::policy_slots`].
     pub fn shared_memory(&self, workers: usize) -> [(&'static str, u64); 4] {
         let bytes = |slots: usize, len: usize| (slots * (len + 256)) as u64;
         let blocks = bytes(self.block_buffer + self.block_borrowed + 1, 4 * self.block_len);
-        let policies =
-            (self.max_workers + 1) * (POLICY_BUFFER + POLICY_BORROWED) + POLICY_BUFFER + 1;
         let messages =
             |receivers: usize, buffer: usize, len: usize| bytes(receivers * (buffer + 1) + 1, len);
         let orders = messages(self.max_workers + 2, self.order_buffer, ORDER_LEN);
@@ -73,9 +84,9 @@ impl ChannelSizes {
             + workers as u64 * messages(2, MESSAGE_BUFFER, STATUS_LEN);
         [
             ("rollouts", blocks * workers as u64),
-            ("policy", bytes(policies, 4 * self.policy_len)),
+            ("policy", bytes(self.policy_slots(), 4 * self.policy_len)),
             ("snapshot", bytes(PIECE_BUFFER + 2, PIECE_LEN)),
-            ("messages", orders + reports),
+            ("messages", orders + reports + MANAGEMENT),
         ]
     }
 }

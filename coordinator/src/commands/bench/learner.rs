@@ -10,7 +10,7 @@ use super::figures::{Figure, Figures};
 use super::processor::Processor;
 use super::rollout::OTHERS;
 use super::{Bench, child};
-use crate::supervisor::set_numerical_environment;
+use crate::environment;
 
 /// The fastest of all updates: what the floor of a training reckons with.
 pub(super) const BEST: &str = "learner.best_env_steps_per_s";
@@ -123,6 +123,6 @@ pub(super) fn complete(
         .arg(bench.run_dir(config)?.path())
         .args(["--seconds", &bench.seconds.to_string()])
         .args(["--parent", &std::process::id().to_string()]);
-    set_numerical_environment(command, config.run.learner_threads);
+    environment::set_numerical(command, config.run.learner_threads);
     Ok(())
 }
