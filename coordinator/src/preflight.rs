@@ -80,7 +80,7 @@ pub fn check_run(
     learner: &Path,
 ) -> Result<(), ExitError> {
     let workers = config.run.workers;
-    let checks: [&dyn Fn() -> Check; 7] = [
+    let checks: [&dyn Fn() -> Check; 8] = [
         &|| shared_memory(config, dimensions),
         &|| file_size(config, dimensions),
         &|| descriptors(workers),
