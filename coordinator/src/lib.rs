@@ -9,7 +9,8 @@
 //! * [`cli`] and [`commands`]: the command line, one file a command;
 //! * [`report`]: metrics, TensorBoard events, progress, the learning curve;
 //! * [`provenance`]: which program and machine made a run;
-//! * [`output`], [`logs`]: standard output is data, standard error is for people;
+//! * [`output`], [`logs`]: standard output is data, standard error is for people; [`causes`] words errors;
+//! * [`outputs`]: what a command may write over;
 //! * [`signals`]: Ctrl-C once and twice;
 //! * [`janitor`]: who cleans up when the coordinator is killed.
 //!
@@ -40,6 +41,8 @@ pub mod preflight;
 pub mod provenance;
 pub mod report;
 
+pub mod causes;
 pub mod files;
 pub mod logs;
 pub mod output;
+pub mod outputs;

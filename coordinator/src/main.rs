@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use coordinator::{cli::Cli, commands, logs};
+use coordinator::{causes, cli::Cli, commands, logs};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
@@ -15,7 +15,7 @@ fn main() -> ExitCode {
             if error.is::<commands::NotTheSame>() {
                 return ExitCode::from(commands::exit_code(&error) as u8);
             }
-            eprintln!("error: {}", format!("{error:#}").trim_end());
+            eprintln!("error: {}", causes::told(&error));
             ExitCode::from(commands::exit_code(&error) as u8)
         }
     }

@@ -1,11 +1,13 @@
 //! The one place that writes to standard output: data, as tables a person reads or as JSON.
 
+mod table;
+
 use std::io::{ErrorKind, Write as _};
 
 use anyhow::Context as _;
-use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
+pub use self::table::{COLUMNS, columns, table, table_within};
 use crate::report::progress::grouped;
 
 /// Writes a text with a line end.
@@ -39,24 +41,4 @@ pub fn write(bytes: &[u8]) -> anyhow::Result<()> {
 /// A count and what is counted: `1 worker`, `1,200 workers`.
 pub fn counted(count: u64, noun: &str) -> String {
     format!("{} {noun}{}", grouped(count), if count == 1 { "" } else { "s" })
-}
-
-/// A table whose first column holds names and whose others hold numbers.
-pub fn table<const N: usize>(
-    header: [&str; N],
-    rows: impl IntoIterator<Item = [String; N]>,
-) -> String {
-    let mut table = Table::new();
-    table.load_preset(presets::NOTHING).set_header(header);
-    for row in rows {
-        table.add_row(row);
-    }
-    for column in table.column_iter_mut() {
-        column.set_padding((0, 2));
-        if column.index > 0 {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    let lines: Vec<_> = table.lines().map(|line| line.trim_end().to_owned()).collect();
-    lines.join("\n")
 }
