@@ -10,8 +10,9 @@
 //! * [`report`]: metrics, TensorBoard events, progress, the learning curve;
 //! * [`precision`]: what `run.precision = "auto"` means on this machine;
 //! * [`provenance`]: which program and machine made a run;
-//! * [`output`], [`logs`]: standard output is data, standard error is for people; [`printable`]: neither
-//!   tells a terminal what to do;
+//! * [`output`], [`logs`]: standard output is data, standard error is for people; [`causes`] words errors;
+//!   [`printable`]: nothing tells a terminal what to do;
+//! * [`outputs`]: what a command may write over;
 //! * [`regular`], [`own`]: files that others may have put there, read with care;
 //! * [`signals`]: Ctrl-C once and twice;
 //! * [`janitor`]: who cleans up when the coordinator is killed;
@@ -51,9 +52,11 @@ pub mod provenance;
 pub mod report;
 pub mod shakedown;
 
+pub mod causes;
 pub mod files;
 pub mod logs;
 pub mod output;
+pub mod outputs;
 pub mod own;
 pub mod printable;
 pub mod regular;

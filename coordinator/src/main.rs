@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use coordinator::{cli::Cli, commands, limits, logs, output};
+use coordinator::{causes, cli::Cli, commands, limits, logs, output};
 
 fn main() -> ExitCode {
     if let Err(error) = limits::prepare() {
@@ -19,8 +19,8 @@ fn main() -> ExitCode {
             if error.is::<commands::NotTheSame>() {
                 return ExitCode::from(commands::exit_code(&error) as u8);
             }
-            let text = format!("{error:#}");
-            output::note(&format!("error: {}", text.trim_end()));
+            let text = causes::told(&error);
+            output::note(&format!("error: {text}"));
             if let Some(cure) = limits::cure(&text) {
                 output::note(&cure);
                 return ExitCode::from(proto::ExitCode::Environment as u8);

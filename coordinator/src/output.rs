@@ -1,14 +1,16 @@
 //! The one place that writes to standard output: data, as tables a person reads or as JSON. Notes go
 //! to standard error.
 
+mod table;
+
 use std::io::{ErrorKind, Write as _};
 
 use anyhow::Context as _;
-use comfy_table::{CellAlignment, Table, presets};
 use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
 use serde::Serialize;
 
+pub use self::table::{COLUMNS, columns, table, table_within};
 use crate::printable::{printable, printable_json};
 use crate::report::progress::grouped;
 
@@ -66,24 +68,4 @@ fn is_closed_terminal(error: &std::io::Error) -> bool {
 /// A count and what is counted: `1 worker`, `1,200 workers`.
 pub fn counted(count: u64, noun: &str) -> String {
     format!("{} {noun}{}", grouped(count), if count == 1 { "" } else { "s" })
-}
-
-/// A table whose first column holds names and whose others hold numbers.
-pub fn table<const N: usize>(
-    header: [&str; N],
-    rows: impl IntoIterator<Item = [String; N]>,
-) -> String {
-    let mut table = Table::new();
-    table.load_preset(presets::NOTHING).set_header(header);
-    for row in rows {
-        table.add_row(row);
-    }
-    for column in table.column_iter_mut() {
-        column.set_padding((0, 2));
-        if column.index > 0 {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    let lines: Vec<_> = table.lines().map(|line| line.trim_end().to_owned()).collect();
-    lines.join("\n")
 }

@@ -19,6 +19,8 @@ use serde::Serialize;
 
 use crate::{environment, output, precision, provenance};
 
+mod smaller;
+
 /// What helps where shared memory is full and no run's needs are known.
 pub const MAKE_ROOM: &str = "`octopus clean` removes what killed runs left, `ls -l /dev/shm` shows what \
                              others have there, `mount -o remount,size=SIZE /dev/shm` enlarges it";
@@ -129,16 +131,31 @@ pub fn shared_memory(config: &Config, dimensions: &Dimensions) -> Check {
             parts.join(", "),
             mib(free)
         ),
-        format!(
-            "enlarge it: `mount -o remount,size={}M {shown}` (in a container start it with \
-             --shm-size={}m), or need less: --workers {} or --envs {}; `octopus clean` removes \
-             what killed runs left",
-            round_up(needed),
-            round_up(needed),
-            (workers / 2).max(1),
-            (config.env.n_envs / 2).max(1),
-        ),
+        cures(needed, &smaller::fitting(config, dimensions, free), directory),
     )
+}
+
+/// What helps where shared memory is too small; only what would be enough.
+fn cures(needed: u64, less: &[String], directory: &Path) -> String {
+    let shown = directory.display();
+    let mut cures = Vec::new();
+    if round_up(needed) << 20 <= provenance::memory() {
+        let size = round_up(needed);
+        cures.push(format!(
+            "enlarge it: `mount -o remount,size={size}M {shown}` (in a container start it with \
+             --shm-size={size}m)"
+        ));
+    }
+    if !less.is_empty() {
+        cures.push(format!("need less: {}", less.join(" or ")));
+    }
+    if cures.is_empty() {
+        cures.push(
+            "need less: smaller networks and episodes, or a machine with more memory".to_owned(),
+        );
+    }
+    cures.push("`octopus clean` removes what killed runs left".to_owned());
+    cures.join("; ")
 }
 
 fn unmounted(name: &'static str, directory: &Path, error: &std::io::Error) -> Check {
@@ -208,11 +225,12 @@ pub fn descriptors(workers: usize) -> Check {
     // With two workers a learner has 80 open, a worker 69, a coordinator 65 (/proc/PID/fd); each
     // further worker adds a few connections to all of them, and this leaves room for that.
     let needed = 128 + 32 * (workers as u64 + 2);
-    match getrlimit(Resource::Nofile).current {
+    let limits = getrlimit(Resource::Nofile);
+    match limits.current {
         Some(limit) if limit < needed => Check::failure(
             NAME,
             format!("a process may open {limit} files and {workers} workers need {needed}"),
-            format!("`ulimit -n {}`, or fewer --workers", needed.next_power_of_two()),
+            smaller::open_files(needed, limit, limits.maximum),
         ),
         Some(limit) => Check::good(NAME, format!("{limit} allowed, {needed} needed")),
         None => Check::good(NAME, "no limit"),
@@ -228,7 +246,7 @@ pub fn memory_maps(workers: usize) -> Check {
         Ok(limit) if limit < needed => Check::failure(
             NAME,
             format!("a process may have {limit} and {needed} are needed"),
-            "`sysctl -w vm.max_map_count=65530`",
+            format!("`sysctl -w vm.max_map_count={}`", needed.max(65_530)),
         ),
         Ok(limit) => Check::good(NAME, format!("{limit} allowed, {needed} needed")),
         Err(_) => Check::good(NAME, "no limit known"),
@@ -458,7 +476,8 @@ pub fn disk(
     // One checkpoint more than is kept while the newest is written.
     let checkpoint = checkpoint_size(config, dimensions);
     let kept = config.run.checkpoints_kept;
-    let needed = checkpoint * ((kept - there.min(kept)) as u64 + 1) + (16 << 20);
+    let with = |kept: usize| checkpoint * ((kept - there.min(kept)) as u64 + 1) + (16 << 20);
+    let needed = with(kept);
     match free_space(existing) {
         Err(error) => Check::failure(
             NAME,
@@ -473,7 +492,7 @@ pub fn disk(
                 mib(free),
                 mib(needed)
             ),
-            match remedy.less {
+            match remedy.less.filter(|_| with(1) <= free) {
                 Some(less) => format!("make room, {}, or {less}", remedy.elsewhere),
                 None => format!("make room, or {}", remedy.elsewhere),
             },
@@ -506,9 +525,14 @@ mod tests {
         let check = shared_memory(&config, &Dimensions::new(&config, 4));
         assert_eq!(check.verdict, Verdict::Failure);
         let cure = check.cure.expect("a failure has a cure");
-        for part in ["mount -o remount,size=", "--workers 128", "--envs 32768", "octopus clean"] {
-            assert!(cure.contains(part), "{cure}");
-        }
+        assert!(cure.contains("need less: --") && cure.ends_with("killed runs left"), "{cure}");
+        let enlarged = cures(1 << 20, &[], Path::new("/dev/shm"));
+        assert!(
+            enlarged.starts_with("enlarge it: `mount -o remount,size=64M /dev/shm`"),
+            "{enlarged}"
+        );
+        let nothing = cures(u64::MAX >> 1, &[], Path::new("/dev/shm"));
+        assert!(nothing.starts_with("need less: smaller networks"), "{nothing}");
     }
 
     #[test]

@@ -5,6 +5,7 @@ mod bad_input;
 mod bench;
 mod chaos;
 mod checkpoints;
+mod command_line;
 mod damage;
 mod environment;
 mod exactness;

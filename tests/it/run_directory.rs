@@ -218,7 +218,7 @@ fn a_policy_acts_the_same_in_numpy() {
         );
         run.succeed();
         let path = run.path();
-        let block = path.join("block.safetensors");
+        let block = path.with_file_name("block.safetensors");
         let [of_run, out] = [&path, &block].map(|path| path.to_str().expect("UTF-8"));
         let latest = format!("{of_run}:latest");
         let rollout = ["rollout", of_run, "--address=7/2/1", "--policy", &latest, "--out", out];

@@ -14,6 +14,8 @@ mod rollout;
 mod train;
 mod transport;
 
+use std::path::Path;
+
 use anyhow::Context as _;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::Dimensions;
@@ -28,6 +30,7 @@ use self::figures::Figures;
 use self::load::{Load, Watch};
 use self::peer::Peers;
 use crate::cli::bench::{BenchArgs, Subject};
+use crate::outputs::Output;
 use crate::provenance::Provenance;
 use crate::report::progress::Stages;
 use crate::signals::StopRequests;
@@ -110,6 +113,12 @@ impl Bench {
                 let message = format!("{flag} has no meaning here; {cure}");
                 return Err(ExitError::new(ExitCode::Usage, message).into());
             }
+        }
+        for name in args.pictures.iter().flat_map(|_| growth::NAMES) {
+            let dir = args.pictures.as_deref().unwrap_or(Path::new("."));
+            let path = picture::path(dir, name);
+            let mark = b"<svg";
+            Output { flag: "--pictures", path: &path, mark, force: args.force }.check(&[])?;
         }
         let preset: Preset = args.preset.into();
         let workers = format!("[run]\nworkers = {}", args.workers);

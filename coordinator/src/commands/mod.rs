@@ -6,6 +6,7 @@ pub mod clean;
 pub mod doctor;
 pub mod eval;
 pub mod experiment;
+mod full;
 pub mod mjcf;
 pub mod plot;
 pub mod reproduce;
@@ -18,6 +19,7 @@ pub mod statistics;
 pub mod status;
 pub mod train;
 pub mod trained;
+pub(crate) mod verdict;
 pub mod verify;
 
 use std::io::BufReader;
@@ -37,6 +39,7 @@ use crate::janitor;
 use crate::lock::LockError;
 use crate::regular;
 use crate::shakedown::shakedown;
+use crate::signals;
 
 /// Two things that were compared are not the same. No failure but the answer, which standard output
 /// holds: the program ends with exit code 1 and says no more.
@@ -46,6 +49,17 @@ pub struct NotTheSame;
 
 /// Does what the command line says.
 pub fn run(command: Command) -> anyhow::Result<()> {
+    // Others have something to end first, or nothing to be stopped in.
+    let stoppable = match &command {
+        Command::Eval(_) | Command::Experiment(_) | Command::Simulate(_) | Command::Rollout(_) => {
+            true
+        }
+        Command::Reproduce(args) => !args.train,
+        _ => false,
+    };
+    if stoppable {
+        signals::exit_when_asked("stopped".to_owned()).context("signals cannot be caught")?;
+    }
     match command {
         Command::Train(args) => train::run(&args),
         Command::Resume(args) => resume::run(&args),

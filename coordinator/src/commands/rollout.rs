@@ -17,6 +17,7 @@ use sim_worker::rollout::{RolloutError, RolloutSpec, World, rollout};
 
 use crate::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
 use crate::cli::rollout::{BlockAddress, RolloutArgs};
+use crate::outputs::Output;
 use crate::report::progress::grouped;
 use crate::session::failures;
 use crate::{files, output};
@@ -41,6 +42,10 @@ struct Summary {
 /// Makes the block.
 pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let run_dir = super::run_directory(&args.run_dir)?;
+    if let Some(path) = &args.out {
+        let output = Output { flag: "--out", path, mark: b"", force: args.force };
+        output.check(&[("RUN_DIR", &args.run_dir)])?;
+    }
     let BlockAddress { seed, iteration, shard } = args.address;
     let config = super::read_config(&run_dir)?;
     let (robot, _) = super::read_robot(&run_dir)?;

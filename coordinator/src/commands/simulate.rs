@@ -9,13 +9,19 @@ use sim_worker::robot::Robot;
 use sim_worker::simulate::{self, Precision, SimulationRow};
 
 use crate::cli::{IntegratorArg, PrecisionArg, SimulateArgs, Switch};
+use crate::outputs::Output;
 use crate::{files, output, regular};
+
+/// What a trajectory begins with.
+const MARK: &[u8] = b"t,base_x,base_y,base_z,";
 
 /// Integrates.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     // Judged as training would run it: how coarse the steps are is what may be tried here.
     let robot = super::load_fit_robot(&args.robot, &StepOptions::default())?;
     check_steps(args)?;
+    let output = Output { flag: "--out", path: &args.out, mark: MARK, force: args.force };
+    output.check(&[("--actions", &args.actions), ("--robot", Path::new(&args.robot))])?;
     let actions = read_actions(&args.actions, robot.n_joints())?;
     let precision = match args.precision {
         PrecisionArg::F32 => Precision::F32,
@@ -191,6 +197,7 @@ mod tests {
     fn columns_are_those_of_the_description() {
         let header = header(4, 24);
         assert_eq!(header.len(), 1 + 7 + 24 + 6 + 24 + 12 + 1);
+        assert!(header.join(",").as_bytes().starts_with(MARK));
         assert_eq!(header[8], "q0");
         assert_eq!(
             header[32..38],

@@ -8,11 +8,12 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::train::RUNS;
+use crate::causes;
 use crate::checkpoint::{CheckpointStore, Name};
 use crate::cli::StatusArgs;
 use crate::client::Client;
 use crate::http::Token;
-use crate::live::{Best, LiveStatus, Role, Stages};
+use crate::live::{Best, LiveStatus, ProcessStatus, Role, Stages};
 use crate::lock::RunLock;
 use crate::output;
 use crate::preflight::mib;
@@ -210,12 +211,18 @@ fn show_live(live: &LiveStatus) -> String {
         stages.map(|(name, seconds)| [name.to_owned(), share(seconds)]),
     ));
     lines.push(
-        "rollout is summed over the workers; it and commit go on beside the rest, so the shares can \
-         add up to more than 100 %"
+        "rollout is summed over the workers; it and commit go on beside the rest, so the\n\
+         shares can add up to more than 100 %"
             .to_owned(),
     );
     lines.push(String::new());
-    let rows = live.processes.iter().map(|process| {
+    lines.push(processes(&live.processes, output::columns()));
+    lines.join("\n")
+}
+
+/// The processes of a run as a table.
+fn processes(processes: &[ProcessStatus], columns: usize) -> String {
+    let rows = processes.iter().map(|process| {
         let name = match (process.role, process.worker) {
             (Role::Coordinator, _) => "coordinator".to_owned(),
             (Role::Learner, _) => "learner".to_owned(),
@@ -233,10 +240,8 @@ fn show_live(live: &LiveStatus) -> String {
             process.shards.join(" "),
         ]
     });
-    let header =
-        ["process", "pid", "state", "replaced", "processor", "memory", "env-steps/s", "shards"];
-    lines.push(output::table(header, rows));
-    lines.join("\n")
+    let header = ["process", "pid", "state", "replaced", "cpu", "memory", "steps/s", "shards"];
+    output::table_within(columns, header, rows)
 }
 
 fn describe(status: &RunStatus) -> String {
@@ -259,7 +264,7 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
         match inspect(&path) {
             Ok(status) => runs.push(status),
             // One damaged run does not hide the others.
-            Err(error) => output::note(&format!("note: {error:#}")),
+            Err(error) => output::note(&format!("note: {}", causes::told(&error))),
         }
     }
     if json {
@@ -272,6 +277,11 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
     if runs.is_empty() {
         return output::line(&format!("no runs in {RUNS}/; `octopus train` starts one"));
     }
+    output::line(&listed(&runs, output::columns()))
+}
+
+/// Runs as a table.
+fn listed(runs: &[RunStatus], columns: usize) -> String {
     let rows = runs.iter().map(|status| {
         let number =
             |pointer: &str| status.last.as_ref().and_then(|last| last.pointer(pointer)?.as_f64());
@@ -280,14 +290,14 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
         };
         [
             status.run_dir.display().to_string(),
-            describe(status),
+            status.state.to_owned(),
             format!("{} / {}", status.iterations, status.planned_iterations),
             shown("/env_steps", &|value| grouped(value as u64)),
             shown("/return_mean", &|value| format!("{value:.2}")),
         ]
     });
     let header = ["run", "state", "iterations", "env-steps", "return"];
-    output::line(&output::table(header, rows))
+    output::table_within(columns, header, rows)
 }
 
 /// Reads what a run left and whether it lives; does not ask it.
@@ -332,6 +342,42 @@ mod tests {
     use proto::config::{Layers, Preset};
 
     use super::*;
+
+    #[test]
+    fn tables_fit() {
+        let process = ProcessStatus {
+            role: Role::Worker,
+            worker: Some(255),
+            pid: Some(4_194_304),
+            state: "backing off".to_owned(),
+            restarts: 12,
+            resident_bytes: 9_999 << 20,
+            cpu_s: 123_456.7,
+            shards: (0..6).map(|shard| format!("12345/{shard}")).collect(),
+            env_steps: 99_999,
+            rollout_s: 1.0,
+        };
+        let run = RunStatus {
+            run_dir: "runs/reorientation-20260101-120000-2".into(),
+            state: "running",
+            pid: Some(4_194_304),
+            task: "reorientation",
+            iterations: 1234,
+            planned_iterations: 12_345,
+            divergence: None,
+            last: Some(serde_json::json!({ "env_steps": 99_999_999, "return_mean": -1234.56 })),
+            checkpoint: None,
+            live: None,
+            live_error: None,
+        };
+        let of_processes = processes(&[process], 80);
+        assert!(of_processes.contains("12345/0") && of_processes.contains("12345/5"));
+        let of_runs = listed(&[run], 80);
+        assert!(!of_runs.contains("\n\n"), "all columns stand beside each other:\n{of_runs}");
+        for line in of_processes.lines().chain(of_runs.lines()) {
+            assert!(line.chars().count() <= 80, "{line}");
+        }
+    }
 
     #[test]
     fn a_run_is_finished_when_its_last_checkpoint_is_there() {

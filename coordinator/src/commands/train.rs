@@ -28,7 +28,7 @@ use crate::report::{Diverged, Reporter};
 use crate::session::{self, Outcome, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
-use crate::{files, output, precision, regular};
+use crate::{files, output, outputs, precision, regular};
 
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
@@ -50,8 +50,12 @@ fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let config = precision::resolve(configure(args)?);
     check_token_file(&args.http)?;
     let robot = super::load_fit_robot(&config.robot.description, &step_options(&config))?;
-    if let Some(path) = &args.run_dir {
-        check_vacant(path)?;
+    match &args.run_dir {
+        Some(path) => {
+            check_vacant(path)?;
+            outputs::check_outside("--run-dir", path)?;
+        }
+        None => outputs::check_outside("--run-dir", &Path::new(RUNS).join("new"))?,
     }
     let programs = Programs::find()?;
     let place = args.run_dir.as_deref().unwrap_or(Path::new(RUNS));
@@ -197,8 +201,9 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
     }
     // Also after a failure: what was measured until then is worth keeping.
     let finished = reporter.finish();
-    let outcome = result?;
-    finished?;
+    let full = |error: anyhow::Error| super::full::explain(error, &run_dir);
+    let outcome = result.map_err(|error| full(error.into()))?;
+    finished.map_err(full)?;
     Ok(Ended { run_dir, outcome, stop })
 }
 
@@ -306,7 +311,7 @@ impl Ended {
             output::line(&format!("warning: {diverged}; {CURE}"))?;
         }
         if let Some(evaluation) = &evaluation {
-            output::line(&format!("\n{}\n", evaluation.table()))?;
+            output::line(&format!("\n{}\n", evaluation.table(output::columns(), ending.agents)))?;
             output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
         }
         if let Some(curve) = self.curve() {

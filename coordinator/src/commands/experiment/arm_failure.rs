@@ -104,7 +104,7 @@ impl Experiment for ArmFailureArgs {
         Ok(results)
     }
 
-    fn table(report: &Report<Settings, Failed>) -> String {
+    fn table(columns: usize, report: &Report<Settings, Failed>) -> String {
         let rows = report.results.iter().map(|result| {
             let [paper, released] = [0, 1].map(|index| percent(result.success[index].share));
             let ErrorOfMany { min, last, tail, .. } = &result.error;
@@ -117,7 +117,7 @@ impl Experiment for ArmFailureArgs {
         format!(
             "{} each; percentiles are those of tail\n{}",
             output::counted(report.protocol.episodes as u64, "episode"),
-            output::table(header, rows)
+            output::table_within(columns, header, rows)
         )
     }
 }

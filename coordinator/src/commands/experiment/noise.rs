@@ -147,8 +147,8 @@ impl Experiment for NoiseArgs {
         Ok(results)
     }
 
-    fn table(report: &Report<Settings, Point>) -> String {
-        table(&report.results, report.protocol.episodes)
+    fn table(columns: usize, report: &Report<Settings, Point>) -> String {
+        table(columns, &report.results, report.protocol.episodes)
     }
 }
 
@@ -211,7 +211,7 @@ impl Quantity {
     }
 }
 
-fn table(results: &[Point], episodes: usize) -> String {
+fn table(columns: usize, results: &[Point], episodes: usize) -> String {
     let rows = results.iter().flat_map(|point| {
         point.errors.iter().map(move |error| {
             let name = format!(
@@ -229,6 +229,6 @@ fn table(results: &[Point], episodes: usize) -> String {
     format!(
         "{} each; success at the paper's 25 mm and 40 mrad, of the base 30 mrad\n{}",
         output::counted(episodes as u64, "episode"),
-        output::table(header, rows)
+        output::table_within(columns, header, rows)
     )
 }

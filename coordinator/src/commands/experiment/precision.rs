@@ -72,11 +72,10 @@ impl Experiment for PrecisionArgs {
         lab.policies().iter().map(measure).collect()
     }
 
-    fn table(report: &Report<Settings, Precision>) -> String {
-        let tables = report
-            .results
-            .iter()
-            .map(|result| format!("{}\n{}", result.summary.task.as_str(), result.summary.table()));
+    fn table(columns: usize, report: &Report<Settings, Precision>) -> String {
+        let tables = report.results.iter().map(|result| {
+            format!("{}\n{}", result.summary.task.as_str(), result.summary.table(columns, true))
+        });
         tables.collect::<Vec<_>>().join("\n\n")
     }
 }

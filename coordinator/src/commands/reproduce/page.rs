@@ -193,7 +193,7 @@ fn section<E: Experiment>(
         (figures)
         details {
             summary { "All numbers" }
-            pre { (E::table(report)) }
+            pre { (E::table(output::COLUMNS, report)) }
         }
         dl {
             @if let Some((_, command)) = command {
@@ -277,7 +277,7 @@ fn learning(curves: &[Recorded]) -> anyhow::Result<Markup> {
         } }
         dl {
             @for family in &by_steps {
-                dt { (family.name()) }
+                dt { (family.name) }
                 dd { @for (run, seed) in &family.runs { code { (run.display()) } " (seed " (seed) ") " } }
             }
         }
