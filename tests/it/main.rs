@@ -9,6 +9,7 @@ mod exactness;
 mod experiment;
 mod failures;
 mod golden;
+mod guide;
 mod http;
 mod mujoco;
 mod reproduce;
