@@ -89,7 +89,9 @@ impl Clone {
         let bin = dir.path().join("bin");
         fs::create_dir(&bin)?;
         executable(&bin.join("make"), MAKE)?;
-        symlink(python(), bin.join("python"))?;
+        // A link to it would not be seen to belong to its virtual environment.
+        let python = format!("#!/bin/sh\nexec '{}' \"$@\"\n", python().display());
+        executable(&bin.join("python"), &python)?;
         Ok(Self { dir })
     }
 
@@ -182,7 +184,7 @@ fn octopus() -> String {
     format!(
         r#"#!/usr/bin/env bash
 set -euo pipefail
-small=({} --set=run.env_steps=256)
+small=({} --set=run.env_steps=256 --set=run.evaluate_every=1 --set=run.evaluation_episodes=1 --set=run.evaluation_steps=20)
 arguments=()
 for argument; do
   if [ "${{arguments[*]: -1}}" = --episodes ]; then argument=2; fi
@@ -194,11 +196,11 @@ case "${{1-}} ${{2-}}" in
   "resume "*) set -- "$@" --no-eval ;;
   "eval "*) set -- "$@" --steps 20 ;;
   "experiment base-mass") set -- "$@" --episodes 2 --steps 20 ;;
-  "experiment disturbance") set -- "$@" --steps 80 ;;
+  "experiment disturbance") set -- "$@" --steps 90 ;;
   "experiment reassembly") set -- "$@" --steps 80 ;;
   "experiment "*) set -- "$@" --steps 20 ;;
   "bench "*) set -- "$@" --seconds 0.2 ;;
-  "reproduce "*) set -- "$@" --episodes 1 --steps 80 ;;
+  "reproduce "*) set -- "$@" --episodes 1 --steps 90 ;;
 esac
 exec '{}' "$@"
 "#,
