@@ -6,6 +6,7 @@
 //!
 //! `<!-- live: RUN -->` before a block has a training under way in the directory RUN while the block runs.
 
+use std::fmt::Write as _;
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
 use std::path::{Path, PathBuf};
@@ -99,14 +100,14 @@ impl Clone {
     pub fn run(&self, blocks: &[Block]) -> Result<Output> {
         let mut script = PROLOGUE.to_owned();
         for Block { line, language, text, live } in blocks {
-            script.push_str(&format!("\nhere={line}\n"));
+            let _ = writeln!(script, "\nhere={line}");
             if let Some(run) = live {
-                script.push_str(&format!("begin {run}\n"));
+                let _ = writeln!(script, "begin {run}");
             }
             match language.as_str() {
                 "sh" => script.push_str(text),
                 "python" => {
-                    script.push_str(&format!("python - <<'END_OF_BLOCK'\n{text}END_OF_BLOCK\n"))
+                    let _ = writeln!(script, "python - <<'END_OF_BLOCK'\n{text}END_OF_BLOCK");
                 }
                 _ => {}
             }
