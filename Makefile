@@ -95,6 +95,11 @@ golden: setup ## compare small rollouts, evaluations and trainings with their re
 	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
 	@$(TARGET)/debug/examples/golden $(if $(RECORD),--record)
 
+.PHONY: guide
+guide: setup ## write the pages of the guide that are made from the program
+	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
+	@$(TARGET)/debug/examples/guide
+
 .PHONY: fuzz
 fuzz: ## fuzz everything that reads bytes from outside (SECONDS=60 for each target)
 	tests/fuzz/run.sh $(FUZZ_SECONDS) $(FUZZ_TARGETS)

@@ -560,7 +560,7 @@ mod tests {
         }
     }
 
-    /// The README promises it.
+    /// The guide promises it.
     #[test]
     fn every_command_has_examples() {
         fn check(command: &clap::Command, path: &str) {

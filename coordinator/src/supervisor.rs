@@ -1,4 +1,7 @@
 //! The child processes of a run: started, watched, reaped, replaced.
+//!
+//! **Who starts up is not killed.** A worker that shall go before it is ready is asked again when it is: a
+//! process that dies while it opens its channels leaves them half-made, and cleaning up after that waits.
 
 use std::collections::BTreeMap;
 use std::fs::File;

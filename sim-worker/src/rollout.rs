@@ -4,6 +4,9 @@
 //! Goals and exploration noise are drawn by address (see [`proto::rng`]), from the environment's
 //! **global** index shard · N + n, and environments never mix in the arithmetic: the rows of an
 //! environment are the same bits in whatever shard, lane or process it is rolled out.
+//!
+//! **Episodes never cross blocks.** The released code resets every 512 steps across rollouts of 50. Here every
+//! rollout is whole episodes, so a worker needs no memory between two orders.
 
 use proto::config::Config;
 use proto::layout::{BlockLayout, Dimensions};

@@ -13,6 +13,7 @@ mod experiment;
 mod failures;
 mod files;
 mod golden;
+mod guide;
 mod http;
 mod mujoco;
 mod others;

@@ -1,4 +1,7 @@
 //! Who may change a store: one at a time, whichever process or thread it is.
+//!
+//! The run, `octopus checkpoints` and the HTTP service may all change a store. That is the one exception to the
+//! coordinator being the only writer, and it concerns nothing but checkpoints.
 
 use std::fs::{self, File, Permissions};
 use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};

@@ -21,6 +21,9 @@
 //! threads of that runtime's pool. Whoever may ask is decided in `access`, how long and
 //! how much a client may take in `connections`, `pace` and `intake`. Every failure is a `Problem`,
 //! JSON with a status code.
+//!
+//! A run's service takes a free port and writes it into `run.lock`, where `octopus status` and `octopus scale`
+//! find it.
 
 mod access;
 mod archives;

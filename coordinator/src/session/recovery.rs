@@ -8,6 +8,12 @@
 //! * The learner cannot start from a checkpoint, or finds another state there than the manifest says:
 //!   the run goes on from the one before.
 //! * A block cannot be made: see [`failures`](super::failures).
+//!
+//! **After the learner's death everything starts anew from the last checkpoint**, workers too. They hold orders
+//! and policies of a future that is undone; a worker starts in 30 ms, and one way back is simpler to trust than
+//! two. **Death by a signal from outside is no evidence** against the block at hand; a crash, an exit code or a
+//! hang is. So any number of kills is survived, and a block that kills its worker by itself is found at the third
+//! time.
 
 use std::time::Duration;
 

@@ -3,6 +3,11 @@
 //! The learner sends a snapshot when the plan of the run says so, and when it is asked. It arrives in
 //! pieces, and is committed, or its policy is evaluated, or both. One whose policy turns out to be the
 //! best so far is committed with its score, whether or not it was to be committed anyway.
+//!
+//! **Snapshots travel in pieces** of 4 MiB instead of one sample: shared memory stays small, and the size of a
+//! training state is no channel constant. **A disk that is slower than the training costs checkpoints, not
+//! memory.** While one snapshot is written, the newest other one waits, and the best; what they displace is
+//! reported.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

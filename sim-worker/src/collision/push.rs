@@ -1,4 +1,10 @@
 //! The forces of contacts: what each holds against, how they feel each other, and where they push.
+//!
+//! **Why predictive, and together.** A force begins when the gap would close within the damper's reach, with the
+//! mass that the joints show at the contact and against most of what torques press with. So every gap is an
+//! oscillator of one frequency, as stiff as the substep allows. Forces that work on the same joints come from a
+//! few projected Gauss–Seidel sweeps. Sharing the stiffness among them instead let arms sink in two to four times
+//! as deep at a step of 20 ms.
 
 use super::contact::{Contact, ContactSet, Response, clear};
 use super::model::{Pair, Partner};

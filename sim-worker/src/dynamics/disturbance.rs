@@ -1,4 +1,9 @@
 //! What acts on the robot from outside, and what fails in it.
+//!
+//! It is an option of the step, not a second dynamics. Forces from outside, torques and limp servos are applied
+//! in functions of their own, called only where there are any, so what training runs is the code and the bits
+//! that it would be without. The projection onto the invariants gets the impulse, and pairs that may touch do not
+//! sleep, because commands no longer bound speeds.
 
 use super::kinematics::poses_of_arm;
 use super::workspace::Workspace;

@@ -1,4 +1,8 @@
 //! Integration of the equations of motion over a control period.
+//!
+//! **Why Runge–Kutta of third order at 16 ms.** For the stiffness of contacts that a scheme keeps stable the
+//! third order needs fewer evaluations than the fourth, and both are far more accurate than what they are
+//! compared with. The start of a period is cut finer, because that is where the servos answer.
 
 use super::aba::{aba, world_acceleration};
 use super::disturbance::{Disturbance, disturb_bodies, disturb_joints};

@@ -1,5 +1,9 @@
 //! Steps between link frames, with the sparsity of Denavit–Hartenberg rows: a shift in the x-z plane, a twist about x (mostly a permutation), a turn
 //! about z.
+//!
+//! **Why sparsity is constant.** A link's step is one straight piece of code for each shape of its
+//! Denavit–Hartenberg row (`for_sparsity!`). A branch in its middle sends all the numbers that are carried along
+//! through memory.
 
 use super::workspace::{LinkPose, Workspace};
 use crate::robot::{ArmModel, JOINTS_PER_ARM, LinkModel, Model, Sparsity, Twist};

@@ -5,6 +5,11 @@
 //! returns a [`Recording`] of every error and pose after every step. An evaluation is a trial in which nothing happens (see [`crate::evaluate`]).
 //!
 //! Everything random is addressed by seed, episode and step, so a recording depends neither on threads nor on how episodes lie in lanes.
+//!
+//! **Why a loop of its own.** The loop of training ([`mod@crate::env`]) explores, pays and writes blocks; this
+//! one has several policies, interventions, noise and a record. One loop for both would carry the branches of
+//! each through the other. A test holds them together: without exploration and interventions both give the same
+//! bits.
 
 mod episodes;
 mod intervention;

@@ -23,6 +23,11 @@
 //!
 //! Everything between a [`LaneFn`] and the arithmetic must be `#[inline(always)]`: only code that is inlined into the function with the
 //! processor features enabled is compiled for them.
+//!
+//! **Why lanes of our own.** `simba`'s need lane types that are fixed at compile time, while one binary shall use
+//! AVX-512 where it is and still start on a plain x86-64. And everything on the hot path must be inlined into
+//! functions compiled for the features that were found, which nalgebra's operations do not promise. nalgebra
+//! builds the model and writes the readable twins.
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};

@@ -4,6 +4,12 @@
 //! is the outward normal of the arm's mount, its first the mount's x, or against it if the arm's first
 //! joint is at home turned by more than a quarter. Seen from their arm frames the arms of the paper's
 //! robot are at home in the same pose, and move alike.
+//!
+//! **Why frames that move with the base.** Without gravity neither where the base is nor how it is turned matters
+//! to what a hand must do or to how an arm moves. A policy that does not know them acts alike wherever the base
+//! has been brought: by other arms with another policy, by a push, by a fault. Policies that saw the world's axes
+//! were lost when others turned the base by 0.2 rad. What it costs: the base's position also told, by the centre
+//! of mass, where the other arms are.
 
 use super::HomeArm;
 use crate::scalar::Real;
