@@ -34,6 +34,7 @@ pub mod http;
 pub mod janitor;
 pub mod lock;
 pub mod signals;
+pub mod threads;
 
 pub mod figures;
 pub mod preflight;

@@ -31,7 +31,7 @@ use proto::layout::Dimensions;
 use proto::message::{Order, Progress, Status, WorkerId};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 use self::books::Books;
 use self::failures::Failures;

@@ -18,7 +18,7 @@ use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use serde_json::Value;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use self::figures::Figures;

@@ -28,7 +28,7 @@ use proto::channel::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
-use sim_worker::robot::{Robot, RobotError};
+use simulator::robot::{Robot, RobotError};
 
 use crate::checkpoint::CheckpointError;
 use crate::cli::{Command, JanitorArgs};
@@ -108,7 +108,17 @@ pub(crate) fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
 
 /// The robot called `name`, or described by the file of that name.
 fn load_robot(name: &str) -> anyhow::Result<Robot> {
-    Ok(Robot::load(name)?)
+    if let Some(robot) = Robot::builtin(name) {
+        return Ok(robot);
+    }
+    let text = std::fs::read_to_string(name).map_err(|error| {
+        let builtin = Robot::builtin_names().collect::<Vec<_>>().join(", ");
+        let message = format!(
+            "robot {name}: {error}; give a TOML file, or one of the built-in robots: {builtin}"
+        );
+        ExitError::new(ExitCode::BadInput, message)
+    })?;
+    Ok(Robot::from_toml(&text, Path::new(name))?)
 }
 
 fn janitor_run(args: &JanitorArgs) -> anyhow::Result<()> {

@@ -7,7 +7,7 @@ use proto::channel::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 use super::train::{self, Counter, Ended, Start};
 use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore, MANIFEST};

@@ -6,15 +6,15 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use sim_worker::evaluate::{Evaluation, EvaluationOptions};
-use sim_worker::experiment::{CHUNK, Recording, Trial, play};
-use sim_worker::robot::Robot;
+use simulator::evaluate::{Evaluation, EvaluationOptions};
+use simulator::experiment::{CHUNK, Recording, Trial, play};
+use simulator::robot::Robot;
 
 #[cfg(test)]
 use {
     crate::checkpoint::{Checkpoint, Manifest},
     proto::layout::ActorLayout,
-    sim_worker::rollout::World,
+    simulator::rollout::World,
 };
 
 use super::report::{Protocol, Report, RobotIdentity};
@@ -24,6 +24,7 @@ use crate::commands::eval::Reach;
 use crate::commands::trained::{PolicyIdentity, Trained, open_checkpoint};
 use crate::provenance::Provenance;
 use crate::report::progress::Parts;
+use crate::threads::Threads;
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,7 +50,7 @@ pub(crate) struct Lab {
     pub(crate) steps: usize,
     /// Seed of goals and noise.
     pub(crate) seed: u64,
-    threads: usize,
+    threads: Threads,
     progress: Arc<Parts>,
 }
 
@@ -117,7 +118,7 @@ impl Lab {
             episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
             steps: args.steps as usize,
             seed: args.seed,
-            threads: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            threads: Threads::available(),
             progress: Arc::default(),
         })
     }
@@ -160,7 +161,7 @@ impl Lab {
             episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
             steps: args.steps as usize,
             seed: args.seed,
-            threads: 1,
+            threads: Threads::new(1),
             progress: Arc::default(),
         }
     }
@@ -197,7 +198,7 @@ impl Lab {
     pub(crate) fn play(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
         let chunks = trial.episodes.div_ceil(CHUNK);
         self.progress.begin(what, (chunks * trial.steps) as u64);
-        play(trial, self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
+        play(trial, &self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
     }
 
     /// Which of the trial's hand goals could be reached; none in `reorientation`.
@@ -206,13 +207,9 @@ impl Lab {
         policy: &Trained,
         evaluation: &Evaluation,
     ) -> anyhow::Result<Option<Reach>> {
-        let options = EvaluationOptions {
-            seed: self.seed,
-            episodes: self.episodes,
-            steps: self.steps,
-            threads: self.threads,
-        };
-        Reach::of(&policy.world, evaluation, &options, &self.progress)
+        let options =
+            EvaluationOptions { seed: self.seed, episodes: self.episodes, steps: self.steps };
+        Reach::of(&policy.world, evaluation, &options, self.threads, &self.progress)
     }
 
     /// Shows progress there, together with others.

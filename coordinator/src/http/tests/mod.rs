@@ -21,7 +21,7 @@ use proto::layout::{ActorLayout, Dimensions};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde_json::Value;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 use tower::ServiceExt as _;
 
@@ -146,7 +146,7 @@ fn config() -> Config {
 
 /// Commits a whole checkpoint whose numbers depend on the iteration.
 fn commit(store: &CheckpointStore, iteration: u64) -> PathBuf {
-    let robot = Robot::load("paper").expect("built in");
+    let robot = Robot::builtin("paper").expect("built in");
     let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), robot.n_arms));
     let values: Vec<u8> =
         (0..layout.len).flat_map(|index| (index as f32 + iteration as f32).to_le_bytes()).collect();
