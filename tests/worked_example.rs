@@ -11,15 +11,15 @@ use proto::config::{Config, Inference};
 use proto::layout::Dimensions;
 use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
-use sim_worker::dynamics::{Hand, Workspace, hands};
-use sim_worker::policy::Scratch;
-use sim_worker::robot::{JOINTS_PER_ARM, Model, Robot};
-use sim_worker::rollout::World;
-use sim_worker::spatial::{euler_xyz, quaternion_exp, quaternion_to_rotation};
-use sim_worker::state::State;
-use sim_worker::task::goal::GoalAddress;
-use sim_worker::task::observation::observe;
-use sim_worker::task::{Errors, Goals, HandReading, Readings};
+use simulator::dynamics::{Hand, Workspace, hands};
+use simulator::policy::Scratch;
+use simulator::robot::{JOINTS_PER_ARM, Model, Robot};
+use simulator::rollout::World;
+use simulator::spatial::{euler_xyz, quaternion_exp, quaternion_to_rotation};
+use simulator::state::State;
+use simulator::task::goal::GoalAddress;
+use simulator::task::observation::observe;
+use simulator::task::{Errors, Goals, HandReading, Readings};
 
 /// A pose: position in the world (m) and Euler angles (rad).
 #[derive(Debug, Clone, Serialize, Deserialize)]

@@ -162,7 +162,7 @@ fn judge(
 mod tests {
     use proto::Digest;
     use proto::config::{Config, Layers, Preset};
-    use sim_worker::robot::Robot;
+    use simulator::robot::Robot;
 
     use super::*;
     use crate::checkpoint::tests::snapshot_of;

@@ -44,6 +44,7 @@ pub mod limits;
 pub mod lock;
 pub mod shield;
 pub mod signals;
+pub mod threads;
 
 pub mod figures;
 pub mod precision;

@@ -14,8 +14,8 @@ use std::sync::Arc;
 use proto::config::{Config, TaskName};
 use proto::message::{EpisodeErrors, EvaluationChunk, TaskErrors};
 use serde::Serialize;
-use sim_worker::evaluate::SELECTION_SEED;
-use sim_worker::scalar::LANES;
+use simulator::evaluate::SELECTION_SEED;
+use simulator::scalar::LANES;
 
 use crate::checkpoint::{Score, Snapshot};
 

@@ -33,7 +33,7 @@ use proto::layout::Dimensions;
 use proto::message::{Order, Progress, Status, WorkerId};
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 use self::attention::{Attention, STANDSTILL};
 use self::books::Books;

@@ -20,11 +20,11 @@ use proto::message::{self, EvaluationChunk, Fault, HEARTBEAT, Order, Status, Wor
 use proto::run_dir::RunDir;
 use proto::{ChannelError, ExitCode, ExitError};
 
-use crate::env::{EpisodeError, Moment};
-use crate::evaluate;
-use crate::policy::Policy;
-use crate::robot::Robot;
-use crate::rollout::{RolloutError, RolloutSpec, World, rollout};
+use simulator::env::{EpisodeError, Moment};
+use simulator::evaluate;
+use simulator::policy::Policy;
+use simulator::robot::Robot;
+use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
 
 /// Policy versions that a worker keeps: with overlap it acts with the one before the newest.
 const KEPT_POLICIES: usize = 3;
@@ -66,7 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     tracing::info!(
         worker = arguments.worker,
         incarnation = arguments.incarnation,
-        backend = ?crate::scalar::Backend::detect(),
+        backend = ?simulator::scalar::Backend::detect(),
         "ready"
     );
     worker.serve()
@@ -297,14 +297,11 @@ impl<'a> Worker<'a> {
         let start = Instant::now();
         let (status, heartbeat) = (&self.status, &mut self.heartbeat);
         let alive = Status::Heartbeat { worker: self.id, incarnation: self.incarnation };
-        let mut on_step = || say_alive(status, heartbeat, &alive);
-        let stats = match rollout(self.world, &spec, block.payload_mut(), &mut on_step) {
-            Ok(stats) => stats,
-            Err(error) => {
-                self.fail(&error.to_string(), Some(Box::new(describe(job, &error))))?;
-                return Ok(Outcome::Done);
-            }
-        };
+        let mut on_stage = |_| say_alive(status, heartbeat, &alive);
+        if let Err(error) = rollout(self.world, &spec, block.payload_mut(), &mut on_stage) {
+            self.fail(&error.to_string(), Some(Box::new(describe(job, &error))))?;
+            return Ok(Outcome::Done);
+        }
         let rollout_ns = start.elapsed().as_nanos() as u64;
         *block.header_mut() = BlockHeader {
             iteration,
@@ -331,7 +328,7 @@ impl<'a> Worker<'a> {
             incarnation,
             iteration,
             shard,
-            env_steps: stats.env_steps,
+            env_steps: self.world.block_env_steps(),
             rollout_ns,
         })?;
         tracing::debug!(iteration, shard, policy_version, rollout_ns, "block sent");

@@ -192,7 +192,7 @@ fn actions_that_are_none() {
 #[test]
 fn robots_that_cannot_be() {
     let dir = tempfile::tempdir().expect("tempdir");
-    let good = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
+    let good = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/simulator/robots/two-arm.toml");
     let good = std::fs::read_to_string(good).expect("shipped");
     let path = dir.path().join("robot.toml");
     let flag = format!("--robot={}", path.display());
@@ -211,7 +211,8 @@ fn robots_that_cannot_be() {
 #[test]
 fn robots_that_are_unfit_at_home() {
     let dir = tempfile::tempdir().expect("tempdir");
-    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
+    let shipped =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/simulator/robots/two-arm.toml");
     let good = std::fs::read_to_string(shipped).expect("shipped");
     let path = dir.path().join("robot.toml");
     let flag = format!("--robot={}", path.display());

@@ -273,7 +273,7 @@ fn experiments_that_cannot_be() {
     refused(&[&["noise", "--delays=0.5"], &all[..]].concat(), 2, &["0.5 is no whole number"]);
     refused(&[&["base-mass", "--masses=0"], &all[..]].concat(), 2, &["leave 0 out"]);
     refused(&[&["base-mass", "--thresholds=0"], &all[..]].concat(), 2, &["leave it out"]);
-    let two = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
+    let two = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/simulator/robots/two-arm.toml");
     let other = ["precision", "--robot", two];
     refused(&[&other, &all[..]].concat(), 3, &["moves 4 arms", "has 2"]);
 

@@ -9,7 +9,7 @@ use proto::layout::{ActorLayout, Dimensions};
 use proto::{Digest, DigestBuilder};
 use safetensors::Dtype;
 use serde::Serialize;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use utoipa::ToSchema;
 
 use super::manifest::Manifest;

@@ -22,8 +22,8 @@ use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use serde_json::Value;
-use sim_worker::env::step_options;
-use sim_worker::robot::Robot;
+use simulator::env::step_options;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use self::figures::Figures;

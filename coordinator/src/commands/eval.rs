@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::{
+use simulator::evaluate::{
     self, ContactSteps, Course, EpisodeResult, Evaluation, EvaluationOptions,
 };
-use sim_worker::experiment::CHUNK;
-use sim_worker::reach::{self, HandReach};
-use sim_worker::rollout::World;
+use simulator::experiment::CHUNK;
+use simulator::reach::{self, HandReach};
+use simulator::rollout::World;
 
 use super::statistics::{ErrorOf, Spread, Unit, milli, number, papers, percent};
 use super::trained::{Trained, open_checkpoint};
@@ -18,6 +18,7 @@ use crate::checkpoint::Checkpoint;
 use crate::cli::EvalArgs;
 use crate::output;
 use crate::report::progress::{Parts, grouped};
+use crate::threads::Threads;
 
 /// Evaluates.
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
@@ -26,7 +27,6 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
         seed: args.seed,
         episodes: args.episodes as usize,
         steps: args.steps as usize,
-        ..EvaluationOptions::default()
     };
     let summary = evaluate(checkpoint, &options)?;
     if args.json {
@@ -158,12 +158,14 @@ pub struct Summary {
 /// Evaluates a checkpoint, and shows how far it has come.
 pub fn evaluate(checkpoint: Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
     let trained = Trained::new(checkpoint, None)?;
+    let threads = Threads::available();
     let progress = Parts::new();
     let chunks = options.episodes.div_ceil(CHUNK);
     progress.begin("evaluation", (chunks * options.steps) as u64);
     let on_step = || progress.advance();
-    let evaluation = evaluate::evaluate(&trained.world, &trained.policy, options, &on_step)?;
-    let reach = Reach::of(&trained.world, &evaluation, options, &progress)?;
+    let evaluation =
+        evaluate::evaluate(&trained.world, &trained.policy, options, &threads, &on_step)?;
+    let reach = Reach::of(&trained.world, &evaluation, options, threads, &progress)?;
     Ok(Summary::new(&trained, options.seed, evaluation, reach))
 }
 
@@ -182,17 +184,18 @@ impl Reach {
         world: &World,
         evaluation: &Evaluation,
         options: &EvaluationOptions,
+        threads: Threads,
         progress: &Parts,
     ) -> anyhow::Result<Option<Self>> {
         if world.task.name != TaskName::Trajectory {
             return Ok(None);
         }
-        let EvaluationOptions { seed, episodes, threads, .. } = *options;
+        let EvaluationOptions { seed, episodes, .. } = *options;
         progress.begin("which goals can be reached", episodes as u64);
         let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-        let controller = reach::reach(world, seed, episodes, threads, &on_episodes)?;
+        let controller = reach::reach(world, seed, episodes, &threads, &on_episodes)?;
         let ends: Vec<_> = evaluation.episodes.iter().map(|episode| &episode.end).collect();
-        let at_end = reach::within_reach(world, seed, &ends, threads);
+        let at_end = reach::within_reach(world, seed, &ends, &threads);
         Ok(Some(Self { controller, at_end }))
     }
 }
@@ -447,8 +450,8 @@ impl Summary {
 
 #[cfg(test)]
 mod tests {
-    use sim_worker::evaluate::HandCourse;
-    use sim_worker::experiment::Pose;
+    use simulator::evaluate::HandCourse;
+    use simulator::experiment::Pose;
 
     use super::*;
 

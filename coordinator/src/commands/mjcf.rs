@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use sim_worker::robot::mjcf::{MjcfOptions, mjcf};
+use simulator::robot::mjcf::{MjcfOptions, mjcf};
 
 use crate::cli::{MjcfArgs, Switch};
 use crate::outputs::Output;

@@ -30,8 +30,8 @@ use proto::channel::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
-use sim_worker::dynamics::StepOptions;
-use sim_worker::robot::{Robot, RobotError};
+use simulator::dynamics::StepOptions;
+use simulator::robot::{Robot, RobotError};
 
 use crate::checkpoint::CheckpointError;
 use crate::cli::{Command, JanitorArgs};
@@ -150,10 +150,12 @@ fn load_robot(name: &str) -> anyhow::Result<Robot> {
         return Ok(robot);
     }
     let path = Path::new(name);
-    let text = regular::read_text(path, regular::TEXT).map_err(|error| RobotError::Unreadable {
-        path: name.to_owned(),
-        reason: error.to_string(),
-        builtin: Robot::builtin_names().collect::<Vec<_>>().join(", "),
+    let text = regular::read_text(path, regular::TEXT).map_err(|error| {
+        let builtin = Robot::builtin_names().collect::<Vec<_>>().join(", ");
+        let message = format!(
+            "robot {name}: {error}; give a TOML file, or one of the built-in robots: {builtin}"
+        );
+        ExitError::new(ExitCode::BadInput, message)
     })?;
     Ok(Robot::from_toml(&text, path)?)
 }

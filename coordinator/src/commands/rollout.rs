@@ -12,8 +12,8 @@ use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde::Serialize;
 use serde_json::json;
-use sim_worker::env::Moment;
-use sim_worker::rollout::{RolloutError, RolloutSpec, World, rollout};
+use simulator::env::Moment;
+use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
 
 use crate::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
 use crate::cli::rollout::{BlockAddress, RolloutArgs};
@@ -61,10 +61,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let layout = BlockLayout::new(&world.dimensions);
     let mut block = vec![0.0; layout.len];
     let begun = Instant::now();
-    let stats = match rollout(&world, &spec, &mut block, &mut || {}) {
-        Ok(stats) => stats,
-        Err(error) => return Err(refuse(args, &error)),
-    };
+    rollout(&world, &spec, &mut block, &mut |_| {}).map_err(|error| refuse(args, &error))?;
     let seconds = begun.elapsed().as_secs_f64();
     let summary = Summary {
         seed,
@@ -72,7 +69,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         shard,
         policy_version: version,
         policy: found,
-        env_steps: stats.env_steps,
+        env_steps: world.block_env_steps(),
         blake3: blake3::hash(bytemuck::cast_slice(&block)).to_hex().to_string(),
         returns: returns(&world.dimensions, &layout, &block),
         seconds,

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
-use sim_worker::dynamics::{Integrator, StepOptions};
-use sim_worker::robot::Robot;
-use sim_worker::simulate::{self, Precision, SimulationRow};
+use simulator::dynamics::{Integrator, StepOptions};
+use simulator::robot::Robot;
+use simulator::simulate::{self, Precision, SimulationRow};
 
 use crate::cli::{IntegratorArg, PrecisionArg, SimulateArgs, Switch};
 use crate::outputs::Output;

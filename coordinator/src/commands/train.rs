@@ -10,9 +10,9 @@ use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use serde_json::json;
-use sim_worker::env::step_options;
-use sim_worker::evaluate::EvaluationOptions;
-use sim_worker::robot::Robot;
+use simulator::env::step_options;
+use simulator::evaluate::EvaluationOptions;
+use simulator::robot::Robot;
 
 use super::eval::{self, Summary};
 use crate::checkpoint::{Checkpoint, CheckpointStore};

@@ -55,7 +55,7 @@ pub fn small_config() -> Config {
 
 /// A robot as a checkpoint holds it.
 pub fn robot_toml() -> String {
-    sim_worker::robot::Robot::load("paper").expect("built in").to_toml()
+    simulator::robot::Robot::builtin("paper").expect("built in").to_toml()
 }
 
 /// The place of the actors' parameters under [`small_config`].

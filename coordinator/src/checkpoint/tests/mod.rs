@@ -20,7 +20,7 @@ use proto::DigestBuilder;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 use safetensors::{Dtype, tensor::TensorView};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use super::*;

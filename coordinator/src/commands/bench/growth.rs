@@ -2,10 +2,10 @@
 
 use proto::layout::{ActorLayout, Dimensions};
 use serde_json::{Map, Value, json};
-use sim_worker::dynamics::StepOptions;
-use sim_worker::env::step_options;
-use sim_worker::robot::description::RobotDescription;
-use sim_worker::robot::{MAX_ARMS, Robot};
+use simulator::dynamics::StepOptions;
+use simulator::env::step_options;
+use simulator::robot::description::RobotDescription;
+use simulator::robot::{MAX_ARMS, Robot};
 use std::path::Path;
 
 use super::figures::number;

@@ -2,7 +2,7 @@
 
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
-use sim_worker::experiment::{Effect, FixedGoals, Intervention, Trial};
+use simulator::experiment::{Effect, FixedGoals, Intervention, Trial};
 
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report, share};

@@ -6,9 +6,9 @@ use std::ops::Range;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::Course;
-use sim_worker::experiment::{Effect, FixedGoals, Intervention, Recording};
-use sim_worker::robot::JOINTS_PER_ARM;
+use simulator::evaluate::Course;
+use simulator::experiment::{Effect, FixedGoals, Intervention, Recording};
+use simulator::robot::JOINTS_PER_ARM;
 
 use super::lab::{Lab, Needs};
 use super::report::{CourseOfMany, Figure, Goals, Report, Words, share, spread};

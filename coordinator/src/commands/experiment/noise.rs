@@ -3,8 +3,8 @@
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::Evaluation;
-use sim_worker::experiment::{Effect, Intervention, SensorNoise};
+use simulator::evaluate::Evaluation;
+use simulator::experiment::{Effect, Intervention, SensorNoise};
 
 use super::lab::{Lab, Needs};
 use super::report::{Report, Words};

@@ -2,8 +2,8 @@
 
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::Evaluation;
-use sim_worker::experiment::TAIL_STEPS;
+use simulator::evaluate::Evaluation;
+use simulator::experiment::TAIL_STEPS;
 
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Report, Words};

@@ -5,8 +5,8 @@ use std::fmt;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
-use sim_worker::env::step_options;
-use sim_worker::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
+use simulator::env::step_options;
+use simulator::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
 
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report};

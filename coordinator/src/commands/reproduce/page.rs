@@ -3,7 +3,7 @@
 use std::time::SystemTime;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 use super::claims::{Claim, Tally, verdict};
 use super::{GENERATOR, Reports, drawing, figures};

@@ -11,7 +11,7 @@ use clap::{Parser as _, ValueEnum as _};
 use proto::config::TaskName;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 use super::{Line, refused};
 use crate::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};

@@ -10,7 +10,7 @@ use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use super::differences::{self, ProvenanceDifference};

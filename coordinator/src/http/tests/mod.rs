@@ -16,7 +16,7 @@ use axum::body::{Body, Bytes, to_bytes};
 use axum::http::{HeaderMap, Request, StatusCode};
 use proto::config::{Config, Layers, Preset};
 use serde_json::Value;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 use tower::ServiceExt as _;
 
@@ -143,7 +143,7 @@ fn config() -> Config {
 /// Commits a whole checkpoint whose numbers depend on the iteration, long enough for several pieces
 /// of a download.
 fn commit(store: &CheckpointStore, iteration: u64) -> PathBuf {
-    let robot = Robot::load("paper").expect("built in").to_toml();
+    let robot = Robot::builtin("paper").expect("built in").to_toml();
     let snapshot = snapshot_of(&config(), iteration, iteration as f32);
     store.commit(&snapshot, &config(), &robot, &serde_json::json!({})).expect("commits")
 }

@@ -1,7 +1,7 @@
 use proto::config::{Layers, Preset};
 use proto::message::TaskErrors;
 use serde_json::json;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use super::*;

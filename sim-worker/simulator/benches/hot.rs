@@ -10,13 +10,13 @@
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use proto::config::{Layers, Preset};
 use proto::layout::{ActorLayout, JOINTS_PER_AGENT};
-use sim_worker::collision::count_contacts;
-use sim_worker::dynamics::{StepOptions, Workspace, step};
-use sim_worker::policy::{Policy, Scratch};
-use sim_worker::robot::{Model, Robot};
-use sim_worker::rollout::{RolloutSpec, World, rollout};
-use sim_worker::scalar::{Kernel, LANES, LaneFn, Real, dispatch};
-use sim_worker::state::State;
+use simulator::collision::count_contacts;
+use simulator::dynamics::{StepOptions, Workspace, step};
+use simulator::policy::{Policy, Scratch};
+use simulator::robot::{Model, Robot};
+use simulator::rollout::{RolloutSpec, World, rollout};
+use simulator::scalar::{Kernel, LANES, LaneFn, Real, dispatch};
+use simulator::state::State;
 
 /// Lane groups that a policy is evaluated for at once: a shard of 32 environments.
 const GROUPS: usize = 2;
@@ -137,7 +137,7 @@ fn whole(criterion: &mut Criterion) {
     group.throughput(Throughput::Elements(steps as u64)).sample_size(10);
     group.bench_function("shard/paper", |bencher| {
         let spec = RolloutSpec { seed: 1, iteration: 0, shard: 0, policy: &policy };
-        bencher.iter(|| rollout(&world, &spec, &mut block, &mut || {}).expect("rolls out"));
+        bencher.iter(|| rollout(&world, &spec, &mut block, &mut |_| {}).expect("rolls out"));
     });
     group.finish();
 }

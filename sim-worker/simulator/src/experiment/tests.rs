@@ -8,6 +8,8 @@ use proto::layout::EpisodeMetrics;
 use super::recording::norm;
 use super::*;
 use crate::collision::ContactKind;
+use crate::executor::InOrder;
+use crate::executor::tests::Apart;
 use crate::policy::tests::parameters;
 use crate::rollout::{RolloutSpec, rollout};
 
@@ -37,7 +39,7 @@ fn policy(world: &World) -> Policy {
 }
 
 fn recorded(trial: &Trial<'_>) -> Recording {
-    play(trial, 1, &|| {}).expect("a recording")
+    play(trial, &InOrder, &|| {}).expect("a recording")
 }
 
 /// The largest difference of two recordings of one trial, over the steps of `range`.
@@ -60,7 +62,7 @@ fn a_trial_in_which_nothing_happens_is_a_rollout_without_exploration() {
         let policy = policy(&world);
         let mut block = vec![0.0; world.block_layout().len];
         let spec = RolloutSpec { seed: 5, iteration: 0, shard: 0, policy: &policy };
-        rollout(&world, &spec, &mut block, &mut || {}).expect("a block");
+        rollout(&world, &spec, &mut block, &mut |_| {}).expect("a block");
         let mut trial = Trial::new(Player::new(&world, &policy), 5, 18, 6);
         trial.goals.purpose = Purpose::Goal;
         let recording = recorded(&trial);
@@ -94,7 +96,7 @@ fn a_recording_depends_neither_on_threads_nor_on_neighbours() {
     let one = recorded(&trial);
     let steps = std::sync::atomic::AtomicUsize::new(0);
     let count = || _ = steps.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-    assert_eq!(one, play(&trial, 2, &count).expect("a recording"));
+    assert_eq!(one, play(&trial, &Apart, &count).expect("a recording"));
     // Chunks of 32 and 3 episodes, three steps each.
     assert_eq!(steps.into_inner(), 6);
     // Fewer episodes are the first of more.

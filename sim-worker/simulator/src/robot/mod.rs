@@ -154,20 +154,6 @@ impl Robot {
         Self::from_description(description, path)
     }
 
-    /// The built-in robot of that name, or the robot in that file.
-    pub fn load(name_or_path: &str) -> Result<Self, RobotError> {
-        if let Some(robot) = Self::builtin(name_or_path) {
-            return Ok(robot);
-        }
-        let path = Path::new(name_or_path);
-        let text = std::fs::read_to_string(path).map_err(|e| RobotError::Unreadable {
-            path: name_or_path.to_owned(),
-            reason: e.to_string(),
-            builtin: Self::builtin_names().collect::<Vec<_>>().join(", "),
-        })?;
-        Self::from_toml(&text, path)
-    }
-
     /// The description as a TOML text that [`Robot::from_toml`] reads back to the same robot.
     pub fn to_toml(&self) -> String {
         toml::to_string(&self.description).expect("a description is plain data")

@@ -82,9 +82,4 @@ fn bad_descriptions_name_file_key_and_expectation() {
     let text = format!("{}{}", &PAPER[..last], &PAPER[tool..]);
     let message = Robot::from_toml(&text, Path::new("my-robot.toml")).unwrap_err().to_string();
     assert!(message.contains("5 rows") && message.contains("6 [[links]]"), "{message}");
-    let message = Robot::load("/nowhere/robot.toml").unwrap_err().to_string();
-    assert!(
-        message.contains("/nowhere/robot.toml") && message.contains("paper, release"),
-        "{message}"
-    );
 }

@@ -28,7 +28,7 @@ use proto::rng::Purpose;
 use self::episodes::Play;
 use crate::dynamics::StepOptions;
 use crate::env::{EpisodeError, step_options};
-use crate::parallel;
+use crate::executor::{self, Executor};
 use crate::policy::Policy;
 use crate::robot::Robot;
 use crate::rollout::World;
@@ -163,17 +163,17 @@ impl<'a> Trial<'a> {
     }
 }
 
-/// Plays a trial on `threads` threads, on which the recording does not depend; `on_step` is called after every control step of a chunk of
+/// Plays a trial in chunks that `executor` runs, on which the recording does not depend; `on_step` is called after every control step of a chunk of
 /// [`CHUNK`] episodes.
 pub fn play(
     trial: &Trial<'_>,
-    threads: usize,
+    executor: &dyn Executor,
     on_step: &(dyn Fn() + Sync),
 ) -> Result<Recording, EpisodeError> {
     let mut recording = Recording::new(trial.n_arms(), trial.episodes, trial.steps);
     let chunks = recording.chunks_mut(CHUNK).enumerate().collect();
-    parallel::for_each(chunks, threads, |(index, series): &mut (usize, &mut [f32])| {
-        let first = *index * CHUNK;
+    executor::for_each(executor, chunks, |(index, series): (usize, &mut [f32])| {
+        let first = index * CHUNK;
         let n_envs = CHUNK.min(trial.episodes - first);
         play_some(trial, first, n_envs, series, &mut || on_step())
     })?;

@@ -12,7 +12,7 @@ use proto::config::Config;
 use proto::layout::{BlockLayout, Dimensions};
 use proto::rng::Purpose;
 
-use crate::env::{Batch, EpisodeError, Episodes, Noise, Output, Timing};
+use crate::env::{Batch, EpisodeError, Episodes, Noise, Output, Stage};
 use crate::policy::{Policy, PolicyError};
 use crate::robot::Robot;
 use crate::scalar::{Backend, dispatch_for};
@@ -46,6 +46,11 @@ impl World {
         }
     }
 
+    /// Env-steps of a block.
+    pub fn block_env_steps(&self) -> u64 {
+        (self.dimensions.n_envs * self.dimensions.n_steps) as u64
+    }
+
     /// Where the arrays of a block stand.
     pub fn block_layout(&self) -> &BlockLayout {
         &self.layout
@@ -68,15 +73,6 @@ pub struct RolloutSpec<'a> {
     pub shard: u32,
     /// The policy to act with.
     pub policy: &'a Policy,
-}
-
-/// What a rollout did.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct RolloutStats {
-    /// Env-steps in the block.
-    pub env_steps: u64,
-    /// Where the time went.
-    pub timing: Timing,
 }
 
 /// Why a block could not be made.
@@ -138,15 +134,15 @@ pub enum RolloutError {
 
 /// Rolls out a shard: N environments, one whole episode each, into `block`.
 ///
-/// `on_step` is called after every control step, for a worker to say that it is alive; it cannot
-/// change the result.
+/// `on_stage` is called after every part of a control step, for a worker to say that it is alive and
+/// for a benchmark to look at its clock; it cannot change the result.
 pub fn rollout(
     world: &World,
     spec: &RolloutSpec<'_>,
     block: &mut [f32],
-    on_step: &mut dyn FnMut(),
-) -> Result<RolloutStats, RolloutError> {
-    rollout_on(Backend::detect(), world, spec, block, on_step)
+    on_stage: &mut dyn FnMut(Stage),
+) -> Result<(), RolloutError> {
+    rollout_on(Backend::detect(), world, spec, block, on_stage)
 }
 
 /// [`rollout`] on a chosen back end; all give the same bits.
@@ -155,10 +151,10 @@ pub fn rollout_on(
     world: &World,
     spec: &RolloutSpec<'_>,
     block: &mut [f32],
-    on_step: &mut dyn FnMut(),
-) -> Result<RolloutStats, RolloutError> {
-    let job = prepare(world, spec, block, on_step)?;
-    finish(world, spec, dispatch_for(world.dimensions.n_envs, backend, job))
+    on_stage: &mut dyn FnMut(Stage),
+) -> Result<(), RolloutError> {
+    let job = prepare(world, spec, block, on_stage)?;
+    finish(spec, dispatch_for(world.dimensions.n_envs, backend, job))
 }
 
 /// The rollout with one environment a lane in `S` itself: the readable twin for tests.
@@ -167,18 +163,18 @@ pub(crate) fn rollout_with<S: crate::scalar::Real>(
     world: &World,
     spec: &RolloutSpec<'_>,
     block: &mut [f32],
-) -> Result<RolloutStats, RolloutError> {
+) -> Result<(), RolloutError> {
     use crate::scalar::LaneFn;
-    let mut on_step = || {};
-    let job = prepare(world, spec, block, &mut on_step)?;
-    finish(world, spec, job.call::<S>())
+    let mut on_stage = |_| {};
+    let job = prepare(world, spec, block, &mut on_stage)?;
+    finish(spec, job.call::<S>())
 }
 
 fn prepare<'a>(
     world: &'a World,
     spec: &RolloutSpec<'a>,
     block: &'a mut [f32],
-    on_step: &'a mut dyn FnMut(),
+    on_stage: &'a mut dyn FnMut(Stage),
 ) -> Result<Episodes<'a>, RolloutError> {
     let RolloutSpec { seed, iteration, shard, policy } = *spec;
     let dimensions = &world.dimensions;
@@ -219,23 +215,13 @@ fn prepare<'a>(
             exploration: world.config.exploration(iteration),
         },
         output: Output { layout: &world.layout, block },
-        on_step,
+        on_stage,
     })
 }
 
-fn finish(
-    world: &World,
-    spec: &RolloutSpec<'_>,
-    result: Result<Timing, EpisodeError>,
-) -> Result<RolloutStats, RolloutError> {
+fn finish(spec: &RolloutSpec<'_>, result: Result<(), EpisodeError>) -> Result<(), RolloutError> {
     let RolloutSpec { seed, iteration, shard, .. } = *spec;
-    match result {
-        Ok(timing) => {
-            let env_steps = (world.dimensions.n_envs * world.dimensions.n_steps) as u64;
-            Ok(RolloutStats { env_steps, timing })
-        }
-        Err(source) => Err(RolloutError::Episode { seed, iteration, shard, source }),
-    }
+    result.map_err(|source| RolloutError::Episode { seed, iteration, shard, source })
 }
 
 #[cfg(test)]

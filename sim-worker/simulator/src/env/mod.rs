@@ -20,8 +20,6 @@ pub(crate) use output::Output;
 pub use physics::step_options;
 pub(crate) use physics::{Physics, check as check_state, home};
 
-use std::time::{Duration, Instant};
-
 use proto::config::Config;
 use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 
@@ -126,15 +124,15 @@ impl EpisodeError {
     }
 }
 
-/// Where the time of a rollout went.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Timing {
-    /// Equations of motion.
-    pub physics: Duration,
-    /// Networks and sampling.
-    pub policy: Duration,
+/// A part of a control step that has just ended, for who wants to measure it or to say that it is alive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
     /// Forward kinematics, contacts, rewards, observations and writing.
-    pub observe: Duration,
+    Observed,
+    /// Networks and sampling.
+    Decided,
+    /// Equations of motion; it ends the control step.
+    Moved,
 }
 
 /// Environments `first..first + n_envs`, `n_steps` control steps each.
@@ -158,8 +156,8 @@ pub(crate) struct Episodes<'a> {
     /// Exploration.
     pub(crate) noise: Noise,
     pub(crate) output: Output<'a>,
-    /// Called after every control step.
-    pub(crate) on_step: &'a mut dyn FnMut(),
+    /// Called after every part of a control step; an episode ends with [`Stage::Observed`].
+    pub(crate) on_stage: &'a mut dyn FnMut(Stage),
 }
 
 /// One lane group.
@@ -209,12 +207,12 @@ impl<S: Real> Extremes<S> {
 }
 
 impl LaneFn for Episodes<'_> {
-    type Output = Result<Timing, EpisodeError>;
+    type Output = Result<(), EpisodeError>;
 
     #[inline(always)]
     fn call<S: Real>(self) -> Self::Output {
         let Self { config, robot, task, dimensions, policy, batch, goals, noise, .. } = self;
-        let (mut output, on_step) = (self.output, self.on_step);
+        let (mut output, on_stage) = (self.output, self.on_stage);
         let Dimensions { n_arms, n_agents, n_actors, observation: o, state: s, .. } = *dimensions;
         let agents_per_actor = dimensions.agents_per_actor();
         let (input, output_len) = (dimensions.actor_input(), dimensions.actor_output());
@@ -260,11 +258,9 @@ impl LaneFn for Episodes<'_> {
         let scale = S::splat(task.action_scale);
         // What a diverged step began with, for the report.
         let mut before = State::<S>::home(robot);
-        let mut timing = Timing::default();
         output.begin();
 
         for step in 0..=n_steps {
-            let clock = Instant::now();
             for (index, group) in groups.iter_mut().enumerate() {
                 let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
                 let touching = physics.read(&group.state, &mut group.readings);
@@ -303,12 +299,11 @@ impl LaneFn for Episodes<'_> {
                 }
                 std::mem::swap(&mut group.action, &mut group.last_action);
             }
-            timing.observe += clock.elapsed();
+            on_stage(Stage::Observed);
             if step == n_steps {
                 break;
             }
 
-            let clock = Instant::now();
             for agent in 0..n_agents {
                 let (actor, part) = (agent / agents_per_actor, agent % agents_per_actor);
                 if part == 0 {
@@ -336,9 +331,8 @@ impl LaneFn for Episodes<'_> {
                     }
                 }
             }
-            timing.policy += clock.elapsed();
+            on_stage(Stage::Decided);
 
-            let clock = Instant::now();
             for (index, group) in groups.iter_mut().enumerate() {
                 before.clone_from(&group.state);
                 physics.step(&mut group.state, &group.command);
@@ -348,10 +342,9 @@ impl LaneFn for Episodes<'_> {
                     return Err(error.keep(env, &before, &group.goals, &group.command));
                 }
             }
-            timing.physics += clock.elapsed();
-            on_step();
+            on_stage(Stage::Moved);
         }
-        Ok(timing)
+        Ok(())
     }
 }
 

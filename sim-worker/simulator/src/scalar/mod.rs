@@ -8,7 +8,7 @@
 //! [`dispatch`] picks the back end of this processor and runs a [`LaneFn`] compiled for it:
 //!
 //! ```
-//! use sim_worker::scalar::{LaneFn, Real, dispatch};
+//! use simulator::scalar::{LaneFn, Real, dispatch};
 //!
 //! struct Half(f64);
 //! impl LaneFn for Half {
@@ -35,6 +35,7 @@ use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub
 pub mod elementary;
 
 mod bf16;
+pub(crate) mod counted;
 mod double;
 mod lanes;
 mod single;

@@ -17,9 +17,11 @@
 
 mod dense;
 mod inference;
+mod initial;
 mod pack;
 
 pub use inference::Scratch;
+pub use initial::initial_parameters;
 pub use pack::{Policy, PolicyError};
 
 #[cfg(test)]

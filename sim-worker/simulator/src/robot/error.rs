@@ -4,16 +4,6 @@
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RobotError {
-    /// The file cannot be read.
-    #[error("robot {path}: {reason}; give a TOML file, or one of the built-in robots: {builtin}")]
-    Unreadable {
-        /// The file as given.
-        path: String,
-        /// The operating system's words.
-        reason: String,
-        /// Names of the built-in robots.
-        builtin: String,
-    },
     /// The text is no description: syntax, a missing or unknown key, a wrong type.
     #[error("robot {path}: {reason}")]
     Parse {

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::collision::ContactKind;
 use crate::env::EpisodeError;
+use crate::executor::Executor;
 use crate::experiment::{Player, Pose, Recording, TAIL_STEPS, Trial, play, play_some};
 use crate::policy::Policy;
 use crate::rollout::World;
@@ -22,15 +23,12 @@ pub struct EvaluationOptions {
     pub episodes: usize,
     /// Control steps of an episode, one at least.
     pub steps: usize,
-    /// Threads; the result does not depend on them.
-    pub threads: usize,
 }
 
 impl Default for EvaluationOptions {
     /// The released protocol: 30 episodes of 200 steps.
     fn default() -> Self {
-        let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        Self { seed: 0, episodes: 30, steps: 200, threads }
+        Self { seed: 0, episodes: 30, steps: 200 }
     }
 }
 
@@ -94,16 +92,17 @@ pub struct Evaluation {
 }
 
 /// Evaluates `policy` with its mean actions on goals of
-/// [`Purpose::EvaluationGoal`](proto::rng::Purpose::EvaluationGoal); `on_step` as in [`play`].
+/// [`Purpose::EvaluationGoal`](proto::rng::Purpose::EvaluationGoal); `executor` and `on_step` as in [`play`].
 pub fn evaluate(
     world: &World,
     policy: &Policy,
     options: &EvaluationOptions,
+    executor: &dyn Executor,
     on_step: &(dyn Fn() + Sync),
 ) -> Result<Evaluation, EpisodeError> {
-    let EvaluationOptions { seed, episodes, steps, threads } = *options;
+    let EvaluationOptions { seed, episodes, steps } = *options;
     let trial = Trial::new(Player::new(world, policy), seed, episodes, steps);
-    Ok(Evaluation::of(&play(&trial, threads, on_step)?))
+    Ok(Evaluation::of(&play(&trial, executor, on_step)?))
 }
 
 /// Plays episodes `first..first + episodes` of the evaluation by which a run chooses its best
@@ -189,6 +188,8 @@ mod tests {
     use proto::config::{Layers, Preset};
 
     use super::*;
+    use crate::executor::InOrder;
+    use crate::executor::tests::Apart;
     use crate::policy::tests::parameters;
     use crate::robot::Robot;
 
@@ -209,15 +210,16 @@ mod tests {
     }
 
     #[test]
-    fn an_evaluation_does_not_depend_on_threads_and_knows_its_seed() {
+    fn an_evaluation_does_not_depend_on_its_executor_and_knows_its_seed() {
         let world = world(Preset::Tuned, &Robot::builtin("paper").expect("built in"), 50);
         let flat = parameters(&world.config, &world.dimensions, 8);
         let policy = world.policy(&flat).expect("a policy");
-        let options = EvaluationOptions { seed: 3, episodes: 35, steps: 3, threads: 1 };
-        let one = evaluate(&world, &policy, &options, &|| {}).expect("an evaluation");
-        let three = evaluate(&world, &policy, &EvaluationOptions { threads: 3, ..options }, &|| {});
-        assert_eq!(one, three.expect("an evaluation"));
-        let other = evaluate(&world, &policy, &EvaluationOptions { seed: 4, ..options }, &|| {});
+        let options = EvaluationOptions { seed: 3, episodes: 35, steps: 3 };
+        let one = evaluate(&world, &policy, &options, &InOrder, &|| {}).expect("an evaluation");
+        let apart = evaluate(&world, &policy, &options, &Apart, &|| {});
+        assert_eq!(one, apart.expect("an evaluation"));
+        let other =
+            evaluate(&world, &policy, &EvaluationOptions { seed: 4, ..options }, &InOrder, &|| {});
         assert_ne!(one, other.expect("an evaluation"));
         assert_eq!((one.steps, one.episodes.len()), (3, 35));
         for EpisodeResult { end, .. } in &one.episodes {
@@ -234,7 +236,13 @@ mod tests {
             assert!(hand.position.min <= hand.position.last);
         }
         // Without episodes there is nothing to say, but nothing to fail either.
-        let none = evaluate(&world, &policy, &EvaluationOptions { episodes: 0, ..options }, &|| {});
+        let none = evaluate(
+            &world,
+            &policy,
+            &EvaluationOptions { episodes: 0, ..options },
+            &InOrder,
+            &|| {},
+        );
         assert!(none.expect("an evaluation").episodes.is_empty());
     }
 
@@ -244,9 +252,9 @@ mod tests {
         world.config.run.evaluation_steps = 3;
         let flat = parameters(&world.config, &world.dimensions, 8);
         let policy = world.policy(&flat).expect("a policy");
-        let options =
-            EvaluationOptions { seed: SELECTION_SEED, episodes: 18, steps: 3, threads: 1 };
-        let whole = evaluate(&world, &policy, &options, &|| {}).expect("an evaluation").episodes;
+        let options = EvaluationOptions { seed: SELECTION_SEED, episodes: 18, steps: 3 };
+        let whole =
+            evaluate(&world, &policy, &options, &InOrder, &|| {}).expect("an evaluation").episodes;
         let mut steps = 0;
         let mut play = |first, episodes| {
             select(&world, &policy, first, episodes, &mut || steps += 1).expect("a selection")
@@ -274,8 +282,9 @@ mod tests {
             assert_eq!(world.dimensions.n_agents, 4);
             let flat = parameters(&world.config, &world.dimensions, 8);
             let policy = world.policy(&flat).expect("a policy");
-            let options = EvaluationOptions { seed: 3, episodes: 2, steps: 2, threads: 1 };
-            let evaluation = evaluate(&world, &policy, &options, &|| {}).expect("an evaluation");
+            let options = EvaluationOptions { seed: 3, episodes: 2, steps: 2 };
+            let evaluation =
+                evaluate(&world, &policy, &options, &InOrder, &|| {}).expect("an evaluation");
             assert_eq!(evaluation.episodes[0].hands.len(), 2);
         }
     }

@@ -21,8 +21,8 @@ use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
 
 use crate::env::{EpisodeError, Physics, check_state};
+use crate::executor::{self, Executor};
 use crate::experiment::Pose;
-use crate::parallel;
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};
@@ -58,7 +58,7 @@ pub struct HandReach {
 
 /// Tries the hand goals of `episodes` evaluation episodes: `[episode][arm]`. `on_episode` is called
 /// with the number of episodes that have been decided since the last call. The result does not
-/// depend on `threads`.
+/// depend on `executor`.
 ///
 /// # Errors
 /// If the simulation diverges.
@@ -66,13 +66,13 @@ pub fn reach(
     world: &World,
     seed: u64,
     episodes: usize,
-    threads: usize,
+    executor: &dyn Executor,
     on_episode: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<Vec<HandReach>>, EpisodeError> {
     let mut results = vec![Vec::new(); episodes];
     let chunks = results.chunks_mut(LANES).enumerate().collect();
-    parallel::for_each(chunks, threads, |(index, results): &mut (usize, &mut [_])| {
-        let env = (*index * LANES) as u32;
+    executor::for_each(executor, chunks, |(index, results): (usize, &mut [_])| {
+        let env = (index * LANES) as u32;
         let goals = GoalAddress { seed, purpose: Purpose::EvaluationGoal, iteration: 0, env };
         results.clone_from_slice(&decide(world, goals, results.len())?);
         on_episode(results.len());
@@ -84,15 +84,20 @@ pub fn reach(
 /// Whether inverse kinematics has a solution for the hand goals of evaluation episodes with the base
 /// where each of them ended, stops and contacts aside: `[episode][arm]`, one episode for each of `ends`. What
 /// is told is, but for solutions that no start finds, an upper bound of what a policy could still have reached there.
-pub fn within_reach(world: &World, seed: u64, ends: &[&Pose], threads: usize) -> Vec<Vec<bool>> {
+pub fn within_reach(
+    world: &World,
+    seed: u64,
+    ends: &[&Pose],
+    executor: &dyn Executor,
+) -> Vec<Vec<bool>> {
     let robot = &world.robot;
     let mut results = vec![Vec::new(); ends.len()];
     let each = results.iter_mut().zip(ends).enumerate().collect();
-    let Ok(()) = parallel::for_each(each, threads, |(env, (results, end))| {
+    let Ok(()) = executor::for_each(executor, each, |(env, (result, end))| {
         let purpose = Purpose::EvaluationGoal;
-        let address = GoalAddress { seed, purpose, iteration: 0, env: *env as u32 };
+        let address = GoalAddress { seed, purpose, iteration: 0, env: env as u32 };
         let base = base_pose(end.base_position.map(f64::from), end.base_quaternion.map(f64::from));
-        **results = (0..robot.n_arms)
+        *result = (0..robot.n_arms)
             .map(|arm| {
                 let target = base.inverse() * pose(world.task.goals.hand(arm, address));
                 solvable(robot, arm, &target)
@@ -281,6 +286,8 @@ mod tests {
     use proto::config::{Layers, Preset, TaskName};
 
     use super::*;
+    use crate::executor::InOrder;
+    use crate::executor::tests::Apart;
     use crate::robot::Robot;
 
     fn world() -> World {
@@ -290,11 +297,12 @@ mod tests {
     }
 
     #[test]
-    fn most_goals_are_reached_on_the_first_or_another_way_whatever_the_threads() {
+    fn most_goals_are_reached_on_the_first_or_another_way_whatever_the_executor() {
         let world = world();
-        let decided = |threads| reach(&world, 0, 20, threads, &|_| {}).expect("stable");
-        let all = decided(1);
-        assert_eq!(all, decided(2));
+        let decided =
+            |executor: &dyn Executor| reach(&world, 0, 20, executor, &|_| {}).expect("stable");
+        let all = decided(&InOrder);
+        assert_eq!(all, decided(&Apart));
         let hands: Vec<&HandReach> = all.iter().flatten().collect();
         assert_eq!(hands.len(), 80);
         let reached = hands.iter().filter(|hand| hand.reached).count();
@@ -311,22 +319,22 @@ mod tests {
     #[test]
     fn what_is_within_reach_depends_on_where_the_base_is() {
         let world = world();
-        let count = |position: [f32; 3], threads| {
+        let count = |position: [f32; 3], executor: &dyn Executor| {
             let base_quaternion = [1.0, 0.0, 0.0, 0.0];
             let end = Pose { base_position: position, base_quaternion, joints: vec![] };
-            let hands = within_reach(&world, 0, &[&end; 20], threads).concat();
+            let hands = within_reach(&world, 0, &[&end; 20], executor).concat();
             assert_eq!(hands.len(), 80);
             hands.into_iter().filter(|&within| within).count()
         };
         let home = world.robot.home_position.map(|x| x as f32);
         let [x, y, z] = home;
         // With the base at home a fifth of the goals have their wrist's centre in the cylinder.
-        let at_home = count(home, 1);
+        let at_home = count(home, &InOrder);
         assert!((55..70).contains(&at_home), "{at_home} of 80");
-        assert_eq!(at_home, count(home, 2));
-        let lost = count([x, y, z + 0.5], 2);
+        assert_eq!(at_home, count(home, &Apart));
+        let lost = count([x, y, z + 0.5], &InOrder);
         assert!(lost < at_home, "{lost} of {at_home}");
-        assert_eq!(count([x, y, z + 3.0], 2), 0);
+        assert_eq!(count([x, y, z + 3.0], &InOrder), 0);
     }
 
     #[test]
