@@ -345,8 +345,10 @@ impl Supervisor {
         };
         let mut options = File::options();
         options.create(true).append(true);
-        let file = regular::open_with(&path, &mut options, Links::Follow)
-            .map_err(|error| fail(&path.display().to_string(), &error))?;
+        let file = regular::open_with(&path, &mut options, Links::Follow).map_err(|error| {
+            let message = format!("{}: cannot be written: {error}", path.display());
+            ExitError::new(ExitCode::RunDirectory, message)
+        })?;
         let copy = file.try_clone().map_err(|error| fail("cannot share the log file", &error))?;
         command
             .arg("--run-dir")

@@ -63,7 +63,7 @@ fn values_that_are_none() {
             &["train", "--set", "env.n_envs"],
             "'env.n_envs' for '--set <KEY=VALUE>': wants KEY=VALUE",
         ),
-        (&["train", "--listen", "foo"], "127.0.0.1:8270, or `off`"),
+        (&["train", "--listen", "foo"], "localhost:8270, or `off`"),
         (&["serve", "--store", run, "--listen", "localhost:0"], "127.0.0.1:8270"),
         (&["scale", run, "many"], "or `auto`"),
         (&["scale", run, "-1"], "or `auto`"),

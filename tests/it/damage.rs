@@ -99,7 +99,7 @@ fn a_checkpoint_of_another_budget_is_no_base() {
     let archive = |iteration: u64| {
         let path = place.path().join(format!("{iteration}.tar"));
         let from = format!("{}:{iteration}", other.path().display());
-        let exported = octopus(&["checkpoints", "export", &from, "--out", text(&path)]);
+        let exported = octopus(&["checkpoints", "export", &from, "--force", "--out", text(&path)]);
         assert!(exported.status.success(), "{}", stderr(&exported));
         path
     };

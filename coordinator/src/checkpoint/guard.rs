@@ -101,8 +101,16 @@ fn open(path: &Path) -> std::io::Result<File> {
     Ok(file)
 }
 
+/// How often the kernel's table of locks is read: while it is, other locks come and go, and a line can be
+/// left out.
+const LOOKS: usize = 5;
+
 /// The process that holds a lock on an open file, if the kernel tells.
 fn holder(file: &File) -> Option<u32> {
+    (0..LOOKS).find_map(|_| look_up_holder(file))
+}
+
+fn look_up_holder(file: &File) -> Option<u32> {
     let there = file.metadata().ok()?;
     let (device, inode) = (there.dev(), there.ino());
     let place =

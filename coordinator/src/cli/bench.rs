@@ -46,9 +46,10 @@ peer's rollout is 1 / (1 / MuJoCo + threads / its inference), its training 1 / (
 MuJoCo) + 1 / its learner + 1 / its inference), with no more workers than processors. The \
 transport's peers are a pipe and a Unix socket, always measured, each with the same bytes.
 
-What else the machine did meanwhile is said below the table. Measurements that contradict each other end with exit code 1 and no
-table: something that is faster than its floor, or products beyond the peak of the processor (cores × ports × lanes × 2 × the
-highest clock). That happens on a machine that does other work at the same time.
+What else the machine did meanwhile is said below the table. Measurements that contradict each \
+other end with exit code 1 and no table: something that is faster than its floor, or products \
+beyond the peak of the processor (cores × ports × lanes × 2 × the highest clock). That happens on \
+a machine that does other work at the same time.
 
 Ctrl-C stops at once and leaves nothing behind.";
 

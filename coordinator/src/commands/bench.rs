@@ -200,7 +200,10 @@ impl Bench {
 
     /// A directory that a learner takes for a run's: with this configuration and the robot.
     fn run_dir(&self, config: &Config) -> anyhow::Result<RunDir> {
-        let run_dir = RunDir::new(self.scratch.path());
+        // Beside the trainings, none of which may lie in a run.
+        let run_dir = RunDir::new(self.scratch.path().join("learner"));
+        std::fs::create_dir_all(run_dir.path())
+            .with_context(|| format!("{}: cannot be made", run_dir.path().display()))?;
         for (path, text) in
             [(run_dir.config(), config.to_toml()), (run_dir.robot(), self.robot.to_toml())]
         {

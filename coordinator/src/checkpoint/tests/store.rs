@@ -236,6 +236,9 @@ fn a_state_tells_the_precision_that_an_earlier_version_left_undecided() {
         assert_eq!(checkpoint.precision().ok(), Some(known));
     }
     checkpoint.config.run.precision = Precision::Auto;
+    let other = TensorView::new(Dtype::U64, vec![1], &[0; 8]).expect("sized");
+    let file = safetensors::serialize([("counters.iteration", other)], None).expect("a file");
+    std::fs::write(checkpoint.state(), file).expect("writable");
     let error = checkpoint.precision().expect_err("nothing tells").to_string();
     assert!(error.contains("state.safetensors") && error.contains("counters.precision"), "{error}");
     // Bits of the products' operands, as the learner writes them.
