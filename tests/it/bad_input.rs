@@ -64,7 +64,7 @@ fn values_that_are_none() {
             "'env.n_envs' for '--set <KEY=VALUE>': wants KEY=VALUE",
         ),
         (&["train", "--listen", "foo"], "localhost:8270, or `off`"),
-        (&["serve", "--store", run, "--listen", "localhost:0"], "127.0.0.1:8270"),
+        (&["serve", "--store", run, "--listen", "localhost"], "127.0.0.1:8270"),
         (&["scale", run, "many"], "or `auto`"),
         (&["scale", run, "-1"], "or `auto`"),
         (&["eval", run, "--episodes", "0"], "from 1 to 1,000,000"),

@@ -114,10 +114,10 @@ The archive is an uncompressed tar; the same checkpoint always gives the same by
 const COMMIT_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints commit runs/trajectory-20260101-120000
-  octopus checkpoints commit runs/trajectory-20260101-120000 && octopus eval runs/trajectory-20260101-120000
+  octopus checkpoints commit runs/a && octopus eval runs/a
 
-Asks the run that is going on there, which commits after the iteration that it is training on. A run
-commits by itself, too: see run.checkpoint_every and run.checkpoint_every_s.";
+Asks the run that is going on there, which commits after the iteration that it is training on. A \
+run commits by itself, too: see run.checkpoint_every and run.checkpoint_every_s.";
 
 const IMPORT_EXAMPLES: &str = "\
 Examples:
