@@ -73,17 +73,19 @@ test: setup venv ## everything that must hold: format, lints, documentation, tes
 	$(call step,'programs',$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES))
 	$(call step,'tests',$(CARGO) test $(LOCKED) --workspace $(FEATURES))
 
-# Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run.
+# Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run, then
+# damaged files.
 KILLS ?= 200
 RESTARTS ?= 1000
 LEARNER_RESTARTS ?= 50
+DAMAGES ?= 100
 SEED ?= 1
 
 .PHONY: chaos
-chaos: setup ## kill runs at random and compare bits (KILLS=200 RESTARTS=1000 SEED=1)
+chaos: setup ## kill runs at random and compare bits (KILLS=200 RESTARTS=1000 DAMAGES=100 SEED=1)
 	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
 	@$(TARGET)/debug/examples/chaos --seed $(SEED) --kills $(KILLS) \
-		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS)
+		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS) --damages $(DAMAGES)
 
 # Any value records what is found instead of checking it.
 RECORD ?=
@@ -92,6 +94,11 @@ RECORD ?=
 golden: setup ## compare small rollouts, evaluations and trainings with their recorded digests
 	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
 	@$(TARGET)/debug/examples/golden $(if $(RECORD),--record)
+
+.PHONY: guide
+guide: setup ## write the pages of the guide that are made from the program
+	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
+	@$(TARGET)/debug/examples/guide
 
 .PHONY: fuzz
 fuzz: ## fuzz everything that reads bytes from outside (SECONDS=60 for each target)

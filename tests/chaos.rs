@@ -2,9 +2,10 @@
 //! bits as one that was left alone, every env-step accounted for, and nothing left behind.
 //!
 //! [`plan`] draws what happens from a seed, [`Chaos::run`] lets it happen, and [`restarts`] kills
-//! workers of one live run a thousand times. Nothing here depends on luck to pass: the moments
+//! workers of one live run a thousand times. [`damage`] harms the files of a dead one. Nothing here depends on luck to pass: the moments
 //! fall differently on every machine, the bits must not.
 
+pub mod damage;
 pub mod measure;
 pub mod observe;
 pub mod plan;
@@ -210,15 +211,24 @@ impl<'a> Chaos<'a> {
                 let code = self.run.wait();
                 self.domains.extend(domain_of(&self.run, pid));
                 self.domains.dedup();
-                // A signal that comes before the program listens ends it at once.
-                ensure!(
-                    matches!(code, Some(0) | None),
-                    "Ctrl-C ended with {code:?}; log:\n{}",
-                    self.run.log()
-                );
+                // A signal that comes before the program listens ends it at once, and with a learner that
+                // was killed just before the run cannot end as it should.
+                let expected = match code {
+                    Some(0) | None => true,
+                    Some(6) => self.recovering.is_some(),
+                    Some(_) => false,
+                };
+                ensure!(expected, "Ctrl-C ended with {code:?}; log:\n{}", self.run.log());
                 self.wait_until_gone()?;
                 self.resume(workers);
                 Ok(format!("process {pid} ended with {code:?}"))
+            }
+            Act::FreezeCoordinator(time) => {
+                count(&mut self.report, "coordinators_frozen");
+                self.run.signal(Signal::STOP);
+                std::thread::sleep(time);
+                self.run.signal(Signal::CONT);
+                Ok(format!("process {}", self.run.pid()))
             }
             Act::Scale(workers) => {
                 count(&mut self.report, "scalings");

@@ -18,11 +18,12 @@ use proto::layout::{ActorLayout, Dimensions};
 use proto::rng::{Address, Purpose};
 use proto::{Digest, DigestBuilder};
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::Evaluation;
-use sim_worker::experiment::{Player, Trial, play};
-use sim_worker::robot::Robot;
-use sim_worker::rollout::{RolloutSpec, World, rollout_on};
-use sim_worker::scalar::Backend;
+use simulator::evaluate::Evaluation;
+use simulator::executor::InOrder;
+use simulator::experiment::{Player, Trial, play};
+use simulator::robot::Robot;
+use simulator::rollout::{RolloutSpec, World, rollout_on};
+use simulator::scalar::Backend;
 
 use crate::Run;
 
@@ -124,7 +125,7 @@ pub fn evaluations() -> Result<Digests> {
         for backend in BACKENDS.into_iter().filter(|backend| backend.is_available()) {
             let mut trial = Trial::new(Player::new(&world, &policy), 0, 20, 50);
             trial.backend = backend;
-            let evaluation = Evaluation::of(&play(&trial, 2, &|| ())?);
+            let evaluation = Evaluation::of(&play(&trial, &InOrder, &|| ())?);
             let mut digest = DigestBuilder::new();
             digest.field("evaluation", &serde_json::to_vec(&evaluation)?);
             by_backend.push((backend, digest.finish()));
@@ -217,12 +218,12 @@ fn config(
 
 /// Shard 1 of iteration 2, so that no part of the address is zero.
 fn block(backend: Backend, config: &Config) -> Result<Digest> {
-    let robot = Robot::load(&config.robot.description)?;
+    let robot = Robot::builtin(&config.robot.description).context("a built-in robot")?;
     let world = World::new(config, &robot);
     let policy = world.policy(&parameters(config, &world.dimensions))?;
     let spec = RolloutSpec { seed: 7, iteration: 2, shard: 1, policy: &policy };
     let mut block = vec![0.0; world.block_layout().len];
-    rollout_on(backend, &world, &spec, &mut block, &mut || ())?;
+    rollout_on(backend, &world, &spec, &mut block, &mut |_| ())?;
     let bytes: Vec<u8> = block.iter().flat_map(|x: &f32| x.to_le_bytes()).collect();
     Ok(DigestBuilder::new().field("block", &bytes).finish())
 }

@@ -11,6 +11,9 @@ use tempfile::TempDir;
 
 pub mod chaos;
 pub mod golden;
+pub mod guide;
+pub mod reference;
+pub mod worked_example;
 
 /// Path of a built program: programs lie beside the directory of the test executables.
 pub fn program(name: &str) -> PathBuf {

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! octopus serve --store runs/RUN &
-//! cargo run --release -p coordinator --example http_load -- --connections 16 --seconds 5
+//! cargo run --release -p coordinator --example http_load -- \
+//!     --token-file runs/RUN/checkpoints/.http.token --connections 16 --seconds 5
 //! ```
 //!
 //! Every connection is kept alive and asks again as soon as it is answered (a closed loop), so the
@@ -11,6 +12,7 @@
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail, ensure};
@@ -24,6 +26,9 @@ struct Args {
     /// Where the service listens.
     #[arg(long, default_value = "127.0.0.1:8270")]
     address: SocketAddr,
+    /// The file with the service's token.
+    #[arg(long)]
+    token_file: PathBuf,
     /// Connections at a time.
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=256))]
     connections: u32,
@@ -56,18 +61,23 @@ struct Measurement {
 fn main() -> anyhow::Result<()> {
     let args = Args::parse();
     ensure!(args.address.ip().is_loopback(), "{}: not this machine", args.address);
+    let token = std::fs::read_to_string(&args.token_file)
+        .with_context(|| args.token_file.display().to_string())?;
     let mut results = Vec::new();
     for path in ["/health", "/v1/checkpoints", &args.file] {
-        results.push(measure(&args, path)?);
+        results.push(measure(&args, path, token.trim())?);
     }
     output::json(&results)
 }
 
-fn measure(args: &Args, path: &str) -> anyhow::Result<Measurement> {
+fn measure(args: &Args, path: &str, token: &str) -> anyhow::Result<Measurement> {
+    let address = args.address;
+    let request =
+        format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nAuthorization: Bearer {token}\r\n\r\n");
     let time = Duration::from_secs(u64::from(args.seconds));
     let start = Instant::now();
     let results = std::thread::scope(|scope| {
-        let client = || client(args.address, path, start + time, args.requests);
+        let client = || client(address, path, &request, start + time, args.requests);
         let clients: Vec<_> = (0..args.connections).map(|_| scope.spawn(client)).collect();
         clients
             .into_iter()
@@ -102,6 +112,7 @@ fn measure(args: &Args, path: &str) -> anyhow::Result<Measurement> {
 fn client(
     address: SocketAddr,
     path: &str,
+    request: &str,
     until: Instant,
     most: u64,
 ) -> anyhow::Result<(Vec<f64>, u64)> {
@@ -109,7 +120,6 @@ fn client(
     stream.set_nodelay(true)?;
     let mut reader = BufReader::with_capacity(256 << 10, stream.try_clone()?);
     let mut writer = stream;
-    let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n");
     let (mut latencies, mut body) = (Vec::new(), 0);
     while Instant::now() < until && (latencies.len() as u64) < most {
         let start = Instant::now();

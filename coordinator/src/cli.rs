@@ -22,15 +22,19 @@ use self::values::{assignment, duration, listen, positive, seconds, whole, worke
 const EXIT_CODES: &str = "\
 Exit codes:
   0    all went well
-  1    something failed while running; the message says what. Or what was compared is not the same
+  1    something failed while running; the message says what. Or what was
+       compared is not the same
   2    the command line is wrong
   3    a configuration, robot, actions or other input file is wrong
-  4    the machine lacks something: shared memory, descriptors, libtorch, a device
-  5    a run directory, checkpoint or result exists already, is in use, is missing or is damaged
+  4    the machine lacks something: shared memory, descriptors, libtorch, a
+       device
+  5    a run directory, checkpoint or result exists already, is in use, is
+       missing or is damaged
   6    the learner or a worker failed for good
-  130  stopped at once by a second Ctrl-C, or in `bench` by the first one
+  130  stopped at once: by a second Ctrl-C where a run is going on, by the first
+       one elsewhere
 
-Results go to standard output, progress and logs to standard error (RUST_LOG=info shows more).
+Results go to standard output, progress and logs to standard error (RUST_LOG=info shows more). \
 `octopus COMMAND --help` shows options and examples.";
 
 const TRAIN_EXAMPLES: &str = "\
@@ -39,12 +43,13 @@ Examples:
   octopus train reorientation --time-limit 10m
   octopus train --preset paper --seed 7 --run-dir runs/paper-7
   octopus train --preset paper --algorithm ppo
-  octopus train --set network.hidden=[64,64] --set algorithm.gamma=0.97 --iterations 20
+  octopus train --set network.hidden=[64,64] --set algorithm.gamma=0.97 \\
+      --iterations 20
 
-Configuration is merged in layers, later ones win: the preset, --config, the flags above, --set. Its
-groups are task, robot, env, network, algorithm, optimizer and run; the resolved whole is written
-to RUN_DIR/config.toml. One Ctrl-C finishes the iteration, commits a checkpoint and ends cleanly;
-a second one stops at once. `octopus resume RUN_DIR` goes on.";
+Configuration is merged in layers, later ones win: the preset, --config, the flags above, --set. \
+Its groups are task, robot, env, network, algorithm, optimizer and run; the resolved whole is \
+written to RUN_DIR/config.toml. One Ctrl-C finishes the iteration, commits a checkpoint and ends \
+cleanly; a second one stops at once. `octopus resume RUN_DIR` goes on.";
 
 const RESUME_EXAMPLES: &str = "\
 Examples:
@@ -52,9 +57,9 @@ Examples:
   octopus resume runs/trajectory-20260101-120000 --workers 4
   octopus resume runs/trajectory-20260101-120000 --env-steps 4e6
 
---iterations and --env-steps are those of the whole run, not of what is left; --time-limit is that of
-this session. The number of workers changes nothing that is learned; another budget does when the
-learning rate falls over it.";
+--iterations and --env-steps are those of the whole run, not of what is left; --time-limit is \
+that of this session. The number of workers changes nothing that is learned; another budget does \
+when the learning rate falls over it.";
 
 const EVAL_EXAMPLES: &str = "\
 Examples:
@@ -63,8 +68,12 @@ Examples:
   octopus eval runs/trajectory-20260101-120000:500 --episodes 200
   octopus eval runs/trajectory-20260101-120000 --json | jq .overall
 
-Of every episode three numbers are taken for each error: its minimum over time (`min`), its value
+Of every episode three numbers are taken for each error: its minimum over time (`min`), its value \
 after the last step (`final`) and its mean over the last 20 steps (`tail`).";
+
+const SIMULATE_USAGE: &str = "\
+octopus simulate [OPTIONS] --robot <NAME|FILE> --actions <IN.csv>
+                        --out <OUT.csv>";
 
 const SIMULATE_EXAMPLES: &str = "\
 Examples:
@@ -73,16 +82,17 @@ Examples:
   octopus simulate --robot release --actions in.csv --out out.csv \\
       --precision f64 --integrator euler --substep 0.001
 
-IN.csv has no header and one row per control step: joint velocity commands in rad/s, arm after arm
-(24 numbers for four arms). OUT.csv has a header and one row per control step, after it: t, base
-position (m) and quaternion (w first), joint angles (rad), velocity of the base (m/s, world axes;
-rad/s, body axes), joint rates (rad/s), hand positions (m), touching pairs.
-The last example is the scheme of the robot's authors.";
+IN.csv has no header and one row per control step: joint velocity commands in rad/s, arm after \
+arm (24 numbers for four arms). OUT.csv has a header and one row per control step, after it: t, \
+base position (m) and quaternion (w first), joint angles (rad), velocity of the base (m/s, world \
+axes; rad/s, body axes), joint rates (rad/s), hand positions (m), touching pairs. The last \
+example is the scheme of the robot's authors.";
 
 const MJCF_EXAMPLES: &str = "\
 Examples:
   octopus mjcf --robot release --out release.xml
-  octopus mjcf --robot my-robot.toml | python -c 'import mujoco, sys; mujoco.MjModel.from_xml_string(sys.stdin.read())'";
+  octopus mjcf --robot my-robot.toml --out my-robot.xml
+  python -m mujoco.viewer --mjcf=my-robot.xml";
 
 const STATUS_EXAMPLES: &str = "\
 Examples:
@@ -91,8 +101,8 @@ Examples:
   octopus status runs/trajectory-20260101-120000 --json | jq .live.stages
   octopus status runs/trajectory-20260101-120000 --token-file token.txt
 
-Processes, shards and stages come from the run's HTTP service; if it cannot be asked, standard error
-and the key `live_error` say why.";
+Processes, shards and stages come from the run's HTTP service; if it cannot be asked, standard \
+error and the key `live_error` say why.";
 
 const DOCTOR_EXAMPLES: &str = "\
 Examples:
@@ -106,7 +116,7 @@ Examples:
   octopus clean --dry-run
   octopus clean
 
-A run that is killed is cleaned up after by its janitor; this is for what is left when that was
+A run that is killed is cleaned up after by its janitor; this is for what is left when that was \
 killed, too. What a living process uses is never touched.";
 
 /// Trains, evaluates and simulates multi-arm space robots.
@@ -165,13 +175,13 @@ pub enum Command {
 #[group(multiple = false)]
 pub struct Limits {
     /// Stop after this many iterations.
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = positive, help_heading = "Limits")]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = positive, help_heading = "Limits")]
     pub iterations: Option<u64>,
     /// Stop after this many env-steps, rounded up to whole iterations: 2000000, 2e6.
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = positive, help_heading = "Limits")]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = positive, help_heading = "Limits")]
     pub env_steps: Option<u64>,
     /// Stop after this much time: 90s, 10m, 1h30m. Changes nothing that is learned until then.
-    #[arg(long, value_name = "TIME", allow_negative_numbers = true, value_parser = duration, help_heading = "Limits")]
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true, value_parser = duration, help_heading = "Limits")]
     pub time_limit: Option<Duration>,
 }
 
@@ -193,19 +203,19 @@ pub struct TrainArgs {
     #[arg(long, value_name = "NAME", value_enum)]
     pub algorithm: Option<AlgorithmArg>,
     /// Change one key; may be given again: --set algorithm.gamma=0.97.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment)]
+    #[arg(long = "set", value_name = "KEY=VALUE", allow_hyphen_values = true, value_parser = assignment)]
     pub sets: Vec<String>,
     /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
-    #[arg(long, value_name = "N|auto", allow_negative_numbers = true, value_parser = workers)]
+    #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers)]
     pub workers: Option<u64>,
     /// Fix each worker to a processor.
     #[arg(long)]
     pub pin: bool,
     /// Environments of the whole run, one episode each per iteration.
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<u64>(1, u64::MAX))]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX))]
     pub envs: Option<u64>,
     /// Seed of every random number.
-    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = whole::<u64>(0, i64::MAX as u64))]
+    #[arg(long, value_name = "S", allow_hyphen_values = true, value_parser = whole::<u64>(0, i64::MAX as u64))]
     pub seed: Option<u64>,
     /// When to stop.
     #[command(flatten)]
@@ -214,7 +224,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
     /// 1 rolls out the next iteration while the learner trains on this one.
-    #[arg(long, value_name = "0|1", allow_negative_numbers = true, value_parser = whole::<u64>(0, 1))]
+    #[arg(long, value_name = "0|1", allow_hyphen_values = true, value_parser = whole::<u64>(0, 1))]
     pub overlap: Option<u64>,
     /// Where the learner computes: cpu, cuda:0.
     #[arg(long, value_name = "DEVICE")]
@@ -240,9 +250,9 @@ pub struct TrainArgs {
 #[derive(Debug, Clone, Args)]
 pub struct HttpArgs {
     /// Where it listens; port 0 takes a free one; `off` has none.
-    #[arg(long, value_name = "ADDRESS:PORT|off", default_value = "127.0.0.1:0", value_parser = listen, help_heading = "Service")]
+    #[arg(long, value_name = "ADDRESS:PORT|off", allow_hyphen_values = true, default_value = "127.0.0.1:0", value_parser = listen, help_heading = "Service")]
     pub listen: Listen,
-    /// A file with the token that clients must show; needed beyond this machine.
+    /// A file with a token that clients may show beside the run's own; needed beyond this machine.
     #[arg(long, value_name = "FILE", help_heading = "Service")]
     pub token_file: Option<PathBuf>,
 }
@@ -266,6 +276,9 @@ pub struct Ending {
     /// Leave the evaluation of the final policy out.
     #[arg(long)]
     pub no_eval: bool,
+    /// Show the final errors of each agent, too.
+    #[arg(long)]
+    pub agents: bool,
     /// Show no progress.
     #[arg(long, short)]
     pub quiet: bool,
@@ -281,7 +294,7 @@ pub struct ResumeArgs {
     /// The run directory.
     pub run_dir: PathBuf,
     /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
-    #[arg(long, value_name = "N|auto", allow_negative_numbers = true, value_parser = workers)]
+    #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers)]
     pub workers: Option<u64>,
     /// When to stop.
     #[command(flatten)]
@@ -303,14 +316,17 @@ pub struct EvalArgs {
     #[arg(value_name = "RUN_DIR|CHECKPOINT")]
     pub path: PathBuf,
     /// Episodes, each with a goal of its own.
-    #[arg(long, value_name = "N", default_value_t = 30, allow_negative_numbers = true, value_parser = whole::<u32>(1, 1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 30, allow_hyphen_values = true, value_parser = whole::<u32>(1, 1_000_000))]
     pub episodes: u32,
     /// Control steps of an episode.
-    #[arg(long, value_name = "N", default_value_t = 200, allow_negative_numbers = true, value_parser = whole::<u32>(1, 100_000))]
+    #[arg(long, value_name = "N", default_value_t = 200, allow_hyphen_values = true, value_parser = whole::<u32>(1, 100_000))]
     pub steps: u32,
     /// Seed of the goals.
-    #[arg(long, value_name = "S", default_value_t = 0, allow_negative_numbers = true, value_parser = whole::<u64>(0, u64::MAX))]
+    #[arg(long, value_name = "S", default_value_t = 0, allow_hyphen_values = true, value_parser = whole::<u64>(0, u64::MAX))]
     pub seed: u64,
+    /// Show the errors of each agent, too.
+    #[arg(long)]
+    pub agents: bool,
     /// Print the result as JSON, every episode included.
     #[arg(long)]
     pub json: bool,
@@ -318,7 +334,7 @@ pub struct EvalArgs {
 
 /// Options of `octopus simulate`.
 #[derive(Debug, Clone, Args)]
-#[command(after_help = SIMULATE_EXAMPLES)]
+#[command(override_usage = SIMULATE_USAGE, after_help = SIMULATE_EXAMPLES)]
 pub struct SimulateArgs {
     /// `paper`, `release`, or a robot file.
     #[arg(long, value_name = "NAME|FILE")]
@@ -329,6 +345,9 @@ pub struct SimulateArgs {
     /// The trajectory; `-` writes standard output.
     #[arg(long, value_name = "OUT.csv")]
     pub out: PathBuf,
+    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    #[arg(long)]
+    pub force: bool,
     /// Arithmetic.
     #[arg(long, value_enum, default_value_t = PrecisionArg::F32)]
     pub precision: PrecisionArg,
@@ -336,10 +355,10 @@ pub struct SimulateArgs {
     #[arg(long, value_enum, default_value_t = IntegratorArg::Rk3)]
     pub integrator: IntegratorArg,
     /// Duration of an integration step; divides the control period.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.016, allow_negative_numbers = true, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.016, allow_hyphen_values = true, value_parser = seconds)]
     pub substep: f64,
     /// Duration of a control step.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.4, allow_negative_numbers = true, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.4, allow_hyphen_values = true, value_parser = seconds)]
     pub control_period: f64,
     /// Whether touching bodies push each other.
     #[arg(long, value_name = "on|off", value_enum, default_value_t = Switch::On)]
@@ -356,6 +375,9 @@ pub struct MjcfArgs {
     /// The model file [default: standard output].
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    #[arg(long)]
+    pub force: bool,
     /// Whether shapes of the model collide.
     #[arg(long, value_name = "on|off", value_enum, default_value_t = Switch::On)]
     pub contacts: Switch,
@@ -379,7 +401,7 @@ pub struct StatusArgs {
     /// Show it again and again, until the run ends or Ctrl-C: every 2 s, or as in --watch=10s.
     #[arg(long, requires = "run_dir", value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "2", value_parser = duration)]
     pub watch: Option<Duration>,
-    /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
+    /// A file with the token to show [default: http.token of the run directory].
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
     /// Print as JSON; with --watch one line each time.
@@ -538,7 +560,7 @@ mod tests {
         }
     }
 
-    /// The README promises it.
+    /// The guide promises it.
     #[test]
     fn every_command_has_examples() {
         fn check(command: &clap::Command, path: &str) {
@@ -560,5 +582,92 @@ mod tests {
         insta::assert_snapshot!("help", command.render_help());
         let train = command.find_subcommand_mut("train").expect("exists");
         insta::assert_snapshot!("help_train", train.render_help());
+    }
+
+    /// Calls `check` with every command but the hidden ones, and how it is called.
+    fn each_command(check: &mut dyn FnMut(&mut clap::Command, &str)) {
+        fn below(
+            command: &mut clap::Command,
+            path: &str,
+            check: &mut dyn FnMut(&mut clap::Command, &str),
+        ) {
+            check(command, path);
+            for command in command.get_subcommands_mut().filter(|command| !command.is_hide_set()) {
+                let path = format!("{path} {}", command.get_name());
+                below(command, &path, check);
+            }
+        }
+        let mut root = Cli::command();
+        root.build();
+        below(&mut root, "octopus", check);
+    }
+
+    #[test]
+    fn help_fits_in_80_columns() {
+        each_command(&mut |command, path| {
+            let help = command.clone().term_width(80).render_long_help().to_string();
+            for line in help.lines() {
+                assert!(line.chars().count() <= 80, "{path}: {line}");
+            }
+        });
+    }
+
+    /// What is wrapped by hand as well as by the terminal's width ends in ragged lines: a paragraph is one
+    /// line, and what begins with spaces is as wide as the narrowest terminal at most.
+    #[test]
+    fn help_is_wrapped_once() {
+        each_command(&mut |command, path| {
+            let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let lines: Vec<&str> = after.lines().collect();
+            let prose = |line: &str| !line.is_empty() && !line.starts_with(' ');
+            for pair in lines.windows(2) {
+                assert!(
+                    !(prose(pair[0]) && prose(pair[1])),
+                    "{path}: two lines of one paragraph: {pair:?}"
+                );
+            }
+            for line in lines.iter().filter(|line| line.starts_with(' ')) {
+                assert!(line.chars().count() <= 80, "{path}: {line}");
+            }
+        });
+    }
+
+    /// `--masses -1,2` is a wrong value, not an unknown flag. A path may be forgotten before another flag, and
+    /// that one shall not be taken for it.
+    #[test]
+    fn a_value_may_begin_with_a_minus_sign() {
+        use clap::builder::ValueParser;
+        let paths = [ValueParser::path_buf().type_id(), ValueParser::string().type_id()];
+        let mut seen = 0;
+        each_command(&mut |command, path| {
+            for option in command
+                .get_opts()
+                .filter(|option| !option.is_require_equals_set() && !option.is_hide_set())
+            {
+                let words = !option.get_possible_values().is_empty();
+                if words || paths.contains(&option.get_value_parser().type_id()) {
+                    continue;
+                }
+                let several = option.get_num_args().is_some_and(|range| range.max_values() > 1);
+                assert!(several || option.is_allow_hyphen_values_set(), "{path} {option}");
+                seen += 1;
+            }
+        });
+        assert!(seen > 20, "{seen}");
+        for (line, wanted) in [
+            ("octopus experiment noise --sensors -0.3,1", "wants numbers, 0 or more"),
+            ("octopus experiment disturbance --force -inf", "wants a number, 0 or more"),
+            ("octopus train --time-limit -10m", "wants a time such as"),
+            ("octopus train --seed --json", "wants a whole number"),
+        ] {
+            let error = Cli::try_parse_from(line.split(' ')).expect_err(line);
+            assert_eq!(error.kind(), clap::error::ErrorKind::ValueValidation, "{line}");
+            assert!(error.to_string().contains(wanted), "{error}");
+        }
+        for line in ["octopus train --set network.min_log_std=-3", "octopus train --run-dir --json"]
+        {
+            let parsed = Cli::try_parse_from(line.split(' '));
+            assert_eq!(parsed.is_ok(), line.contains("--set"), "{line}");
+        }
     }
 }

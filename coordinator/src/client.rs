@@ -1,8 +1,10 @@
 //! Talks to the HTTP service beside a live run, for `octopus scale` and `octopus status`.
 //!
-//! A run writes the address of its service into its lock file; [`Client::of_run`] finds it there.
-//! The service is on loopback, so deadlines are short and no proxy is asked.
+//! A run writes the address of its service into its lock file, and the token for it beside that;
+//! [`Client::of_run`] finds them there. A token goes to nobody but a process of this user
+//! ([`crate::peer`]). The service is on this machine, so deadlines are short and no proxy is asked.
 
+use std::io::ErrorKind;
 use std::path::Path;
 use std::time::Duration;
 
@@ -12,9 +14,12 @@ use serde::de::DeserializeOwned;
 use ureq::http::Response;
 use ureq::{Agent, Body};
 
-use crate::http::{CommitAnswer, ErrorBody, ScaleAnswer, ScaleRequest, TOKEN_VARIABLE, Token};
+use crate::http::{
+    CommitAnswer, ErrorBody, OwnToken, ScaleAnswer, ScaleRequest, TOKEN_FILE, TOKEN_VARIABLE, Token,
+};
 use crate::live::LiveStatus;
-use crate::lock::{Holder, RunLock};
+use crate::lock::{LockError, RunLock};
+use crate::peer;
 
 /// Time to connect to loopback.
 const CONNECT_TIME: Duration = Duration::from_secs(2);
@@ -71,21 +76,17 @@ impl ClientError {
             Self::Refused { status: 401, message } => message,
             error => return ExitError::new(ExitCode::Failure, error.to_string()),
         };
-        let shown = match token_file {
-            Some(path) => format!("{}: {message}", path.display()),
-            None if std::env::var_os(TOKEN_VARIABLE).is_some_and(|token| !token.is_empty()) => {
-                format!("{TOKEN_VARIABLE}: {message}")
-            }
-            None => "the run asks for a token".to_owned(),
-        };
-        let cure =
-            format!("--token-file FILE or {TOKEN_VARIABLE} gives the one it was started with");
-        ExitError::new(ExitCode::Usage, format!("{shown}; {cure}"))
+        let shown = token_file.map_or_else(String::new, |path| format!("{}: ", path.display()));
+        let cure = format!(
+            "without --token-file the one in {TOKEN_FILE} of the run directory is shown, or that in \
+             {TOKEN_VARIABLE} where there is no such file"
+        );
+        ExitError::new(ExitCode::Usage, format!("{shown}{message}; {cure}"))
     }
 }
 
 impl Client {
-    /// A client of the service at `address`, `127.0.0.1:8270`, which asks for no token.
+    /// A client of the service at `address`, `127.0.0.1:8270`, which has no token yet.
     pub fn new(address: &str) -> Self {
         let agent = Agent::config_builder()
             .proxy(None)
@@ -105,27 +106,34 @@ impl Client {
         self
     }
 
-    /// A client of the service beside the run that goes on in `run_dir`; it shows `token`.
+    /// A client of the service beside the run that goes on in `run_dir`. It shows `token`, or else
+    /// the one in the run directory, or else that of the environment. Whatever the lock file says,
+    /// the token goes to no process but one of this user.
     pub fn of_run(run_dir: &Path, token: Option<Token>) -> Result<Self, ExitError> {
-        let refused = |what: &str| {
-            ExitError::new(ExitCode::RunDirectory, format!("{}: {what}", run_dir.display()))
-        };
+        let refuse = |what: String| ExitError::new(ExitCode::RunDirectory, what);
+        let place = run_dir.display();
         let lock = RunDir::new(run_dir).lock();
-        let holder = RunLock::holder(&lock).ok_or_else(|| {
-            refused("no run is going on in this directory; `octopus status` lists the runs")
+        let holder = RunLock::own_holder(&lock)
+            .map_err(|error: LockError| refuse(error.to_string()))?
+            .ok_or_else(|| {
+                refuse(format!(
+                    "{place}: no run is going on in this directory; `octopus status` lists the runs"
+                ))
+            })?;
+        let announced = holder.http.as_deref().ok_or_else(|| {
+            refuse(format!(
+                "{place}: the run has no HTTP service, or not yet: it is still starting, or was \
+                 started without one"
+            ))
         })?;
-        let client = Self::of_holder(&holder).ok_or_else(|| {
-            refused(
-                "the run has no HTTP service, or not yet: it is still starting, or was started \
-                 without one",
-            )
+        let address = peer::address(&holder, announced).map_err(|reason| {
+            refuse(format!("{}: {reason}; the token is not sent there", lock.display()))
         })?;
-        Ok(client.with_token(token))
-    }
-
-    /// A client of the service of the run that holds a lock, if it has one.
-    pub fn of_holder(holder: &Holder) -> Option<Self> {
-        holder.http.as_deref().map(Self::new)
+        let token = match token {
+            Some(token) => Some(token),
+            None => own_token(run_dir)?,
+        };
+        Ok(Self::new(&address.to_string()).with_token(token))
     }
 
     /// What the run is doing.
@@ -166,6 +174,22 @@ impl Client {
     ) -> Result<Response<Body>, ureq::Error> {
         let request = self.agent.configure_request(request.body(body)?);
         self.agent.run(request.timeout_global(Some(time)).build())
+    }
+}
+
+/// The token that the run in `run_dir` has made for itself; without one, that of the environment.
+fn own_token(run_dir: &Path) -> Result<Option<Token>, ExitError> {
+    let path = run_dir.join(TOKEN_FILE);
+    match OwnToken::read(&path) {
+        Ok(token) => Ok(Some(token)),
+        Err(error) if error.kind() == ErrorKind::NotFound => Token::from_environment(),
+        Err(error) => {
+            let message = format!(
+                "{}: is not believed: {error}; --token-file FILE names another",
+                path.display()
+            );
+            Err(ExitError::new(ExitCode::RunDirectory, message))
+        }
     }
 }
 

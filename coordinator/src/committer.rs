@@ -63,6 +63,13 @@ pub enum Committed {
         /// Why.
         error: CheckpointError,
     },
+    /// A snapshot was not committed, because the metrics of its iterations could not be made durable.
+    Unrecorded {
+        /// Its iteration.
+        iteration: u64,
+        /// Why.
+        error: anyhow::Error,
+    },
     /// A newer snapshot came before the disk was ready for this one.
     GivenUp {
         /// Its iteration.
@@ -88,12 +95,14 @@ pub struct Committer {
 }
 
 impl Committer {
-    /// Starts the thread.
+    /// Starts the thread. It calls `record` before it commits a snapshot: the metrics of the snapshot's
+    /// iterations are durable when that returns.
     pub fn start(
         store: CheckpointStore,
         config: Config,
         robot_toml: String,
         provenance: serde_json::Value,
+        record: impl Fn() -> anyhow::Result<()> + Send + 'static,
     ) -> Self {
         let (jobs, orders) = channel();
         let (outbox, inbox) = channel();
@@ -103,7 +112,13 @@ impl Committer {
             for job in orders {
                 match job {
                     Job::Commit(waiting) => {
-                        writer.commit(waiting);
+                        match record() {
+                            Ok(()) => writer.commit(waiting),
+                            Err(error) => {
+                                let iteration = waiting.snapshot.iteration;
+                                writer.tell(Committed::Unrecorded { iteration, error });
+                            }
+                        }
                         // Nobody listens only while the run is being given up.
                         let _ = writer.outbox.send(None);
                     }
@@ -171,6 +186,12 @@ impl Committer {
                 return;
             }
         }
+    }
+
+    /// Leaves the thread to itself, whatever it waits for.
+    pub fn abandon(&mut self) {
+        self.jobs = None;
+        self.thread = None;
     }
 
     fn collect(&mut self) {

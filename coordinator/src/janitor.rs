@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 use proto::channel::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::{environment, shield};
+
 /// The coordinator's side.
 #[derive(Debug)]
 pub struct Janitor {
@@ -25,14 +27,17 @@ pub struct Janitor {
 impl Janitor {
     /// Starts the janitor of `domain`.
     pub fn start(domain: &Domain) -> std::io::Result<Self> {
-        let mut process = Command::new(std::env::current_exe()?)
+        let mut command = Command::new(std::env::current_exe()?);
+        environment::clean(&mut command);
+        command
             .args(["janitor", "--domain", domain.as_str()])
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             // Ctrl-C on the terminal is not for the janitor.
-            .process_group(0)
-            .spawn()?;
+            .process_group(0);
+        // Nor is what ends all others.
+        let mut process = shield::spawn(&mut command)?;
         let pipe = process.stdin.take();
         Ok(Self { process, pipe })
     }

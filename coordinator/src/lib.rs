@@ -8,10 +8,15 @@
 //!
 //! * [`cli`] and [`commands`]: the command line, one file a command;
 //! * [`report`]: metrics, TensorBoard events, progress, the learning curve;
+//! * [`precision`]: what `run.precision = "auto"` means on this machine;
 //! * [`provenance`]: which program and machine made a run;
-//! * [`output`], [`logs`]: standard output is data, standard error is for people;
+//! * [`output`], [`logs`]: standard output is data, standard error is for people; [`causes`] words errors;
+//!   [`printable`]: nothing tells a terminal what to do;
+//! * [`outputs`]: what a command may write over;
+//! * [`regular`], [`own`]: files that others may have put there, read with care;
 //! * [`signals`]: Ctrl-C once and twice;
-//! * [`janitor`]: who cleans up when the coordinator is killed.
+//! * [`janitor`]: who cleans up when the coordinator is killed;
+//! * [`environment`], [`limits`]: what a shell leaves to the processes of a run.
 //!
 //! It links no libtorch and starts in milliseconds.
 
@@ -24,23 +29,35 @@ pub mod session;
 pub mod scheduler;
 pub mod supervisor;
 
+pub mod base;
 pub mod checkpoint;
 pub mod committer;
 pub mod selection;
 
 pub mod client;
 pub mod http;
+pub mod peer;
 
+pub mod environment;
 pub mod janitor;
+pub mod limits;
 pub mod lock;
+pub mod shield;
 pub mod signals;
+pub mod threads;
 
 pub mod figures;
+pub mod precision;
 pub mod preflight;
 pub mod provenance;
 pub mod report;
 pub mod shakedown;
 
+pub mod causes;
 pub mod files;
 pub mod logs;
 pub mod output;
+pub mod outputs;
+pub mod own;
+pub mod printable;
+pub mod regular;

@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 use utoipa::ToSchema;
 
+use crate::report::Diverged;
+
 /// What a child process, or the coordinator itself, is to a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -124,7 +126,8 @@ pub struct LiveStatus {
     pub env_steps_per_s: f64,
     /// Time since this session of the run began (s).
     pub wall_s: f64,
-    /// Time until the budget is used up, at the rate of late (s).
+    /// Time until the budget is used up at the rate of late, or until the time limit if that is sooner (s);
+    /// none while nothing is known of the rate, and when only the end is left to be written.
     pub eta_s: Option<f64>,
     /// Workers wanted.
     pub workers: usize,
@@ -136,6 +139,11 @@ pub struct LiveStatus {
     pub shards_open: usize,
     /// Shards ordered and not yet at the learner.
     pub shards_in_flight: usize,
+    /// Orders sent again since this session began, because their receiver had no room for them.
+    pub orders_missed: u64,
+    /// Orders sent again since this session began, because nothing had come of them for a whole
+    /// `run.order_deadline_s`.
+    pub orders_overdue: u64,
     /// Workers replaced since this session began.
     pub worker_restarts: u64,
     /// Learners replaced since this session began.
@@ -154,6 +162,8 @@ pub struct LiveStatus {
     pub checkpoint: Option<String>,
     /// The best checkpoint.
     pub best: Option<Best>,
+    /// Where the training has diverged, if it has.
+    pub divergence: Option<Diverged>,
     /// The last line of the metrics.
     #[schema(value_type = Object)]
     pub last: serde_json::Value,

@@ -10,6 +10,7 @@ use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
+use crate::printable::printable;
 use crate::report::progress::LogWriter;
 
 /// Sends the logs of this program to standard error, around a progress bar if there is one.
@@ -49,7 +50,7 @@ where
             Level::WARN => "warning",
             _ => "note",
         };
-        writeln!(writer, "{level}: {sentence}")
+        writeln!(writer, "{}", printable(&format!("{level}: {sentence}")))
     }
 }
 

@@ -3,9 +3,13 @@
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use coordinator::{cli::Cli, commands, logs};
+use coordinator::{causes, cli::Cli, commands, limits, logs, output};
 
 fn main() -> ExitCode {
+    if let Err(error) = limits::prepare() {
+        output::note(&format!("error: {error}"));
+        return ExitCode::from(error.code as u8);
+    }
     let cli = Cli::parse();
     logs::init();
     match commands::run(cli.command) {
@@ -15,7 +19,12 @@ fn main() -> ExitCode {
             if error.is::<commands::NotTheSame>() {
                 return ExitCode::from(commands::exit_code(&error) as u8);
             }
-            eprintln!("error: {}", format!("{error:#}").trim_end());
+            let text = causes::told(&error);
+            output::note(&format!("error: {text}"));
+            if let Some(cure) = limits::cure(&text) {
+                output::note(&cure);
+                return ExitCode::from(proto::ExitCode::Environment as u8);
+            }
             ExitCode::from(commands::exit_code(&error) as u8)
         }
     }

@@ -1,16 +1,28 @@
-//! The one place that writes to standard output: data, as tables a person reads or as JSON.
+//! The one place that writes to standard output: data, as tables a person reads or as JSON. Notes go
+//! to standard error.
+
+mod table;
 
 use std::io::{ErrorKind, Write as _};
 
 use anyhow::Context as _;
-use comfy_table::{CellAlignment, Table, presets};
+use rustix::fs::{FileType, fstat};
+use rustix::io::Errno;
 use serde::Serialize;
 
+pub use self::table::{COLUMNS, columns, table, table_within};
+use crate::printable::{printable, printable_json};
 use crate::report::progress::grouped;
 
 /// Writes a text with a line end.
 pub fn line(text: &str) -> anyhow::Result<()> {
-    write(format!("{text}\n").as_bytes())
+    write(format!("{}\n", printable(text)).as_bytes())
+}
+
+/// Writes a text with a line end to standard error, for a person.
+pub fn note(text: &str) {
+    // Nobody may be left to read it, and that is no reason to stop.
+    let _ = writeln!(std::io::stderr(), "{}", printable(text));
 }
 
 /// Writes a value as indented JSON.
@@ -18,45 +30,42 @@ pub fn json(value: &impl Serialize) -> anyhow::Result<()> {
     write(&json_bytes(value)?)
 }
 
-/// What [`json`] writes.
-pub fn json_bytes(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {
-    let mut text = serde_json::to_vec_pretty(value).context("the result has no JSON form")?;
-    text.push(b'\n');
-    Ok(text)
+/// Writes a value as JSON in one line.
+pub fn json_line(value: &impl Serialize) -> anyhow::Result<()> {
+    let text = serde_json::to_string(value).context("the result has no JSON form")?;
+    write(format!("{}\n", printable_json(&text)).as_bytes())
 }
 
-/// Writes bytes as they are. A reader that has seen enough, such as `head`, is no error.
+/// What [`json`] writes.
+pub fn json_bytes(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {
+    let mut text = serde_json::to_string_pretty(value).context("the result has no JSON form")?;
+    text.push('\n');
+    Ok(printable_json(&text).into_owned().into_bytes())
+}
+
+/// Writes bytes as they are. A reader that has seen enough, such as `head`, is no error, and neither is a
+/// terminal that is closed.
 pub fn write(bytes: &[u8]) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(bytes).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe && !is_closed_terminal(&error) => {
             Err(error).context("standard output cannot be written")
         }
         _ => Ok(()),
     }
 }
 
+/// Whether standard output was a terminal, which answers EIO once it is closed. A file on a broken disk
+/// does so, too, but is no character device.
+fn is_closed_terminal(error: &std::io::Error) -> bool {
+    let is_device = || {
+        fstat(std::io::stdout())
+            .is_ok_and(|stat| FileType::from_raw_mode(stat.st_mode) == FileType::CharacterDevice)
+    };
+    error.raw_os_error() == Some(Errno::IO.raw_os_error()) && is_device()
+}
+
 /// A count and what is counted: `1 worker`, `1,200 workers`.
 pub fn counted(count: u64, noun: &str) -> String {
     format!("{} {noun}{}", grouped(count), if count == 1 { "" } else { "s" })
-}
-
-/// A table whose first column holds names and whose others hold numbers.
-pub fn table<const N: usize>(
-    header: [&str; N],
-    rows: impl IntoIterator<Item = [String; N]>,
-) -> String {
-    let mut table = Table::new();
-    table.load_preset(presets::NOTHING).set_header(header);
-    for row in rows {
-        table.add_row(row);
-    }
-    for column in table.column_iter_mut() {
-        column.set_padding((0, 2));
-        if column.index > 0 {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    let lines: Vec<_> = table.lines().map(|line| line.trim_end().to_owned()).collect();
-    lines.join("\n")
 }

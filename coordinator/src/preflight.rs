@@ -5,22 +5,25 @@
 //! depend on the run.
 
 use std::io::Read as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use proto::channel::ChannelSizes;
-use proto::config::Config;
+use proto::channel::{ChannelSizes, SHARED_MEMORY};
+use proto::config::{Config, Precision};
 use proto::layout::{Dimensions, replay_bytes};
+pub use proto::mib;
 use proto::{ExitCode, ExitError};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 
-use crate::provenance;
+use crate::{environment, output, precision, provenance};
 
-/// Variable that names another directory than `/dev/shm` to be measured, for tests of a machine
-/// with little shared memory.
-pub const SHM_DIR: &str = "SPACEOCTOPUS_SHM_DIR";
+mod smaller;
+
+/// What helps where shared memory is full and no run's needs are known.
+pub const MAKE_ROOM: &str = "`octopus clean` removes what killed runs left, `ls -l /dev/shm` shows what \
+                             others have there, `mount -o remount,size=SIZE /dev/shm` enlarges it";
 
 /// How a check ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -79,11 +82,13 @@ pub fn check_run(
     learner: &Path,
 ) -> Result<(), ExitError> {
     let workers = config.run.workers;
-    let checks: [&dyn Fn() -> Check; 6] = [
+    let checks: [&dyn Fn() -> Check; 8] = [
         &|| shared_memory(config, dimensions),
+        &|| file_size(config, dimensions),
         &|| descriptors(workers),
         &|| memory_maps(workers),
         &|| processors(workers, config.run.learner_threads),
+        &|| arithmetic(config, &provenance::vector_extensions()),
         &|| libtorch(learner),
         &|| device(learner, &config.run.device),
     ];
@@ -91,7 +96,7 @@ pub fn check_run(
         let check = check();
         match check.verdict {
             Verdict::Good => {}
-            Verdict::Warning => eprintln!("note: {}", check.sentence()),
+            Verdict::Warning => output::note(&format!("note: {}", check.sentence())),
             Verdict::Failure => {
                 return Err(ExitError::new(ExitCode::Environment, check.sentence()));
             }
@@ -103,10 +108,10 @@ pub fn check_run(
 /// Free shared memory against what the channels of the run reserve.
 pub fn shared_memory(config: &Config, dimensions: &Dimensions) -> Check {
     const NAME: &str = "shared memory";
-    let directory = shm_dir();
-    let free = match free_space(&directory) {
+    let directory = Path::new(SHARED_MEMORY);
+    let free = match free_space(directory) {
         Ok(free) => free,
-        Err(error) => return unmounted(NAME, &directory, &error),
+        Err(error) => return unmounted(NAME, directory, &error),
     };
     let workers = config.run.workers;
     let budget = ChannelSizes::new(config, dimensions).shared_memory(workers);
@@ -126,16 +131,31 @@ pub fn shared_memory(config: &Config, dimensions: &Dimensions) -> Check {
             parts.join(", "),
             mib(free)
         ),
-        format!(
-            "enlarge it: `mount -o remount,size={}M {shown}` (in a container start it with \
-             --shm-size={}m), or need less: --workers {} or --envs {}; `octopus clean` removes \
-             what killed runs left",
-            round_up(needed),
-            round_up(needed),
-            (workers / 2).max(1),
-            (config.env.n_envs / 2).max(1),
-        ),
+        cures(needed, &smaller::fitting(config, dimensions, free), directory),
     )
+}
+
+/// What helps where shared memory is too small; only what would be enough.
+fn cures(needed: u64, less: &[String], directory: &Path) -> String {
+    let shown = directory.display();
+    let mut cures = Vec::new();
+    if round_up(needed) << 20 <= provenance::memory() {
+        let size = round_up(needed);
+        cures.push(format!(
+            "enlarge it: `mount -o remount,size={size}M {shown}` (in a container start it with \
+             --shm-size={size}m)"
+        ));
+    }
+    if !less.is_empty() {
+        cures.push(format!("need less: {}", less.join(" or ")));
+    }
+    if cures.is_empty() {
+        cures.push(
+            "need less: smaller networks and episodes, or a machine with more memory".to_owned(),
+        );
+    }
+    cures.push("`octopus clean` removes what killed runs left".to_owned());
+    cures.join("; ")
 }
 
 fn unmounted(name: &'static str, directory: &Path, error: &std::io::Error) -> Check {
@@ -151,7 +171,8 @@ fn unmounted(name: &'static str, directory: &Path, error: &std::io::Error) -> Ch
 pub fn scale(sizes: &ChannelSizes, from: usize, to: usize) -> Result<(), String> {
     let total = |workers| sizes.shared_memory(workers).iter().map(|(_, bytes)| bytes).sum::<u64>();
     let more = total(to).saturating_sub(total(from));
-    let free = free_space(&shm_dir()).map_err(|error| format!("shared memory: {error}"))?;
+    let free =
+        free_space(Path::new(SHARED_MEMORY)).map_err(|error| format!("shared memory: {error}"))?;
     if more <= free {
         return Ok(());
     }
@@ -162,9 +183,9 @@ pub fn scale(sizes: &ChannelSizes, from: usize, to: usize) -> Result<(), String>
     ))
 }
 
-/// Where shared memory lives.
-fn shm_dir() -> PathBuf {
-    std::env::var_os(SHM_DIR).map_or_else(|| PathBuf::from("/dev/shm"), PathBuf::from)
+/// Whether there is not even room for what a process needs to come up.
+pub fn shared_memory_is_full() -> bool {
+    free_space(Path::new(SHARED_MEMORY)).is_ok_and(|free| free < 1 << 20)
 }
 
 /// Bytes that this user may still write where `path` lies.
@@ -173,17 +194,43 @@ pub fn free_space(path: &Path) -> std::io::Result<u64> {
     Ok(space.f_bavail * space.f_frsize)
 }
 
+/// How large a file may become, against the largest segment of shared memory and the largest file of a
+/// checkpoint.
+pub fn file_size(config: &Config, dimensions: &Dimensions) -> Check {
+    const NAME: &str = "file size";
+    let Some(limit) = getrlimit(Resource::Fsize).current else {
+        return Check::good(NAME, "no limit");
+    };
+    let segments = ChannelSizes::new(config, dimensions).shared_memory(1);
+    let segment = segments.iter().map(|(_, bytes)| *bytes).max().unwrap_or(0);
+    let needed = segment.max(checkpoint_size(config, dimensions));
+    if limit < needed {
+        let found =
+            format!("a file may have {} and this run makes one of {}", mib(limit), mib(needed));
+        return Check::failure(NAME, found, "`ulimit -f unlimited`");
+    }
+    Check::good(NAME, format!("{} allowed, {} needed", mib(limit), mib(needed)))
+}
+
+/// Size of a checkpoint, about (bytes): actors and critics of the same size, parameters and two moments
+/// of each, the actors apart, and a replay.
+fn checkpoint_size(config: &Config, dimensions: &Dimensions) -> u64 {
+    let policy = ChannelSizes::new(config, dimensions).policy_len as u64;
+    4 * policy * 7 + replay_bytes(config, dimensions)
+}
+
 /// Open files that a process of the run may have, against what the transport opens.
 pub fn descriptors(workers: usize) -> Check {
     const NAME: &str = "file descriptors";
     // With two workers a learner has 80 open, a worker 69, a coordinator 65 (/proc/PID/fd); each
     // further worker adds a few connections to all of them, and this leaves room for that.
     let needed = 128 + 32 * (workers as u64 + 2);
-    match getrlimit(Resource::Nofile).current {
+    let limits = getrlimit(Resource::Nofile);
+    match limits.current {
         Some(limit) if limit < needed => Check::failure(
             NAME,
             format!("a process may open {limit} files and {workers} workers need {needed}"),
-            format!("`ulimit -n {}`, or fewer --workers", needed.next_power_of_two()),
+            smaller::open_files(needed, limit, limits.maximum),
         ),
         Some(limit) => Check::good(NAME, format!("{limit} allowed, {needed} needed")),
         None => Check::good(NAME, "no limit"),
@@ -199,7 +246,7 @@ pub fn memory_maps(workers: usize) -> Check {
         Ok(limit) if limit < needed => Check::failure(
             NAME,
             format!("a process may have {limit} and {needed} are needed"),
-            "`sysctl -w vm.max_map_count=65530`",
+            format!("`sysctl -w vm.max_map_count={}`", needed.max(65_530)),
         ),
         Ok(limit) => Check::good(NAME, format!("{limit} allowed, {needed} needed")),
         Err(_) => Check::good(NAME, "no limit known"),
@@ -237,6 +284,33 @@ pub fn processors(workers: usize, learner_threads: usize) -> Check {
         );
     }
     Check::good(NAME, found)
+}
+
+/// Whether a processor with these `instructions` has one for the products that are asked for. It computes them
+/// without, all the same.
+pub fn arithmetic(config: &Config, instructions: &[&str]) -> Check {
+    const NAME: &str = "precision";
+    let best = precision::decide(&config.run.device, instructions);
+    let wanted = match config.run.precision {
+        Precision::Auto => best,
+        wanted => wanted,
+    };
+    if wanted == Precision::Bf16 && best == Precision::F32 {
+        return Check::warning(
+            NAME,
+            "bf16, which this processor has no instructions for; libtorch computes it slowly by others, which may \
+             round sums otherwise than where a run began",
+            "a new run with --set run.precision=f32 is faster here",
+        );
+    }
+    let name = precision::name(wanted);
+    Check::good(
+        NAME,
+        match config.run.precision {
+            Precision::Auto => format!("the learner multiplies in {name} unless told otherwise"),
+            _ => name.to_owned(),
+        },
+    )
 }
 
 /// Memory of the machine.
@@ -284,10 +358,56 @@ pub fn device(learner: &Path, name: &str) -> Check {
     Check::failure(NAME, found, cure)
 }
 
+/// Whether there are GPUs, and whether the learner can compute on them; `driver` is where NVIDIA's kernel module tells of
+/// its devices.
+pub fn gpu(learner: Option<&Path>, driver: &Path) -> Check {
+    const NAME: &str = "GPU";
+    let models = gpus(driver);
+    let shown = match models.as_slice() {
+        [] => "no CUDA device".to_owned(),
+        all => all.join(", "),
+    };
+    let reason = match learner.map(|learner| answer(learner, &["probe", "cuda:0"])) {
+        None => "there is no learner to ask".to_owned(),
+        Some(Ok(nothing)) if nothing.trim().is_empty() => {
+            // Where the driver's files are hidden, libtorch's word counts.
+            let shown = if models.is_empty() { "a CUDA device" } else { &shown };
+            let found =
+                format!("{shown}; the learner uses it with --device cuda:0, else the processor");
+            return Check::good(NAME, found);
+        }
+        Some(Ok(reason) | Err(reason)) => reason.trim().to_owned(),
+    };
+    if models.is_empty() {
+        return Check::good(NAME, format!("{shown}; the learner uses the processor"));
+    }
+    let (why, cure) =
+        reason.rsplit_once("; ").unwrap_or((&reason, "`make setup DEVICE=cuda && make build`"));
+    Check::warning(NAME, format!("{shown}; the learner uses the processor: {why}"), cure)
+}
+
+/// Models of the GPUs that NVIDIA's kernel module knows.
+fn gpus(driver: &Path) -> Vec<String> {
+    let mut models: Vec<String> = std::fs::read_dir(driver.join("gpus"))
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter_map(|entry| std::fs::read_to_string(entry.path().join("information")).ok())
+        .map(|text| {
+            let model = text.lines().find_map(|line| line.strip_prefix("Model:"));
+            model.map_or("a GPU", str::trim).to_owned()
+        })
+        .collect();
+    models.sort();
+    models
+}
+
 /// What the learner prints if it is started with `args`, or why it prints nothing.
 fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
     const PATIENCE: Duration = Duration::from_mins(1);
-    let mut child = Command::new(learner)
+    let mut command = Command::new(learner);
+    environment::clean(&mut command);
+    let mut child = command
         .args(args)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -353,12 +473,11 @@ pub fn disk(
         let found = format!("{} cannot be written to: {error}", existing.display());
         return Check::failure(NAME, found, remedy.elsewhere);
     }
-    // Actors and critics of the same size, parameters and two moments of each, the actors apart,
-    // and a replay; one checkpoint more than is kept while the newest is written.
-    let policy = ChannelSizes::new(config, dimensions).policy_len as u64;
-    let checkpoint = 4 * policy * 7 + replay_bytes(config, dimensions);
+    // One checkpoint more than is kept while the newest is written.
+    let checkpoint = checkpoint_size(config, dimensions);
     let kept = config.run.checkpoints_kept;
-    let needed = checkpoint * ((kept - there.min(kept)) as u64 + 1) + (16 << 20);
+    let with = |kept: usize| checkpoint * ((kept - there.min(kept)) as u64 + 1) + (16 << 20);
+    let needed = with(kept);
     match free_space(existing) {
         Err(error) => Check::failure(
             NAME,
@@ -373,19 +492,13 @@ pub fn disk(
                 mib(free),
                 mib(needed)
             ),
-            match remedy.less {
+            match remedy.less.filter(|_| with(1) <= free) {
                 Some(less) => format!("make room, {}, or {less}", remedy.elsewhere),
                 None => format!("make room, or {}", remedy.elsewhere),
             },
         ),
         Ok(free) => Check::good(NAME, format!("{} free of {} needed", mib(free), mib(needed))),
     }
-}
-
-/// A size for people.
-pub fn mib(bytes: u64) -> String {
-    let mib = bytes as f64 / f64::from(1 << 20);
-    if mib >= 10_000.0 { format!("{:.1} GiB", mib / 1024.0) } else { format!("{mib:.0} MiB") }
 }
 
 /// A size in MiB with some reserve, in whole 64 MiB.
@@ -412,9 +525,14 @@ mod tests {
         let check = shared_memory(&config, &Dimensions::new(&config, 4));
         assert_eq!(check.verdict, Verdict::Failure);
         let cure = check.cure.expect("a failure has a cure");
-        for part in ["mount -o remount,size=", "--workers 128", "--envs 32768", "octopus clean"] {
-            assert!(cure.contains(part), "{cure}");
-        }
+        assert!(cure.contains("need less: --") && cure.ends_with("killed runs left"), "{cure}");
+        let enlarged = cures(1 << 20, &[], Path::new("/dev/shm"));
+        assert!(
+            enlarged.starts_with("enlarge it: `mount -o remount,size=64M /dev/shm`"),
+            "{enlarged}"
+        );
+        let nothing = cures(u64::MAX >> 1, &[], Path::new("/dev/shm"));
+        assert!(nothing.starts_with("need less: smaller networks"), "{nothing}");
     }
 
     #[test]
@@ -442,6 +560,42 @@ mod tests {
         assert!(missing.sentence().contains("make setup"), "{}", missing.sentence());
         let failing = libtorch(Path::new("/bin/false"));
         assert_eq!(failing.verdict, Verdict::Failure);
+    }
+
+    #[test]
+    fn a_precision_without_instructions_is_said_to_be_slow() {
+        let verdict =
+            |set: &str, instructions: &[&str]| arithmetic(&config(set), instructions).verdict;
+        assert_eq!(verdict("run.precision=bf16", &["avx2"]), Verdict::Warning);
+        for (set, instructions) in [
+            ("run.precision=bf16", &["avx512_bf16"][..]),
+            ("run.precision=f32", &["avx2"]),
+            ("run.precision=auto", &["avx2"]),
+        ] {
+            assert_eq!(verdict(set, instructions), Verdict::Good, "{set}");
+        }
+    }
+
+    #[test]
+    fn gpus_are_named_with_what_the_learner_makes_of_them() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let (usable, complains) = (Path::new("/bin/true"), Path::new("/bin/echo"));
+        let none = gpu(Some(complains), dir.path());
+        assert_eq!(none.verdict, Verdict::Good);
+        assert_eq!(none.found, "no CUDA device; the learner uses the processor");
+        let place = dir.path().join("gpus/0000:01:00.0");
+        std::fs::create_dir_all(&place).expect("writable");
+        let text = "Model: \t\t NVIDIA H100\nIRQ:   5\n";
+        std::fs::write(place.join("information"), text).expect("writable");
+        let good = gpu(Some(usable), dir.path());
+        assert_eq!(good.verdict, Verdict::Good);
+        assert!(good.found.starts_with("NVIDIA H100; ") && good.found.contains("--device cuda:0"));
+        for learner in [Some(complains), None] {
+            let check = gpu(learner, dir.path());
+            assert_eq!(check.verdict, Verdict::Warning, "{check:?}");
+            assert!(check.found.starts_with("NVIDIA H100; the learner uses the processor: "));
+            assert!(check.cure.is_some_and(|cure| cure.contains("DEVICE=cuda")));
+        }
     }
 
     #[test]

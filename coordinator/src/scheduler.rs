@@ -7,14 +7,11 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
+use proto::channel::ORDERS_PER_WORKER;
 use proto::message::{EvaluationChunk, Order, WorkerId, policy_version_for};
 
 /// Iteration and shard: the address of a block.
 pub type ShardAddress = (u64, u32);
-
-/// Orders that a worker may have at once: one that it works on, one that waits, so that it never
-/// idles for the length of a message.
-const QUEUE_DEPTH: usize = 2;
 
 /// What a worker can be ordered to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -213,7 +210,7 @@ impl Scheduler {
         self.open_iterations();
         let mut orders = Vec::new();
         // One order a worker and round: the shards spread evenly however few there are.
-        for depth in 0..QUEUE_DEPTH {
+        for depth in 0..ORDERS_PER_WORKER {
             for (&id, worker) in &mut self.workers {
                 if worker.leaving || worker.queue.len() > depth {
                     continue;
@@ -248,6 +245,29 @@ impl Scheduler {
             orders.extend(repeated);
         }
         orders
+    }
+
+    /// Nobody could be heard for so long: what is overdue by the clock is so only so much later.
+    pub fn forgive(&mut self, late: Duration) {
+        for worker in self.workers.values_mut() {
+            worker.since += late;
+        }
+    }
+
+    /// Whether an order is still to be carried out by the worker that it was for.
+    pub fn awaits(&self, order: &Order) -> bool {
+        let (id, incarnation, task) = match order {
+            Order::Rollout { worker, incarnation, iteration, shards, .. } => {
+                let Some(&shard) = shards.first() else { return false };
+                (worker, incarnation, Task::Rollout((*iteration, shard)))
+            }
+            Order::Evaluate { worker, incarnation, episodes } => {
+                (worker, incarnation, Task::Evaluation(*episodes))
+            }
+            _ => return false,
+        };
+        let worker = self.workers.get(id).filter(|worker| worker.incarnation == *incarnation);
+        worker.is_some_and(|worker| worker.queue.contains(&task))
     }
 
     /// Opens the shards of every iteration whose policy version exists.
@@ -398,6 +418,32 @@ mod tests {
         assert!(scheduler.repeat_overdue(now + SECOND, 2 * SECOND).is_empty());
         assert_eq!(scheduler.repeat_overdue(now + 2 * SECOND, 2 * SECOND), first);
         assert!(scheduler.repeat_overdue(now + 3 * SECOND, 2 * SECOND).is_empty());
+    }
+
+    #[test]
+    fn time_in_which_nobody_was_heard_makes_no_order_overdue() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(1, 0, 0, 1);
+        scheduler.worker_ready(0, 0, now);
+        scheduler.assign(now);
+        let stopped = Duration::from_secs(110);
+        scheduler.forgive(stopped);
+        assert_eq!(scheduler.repeat_overdue(now + stopped + SECOND, 2 * SECOND), []);
+        assert_eq!(scheduler.repeat_overdue(now + stopped + 2 * SECOND, 2 * SECOND).len(), 1);
+    }
+
+    #[test]
+    fn an_order_is_awaited_until_its_worker_has_delivered_or_is_another_one() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(2, 0, 0, 1);
+        scheduler.worker_ready(0, 0, now);
+        let orders = scheduler.assign(now);
+        assert!(orders.iter().all(|order| scheduler.awaits(order)));
+        scheduler.block_received((0, 0), now);
+        assert!(!scheduler.awaits(&orders[0]) && scheduler.awaits(&orders[1]));
+        scheduler.worker_ready(0, 1, now);
+        scheduler.assign(now);
+        assert!(!scheduler.awaits(&orders[1]), "for the one before");
     }
 
     #[test]

@@ -4,6 +4,9 @@
 //! until its episodes have been played, and is committed if they are better than all before it. The
 //! goals are always the same ([`SELECTION_SEED`]), the actions the policy's means, so the score of a
 //! policy is a pure function of its parameters; nothing of it flows back into the training.
+//!
+//! The goals are of their own ([`SELECTION_SEED`]), so that `octopus eval` measures on goals that neither the
+//! training nor the choice has seen.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,8 +14,8 @@ use std::sync::Arc;
 use proto::config::{Config, TaskName};
 use proto::message::{EpisodeErrors, EvaluationChunk, TaskErrors};
 use serde::Serialize;
-use sim_worker::evaluate::SELECTION_SEED;
-use sim_worker::scalar::LANES;
+use simulator::evaluate::SELECTION_SEED;
+use simulator::scalar::LANES;
 
 use crate::checkpoint::{Score, Snapshot};
 

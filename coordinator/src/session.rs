@@ -11,9 +11,12 @@
 
 pub mod failures;
 
+mod attention;
 mod books;
 mod control;
+mod headroom;
 mod hearing;
+mod mail;
 mod monitor;
 mod recovery;
 mod snapshots;
@@ -23,21 +26,23 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use proto::channel::{
-    BellListener, ChannelSizes, Channels, Domain, MessageReceiver, MessageSender, PieceReceiver,
-    Role,
+    BellListener, ChannelSizes, Channels, Domain, MessageReceiver, PieceReceiver, Role,
 };
 use proto::config::Config;
 use proto::layout::Dimensions;
 use proto::message::{Order, Progress, Status, WorkerId};
 use proto::run_dir::RunDir;
-use proto::{ExitCode, ExitError};
-use sim_worker::robot::Robot;
+use proto::{Digest, ExitCode, ExitError};
+use simulator::robot::Robot;
 
+use self::attention::{Attention, STANDSTILL};
 use self::books::Books;
 use self::failures::Failures;
+use self::headroom::Headroom;
+use self::mail::Mail;
 use self::monitor::Monitor;
 use self::snapshots::Snapshots;
-use crate::checkpoint::{Checkpoint, CheckpointStore};
+use crate::checkpoint::{Checkpoint, CheckpointStore, Patience};
 use crate::live::LiveRun;
 use crate::report::Reporter;
 use crate::scheduler::Scheduler;
@@ -98,6 +103,8 @@ pub struct Outcome {
 const TICK: Duration = Duration::from_millis(20);
 /// How long the last snapshot may take, from the request to the committed checkpoint.
 const FINISH_DEADLINE: Duration = Duration::from_mins(5);
+/// How long a commit waits while somebody else has the lock of the store.
+const LOCK_TIME: Duration = Duration::from_mins(1);
 /// How long children may take to exit after [`Order::Stop`].
 const EXIT_DEADLINE: Duration = Duration::from_secs(5);
 
@@ -113,8 +120,16 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitE
         &spec.config.run,
         sizes.max_workers,
     )?;
-    let result = Session::start(spec, &dimensions, sizes, &mut supervisor)
-        .and_then(|mut session| session.run(&mut supervisor, reporter));
+    let result = Session::start(spec, &dimensions, sizes, &mut supervisor, reporter).and_then(
+        |mut session| {
+            let result = session.run(&mut supervisor, reporter);
+            if result.as_ref().is_err_and(|error| error.code == ExitCode::Interrupted) {
+                // Somebody does not want to wait, for a lock or a disk neither.
+                session.snapshots.abandon();
+            }
+            result
+        },
+    );
     spec.live.close();
     supervisor.close();
     result
@@ -125,11 +140,13 @@ struct Session<'a> {
     spec: &'a SessionSpec,
     store: CheckpointStore,
     channels: Channels,
+    headroom: Headroom,
     bell: BellListener,
-    orders: MessageSender<Order>,
+    orders: Mail,
     progress: MessageReceiver<Progress>,
     status: MessageReceiver<Status>,
     pieces: PieceReceiver,
+    attention: Attention,
     snapshots: Snapshots,
     failures: Failures,
     books: Books,
@@ -140,12 +157,14 @@ struct Session<'a> {
     heard: BTreeMap<WorkerId, Instant>,
     /// When the learner was last heard, or was started.
     learner_heard: Instant,
-    /// What the learner chose for its products: one that takes its place must not choose otherwise.
-    precision: Option<String>,
     /// Workers that are ready before the learner is.
     early: Vec<(WorkerId, u32)>,
     /// Where the learner was started from, in iterations.
     origin: u64,
+    /// The checkpoint that it was started from, and the digest that it must find there.
+    base: Option<(PathBuf, Digest)>,
+    /// Checkpoints that a learner could not start from, and why.
+    refused: BTreeMap<PathBuf, String>,
     /// Iterations reported.
     reported: u64,
     learner_deaths: Deaths,
@@ -165,18 +184,22 @@ impl<'a> Session<'a> {
         dimensions: &Dimensions,
         sizes: ChannelSizes,
         supervisor: &mut Supervisor,
+        reporter: &Reporter,
     ) -> Result<Self, ExitError> {
         let config = &spec.config;
         let channels = Channels::create(&spec.domain, sizes)?;
-        let store = CheckpointStore::new(spec.run_dir.checkpoints());
+        let stop = spec.stop.clone();
+        let store = CheckpointStore::new(spec.run_dir.checkpoints())
+            .with_patience(Patience::new(LOCK_TIME).unless(move || stop.count() > 1));
         let best = store.best().ok().flatten();
         let mut monitor = Monitor::new();
         monitor.best = best
             .and_then(|entry| Some((entry.name.to_string(), entry.labels.score.as_ref()?.value)));
         let now = Instant::now();
         let mut session = Self {
+            headroom: Headroom::take(&spec.domain),
             bell: channels.listener(Role::Coordinator)?,
-            orders: channels.order_sender()?,
+            orders: Mail::new(channels.order_sender()?),
             progress: channels.progress_receiver()?,
             status: channels.status_receiver()?,
             pieces: channels.snapshot_receiver()?,
@@ -185,7 +208,12 @@ impl<'a> Session<'a> {
                 spec.robot.to_toml(),
                 spec.provenance.clone(),
                 store.clone(),
+                {
+                    let durability = reporter.durability();
+                    move || durability.wait()
+                },
             ),
+            attention: Attention::new(now),
             failures: Failures::new(&spec.run_dir, config, dimensions, channels.policy_receiver()?),
             books: Books::default(),
             monitor,
@@ -194,9 +222,10 @@ impl<'a> Session<'a> {
             scheduler: None,
             heard: BTreeMap::new(),
             learner_heard: now,
-            precision: None,
             early: Vec::new(),
             origin: 0,
+            base: None,
+            refused: BTreeMap::new(),
             reported: 0,
             learner_deaths: Deaths::default(),
             learner_restarts: 0,
@@ -219,11 +248,12 @@ impl<'a> Session<'a> {
         supervisor: &mut Supervisor,
     ) -> Result<(), ExitError> {
         self.origin = from.map_or(0, |checkpoint| checkpoint.manifest.iteration);
+        self.base = from.map(|checkpoint| (checkpoint.dir.clone(), checkpoint.manifest.digest));
         self.reported = self.origin;
         self.snapshots.begin_from(from.map(|checkpoint| (self.origin, checkpoint.dir.clone())));
         self.learner_heard = Instant::now();
         let state = from.map(Checkpoint::state);
-        supervisor.start_learner(state.as_deref(), self.precision.as_deref())?;
+        supervisor.start_learner(state.as_deref())?;
         supervisor.scale(self.workers)?;
         Ok(())
     }
@@ -235,12 +265,13 @@ impl<'a> Session<'a> {
     ) -> Result<Outcome, ExitError> {
         loop {
             self.bell.wait(TICK);
+            self.look_at_the_clock(supervisor);
             self.tick(supervisor, reporter)?;
             self.check_stop(reporter);
             if self.scheduler.as_ref().is_some_and(Scheduler::is_finished)
                 && let Some(checkpoint) = self.finish(reporter)?
             {
-                self.orders.send(&Order::Stop)?;
+                self.orders.send(Order::Stop)?;
                 supervisor.wait_for_all(EXIT_DEADLINE);
                 return Ok(Outcome {
                     iterations: self.reported,
@@ -250,6 +281,32 @@ impl<'a> Session<'a> {
                 });
             }
         }
+    }
+
+    /// Begins a turn. Where it is late, because this process or its disk stood still, nobody was heard
+    /// meanwhile, and all deadlines move by as much.
+    fn look_at_the_clock(&mut self, supervisor: &mut Supervisor) {
+        let late = self.attention.turn(Instant::now());
+        if late.is_zero() {
+            return;
+        }
+        if late > STANDSTILL {
+            let seconds = late.as_secs();
+            tracing::warn!(
+                "the coordinator stood still for {seconds} s; deadlines move by as much"
+            );
+        }
+        for heard in self.heard.values_mut() {
+            *heard += late;
+        }
+        self.learner_heard += late;
+        if let Some(deadline) = &mut self.finishing {
+            *deadline += late;
+        }
+        if let Some(scheduler) = &mut self.scheduler {
+            scheduler.forgive(late);
+        }
+        supervisor.forgive(late);
     }
 
     /// Looks at everything once.
@@ -268,30 +325,40 @@ impl<'a> Session<'a> {
         // Before the deaths: what a process said before it died still counts.
         self.hear_workers(supervisor, reporter)?;
         self.hear_learner(supervisor, reporter)?;
+        self.leave_base(supervisor, reporter)?;
         self.collect_pieces(supervisor, reporter)?;
         self.hear_committer(reporter)?;
         self.bury(supervisor, reporter)?;
         self.obey(supervisor, reporter)?;
-        self.send_orders()?;
+        self.send_orders(supervisor)?;
         self.check_deadlines(supervisor, reporter);
         if self.monitor.is_due() {
+            self.headroom.keep();
             self.spec.live.publish(self.look(supervisor));
         }
         Ok(())
     }
 
-    fn send_orders(&mut self) -> Result<(), ExitError> {
+    fn send_orders(&mut self, supervisor: &Supervisor) -> Result<(), ExitError> {
         let Some(scheduler) = &mut self.scheduler else { return Ok(()) };
+        let snapshots = &self.snapshots;
+        let missed = self.orders.retry(|order| match order {
+            Order::Snapshot => snapshots.is_awaited(),
+            Order::Leave { worker, incarnation } => supervisor.is_leaving(*worker, *incarnation),
+            order => scheduler.awaits(order),
+        })?;
+        self.monitor.orders_missed += missed as u64;
         if self.snapshots.must_tell_learner() {
-            self.orders.send(&Order::Snapshot)?;
+            self.orders.send(Order::Snapshot)?;
         }
-        let now = Instant::now();
+        let now = self.attention.now();
         let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
         let repeated = scheduler.repeat_overdue(now, deadline);
         if !repeated.is_empty() {
             tracing::warn!(orders = repeated.len(), "orders are overdue and sent again");
+            self.monitor.orders_overdue += repeated.len() as u64;
         }
-        for order in scheduler.assign(now).iter().chain(&repeated) {
+        for order in scheduler.assign(now).into_iter().chain(repeated) {
             self.orders.send(order)?;
         }
         Ok(())
@@ -321,7 +388,7 @@ impl<'a> Session<'a> {
     /// Has the final state committed and evaluated; returns its directory once that is done.
     fn finish(&mut self, reporter: &mut Reporter) -> Result<Option<PathBuf>, ExitError> {
         let Some(deadline) = self.finishing else {
-            self.finishing = Some(Instant::now() + FINISH_DEADLINE);
+            self.finishing = Some(self.attention.now() + FINISH_DEADLINE);
             self.snapshots.ask(self.reported);
             return Ok(None);
         };
@@ -331,7 +398,7 @@ impl<'a> Session<'a> {
             self.hear_committer(reporter)?;
             return Ok(Some(checkpoint));
         }
-        if Instant::now() > deadline {
+        if self.attention.now() > deadline {
             return Err(ExitError::new(
                 ExitCode::Child,
                 format!("no final checkpoint after {} s", FINISH_DEADLINE.as_secs()),

@@ -5,9 +5,9 @@
 mod touches;
 
 use proto::{ExitCode, ExitError};
-use sim_worker::dynamics::{Integrator, StepOptions, twin};
-use sim_worker::robot::{JOINTS_PER_ARM, Robot};
-use sim_worker::simulate::{Precision, SimulationRow, simulate};
+use simulator::dynamics::{Integrator, StepOptions, twin};
+use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::simulate::{Precision, SimulationRow, simulate};
 
 use touches::touches_at_home;
 

@@ -1,4 +1,7 @@
 //! The child processes of a run: started, watched, reaped, replaced.
+//!
+//! **Who starts up is not killed.** A worker that shall go before it is ready is asked again when it is: a
+//! process that dies while it opens its channels leaves them half-made, and cleaning up after that waits.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -14,7 +17,11 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use rustix::process::Signal;
 
+use crate::environment;
 use crate::janitor::Janitor;
+use crate::preflight;
+use crate::regular::{self, Links};
+use crate::shield;
 
 /// Where the programs of a run are.
 #[derive(Debug, Clone)]
@@ -71,6 +78,8 @@ struct WorkerSlot {
 pub enum Cause {
     /// It ended by itself: an exit code, or a signal that a program earns, such as SIGSEGV.
     Crash(ExitStatus),
+    /// SIGBUS where shared memory is full: it touched a page that there was no room for.
+    SharedMemoryFull,
     /// It was silent for too long and was killed for it.
     Hang,
     /// Somebody outside sent a signal: SIGKILL, also from the kernel when memory is short, SIGTERM,
@@ -84,6 +93,11 @@ impl Cause {
         let sent = |number| SIGNALS.iter().any(|signal| signal.as_raw() == number);
         match status.signal() {
             _ if hung => Self::Hang,
+            Some(number)
+                if number == Signal::BUS.as_raw() && preflight::shared_memory_is_full() =>
+            {
+                Self::SharedMemoryFull
+            }
             Some(number) if sent(number) => Self::Killed(status),
             _ => Self::Crash(status),
         }
@@ -93,8 +107,15 @@ impl Cause {
     pub fn exit_code(self) -> ExitCode {
         match self {
             Self::Crash(status) => child_exit_code(status),
+            Self::SharedMemoryFull => ExitCode::Environment,
             Self::Hang | Self::Killed(_) => ExitCode::Child,
         }
+    }
+
+    /// Whether it says something about the block at hand: not who was killed from outside, nor who died
+    /// for want of something that the machine lacks.
+    pub fn blames_its_work(self) -> bool {
+        !matches!(self, Self::Killed(_)) && self.exit_code() == ExitCode::Child
     }
 }
 
@@ -111,6 +132,12 @@ impl std::fmt::Display for Cause {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Hang => write!(f, "hung"),
+            Self::SharedMemoryFull => write!(
+                f,
+                "signal {}: shared memory is full; {}",
+                Signal::BUS.as_raw(),
+                preflight::MAKE_ROOM
+            ),
             Self::Crash(status) | Self::Killed(status) => match (status.code(), status.signal()) {
                 (Some(code), _) => write!(f, "exit code {code}"),
                 (None, Some(signal)) => write!(f, "signal {signal}"),
@@ -133,7 +160,7 @@ impl Deaths {
     pub fn count(&mut self, cause: Cause) {
         match cause {
             Cause::Killed(_) => self.kills += 1,
-            Cause::Crash(_) | Cause::Hang => self.crashes += 1,
+            Cause::Crash(_) | Cause::SharedMemoryFull | Cause::Hang => self.crashes += 1,
         }
     }
 
@@ -216,42 +243,6 @@ const BACK_OFF: Duration = Duration::from_millis(50);
 /// How long a worker that was asked to go may take for the block at hand.
 const LEAVE_DEADLINE: Duration = Duration::from_secs(30);
 
-/// Variables of the environment that change what libtorch computes. They are removed; what the
-/// promise of equal bits needs is set instead.
-const FOREIGN_SETTINGS: [&str; 12] = [
-    "ATEN_CPU_CAPABILITY",
-    "DNNL_DEFAULT_FPMATH_MODE",
-    "DNNL_MAX_CPU_ISA",
-    "GOMP_CPU_AFFINITY",
-    "KMP_AFFINITY",
-    "KMP_BLOCKTIME",
-    "MKL_ENABLE_INSTRUCTIONS",
-    "OMP_PROC_BIND",
-    "OMP_SCHEDULE",
-    "OMP_THREAD_LIMIT",
-    "ONEDNN_DEFAULT_FPMATH_MODE",
-    "ONEDNN_MAX_CPU_ISA",
-];
-
-/// Gives a learner the environment in which what it computes depends on nothing but its input.
-pub fn set_numerical_environment(command: &mut Command, threads: usize) {
-    for variable in FOREIGN_SETTINGS {
-        command.env_remove(variable);
-    }
-    let threads = threads.to_string();
-    for (variable, value) in [
-        ("OMP_NUM_THREADS", threads.as_str()),
-        ("MKL_NUM_THREADS", &threads),
-        // The libraries shall not choose another number by themselves.
-        ("OMP_DYNAMIC", "FALSE"),
-        ("MKL_DYNAMIC", "FALSE"),
-        // Products that do not depend on how their operands happen to be aligned.
-        ("MKL_CBWR", "AUTO,STRICT"),
-    ] {
-        command.env(variable, value);
-    }
-}
-
 impl Supervisor {
     /// No children yet but the janitor.
     pub fn new(
@@ -282,24 +273,16 @@ impl Supervisor {
         })
     }
 
-    /// Starts the learner, from a training state if one is given, and with the precision that one before
-    /// it has chosen.
+    /// Starts the learner, from a training state if one is given.
     ///
     /// Children ask the kernel to be killed when the *thread* that started them ends, so this and
     /// [`Self::scale`] must be called from a thread that lives as long as the run.
-    pub fn start_learner(
-        &mut self,
-        resume: Option<&Path>,
-        precision: Option<&str>,
-    ) -> Result<(), ExitError> {
+    pub fn start_learner(&mut self, resume: Option<&Path>) -> Result<(), ExitError> {
         let mut command = Command::new(&self.programs.learner);
         if let Some(state) = resume {
             command.arg("--resume").arg(state);
         }
-        if let Some(precision) = precision {
-            command.args(["--precision", precision]);
-        }
-        set_numerical_environment(&mut command, self.threads);
+        environment::set_numerical(&mut command, self.threads);
         self.learner_hung = false;
         self.learner = Some(self.spawn(command, "learner.log")?);
         Ok(())
@@ -344,6 +327,7 @@ impl Supervisor {
         let incarnation = *next;
         *next += 1;
         let mut command = Command::new(&self.programs.sim_worker);
+        environment::clean(&mut command);
         command.args(["--worker", &worker.to_string(), "--incarnation", &incarnation.to_string()]);
         if self.pin {
             command.args(["--pin", &worker.to_string()]);
@@ -359,13 +343,14 @@ impl Supervisor {
         let fail = |what: &str, error: &std::io::Error| {
             ExitError::new(ExitCode::Environment, format!("{what}: {error}"))
         };
-        let file = File::options()
-            .create(true)
-            .append(true)
-            .open(&path)
-            .map_err(|error| fail(&path.display().to_string(), &error))?;
+        let mut options = File::options();
+        options.create(true).append(true);
+        let file = regular::open_with(&path, &mut options, Links::Follow).map_err(|error| {
+            let message = format!("{}: cannot be written: {error}", path.display());
+            ExitError::new(ExitCode::RunDirectory, message)
+        })?;
         let copy = file.try_clone().map_err(|error| fail("cannot share the log file", &error))?;
-        let child = command
+        command
             .arg("--run-dir")
             .arg(self.run_dir.path())
             .args(["--domain", self.domain.as_str()])
@@ -374,11 +359,10 @@ impl Supervisor {
             .stdout(copy)
             .stderr(file)
             // Ctrl-C on the terminal is for the coordinator, who tells the others.
-            .process_group(0)
-            .spawn()
-            .map_err(|error| {
-                fail(&format!("cannot start {}", command.get_program().display()), &error)
-            })?;
+            .process_group(0);
+        let child = shield::spawn(&mut command).map_err(|error| {
+            fail(&format!("cannot start {}", command.get_program().display()), &error)
+        })?;
         self.janitor.watch(child.id());
         Ok(child)
     }
@@ -455,7 +439,7 @@ impl Supervisor {
         }
         let log = self.run_dir.logs().join(format!("worker-{worker}.log"));
         Err(ExitError::new(
-            ExitCode::Child,
+            cause.exit_code(),
             format!(
                 "worker {worker} died {} times in a row without delivering a block ({cause}); the \
                  end of {}:\n{}",
@@ -470,6 +454,17 @@ impl Supervisor {
     pub fn worker_delivered(&mut self, worker: WorkerId) {
         if let Some(slot) = self.workers.get_mut(&worker) {
             slot.deaths = Deaths::default();
+        }
+    }
+
+    /// Nobody could be heard for so long: what is to happen by the clock happens so much later.
+    pub fn forgive(&mut self, late: Duration) {
+        for slot in self.workers.values_mut() {
+            match &mut slot.state {
+                WorkerState::Running { started, .. } => *started += late,
+                WorkerState::Leaving { until, .. } => *until += late,
+                WorkerState::Due { .. } => {}
+            }
         }
     }
 
@@ -513,6 +508,21 @@ impl Supervisor {
         if let Some(child) = &mut self.learner {
             self.learner_hung = true;
             let _ = child.kill();
+        }
+    }
+
+    /// What a learner that has said why it fails ends with, if it ends within `patience`.
+    pub fn learner_exit_code(&mut self, patience: Duration) -> ExitCode {
+        let deadline = Instant::now() + patience;
+        let Some(child) = &mut self.learner else { return ExitCode::Child };
+        loop {
+            match child.try_wait() {
+                Ok(Some(status)) => return child_exit_code(status),
+                Ok(None) if Instant::now() < deadline => {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                _ => return ExitCode::Child,
+            }
         }
     }
 
@@ -587,7 +597,7 @@ impl Supervisor {
 
 /// The last lines of a child's log, to be shown with its death.
 pub fn log_tail(path: &Path, lines: usize) -> String {
-    let text = std::fs::read(path).unwrap_or_default();
+    let text = regular::read(path, regular::RECORD).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
     let tail: Vec<_> = text.lines().rev().take(lines).collect();
     tail.into_iter().rev().collect::<Vec<_>>().join("\n")

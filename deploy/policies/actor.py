@@ -2,9 +2,12 @@
 
     from actor import Actor
     actor = Actor("deploy/policies/trajectory")
-    rates = actor.commands(observations)
+    action = actor.actions(observations)   # what the next observations say of this step
+    rates = actor.scale * action           # the same as actor.commands(observations)
 
-What the observations are stands in `sim-worker/ENVIRONMENT.md`. Needs Python 3.11, numpy, safetensors.
+What the observations are stands in `deploy/guide/src/environment.md`. Needs Python 3.11 or newer:
+
+    pip install numpy safetensors
 """
 
 import pathlib
@@ -30,7 +33,8 @@ class Actor:
     """The actors of a checkpoint, a directory with policy.safetensors, config.toml and robot.toml.
 
     There are A agents, two an arm: the shoulder (joints 1 to 3), then the wrist (4 to 6). Each sees O
-    numbers and moves three joints.
+    numbers and moves three joints. Observations are arrays or nested lists of shape (A, O), or (A, ..., O)
+    for many robots at once.
     """
 
     def __init__(self, checkpoint):
@@ -40,13 +44,36 @@ class Actor:
         robot = tomllib.loads((checkpoint / "robot.toml").read_text())
         rates = [link["servo"]["max_rate"] for link in robot["links"]]
         self.limits = np.tile(rates, len(robot["arms"]))
+        self.scale = self.config["task"]["action_scale"]
+        # One actor an agent; with `ppo` one for all, which sees their observations one after the other.
+        self.n_agents = 2 * len(robot["arms"])
+        first = self.parameters["hidden.0.weight"]
+        self.n_observation = first.shape[1] * len(first) // self.n_agents
+
+    def check(self, observations):
+        """Observations as an array (A, ..., O) of finite numbers; says what is wrong with others."""
+        wanted = f"({self.n_agents}, {self.n_observation}), or ({self.n_agents}, ..., {self.n_observation}) for many robots"
+        try:
+            x = np.asarray(observations)
+            # Integers, too, and what is not a number is refused; float32 stays what it is.
+            x = x if np.issubdtype(x.dtype, np.floating) else x.astype(np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"observations are no array of numbers; wanted is the shape {wanted}") from error
+        if x.ndim < 2 or x.shape[0] != self.n_agents or x.shape[-1] != self.n_observation:
+            raise ValueError(f"observations have the shape {x.shape}; wanted is {wanted}")
+        wrong = np.argwhere(~np.isfinite(x))
+        if len(wrong):
+            at = tuple(int(i) for i in wrong[0])
+            more = f" ({len(wrong)} such numbers)" if len(wrong) > 1 else ""
+            raise ValueError(f"observation {at[-1]} of agent {at[0]} is {x[at]}, at {at}{more}; wanted are finite numbers")
+        return x
 
     def means(self, observations):
-        """Actions without noise (A, ..., 3) for observations (A, ..., O)."""
+        """What the networks say, before it is clipped: (A, ..., 3) for observations (A, ..., O)."""
+        observations = self.check(observations)
         network, algorithm = self.config["network"], self.config["algorithm"]
         head = self.parameters["head.weight"]
-        # One actor an agent; with `ppo` one for all, which sees their observations one after the other.
-        actors, agents = len(head), len(observations)
+        actors, agents = len(head), self.n_agents
         x = observations.reshape(actors, agents // actors, *observations.shape[1:])
         x = np.moveaxis(x, 1, -2)
         x = x.reshape(*x.shape[:-2], -1)
@@ -73,7 +100,14 @@ class Actor:
         x = x.reshape(*x.shape[:-1], agents // actors, 3)
         return np.moveaxis(x, -2, 1).reshape(agents, *observations.shape[1:-1], 3)
 
+    def actions(self, observations):
+        """Clipped actions, joint after joint: (..., 3 A) for observations (A, ..., O).
+
+        These, not the commands, are the last action that the next observations hold.
+        """
+        means = np.moveaxis(self.means(observations), 0, -2)
+        return np.clip(means.reshape(*means.shape[:-2], -1), -self.limits, self.limits)
+
     def commands(self, observations):
-        """Joint velocities (rad/s), arm after arm, to hold for a control period; observations (A, O)."""
-        actions = self.means(observations).reshape(-1)
-        return self.config["task"]["action_scale"] * np.clip(actions, -self.limits, self.limits)
+        """Joint velocities (rad/s), joint after joint, to hold for a control period: (..., 3 A)."""
+        return self.scale * self.actions(observations)

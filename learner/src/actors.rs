@@ -1,4 +1,8 @@
 //! Which actors are computed together.
+//!
+//! **A shared network is published as one row an agent.** The agent's identity is a learned bias of the first
+//! layer, which is what a one-hot input amounts to. So workers know one layout, and a reassembly takes rows of
+//! any policy.
 
 use tch::Tensor;
 

@@ -1,4 +1,7 @@
 //! One step of an optimiser: a network's gradient, clipped, and Adam.
+//!
+//! **A deviation stops at its floor** (`network.min_log_std`). After each step its parameter is brought back
+//! there, since below it there is no gradient that would.
 
 use proto::config::{Config, Schedule};
 use tch::{Device, Kind, Tensor};

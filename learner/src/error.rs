@@ -73,6 +73,12 @@ pub enum LearnerError {
     /// A training state cannot be restored.
     #[error("training state: {0}")]
     State(String),
+    /// The configuration of the run does not say which arithmetic it is trained with.
+    #[error(
+        "run.precision is `auto`, expected `f32` or `bf16`: `octopus train` decides it when a run begins, \
+         and `octopus resume` in a run of an earlier version"
+    )]
+    Undecided,
     /// The device is not there.
     #[error("{0}")]
     Device(String),
@@ -99,10 +105,13 @@ impl From<LearnerError> for ExitError {
     fn from(error: LearnerError) -> Self {
         let code = match &error {
             LearnerError::State(_) => ExitCode::RunDirectory,
-            LearnerError::Device(_) => ExitCode::Environment,
-            LearnerError::Config(_) | LearnerError::File { .. } | LearnerError::Robot(_) => {
-                ExitCode::BadInput
+            LearnerError::Device(_) | LearnerError::Channel(ChannelError::Full { .. }) => {
+                ExitCode::Environment
             }
+            LearnerError::Config(_)
+            | LearnerError::File { .. }
+            | LearnerError::Robot(_)
+            | LearnerError::Undecided => ExitCode::BadInput,
             _ => ExitCode::Failure,
         };
         Self::new(code, error.to_string())

@@ -10,11 +10,11 @@ use std::time::{Duration, Instant};
 
 use proto::channel::{
     ArrayReceiver, ArraySample, ArraySender, BellListener, ChannelSizes, Channels, Domain,
-    MessageReceiver, MessageSender, PieceSender, Role,
+    MessageReceiver, MessageSender, PieceSender, Role, WHILE_THE_PARENT_LIVES,
 };
 use proto::config::{Config, Run};
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
-use proto::message::{self, IterationReport, Losses, Order, Progress, Timing};
+use proto::message::{self, HEARTBEAT, IterationReport, Losses, Order, Progress, Timing};
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitError};
 use tch::Device;
@@ -27,12 +27,8 @@ use crate::report::UpdateReport;
 use crate::state::TrainingState;
 use crate::state::image::Image;
 
-/// How long the coordinator may take to make room.
-const SEND_DEADLINE: Duration = Duration::from_mins(1);
 /// How often a learner with nothing to do looks for workers that came late.
 const IDLE: Duration = Duration::from_millis(20);
-/// How often the learner says that it is alive.
-const HEARTBEAT: Duration = Duration::from_millis(500);
 /// How long a piece of a snapshot waits for room before it is tried again later.
 const PIECE_DEADLINE: Duration = Duration::from_millis(1);
 /// How often it looks whether training is done.
@@ -51,9 +47,6 @@ pub struct Arguments {
     /// Training state to go on from.
     #[arg(long, value_name = "FILE")]
     pub resume: Option<PathBuf>,
-    /// What a learner before this one chose for `run.precision = "auto"`; the state to go on from knows better.
-    #[arg(long, value_name = "f32|bf16", value_parser = precision)]
-    pub precision: Option<Arithmetic>,
     /// Process that started this one: the learner does not start if that is gone already.
     #[arg(long, value_name = "PID")]
     pub parent: Option<i32>,
@@ -67,17 +60,22 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     let threads = i32::try_from(config.run.learner_threads).unwrap_or(i32::MAX);
     tch::set_num_threads(threads);
     tch::set_num_interop_threads(1);
+    let arithmetic = Arithmetic::of(config.run.precision)?;
     let state = match &arguments.resume {
-        None => {
-            let arithmetic = Arithmetic::choose(config.run.precision, arguments.precision, device);
-            TrainingState::initial(&config, &dimensions, arithmetic, device)
-        }
+        None => TrainingState::initial(&config, &dimensions, arithmetic, device),
         Some(path) => {
             let data = read(path)?;
-            let mut state = TrainingState::from_safetensors(&data, &config, &dimensions, device)
+            let state = TrainingState::from_safetensors(&data, &config, &dimensions, device)
                 .map_err(|error| LearnerError::State(format!("{}: {error}", path.display())))?;
-            state.arithmetic =
-                Arithmetic::choose(config.run.precision, Some(state.arithmetic), device);
+            if state.arithmetic != arithmetic {
+                return Err(LearnerError::State(format!(
+                    "{}: was trained in {}, and run.precision is {}; is it a state of this run?",
+                    path.display(),
+                    state.arithmetic.as_str(),
+                    arithmetic.as_str()
+                ))
+                .into());
+            }
             state
         }
     };
@@ -99,10 +97,6 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         let _ = learner.ports.progress.send(&Progress::Failed { message });
     }
     Ok(result?)
-}
-
-fn precision(name: &str) -> Result<Arithmetic, String> {
-    Arithmetic::from_name(name).ok_or_else(|| "expected `f32` or `bf16`".to_owned())
 }
 
 fn read(path: &std::path::Path) -> Result<Vec<u8>, LearnerError> {
@@ -214,7 +208,7 @@ impl Ports {
             orders: channels.order_receiver()?,
             blocks: channels.block_receiver()?,
             policy: channels.policy_sender()?,
-            progress: channels.progress_sender(SEND_DEADLINE)?,
+            progress: channels.progress_sender(WHILE_THE_PARENT_LIVES)?,
             snapshot: channels.snapshot_sender(PIECE_DEADLINE)?,
             bell: channels.listener(Role::Learner)?,
             _channels: channels,
@@ -285,6 +279,7 @@ impl Learner {
             env_steps: state.env_steps,
             digest: self.digest,
             precision: precision.to_owned(),
+            orders: self.ports.orders.port(),
         })?;
         tracing::info!(iteration = state.iteration, digest = %self.digest, precision, "ready");
         let mut idle_since = Instant::now();
@@ -308,9 +303,13 @@ impl Learner {
         }
     }
 
-    /// Copies the state; its pieces are sent while training goes on.
+    /// Copies the state; its pieces are sent while training goes on. Whoever asks again while it is on
+    /// its way gets this one.
     fn take_snapshot(&mut self) {
         let state = &self.trainer.state;
+        if self.ports.outbox.back().is_some_and(|last| last.header.iteration == state.iteration) {
+            return;
+        }
         let header = SnapshotHeader {
             iteration: state.iteration,
             digest: self.digest.0,

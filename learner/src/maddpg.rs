@@ -31,6 +31,9 @@
 //!
 //! Letters: `A` agents, `O` what one sees, `S` what critics see of the environment, `U` actions of an
 //! agent, `B` samples of a batch, `F = S + A·U`.
+//!
+//! Why together: every update of an agent needs all agents' targets, so agents that were taken apart, as MAPPO's
+//! are, would wait for one another thousands of times an iteration.
 
 pub mod replay;
 

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::channel::SHARED_MEMORY;
+
 /// What can be wrong with a configuration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -83,6 +85,21 @@ pub enum ChannelError {
         /// The transport's reason.
         reason: String,
     },
+    /// Shared memory is full.
+    #[error(
+        "shared memory is full: {what} needs {needed} and {place} has {free} free; make room (`octopus \
+         clean` removes what killed runs left, `ls -l {place}` shows what others have there), enlarge \
+         it (`mount -o remount,size=SIZE {place}`, in a container --shm-size=SIZE), or use fewer \
+         --workers", needed = mib(*needed), free = mib(*free), place = SHARED_MEMORY
+    )]
+    Full {
+        /// What could not be made.
+        what: String,
+        /// Bytes that it needs.
+        needed: u64,
+        /// Bytes that are free.
+        free: u64,
+    },
     /// Nobody took the data before the deadline.
     #[error("channel `{service}`: not delivered within {waited_ms} ms; is the receiver alive?")]
     Backpressure {
@@ -111,6 +128,16 @@ pub enum ChannelError {
         /// The decoder's reason.
         reason: String,
     },
+}
+
+/// A size for people.
+pub fn mib(bytes: u64) -> String {
+    let mib = bytes as f64 / f64::from(1 << 20);
+    match mib {
+        10_000.0.. => format!("{:.1} GiB", mib / 1024.0),
+        10.0.. => format!("{mib:.0} MiB"),
+        _ => format!("{mib:.1} MiB"),
+    }
 }
 
 /// Exit codes of `octopus`, `learner` and `sim-worker`, documented in the README.

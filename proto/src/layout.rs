@@ -378,6 +378,7 @@ pub fn layout_hash() -> String {
         include_str!("layout.rs"),
         include_str!("message.rs"),
         include_str!("digest.rs"),
+        include_str!("channel/line.rs"),
         env!("CARGO_PKG_VERSION"),
     );
     blake3::hash(text.as_bytes()).to_hex()[..8].to_owned()

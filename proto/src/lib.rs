@@ -29,4 +29,4 @@ pub mod rng;
 pub mod run_dir;
 
 pub use digest::{Digest, DigestBuilder};
-pub use error::{ChannelError, ConfigError, ExitCode, ExitError};
+pub use error::{ChannelError, ConfigError, ExitCode, ExitError, mib};

@@ -14,6 +14,7 @@
 //! policy version that [`policy_version_for`] says.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +22,12 @@ use crate::Digest;
 
 /// Numbers a worker process; stays the same when the process is replaced.
 pub type WorkerId = u32;
+
+/// Names one end of a channel, of one process.
+pub type PortId = u128;
+
+/// How often a worker, and a learner that gets on, says that it is alive.
+pub const HEARTBEAT: Duration = Duration::from_millis(500);
 
 /// The policy version that iteration `iteration` is rolled out with.
 ///
@@ -132,6 +139,8 @@ pub enum Progress {
         digest: Digest,
         /// The arithmetic in use: `f32` or `bf16`.
         precision: String,
+        /// Where it takes orders.
+        orders: PortId,
     },
     /// The learner is alive: sent about twice a second while it waits, and while its update moves on.
     Heartbeat,
@@ -163,8 +172,10 @@ pub enum Status {
         worker: WorkerId,
         /// Its incarnation.
         incarnation: u32,
+        /// Where it takes orders.
+        orders: PortId,
     },
-    /// The worker is alive, sent at least once a second.
+    /// The worker is alive, sent every [`HEARTBEAT`] or so.
     Heartbeat {
         /// The worker.
         worker: WorkerId,

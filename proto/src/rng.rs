@@ -6,6 +6,9 @@
 //!
 //! The bijection is Philox4x32-10 of Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as
 //! easy as 1, 2, 3", SC 2011; the tests hold its published known answers.
+//!
+//! **Why not a stream** such as ChaCha's: a stream's position is a state, an address is not. Philox is four
+//! multiplications a round and has published known answers.
 
 /// What a random number is for; part of its address, so that two purposes never share a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -12,22 +12,20 @@ use std::time::{Duration, Instant};
 
 use proto::channel::{
     ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, MessageReceiver,
-    MessageSender, Role,
+    MessageSender, Role, WHILE_THE_PARENT_LIVES,
 };
 use proto::config::Config;
 use proto::layout::{BlockHeader, PolicyHeader};
-use proto::message::{self, EvaluationChunk, Fault, Order, Status, WorkerId};
+use proto::message::{self, EvaluationChunk, Fault, HEARTBEAT, Order, Status, WorkerId};
 use proto::run_dir::RunDir;
 use proto::{ChannelError, ExitCode, ExitError};
 
-use crate::env::{EpisodeError, Moment};
-use crate::evaluate;
-use crate::policy::Policy;
-use crate::robot::Robot;
-use crate::rollout::{RolloutError, RolloutSpec, World, rollout};
+use simulator::env::{EpisodeError, Moment};
+use simulator::evaluate;
+use simulator::policy::Policy;
+use simulator::robot::Robot;
+use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
 
-/// How often a worker says that it is alive.
-const HEARTBEAT: Duration = Duration::from_millis(500);
 /// Policy versions that a worker keeps: with overlap it acts with the one before the newest.
 const KEPT_POLICIES: usize = 3;
 /// Pause before a block is made again that no learner was there to take.
@@ -68,7 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     tracing::info!(
         worker = arguments.worker,
         incarnation = arguments.incarnation,
-        backend = ?crate::scalar::Backend::detect(),
+        backend = ?simulator::scalar::Backend::detect(),
         "ready"
     );
     worker.serve()
@@ -149,7 +147,6 @@ impl<'a> Worker<'a> {
             let domain = Domain::parse(&arguments.domain)?;
             let sizes = ChannelSizes::new(&world.config, &world.dimensions);
             let channels = Channels::open(&domain, sizes)?;
-            let deadline = Duration::from_secs_f64(world.config.run.order_deadline_s);
             Ok(Self {
                 world,
                 id: arguments.worker,
@@ -163,7 +160,7 @@ impl<'a> Worker<'a> {
                 bell: channels.listener(Role::Workers)?,
                 orders: channels.order_receiver()?,
                 policy: channels.policy_receiver()?,
-                blocks: channels.block_sender(deadline)?,
+                blocks: channels.block_sender(WHILE_THE_PARENT_LIVES)?,
                 _channels: channels,
             })
         };
@@ -172,7 +169,7 @@ impl<'a> Worker<'a> {
 
     fn serve(&mut self) -> Result<(), ExitError> {
         let (worker, incarnation) = (self.id, self.incarnation);
-        self.send(&Status::Ready { worker, incarnation })?;
+        self.send(&Status::Ready { worker, incarnation, orders: self.orders.port() })?;
         loop {
             self.take_orders()?;
             self.take_policies()?;
@@ -300,14 +297,11 @@ impl<'a> Worker<'a> {
         let start = Instant::now();
         let (status, heartbeat) = (&self.status, &mut self.heartbeat);
         let alive = Status::Heartbeat { worker: self.id, incarnation: self.incarnation };
-        let mut on_step = || say_alive(status, heartbeat, &alive);
-        let stats = match rollout(self.world, &spec, block.payload_mut(), &mut on_step) {
-            Ok(stats) => stats,
-            Err(error) => {
-                self.fail(&error.to_string(), Some(Box::new(describe(job, &error))))?;
-                return Ok(Outcome::Done);
-            }
-        };
+        let mut on_stage = |_| say_alive(status, heartbeat, &alive);
+        if let Err(error) = rollout(self.world, &spec, block.payload_mut(), &mut on_stage) {
+            self.fail(&error.to_string(), Some(Box::new(describe(job, &error))))?;
+            return Ok(Outcome::Done);
+        }
         let rollout_ns = start.elapsed().as_nanos() as u64;
         *block.header_mut() = BlockHeader {
             iteration,
@@ -326,10 +320,6 @@ impl<'a> Worker<'a> {
                 return Ok(Outcome::Unclaimed);
             }
             Ok(_) => {}
-            Err(error @ ChannelError::Backpressure { .. }) => {
-                self.fail(&error.to_string(), None)?;
-                return Ok(Outcome::Done);
-            }
             Err(error) => return Err(failure(&error)),
         }
         let (worker, incarnation) = (self.id, self.incarnation);
@@ -338,7 +328,7 @@ impl<'a> Worker<'a> {
             incarnation,
             iteration,
             shard,
-            env_steps: stats.env_steps,
+            env_steps: self.world.block_env_steps(),
             rollout_ns,
         })?;
         tracing::debug!(iteration, shard, policy_version, rollout_ns, "block sent");
@@ -396,7 +386,11 @@ fn describe(job: Block, error: &RolloutError) -> Fault {
 }
 
 fn failure(error: &ChannelError) -> ExitError {
-    ExitError::new(ExitCode::Failure, error.to_string())
+    let code = match error {
+        ChannelError::Full { .. } => ExitCode::Environment,
+        _ => ExitCode::Failure,
+    };
+    ExitError::new(code, error.to_string())
 }
 
 mod fault;

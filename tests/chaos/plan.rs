@@ -16,6 +16,8 @@ pub enum Act {
     KillCoordinator(usize),
     /// SIGSTOP to a worker: it lives, but does nothing any more.
     HangWorker,
+    /// SIGSTOP to the coordinator, and SIGCONT after so long: nobody hears the others meanwhile.
+    FreezeCoordinator(Duration),
     /// `octopus scale` to so many workers.
     Scale(usize),
     /// Ctrl-C, then `octopus resume` with so many workers.
@@ -36,6 +38,9 @@ impl fmt::Display for Act {
             Self::KillLearner => write!(f, "kill the learner"),
             Self::KillCoordinator(n) => write!(f, "kill the coordinator, resume with {n}"),
             Self::HangWorker => write!(f, "hang a worker"),
+            Self::FreezeCoordinator(time) => {
+                write!(f, "freeze the coordinator for {} ms", time.as_millis())
+            }
             Self::Scale(n) => write!(f, "scale to {n}"),
             Self::Interrupt(n) => write!(f, "Ctrl-C, resume with {n}"),
         }
@@ -75,6 +80,9 @@ pub struct Plan {
 
 /// Workers that a run of chaos has at least and at most.
 const WORKERS: (usize, usize) = (1, 3);
+/// How long a coordinator is frozen at least and at most (ms): beyond the time after which the runs of
+/// chaos replace who is silent.
+const FREEZE: (usize, usize) = (500, 6000);
 /// Iterations after the last event: the run must be seen to go on.
 const CALM_END: usize = 10;
 
@@ -93,6 +101,10 @@ impl Plan {
         add(learners, &mut || Act::KillLearner);
         add(coordinators, &mut || Act::KillCoordinator(dice.between(WORKERS.0, WORKERS.1)));
         add(tenths(1), &mut || Act::HangWorker);
+        add(tenths(1), &mut || {
+            let (shortest, longest) = FREEZE;
+            Act::FreezeCoordinator(Duration::from_millis(dice.between(shortest, longest) as u64))
+        });
         add(tenths(2), &mut || Act::Scale(dice.between(WORKERS.0, WORKERS.1)));
         add(tenths(1), &mut || Act::Interrupt(dice.between(WORKERS.0, WORKERS.1)));
         // Fisher and Yates.
@@ -159,6 +171,7 @@ mod tests {
         assert!(has(|act| act == Act::KillWorker) && has(|act| act == Act::KillLearner));
         assert!(has(|act| act == Act::HangWorker) && has(|act| matches!(act, Act::Scale(_))));
         assert!(has(|act| matches!(act, Act::KillCoordinator(_))));
+        assert!(has(|act| matches!(act, Act::FreezeCoordinator(_))));
         assert!(has(|act| matches!(act, Act::Interrupt(_))));
         assert!(plan.events.is_sorted_by_key(|event| event.at));
     }

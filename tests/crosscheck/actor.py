@@ -28,8 +28,12 @@ else:
     # Deterministic actors, of a run without noise: the actions are the means.
     error = np.abs(action - mean)
 commands = actor.commands(observation[:, 0, 0])
-limits = actor.limits * actor.config["task"]["action_scale"]
+limits = actor.limits * actor.scale
 assert commands.shape == limits.shape and np.isfinite(commands).all(), commands
 assert (np.abs(commands) <= limits * (1 + 1e-12)).all(), commands
+# Many robots at once are commanded as each alone.
+together = actor.commands(observation[:, 0])
+assert together.shape == (observation.shape[2], len(limits)), together.shape
+assert np.abs(together[0] - commands).max() < 1e-4, "robots side by side"
 assert error.size > 100 and np.abs(mean).mean() > 0.1, "nothing to compare"
 print(error.max())

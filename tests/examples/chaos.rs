@@ -8,10 +8,10 @@ use clap::Parser as _;
 use coordinator::signals::StopRequests;
 use serde_json::json;
 use tests::chaos::plan::Plan;
-use tests::chaos::{Chaos, calm, restarts};
+use tests::chaos::{Chaos, calm, damage, restarts};
 
-/// Kills, hangs, stops and scales runs at random, and checks that it changes no bit and leaves
-/// nothing. Progress goes to standard error, a summary as JSON to standard output.
+/// Kills, hangs, stops and scales runs at random, and damages their files, and checks that it changes
+/// no bit and leaves nothing. Progress goes to standard error, a summary as JSON to standard output.
 #[derive(Debug, clap::Parser)]
 #[command(name = "chaos")]
 struct Arguments {
@@ -24,6 +24,9 @@ struct Arguments {
     /// Kills of the learner of the same run, after that.
     #[arg(long, default_value_t = 50)]
     learner_restarts: usize,
+    /// Files of a run directory that are damaged, after that, each in a fresh copy.
+    #[arg(long, default_value_t = 100)]
+    damages: usize,
     /// What the plans are drawn from.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -62,10 +65,15 @@ fn main() -> anyhow::Result<()> {
             Some(restarts::run(workers, learners, &stop, &mut narrate)?.to_json())
         }
     };
+    let damages = match arguments.damages {
+        0 => None,
+        times => Some(damage::run(times, arguments.seed, &stop, &mut narrate)?.to_json()),
+    };
     let summary = json!({
         "seed": arguments.seed,
         "runs": runs,
         "restarts": restarts,
+        "damages": damages,
         "seconds": begun.elapsed().as_secs_f64(),
     });
     writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&summary)?)?;

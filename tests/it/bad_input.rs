@@ -63,8 +63,8 @@ fn values_that_are_none() {
             &["train", "--set", "env.n_envs"],
             "'env.n_envs' for '--set <KEY=VALUE>': wants KEY=VALUE",
         ),
-        (&["train", "--listen", "foo"], "127.0.0.1:8270, or `off`"),
-        (&["serve", "--store", run, "--listen", "localhost:0"], "127.0.0.1:8270"),
+        (&["train", "--listen", "foo"], "localhost:8270, or `off`"),
+        (&["serve", "--store", run, "--listen", "localhost"], "127.0.0.1:8270"),
         (&["scale", run, "many"], "or `auto`"),
         (&["scale", run, "-1"], "or `auto`"),
         (&["eval", run, "--episodes", "0"], "from 1 to 1,000,000"),
@@ -151,7 +151,7 @@ fn a_checkpoint_truncated_or_edited_by_hand() {
     let output = octopus(&["eval", path.to_str().expect("UTF-8"), "--episodes=1", "--steps=2"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let warning = stderr(&output);
-    assert!(warning.starts_with("error: damaged checkpoint, taking the one before: "), "{warning}");
+    assert!(warning.starts_with("error: damaged checkpoint, passed over: "), "{warning}");
     let said = warning.lines().filter(|line| line.contains("state.safetensors")).count();
     assert_eq!(said, 1, "{warning}");
 
@@ -192,7 +192,7 @@ fn actions_that_are_none() {
 #[test]
 fn robots_that_cannot_be() {
     let dir = tempfile::tempdir().expect("tempdir");
-    let good = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
+    let good = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/simulator/robots/two-arm.toml");
     let good = std::fs::read_to_string(good).expect("shipped");
     let path = dir.path().join("robot.toml");
     let flag = format!("--robot={}", path.display());
@@ -211,7 +211,8 @@ fn robots_that_cannot_be() {
 #[test]
 fn robots_that_are_unfit_at_home() {
     let dir = tempfile::tempdir().expect("tempdir");
-    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
+    let shipped =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/simulator/robots/two-arm.toml");
     let good = std::fs::read_to_string(shipped).expect("shipped");
     let path = dir.path().join("robot.toml");
     let flag = format!("--robot={}", path.display());

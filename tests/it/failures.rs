@@ -27,10 +27,11 @@ fn a_shard_that_crashes_its_worker_three_times_stops_the_run_with_its_address() 
     // with the very policy of the run, and twice the same.
     let path = run.path();
     let path = path.to_str().expect("UTF-8");
-    let out = run.path().join("block.safetensors");
+    let out = run.path().with_file_name("block.safetensors");
     let make = || {
         let out = out.to_str().expect("UTF-8");
-        let made = octopus(&["rollout", path, "--address", "7/7/2", "--out", out, "--json"]);
+        let made =
+            octopus(&["rollout", path, "--address", "7/7/2", "--out", out, "--force", "--json"]);
         assert!(made.status.success(), "{}", stderr(&made));
         serde_json::from_slice::<Value>(&made.stdout).expect("JSON")
     };

@@ -14,6 +14,8 @@ use tests::{Run, assert_nothing_left, kill, octopus, program, python, stderr};
 struct Served {
     process: Child,
     address: SocketAddr,
+    /// The one that it has made for itself.
+    token: String,
 }
 
 impl Served {
@@ -33,13 +35,16 @@ impl Served {
         let stdout = process.stdout.take().expect("piped");
         let read = BufReader::new(stdout).read_line(&mut line);
         let said: Result<Value, _> = serde_json::from_str(&line);
-        let address = said.ok().and_then(|said| said["address"].as_str()?.parse().ok());
-        let Some(address) = address else {
+        let said = said.ok().and_then(|said| {
+            let token = std::fs::read_to_string(said["token_file"].as_str()?).ok()?;
+            Some((said["address"].as_str()?.parse().ok()?, token.trim_end().to_owned()))
+        });
+        let Some((address, token)) = said else {
             let _ = process.kill();
             let _ = process.wait();
             panic!("{read:?} {line:?}: {:?}", std::fs::read_to_string(log(store)));
         };
-        Self { process, address }
+        Self { process, address, token }
     }
 
     fn url(&self, path: &str) -> String {
@@ -60,8 +65,18 @@ impl Served {
         answer
     }
 
-    /// Asks for a path; returns status line with headers, and the body.
+    /// The header that shows the token.
+    fn bearer(&self) -> String {
+        format!("Authorization: Bearer {}\r\n", self.token)
+    }
+
+    /// Asks for a path with the token; returns status line with headers, and the body.
     fn get(&self, path: &str, headers: &str) -> (String, Vec<u8>) {
+        self.get_as_stranger(path, &format!("{}{headers}", self.bearer()))
+    }
+
+    /// The same without a token.
+    fn get_as_stranger(&self, path: &str, headers: &str) -> (String, Vec<u8>) {
         let request =
             format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{headers}\r\n");
         split(&self.exchange(request.as_bytes()))
@@ -118,7 +133,10 @@ fn inventory(store: &Path) -> Vec<String> {
     let mut names: Vec<String> = std::fs::read_dir(store)
         .expect("readable")
         .map(|entry| entry.expect("entry").file_name().to_string_lossy().into_owned())
-        .filter(|name| name != ".lock" && !name.starts_with("catalogue.sqlite"))
+        .filter(|name| {
+            ![".lock", ".http.token"].contains(&name.as_str())
+                && !name.starts_with("catalogue.sqlite")
+        })
         .collect();
     names.sort();
     names
@@ -130,6 +148,7 @@ import json, sys, urllib.request
 from openapi_spec_validator import OpenAPIV31SpecValidator
 from prometheus_client.parser import text_string_to_metric_families
 opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+opener.addheaders = [("Authorization", "Bearer " + sys.argv[2])]
 def get(path):
     return opener.open(sys.argv[1] + path, timeout=60).read().decode()
 document = json.loads(get("/openapi.json"))
@@ -148,10 +167,12 @@ assert duration.type == "histogram"
 /// Reads everything from one service, compares it with the files, and uploads it to another.
 const ROUND_TRIP: &str = r#"
 import hashlib, io, json, os, sys, tarfile, urllib.error, urllib.request
-source, target, directory = sys.argv[1:]
+source, target, directory, source_token, target_token = sys.argv[1:]
 urllib.request.install_opener(urllib.request.build_opener(urllib.request.ProxyHandler({})))
 def ask(url, method="GET", data=None, **headers):
     request = urllib.request.Request(url, data=data, method=method)
+    token = source_token if url.startswith(source) else target_token
+    request.add_header("Authorization", "Bearer " + token)
     for name, value in headers.items():
         request.add_header(name.replace("_", "-"), value)
     with urllib.request.urlopen(request, timeout=60) as answer:
@@ -230,6 +251,7 @@ fn a_checkpoint_travels_from_one_service_to_another_through_python() {
     let output = Command::new(python())
         .args(["-c", ROUND_TRIP, &source.url(""), &target.url("")])
         .arg(checkpoint(&run))
+        .args([&source.token, &target.token])
         .output()
         .expect("python starts");
     assert!(output.status.success(), "{}", stderr(&output));
@@ -254,7 +276,7 @@ fn the_description_and_the_metrics_are_what_others_read() {
     let run = trained();
     let served = Served::start(&run.path(), &[]);
     let output = Command::new(python())
-        .args(["-c", DESCRIPTION, &served.url("")])
+        .args(["-c", DESCRIPTION, &served.url(""), &served.token])
         .output()
         .expect("python starts");
     assert!(output.status.success(), "run `make venv` if a module is missing: {}", stderr(&output));
@@ -330,9 +352,11 @@ fn bytes_that_are_no_http_end_in_a_refusal() {
         b"PUT /v1/checkpoints/x HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\n\
           Content-Length: 6\r\n\r\nhello!",
     ] {
-        let (head, _) = split(&served.exchange(request));
-        let shown = String::from_utf8_lossy(request);
-        assert!(head.starts_with("http/1.1 4") || head.is_empty(), "{shown:?}: {head}");
+        // What a client that may ask gets wrong.
+        let request = String::from_utf8_lossy(request);
+        let request = request.replacen("Host: ", &format!("{}Host: ", served.bearer()), 1);
+        let (head, _) = split(&served.exchange(request.as_bytes()));
+        assert!(head.starts_with("http/1.1 4") || head.is_empty(), "{request:?}: {head}");
     }
     assert!(served.get("/health", "").0.starts_with("http/1.1 200"), "it still serves");
     assert_eq!(inventory(&dir.path().join("store")), [""; 0]);
@@ -362,8 +386,10 @@ fn a_client_that_goes_in_mid_upload_leaves_nothing() {
     let dir = tempfile::tempdir().expect("tempdir");
     let store = dir.path().join("store");
     let served = Served::start(&store, &["--create"]);
-    let head =
-        "PUT /v1/checkpoints/x HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9000000\r\n\r\n";
+    let head = format!(
+        "PUT /v1/checkpoints/x HTTP/1.1\r\nHost: localhost\r\n{}Content-Length: 9000000\r\n\r\n",
+        served.bearer()
+    );
     let mut uploads: Vec<TcpStream> = (0..4).map(|_| served.connect()).collect();
     for stream in &mut uploads {
         stream.write_all(head.as_bytes()).expect("sends");
@@ -392,18 +418,23 @@ fn a_token_is_needed_and_stays_secret() {
     let store = dir.path().join("store");
     let flag = format!("--token-file={}", file.display());
     let served = Served::start(&store, &["--create", &flag]);
-    let status = |path: &str, headers: &str| served.get(path, headers).0[9..12].to_owned();
+    let status =
+        |path: &str, headers: &str| served.get_as_stranger(path, headers).0[9..12].to_owned();
     assert_eq!(status("/health", ""), "200");
     assert_eq!(status("/v1/checkpoints", ""), "401");
     assert_eq!(status("/metrics", "Authorization: Bearer wrong-wrong-wrong-wrong\r\n"), "401");
     let right = format!("Authorization: Bearer {TOKEN}\r\n");
     assert_eq!(status("/v1/checkpoints", &right), "200");
+    // Beside it the service has one of its own, for the programs of its user.
+    assert_eq!(status("/v1/checkpoints", &served.bearer()), "200");
+    let own = served.token.clone();
     let command_line = std::fs::read(format!("/proc/{}/cmdline", served.process.id()));
     assert!(!String::from_utf8_lossy(&command_line.expect("readable")).contains(TOKEN));
     drop(served);
     let said = std::fs::read_to_string(log(&store)).expect("readable");
     assert!(said.contains("/v1/checkpoints"), "requests are logged: {said}");
     assert!(!said.contains(TOKEN) && !said.contains("wrong-wrong"), "tokens are not");
+    assert!(!said.contains(&own), "nor its own");
 }
 
 #[test]

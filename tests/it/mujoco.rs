@@ -9,16 +9,16 @@ use std::path::Path;
 use std::process::Command;
 
 use serde_json::{Value, json};
-use sim_worker::collision::count_contacts;
-use sim_worker::dynamics::twin::inertia_matrix;
-use sim_worker::dynamics::{
+use simulator::collision::count_contacts;
+use simulator::dynamics::twin::inertia_matrix;
+use simulator::dynamics::{
     Disturbance, Hand, Integrator, StepOptions, Workspace, forward_dynamics, hands, step,
     step_disturbed,
 };
-use sim_worker::robot::{MjcfOptions, Model, Robot, mjcf::mjcf};
-use sim_worker::scalar::{LANES, LaneFn, Real, dispatch};
-use sim_worker::simulate::{Precision, simulate};
-use sim_worker::state::State;
+use simulator::robot::{MjcfOptions, Model, Robot, mjcf::mjcf};
+use simulator::scalar::{LANES, LaneFn, Real, dispatch};
+use simulator::simulate::{Precision, simulate};
+use simulator::state::State;
 
 /// Uniform numbers in ±1, the same on every machine.
 struct Noise(u64);
@@ -37,8 +37,10 @@ impl Noise {
 }
 
 fn robots() -> Vec<Robot> {
-    let two_arm = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/robots/two-arm.toml");
-    ["release", "paper", two_arm].map(|name| Robot::load(name).unwrap()).into()
+    let two_arm = include_str!("../../sim-worker/simulator/robots/two-arm.toml");
+    let two_arm = Robot::from_toml(two_arm, Path::new("two-arm.toml")).unwrap();
+    let [release, paper] = ["release", "paper"].map(|name| Robot::builtin(name).unwrap());
+    vec![release, paper, two_arm]
 }
 
 fn ask(input: &Value) -> Value {

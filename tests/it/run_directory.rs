@@ -218,7 +218,7 @@ fn a_policy_acts_the_same_in_numpy() {
         );
         run.succeed();
         let path = run.path();
-        let block = path.join("block.safetensors");
+        let block = path.with_file_name("block.safetensors");
         let [of_run, out] = [&path, &block].map(|path| path.to_str().expect("UTF-8"));
         let latest = format!("{of_run}:latest");
         let rollout = ["rollout", of_run, "--address=7/2/1", "--policy", &latest, "--out", out];
@@ -340,7 +340,7 @@ fn metrics_that_end_before_the_newest_checkpoint_leave_no_gap() {
 }
 
 #[test]
-fn a_run_that_wants_a_token_says_so_to_who_asks_without() {
+fn a_run_says_so_to_who_asks_with_another_token() {
     let dir = tempfile::tempdir().expect("tempdir");
     let file = |name: &str, token: &str| {
         let path = dir.path().join(name);
@@ -359,25 +359,25 @@ fn a_run_that_wants_a_token_says_so_to_who_asks_without() {
         let answer = serde_json::from_slice::<serde_json::Value>(&output.stdout);
         (output.status.code(), answer.unwrap_or_default(), stderr(&output))
     };
-    let refusals = [
-        (&[][..], "the run asks for a token"),
-        (&["--token-file", &wrong], "wrong.txt: the token"),
-    ];
-    for (more, which) in refusals {
-        let args = [&["status", path, "--json"], more].concat();
+    {
+        let (more, which) = (["--token-file", &wrong], "wrong.txt: the token");
+        let args = [&["status", path, "--json"], &more[..]].concat();
         let (code, status, message) = ask(&args);
         assert_eq!((code, &status["state"]), (Some(0), &"running".into()), "{message}");
         assert!(status["live"].is_null(), "{status}");
         assert!(message.contains("are not known") && message.contains("--token-file"), "{message}");
         assert!(message.contains(status["live_error"].as_str().expect("a reason")), "{message}");
-        let args = [&["scale", path, "1"], more].concat();
+        let args = [&["scale", path, "1"], &more[..]].concat();
         let (code, _, message) = ask(&args);
         assert_eq!(code, Some(2), "{message}");
         assert!(message.contains("--token-file") && message.contains(which), "{message}");
     }
-    let (code, status, message) = ask(&["status", path, "--json", "--token-file", &token]);
-    assert_eq!((code, message.as_str()), (Some(0), ""));
-    assert_eq!(status["live"]["processes"].as_array().map(Vec::len), Some(3), "{status}");
+    // With the run's own, which is found, or with that of its user.
+    for more in [&[][..], &["--token-file", &token]] {
+        let (code, status, message) = ask(&[&["status", path, "--json"], more].concat());
+        assert_eq!((code, message.as_str()), (Some(0), ""));
+        assert_eq!(status["live"]["processes"].as_array().map(Vec::len), Some(3), "{status}");
+    }
     let (code, answer, message) = ask(&["scale", path, "2", "--json", "--token-file", &token]);
     assert_eq!((code, &answer["workers"]), (Some(0), &2.into()), "{message}");
     run.signal(Signal::INT);

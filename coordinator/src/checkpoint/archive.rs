@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::path::Path;
 
-use proto::config::Config;
+use proto::config::{Config, Precision, Run};
 use proto::run_dir::RunDir;
 use tar::{Archive, Builder, EntryType, Header};
 
@@ -31,6 +31,8 @@ use super::name::Name;
 use super::read::{self, MAX_TEXT, small_files};
 use super::store::{Arrival, CheckpointStore, Clash};
 use super::{CONFIG, CheckpointError, MANIFEST, ROBOT, opening, verify};
+use crate::report::budgets;
+use crate::report::recorded::Recorded;
 
 /// Longest content of an archive (bytes).
 pub const MAX_CONTENT: u64 = 4 << 30;
@@ -62,7 +64,9 @@ impl CheckpointStore {
     ///
     /// The same checkpoint twice is no error; another one of that name is, unless it is damaged:
     /// then the archive replaces it. A name `iteration-N` makes it one of the run's own checkpoints,
-    /// which `octopus resume` takes up, so it must be of iteration N and of the same run.
+    /// so it must be of iteration N and of the same run. If the run has recorded another digest for
+    /// its last iteration, or would have learned otherwise under its budget, it is refused. One
+    /// whose digest is recorded is the run's own, the others stay marked as imported.
     pub fn import(&self, reader: impl Read, name: Option<Name>) -> Result<Entry, CheckpointError> {
         name.iter().try_for_each(|name| self.check_free(name))?;
         let scratch = Scratch::new(&self.disk, &self.root, "import")?;
@@ -74,9 +78,9 @@ impl CheckpointStore {
             return Err(CheckpointError::archive(problem.replace(&inside, "")));
         }
         let name = name.unwrap_or(inner);
-        let imported = name.iteration().is_some();
+        let mut imported = name.iteration().is_some();
         if imported {
-            self.check_own(&name, &manifest, scratch.path())?;
+            imported = !self.check_own(&name, &manifest, scratch.path())?;
         }
         let (digest, clash) = (manifest.digest, Clash::Refuse);
         self.publish(scratch, Arrival { name: &name, digest, clash, score: None, imported })?;
@@ -84,13 +88,14 @@ impl CheckpointStore {
     }
 
     /// Refuses, as one of the run's own checkpoints, what is of another run: than the one whose
-    /// directory holds this store, and than the newest of its checkpoints that can say so.
+    /// directory holds this store, and than the newest of its checkpoints that can say so. Returns
+    /// whether the run has recorded that it came to this state itself.
     fn check_own(
         &self,
         name: &Name,
         manifest: &Manifest,
         dir: &Path,
-    ) -> Result<(), CheckpointError> {
+    ) -> Result<bool, CheckpointError> {
         let refuse = |reason: String| {
             let cure = "import it under another name, which no `octopus resume` takes up";
             Err(CheckpointError::refused(format!("{reason}; {cure}")))
@@ -116,7 +121,30 @@ impl CheckpointStore {
                 ));
             }
         }
-        Ok(())
+        let Some(run) = run else { return Ok(false) };
+        let recorded =
+            Recorded::read(&run).map_err(|error| CheckpointError::refused(error.to_string()))?;
+        if let Some(ours) = recorded.digest_after(manifest.iteration) {
+            let theirs = manifest.digest;
+            return if ours == theirs {
+                Ok(true)
+            } else {
+                refuse(format!(
+                    "`{name}` is of another course than this run: its digest is {theirs}, the run \
+                     recorded {ours}"
+                ))
+            };
+        }
+        let (ours, _) = small_files(run.path())?;
+        let budgets = (config.run.env_steps, ours.run.env_steps);
+        if budgets::matters(&ours) && budgets.0 != budgets.1 {
+            return refuse(format!(
+                "`{name}` is of another course than this run: its learning rate falls over \
+                 run.env_steps = {}, here over {}",
+                budgets.0, budgets.1
+            ));
+        }
+        Ok(false)
     }
 
     /// The run that this store belongs to, if it belongs to one.
@@ -128,12 +156,21 @@ impl CheckpointStore {
     }
 }
 
+/// `run`, with a precision that an earlier version left undecided taken to be that of `other`.
+fn decided(run: &Run, other: &Run) -> Run {
+    let mut run = run.clone();
+    if run.precision == Precision::Auto {
+        run.precision = other.precision;
+    }
+    run
+}
+
 /// Whether two configurations can be of one run. Budgets, processes and what is kept may change
 /// when a run is resumed; the rest, and the seed, may not.
 fn same_run(a: &Config, b: &Config) -> bool {
     (&a.task, &a.robot, &a.env) == (&b.task, &b.robot, &b.env)
         && (&a.network, &a.algorithm, &a.optimizer) == (&b.network, &b.algorithm, &b.optimizer)
-        && a.run.continues(&b.run)
+        && decided(&a.run, &b.run).continues(&decided(&b.run, &a.run))
 }
 
 /// The header of a file of a checkpoint.
@@ -255,4 +292,29 @@ fn place(header: &Header) -> Result<(Name, String), CheckpointError> {
     let folder: Name = folder.parse().map_err(|_| wrong())?;
     let known = super::manifest::KNOWN.contains(&file) || file == MANIFEST;
     if known { Ok((folder, file.to_owned())) } else { Err(wrong()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+
+    use super::*;
+
+    #[test]
+    fn what_an_earlier_version_left_undecided_does_not_make_another_run() {
+        let config = |precision: &str| {
+            let layers = Layers::new(Preset::Tuned, None);
+            let layers = layers.set(&format!("run.precision={precision}")).expect("valid");
+            layers.resolve().expect("valid")
+        };
+        for (a, b, same) in [
+            ("auto", "bf16", true),
+            ("f32", "auto", true),
+            ("auto", "auto", true),
+            ("f32", "f32", true),
+            ("f32", "bf16", false),
+        ] {
+            assert_eq!(same_run(&config(a), &config(b)), same, "{a} and {b}");
+        }
+    }
 }

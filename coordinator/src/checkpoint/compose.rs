@@ -6,7 +6,7 @@ use proto::config::{Config, InputNorm, JointAngles, Observation};
 use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 use super::entry::Entry;
 use super::manifest::{Manifest, Origin};

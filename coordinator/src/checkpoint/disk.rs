@@ -6,6 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::CheckpointError;
+use super::patience::Patience;
 use crate::files;
 
 /// Bytes that one write takes.
@@ -27,11 +28,17 @@ pub(super) type Observer = Arc<dyn Fn(Step<'_>) -> io::Result<()> + Send + Sync>
 #[derive(Clone, Default)]
 pub(super) struct Disk {
     observer: Option<Observer>,
+    /// How long the store's lock is waited for.
+    pub(super) patience: Patience,
 }
 
 impl std::fmt::Debug for Disk {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Disk").field("observed", &self.observer.is_some()).finish()
+        let Self { observer, patience } = self;
+        f.debug_struct("Disk")
+            .field("observed", &observer.is_some())
+            .field("patience", patience)
+            .finish()
     }
 }
 
@@ -39,7 +46,7 @@ impl Disk {
     /// A disk whose every step `observer` sees first, and may refuse.
     #[cfg(test)]
     pub(super) fn observed(observer: Observer) -> Self {
-        Self { observer: Some(observer) }
+        Self { observer: Some(observer), ..Self::default() }
     }
 
     /// Asks the observer, then takes the step.

@@ -82,6 +82,21 @@ pub enum CheckpointError {
         /// Whether the run is going on.
         live: bool,
     },
+    /// Another program has the right to change the store.
+    #[error(
+        "{path}: another program{who} has held this lock for {seconds:.0} s; nothing was changed; try \
+         again when it is done, or end it",
+        path = path.display(),
+        who = pid.map_or_else(String::new, |pid| format!(" (process {pid})"))
+    )]
+    Locked {
+        /// The lock file.
+        path: PathBuf,
+        /// How long it was waited for (s).
+        seconds: f64,
+        /// The other program's process, if that is known.
+        pid: Option<u32>,
+    },
     /// What was asked for cannot be; nothing was changed.
     #[error("{reason}")]
     Refused {

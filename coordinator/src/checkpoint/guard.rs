@@ -1,20 +1,28 @@
 //! Who may change a store: one at a time, whichever process or thread it is.
+//!
+//! The run, `octopus checkpoints` and the HTTP service may all change a store. That is the one exception to the
+//! coordinator being the only writer, and it concerns nothing but checkpoints.
 
-use std::fs::{self, File};
+use std::fs::{self, File, Permissions};
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rustix::fs::{FlockOperation, flock};
-use rustix::io::retry_on_intr;
+use rustix::io::Errno;
 
 use super::CheckpointError;
 use super::disk::Disk;
 use super::labels::Labels;
-use super::opening::{Stamp, is_directory};
+use super::opening::is_directory;
+use crate::own;
+use crate::regular::{self, Links};
 
 /// Name of the file that is locked.
 const LOCK: &str = ".lock";
+/// Between two looks at a lock that somebody holds.
+const PAUSE: Duration = Duration::from_millis(10);
 /// Prefix of a directory that is being written.
 pub(super) const WRITING: &str = ".writing-";
 /// Prefix of a directory that is being removed.
@@ -37,7 +45,8 @@ pub(super) struct Guard {
 }
 
 impl Guard {
-    /// Waits for the right to change the store in `root`, which is made if it does not exist.
+    /// Waits for the right to change the store in `root`, which is made if it does not exist, as long
+    /// as the disk's user has patience.
     pub(super) fn acquire(disk: &Disk, root: &Path) -> Result<Self, CheckpointError> {
         if !root.is_dir() {
             disk.step("create", root, || fs::create_dir_all(root))?;
@@ -46,24 +55,32 @@ impl Guard {
             }
         }
         let path = root.join(LOCK);
-        let file = disk.step("lock", &path, || {
-            loop {
-                let file = File::options().write(true).create(true).truncate(false).open(&path)?;
-                retry_on_intr(|| flock(&file, FlockOperation::LockExclusive))?;
-                if is_at(&file, &path) {
-                    return Ok(file);
+        disk.step("lock", &path, || Ok(()))?;
+        let begun = Instant::now();
+        loop {
+            let file = open(&path).map_err(CheckpointError::io(&path, "lock"))?;
+            match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) if regular::is_at(&file, &path) => return Ok(Self { _file: file }),
+                // The lock of a store that was not to be is removed; the next one is another file.
+                Ok(()) => {}
+                Err(Errno::WOULDBLOCK) => {
+                    if disk.patience.is_over(begun) {
+                        let (seconds, pid) = (begun.elapsed().as_secs_f64(), holder(&file));
+                        return Err(CheckpointError::Locked { path, seconds, pid });
+                    }
+                    std::thread::sleep(PAUSE);
                 }
+                Err(error) => return Err(CheckpointError::io(&path, "lock")(error.into())),
             }
-        })?;
-        Ok(Self { _file: file })
+        }
     }
 
     /// Takes the right to change the store in `root` if it exists and nobody has it.
     pub(super) fn try_acquire(root: &Path) -> Option<Self> {
         let path = root.join(LOCK);
-        let file = File::options().write(true).create(true).truncate(false).open(path).ok()?;
+        let file = open(&path).ok()?;
         flock(&file, FlockOperation::NonBlockingLockExclusive).ok()?;
-        is_at(&file, &root.join(LOCK)).then_some(Self { _file: file })
+        regular::is_at(&file, &path).then_some(Self { _file: file })
     }
 
     /// Whether anybody has ever changed the store in `root`.
@@ -72,11 +89,39 @@ impl Guard {
     }
 }
 
-/// Whether `path` still names the open file: the lock of a store that was not to be is [removed](tidy).
-fn is_at(file: &File, path: &Path) -> bool {
-    let open = file.metadata().map(|there| Stamp::of(&there).identity());
-    let there = path.metadata().map(|there| Stamp::of(&there).identity());
-    matches!((open, there), (Ok(open), Ok(there)) if open == there)
+/// Opens the lock file, or makes it. Nobody else may open it: that is all that it takes to lock it.
+fn open(path: &Path) -> std::io::Result<File> {
+    let mut options = File::options();
+    options.write(true).create(true).truncate(false).mode(own::MODE);
+    let file = regular::open_with(path, &mut options, Links::Refuse)?;
+    let there = file.metadata()?;
+    if there.mode() & 0o077 != 0 && there.uid() == own::user() {
+        file.set_permissions(Permissions::from_mode(own::MODE))?;
+    }
+    Ok(file)
+}
+
+/// How often the kernel's table of locks is read: while it is, other locks come and go, and a line can be
+/// left out.
+const LOOKS: usize = 5;
+
+/// The process that holds a lock on an open file, if the kernel tells.
+fn holder(file: &File) -> Option<u32> {
+    (0..LOOKS).find_map(|_| look_up_holder(file))
+}
+
+fn look_up_holder(file: &File) -> Option<u32> {
+    let there = file.metadata().ok()?;
+    let (device, inode) = (there.dev(), there.ino());
+    let place =
+        format!("{:02x}:{:02x}:{inode}", rustix::fs::major(device), rustix::fs::minor(device));
+    // `1: FLOCK  ADVISORY  WRITE 4711 fe:00:123456 0 EOF`; who waits has an arrow before that.
+    let table = fs::read_to_string("/proc/locks").ok()?;
+    table.lines().find_map(|line| {
+        let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        let held = words.get(1) == Some(&"FLOCK") && words.get(5) == Some(&place.as_str());
+        if held { words.get(4)?.parse().ok() } else { None }
+    })
 }
 
 /// Removes the lock from a store that holds nothing else, and then the directories in `made`, the

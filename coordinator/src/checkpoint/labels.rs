@@ -1,4 +1,6 @@
 //! What users and runs say about a checkpoint after its commit.
+//!
+//! They lie beside the manifest, not in it: a manifest is never rewritten, and pins survive a deleted catalogue.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;

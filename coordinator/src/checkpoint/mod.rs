@@ -27,6 +27,7 @@
 //! | `catalogue` | the index |
 //! | `checked` | which files were found whole |
 //! | `archive` | a checkpoint as one file |
+//! | `state_layout` | what a training state must hold |
 //! | `verify`, `compare` | the thorough check; two checkpoints side by side |
 //! | `compose` | one policy set from several checkpoints |
 //! | `selector` | how users name a checkpoint |
@@ -46,9 +47,11 @@ mod labels;
 mod manifest;
 mod name;
 mod opening;
+mod patience;
 mod read;
 mod retention;
 mod selector;
+mod state_layout;
 mod store;
 mod tensors;
 mod verify;
@@ -67,9 +70,11 @@ pub use labelling::{BEST, LATEST};
 pub use labels::{LABELS, Labels, MAX_TAGS, Score};
 pub use manifest::{FileEntry, Manifest, Origin};
 pub use name::{ITERATION, Name, NameError};
+pub use patience::Patience;
 pub use read::{Checkpoint, read_policy};
 pub use retention::Retention;
 pub use selector::{Selector, runs_in, store_at, store_to_be};
+pub use state_layout::{STATE_FORMAT, StateLayout, StateTensor};
 pub use store::{CheckpointStore, Placement};
 pub(crate) use tensors::shapes;
 pub use verify::Verification;

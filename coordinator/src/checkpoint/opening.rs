@@ -2,13 +2,12 @@
 //! file of one.
 
 use std::fs::{File, Metadata};
-use std::io::Read as _;
-use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
+use std::io::ErrorKind;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
-use rustix::fs::OFlags;
-
 use super::{CheckpointError, LABELS};
+use crate::regular::{self, Links};
 
 /// Whether `path` itself is a directory, and not a link to one.
 pub(super) fn is_directory(path: &Path) -> bool {
@@ -17,33 +16,23 @@ pub(super) fn is_directory(path: &Path) -> bool {
 
 /// Opens a file of a checkpoint for reading.
 pub(super) fn file(path: &Path) -> Result<File, CheckpointError> {
-    // Without waiting, or a named pipe in the place of a file would stop us for ever.
-    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
-    let opened = File::options().read(true).custom_flags(flags.bits().cast_signed()).open(path);
-    let file = opened.map_err(|error| match error.raw_os_error() {
-        Some(code) if code == rustix::io::Errno::LOOP.raw_os_error() => {
-            CheckpointError::damaged(path, "is a link; a checkpoint's files are its own")
-        }
-        _ => CheckpointError::io(path, "read")(error),
-    })?;
-    let metadata = file.metadata().map_err(CheckpointError::io(path, "read"))?;
-    if !metadata.is_file() {
-        return Err(CheckpointError::damaged(path, "is no regular file"));
-    }
-    Ok(file)
+    regular::open_with(path, File::options().read(true), Links::Refuse)
+        .map_err(|error| refusal(path, error))
 }
 
 /// Reads a file of a checkpoint of `limit` bytes at most.
 pub(super) fn bytes(path: &Path, limit: u64) -> Result<Vec<u8>, CheckpointError> {
-    let mut bytes = Vec::new();
-    file(path)?
-        .take(limit.saturating_add(1))
-        .read_to_end(&mut bytes)
-        .map_err(CheckpointError::io(path, "read"))?;
-    if bytes.len() as u64 > limit {
-        return Err(CheckpointError::damaged(path, format!("longer than {limit} bytes")));
+    regular::drain(file(path)?, limit).map_err(|error| refusal(path, error))
+}
+
+/// What is no regular file, or too long, is damage; that it cannot be read is none.
+fn refusal(path: &Path, error: std::io::Error) -> CheckpointError {
+    match error.kind() {
+        ErrorKind::InvalidInput | ErrorKind::FileTooLarge => {
+            CheckpointError::damaged(path, error.to_string())
+        }
+        _ => CheckpointError::io(path, "read")(error),
     }
-    Ok(bytes)
 }
 
 /// Reads a text of a checkpoint of `limit` bytes at most.
@@ -62,11 +51,6 @@ pub(super) struct Stamp {
 }
 
 impl Stamp {
-    /// What makes it this file and no other.
-    pub(super) fn identity(&self) -> (u64, u64) {
-        (self.device, self.inode)
-    }
-
     /// The stamp of one file.
     pub(super) fn of(there: &Metadata) -> Self {
         Self {

@@ -4,12 +4,12 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use proto::config::Config;
+use proto::config::{Config, Precision};
 use proto::layout::{ActorLayout, Dimensions};
 use safetensors::{Dtype, SafeTensors};
 
 use super::manifest::{FileEntry, Manifest};
-use super::tensors::MAX_HEADER;
+use super::tensors::{MAX_HEADER, TensorFile};
 use super::{CONFIG, CheckpointError, POLICY, ROBOT, STATE, opening};
 
 /// Longest configuration or robot that is read (bytes).
@@ -35,6 +35,28 @@ impl Checkpoint {
     /// [has it](Manifest::has_state).
     pub fn state(&self) -> PathBuf {
         self.dir.join(STATE)
+    }
+
+    /// The arithmetic that it was trained with. Where an earlier version left `auto` in the configuration, the
+    /// training state tells.
+    pub fn precision(&self) -> Result<Precision, CheckpointError> {
+        const NAME: &str = "counters.precision";
+        if self.config.run.precision != Precision::Auto {
+            return Ok(self.config.run.precision);
+        }
+        let path = self.state();
+        let damaged = |reason: String| CheckpointError::damaged(&path, reason);
+        let file = TensorFile::open(&path).map_err(damaged)?;
+        let info = file.tensors.get(NAME).filter(|info| info.dtype == Dtype::U64);
+        let info = info.ok_or_else(|| damaged(format!("has no counter `{NAME}`")))?;
+        let mut bytes = Vec::new();
+        file.pieces(info, |piece| bytes.extend_from_slice(piece)).map_err(damaged)?;
+        // Bits of the products' operands.
+        match bytes.as_slice() {
+            [16, 0, 0, 0, 0, 0, 0, 0] => Ok(Precision::Bf16),
+            [32, 0, 0, 0, 0, 0, 0, 0] => Ok(Precision::F32),
+            _ => Err(damaged(format!("`{NAME}` is neither 16 nor 32"))),
+        }
     }
 
     /// The actors' parameters, flat, in the order of [`ActorLayout`].

@@ -72,7 +72,8 @@ impl CheckpointStore {
         if let Some(run) = self.run()
             && self.newest_own()?.as_ref() == Some(name)
         {
-            let live = RunLock::holder(&run.lock()).is_some();
+            // What cannot be read is no reason to take it for free.
+            let live = !matches!(RunLock::holder(&run.lock()), Ok(None));
             needed =
                 (live || !even_newest).then(|| CheckpointError::Newest { path: dir.clone(), live });
         }

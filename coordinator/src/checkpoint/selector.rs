@@ -24,6 +24,7 @@ use super::name::Name;
 use super::read::Checkpoint;
 use super::store::CheckpointStore;
 use super::{CheckpointError, MANIFEST};
+use crate::lock::RunLock;
 
 /// What a user wrote to name a checkpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -179,12 +180,30 @@ fn explain(store: &CheckpointStore, error: CheckpointError) -> CheckpointError {
                 "" if runs_in(&path) > 0 => {
                     "holds runs, not checkpoints; name one of them".to_owned()
                 }
-                "" => "holds no checkpoint; `octopus status` lists the runs".to_owned(),
+                "" => match store.run() {
+                    Some(run) => none_of_run(&run),
+                    None => "holds no checkpoint; `octopus status` lists the runs".to_owned(),
+                },
                 inventory => format!("holds no checkpoint of a run's own; it has {inventory}"),
             };
             CheckpointError::NotFound { path, what }
         }
         other => other,
+    }
+}
+
+/// How a run without a checkpoint gets one.
+fn none_of_run(run: &RunDir) -> String {
+    let shown = run.path().display();
+    if matches!(RunLock::holder(&run.lock()), Ok(Some(_))) {
+        format!(
+            "holds no checkpoint yet; `octopus checkpoints commit {shown}` has the run commit one now"
+        )
+    } else {
+        format!(
+            "holds no checkpoint; `octopus resume {shown}` goes on with the run, which commits one \
+             at its end"
+        )
     }
 }
 

@@ -15,6 +15,7 @@ use super::labels::{Labels, Score};
 use super::manifest::{FileEntry, Manifest};
 use super::name::Name;
 use super::opening::{Stamp, is_directory};
+use super::patience::Patience;
 use super::read::{self, Checkpoint};
 use super::{
     CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE, Snapshot, catalogue, tensors,
@@ -78,6 +79,13 @@ impl CheckpointStore {
     /// A store in `root`, which is made with the first commit.
     pub fn new(root: impl Into<PathBuf>) -> Self {
         Self { root: root.into(), disk: Disk::default() }
+    }
+
+    /// The same store, for somebody who waits for its lock as long as `patience` says.
+    #[must_use]
+    pub fn with_patience(mut self, patience: Patience) -> Self {
+        self.disk.patience = patience;
+        self
     }
 
     /// Its directory.
@@ -314,19 +322,13 @@ impl CheckpointStore {
     }
 
     /// The newest of the run's own checkpoints from which training can go on and that is whole. A
-    /// damaged one is reported through the log and the one before is taken; if all are damaged,
+    /// damaged one is reported through the log and passed over; if all are damaged,
     /// that is an error, never a silent start from nothing.
+    /// Whether a run may go on from it is for the run to say, see [`base`](crate::base).
     pub fn latest(&self) -> Result<Checkpoint, CheckpointError> {
-        self.latest_until(u64::MAX)
-    }
-
-    /// Like [`Self::latest`], of those of at most `most` iterations.
-    pub fn latest_until(&self, most: u64) -> Result<Checkpoint, CheckpointError> {
         let mut last_error = None;
         for dir in self.list()?.into_iter().rev() {
-            let passed_over =
-                |manifest: Manifest| !manifest.has_state() || manifest.iteration > most;
-            if Manifest::read(&dir).is_ok_and(passed_over) {
+            if Manifest::read(&dir).is_ok_and(|manifest| !manifest.has_state()) {
                 continue;
             }
             match read::load(&dir) {
@@ -334,14 +336,14 @@ impl CheckpointStore {
                 // Removed since it was listed.
                 Err(_) if !dir.exists() => {}
                 Err(error) => {
-                    tracing::error!(%error, "damaged checkpoint, taking the one before");
+                    tracing::error!(%error, "damaged checkpoint, passed over");
                     last_error = Some(error);
                 }
             }
         }
         Err(last_error.unwrap_or_else(|| CheckpointError::NotFound {
             path: self.root.clone(),
-            what: "holds no checkpoint; the run was stopped before its first one".to_owned(),
+            what: "holds no checkpoint from which training can go on".to_owned(),
         }))
     }
 

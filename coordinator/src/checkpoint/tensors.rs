@@ -63,6 +63,8 @@ pub(super) struct TensorFile {
     file: File,
     /// Where the tensors' bytes begin.
     start: u64,
+    /// The `format` entry of its metadata.
+    pub(super) format: Option<String>,
     /// In alphabetical order.
     pub(super) tensors: BTreeMap<String, TensorInfo>,
 }
@@ -86,6 +88,8 @@ impl TensorFile {
         let tensors: BTreeMap<String, TensorInfo> =
             metadata.tensors().into_iter().map(|(name, info)| (name, info.clone())).collect();
 
+        let format = metadata.metadata().as_ref().and_then(|map| map.get("format").cloned());
+
         // That the tensors lie side by side, each as long as its shape says, is checked with the
         // header; that they are there is not.
         let end = metadata.data_len() as u64;
@@ -93,7 +97,7 @@ impl TensorFile {
         if end.checked_add(start) != Some(len) {
             return Err(format!("it has {len} bytes, its header says {end} after {start}"));
         }
-        Ok(Self { file, start, tensors })
+        Ok(Self { file, start, format, tensors })
     }
 
     /// Shows the bytes of a tensor piece by piece; all but the last have whole numbers of any type.

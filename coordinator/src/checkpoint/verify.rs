@@ -1,18 +1,21 @@
 //! The thorough check of a checkpoint: not only that it is as it was committed, but that it makes
 //! sense.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use proto::config::Config;
 use proto::layout::{ActorLayout, Dimensions};
 use proto::{Digest, DigestBuilder};
 use safetensors::Dtype;
 use serde::Serialize;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use utoipa::ToSchema;
 
 use super::manifest::Manifest;
 use super::name::Name;
 use super::read::{self, small_files};
+use super::state_layout::{Numbers, STATE_FORMAT, StateLayout, is_moment};
 use super::store::CheckpointStore;
 use super::tensors::{POLICY_PREFIX, TensorFile};
 use super::{CheckpointError, POLICY, ROBOT, STATE};
@@ -42,9 +45,10 @@ impl Verification {
 
 impl CheckpointStore {
     /// Checks a checkpoint thoroughly: length and hash of every file; that configuration, robot and
-    /// tensors are readable, all numbers finite, the actors of the shapes that the configuration
-    /// asks for; that the digest in the manifest is that of the tensors, and its counters theirs.
-    /// An error means that there is no such checkpoint.
+    /// tensors are readable, all numbers finite, all tensors of the names, types and shapes that the
+    /// configuration asks for; that the digest in the manifest is that of the tensors, and its
+    /// counters theirs; that the actors are those of the training state. An error means that there
+    /// is no such checkpoint.
     pub fn verify(&self, name: &Name) -> Result<Verification, CheckpointError> {
         Ok(examine(&self.existing(name)?))
     }
@@ -72,8 +76,8 @@ pub(super) fn examine(dir: &Path) -> Verification {
         // What follows would only say the same again, in more words.
         return found;
     }
-    let layout = match layout(dir) {
-        Ok(layout) => Some(layout),
+    let wanted = match Wanted::of(dir) {
+        Ok(wanted) => Some(wanted),
         Err(error) => {
             found.problems.push(error.to_string());
             None
@@ -88,13 +92,23 @@ pub(super) fn examine(dir: &Path) -> Verification {
         let mut problems = Vec::new();
         let outcome = TensorFile::open(&path).and_then(|tensors| {
             found.tensors += tensors.tensors.len();
-            let digest = read_through(&tensors, &mut problems)?;
-            if file == POLICY {
-                if let Some(layout) = &layout {
-                    fits(&tensors, layout, &mut problems);
+            let state = (file == STATE).then_some(&wanted).and_then(Option::as_ref);
+            let digest = read_through(&tensors, state.map(|wanted| &wanted.state), &mut problems)?;
+            match &wanted {
+                Some(wanted) if file == POLICY => {
+                    let layout = &wanted.actors;
+                    let shapes =
+                        layout.tensors.iter().map(|spec| (&spec.name, Dtype::F32, &spec.shape));
+                    fits(&tensors, shapes, &mut problems);
                 }
-            } else {
-                counters(&tensors, &manifest, &mut problems)?;
+                Some(wanted) => {
+                    makes_sense(&tensors, &manifest, wanted, &mut problems)?;
+                    if problems.is_empty() {
+                        let policy = TensorFile::open(&dir.join(POLICY))?;
+                        acts(&policy, &tensors, wanted, &mut problems)?;
+                    }
+                }
+                None => {}
             }
             let described = if manifest.has_state() { STATE } else { POLICY };
             if file == described && digest != manifest.digest {
@@ -111,70 +125,177 @@ pub(super) fn examine(dir: &Path) -> Verification {
     found
 }
 
-/// The place of the actors' tensors, if configuration and robot make sense.
-fn layout(dir: &Path) -> Result<ActorLayout, CheckpointError> {
-    let (config, robot) = small_files(dir)?;
-    let path = dir.join(ROBOT);
-    let robot = Robot::from_toml(&robot, &path)
-        .map_err(|error| CheckpointError::damaged(&path, error.to_string()))?;
-    Ok(ActorLayout::new(&config, &Dimensions::new(&config, robot.n_arms)))
+/// What the files of a checkpoint must hold, by its configuration and robot.
+struct Wanted {
+    config: Config,
+    actors: ActorLayout,
+    state: StateLayout,
 }
 
-/// Reads all tensors once: their digest, and a report of every one with a number that is not finite.
-fn read_through(file: &TensorFile, problems: &mut Vec<String>) -> Result<Digest, String> {
+impl Wanted {
+    /// Of the checkpoint in `dir`, if its configuration and robot make sense.
+    fn of(dir: &Path) -> Result<Self, CheckpointError> {
+        let (config, robot) = small_files(dir)?;
+        let path = dir.join(ROBOT);
+        let robot = Robot::from_toml(&robot, &path)
+            .map_err(|error| CheckpointError::damaged(&path, error.to_string()))?;
+        let dimensions = Dimensions::new(&config, robot.n_arms);
+        let actors = ActorLayout::new(&config, &dimensions);
+        let state = StateLayout::new(&config, &dimensions);
+        Ok(Self { config, actors, state })
+    }
+}
+
+/// Reads all tensors once: their digest, and a report of every one whose numbers make no sense, of a
+/// training state by its layout.
+fn read_through(
+    file: &TensorFile,
+    layout: Option<&StateLayout>,
+    problems: &mut Vec<String>,
+) -> Result<Digest, String> {
     let mut digest = DigestBuilder::new();
     for (name, info) in &file.tensors {
         let (from, to) = info.data_offsets;
         digest.begin(name, (to - from) as u64);
-        let mut finite = true;
+        let (mut finite, mut zero) = (true, true);
+        let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
         file.pieces(info, |piece| {
             digest.piece(piece);
-            let mut numbers = numbers(info.dtype, piece).into_iter().flatten();
-            finite = finite && numbers.all(f64::is_finite);
+            for number in numbers(info.dtype, piece).into_iter().flatten() {
+                finite &= number.is_finite();
+                zero &= number == 0.0;
+                least = least.min(number);
+                most = most.max(number);
+            }
         })?;
-        if !finite {
-            problems.push(format!("tensor `{name}` holds a number that is not finite"));
+        let range = layout.and_then(|layout| layout.tensors.get(name));
+        let holds = match range.map_or(Numbers::Any, |tensor| tensor.numbers) {
+            _ if !finite => Some("a number that is not finite"),
+            Numbers::Weights if zero && to > from => Some("nothing but zeros"),
+            Numbers::NotNegative if least < 0.0 => Some("a negative number"),
+            Numbers::Share if least < 0.0 || most > 1.0 => Some("a number outside of 0 to 1"),
+            _ => None,
+        };
+        if let Some(what) = holds {
+            problems.push(format!("tensor `{name}` holds {what}"));
         }
     }
     Ok(digest.finish())
 }
 
-/// Reports what is missing in, too much in, or of another shape than the actors' layout.
-fn fits(file: &TensorFile, layout: &ActorLayout, problems: &mut Vec<String>) {
-    for spec in &layout.tensors {
-        let expected = (Dtype::F32, spec.shape.as_slice());
-        match file.tensors.get(&spec.name) {
-            Some(info) if (info.dtype, info.shape.as_slice()) == expected => {}
+/// Reports what is missing in, too much in, or of another type or shape than the wanted tensors.
+fn fits<'a>(
+    file: &TensorFile,
+    wanted: impl Iterator<Item = (&'a String, Dtype, &'a Vec<usize>)>,
+    problems: &mut Vec<String>,
+) {
+    let mut known = BTreeSet::new();
+    for (name, dtype, shape) in wanted {
+        known.insert(name);
+        match file.tensors.get(name) {
+            Some(info) if (info.dtype, &info.shape) == (dtype, shape) => {}
             Some(info) => problems.push(format!(
-                "tensor `{}` is {:?} {:?}, the configuration wants F32 {:?}",
-                spec.name, info.dtype, info.shape, spec.shape
+                "tensor `{name}` is {:?} {:?}, the configuration wants {dtype:?} {shape:?}",
+                info.dtype, info.shape
             )),
-            None => problems.push(format!("tensor `{}` is missing", spec.name)),
+            None => problems.push(format!("tensor `{name}` is missing")),
         }
     }
-    for name in file.tensors.keys().filter(|name| layout.get(name).is_none()) {
+    for name in file.tensors.keys().filter(|name| !known.contains(name)) {
         problems.push(format!("tensor `{name}` is unknown to the configuration"));
     }
 }
 
-/// Compares the counters in the training state with those of the manifest.
-fn counters(
+/// Reports what a learner would refuse in a training state, or could not have written.
+fn makes_sense(
     file: &TensorFile,
     manifest: &Manifest,
+    wanted: &Wanted,
     problems: &mut Vec<String>,
 ) -> Result<(), String> {
-    for (name, said) in
-        [("counters.iteration", manifest.iteration), ("counters.env_steps", manifest.env_steps)]
-    {
-        let Some(info) = file.tensors.get(name) else { continue };
-        let mut same = info.data_offsets.1 - info.data_offsets.0 == size_of::<u64>();
-        file.pieces(info, |piece| same = same && piece == said.to_le_bytes())?;
-        if !same {
-            problems.push(format!("`{name}` is not {said}, as the manifest says"));
+    if file.format.as_deref() != Some(STATE_FORMAT) {
+        let found = file.format.as_deref().unwrap_or("none");
+        problems.push(format!("its format is `{found}`, expected `{STATE_FORMAT}`"));
+    }
+    let misplaced = |name: &&String| name.starts_with(POLICY_PREFIX);
+    for name in file.tensors.keys().filter(misplaced) {
+        problems.push(format!("tensor `{name}` belongs into {POLICY}"));
+    }
+    let shapes = wanted.state.tensors.iter();
+    fits(file, shapes.map(|(name, tensor)| (name, tensor.dtype, &tensor.shape)), problems);
+
+    let steps = manifest.iteration.checked_mul(wanted.config.steps_per_iteration());
+    if steps != Some(manifest.env_steps) {
+        problems.push(format!(
+            "{} env-steps are not those of {} iterations of {} each",
+            manifest.env_steps,
+            manifest.iteration,
+            wanted.config.steps_per_iteration()
+        ));
+    }
+    let episodes = manifest.iteration.saturating_mul(wanted.config.env.n_envs as u64);
+    for (name, said) in [
+        ("counters.iteration", manifest.iteration),
+        ("counters.env_steps", manifest.env_steps),
+        ("replay.episodes", episodes),
+    ] {
+        if let Some(is) = counter(file, name)?
+            && is != said
+        {
+            problems.push(format!("`{name}` is {is}, not {said}, as the manifest says"));
         }
     }
-    for name in file.tensors.keys().filter(|name| name.starts_with(POLICY_PREFIX)) {
-        problems.push(format!("tensor `{name}` belongs into {POLICY}"));
+    if let Some(bits) = counter(file, "counters.precision")?
+        && ![16, 32].contains(&bits)
+    {
+        problems.push(format!("`counters.precision` is {bits}, expected 16 or 32"));
+    }
+    Ok(())
+}
+
+/// A counter, if it is there and is one number.
+fn counter(file: &TensorFile, name: &str) -> Result<Option<u64>, String> {
+    let Some(info) = file.tensors.get(name) else { return Ok(None) };
+    let mut bytes = Vec::new();
+    if info.data_offsets.1 - info.data_offsets.0 == size_of::<u64>() {
+        file.pieces(info, |piece| bytes.extend_from_slice(piece))?;
+    }
+    Ok(bytes.try_into().ok().map(u64::from_le_bytes))
+}
+
+/// Reports published actors that are not those of the training state. Both files fit the layouts.
+fn acts(
+    policy: &TensorFile,
+    state: &TensorFile,
+    wanted: &Wanted,
+    problems: &mut Vec<String>,
+) -> Result<(), String> {
+    let floor = wanted.config.network.min_log_std as f32;
+    for spec in wanted.actors.tensors.iter().filter(|spec| !is_moment(&spec.name)) {
+        let of_state = format!("actor.{}", spec.name);
+        let (Some(ours), Some(theirs)) =
+            (policy.tensors.get(&spec.name), state.tensors.get(&of_state))
+        else {
+            continue;
+        };
+        let hash = |file: &TensorFile, info, floored| {
+            let mut hasher = blake3::Hasher::new();
+            file.pieces(info, |piece| {
+                if floored {
+                    // As it is published.
+                    for bytes in piece.chunks_exact(4) {
+                        let number = f32::from_le_bytes(bytes.try_into().expect("chunks of four"));
+                        hasher.update(&number.max(floor).to_le_bytes());
+                    }
+                } else {
+                    hasher.update(piece);
+                }
+            })?;
+            Ok::<_, String>(hasher.finalize())
+        };
+        if hash(policy, ours, false)? != hash(state, theirs, spec.name == "log_std")? {
+            problems.push(format!("tensor `{of_state}` is not `{}` of {POLICY}", spec.name));
+        }
     }
     Ok(())
 }

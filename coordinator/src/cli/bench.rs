@@ -15,27 +15,41 @@ Examples:
   octopus bench learner --preset tuned --set network.hidden=[128,128]
   octopus bench growth --seconds 2 --pictures pictures
 
-Rates of physics and rollout are per second of processor time of one thread, so that other load on the
-machine hardly matters; all others are per second of wall time and want a machine that is idle.
-  physics    control steps under random commands of ±0.8 rad/s, contacts counted and pushing
-  rollout    the same with actors as training initialises them, observations, rewards and the block
-  learner    updates on synthetic blocks, in bf16 and f32 and with smaller networks
-  transport  a block from `send` in one process to its tensors in another, which asks for one block at a
-             time and sleeps until it comes; the run's own channel, in which nothing is copied
-  train      a real run in a directory that goes away; env-steps/s after the first iteration, memory
-  growth     the same over environments (episodes of 16 steps), workers, arms (more than the robot has are
-             its own, mirrored) and hidden width; not part of `all`
+Rates of physics and rollout are per second of processor time of one thread, so that other load \
+on the machine hardly matters; all others are per second of wall time and want a machine that is \
+idle.
+  physics    control steps under random commands of ±0.8 rad/s, contacts counted
+             and pushing
+  rollout    the same with actors as training initialises them, observations,
+             rewards and the block
+  learner    updates on synthetic blocks, in bf16 and f32 and with smaller
+             networks
+  transport  a block from `send` in one process to its tensors in another, which
+             asks for one block at a time and sleeps until it comes; the run's
+             own channel, in which nothing is copied
+  train      a real run in a directory that goes away; env-steps/s after the
+             first iteration, memory
+  growth     the same over environments (episodes of 16 steps), workers, arms
+             (more than the robot has are its own, mirrored) and hidden width;
+             not part of `all`
 
-Floor is what this machine allows at best: for physics and rollout, the operations counted in the source
-at the rate of fused multiply-adds of one core; for the learner, its matrix products at the best rate
-of libtorch's own; for the transport, waking a process through a pipe; for the training, its own rollout
-and update without anything around them (if they were measured).
+Floor is what this machine allows at best: for physics and rollout, the operations counted in the \
+source at the rate of fused multiply-adds of one core; for the learner, its matrix products at \
+the best rate of libtorch's own; for the transport, the fastest waking of a process through a \
+pipe; for the training, its own rollout and fastest update without anything around them (if they \
+were measured, and unless algorithm.max_kl may hold actors back, which the updates of `learner` \
+never are).
 
-Peers run in Python, `make venv-benches` installs them: MuJoCo with the same robot, commands and contacts
-(400 Euler steps of 1 ms), and MAPPO as it is commonly written in PyTorch (f32). A peer's rollout is
-1 / (1 / MuJoCo + threads / its inference), its training
-1 / (1 / (workers · MuJoCo) + 1 / its learner + 1 / its inference), with no more workers than processors.
-The transport's peers are a pipe and a Unix socket, always measured, each with the same bytes.
+Peers run in Python, `make venv-benches` installs them: MuJoCo with the same robot, commands and \
+contacts (400 Euler steps of 1 ms), and MAPPO as it is commonly written in PyTorch (f32). A \
+peer's rollout is 1 / (1 / MuJoCo + threads / its inference), its training 1 / (1 / (workers · \
+MuJoCo) + 1 / its learner + 1 / its inference), with no more workers than processors. The \
+transport's peers are a pipe and a Unix socket, always measured, each with the same bytes.
+
+What else the machine did meanwhile is said below the table. Measurements that contradict each \
+other end with exit code 1 and no table: something that is faster than its floor, or products \
+beyond the peak of the processor (cores × ports × lanes × 2 × the highest clock). That happens on \
+a machine that does other work at the same time.
 
 Ctrl-C stops at once and leaves nothing behind.";
 
@@ -50,16 +64,16 @@ pub struct BenchArgs {
     #[arg(long)]
     pub peer: bool,
     /// How long each measurement takes, at least.
-    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measuring_time)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0, allow_hyphen_values = true, value_parser = measuring_time)]
     pub seconds: f64,
-    /// The configuration to measure.
+    /// The configuration to measure. `paper`, as its peers do the same work; `octopus train` takes `tuned` unless told otherwise.
     #[arg(long, value_enum, default_value_t = PresetArg::Paper)]
     pub preset: PresetArg,
     /// Change one key; may be given again: --set algorithm.epochs=10.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = assignment)]
+    #[arg(long = "set", value_name = "KEY=VALUE", allow_hyphen_values = true, value_parser = assignment)]
     pub sets: Vec<String>,
     /// Simulator processes of the training, `auto` for one a processor.
-    #[arg(long, value_name = "N|auto", default_value = "2", allow_negative_numbers = true, value_parser = workers)]
+    #[arg(long, value_name = "N|auto", default_value = "2", allow_hyphen_values = true, value_parser = workers)]
     pub workers: u64,
     /// The Python that has the peers.
     #[arg(long, value_name = "FILE", default_value = ".venv-benches/bin/python")]
@@ -67,6 +81,9 @@ pub struct BenchArgs {
     /// Draw the curves of `growth` there, as SVG.
     #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
+    /// Draw also over files that are no pictures, and into a run's directory.
+    #[arg(long, requires = "pictures")]
+    pub force: bool,
     /// Print as one JSON object.
     #[arg(long)]
     pub json: bool,

@@ -21,23 +21,25 @@ Wherever a CHECKPOINT is wanted, write
   RUN:NAME       the one of that name
   RUN:TAG        the one with that tag
   DIR            a checkpoint's own directory
-where RUN is a run directory or any directory of checkpoints, which is also what STORE stands for.";
+where RUN is a run directory or any directory of checkpoints, which is also what STORE stands \
+for.";
 
 const LIST_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints list runs/trajectory-20260101-120000
-  octopus checkpoints list runs/trajectory-20260101-120000 --json | jq '.entries[].name'
+  octopus checkpoints list runs/a --json | jq '.entries[].name'
 
 The same is in STORE/catalogue.sqlite, for a run in RUN/checkpoints/catalogue.sqlite:
-  select c.name, c.score from checkpoints c join tags t on t.name = c.name where t.tag = 'best';
+  select c.name, c.score from checkpoints c
+    join tags t on t.name = c.name where t.tag = 'best';
 
-Reads manifests and labels only. One whose manifest cannot be read is listed as damaged, and the
+Reads manifests and labels only. One whose manifest cannot be read is listed as damaged, and the \
 command still exits with 0; `verify` and `show` look at all files and exit with 5 then.";
 
 const SHOW_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints show runs/trajectory-20260101-120000:best
-  octopus checkpoints show runs/trajectory-20260101-120000:50 --json | jq .manifest.provenance
+  octopus checkpoints show runs/a:50 --json | jq .manifest.provenance
 
 Checks the files as `verify` does, and exits with 5 if anything is wrong.";
 
@@ -46,15 +48,16 @@ Examples:
   octopus checkpoints verify runs/trajectory-20260101-120000
   octopus checkpoints verify runs/trajectory-20260101-120000:best
 
-Checks length and BLAKE3 hash of every file, that configuration, robot and tensors are readable,
-that all numbers are finite, that the actors fit the configuration, and that digest and counters of
-the manifest are those of the training state. A run or STORE without `:` means all its checkpoints.
-Exits with 5 if anything is wrong.";
+Checks length and BLAKE3 hash of every file, that configuration, robot and tensors are readable, \
+that all numbers are finite, that all tensors fit the configuration, that digest and counters of \
+the manifest are those of the training state, and that the actors are its. A run or STORE without \
+`:` means all its checkpoints. Exits with 5 if anything is wrong.";
 
 const DIFF_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints diff runs/a:best runs/b:best
-  octopus checkpoints diff runs/a:50 runs/a:100 --json | jq '.tensors[] | {tensor, max_abs}'
+  octopus checkpoints diff runs/a:50 runs/a:100 --json | \\
+      jq '.tensors[] | {tensor, max_abs}'
 
 Exits with 0 if they are the same, with 1 if they differ.";
 
@@ -71,59 +74,74 @@ Examples:
   octopus eval runs/trajectory-20260101-120000:paper-figure-3
   octopus checkpoints untag runs/trajectory-20260101-120000 paper-figure-3
 
-A tag is on at most one checkpoint of a store: given again, it moves. A tagged checkpoint is kept by
-`prune` and by the run. The tags `best` and `latest` move by themselves.";
+A tag is on at most one checkpoint of a store: given again, it moves. A tagged checkpoint is kept \
+by `prune` and by the run. The tags `best` and `latest` move by themselves.";
 
 const PRUNE_EXAMPLES: &str = "\
 Examples:
-  octopus checkpoints prune runs/trajectory-20260101-120000 --keep-latest 2 --dry-run
-  octopus checkpoints prune runs/trajectory-20260101-120000 --keep-latest 1 --keep-every 100
+  octopus checkpoints prune runs/a --keep-latest 2 --dry-run
+  octopus checkpoints prune runs/a --keep-latest 1 --keep-every 100
 
-Always kept: the newest whole one, the best, pinned and tagged ones, milestones, and everything that
-is not named iteration-N.";
+Always kept: the newest whole one, the best, pinned and tagged ones, milestones, and everything \
+that is not named iteration-N.";
 
 const REBUILD_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints rebuild runs/trajectory-20260101-120000
   octopus checkpoints rebuild shared --json
 
-Makes STORE/catalogue.sqlite, for a run RUN/checkpoints/catalogue.sqlite, from the manifests and
-labels and puts the tag `best` where the scores say. Commands do so by themselves; this is for files
-that were copied or deleted by hand.";
+Makes STORE/catalogue.sqlite, for a run RUN/checkpoints/catalogue.sqlite, from the manifests and \
+labels and puts the tag `best` where the scores say. Commands do so by themselves; this is for \
+files that were copied or deleted by hand.";
 
 const DELETE_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints delete runs/trajectory-20260101-120000:50
   octopus checkpoints delete shared/mixed
 
-A pinned checkpoint is not removed; `unpin` lets it go. Nor is the newest whole one of a run, from
-which the run goes on after a failure and `octopus resume` after its end; --force removes it, but
-never while the run is going on. `prune` removes several at once.";
+A pinned checkpoint is not removed; `unpin` lets it go. Nor is the newest whole one of a run, \
+from which the run goes on after a failure and `octopus resume` after its end; --force removes \
+it, but never while the run is going on. `prune` removes several at once.";
 
 const EXPORT_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints export runs/trajectory-20260101-120000:best --out best.tar
-  octopus checkpoints export runs/a:best --out - | ssh host octopus checkpoints import - --store runs/a
+  octopus checkpoints export runs/a:best --out - | \\
+      ssh host octopus checkpoints import - --store runs/a
 
 The archive is an uncompressed tar; the same checkpoint always gives the same bytes.";
+
+const COMMIT_EXAMPLES: &str = "\
+Examples:
+  octopus checkpoints commit runs/trajectory-20260101-120000
+  octopus checkpoints commit runs/a && octopus eval runs/a
+
+Asks the run that is going on there, which commits after the iteration that it is training on. A \
+run commits by itself, too: see run.checkpoint_every and run.checkpoint_every_s.";
 
 const IMPORT_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints import best.tar --store shared
-  octopus checkpoints import best.tar --store runs/trajectory-20260101-120000 --name from-alice
+  octopus checkpoints import best.tar --store runs/a --name from-alice
 
-The archive is checked as `verify` does before anything appears in the store. A name iteration-N is
-for checkpoints of the store's own run only. Pins, tags and scores do not travel.";
+The archive is checked as `verify` does before anything appears in the store. A name iteration-N \
+is for checkpoints of the store's own run only; `octopus resume` goes on from it only if the run \
+has recorded its digest. Pins, tags and scores do not travel.";
+
+const COMPOSE_USAGE: &str = "\
+octopus checkpoints compose [OPTIONS] --arm <ARMS=CHECKPOINT>...
+                                   --out <STORE/NAME>";
 
 const COMPOSE_EXAMPLES: &str = "\
 Examples:
-  octopus checkpoints compose --arm 1=runs/a:best --arm 2=runs/b:best --arm 3,4=runs/b \\
-      --out shared/mixed
+  octopus checkpoints compose --arm 1=runs/a:best --arm 2=runs/b:best \\
+      --arm 3,4=runs/b --out shared/mixed
   octopus eval shared/mixed
 
-Arms count from 1; arm i moves with agents 2(i-1) and 2(i-1)+1, which keep their places. All parts
-must have learned the same task on the same robot with the same observations and networks. The
-result holds actors only: it can be evaluated, exported and composed again, but not trained on.";
+Arms count from 1; arm i moves with agents 2(i-1) and 2(i-1)+1, which keep their places. All \
+parts must have learned the same task on the same robot with the same observations and networks. \
+The result holds actors only: it can be evaluated, exported and composed again, but not trained \
+on.";
 
 /// Options of `octopus checkpoints`.
 #[derive(Debug, Clone, Args)]
@@ -157,6 +175,8 @@ pub enum CheckpointsCommand {
     Prune(PruneArgs),
     /// Rebuild the catalogue from the checkpoints.
     Rebuild(RebuildArgs),
+    /// Have a live run commit a checkpoint now.
+    Commit(CommitArgs),
     /// Unpack an archive into a store.
     Import(ImportArgs),
     /// Pack a checkpoint into an archive.
@@ -186,6 +206,9 @@ pub struct ShowArgs {
     /// The checkpoint.
     #[arg(value_name = "CHECKPOINT")]
     pub checkpoint: Selector,
+    /// List its tensors, too.
+    #[arg(long)]
+    pub tensors: bool,
     /// Print as JSON.
     #[arg(long)]
     pub json: bool,
@@ -268,10 +291,10 @@ pub struct PruneArgs {
     #[arg(value_name = "STORE")]
     pub store: PathBuf,
     /// How many of the newest stay.
-    #[arg(long, value_name = "N", default_value_t = 3, allow_negative_numbers = true, value_parser = whole::<u32>(1, 1_000_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 3, allow_hyphen_values = true, value_parser = whole::<u32>(1, 1_000_000_000))]
     pub keep_latest: u32,
     /// Those whose iteration is a multiple of this stay too.
-    #[arg(long, value_name = "K", allow_negative_numbers = true, value_parser = whole::<u64>(1, u64::MAX))]
+    #[arg(long, value_name = "K", allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX))]
     pub keep_every: Option<u64>,
     /// Only say what would be removed.
     #[arg(long)]
@@ -293,6 +316,21 @@ pub struct RebuildArgs {
     pub json: bool,
 }
 
+/// Options of `octopus checkpoints commit`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = COMMIT_EXAMPLES)]
+pub struct CommitArgs {
+    /// The run directory.
+    #[arg(value_name = "RUN")]
+    pub run_dir: PathBuf,
+    /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+    /// Print as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// Options of `octopus checkpoints import`.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = IMPORT_EXAMPLES)]
@@ -303,8 +341,11 @@ pub struct ImportArgs {
     /// A run directory or a directory of checkpoints; made if it does not exist.
     #[arg(long, value_name = "STORE")]
     pub store: PathBuf,
+    /// Make a directory that holds other things a store.
+    #[arg(long)]
+    pub force: bool,
     /// The name in the store [default: the one in the archive].
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", allow_hyphen_values = true)]
     pub name: Option<Name>,
     /// Print what was imported as JSON.
     #[arg(long)]
@@ -321,7 +362,7 @@ pub struct ExportArgs {
     /// The archive; `-` writes standard output.
     #[arg(long, value_name = "FILE.tar")]
     pub out: PathBuf,
-    /// Write over a file that is there already.
+    /// Write over a file that is there already, and into a run's directory; what is read stays.
     #[arg(long)]
     pub force: bool,
     /// Print what was exported as JSON, unless the archive goes to standard output.
@@ -331,14 +372,22 @@ pub struct ExportArgs {
 
 /// Options of `octopus checkpoints compose`.
 #[derive(Debug, Clone, Args)]
-#[command(after_help = COMPOSE_EXAMPLES)]
+#[command(override_usage = COMPOSE_USAGE, after_help = COMPOSE_EXAMPLES)]
 pub struct ComposeArgs {
     /// Arms, counted from 1, and the checkpoint that they come from; given until every arm is.
-    #[arg(long = "arm", value_name = "ARMS=CHECKPOINT", required = true)]
+    #[arg(
+        long = "arm",
+        value_name = "ARMS=CHECKPOINT",
+        allow_hyphen_values = true,
+        required = true
+    )]
     pub arms: Vec<ArmsFrom>,
     /// Store and name of the new checkpoint.
     #[arg(long, value_name = "STORE/NAME")]
     pub out: PathBuf,
+    /// Make a directory that holds other things a store.
+    #[arg(long)]
+    pub force: bool,
     /// Print what was made as JSON.
     #[arg(long)]
     pub json: bool,
@@ -368,6 +417,12 @@ pub struct ArmsFrom {
     pub checkpoint: Selector,
 }
 
+/// The first arm that is there a second time.
+pub fn given_twice(arms: &[usize]) -> Option<usize> {
+    let again = |(place, arm): &(usize, &usize)| arms[..*place].contains(arm);
+    arms.iter().enumerate().find(again).map(|(_, arm)| *arm)
+}
+
 impl std::str::FromStr for ArmsFrom {
     type Err = String;
 
@@ -378,7 +433,11 @@ impl std::str::FromStr for ArmsFrom {
             .split(',')
             .map(|arm| arm.parse::<usize>().ok().and_then(|arm| arm.checked_sub(1)))
             .collect();
-        Ok(Self { arms: arms.ok_or_else(wrong)?, checkpoint: checkpoint.parse()? })
+        let arms = arms.ok_or_else(wrong)?;
+        if let Some(arm) = given_twice(&arms) {
+            return Err(format!("arm {} is given twice; wants every arm once", arm + 1));
+        }
+        Ok(Self { arms, checkpoint: checkpoint.parse()? })
     }
 }
 
@@ -391,6 +450,8 @@ mod tests {
         let parsed = "3,4=runs/b:best".parse::<ArmsFrom>().expect("valid");
         assert_eq!(parsed.arms, [2, 3]);
         assert_eq!(parsed.checkpoint.to_string(), "runs/b:best");
+        let twice = "1,1=runs/a".parse::<ArmsFrom>().expect_err("no arm comes from two places");
+        assert!(twice.contains("arm 1 is given twice"), "{twice}");
         for wrong in ["", "1", "0=runs/a", "1,=runs/a", "a=runs/a", "1=", "-1=runs/a"] {
             assert!(wrong.parse::<ArmsFrom>().is_err(), "{wrong}");
         }

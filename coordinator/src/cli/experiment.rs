@@ -9,73 +9,77 @@ use super::values::{amount, amounts, whole};
 const GROUP_EXAMPLES: &str = "\
 Examples:
   octopus experiment precision --policies trained
-  octopus experiment disturbance --trajectory runs/trajectory-20260101-120000:best
+  octopus experiment disturbance --trajectory runs/a:best
   octopus experiment COMMAND --help
 
-The paper's experiments, with deterministic actions. --policies DIR takes DIR/trajectory and
-DIR/reorientation, each a run directory, a directory of checkpoints or a checkpoint. --trajectory
-and --reorientation name single ones, as `octopus checkpoints --help` lists them. With --json the
-result is one object: the protocol, digests of policies and robot, and every number of the figures,
-with errors after each control step (0.4 s; the paper's plots count it as 0.1 s).";
+The paper's experiments, with deterministic actions. --policies DIR takes DIR/trajectory and \
+DIR/reorientation, each a run directory, a directory of checkpoints or a checkpoint. --trajectory \
+and --reorientation name single ones, as `octopus checkpoints --help` lists them. With --json the \
+result is one object: the protocol, digests of policies and robot, and every number of the \
+figures, with errors after each control step (0.4 s; the paper's plots count it as 0.1 s).";
 
 const PRECISION_EXAMPLES: &str = "\
 Examples:
   octopus experiment precision --policies trained
-  octopus experiment precision --trajectory runs/a:best --episodes 300 --json > precision.json
+  octopus experiment precision --trajectory runs/a:best --episodes 300 \\
+      --json > precision.json
 
-What `octopus eval` measures, of both tasks, with the courses of the errors: the minimum over time,
-which is the released script's measure, beside the mean of the last 20 steps.";
+What `octopus eval` measures, of both tasks, with the courses of the errors: the minimum over \
+time, which is the released script's measure, beside the mean of the last 20 steps.";
 
 const DISTURBANCE_EXAMPLES: &str = "\
 Examples:
   octopus experiment disturbance --policies trained
   octopus experiment disturbance --trajectory runs/a:best --arm 3 --force 20
 
-The released scripts overwrite actions: arm 2's shoulder lift with 1.3 in one step, or all actions
-of the base's task with 1 in five steps. Beside that something acts from outside: a force on the hand
-for one step (0.4 s, along the world's x axis), or a torque on the base for five steps (about the
-world's z axis). Nothing inside the robot takes their momentum away again, so what is pushed drifts
-for ever. `push and pull` follows with the opposite. Of a torque that leaves nothing; of a force no
-linear momentum, but an angular one, as the hand has moved in between: the base turns on, until
-goals, which stand still, are out of the arm's reach. Recovered is told before that, the tail after;
-the lines below the table say how far the base turns and who can still reach. In its five steps 5 N m
-turn the base by 100 mrad when the arms are held, as the overwritten actions do from home in the
-authors' scale of 0.5.
-Errors are the largest of the three axes. Recovered is who comes below 15 mm and 20 mrad, or 30 mrad
-of the base, the paper's claims.";
+The released scripts overwrite actions: arm 2's shoulder lift with 1.3 in one step, or all \
+actions of the base's task with 1 in five steps. Beside that something acts from outside: a force \
+on the hand for one step (0.4 s, along the world's x axis), or a torque on the base for five \
+steps (about the world's z axis). Nothing inside the robot takes their momentum away again, so \
+what is pushed drifts for ever. `push and pull` follows with the opposite. Of a torque that leaves \
+nothing; of a force no linear momentum, but an angular one, as the hand has moved in between: the \
+base turns on, until goals, which stand still, are out of the arm's reach. Recovered is told \
+before that, the tail after; the lines below the table say how far the base turns and who can \
+still reach. In its five steps 5 N m turn the base by 100 mrad when the arms are held, as the \
+overwritten actions do from home in the authors' scale of 0.5. Errors are the largest of the \
+three axes. Recovered is who comes below 15 mm and 20 mrad, or 30 mrad of the base, the paper's \
+claims.";
 
 const ARM_FAILURE_EXAMPLES: &str = "\
 Examples:
   octopus experiment arm-failure --policies trained
   octopus experiment arm-failure --reorientation runs/b:best --arm all --json
 
-The base is turned with one arm failed from the beginning: held by its servos (its actions are zero,
-as in the released script), or limp (its servos give no torque).";
+The base is turned with one arm failed from the beginning: held by its servos (its actions are \
+zero, as in the released script), or limp (its servos give no torque).";
 
 const BASE_MASS_EXAMPLES: &str = "\
 Examples:
   octopus experiment base-mass --policies trained
-  octopus experiment base-mass --reorientation runs/b:best --masses 200,400,800 --thresholds 0.05
+  octopus experiment base-mass --reorientation runs/b:best \\
+      --masses 200,400,800 --thresholds 0.05
 
-The mass is that of the cube (400 kg in training); its inertia scales along, mounts stay. A goal is
-reached if the attitude error after the last step is below the threshold.";
+The mass is that of the cube (400 kg in training); its inertia scales along, mounts stay. A goal \
+is reached if the attitude error after the last step is below the threshold.";
 
 const REASSEMBLY_EXAMPLES: &str = "\
 Examples:
   octopus experiment reassembly --policies trained
   octopus experiment reassembly --policies trained --action-scale 0.5
 
-Arm 2 reaches with the trajectory policy, the others turn the base with the reorientation policy; in
-`dual` arm 3 reaches too, from step 70 on. Goals are the authors', then held-out ones. Each policy
-sees what it saw in training and acts in its own scale; --action-scale 0.5 is the authors' run.";
+Arm 2 reaches with the trajectory policy, the others turn the base with the reorientation policy; \
+in `dual` arm 3 reaches too, from step 70 on. Goals are the authors', then held-out ones. Each \
+policy sees what it saw in training and acts in its own scale; --action-scale 0.5 is the authors' \
+run.";
 
 const NOISE_EXAMPLES: &str = "\
 Examples:
   octopus experiment noise --policies trained
-  octopus experiment noise --trajectory runs/a:best --sensors 0,10,100 --episodes 10
+  octopus experiment noise --trajectory runs/a:best --sensors 0,10,100 \\
+      --episodes 10
 
-One thing at a time is made worse. Sensors of strength 1 err by 1 mm, 1 mrad, 1 mm/s and 1 mrad/s
-(standard deviation, each axis, each step); torques disturb every joint, drawn anew in each step;
+One thing at a time is made worse. Sensors of strength 1 err by 1 mm, 1 mrad, 1 mm/s and 1 mrad/s \
+(standard deviation, each axis, each step); torques disturb every joint, drawn anew in each step; \
 commands come a number of steps late; arms have a multiple of their mass.";
 
 /// Options of `octopus experiment`.
@@ -120,13 +124,13 @@ pub struct CommonArgs {
     #[arg(long, value_name = "NAME|FILE")]
     pub robot: Option<String>,
     /// Episodes with goals of their own [default: 30; of base-mass 50 for each mass].
-    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<u32>(1, 1_000_000))]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u32>(1, 1_000_000))]
     pub episodes: Option<u32>,
     /// Control steps of an episode.
-    #[arg(long, value_name = "N", default_value_t = 200, allow_negative_numbers = true, value_parser = whole::<u32>(1, 100_000))]
+    #[arg(long, value_name = "N", default_value_t = 200, allow_hyphen_values = true, value_parser = whole::<u32>(1, 100_000))]
     pub steps: u32,
     /// Seed of goals and noise.
-    #[arg(long, value_name = "S", default_value_t = 0, allow_negative_numbers = true, value_parser = whole::<u64>(0, u64::MAX))]
+    #[arg(long, value_name = "S", default_value_t = 0, allow_hyphen_values = true, value_parser = whole::<u64>(0, u64::MAX))]
     pub seed: u64,
     /// Print the result as JSON, with all courses.
     #[arg(long)]
@@ -150,16 +154,16 @@ pub struct DisturbanceArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// The arm that is disturbed in the trajectory task, counted from 1.
-    #[arg(long, value_name = "N", default_value_t = 2, allow_negative_numbers = true, value_parser = whole::<usize>(1, 8))]
+    #[arg(long, value_name = "N", default_value_t = 2, allow_hyphen_values = true, value_parser = whole::<usize>(1, 8))]
     pub arm: usize,
     /// The control step that it begins with.
-    #[arg(long, value_name = "N", default_value_t = 75, allow_negative_numbers = true, value_parser = whole::<usize>(1, 100_000))]
+    #[arg(long, value_name = "N", default_value_t = 75, allow_hyphen_values = true, value_parser = whole::<usize>(1, 100_000))]
     pub at: usize,
     /// Force on the hand (N).
-    #[arg(long, value_name = "N", default_value_t = 50.0, allow_negative_numbers = true, value_parser = amount)]
+    #[arg(long, value_name = "N", default_value_t = 50.0, allow_hyphen_values = true, value_parser = amount)]
     pub force: f64,
     /// Torque on the base (N m).
-    #[arg(long, value_name = "N·M", default_value_t = 5.0, allow_negative_numbers = true, value_parser = amount)]
+    #[arg(long, value_name = "N·M", default_value_t = 5.0, allow_hyphen_values = true, value_parser = amount)]
     pub torque: f64,
 }
 
@@ -171,7 +175,7 @@ pub struct ArmFailureArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// The arm that fails, counted from 1, or `all` for every one in turn.
-    #[arg(long, value_name = "N|all", default_value = "4", allow_negative_numbers = true, value_parser = failing)]
+    #[arg(long, value_name = "N|all", default_value = "4", allow_hyphen_values = true, value_parser = failing)]
     pub arm: Failing,
 }
 
@@ -192,10 +196,10 @@ pub struct BaseMassArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// Masses of the cube (kg).
-    #[arg(long, value_name = "M,M,…", default_value = "100,200,300,400,500,600,700,800,900,1000", allow_negative_numbers = true, value_parser = amounts)]
+    #[arg(long, value_name = "M,M,…", default_value = "100,200,300,400,500,600,700,800,900,1000", allow_hyphen_values = true, value_parser = amounts)]
     pub masses: Amounts,
     /// Attitude errors that count as reached (rad).
-    #[arg(long, value_name = "E,E,…", default_value = "0.01,0.02,0.03,0.05,0.1", allow_negative_numbers = true, value_parser = amounts)]
+    #[arg(long, value_name = "E,E,…", default_value = "0.01,0.02,0.03,0.05,0.1", allow_hyphen_values = true, value_parser = amounts)]
     pub thresholds: Amounts,
 }
 
@@ -207,7 +211,7 @@ pub struct ReassemblyArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// Factor from the actions of all arms to their commands [default: each policy's own].
-    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = amount)]
+    #[arg(long, value_name = "S", allow_hyphen_values = true, value_parser = amount)]
     pub action_scale: Option<f64>,
 }
 
@@ -219,16 +223,16 @@ pub struct NoiseArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     /// Strengths of the sensors' errors.
-    #[arg(long, value_name = "K,K,…", default_value = "0,1,2,5,10,20,50", allow_negative_numbers = true, value_parser = amounts)]
+    #[arg(long, value_name = "K,K,…", default_value = "0,1,2,5,10,20,50", allow_hyphen_values = true, value_parser = amounts)]
     pub sensors: Amounts,
     /// Standard deviations of the joints' torques (N m).
-    #[arg(long, value_name = "N·M,…", default_value = "0,1,2,5,10,20,50", allow_negative_numbers = true, value_parser = amounts)]
+    #[arg(long, value_name = "N·M,…", default_value = "0,1,2,5,10,20,50", allow_hyphen_values = true, value_parser = amounts)]
     pub torques: Amounts,
     /// Control steps that commands come late.
-    #[arg(long, value_name = "N,N,…", default_value = "0,1,2", allow_negative_numbers = true, value_parser = amounts)]
+    #[arg(long, value_name = "N,N,…", default_value = "0,1,2", allow_hyphen_values = true, value_parser = amounts)]
     pub delays: Amounts,
     /// Multiples of the arms' mass.
-    #[arg(long, value_name = "F,F,…", default_value = "0.5,0.75,1,1.5,2,3", allow_negative_numbers = true, value_parser = amounts)]
+    #[arg(long, value_name = "F,F,…", default_value = "0.5,0.75,1,1.5,2,3", allow_hyphen_values = true, value_parser = amounts)]
     pub arm_masses: Amounts,
 }
 

@@ -9,16 +9,16 @@ use crate::figures::families::Over;
 const EXAMPLES: &str = "\
 Examples:
   octopus plot runs/trajectory-20260101-120000
-  octopus plot runs/mappo-1 runs/mappo-2 runs/mappo-3 runs/ppo-1 runs/ppo-2 runs/ppo-3
+  octopus plot runs/mappo-1 runs/mappo-2 runs/ppo-1 runs/ppo-2
   octopus plot runs/* --over time --out curves.svg
   octopus plot runs/* --save curves.json
 
-The return of training episodes, exploration included, and the errors that evaluations on held-out goals
-found in the last steps of an episode, with a panel for each. Runs that differ in their seeds alone are
-one curve: their mean within its 95 % bootstrap interval, which of three runs is all that they span. The
-table says where curves end, and where the errors are first as good as the paper's, in the median over
-the runs: by its own measure, the minimum over time, and in the last steps. A run that is still going on
-can be drawn, too.";
+The return of training episodes, exploration included, and the errors that evaluations on \
+held-out goals found in the last steps of an episode, with a panel for each. Runs that differ in \
+their seeds alone are one curve: their mean within its 95 % bootstrap interval, which of three \
+runs is all that they span. The table says where curves end, and where the errors are first as \
+good as the paper's, in the median over the runs: by its own measure, the minimum over time, and \
+in the last steps. A run that is still going on can be drawn, too.";
 
 /// Options of `octopus plot`.
 #[derive(Debug, Clone, Args)]
@@ -30,12 +30,15 @@ pub struct PlotArgs {
     /// What learning is drawn against.
     #[arg(long, value_enum, default_value_t = Over::EnvSteps)]
     pub over: Over,
-    /// Where the picture goes; a file that is there is replaced.
+    /// Where the picture goes; another picture that is there is replaced.
     #[arg(long, value_name = "FILE", default_value = "learning-curves.svg")]
     pub out: PathBuf,
     /// Keep the curves in one small file, too, which can be given in the place of the runs.
     #[arg(long, value_name = "FILE")]
     pub save: Option<PathBuf>,
+    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    #[arg(long)]
+    pub force: bool,
     /// Print the curves as JSON.
     #[arg(long)]
     pub json: bool,

@@ -1,6 +1,6 @@
 //! Reads values of the command line. Every refusal says what is wanted instead.
 
-use std::net::SocketAddr;
+use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::time::Duration;
 
 use super::Listen;
@@ -52,9 +52,26 @@ pub(super) fn workers_wanted(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| "wants a whole number, or `auto` for one a processor".to_owned())
 }
 
-/// An address with a port.
+/// An address with a port, or the name of a machine in the place of the address.
 pub(super) fn address(text: &str) -> Result<SocketAddr, String> {
-    text.parse().map_err(|_| "wants an address with a port, such as 127.0.0.1:8270".to_owned())
+    if let Ok(address) = text.parse() {
+        return Ok(address);
+    }
+    let wanted = "wants an address with a port, such as 127.0.0.1:8270 or localhost:8270";
+    let named = text.rsplit_once(':').filter(|(name, port)| {
+        // A name that is empty would be resolved, too, and an address of IPv6 stands in brackets.
+        !name.is_empty() && !name.contains(':') && port.parse::<u16>().is_ok()
+    });
+    if named.is_none() {
+        return Err(wanted.to_owned());
+    }
+    let found: Vec<SocketAddr> = match text.to_socket_addrs() {
+        Ok(found) => found.collect(),
+        Err(error) => return Err(format!("{wanted}; {text} cannot be resolved: {error}")),
+    };
+    // Most names of this machine have an address of either kind, and clients try the older one.
+    let first = found.iter().find(|address| address.is_ipv4()).or(found.first());
+    first.copied().ok_or_else(|| format!("{wanted}; {text} has no address"))
 }
 
 /// Where to listen, if anywhere.
@@ -189,8 +206,18 @@ mod tests {
     fn addresses_have_a_port() {
         assert_eq!(listen("off"), Ok(Listen::Off));
         assert!(address("127.0.0.1:0").is_ok() && address("[::1]:80").is_ok());
-        for wrong in ["foo", "localhost:0", "127.0.0.1", "off"] {
+        for wrong in ["foo", ":80", "127.0.0.1", "off", "::1", "localhost:http", "localhost:70000"]
+        {
             assert!(address(wrong).is_err_and(|wanted| wanted.contains(":8270")), "{wrong}");
         }
+    }
+
+    #[test]
+    fn a_machine_may_be_named() {
+        let found = address("localhost:8270").expect("every machine has this name");
+        assert!(found.ip().is_loopback() && found.port() == 8270, "{found}");
+        assert_eq!(listen("localhost:8270"), Ok(Listen::At(found)));
+        let unknown = address("no-such-machine.invalid:80").expect_err("reserved for no machine");
+        assert!(unknown.contains("no-such-machine.invalid:80 cannot be resolved"), "{unknown}");
     }
 }

@@ -5,45 +5,56 @@ mod child;
 mod figures;
 mod growth;
 mod learner;
+mod load;
 mod peer;
 mod physics;
 mod picture;
+mod processor;
 mod rollout;
 mod train;
 mod transport;
 
+use std::path::Path;
+
 use anyhow::Context as _;
-use proto::config::{Config, Layers};
+use proto::config::{Config, Layers, Preset};
 use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use serde_json::Value;
-use sim_worker::env::step_options;
-use sim_worker::robot::Robot;
+use simulator::env::step_options;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use self::figures::Figures;
+use self::load::{Load, Watch};
 use self::peer::Peers;
 use crate::cli::bench::{BenchArgs, Subject};
-use crate::output;
+use crate::outputs::Output;
 use crate::provenance::Provenance;
 use crate::report::progress::Stages;
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
+use crate::{output, precision};
+
+/// What `octopus train` trains unless told otherwise.
+const TRAINED: Preset = Preset::Tuned;
 
 /// Measures and prints.
 pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let bench = Bench::new(args)?;
+    let load = Watch::begin();
     if args.subject == Subject::Growth {
         let curves = growth::measure(&bench)?;
+        let load = load.so_far();
         if let Some(dir) = &args.pictures {
             picture::draw_all(dir, &curves)?;
         }
         bench.stages.end();
         return if args.json {
-            output::json(&bench.with_context(growth::to_json(&curves)))
+            output::json(&bench.with_context(growth::to_json(&curves), &load))
         } else {
-            output::line(&growth::table(&curves))
+            output::line(&bench.framed(&growth::table(&curves), &load))
         };
     }
     let mut figures = Figures::default();
@@ -64,15 +75,18 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         train::measure(&bench, &mut figures)?;
     }
     bench.stages.end();
+    let load = load.so_far();
+    figures.check(&load.sentence())?;
     if args.json {
-        output::json(&bench.with_context(figures.to_json()))
+        output::json(&bench.with_context(figures.to_json(), &load))
     } else {
-        output::line(&figures.table())
+        output::line(&bench.framed(&figures.table(), &load))
     }
 }
 
 /// What all measurements share.
 struct Bench {
+    preset: Preset,
     /// The command line's configuration, open for changes.
     layers: Layers,
     config: Config,
@@ -100,13 +114,19 @@ impl Bench {
                 return Err(ExitError::new(ExitCode::Usage, message).into());
             }
         }
-        let preset = args.preset.into();
+        for name in args.pictures.iter().flat_map(|_| growth::NAMES) {
+            let dir = args.pictures.as_deref().unwrap_or(Path::new("."));
+            let path = picture::path(dir, name);
+            let mark = b"<svg";
+            Output { flag: "--pictures", path: &path, mark, force: args.force }.check(&[])?;
+        }
+        let preset: Preset = args.preset.into();
         let workers = format!("[run]\nworkers = {}", args.workers);
         let mut layers = Layers::new(preset, None).text(&workers, "--workers")?;
         for assignment in &args.sets {
             layers = layers.set(assignment)?;
         }
-        let config = layers.resolve()?;
+        let config = precision::resolve(layers.resolve()?);
         let robot = super::load_fit_robot(&config.robot.description, &step_options(&config))?;
         let mut train_args =
             vec![format!("--preset={}", preset.as_str()), format!("--workers={}", args.workers)];
@@ -117,6 +137,7 @@ impl Bench {
         let scratch = tempfile::Builder::new().prefix("octopus-bench-").tempdir();
         Ok(Self {
             dimensions: Dimensions::new(&config, robot.n_arms),
+            preset,
             layers,
             config,
             robot,
@@ -131,7 +152,32 @@ impl Bench {
 
     /// The configuration with some keys changed.
     fn config_with(&self, changes: &[&str]) -> Result<Config, ConfigError> {
-        changes.iter().try_fold(self.layers.clone(), |layers, change| layers.set(change))?.resolve()
+        let layers =
+            changes.iter().try_fold(self.layers.clone(), |layers, change| layers.set(change))?;
+        layers.resolve().map(precision::resolve)
+    }
+
+    /// The configuration with some keys changed, in which updates leave nothing out: actors that diverge too much would be held
+    /// back, and how often that happens on synthetic blocks says nothing.
+    fn whole(&self, changes: &[&str]) -> Result<Config, ConfigError> {
+        self.config_with(&[changes, &["algorithm.max_kl=0"][..]].concat())
+    }
+
+    /// A table with what it depends on.
+    fn framed(&self, table: &str, load: &Load) -> String {
+        let run = &self.config.run;
+        let other = if self.preset == TRAINED {
+            String::new()
+        } else {
+            format!("; `octopus train` takes {} unless told otherwise", TRAINED.as_str())
+        };
+        format!(
+            "preset {}, {}, learner in {}{other}\n\n{table}\n\n{}",
+            self.preset.as_str(),
+            output::counted(run.workers as u64, "worker"),
+            precision::name(run.precision),
+            load.sentence()
+        )
     }
 
     /// Says what is measured now; an error after Ctrl-C.
@@ -154,7 +200,10 @@ impl Bench {
 
     /// A directory that a learner takes for a run's: with this configuration and the robot.
     fn run_dir(&self, config: &Config) -> anyhow::Result<RunDir> {
-        let run_dir = RunDir::new(self.scratch.path());
+        // Beside the trainings, none of which may lie in a run.
+        let run_dir = RunDir::new(self.scratch.path().join("learner"));
+        std::fs::create_dir_all(run_dir.path())
+            .with_context(|| format!("{}: cannot be made", run_dir.path().display()))?;
         for (path, text) in
             [(run_dir.config(), config.to_toml()), (run_dir.robot(), self.robot.to_toml())]
         {
@@ -170,7 +219,9 @@ impl Bench {
     }
 
     /// Adds what the figures depend on.
-    fn with_context(&self, mut figures: Value) -> Value {
+    fn with_context(&self, mut figures: Value, load: &Load) -> Value {
+        figures["preset"] = self.preset.as_str().into();
+        figures["load"] = serde_json::to_value(load).unwrap_or_default();
         figures["provenance"] = serde_json::to_value(Provenance::gather()).unwrap_or_default();
         figures["config"] = serde_json::to_value(&self.config).unwrap_or_default();
         figures
@@ -181,4 +232,19 @@ impl Bench {
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     proto::clock::percentile(&values, 0.5)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    #[test]
+    fn the_preset_that_a_table_names_is_the_one_that_is_trained_by_default() {
+        let cli = Cli::try_parse_from(["octopus", "train"]).expect("valid");
+        let Command::Train(args) = cli.command else { panic!("not train") };
+        assert_eq!(Preset::from(args.preset), TRAINED);
+    }
 }

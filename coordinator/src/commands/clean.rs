@@ -14,7 +14,7 @@ use crate::output;
 /// Cleans.
 pub fn run(args: CleanArgs) -> anyhow::Result<()> {
     let mut cleaned = Vec::new();
-    for domain in leftovers().context("/dev/shm and /tmp cannot be searched")? {
+    for domain in leftovers().context("/dev/shm cannot be searched")? {
         let removed = if args.dry_run {
             None
         } else {

@@ -1,14 +1,16 @@
 //! `octopus doctor`: can this machine train?
 
-use proto::config::{Layers, Preset};
+use std::path::Path;
+
+use proto::config::{Config, Layers, Preset};
 use proto::layout::Dimensions;
 use proto::{ExitCode, ExitError};
 
 use super::clean;
 use crate::cli::DoctorArgs;
-use crate::output;
 use crate::preflight::{self, Check, Verdict};
 use crate::supervisor::Programs;
+use crate::{output, provenance};
 
 /// Workers that the checks reckon with.
 const WORKERS: usize = 2;
@@ -16,7 +18,10 @@ const WORKERS: usize = 2;
 /// Checks the machine; fails if a run would.
 pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
     let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let libtorch = match Programs::find() {
+    let programs = Programs::find();
+    let learner = programs.as_ref().ok().map(|programs| programs.learner.clone());
+    let config = Layers::new(Preset::Tuned, None).resolve()?;
+    let libtorch = match programs {
         Ok(programs) => preflight::libtorch(&programs.learner),
         Err(error) => {
             let found = error.message.split(';').next().unwrap_or_default();
@@ -26,10 +31,12 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
     let checks = [
         preflight::processors(WORKERS.min(processors), 1),
         preflight::memory(),
-        shared_memory()?,
+        shared_memory(&config)?,
         preflight::descriptors(WORKERS),
         preflight::memory_maps(WORKERS),
         libtorch,
+        preflight::gpu(learner.as_deref(), Path::new("/proc/driver/nvidia")),
+        preflight::arithmetic(&config, &provenance::vector_extensions()),
         leftovers(),
     ];
     if args.json {
@@ -56,10 +63,9 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
 }
 
 /// Whether the default run fits.
-fn shared_memory() -> anyhow::Result<Check> {
-    let config = Layers::new(Preset::Tuned, None).resolve()?;
+fn shared_memory(config: &Config) -> anyhow::Result<Check> {
     let robot = super::load_robot(&config.robot.description)?;
-    Ok(preflight::shared_memory(&config, &Dimensions::new(&config, robot.n_arms)))
+    Ok(preflight::shared_memory(config, &Dimensions::new(config, robot.n_arms)))
 }
 
 /// What killed runs left behind.
@@ -75,10 +81,8 @@ fn leftovers() -> Check {
             ),
             "`octopus clean`",
         ),
-        Err(error) => Check::warning(
-            NAME,
-            format!("cannot be looked for: {error}"),
-            "check /dev/shm and /tmp",
-        ),
+        Err(error) => {
+            Check::warning(NAME, format!("cannot be looked for: {error}"), "check /dev/shm")
+        }
     }
 }

@@ -4,19 +4,21 @@ use std::path::PathBuf;
 
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::{
+use simulator::evaluate::{
     self, ContactSteps, Course, EpisodeResult, Evaluation, EvaluationOptions,
 };
-use sim_worker::experiment::CHUNK;
-use sim_worker::reach::{self, HandReach};
-use sim_worker::rollout::World;
+use simulator::experiment::CHUNK;
+use simulator::reach::{self, HandReach};
+use simulator::rollout::World;
 
 use super::statistics::{ErrorOf, Spread, Unit, milli, number, papers, percent};
 use super::trained::{Trained, open_checkpoint};
+use super::verdict::Verdict;
 use crate::checkpoint::Checkpoint;
 use crate::cli::EvalArgs;
 use crate::output;
 use crate::report::progress::{Parts, grouped};
+use crate::threads::Threads;
 
 /// Evaluates.
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
@@ -25,7 +27,6 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
         seed: args.seed,
         episodes: args.episodes as usize,
         steps: args.steps as usize,
-        ..EvaluationOptions::default()
     };
     let summary = evaluate(checkpoint, &options)?;
     if args.json {
@@ -36,7 +37,7 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
         summary.checkpoint.display(),
         summary.iteration,
         grouped(summary.env_steps),
-        summary.table()
+        summary.table(output::columns(), args.agents)
     ))
 }
 
@@ -157,12 +158,14 @@ pub struct Summary {
 /// Evaluates a checkpoint, and shows how far it has come.
 pub fn evaluate(checkpoint: Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
     let trained = Trained::new(checkpoint, None)?;
+    let threads = Threads::available();
     let progress = Parts::new();
     let chunks = options.episodes.div_ceil(CHUNK);
     progress.begin("evaluation", (chunks * options.steps) as u64);
     let on_step = || progress.advance();
-    let evaluation = evaluate::evaluate(&trained.world, &trained.policy, options, &on_step)?;
-    let reach = Reach::of(&trained.world, &evaluation, options, &progress)?;
+    let evaluation =
+        evaluate::evaluate(&trained.world, &trained.policy, options, &threads, &on_step)?;
+    let reach = Reach::of(&trained.world, &evaluation, options, threads, &progress)?;
     Ok(Summary::new(&trained, options.seed, evaluation, reach))
 }
 
@@ -181,17 +184,18 @@ impl Reach {
         world: &World,
         evaluation: &Evaluation,
         options: &EvaluationOptions,
+        threads: Threads,
         progress: &Parts,
     ) -> anyhow::Result<Option<Self>> {
         if world.task.name != TaskName::Trajectory {
             return Ok(None);
         }
-        let EvaluationOptions { seed, episodes, threads, .. } = *options;
+        let EvaluationOptions { seed, episodes, .. } = *options;
         progress.begin("which goals can be reached", episodes as u64);
         let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-        let controller = reach::reach(world, seed, episodes, threads, &on_episodes)?;
+        let controller = reach::reach(world, seed, episodes, &threads, &on_episodes)?;
         let ends: Vec<_> = evaluation.episodes.iter().map(|episode| &episode.end).collect();
-        let at_end = reach::within_reach(world, seed, &ends, threads);
+        let at_end = reach::within_reach(world, seed, &ends, &threads);
         Ok(Some(Self { controller, at_end }))
     }
 }
@@ -362,16 +366,22 @@ const RELEASED: (f64, f64) = (0.05, 0.05);
 /// What stands before rows of a table that are about goals that can be reached.
 const REACHABLE: &str = "reachable ";
 /// Likewise, about those that were within reach at the end.
-const AT_END: &str = "in reach at the end ";
+const AT_END: &str = "in reach ";
 
 impl Summary {
-    /// The summary as a person reads it.
-    pub fn table(&self) -> String {
+    /// The summary as a person reads it, in lines of `columns` characters: the verdict first, then the details; the
+    /// errors of each agent if `agents` says so.
+    pub fn table(&self, columns: usize, agents: bool) -> String {
+        let verdict = Verdict::of(self.task, &self.overall);
+        format!("{}\n\n{}", verdict.table(columns), self.details(columns, agents))
+    }
+
+    fn details(&self, columns: usize, agents: bool) -> String {
         let row = |(whose, summary): (&str, &ErrorSummary)| {
-            let ErrorSummary { error, unit, agent, min, last, tail } = summary;
+            let ErrorSummary { error, agent, min, last, tail, unit: _ } = summary;
             let name = match agent {
-                Some(agent) => format!("agent {agent} {error} (m{unit})"),
-                None => format!("{whose}{error} (m{unit})"),
+                Some(agent) => format!("agent {agent} {error}"),
+                None => format!("{whose}{error}"),
             };
             [
                 name,
@@ -384,7 +394,7 @@ impl Summary {
                 milli(tail.p99),
             ]
         };
-        let header = ["error", "min", "final", "tail", "std", "p50", "p90", "p99"];
+        let header = ["error (mm, mrad)", "min", "final", "tail", "std", "p50", "p90", "p99"];
         let all = self.overall.iter().map(|summary| ("", summary));
         let subsets = || {
             let reachable = self.reachable.iter().map(|reachable| (REACHABLE, &reachable.subset));
@@ -393,12 +403,14 @@ impl Summary {
         };
         let of_subsets = subsets()
             .flat_map(|(whose, subset)| subset.overall.iter().map(move |summary| (whose, summary)));
-        let agents = self.agents.iter().map(|summary| ("", summary));
-        let errors = output::table(header, all.chain(of_subsets).chain(agents).map(row));
+        let agents = self.agents.iter().filter(|_| agents).map(|summary| ("", summary));
+        let rows = all.chain(of_subsets).chain(agents).map(row);
+        let errors = output::table_within(columns, header, rows);
         let all = self.success.iter().map(|success| ("", success));
         let of_subsets = subsets()
             .flat_map(|(whose, subset)| subset.success.iter().map(move |success| (whose, success)));
-        let success = output::table(
+        let success = output::table_within(
+            columns,
             ["success within", "goals", "episodes"],
             all.chain(of_subsets).map(|(whose, success)| {
                 let orientation = format!("{} mrad", 1e3 * success.orientation);
@@ -420,8 +432,8 @@ impl Summary {
         });
         format!(
             "{} of {}, seed {}; std and percentiles are those of tail\n{errors}\n\n\
-             {success}\n\n{reachable}{at_end}contact in {} of steps, in {} of {}\n\
-             of an arm with the base {}, a mount {}, itself {}, another arm {}",
+             {success}\n\n{reachable}{at_end}contact in {} of steps, in {} of {}: of an arm with\n\
+             the base {}, a mount {}, itself {}, another arm {}",
             episodes,
             output::counted(self.steps as u64, "step"),
             self.seed,
@@ -438,10 +450,56 @@ impl Summary {
 
 #[cfg(test)]
 mod tests {
-    use sim_worker::evaluate::HandCourse;
-    use sim_worker::experiment::Pose;
+    use simulator::evaluate::HandCourse;
+    use simulator::experiment::Pose;
 
     use super::*;
+
+    #[test]
+    fn the_table_begins_with_the_verdict_and_fits() {
+        let spread = Spread { mean: 9.9999, std: 9.9999, p50: 9.9999, p90: 9.9999, p99: 9.9999 };
+        let error = |error: ErrorOf, agent| ErrorSummary {
+            error,
+            unit: error.unit(),
+            agent,
+            min: spread,
+            last: spread,
+            tail: spread,
+        };
+        let overall = || vec![error(ErrorOf::Position, None), error(ErrorOf::Orientation, None)];
+        let all = Success { position: Some(0.05), orientation: 0.05, goals: 1.0, episodes: 1.0 };
+        let subset =
+            || GoalSubset { goals: 4000, of: 4000, overall: overall(), success: vec![all; 2] };
+        let summary = Summary {
+            checkpoint: "runs/a".into(),
+            iteration: 1,
+            env_steps: 1,
+            task: TaskName::Trajectory,
+            seed: 12_345,
+            steps: 100_000,
+            overall: overall(),
+            agents: (0..8).map(|agent| error(ErrorOf::Orientation, Some(agent))).collect(),
+            success: vec![all; 2],
+            reachable: Some(Reachable { subset: subset(), controller: Vec::new() }),
+            within_reach_at_end: Some(WithinReach { subset: subset(), hands: Vec::new() }),
+            contact_rate: 1.0,
+            contact_rate_by_kind: ContactRates {
+                arm_base: 1.0,
+                arm_mount: 1.0,
+                arm_itself: 1.0,
+                arm_arm: 1.0,
+            },
+            episodes_with_contact: 1_000,
+            episodes: Vec::new(),
+        };
+        let text = summary.table(80, true);
+        assert!(text.starts_with("not within the paper's accuracy"), "{text}");
+        assert!(text.contains("agent 7 orientation"), "{text}");
+        assert!(!summary.table(80, false).contains("agent"), "{text}");
+        for line in text.lines() {
+            assert!(line.chars().count() <= 80, "{line}\nis too long in\n{text}");
+        }
+    }
 
     #[test]
     fn a_goal_counts_when_both_errors_are_small_at_the_end() {

@@ -2,14 +2,22 @@
 
 use std::path::Path;
 
-use sim_worker::robot::mjcf::{MjcfOptions, mjcf};
+use simulator::robot::mjcf::{MjcfOptions, mjcf};
 
 use crate::cli::{MjcfArgs, Switch};
+use crate::outputs::Output;
 use crate::{files, output};
+
+/// What a model begins with.
+const MARK: &[u8] = b"<mujoco model=";
 
 /// Writes the model.
 pub fn run(args: &MjcfArgs) -> anyhow::Result<()> {
     let robot = super::load_robot(&args.robot)?;
+    if let Some(path) = &args.out {
+        Output { flag: "--out", path, mark: MARK, force: args.force }
+            .check(&[("--robot", Path::new(&args.robot))])?;
+    }
     let model = mjcf(&robot, MjcfOptions { contacts: args.contacts == Switch::On });
     match args.out.as_deref() {
         None => output::write(model.as_bytes()),

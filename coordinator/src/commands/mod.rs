@@ -6,6 +6,7 @@ pub mod clean;
 pub mod doctor;
 pub mod eval;
 pub mod experiment;
+mod full;
 pub mod mjcf;
 pub mod plot;
 pub mod reproduce;
@@ -18,6 +19,7 @@ pub mod statistics;
 pub mod status;
 pub mod train;
 pub mod trained;
+pub(crate) mod verdict;
 pub mod verify;
 
 use std::io::BufReader;
@@ -28,14 +30,16 @@ use proto::channel::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
-use sim_worker::dynamics::StepOptions;
-use sim_worker::robot::{Robot, RobotError};
+use simulator::dynamics::StepOptions;
+use simulator::robot::{Robot, RobotError};
 
 use crate::checkpoint::CheckpointError;
 use crate::cli::{Command, JanitorArgs};
 use crate::janitor;
 use crate::lock::LockError;
+use crate::regular;
 use crate::shakedown::shakedown;
+use crate::signals;
 
 /// Two things that were compared are not the same. No failure but the answer, which standard output
 /// holds: the program ends with exit code 1 and says no more.
@@ -45,6 +49,17 @@ pub struct NotTheSame;
 
 /// Does what the command line says.
 pub fn run(command: Command) -> anyhow::Result<()> {
+    // Others have something to end first, or nothing to be stopped in.
+    let stoppable = match &command {
+        Command::Eval(_) | Command::Experiment(_) | Command::Simulate(_) | Command::Rollout(_) => {
+            true
+        }
+        Command::Reproduce(args) => !args.train,
+        _ => false,
+    };
+    if stoppable {
+        signals::exit_when_asked("stopped".to_owned()).context("signals cannot be caught")?;
+    }
     match command {
         Command::Train(args) => train::run(&args),
         Command::Resume(args) => resume::run(&args),
@@ -84,8 +99,13 @@ pub fn exit_code(error: &anyhow::Error) -> ExitCode {
 /// The run directory at `path`, if it is one.
 pub(crate) fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
     let run_dir = RunDir::new(path);
-    if run_dir.config().is_file() {
+    let config = run_dir.config();
+    if config.is_file() {
         return Ok(run_dir);
+    }
+    if let Err(error) = regular::check(&config) {
+        let message = format!("{}: cannot be read: {error}", config.display());
+        return Err(ExitError::new(ExitCode::RunDirectory, message));
     }
     let message = format!(
         "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
@@ -96,21 +116,48 @@ pub(crate) fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
 
 /// A text file of a run directory.
 fn read_text(path: &Path) -> Result<String, ExitError> {
-    std::fs::read_to_string(path).map_err(|error| {
+    regular::read_text(path, regular::TEXT).map_err(|error| {
         let message = format!("{}: cannot be read: {error}", path.display());
         ExitError::new(ExitCode::RunDirectory, message)
     })
 }
 
-/// The resolved configuration of a run.
+/// The resolved configuration of a run. One that is none is damage: the run itself wrote it.
 pub(crate) fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
     let path = run_dir.config();
-    Ok(Config::from_resolved_toml(&read_text(&path)?, &path.display().to_string())?)
+    let text = read_text(&path)?;
+    let config = Config::from_resolved_toml(&text, &path.display().to_string());
+    Ok(config.map_err(|error| damaged(&error))?)
+}
+
+/// The robot of a run, and its text.
+pub(crate) fn read_robot(run_dir: &RunDir) -> anyhow::Result<(Robot, String)> {
+    let path = run_dir.robot();
+    let text = read_text(&path)?;
+    let robot = Robot::from_toml(&text, &path).map_err(|error| damaged(&error))?;
+    Ok((robot, text))
+}
+
+/// A file that a run has written is not as it was.
+fn damaged(error: &dyn std::fmt::Display) -> ExitError {
+    let message = format!("{error}; put the file back from a copy: every checkpoint holds one");
+    ExitError::new(ExitCode::RunDirectory, message)
 }
 
 /// The robot called `name`, or described by the file of that name.
 fn load_robot(name: &str) -> anyhow::Result<Robot> {
-    Ok(Robot::load(name)?)
+    if let Some(robot) = Robot::builtin(name) {
+        return Ok(robot);
+    }
+    let path = Path::new(name);
+    let text = regular::read_text(path, regular::TEXT).map_err(|error| {
+        let builtin = Robot::builtin_names().collect::<Vec<_>>().join(", ");
+        let message = format!(
+            "robot {name}: {error}; give a TOML file, or one of the built-in robots: {builtin}"
+        );
+        ExitError::new(ExitCode::BadInput, message)
+    })?;
+    Ok(Robot::from_toml(&text, path)?)
 }
 
 /// The same, refused if it is no robot that can be simulated so; every command that simulates takes this one.

@@ -1,16 +1,22 @@
 //! `octopus plot`: learning curves of runs side by side.
 
+use std::path::Path;
+
+use proto::{ExitCode, ExitError};
+
 use crate::cli::plot::PlotArgs;
 use crate::figures::families::{Family, families};
 use crate::figures::learning::learning;
 use crate::figures::recorded;
+use crate::outputs::Output;
 use crate::{files, output};
 
 /// Draws.
 pub fn run(args: &PlotArgs) -> anyhow::Result<()> {
-    let mut curves = Vec::new();
-    for path in &args.runs {
-        curves.extend(recorded::read(path)?);
+    check_outputs(args)?;
+    let (curves, notes) = recorded::read_all(&args.runs)?;
+    for note in &notes {
+        eprintln!("{note}");
     }
     if let Some(path) = &args.save {
         recorded::write(path, &curves)?;
@@ -26,4 +32,19 @@ pub fn run(args: &PlotArgs) -> anyhow::Result<()> {
     let rows = families.iter().map(|family| family.row(args.over));
     let table = output::table(Family::HEADER, rows);
     output::line(&format!("{table}\n\npicture  {}", args.out.display()))
+}
+
+/// Refuses places that are taken.
+fn check_outputs(args: &PlotArgs) -> Result<(), ExitError> {
+    let inputs: Vec<(&'static str, &Path)> =
+        args.runs.iter().map(|run| ("RUN_DIR|CURVES", run.as_path())).collect();
+    let PlotArgs { out, save, force, .. } = args;
+    Output { flag: "--out", path: out, mark: b"<svg", force: *force }.check(&inputs)?;
+    let Some(save) = save else { return Ok(()) };
+    Output { flag: "--save", path: save, mark: b"{\"curves\":", force: *force }.check(&inputs)?;
+    if out == save {
+        let message = format!("--save {}: is what --out names, too", save.display());
+        return Err(ExitError::new(ExitCode::Usage, message));
+    }
+    Ok(())
 }

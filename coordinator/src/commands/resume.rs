@@ -1,24 +1,26 @@
 //! `octopus resume`: a stopped run goes on as if it had never stopped.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::Context as _;
 use proto::channel::Domain;
-use proto::config::Config;
+use proto::config::{Config, Precision};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use sim_worker::robot::Robot;
 
 use super::train::{self, Counter, Ended, Start};
-use crate::checkpoint::{Checkpoint, CheckpointError, CheckpointStore, MANIFEST};
+use crate::base;
+use crate::checkpoint::{Checkpoint, CheckpointStore, MANIFEST};
 use crate::cli::ResumeArgs;
 use crate::lock::RunLock;
 use crate::preflight::Remedy;
 use crate::provenance::Provenance;
 use crate::report;
+use crate::report::budgets::{self, Budgets};
 use crate::report::promised::Promised;
+use crate::report::recorded::Recorded;
 use crate::supervisor::Programs;
-use crate::{files, output};
+use crate::{files, output, precision};
 
 /// What helps an old run that its disk does not carry.
 const REMEDY: Remedy = Remedy {
@@ -62,39 +64,55 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     train::check_token_file(&args.http)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+    files::sweep(run_dir.path());
 
-    let before = super::read_config(&run_dir)?;
-    let robot_text = super::read_text(&run_dir.robot())?;
-    let robot = Robot::from_toml(&robot_text, &run_dir.robot())?;
-    let resume = find_start(&run_dir)?;
-    match &resume {
-        Some(checkpoint) => check_unchanged(&run_dir, &before, &robot_text, checkpoint)?,
-        // Nothing was lost: the same seed gives the same run from the beginning.
-        None => eprintln!("note: the run was stopped before its first checkpoint and starts anew"),
+    let recorded = super::read_config(&run_dir)?;
+    let (robot, robot_text) = super::read_robot(&run_dir)?;
+    let mut budgets = Budgets::read(&run_dir)?;
+    let resume = find_start(&run_dir, &recorded)?;
+    let before = decided(&recorded, resume.as_ref())?;
+    if let Some(checkpoint) = &resume {
+        check_unchanged(&run_dir, &before, &robot_text, checkpoint)?;
+    }
+    if recorded.run.precision == Precision::Auto {
+        output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
+    }
+    if recorded.run.precision == Precision::Auto {
+        output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
     }
 
+    note_budget(&run_dir, &budgets, &before);
     let (config, overrides) = override_limits(&before, args)?;
     if let Some(last) = &resume
         && last.manifest.iteration >= config.planned_iterations()
     {
         let done = last.manifest.iteration;
-        eprintln!(
+        output::note(&format!(
             "note: nothing to do: {} {} done, {} wanted; a larger --iterations or --env-steps goes on",
             output::counted(done, "iteration"),
             if done == 1 { "is" } else { "are" },
             config.planned_iterations()
-        );
+        ));
         return Ok(Resumed::Done(Ended::before(run_dir, last)));
     }
     for change in &overrides {
-        eprintln!("note: {change}");
+        output::note(&format!("note: {change}"));
     }
 
     let programs = Programs::find()?;
     train::check_machine(&config, &robot, &run_dir, &programs, &REMEDY)?;
     let counter = Counter::open(&args.http, &run_dir)?;
     let provenance = Provenance::gather();
-    if !overrides.is_empty() {
+    if budgets.last().is_none() {
+        // A run from before they were written down.
+        let then = resume.as_ref().map_or(&before, |checkpoint| &checkpoint.config);
+        budgets.begin(0, then.run.env_steps)?;
+    }
+    if recorded.run.precision == Precision::Auto && resume.is_none() {
+        // What was computed in before the first checkpoint is not known, so that nothing is promised.
+        report::forget(&run_dir)?;
+    }
+    if config != recorded {
         files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     }
     train::record(&run_dir, &provenance, &overrides)?;
@@ -104,11 +122,33 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
             format!("{}: cannot be created: {error}", run_dir.logs().display()),
         )
     })?;
-    // Another budget is another course of the learning rate.
-    let same = config.run.env_steps == before.run.env_steps;
-    let start =
-        Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter };
+    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, counter };
     train::run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
+}
+
+/// The configuration with a precision that is decided. A run of an earlier version has `auto` in its `config.toml`: its
+/// training state knows what that was, and where there is none the processor decides, as of a new run.
+fn decided(config: &Config, checkpoint: Option<&Checkpoint>) -> anyhow::Result<Config> {
+    let mut config = config.clone();
+    if config.run.precision == Precision::Auto
+        && let Some(checkpoint) = checkpoint
+    {
+        config.run.precision = checkpoint.precision()?;
+    }
+    Ok(precision::resolve(config))
+}
+
+/// Says what has become of an `auto` that an earlier version left.
+fn decision(precision: Precision, recorded: bool) -> String {
+    let name = precision::name(precision);
+    if recorded {
+        format!("run.precision is now {name}, as its checkpoints were trained; it was auto")
+    } else {
+        format!(
+            "run.precision is now {name}, by this processor; it was auto, and what it computed in before is \
+             not recorded, so that its digests may be others than those of before"
+        )
+    }
 }
 
 /// Refuses a checkpoint: it has a configuration and a robot as a run has, and would become one.
@@ -125,49 +165,55 @@ fn check_no_checkpoint(run_dir: &RunDir) -> Result<(), ExitError> {
     Err(ExitError::new(ExitCode::RunDirectory, message))
 }
 
-/// The newest checkpoint that the metrics reach; none if the run has none at all.
+/// The newest checkpoint that is the run's own; none if it starts anew.
 ///
-/// They reach every one: a checkpoint is committed after its lines are durable. Only where a file
+/// The metrics reach every one: a checkpoint is committed after its lines are durable. Only where a file
 /// was lost or cut by other means does the run go further back, so that no iteration is left out.
-fn find_start(run_dir: &RunDir) -> anyhow::Result<Option<Checkpoint>> {
+fn find_start(run_dir: &RunDir, config: &Config) -> anyhow::Result<Option<Checkpoint>> {
     let store = CheckpointStore::new(run_dir.checkpoints());
-    let newest = match store.latest() {
-        Ok(checkpoint) => checkpoint,
-        Err(CheckpointError::NotFound { .. }) => return Ok(None),
-        Err(error) => return Err(error.into()),
-    };
-    let recorded = report::recorded(run_dir)?;
-    let iteration = newest.manifest.iteration;
-    if iteration <= recorded {
-        return Ok(Some(newest));
+    let recorded = Recorded::read(run_dir)?;
+    let mut promised = Promised::read(run_dir)?;
+    promised.agree(&recorded)?;
+    let search = base::find(&store, run_dir, &BTreeMap::new())?;
+    // What the metrics have lost is known all the same, if it is the run's.
+    let lost = search.passed_over.iter().find(|passed| passed.unreached && !passed.imported);
+    let lost = lost.and_then(|passed| store.load(&passed.dir).ok()).filter(|newest| {
+        !budgets::matters(config) || newest.config.run.env_steps == config.run.env_steps
+    });
+    let (base, said) = search.settle(run_dir)?;
+    for sentence in said {
+        output::note(&format!("warning: {sentence}"));
     }
-    let metrics = run_dir.metrics_jsonl();
-    let lost = format!(
-        "{}: the iterations from {recorded} on are missing, but the newest checkpoint is of {iteration}",
-        metrics.display(),
-    );
-    match store.latest_until(recorded) {
-        Ok(older) => {
-            eprintln!(
-                "warning: {lost}; going on from checkpoint {} instead, so that there is no gap",
-                older.manifest.iteration
-            );
-            // That one's digest is known all the same.
-            Promised::read(run_dir)?.add([(iteration - 1, newest.manifest.digest)])?;
-            Ok(Some(older))
-        }
-        Err(CheckpointError::NotFound { .. }) => Err(ExitError::new(
-            ExitCode::RunDirectory,
-            format!(
-                "{lost}, and there is none of {recorded} or fewer to go on from without a gap; put \
-                 the file back from a copy, or make the same run again: `octopus train --config {}`. \
-                 `octopus eval {}` measures what was learned",
-                run_dir.config().display(),
-                newest.dir.display(),
-            ),
-        )
-        .into()),
-        Err(error) => Err(error).context(format!("{lost}, and the one before cannot be taken")),
+    if let (Some(_), Some(newest)) = (&base, lost) {
+        promised.add([(newest.manifest.iteration - 1, newest.manifest.digest)])?;
+    }
+    if base.is_none() {
+        // Nothing was lost: the same seed gives the same run from the beginning.
+        let is_there = match recorded.iterations() {
+            0 => "no iteration is recorded".to_owned(),
+            1 => "one iteration is recorded, which must end as it did".to_owned(),
+            n => format!("{n} iterations are recorded, which must end as they did"),
+        };
+        output::note(&format!(
+            "note: {}: holds no checkpoint to go on from; the run starts from the beginning ({is_there})",
+            store.root().display()
+        ));
+    }
+    Ok(base)
+}
+
+/// Says so if the budget in `config.toml` is another than that of the iterations so far.
+fn note_budget(run_dir: &RunDir, budgets: &Budgets, before: &Config) {
+    if let Some(last) = budgets.last()
+        && last.env_steps != before.run.env_steps
+    {
+        output::note(&format!(
+            "note: {}: run.env_steps is {}, and was {} for the iterations so far: it was changed by \
+             hand, or a resume that changes it was cut short",
+            run_dir.config().display(),
+            before.run.env_steps,
+            last.env_steps
+        ));
     }
 }
 
@@ -206,7 +252,7 @@ fn check_unchanged(
     config: &Config,
     robot_toml: &str,
     checkpoint: &Checkpoint,
-) -> Result<(), ExitError> {
+) -> anyhow::Result<()> {
     let refuse = |path: &Path, what: &str| {
         Err(ExitError::new(
             ExitCode::RunDirectory,
@@ -216,9 +262,13 @@ fn check_unchanged(
                 path.display(),
                 checkpoint.dir.display()
             ),
-        ))
+        )
+        .into())
     };
     let then = &checkpoint.config;
+    // Also by the checkpoints of a version that left `auto` undecided.
+    let mut then_run = then.run.clone();
+    then_run.precision = checkpoint.precision()?;
     let groups = [
         ("task", config.task == then.task),
         ("robot", config.robot == then.robot),
@@ -226,7 +276,7 @@ fn check_unchanged(
         ("network", config.network == then.network),
         ("algorithm", config.algorithm == then.algorithm),
         ("optimizer", config.optimizer == then.optimizer),
-        ("run", config.run.continues(&then.run)),
+        ("run", config.run.continues(&then_run)),
     ];
     if let Some((group, _)) = groups.iter().find(|(_, same)| !same) {
         return refuse(&run_dir.config(), &format!("group `{group}` was changed"));

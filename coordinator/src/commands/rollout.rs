@@ -12,12 +12,12 @@ use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde::Serialize;
 use serde_json::json;
-use sim_worker::env::Moment;
-use sim_worker::robot::Robot;
-use sim_worker::rollout::{RolloutError, RolloutSpec, World, rollout};
+use simulator::env::Moment;
+use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
 
 use crate::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
 use crate::cli::rollout::{BlockAddress, RolloutArgs};
+use crate::outputs::Output;
 use crate::report::progress::grouped;
 use crate::session::failures;
 use crate::{files, output};
@@ -42,9 +42,13 @@ struct Summary {
 /// Makes the block.
 pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let run_dir = super::run_directory(&args.run_dir)?;
+    if let Some(path) = &args.out {
+        let output = Output { flag: "--out", path, mark: b"", force: args.force };
+        output.check(&[("RUN_DIR", &args.run_dir)])?;
+    }
     let BlockAddress { seed, iteration, shard } = args.address;
     let config = super::read_config(&run_dir)?;
-    let robot = Robot::from_toml(&super::read_text(&run_dir.robot())?, &run_dir.robot())?;
+    let (robot, _) = super::read_robot(&run_dir)?;
     let world = World::new(&config, &robot);
     check_address(args, &config)?;
     let version = policy_version_for(iteration, config.run.overlap);
@@ -57,10 +61,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let layout = BlockLayout::new(&world.dimensions);
     let mut block = vec![0.0; layout.len];
     let begun = Instant::now();
-    let stats = match rollout(&world, &spec, &mut block, &mut || {}) {
-        Ok(stats) => stats,
-        Err(error) => return Err(refuse(args, &error)),
-    };
+    rollout(&world, &spec, &mut block, &mut |_| {}).map_err(|error| refuse(args, &error))?;
     let seconds = begun.elapsed().as_secs_f64();
     let summary = Summary {
         seed,
@@ -68,7 +69,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         shard,
         policy_version: version,
         policy: found,
-        env_steps: stats.env_steps,
+        env_steps: world.block_env_steps(),
         blake3: blake3::hash(bytemuck::cast_slice(&block)).to_hex().to_string(),
         returns: returns(&world.dimensions, &layout, &block),
         seconds,

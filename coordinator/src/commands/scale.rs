@@ -10,7 +10,8 @@ use crate::output;
 /// Tells the run and says what changed.
 pub fn run(args: &ScaleArgs) -> anyhow::Result<()> {
     let token_file = args.token_file.as_deref();
-    let client = Client::of_run(&args.run_dir, Token::find(token_file)?)?;
+    let token = token_file.map(Token::from_file).transpose()?;
+    let client = Client::of_run(&args.run_dir, token)?;
     let workers = usize::try_from(args.workers).unwrap_or(usize::MAX);
     let answer = client.scale(workers).map_err(|error| match error {
         // A number that the run cannot have is the command line's fault.

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::checkpoint::{CheckpointStore, store_to_be};
 use crate::cli::serve::ServeArgs;
-use crate::http::{Limits, Service, ServiceSpec, Token};
+use crate::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
 use crate::output;
 use crate::output::counted;
 use crate::signals::StopRequests;
@@ -24,22 +24,30 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     let root = store.root().to_owned();
     let checkpoints = store.survey()?.entries.len();
     let stop = StopRequests::new();
-    stop.listen().context("signals cannot be caught")?;
+    stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
+    let mut own = OwnToken::prepare(root.join(STORE_TOKEN_FILE))?;
     let service = Service::start(ServiceSpec {
         address: args.listen,
         token,
-        store,
-        live: None,
         limits: Limits { upload_bytes: args.max_upload, ..Limits::default() },
+        ..ServiceSpec::new(store, own.token())
     })?;
+    own.keep()?;
     let address = service.address();
     if args.json {
-        output::line(
-            &json!({ "address": address, "store": root, "checkpoints": checkpoints }).to_string(),
-        )?;
+        output::json_line(&json!({
+            "address": address,
+            "store": root,
+            "checkpoints": checkpoints,
+            "token_file": own.path(),
+        }))?;
     } else {
         let holds = counted(checkpoints as u64, "checkpoint");
-        output::line(&format!("http://{address} serves {}: {holds}", root.display()))?;
+        output::line(&format!(
+            "http://{address} serves {}: {holds}; the token is in {}",
+            root.display(),
+            own.path().display()
+        ))?;
     }
     while stop.count() == 0 {
         if !service.is_running() {

@@ -1,22 +1,27 @@
 //! `octopus simulate`: the robot under given joint commands, open loop.
 
-use std::io::Read as _;
 use std::path::Path;
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
-use sim_worker::dynamics::{Integrator, StepOptions};
-use sim_worker::robot::Robot;
-use sim_worker::simulate::{self, Precision, SimulationRow};
+use simulator::dynamics::{Integrator, StepOptions};
+use simulator::robot::Robot;
+use simulator::simulate::{self, Precision, SimulationRow};
 
 use crate::cli::{IntegratorArg, PrecisionArg, SimulateArgs, Switch};
-use crate::{files, output};
+use crate::outputs::Output;
+use crate::{files, output, regular};
+
+/// What a trajectory begins with.
+const MARK: &[u8] = b"t,base_x,base_y,base_z,";
 
 /// Integrates.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     // Judged as training would run it: how coarse the steps are is what may be tried here.
     let robot = super::load_fit_robot(&args.robot, &StepOptions::default())?;
     check_steps(args)?;
+    let output = Output { flag: "--out", path: &args.out, mark: MARK, force: args.force };
+    output.check(&[("--actions", &args.actions), ("--robot", Path::new(&args.robot))])?;
     let actions = read_actions(&args.actions, robot.n_joints())?;
     let precision = match args.precision {
         PrecisionArg::F32 => Precision::F32,
@@ -73,18 +78,20 @@ fn check_steps(args: &SimulateArgs) -> Result<(), ExitError> {
     Ok(())
 }
 
+/// Longest file of commands that is read (bytes): a million control steps of a large robot.
+const MAX_ACTIONS: u64 = 256 << 20;
+
 /// Reads the commands: one row a control step, `width` numbers each.
 fn read_actions(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError> {
     let shown =
         if path == Path::new("-") { "standard input".into() } else { path.to_string_lossy() };
     let bad = |what: String| ExitError::new(ExitCode::BadInput, format!("{shown}: {what}"));
-    let mut bytes = Vec::new();
     let read = if path == Path::new("-") {
-        std::io::stdin().read_to_end(&mut bytes)
+        regular::drain(std::io::stdin().lock(), MAX_ACTIONS)
     } else {
-        std::fs::File::open(path).and_then(|mut file| file.read_to_end(&mut bytes))
+        regular::read(path, MAX_ACTIONS)
     };
-    read.map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let bytes = read.map_err(|error| bad(format!("cannot be read: {error}")))?;
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
@@ -190,6 +197,7 @@ mod tests {
     fn columns_are_those_of_the_description() {
         let header = header(4, 24);
         assert_eq!(header.len(), 1 + 7 + 24 + 6 + 24 + 12 + 1);
+        assert!(header.join(",").as_bytes().starts_with(MARK));
         assert_eq!(header[8], "q0");
         assert_eq!(
             header[32..38],

@@ -8,16 +8,18 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::train::RUNS;
+use crate::causes;
 use crate::checkpoint::{CheckpointStore, Name};
 use crate::cli::StatusArgs;
 use crate::client::Client;
 use crate::http::Token;
-use crate::live::{Best, LiveStatus, Role, Stages};
+use crate::live::{Best, LiveStatus, ProcessStatus, Role, Stages};
 use crate::lock::RunLock;
 use crate::output;
 use crate::preflight::mib;
-use crate::report::jsonl;
+use crate::report::divergence::{CURE, Divergence};
 use crate::report::progress::grouped;
+use crate::report::{Diverged, jsonl};
 
 /// What can be said about a run from outside.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -38,13 +40,15 @@ pub struct RunStatus {
     pub last: Option<Value>,
     /// Its newest checkpoint.
     pub checkpoint: Option<PathBuf>,
+    /// Where the training has diverged, unless it has recovered.
+    pub divergence: Option<Diverged>,
     /// Its processes and stages, while it runs and its HTTP service answers.
     pub live: Option<LiveStatus>,
     /// Why there is no `live`, although the run goes on.
     pub live_error: Option<String>,
 }
 
-/// The token to show to runs, and the file that it is from.
+/// The token to show to runs instead of their own, and the file that it is from.
 struct Key<'a> {
     token: Option<Token>,
     file: Option<&'a Path>,
@@ -67,7 +71,7 @@ impl RunStatus {
     /// Says on standard error what is missing and why.
     fn complain(&self) {
         if let Some(reason) = &self.live_error {
-            eprintln!("note: processes, shards and stages are not known: {reason}");
+            output::note(&format!("note: processes, shards and stages are not known: {reason}"));
         }
     }
 }
@@ -75,7 +79,7 @@ impl RunStatus {
 /// Shows one run or all.
 pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
     let file = args.token_file.as_deref();
-    let key = Key { token: Token::find(file)?, file };
+    let key = Key { token: file.map(Token::from_file).transpose()?, file };
     let Some(run_dir) = &args.run_dir else { return list(args.json, &key) };
     let look = || -> anyhow::Result<RunStatus> {
         let mut status = inspect(run_dir)?;
@@ -97,11 +101,13 @@ pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
     loop {
         let status = look()?;
         if args.json {
-            output::line(&serde_json::to_string(&status)?)?;
+            output::json_line(&status)?;
         } else {
             // From the top left corner, and nothing of before below it.
-            let (before, after) = if clear { ("\x1b[H\x1b[J", "") } else { ("", "\n") };
-            output::line(&format!("{before}{}{after}", show(&status)))?;
+            if clear {
+                output::write(b"\x1b[H\x1b[J")?;
+            }
+            output::line(&format!("{}{}", show(&status), if clear { "" } else { "\n" }))?;
         }
         // Once, unless it is cleared away with the rest.
         if clear || complained != status.live_error {
@@ -149,6 +155,9 @@ fn show(status: &RunStatus) -> String {
     if let Some(checkpoint) = &status.checkpoint {
         lines.push(format!("{:14}{}", "checkpoint", checkpoint.display()));
     }
+    if let Some(diverged) = &status.divergence {
+        lines.push(format!("{:14}{diverged}; {CURE}", "warning"));
+    }
     if let Some(live) = &status.live {
         lines.push(show_live(live));
     }
@@ -185,7 +194,7 @@ fn show_live(live: &LiveStatus) -> String {
         lines.push(format!("{:14}{name}, score {score:.3}", "best"));
     }
     if let Some(eta) = live.eta_s {
-        lines.push(format!("{:14}{eta:.0} s", "left"));
+        lines.push(format!("{:14}{:.0} s", "left", eta.ceil()));
     }
     let stages = [
         ("rollout", rollout_s),
@@ -202,12 +211,18 @@ fn show_live(live: &LiveStatus) -> String {
         stages.map(|(name, seconds)| [name.to_owned(), share(seconds)]),
     ));
     lines.push(
-        "rollout is summed over the workers; it and commit go on beside the rest, so the shares can \
-         add up to more than 100 %"
+        "rollout is summed over the workers; it and commit go on beside the rest, so the\n\
+         shares can add up to more than 100 %"
             .to_owned(),
     );
     lines.push(String::new());
-    let rows = live.processes.iter().map(|process| {
+    lines.push(processes(&live.processes, output::columns()));
+    lines.join("\n")
+}
+
+/// The processes of a run as a table.
+fn processes(processes: &[ProcessStatus], columns: usize) -> String {
+    let rows = processes.iter().map(|process| {
         let name = match (process.role, process.worker) {
             (Role::Coordinator, _) => "coordinator".to_owned(),
             (Role::Learner, _) => "learner".to_owned(),
@@ -225,10 +240,8 @@ fn show_live(live: &LiveStatus) -> String {
             process.shards.join(" "),
         ]
     });
-    let header =
-        ["process", "pid", "state", "replaced", "processor", "memory", "env-steps/s", "shards"];
-    lines.push(output::table(header, rows));
-    lines.join("\n")
+    let header = ["process", "pid", "state", "replaced", "cpu", "memory", "steps/s", "shards"];
+    output::table_within(columns, header, rows)
 }
 
 fn describe(status: &RunStatus) -> String {
@@ -251,7 +264,7 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
         match inspect(&path) {
             Ok(status) => runs.push(status),
             // One damaged run does not hide the others.
-            Err(error) => eprintln!("note: {error:#}"),
+            Err(error) => output::note(&format!("note: {}", causes::told(&error))),
         }
     }
     if json {
@@ -264,6 +277,11 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
     if runs.is_empty() {
         return output::line(&format!("no runs in {RUNS}/; `octopus train` starts one"));
     }
+    output::line(&listed(&runs, output::columns()))
+}
+
+/// Runs as a table.
+fn listed(runs: &[RunStatus], columns: usize) -> String {
     let rows = runs.iter().map(|status| {
         let number =
             |pointer: &str| status.last.as_ref().and_then(|last| last.pointer(pointer)?.as_f64());
@@ -272,14 +290,14 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
         };
         [
             status.run_dir.display().to_string(),
-            describe(status),
+            status.state.to_owned(),
             format!("{} / {}", status.iterations, status.planned_iterations),
             shown("/env_steps", &|value| grouped(value as u64)),
             shown("/return_mean", &|value| format!("{value:.2}")),
         ]
     });
     let header = ["run", "state", "iterations", "env-steps", "return"];
-    output::line(&output::table(header, rows))
+    output::table_within(columns, header, rows)
 }
 
 /// Reads what a run left and whether it lives; does not ask it.
@@ -288,7 +306,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let config = super::read_config(&run_dir)?;
     let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
-    let holder = RunLock::holder(&run_dir.lock());
+    let holder = RunLock::holder(&run_dir.lock())?;
     let planned_iterations = config.planned_iterations();
     let checkpoint = CheckpointStore::new(run_dir.checkpoints()).list()?.pop();
     // A run that was killed between its last line and its last checkpoint has that still to make.
@@ -307,6 +325,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         planned_iterations,
         last,
         checkpoint,
+        divergence: Divergence::recorded(&run_dir)?.found().cloned(),
         live: None,
         live_error: None,
     })
@@ -323,6 +342,42 @@ mod tests {
     use proto::config::{Layers, Preset};
 
     use super::*;
+
+    #[test]
+    fn tables_fit() {
+        let process = ProcessStatus {
+            role: Role::Worker,
+            worker: Some(255),
+            pid: Some(4_194_304),
+            state: "backing off".to_owned(),
+            restarts: 12,
+            resident_bytes: 9_999 << 20,
+            cpu_s: 123_456.7,
+            shards: (0..6).map(|shard| format!("12345/{shard}")).collect(),
+            env_steps: 99_999,
+            rollout_s: 1.0,
+        };
+        let run = RunStatus {
+            run_dir: "runs/reorientation-20260101-120000-2".into(),
+            state: "running",
+            pid: Some(4_194_304),
+            task: "reorientation",
+            iterations: 1234,
+            planned_iterations: 12_345,
+            divergence: None,
+            last: Some(serde_json::json!({ "env_steps": 99_999_999, "return_mean": -1234.56 })),
+            checkpoint: None,
+            live: None,
+            live_error: None,
+        };
+        let of_processes = processes(&[process], 80);
+        assert!(of_processes.contains("12345/0") && of_processes.contains("12345/5"));
+        let of_runs = listed(&[run], 80);
+        assert!(!of_runs.contains("\n\n"), "all columns stand beside each other:\n{of_runs}");
+        for line in of_processes.lines().chain(of_runs.lines()) {
+            assert!(line.chars().count() <= 80, "{line}");
+        }
+    }
 
     #[test]
     fn a_run_is_finished_when_its_last_checkpoint_is_there() {

@@ -10,24 +10,25 @@ use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use serde_json::json;
-use sim_worker::env::step_options;
-use sim_worker::evaluate::EvaluationOptions;
-use sim_worker::robot::Robot;
+use simulator::env::step_options;
+use simulator::evaluate::EvaluationOptions;
+use simulator::robot::Robot;
 
 use super::eval::{self, Summary};
 use crate::checkpoint::{Checkpoint, CheckpointStore};
 use crate::cli::{Ending, HttpArgs, Listen, TrainArgs};
-use crate::http::{Service, ServiceSpec, Token};
+use crate::http::{OwnToken, Service, ServiceSpec, TOKEN_FILE, Token};
 use crate::live::LiveRun;
 use crate::lock::RunLock;
 use crate::preflight::{self, Remedy, Verdict};
 use crate::provenance::{self, Provenance};
-use crate::report::Reporter;
+use crate::report::divergence::{CURE, Divergence};
 use crate::report::progress::grouped;
+use crate::report::{Diverged, Reporter};
 use crate::session::{self, Outcome, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
-use crate::{files, output};
+use crate::{files, output, outputs, precision, regular};
 
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
@@ -46,11 +47,15 @@ struct Plan {
 
 /// Everything that is asked for, checked, but for the address of the service; nothing is written.
 fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
-    let config = configure(args)?;
+    let config = precision::resolve(configure(args)?);
     check_token_file(&args.http)?;
     let robot = super::load_fit_robot(&config.robot.description, &step_options(&config))?;
-    if let Some(path) = &args.run_dir {
-        check_vacant(path)?;
+    match &args.run_dir {
+        Some(path) => {
+            check_vacant(path)?;
+            outputs::check_outside("--run-dir", path)?;
+        }
+        None => outputs::check_outside("--run-dir", &Path::new(RUNS).join("new"))?,
     }
     let programs = Programs::find()?;
     let place = args.run_dir.as_deref().unwrap_or(Path::new(RUNS));
@@ -82,9 +87,8 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     files::replace(&run_dir.robot(), robot.to_toml().as_bytes())?;
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     record(&run_dir, &provenance, &[])?;
-    let same = true;
-    let start =
-        Start { run_dir, config, robot, resume: None, same, programs, domain, provenance, counter };
+    let resume = None;
+    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, counter };
     run_session(start, lock, args.ending.quiet)
 }
 
@@ -118,8 +122,6 @@ pub(super) struct Start {
     pub(super) config: Config,
     pub(super) robot: Robot,
     pub(super) resume: Option<Checkpoint>,
-    /// Whether what is trained on again must end as it did before.
-    pub(super) same: bool,
     pub(super) programs: Programs,
     pub(super) domain: Domain,
     pub(super) provenance: Provenance,
@@ -131,19 +133,26 @@ pub(super) struct Start {
 /// Opened before a run writes any file, so that an address or a token that is wrong leaves nothing.
 pub(super) struct Counter {
     live: LiveRun,
-    service: Option<Service>,
+    desk: Option<Desk>,
+}
+
+/// A service, and the token of its own.
+struct Desk {
+    service: Service,
+    token: OwnToken,
 }
 
 impl Counter {
     /// Begins to listen.
     pub(super) fn open(args: &HttpArgs, run_dir: &RunDir) -> anyhow::Result<Self> {
         let live = LiveRun::new();
-        let Listen::At(address) = args.listen else { return Ok(Self { live, service: None }) };
+        let Listen::At(address) = args.listen else { return Ok(Self { live, desk: None }) };
         let token = Token::find(args.token_file.as_deref())?;
+        let own = OwnToken::prepare(run_dir.path().join(TOKEN_FILE))?;
         let store = CheckpointStore::new(run_dir.checkpoints());
-        let spec =
-            ServiceSpec { address, token, live: Some(live.clone()), ..ServiceSpec::new(store) };
-        Ok(Self { live, service: Some(Service::start(spec)?) })
+        let spec = ServiceSpec::new(store, own.token());
+        let spec = ServiceSpec { address, token, live: Some(live.clone()), ..spec };
+        Ok(Self { live, desk: Some(Desk { service: Service::start(spec)?, token: own }) })
     }
 }
 
@@ -156,23 +165,21 @@ pub(super) struct Ended {
 
 /// Runs a session to its end.
 pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Result<Ended> {
-    let Start { run_dir, config, robot, resume, same, programs, domain, provenance, counter } =
-        start;
+    let Start { run_dir, config, robot, resume, programs, domain, provenance, counter } = start;
     let stop = StopRequests::new();
-    stop.listen().context("signals cannot be caught")?;
+    stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
     let mut reporter = Reporter::create(&run_dir, &config, resume_from, quiet)?;
-    if !same {
-        reporter.forget_promised()?;
-    }
     if !quiet {
         reporter.note(&introduction(&config, &run_dir, resume_from));
     }
     if let Some(note) = idle_workers(&config) {
         reporter.note(&note);
     }
-    let Counter { live, service } = counter;
-    if let Some(service) = &service {
+    let Counter { live, mut desk } = counter;
+    if let Some(Desk { service, token }) = &mut desk {
+        // Whoever reads the address finds the token.
+        token.keep()?;
         lock.announce(&service.address().to_string())
             .with_context(|| format!("{}: cannot be written", run_dir.lock().display()))?;
     }
@@ -189,15 +196,20 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
         live,
     };
     let result = session::run(&spec, &mut reporter);
-    if let Some(service) = service {
+    if let Some(Desk { service, .. }) = desk {
         service.stop();
     }
     // Also after a failure: what was measured until then is worth keeping.
     let finished = reporter.finish();
-    let outcome = result?;
-    finished?;
+    let full = |error: anyhow::Error| super::full::explain(error, &run_dir);
+    let outcome = result.map_err(|error| full(error.into()))?;
+    finished.map_err(full)?;
     Ok(Ended { run_dir, outcome, stop })
 }
+
+/// What a second request to stop says if something in this process does not end.
+pub(super) const ABANDONED: &str = "stopped at once; what was being written is abandoned, and the last checkpoint is where \
+     `octopus resume` goes on";
 
 fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
     let task = config.task.name.as_str();
@@ -234,7 +246,7 @@ impl Ended {
 
     /// The evaluation of its last checkpoint that lies in the run directory, if there is one.
     pub(super) fn recorded_evaluation(&self) -> Option<Summary> {
-        let bytes = std::fs::read(evaluation_path(&self.run_dir)).ok()?;
+        let bytes = regular::read(&evaluation_path(&self.run_dir), regular::RECORD).ok()?;
         let summary: Summary = serde_json::from_slice(&bytes).ok()?;
         (summary.iteration == self.outcome.iterations).then_some(summary)
     }
@@ -242,6 +254,11 @@ impl Ended {
     /// The learning curve, if it was drawn.
     fn curve(&self) -> Option<PathBuf> {
         Some(self.run_dir.curve()).filter(|curve| curve.is_file())
+    }
+
+    /// Where the training has diverged, unless it has recovered.
+    fn divergence(&self) -> anyhow::Result<Option<Diverged>> {
+        Ok(Divergence::recorded(&self.run_dir)?.found().cloned())
     }
 
     /// How it ended, in a word or two.
@@ -262,6 +279,7 @@ impl Ended {
             "stopped_by": self.stopped_by(),
             "checkpoint": self.outcome.checkpoint,
             "curve": self.curve(),
+            "divergence": self.divergence()?,
             "evaluation": evaluation,
         }))
     }
@@ -289,8 +307,11 @@ impl Ended {
             grouped(outcome.env_steps),
             self.stopped_by()
         ))?;
+        if let Some(diverged) = self.divergence()? {
+            output::line(&format!("warning: {diverged}; {CURE}"))?;
+        }
         if let Some(evaluation) = &evaluation {
-            output::line(&format!("\n{}\n", evaluation.table()))?;
+            output::line(&format!("\n{}\n", evaluation.table(output::columns(), ending.agents)))?;
             output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
         }
         if let Some(curve) = self.curve() {
@@ -389,7 +410,9 @@ fn flags(args: &TrainArgs) -> Vec<Flag> {
 fn resolve(args: &TrainArgs) -> Result<Config, ConfigError> {
     let mut layers = Layers::new(args.preset.into(), args.task.map(Into::into));
     if let Some(path) = &args.config {
-        layers = layers.file(path)?;
+        let text = regular::read_text(path, regular::TEXT)
+            .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+        layers = layers.text(&text, &path.display().to_string())?;
     }
     for flag in flags(args) {
         let text = format!("[{}]\n{} = {}", flag.group, flag.name, flag.value);
@@ -533,7 +556,7 @@ pub(super) fn record(
     overrides: &[String],
 ) -> anyhow::Result<()> {
     let path = run_dir.provenance();
-    let mut sessions: Vec<serde_json::Value> = std::fs::read(&path)
+    let mut sessions: Vec<serde_json::Value> = regular::read(&path, regular::RECORD)
         .ok()
         .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
         .and_then(|document| document["sessions"].as_array().cloned())

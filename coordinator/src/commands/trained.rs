@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use proto::config::TaskName;
 use proto::{Digest, ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
-use sim_worker::experiment::Player;
-use sim_worker::policy::Policy;
-use sim_worker::robot::Robot;
-use sim_worker::rollout::World;
+use simulator::experiment::Player;
+use simulator::policy::Policy;
+use simulator::robot::Robot;
+use simulator::rollout::World;
 
 use crate::checkpoint::{Checkpoint, POLICY, Selector};
 

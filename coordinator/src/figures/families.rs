@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use proto::config::{AlgorithmName, Config, TaskName};
+use proto::config::{Config, TaskName};
 use serde::Serialize;
 
 use super::bootstrap::Resamples;
@@ -52,12 +52,16 @@ impl Over {
     }
 }
 
+/// What runs that differ are called.
+mod names;
+
 /// Runs that learn the same but for their seeds: `[low, mean, high]` of their mean within its 95 % bootstrap
 /// interval, as `bootstrap.rs` has it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Family {
     pub(crate) task: TaskName,
-    algorithm: AlgorithmName,
+    /// What its curve is called: the algorithm, and the keys in which it differs from the others.
+    pub(crate) name: String,
     /// The runs, with their seeds.
     pub(crate) runs: Vec<(PathBuf, u64)>,
     /// Places of `returns` on the horizontal axis.
@@ -118,11 +122,13 @@ pub fn families(curves: &[Recorded], over: Over) -> Vec<Family> {
         kinds[at].points.push(points.clone());
         kinds[at].held_out.push(held_out.clone());
     }
-    kinds.into_iter().map(|kind| Family::new(kind, over)).collect()
+    let configs: Vec<&Config> = kinds.iter().map(|kind| &kind.config).collect();
+    let names = names::of(&configs);
+    kinds.into_iter().zip(names).map(|(kind, name)| Family::new(kind, name, over)).collect()
 }
 
 /// Whether two configurations differ in what does not change what is learned, at most.
-fn learn_alike(one: &Config, other: &Config) -> bool {
+pub(super) fn learn_alike(one: &Config, other: &Config) -> bool {
     // The budget does: the learning rate falls over it.
     one.run.continues(&other.run)
         && one.run.env_steps == other.run.env_steps
@@ -130,7 +136,7 @@ fn learn_alike(one: &Config, other: &Config) -> bool {
 }
 
 impl Family {
-    fn new(kind: Kind, over: Over) -> Self {
+    fn new(kind: Kind, name: String, over: Over) -> Self {
         let Kind { config, runs, points, held_out } = kind;
         let task = config.task.name;
         let along = places(&points, over);
@@ -154,22 +160,7 @@ impl Family {
         };
         let to_paper =
             ToPaper { min: reached(|errors| &errors.min), tail: reached(|errors| &errors.tail) };
-        let algorithm = config.algorithm.name;
-        Self { task, algorithm, runs, along, returns, held_out: errors, to_paper }
-    }
-
-    /// What its curve is called.
-    pub(crate) fn name(&self) -> String {
-        let first = self.runs.first().and_then(|(path, _)| path.file_name()).unwrap_or_default();
-        match self.runs.len() {
-            1 => format!("{}: {}", self.algorithm.as_str(), first.to_string_lossy()),
-            n => format!(
-                "{}: {} and {} more",
-                self.algorithm.as_str(),
-                first.to_string_lossy(),
-                n - 1
-            ),
-        }
+        Self { task, name, runs, along, returns, held_out: errors, to_paper }
     }
 
     /// What the cells of a [row](Self::row) are.
@@ -201,7 +192,7 @@ impl Family {
         let hands = self.task == TaskName::Trajectory;
         let of_hands = |values| if hands { last(values) } else { String::new() };
         [
-            self.name(),
+            self.name.clone(),
             self.task.as_str().to_owned(),
             self.runs.len().to_string(),
             last(&self.returns),
@@ -304,7 +295,8 @@ mod tests {
         let other = vec![point(20.0, 3.0), point(30.0, 3.0)];
         let runs = vec![("runs/a".into(), 1), ("runs/b".into(), 2)];
         let (points, held_out) = (vec![one, other], held_out.to_vec());
-        Family::new(Kind { config: config("run.seed=1"), runs, points, held_out }, over)
+        let kind = Kind { config: config("run.seed=1"), runs, points, held_out };
+        Family::new(kind, "mappo".to_owned(), over)
     }
 
     #[test]
@@ -320,7 +312,6 @@ mod tests {
         }
         assert_eq!(family.returns[0], [1.0, 2.0, 3.0]);
         assert_eq!(family.returns[POINTS - 1], [3.0, 3.0, 3.0]);
-        assert_eq!(family.name(), "mappo: a and 1 more");
         assert_eq!(family.held_out, Errors::default(), "one of them was never evaluated");
         let row = family.row(Over::EnvSteps);
         assert_eq!((row[3].as_str(), row[4].as_str()), ("3.0 (3.0 to 3.0)", ""));
@@ -352,6 +343,26 @@ mod tests {
         let row = family.row(Over::EnvSteps);
         assert_eq!(row[4], "50.0 (25.0 to 75.0)");
         assert_eq!((row[7].as_str(), row[8].as_str()), ("20", "never"));
+    }
+
+    #[test]
+    fn the_table_fits() {
+        let huge = vec![point(0.0, -1234.5), point(9e8, -1234.5)];
+        let held_out = vec![held_out(0.0, 88.8, 88.8), held_out(9e8, 88.8, 0.5)];
+        let runs = vec![("runs/a".into(), 1)];
+        let kind = Kind {
+            config: config("run.seed=1"),
+            runs,
+            points: vec![huge],
+            held_out: vec![held_out],
+        };
+        let name = "mappo, hidden=[1024,1024,1024,1024…, parameter_sharing=roles".to_owned();
+        let row = Family::new(kind, name, Over::EnvSteps).row(Over::EnvSteps);
+        let text = crate::output::table_within(80, Family::HEADER, [row]);
+        for line in text.lines() {
+            assert!(line.chars().count() <= 80, "{line}\nis too long in\n{text}");
+        }
+        assert!(text.contains("900,000,000") && text.contains("never"), "{text}");
     }
 
     #[test]

@@ -71,7 +71,7 @@ fn items<'a>(
         };
         let color = color % COLORS.len();
         let band = Item::Band { name: String::new(), color, low: at(0), high: at(2) };
-        let items = [band, line(family.name(), color, at(1))];
+        let items = [band, line(family.name.clone(), color, at(1))];
         (!along.is_empty()).then_some(items)
     };
     families.iter().enumerate().filter_map(of_family).flatten().collect()

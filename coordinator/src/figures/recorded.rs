@@ -1,5 +1,6 @@
 //! Learning curves of runs in one small file, which takes the runs' place in pictures.
 
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use proto::config::Config;
@@ -7,12 +8,13 @@ use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::families::learn_alike;
 use crate::commands::{read_config, run_directory};
-use crate::files;
 use crate::report::curve::{Point, read_points, thin_out};
 use crate::report::evaluations::{self, HeldOut};
 use crate::report::jsonl;
 use crate::report::row::Row;
+use crate::{files, regular};
 
 /// Points that a file keeps of a curve, at most.
 const POINTS: usize = 130;
@@ -64,13 +66,34 @@ impl Recorded {
         let held_out = evaluations::read(&run_dir.evaluations())?;
         let last = jsonl::read(&metrics)?.pop().map(|(_, line)| line);
         let digest = last.and_then(|line| Some(line["digest"].as_str()?.to_owned()));
-        let provenance = std::fs::read(run_dir.provenance()).unwrap_or_default();
+        let provenance = regular::read(&run_dir.provenance(), regular::RECORD).unwrap_or_default();
         let provenance: Value = serde_json::from_slice(&provenance).unwrap_or_default();
         let session = provenance["sessions"].as_array().and_then(|sessions| sessions.last());
         let said = |key: &str| Some(session?[key].as_str()?.to_owned());
         let (commit, processor) = (said("commit"), said("processor"));
         let run = path.file_name().unwrap_or(path.as_os_str()).into();
         Ok(Self { run, commit, processor, digest, config, points, held_out })
+    }
+
+    /// Env-steps at its end.
+    fn end(&self) -> f64 {
+        self.points.last().map_or(0.0, |point| point.env_steps)
+    }
+
+    /// Whether it tells of the same bits: the state at the end is the same, or everything on which it depends. A copy of a
+    /// run, or its repetition, says nothing about other seeds.
+    fn is_same_training(&self, other: &Self) -> bool {
+        if self.config.run.seed != other.config.run.seed
+            || !learn_alike(&self.config, &other.config)
+        {
+            return false;
+        }
+        let known = |one: &Option<String>, other: &Option<String>| one.is_some() && one == other;
+        let on_cpu = self.config.run.device == "cpu" && other.config.run.device == "cpu";
+        known(&self.digest, &other.digest)
+            || (on_cpu
+                && known(&self.commit, &other.commit)
+                && known(&self.processor, &other.processor))
     }
 
     /// Refuses what is no curve.
@@ -98,6 +121,41 @@ fn check_rows<R: Row>(rows: &[R]) -> Result<(), String> {
     Ok(())
 }
 
+/// The curves of run directories and of files that [`write`] made, each training once; and what is to be said of those
+/// that were given twice.
+pub(crate) fn read_all(paths: &[PathBuf]) -> anyhow::Result<(Vec<Recorded>, Vec<String>)> {
+    let mut curves: Vec<Recorded> = Vec::new();
+    let mut notes = Vec::new();
+    let mut places = Vec::new();
+    for path in paths {
+        let found = read(path)?;
+        let place = path.metadata().map(|there| (there.dev(), there.ino()))?;
+        if places.contains(&place) {
+            notes.push(format!("note: {} is given twice and counts once", path.display()));
+            continue;
+        }
+        places.push(place);
+        for curve in found {
+            let Some(same) = curves.iter_mut().find(|other| other.is_same_training(&curve)) else {
+                curves.push(curve);
+                continue;
+            };
+            notes.push(format!(
+                "note: {} is the same training as {} ({}, seed {}) and counts once",
+                curve.run.display(),
+                same.run.display(),
+                curve.config.algorithm.name.as_str(),
+                curve.config.run.seed
+            ));
+            // One of them may have been recorded before the training was over.
+            if curve.points.len() > same.points.len() && curve.end() > same.end() {
+                *same = curve;
+            }
+        }
+    }
+    Ok((curves, notes))
+}
+
 /// The curve of a run directory, or the curves of a file that [`write`] made.
 pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<Recorded>> {
     if !path.is_file() {
@@ -110,11 +168,7 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<Recorded>> {
         );
         ExitError::new(ExitCode::BadInput, message)
     };
-    let length = path.metadata().map_err(|error| refuse(error.to_string()))?.len();
-    if length > MOST_BYTES {
-        return Err(refuse(format!("has {length} bytes, more than {MOST_BYTES}")).into());
-    }
-    let bytes = std::fs::read(path).map_err(|error| refuse(error.to_string()))?;
+    let bytes = regular::read(path, MOST_BYTES).map_err(|error| refuse(error.to_string()))?;
     Ok(parse(&bytes).map_err(refuse)?)
 }
 
@@ -248,6 +302,34 @@ mod tests {
             read[1].held_out[1].numbers(),
             [30.0, 30.0, 0.01235, 0.02, 0.0, 0.01, 0.01, 0.0]
         );
+    }
+
+    #[test]
+    fn a_training_that_is_given_twice_counts_once() {
+        let seeded = |seed: u64, points: usize, commit: &str| {
+            let mut curve = curve(points);
+            curve.config.run.seed = seed;
+            curve.commit = Some(commit.to_owned());
+            curve.processor = Some("Xeon".to_owned());
+            curve
+        };
+        let later = seeded(1, 30, "abc");
+        let (_one, one) = written(&[seeded(1, 20, "abc"), seeded(2, 20, "abc")]);
+        let (_two, two) = written(&[later.clone(), seeded(1, 20, "def")]);
+        let (curves, notes) = read_all(&[one.clone(), two, one]).expect("whole");
+        let found: Vec<_> = curves
+            .iter()
+            .map(|curve| (curve.config.run.seed, curve.points.len(), curve.commit.as_deref()))
+            .collect();
+        let expected = [(1, 30, Some("abc")), (2, 20, Some("abc")), (1, 20, Some("def"))];
+        assert_eq!(found, expected, "the longer one of two, and another build is another training");
+        assert_eq!(notes.len(), 2, "{notes:?}");
+        assert!(notes[0].contains("the same training as mappo-1 (mappo, seed 1)"), "{notes:?}");
+        assert!(notes[1].contains("curves.json is given twice"), "{notes:?}");
+        // Without a word on build and processor the state at the end tells.
+        let ended = |digest: &str| Recorded { digest: Some(digest.to_owned()), ..curve(20) };
+        assert!(ended("aa").is_same_training(&ended("aa")));
+        assert!(!ended("aa").is_same_training(&Recorded { commit: None, ..ended("bb") }));
     }
 
     #[test]

@@ -1,30 +1,31 @@
 //! Who may ask for what.
 //!
-//! With a token, whoever shows it may do everything, and nobody else anything but ask whether the
-//! service is alive. Without one the service listens on loopback only, where every program of this
-//! machine may do everything, except that a web page in a browser of this machine may not: its
-//! requests arrive from loopback too. Two things give them away. A page that reached the service
-//! through a name of its own (DNS rebinding) sends that name as `Host`; a page that sends a request
-//! elsewhere than to where it came from says where it came from in `Origin`.
+//! Whoever shows a token of the service may do everything, and nobody else anything but ask whether
+//! it is alive, not even from this machine: every user of it reaches its loopback, and so does every
+//! web page in a browser of it. A page has no token, whatever name it came by (DNS rebinding) and
+//! whatever it sends elsewhere.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 
 use axum::extract::{Request, State};
-use axum::http::header::{AUTHORIZATION, HOST, ORIGIN, WWW_AUTHENTICATE};
-use axum::http::{HeaderValue, Method, StatusCode, Uri};
+use axum::http::header::{AUTHORIZATION, CONNECTION, HOST, WWW_AUTHENTICATE};
+use axum::http::uri::Authority;
+use axum::http::{HeaderValue, StatusCode, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
 use proto::{ExitCode, ExitError};
 
-use super::context::Shared;
+use super::context::{Context, Shared};
 use super::intake::Intake;
 use super::problem::Problem;
+use super::seats::Seat;
 use super::token::{TOKEN_VARIABLE, Token};
 
-/// Path that needs no token, so that a load balancer can ask.
-const PUBLIC: &str = "/health";
+/// Paths that need no token. What stands there tells strangers nothing and changes nothing: a sign
+/// of life for load balancers; a page that is to ask its user for the token would stand here, too.
+const PUBLIC: [&str; 1] = ["/health"];
 
-/// Refuses to listen beyond this machine without a token.
+/// Refuses to listen beyond this machine unless somebody has chosen a token for that.
 pub(super) fn check_address(address: SocketAddr, token: Option<&Token>) -> Result<(), ExitError> {
     if token.is_some() || address.ip().is_loopback() {
         return Ok(());
@@ -40,35 +41,35 @@ pub(super) fn check_address(address: SocketAddr, token: Option<&Token>) -> Resul
 
 /// The layer around every route.
 pub(super) async fn layer(State(context): State<Shared>, request: Request, next: Next) -> Response {
-    match admit(context.token.as_ref(), &request) {
+    let admitted = check_host(&request).and_then(|()| {
+        if PUBLIC.contains(&request.uri().path()) {
+            return Ok(());
+        }
+        check_token(&context, &request)?;
+        if let Some(seat) = request.extensions().get::<Seat>() {
+            seat.prove();
+        }
+        Ok(())
+    });
+    match admitted {
         Ok(()) => next.run(request).await,
         Err(problem) => {
             tracing::debug!(reason = problem.message, "request refused");
             Intake::new(request, 0, &context.limits).discard().await;
-            problem.into_response()
+            // Who may not ask does not keep his place, either.
+            problem.with(CONNECTION, HeaderValue::from_static("close")).into_response()
         }
     }
 }
 
-fn admit(token: Option<&Token>, request: &Request) -> Result<(), Problem> {
-    match token {
-        Some(_) if request.uri().path() == PUBLIC => Ok(()),
-        Some(token) => check_token(token, request),
-        None => {
-            let host = check_host(request)?;
-            check_origin(request, host)
-        }
-    }
-}
-
-fn check_token(token: &Token, request: &Request) -> Result<(), Problem> {
+fn check_token(context: &Context, request: &Request) -> Result<(), Problem> {
     let offered = request.headers().get(AUTHORIZATION).map(HeaderValue::as_bytes);
     let bearer = offered.and_then(|value| {
         let (scheme, token) = value.split_at_checked("Bearer ".len())?;
         scheme.eq_ignore_ascii_case(b"Bearer ").then_some(token.trim_ascii())
     });
     let message = match bearer {
-        Some(bearer) if token.matches(bearer) => return Ok(()),
+        Some(bearer) if context.knows(bearer) => return Ok(()),
         Some(_) => "the token is wrong",
         None => "a token is needed: send the header `Authorization: Bearer TOKEN`",
     };
@@ -76,46 +77,23 @@ fn check_token(token: &Token, request: &Request) -> Result<(), Problem> {
         .with(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"spaceoctopus\"")))
 }
 
-/// Returns the host that the client believes to talk to, if that is this machine.
-fn check_host(request: &Request) -> Result<&str, Problem> {
-    let named = request.headers().get(HOST).and_then(|host| host.to_str().ok());
-    // A request in absolute form names the host in its first line, which counts then.
-    let host = request.uri().authority().map(axum::http::uri::Authority::as_str).or(named);
-    match host {
-        Some(host) if is_loopback(host) => Ok(host),
-        _ => Err(Problem::new(
-            StatusCode::FORBIDDEN,
-            "the Host header must name this machine, localhost or 127.0.0.1: without a token the \
-             service answers nobody who came by another name",
-        )),
-    }
-}
-
-fn check_origin(request: &Request, host: &str) -> Result<(), Problem> {
-    if [Method::GET, Method::HEAD, Method::OPTIONS].contains(request.method()) {
-        return Ok(());
-    }
-    let Some(origin) = request.headers().get(ORIGIN) else { return Ok(()) };
-    let own = origin.to_str().is_ok_and(|origin| origin == format!("http://{host}"));
-    if own {
-        return Ok(());
-    }
-    Err(Problem::new(
-        StatusCode::FORBIDDEN,
-        "the Origin header names another web site: without a token the service changes nothing \
-         at the request of a web page",
-    ))
-}
-
-/// Whether `host`, with or without a port, is this machine itself.
-fn is_loopback(host: &str) -> bool {
-    let Ok(uri) = Uri::builder().scheme("http").authority(host).path_and_query("/").build() else {
-        return false;
+/// Refuses a request that does not name one host (RFC 9112, section 3.2): a proxy and this service
+/// could each believe another one of two.
+fn check_host(request: &Request) -> Result<(), Problem> {
+    let mut hosts = request.headers().get_all(HOST).iter();
+    let problem = match (hosts.next(), hosts.next()) {
+        (_, Some(_)) => "the request has two Host headers, expected one",
+        (None, None) if request.version() < Version::HTTP_11 => return Ok(()),
+        (None, None) => "the request has no Host header, expected one",
+        (Some(host), None) if is_host(host.as_bytes()) => return Ok(()),
+        (Some(_), None) => "the Host header names no host, expected HOST or HOST:PORT",
     };
-    // `user@localhost` is no Host header.
-    let Some(name) = uri.host().filter(|_| !host.contains('@')) else { return false };
-    let address = name.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
-    address.map_or(name.eq_ignore_ascii_case("localhost"), |ip| ip.is_loopback())
+    Err(Problem::new(StatusCode::BAD_REQUEST, problem))
+}
+
+/// `user@host` is none.
+fn is_host(text: &[u8]) -> bool {
+    !text.contains(&b'@') && Authority::try_from(text).is_ok()
 }
 
 #[cfg(test)]
@@ -123,24 +101,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_this_machine() {
-        for own in ["localhost", "LOCALHOST:80", "127.0.0.1:8270", "127.9.9.9", "[::1]:1", "[::1]"]
-        {
-            assert!(is_loopback(own), "{own}");
+    fn hosts_with_and_without_ports() {
+        for host in ["localhost", "127.0.0.1:8270", "[::1]:80", "lab.example"] {
+            assert!(is_host(host.as_bytes()), "{host}");
         }
-        for foreign in [
-            "",
-            "evil.example",
-            "localhost.evil.example",
-            "127.0.0.1.evil.example:80",
-            "10.0.0.1",
-            "localhost@evil.example",
-            "evil@localhost",
-            "[::2]",
-            "0.0.0.0",
-            "a b",
-        ] {
-            assert!(!is_loopback(foreign), "{foreign}");
+        for wrong in ["", "a b", "user@localhost", "a/b", "[::1", "a\u{1b}"] {
+            assert!(!is_host(wrong.as_bytes()), "{wrong:?}");
         }
     }
 

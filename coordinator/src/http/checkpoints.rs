@@ -79,6 +79,7 @@ pub(super) async fn show(
         (status = 404, description = "No such checkpoint", body = ErrorBody),
         (status = 409, description = "It is pinned, it is the newest whole one of its run, or this \
             is not its own name", body = ErrorBody),
+        (status = 503, description = "Others change the store; try again", body = ErrorBody),
     )
 )]
 pub(super) async fn delete(
@@ -97,6 +98,7 @@ pub(super) async fn delete(
         (status = 400, description = "Not a name", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
         (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
+        (status = 503, description = "Others change the store; try again", body = ErrorBody),
     )
 )]
 pub(super) async fn pin(
@@ -114,6 +116,7 @@ pub(super) async fn pin(
         (status = 400, description = "Not a name", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
         (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
+        (status = 503, description = "Others change the store; try again", body = ErrorBody),
     )
 )]
 pub(super) async fn unpin(
@@ -134,6 +137,7 @@ pub(super) async fn unpin(
         (status = 400, description = "Not a name or tag", body = ErrorBody),
         (status = 404, description = "No such checkpoint", body = ErrorBody),
         (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
+        (status = 503, description = "Others change the store; try again", body = ErrorBody),
         (status = 422, description = "A tag that cannot be given", body = ErrorBody),
     )
 )]
@@ -155,6 +159,7 @@ pub(super) async fn tag(
         (status = 400, description = "Not a name or tag", body = ErrorBody),
         (status = 404, description = "No such checkpoint, or it has no such tag", body = ErrorBody),
         (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
+        (status = 503, description = "Others change the store; try again", body = ErrorBody),
         (status = 422, description = "A tag that moves by itself", body = ErrorBody),
     )
 )]
@@ -185,7 +190,7 @@ async fn own<T: Send + 'static>(
     name: String,
     work: impl FnOnce(&CheckpointStore, &Name) -> Result<T, CheckpointError> + Send + 'static,
 ) -> Result<T, Problem> {
-    let done = context.with_checked(move |store, checked| {
+    let done = context.changing(move |store, checked| {
         let name: Name = name.parse()?;
         match work(store, &name) {
             Err(absent @ CheckpointError::Absent { .. }) => {

@@ -22,6 +22,10 @@ Every failure is `{\"error\": \"...\"}`, but for what is wrong with a request's 
 not listed here is answered with 404, a method that is not listed for its path with 405 and the \
 header `Allow`.";
 
+const TOKEN: &str = "\
+That in the file `http.token` of the run directory, or `.http.token` of the store that is served, \
+which only the service's user can read; or the one that the service was started with.";
+
 /// The document's head; the routes add themselves.
 #[derive(Debug, OpenApi)]
 #[openapi(
@@ -35,7 +39,7 @@ header `Allow`.";
         (name = "run", description = "The live run beside the service"),
         (name = "service", description = "The service itself"),
     ),
-    security((), ("token" = [])),
+    security(("token" = [])),
     modifiers(&TokenScheme),
 )]
 struct Head;
@@ -44,10 +48,8 @@ struct TokenScheme;
 
 impl Modify for TokenScheme {
     fn modify(&self, document: &mut Document) {
-        let scheme = HttpBuilder::new()
-            .scheme(HttpAuthScheme::Bearer)
-            .description(Some("Needed by services that were started with a token"))
-            .build();
+        let scheme =
+            HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some(TOKEN)).build();
         let components = document.components.get_or_insert_default();
         components.add_security_scheme("token", SecurityScheme::Http(scheme));
     }
@@ -77,12 +79,11 @@ pub(super) fn complete(document: &mut Document) {
         let operations = [&mut item.get, &mut item.put, &mut item.post, &mut item.delete];
         for operation in operations.into_iter().flatten() {
             if path != "/health" {
-                let needed = "The service has a token, and the request does not show it";
+                let needed = "The request does not show the token";
                 answer(operation, "401", problem(needed));
             }
-            let foreign = "The service has no token, and the request names another host than this \
-                           machine, or would change something for another web site";
-            answer(operation, "403", problem(foreign));
+            let host = "The request does not name one host";
+            answer(operation, "400", problem(host));
             let large = "The request's head is too large; the answer has no body";
             answer(operation, "431", ResponseBuilder::new().description(large).build());
         }

@@ -42,6 +42,11 @@ impl Intake {
         self.headers.get(CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
     }
 
+    /// Bytes of it that have come.
+    pub(super) fn taken(&self) -> u64 {
+        self.taken
+    }
+
     /// Refuses a body that is announced to be too large, before any of it is read.
     pub(super) fn check_announced(&self) -> Result<(), Problem> {
         match self.announced() {

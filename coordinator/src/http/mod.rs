@@ -18,9 +18,12 @@
 //! ```
 //!
 //! A [`Service`] owns one thread, on which a runtime serves all connections; work on disks goes to
-//! threads of that runtime's pool. Whoever may connect is decided in `access`, how long and
+//! threads of that runtime's pool. Whoever may ask is decided in `access`, how long and
 //! how much a client may take in `connections`, `pace` and `intake`. Every failure is a `Problem`,
 //! JSON with a status code.
+//!
+//! A run's service takes a free port and writes it into `run.lock`, where `octopus status` and `octopus scale`
+//! find it.
 
 mod access;
 mod archives;
@@ -34,19 +37,23 @@ mod files;
 mod intake;
 mod limits;
 mod metrics;
+mod own_token;
 mod pace;
 mod params;
 mod problem;
 mod ranges;
 mod requests;
+mod room;
 mod router;
 mod run;
+mod seats;
 mod service;
 mod token;
 mod uploads;
 
 pub use checkpoints::{CheckpointDetail, CheckpointList};
 pub use limits::Limits;
+pub use own_token::{OwnToken, STORE_TOKEN_FILE, TOKEN_FILE};
 pub use problem::ErrorBody;
 pub use run::{CommitAnswer, ScaleAnswer, ScaleRequest};
 pub use service::{Service, ServiceSpec};

@@ -75,6 +75,10 @@ impl From<CheckpointError> for Problem {
             CheckpointError::Refused { .. } | CheckpointError::Archive { .. } => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, error.to_string())
             }
+            CheckpointError::Locked { .. } => Self::busy(
+                "another program has been changing the store for too long; nothing was changed; try \
+                 again in a moment",
+            ),
             CheckpointError::Io { path, action, source } => {
                 let message = format!("{}: cannot {action}: {source}", shown(path));
                 match source.kind() {

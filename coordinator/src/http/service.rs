@@ -26,7 +26,9 @@ const DISK_TIME: Duration = Duration::from_secs(2);
 pub struct ServiceSpec {
     /// Where to listen; port 0 takes a free one.
     pub address: SocketAddr,
-    /// What clients must show; needed unless the address is loopback.
+    /// What clients must show,
+    pub own: Token,
+    /// or this, which its owner has chosen; needed unless the address is loopback.
     pub token: Option<Token>,
     /// The checkpoints to serve.
     pub store: CheckpointStore,
@@ -37,10 +39,11 @@ pub struct ServiceSpec {
 }
 
 impl ServiceSpec {
-    /// A service of `store` on a free port of loopback, without a token, beside no run.
-    pub fn new(store: CheckpointStore) -> Self {
+    /// A service of `store` on a free port of loopback, beside no run.
+    pub fn new(store: CheckpointStore, own: Token) -> Self {
         Self {
             address: SocketAddr::from(([127, 0, 0, 1], 0)),
+            own,
             token: None,
             store,
             live: None,
@@ -80,7 +83,12 @@ impl Service {
             .map_err(|error| failure(&listen, &error))?;
         let address = listener.local_addr().map_err(|error| failure(&listen, &error))?;
         let (stop, stopped) = oneshot::channel();
-        let context = Arc::new(Context::new(spec.store, spec.live, spec.token, spec.limits));
+        let context = Arc::new(Context::new(
+            spec.store,
+            spec.live,
+            spec.token.into_iter().chain([spec.own]).collect(),
+            spec.limits,
+        ));
         let thread = std::thread::Builder::new()
             .name("http".to_owned())
             .spawn(move || run(runtime, listener, context, stopped))

@@ -7,6 +7,8 @@ use std::path::Path;
 use proto::{ExitCode, ExitError};
 use subtle::ConstantTimeEq as _;
 
+use crate::regular;
+
 /// The environment variable that holds the token.
 pub const TOKEN_VARIABLE: &str = "SPACEOCTOPUS_TOKEN";
 /// Fewer characters can be guessed.
@@ -41,7 +43,7 @@ impl Token {
 
     /// Reads a token from a file.
     pub fn from_file(path: &Path) -> Result<Self, ExitError> {
-        let text = std::fs::read_to_string(path).map_err(|error| {
+        let text = regular::read_text(path, regular::TEXT).map_err(|error| {
             let message = format!("{}: the token cannot be read: {error}", path.display());
             ExitError::new(ExitCode::BadInput, message)
         })?;
@@ -81,6 +83,11 @@ impl Token {
     pub(super) fn matches(&self, offered: &[u8]) -> bool {
         let (own, other) = (blake3::hash(self.0.as_bytes()), blake3::hash(offered));
         own.as_bytes().ct_eq(other.as_bytes()).into()
+    }
+
+    /// The token itself.
+    pub(super) fn text(&self) -> &str {
+        &self.0
     }
 
     /// The value of a client's `Authorization` header.

@@ -19,10 +19,13 @@ use super::document::Bytes;
 use super::intake::Intake;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
+use super::room;
 use crate::checkpoint::{CheckpointError, Entry, Name};
 
 /// Buffer between the file and the reader of archives (bytes).
 const BUFFER: usize = 1 << 20;
+/// Bytes that are taken in between two looks at the room on the disk.
+const CHECKED: u64 = 8 << 20;
 
 /// Takes a checkpoint in, from an archive as `/archive` gives it. It appears whole or not at all.
 #[utoipa::path(put, path = "/v1/checkpoints/{name}", tag = "checkpoints",
@@ -38,7 +41,8 @@ const BUFFER: usize = 1 << 20;
         (status = 413, description = "Larger than the service takes", body = ErrorBody),
         (status = 422, description = "Not an archive of a checkpoint", body = ErrorBody),
         (status = 503, description = "Too many at once; try again", body = ErrorBody),
-        (status = 507, description = "No room left here", body = ErrorBody),
+        (status = 507, description = "Too little room would be left on the disk, or uploads take \
+            enough of it already", body = ErrorBody),
     )
 )]
 pub(super) async fn upload(
@@ -84,19 +88,34 @@ async fn receive(
         .try_acquire_owned()
         .map_err(|_| Problem::busy("too many uploads at once; try again in a moment"))?;
     let root = context.store.root().to_owned();
+    // The archive, and what is in it.
+    check_room(context, intake.announced().unwrap_or(0).saturating_mul(2)).await?;
     let failure = {
         let root = root.clone();
         move |source| Problem::from(CheckpointError::Io { path: root, action: "write", source })
     };
     let file = blocking(move || nameless(&root)).await?.map_err(failure.clone())?;
     let mut file = tokio::fs::File::from_std(file);
+    let mut unchecked = 0;
     while let Some(bytes) = intake.next().await? {
         file.write_all(&bytes).await.map_err(failure.clone())?;
+        unchecked += bytes.len() as u64;
+        if unchecked >= CHECKED {
+            unchecked = 0;
+            check_room(context, intake.taken()).await?;
+        }
     }
     file.flush().await.map_err(failure.clone())?;
+    check_room(context, intake.taken()).await?;
     let mut file = file.into_std().await;
     file.rewind().map_err(failure)?;
     Ok((name, file, place))
+}
+
+/// Refuses the upload if it needs more bytes than may be taken from the disk.
+async fn check_room(context: &Context, needed: u64) -> Result<(), Problem> {
+    let (root, reserve) = (context.store.root().to_owned(), context.limits.disk_reserve);
+    blocking(move || room::check(&root, needed, reserve)).await?
 }
 
 /// What is damaged here is what the client sent.

@@ -5,9 +5,10 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use proto::{ExitCode, ExitError};
 
 use super::Line;
-use crate::files;
+use crate::{files, regular};
 
 /// The open file.
 #[derive(Debug)]
@@ -21,12 +22,13 @@ impl CsvTable {
     /// Opens the file for appending after the rows of iterations before `keep`; the rest is cut
     /// off.
     pub fn open(path: &Path, keep: u64) -> anyhow::Result<Self> {
-        let old = match std::fs::read(path) {
+        let old = match regular::read(path, regular::RECORD) {
             // What a power cut has spoiled is no row and ends the kept ones.
             Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => {
-                return Err(error).with_context(|| format!("{}: cannot be read", path.display()));
+                let message = format!("{}: cannot be read: {error}", path.display());
+                return Err(ExitError::new(ExitCode::RunDirectory, message).into());
             }
         };
         let mut rows = old.split_inclusive('\n').filter(|row| row.ends_with('\n'));

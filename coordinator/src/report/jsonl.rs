@@ -5,10 +5,11 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::files;
+use crate::{files, regular};
 
 /// The open file.
 #[derive(Debug)]
@@ -55,11 +56,12 @@ impl JsonLines {
 /// All whole lines of a file, with their parsed form; none if there is no file. Reading ends at
 /// the first line that is no JSON, which is where a crash or a power cut spoiled the file.
 pub fn read(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
-    let bytes = match std::fs::read(path) {
+    let bytes = match regular::read(path, regular::RECORD) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => {
-            return Err(error).with_context(|| format!("{}: cannot be read", path.display()));
+            let message = format!("{}: cannot be read: {error}", path.display());
+            return Err(ExitError::new(ExitCode::RunDirectory, message).into());
         }
     };
     let parsed = bytes

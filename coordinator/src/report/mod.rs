@@ -66,34 +66,47 @@
 //! iterations that are trained on again must end with the same digests. TensorBoard's files are never
 //! rewritten: the new one begins with the mark that makes TensorBoard forget what follows it.
 //!
-//! Before a checkpoint is committed the lines of its iterations are made durable ([`Reporter::sync`]),
+//! Before a checkpoint is committed the lines of its iterations are made durable ([`Durability`]),
 //! so that they do not end before it after a power cut; a resume takes none that they do not reach
-//! ([`recorded`]).
+//! ([`recorded`]). A thread of its own writes them ([`recorder`]): the run goes on while a disk stands still.
 
+pub mod budgets;
 pub mod csv;
 pub mod curve;
+pub mod divergence;
+mod eta;
 pub mod evaluations;
 pub mod jsonl;
 mod line;
+mod margin;
 pub mod progress;
 pub mod promised;
+pub mod recorded;
+mod recorder;
 pub mod row;
 pub mod tensorboard;
 
 use anyhow::Context as _;
+pub use divergence::Diverged;
+pub use eta::Eta;
 pub use evaluations::Evaluated;
 pub use line::{Cell, Line};
 use proto::config::Config;
 use proto::message::IterationReport;
 use proto::run_dir::RunDir;
-use proto::{Digest, ExitCode, ExitError};
+use proto::{Digest, ExitError};
+pub use recorder::Durability;
 
+use self::budgets::Budgets;
 use self::csv::CsvTable;
+use self::divergence::{CURE, Change, Divergence};
 use self::evaluations::Evaluations;
 use self::jsonl::JsonLines;
 use self::progress::Progress;
 use self::promised::Promised;
+use self::recorder::{Files, Recorder};
 use self::tensorboard::EventWriter;
+use crate::printable::printable;
 
 /// What only the coordinator knows about the iteration that has just ended.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -113,19 +126,19 @@ pub struct Live {
 pub struct Reporter {
     run_dir: RunDir,
     config: Config,
-    lines: JsonLines,
-    evaluations: Evaluations,
-    table: CsvTable,
-    events: EventWriter,
+    recorder: Recorder,
     progress: Progress,
+    divergence: Divergence,
     /// What earlier sessions of the run took, as the last kept line says (s).
     wall_before_s: f64,
     promised: Promised,
+    budgets: Budgets,
 }
 
 impl Reporter {
     /// Opens the metrics files of `run_dir`. A run that continues at iteration `resume_from` keeps
-    /// the lines before it. With `quiet` nothing is shown but notes.
+    /// the lines before it; what the others were is promised of those to come, unless the run had
+    /// another [budget](budgets) then. With `quiet` nothing is shown but notes.
     pub fn create(
         run_dir: &RunDir,
         config: &Config,
@@ -133,12 +146,12 @@ impl Reporter {
         quiet: bool,
     ) -> anyhow::Result<Self> {
         let keep = resume_from.unwrap_or(0);
-        // Before the cut: a kill in between loses nothing.
         let mut promised = Promised::read(run_dir)?;
-        promised.add(digests_from(run_dir, keep)?)?;
-        let (lines, last) = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
+        let mut budgets = Budgets::read(run_dir)?;
+        let (lines, last) = cut(run_dir, config, keep, &mut promised, &mut budgets)?;
         let evaluations = Evaluations::open(run_dir, keep)?;
         let table = CsvTable::open(&run_dir.metrics_csv(), keep)?;
+        let divergence = Divergence::recorded(run_dir)?;
         let last = last.unwrap_or_default();
         let env_steps = last["env_steps"].as_u64().unwrap_or(0);
         let mut events = EventWriter::create(&run_dir.events())
@@ -149,13 +162,12 @@ impl Reporter {
         Ok(Self {
             run_dir: run_dir.clone(),
             config: config.clone(),
-            lines,
-            evaluations,
-            table,
-            events,
+            recorder: Recorder::start(Files { lines, evaluations, table, events })?,
             progress: Progress::new(config, env_steps, quiet),
+            divergence,
             wall_before_s: last["wall_s"].as_f64().unwrap_or(0.0),
             promised,
+            budgets,
         })
     }
 
@@ -165,72 +177,90 @@ impl Reporter {
         self.promised.check(iteration, digest)
     }
 
-    /// Forgets what iterations to come were before: the configuration has changed what they learn.
-    pub fn forget_promised(&mut self) -> anyhow::Result<()> {
-        self.promised.clear()
-    }
-
     /// Drops the lines of `iteration` and later, which are to be trained on again.
     pub fn rewind(&mut self, iteration: u64) -> anyhow::Result<()> {
-        self.promised.add(digests_from(&self.run_dir, iteration)?)?;
-        let (lines, last) = JsonLines::open(&self.run_dir.metrics_jsonl(), iteration)?;
-        self.lines = lines;
-        self.evaluations = Evaluations::open(&self.run_dir, iteration)?;
-        self.table = CsvTable::open(&self.run_dir.metrics_csv(), iteration)?;
-        let env_steps = last.and_then(|last| last["env_steps"].as_u64()).unwrap_or(0);
-        self.events.forget_after(env_steps)?;
+        // All lines are in the file, and no promise is being forgotten.
+        self.recorder.wait_for(|_| Ok(()))?;
+        let (promised, budgets) = (&mut self.promised, &mut self.budgets);
+        let (lines, last) = cut(&self.run_dir, &self.config, iteration, promised, budgets)?;
+        let run_dir = self.run_dir.clone();
+        self.recorder.wait_for(move |files| {
+            files.lines = lines;
+            files.evaluations = Evaluations::open(&run_dir, iteration)?;
+            files.table = CsvTable::open(&run_dir.metrics_csv(), iteration)?;
+            let env_steps = last.and_then(|last| last["env_steps"].as_u64()).unwrap_or(0);
+            files.events.forget_after(env_steps)
+        })?;
+        self.divergence = Divergence::recorded(&self.run_dir)?;
         Ok(())
     }
 
-    /// Records an iteration; returns its line.
+    /// Records an iteration; returns its line. It is written on another thread; what fails there is the
+    /// error of the next call.
     pub fn iteration(
         &mut self,
         report: &IterationReport,
         live: &Live,
     ) -> anyhow::Result<serde_json::Value> {
-        let live = Live { wall_s: live.wall_s + self.wall_before_s, ..*live };
+        let session_s = live.wall_s;
+        let live = Live { wall_s: session_s + self.wall_before_s, ..*live };
         let line = Line::new(report, &live);
-        self.lines.append(&line)?;
-        self.table.append(&line)?;
-        self.events.append(&line)?;
-        self.progress.iteration(&line);
-        if self.promised.is_passed(line.iteration + 1) {
-            // Only once the digests are safe in the lines again.
-            self.lines.sync()?;
-            self.promised.clear()?;
+        self.progress.iteration(&line, session_s);
+        self.watch(&line);
+        let value = serde_json::to_value(&line).context("a line of metrics has no JSON form")?;
+        let next = line.iteration + 1;
+        self.recorder.line(line)?;
+        if self.promised.is_passed(next) {
+            self.recorder.kept(self.promised.take())?;
         }
-        serde_json::to_value(&line).context("a line of metrics has no JSON form")
+        Ok(value)
+    }
+
+    /// Says so if the training diverges or has recovered.
+    fn watch(&mut self, line: &Line) {
+        match self.divergence.add(line.into()) {
+            Some(Change::Diverged) => {
+                if let Some(diverged) = self.divergence.found() {
+                    let text = format!("warning: {diverged}; {CURE}");
+                    self.progress.note(&text);
+                }
+            }
+            Some(Change::Recovered) => {
+                let text = format!("the training has recovered by iteration {}", line.iteration);
+                self.progress.note(&text);
+            }
+            None => {}
+        }
+    }
+
+    /// Where the training has diverged, unless it has recovered.
+    pub fn diverged(&self) -> Option<&Diverged> {
+        self.divergence.found()
     }
 
     /// Records an evaluation that was done `wall_s` after this session began.
     pub fn evaluation(&mut self, evaluated: &Evaluated, wall_s: f64) -> anyhow::Result<()> {
-        if self.evaluations.append(evaluated, wall_s + self.wall_before_s)? {
-            self.events.append_evaluation(evaluated)?;
-        }
-        Ok(())
+        self.recorder.evaluation(evaluated.clone(), wall_s + self.wall_before_s)
     }
 
     /// Says something that the owner should know: above the bar, or on a line of its own.
     pub fn note(&mut self, line: &str) {
-        self.progress.note(line);
+        self.progress.note(&printable(line));
     }
 
-    /// Makes all lines durable. Called before a checkpoint of their iterations is committed.
-    pub fn sync(&self) -> Result<(), ExitError> {
-        self.lines
-            .sync()
-            .and_then(|()| self.table.sync())
-            .and_then(|()| self.evaluations.sync())
-            .map_err(|error| ExitError::new(ExitCode::RunDirectory, format!("metrics: {error:#}")))
+    /// What waits until the lines of all iterations so far are durable. Whoever commits a checkpoint of
+    /// them does so first.
+    pub fn durability(&self) -> Durability {
+        self.recorder.durability()
     }
 
     /// Makes everything durable and draws the learning curve.
     pub fn finish(&mut self) -> anyhow::Result<()> {
         self.progress.finish();
-        self.lines.sync()?;
-        self.table.sync()?;
-        self.evaluations.sync()?;
-        self.events.sync()?;
+        self.recorder.wait_for(|files| {
+            files.sync()?;
+            files.events.sync()
+        })?;
         let points = curve::read_points(&self.run_dir.metrics_jsonl())?;
         if points.len() > 1 {
             curve::draw(&self.run_dir.curve(), &points, self.config.task.name)?;
@@ -239,11 +269,37 @@ impl Reporter {
     }
 }
 
-/// How many iterations the metrics of a run hold, counted from the first up to a gap.
-pub fn recorded(run_dir: &RunDir) -> anyhow::Result<u64> {
-    let lines = jsonl::read(&run_dir.metrics_jsonl())?;
-    let follow = |((_, line), index): &((_, serde_json::Value), u64)| line["iteration"] == *index;
-    Ok(lines.into_iter().zip(0..).take_while(follow).count() as u64)
+/// Cuts the lines of iteration `keep` and later off the metrics; what they say is promised of these
+/// iterations, if they are to be trained on again as they were.
+fn cut(
+    run_dir: &RunDir,
+    config: &Config,
+    keep: u64,
+    promised: &mut Promised,
+    budgets: &mut Budgets,
+) -> anyhow::Result<(JsonLines, Option<serde_json::Value>)> {
+    let repeat = budgets.repeat(config, keep);
+    if repeat {
+        // Before the cut: a kill in between loses nothing.
+        promised.add(digests_from(run_dir, keep)?)?;
+    }
+    let opened = JsonLines::open(&run_dir.metrics_jsonl(), keep)?;
+    if !repeat {
+        promised.clear()?;
+    }
+    // Only now: until then the next session finds another budget than this one's, and does it again.
+    match budgets.last() {
+        Some(last) if repeat => budgets.begin(last.from, config.run.env_steps)?,
+        Some(_) => budgets.begin(keep, config.run.env_steps)?,
+        None => budgets.begin(0, config.run.env_steps)?,
+    }
+    Ok(opened)
+}
+
+/// Drops all lines of a run that starts anew, and what they promise: what they were made with is not known.
+pub fn forget(run_dir: &RunDir) -> anyhow::Result<()> {
+    JsonLines::open(&run_dir.metrics_jsonl(), 0)?;
+    Promised::read(run_dir)?.clear()
 }
 
 /// Iterations from `keep` on that the metrics hold, and their digests.

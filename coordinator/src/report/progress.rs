@@ -4,10 +4,10 @@ use std::io::{IsTerminal as _, Write};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, WeakProgressBar};
+use indicatif::{ProgressBar, ProgressStyle, WeakProgressBar};
 use proto::config::{Config, TaskName};
 
-use super::Line;
+use super::{Eta, Line, eta, margin};
 
 /// The bar on the terminal, if there is one, so that log lines can step around it.
 static SHOWN: Mutex<Option<WeakProgressBar>> = Mutex::new(None);
@@ -22,6 +22,8 @@ pub struct Progress {
     task: TaskName,
     planned_iterations: u64,
     planned_steps: u64,
+    time_limit: Option<Duration>,
+    eta: Eta,
     last: Option<String>,
 }
 
@@ -40,16 +42,14 @@ impl Progress {
         let form = if quiet {
             Form::Nothing
         } else if std::io::stderr().is_terminal() {
-            let bar =
-                ProgressBar::with_draw_target(Some(planned_steps), ProgressDrawTarget::stderr());
+            let bar = ProgressBar::with_draw_target(Some(planned_steps), margin::stderr());
             let style = ProgressStyle::with_template(
-                "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  eta {eta}",
+                "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  {prefix}",
             )
             .expect("the template is valid")
             .progress_chars("━╸─");
             bar.set_style(style);
             bar.set_position(env_steps);
-            bar.reset_eta();
             bar.set_message("starting");
             bar.tick();
             *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
@@ -57,14 +57,28 @@ impl Progress {
         } else {
             Form::Plain { shown_at: None }
         };
-        Self { form, task: config.task.name, planned_iterations, planned_steps, last: None }
+        Self {
+            form,
+            task: config.task.name,
+            planned_iterations,
+            planned_steps,
+            time_limit: config.run.time_limit(),
+            eta: Eta::default(),
+            last: None,
+        }
     }
 
-    /// Shows an iteration that has ended.
-    pub fn iteration(&mut self, line: &Line) {
+    /// Shows an iteration that has ended, so many seconds after this session began.
+    pub fn iteration(&mut self, line: &Line, session_s: f64) {
+        self.eta.iteration(line.accounting.trained, line.env_steps_per_s);
+        let left = self.planned_steps.saturating_sub(line.env_steps);
+        let session = Duration::from_secs_f64(session_s.clamp(0.0, 1e9));
+        let limit = self.time_limit.map(|limit| limit.saturating_sub(session));
+        let eta = eta::shown(self.eta.estimate(left, limit));
         let text = describe(line, self.task, self.planned_iterations);
         match &mut self.form {
             Form::Bar(bar) => {
+                bar.set_prefix(eta);
                 bar.set_message(text);
                 bar.set_position(line.env_steps.min(self.planned_steps));
             }
@@ -72,10 +86,7 @@ impl Progress {
                 if shown_at.is_none_or(|at| at.elapsed() >= PLAIN_INTERVAL) {
                     *shown_at = Some(Instant::now());
                     self.last = None;
-                    let left = self.planned_steps.saturating_sub(line.env_steps) as f64;
-                    let eta =
-                        Duration::from_secs_f64((left / line.env_steps_per_s.max(1e-3)).min(1e9));
-                    write_line(&format!("{text}  eta {}", indicatif::HumanDuration(eta)));
+                    write_line(&format!("{text}  {eta}"));
                 } else {
                     self.last = Some(text);
                 }
@@ -121,7 +132,7 @@ impl Stages {
     /// A spinner on a terminal, a line a stage elsewhere.
     pub fn new() -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
-            let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+            let bar = ProgressBar::with_draw_target(None, margin::stderr());
             let style = ProgressStyle::with_template("{spinner:.cyan} {msg}  {elapsed}");
             bar.set_style(style.expect("the template is valid"));
             bar.enable_steady_tick(Duration::from_millis(250));
@@ -200,7 +211,7 @@ impl Parts {
     fn with_length(steps: Option<u64>) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
             let length = steps.unwrap_or(0);
-            let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
+            let bar = ProgressBar::with_draw_target(Some(length), margin::stderr());
             let style = ProgressStyle::with_template(
                 "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  eta {eta}",
             )
@@ -284,10 +295,12 @@ impl Write for LogWriter {
             .unwrap_or_else(PoisonError::into_inner)
             .as_ref()
             .and_then(WeakProgressBar::upgrade);
-        match bar {
-            Some(bar) => bar.suspend(|| std::io::stderr().write(bytes)),
-            None => std::io::stderr().write(bytes),
-        }
+        // A log that cannot be written, as on a terminal that is closed, is none to complain about there.
+        let _ = match bar {
+            Some(bar) => bar.suspend(|| std::io::stderr().write_all(bytes)),
+            None => std::io::stderr().write_all(bytes),
+        };
+        Ok(bytes.len())
     }
 
     fn flush(&mut self) -> std::io::Result<()> {

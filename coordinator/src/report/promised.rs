@@ -2,7 +2,8 @@
 //!
 //! A run that goes on from a checkpoint cuts the lines of later iterations off its metrics. Their
 //! digests are written here first, so that a second kill does not lose what the first one left to
-//! be compared. The file goes away when the run has passed the last of them.
+//! be compared. The file goes away when the run has passed the last of them. Its first line seals the
+//! others: a changed digit would otherwise show as bits that are none of this machine's.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -12,7 +13,8 @@ use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 
-use crate::files;
+use super::recorded::Recorded;
+use crate::{files, regular};
 
 /// A line of the file.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
@@ -20,6 +22,27 @@ use crate::files;
 struct Promise {
     iteration: u64,
     digest: Digest,
+}
+
+/// The first line of the file; files of earlier versions have none.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Seal {
+    lines: usize,
+    /// Of everything after this line.
+    blake3: String,
+}
+
+impl Seal {
+    fn of(lines: &str) -> Self {
+        let blake3 = blake3::hash(lines.as_bytes()).to_hex().to_string();
+        Self { lines: lines.lines().count(), blake3 }
+    }
+}
+
+/// A line of the file.
+fn line(content: &impl Serialize) -> String {
+    serde_json::to_string(content).expect("plain fields have a JSON form") + "\n"
 }
 
 /// The file and what it holds.
@@ -44,15 +67,27 @@ impl Promised {
                 ),
             )
         };
-        let text = match std::fs::read_to_string(&path) {
+        let text = match regular::read_text(&path, regular::RECORD) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => return Err(refuse(format!("cannot be read: {error}"))),
         };
+        let (first, rest) = text.split_once('\n').unwrap_or((text.as_str(), ""));
+        let (lines, before) = match serde_json::from_str::<Seal>(first) {
+            Ok(seal) if seal != Seal::of(rest) => {
+                return Err(refuse(format!(
+                    "was changed since it was written: its first line is the seal of {} other \
+                     lines, and not of these; put it back from a copy, or remove it",
+                    seal.lines
+                )));
+            }
+            Ok(_) => (rest, 1),
+            Err(_) => (text.as_str(), 0),
+        };
         let mut digests = BTreeMap::new();
-        for (index, line) in text.lines().enumerate() {
+        for (index, line) in lines.lines().enumerate() {
             let promise: Promise = serde_json::from_str(line)
-                .map_err(|error| refuse(format!("line {}: {error}", index + 1)))?;
+                .map_err(|error| refuse(format!("line {}: {error}", index + before + 1)))?;
             digests.insert(promise.iteration, promise.digest);
         }
         Ok(Self { path, digests })
@@ -71,13 +106,33 @@ impl Promised {
         if self.digests.len() == before {
             return Ok(());
         }
-        let mut text = Vec::new();
-        for (&iteration, &digest) in &self.digests {
-            serde_json::to_writer(&mut text, &Promise { iteration, digest })
-                .expect("plain fields have a JSON form");
-            text.push(b'\n');
+        let promise = |(&iteration, &digest)| line(&Promise { iteration, digest });
+        let lines: String = self.digests.iter().map(promise).collect();
+        files::replace(&self.path, (line(&Seal::of(&lines)) + &lines).as_bytes())
+    }
+
+    /// Refuses lines of the metrics whose digests are not the promised ones: every line was compared
+    /// when it was written.
+    pub fn agree(&self, recorded: &Recorded) -> Result<(), ExitError> {
+        for (iteration, digest) in recorded.from(0) {
+            if let Some(promised) = self.digests.get(&iteration)
+                && *promised != digest
+            {
+                return Err(ExitError::new(
+                    ExitCode::RunDirectory,
+                    format!(
+                        "{0}: line {1} has digest {digest}, {2} has {promised} for the same \
+                         iteration: one of the files was changed; put it back from a copy, or \
+                         remove {2}, and iterations that are trained on again are compared with \
+                         {0} alone",
+                        recorded.path().display(),
+                        iteration + 1,
+                        self.path.display()
+                    ),
+                ));
+            }
         }
-        files::replace(&self.path, &text)
+        Ok(())
     }
 
     /// Refuses a digest that is another than that of before.
@@ -87,8 +142,10 @@ impl Promised {
                 ExitCode::Failure,
                 format!(
                     "iteration {iteration} was trained on again and ended with digest {digest}, \
-                     before it was {before}: this machine, or this build, is not the one of before; \
-                     go on with that one, or remove {} to go on with other bits",
+                     before it was {before}: a file of the run was changed meanwhile (config.toml, \
+                     robot.toml, a digest in metrics.jsonl), or this machine or this build is not \
+                     the one of before; go on with what was there before, or remove {} to go on \
+                     with other bits",
                     self.path.display()
                 ),
             )),
@@ -99,6 +156,11 @@ impl Promised {
     /// Whether nothing from `iteration` on is promised, but something before it.
     pub fn is_passed(&self, iteration: u64) -> bool {
         self.digests.last_key_value().is_some_and(|(last, _)| *last < iteration)
+    }
+
+    /// Forgets everything but the file, which whoever gets this has to [clear](Self::clear).
+    pub fn take(&mut self) -> Self {
+        Self { path: self.path.clone(), digests: std::mem::take(&mut self.digests) }
     }
 
     /// Forgets everything, the file included.

@@ -1,11 +1,12 @@
 use std::fs;
 
-use proto::Digest;
-use proto::config::{Layers, Preset, TaskName};
+use proto::config::{Layers, Preset, Schedule, TaskName};
 use proto::message::{Errors, Losses};
+use proto::{Digest, ExitCode};
 use serde_json::Value;
 
 use super::curve::Point;
+use super::recorded::Recorded;
 use super::*;
 use crate::selection::{MeanErrors, Means};
 
@@ -131,6 +132,7 @@ fn evaluations_of_policies_that_are_trained_again_are_dropped() {
     // By plan, and once more at the end.
     reporter.evaluation(&evaluated(6), 0.5).expect("writes");
     reporter.evaluation(&evaluated(6), 0.75).expect("writes nothing");
+    reporter.durability().wait().expect("writes");
     let lines = jsonl::read(&run_dir.evaluations()).expect("readable");
     let of = |key: &str| lines.iter().map(|(_, line)| line[key].clone()).collect::<Vec<_>>();
     assert_eq!(of("iteration"), [2, 4, 6]);
@@ -171,44 +173,208 @@ fn what_was_cut_off_is_compared_even_after_a_second_kill() {
         reporter.check_promised(iteration, report(iteration).digest).expect("the same");
         reporter.iteration(&report(iteration), &live(1.0)).expect("writes");
     }
+    reporter.durability().wait().expect("writes");
     assert!(!run_dir.promised().exists(), "all is passed");
     reporter.check_promised(9, Digest([77; 16])).expect("nothing is known of it");
     assert_eq!(iterations(&run_dir), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
 }
 
 #[test]
-fn promises_that_cannot_be_read_are_an_error_and_forgotten_ones_are_gone() {
+fn promises_that_cannot_be_read_are_an_error() {
     let dir = tempfile::tempdir().expect("tempdir");
     let run_dir = RunDir::new(dir.path());
     killed(&run_dir, None, 0..4);
-    let mut reporter = Reporter::create(&run_dir, &config(), Some(2), true).expect("creates");
-    reporter.forget_promised().expect("forgets");
-    reporter.check_promised(3, Digest([77; 16])).expect("another budget, another course");
-    assert!(!run_dir.promised().exists());
-
-    fs::write(run_dir.promised(), "{\"iteration\":3,\"digest\":\"12\"}\n").expect("writable");
+    let line = "{\"iteration\":3,\"digest\":\"12\"}\n";
+    fs::write(run_dir.promised(), line).expect("writable");
     let error = Reporter::create(&run_dir, &config(), Some(2), true).expect_err("damaged");
     let error = format!("{error:#}");
     assert!(error.contains("promised.jsonl: line 1: ") && error.contains("without the file"));
+
+    // Of an earlier version, without a seal.
+    let line = format!("{{\"iteration\":3,\"digest\":\"{}\"}}\n", Digest([5; 16]));
+    fs::write(run_dir.promised(), line).expect("writable");
+    let reporter = Reporter::create(&run_dir, &config(), Some(2), true).expect("readable");
+    assert!(reporter.check_promised(3, Digest([6; 16])).is_err());
+    reporter.check_promised(3, Digest([5; 16])).expect("the promised one");
+}
+
+/// A changed digit once passed for other bits, of which the machine was blamed.
+#[test]
+fn a_promise_that_was_changed_is_no_promise() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    killed(&run_dir, None, 0..6);
+    drop(Reporter::create(&run_dir, &config(), Some(2), true).expect("creates"));
+    let whole = fs::read(run_dir.promised()).expect("promises");
+    let text = String::from_utf8(whole.clone()).expect("text");
+    assert_eq!(text.lines().count(), 1 + 4);
+    Promised::read(&run_dir).expect("as it was written");
+    let refused = |bytes: &[u8]| {
+        fs::write(run_dir.promised(), bytes).expect("writable");
+        Promised::read(&run_dir).expect_err("changed").to_string()
+    };
+    let digits = text.bytes().enumerate().filter(|(_, byte)| byte.is_ascii_digit());
+    for (place, byte) in digits {
+        let mut bytes = whole.clone();
+        bytes[place] = if byte == b'0' { b'1' } else { b'0' };
+        let error = refused(&bytes);
+        assert!(error.contains("promised.jsonl: ") && error.contains("the run goes on"), "{error}");
+    }
+    let lines: Vec<&str> = text.split_inclusive('\n').collect();
+    for parts in [&lines[..4], &[lines[0], lines[2], lines[3], lines[4]], &[lines[0]]] {
+        assert!(refused(parts.concat().as_bytes()).contains("was changed"), "{parts:?}");
+    }
 }
 
 #[test]
-fn iterations_count_as_recorded_up_to_a_gap() {
+fn lines_that_say_something_else_than_was_promised_are_named() {
     let dir = tempfile::tempdir().expect("tempdir");
     let run_dir = RunDir::new(dir.path());
-    assert_eq!(recorded(&run_dir).expect("readable"), 0);
+    killed(&run_dir, None, 0..6);
+    killed(&run_dir, Some(2), 2..4);
+    let agree = || {
+        let recorded = Recorded::read(&run_dir).expect("readable");
+        Promised::read(&run_dir).expect("readable").agree(&recorded)
+    };
+    agree().expect("what was written");
+    let text = fs::read_to_string(run_dir.metrics_jsonl()).expect("readable");
+    let other = Digest([99; 16]).to_string();
+    let edited = text.replace(&report(3).digest.to_string(), &other);
+    fs::write(run_dir.metrics_jsonl(), edited).expect("writable");
+    let error = agree().expect_err("changed");
+    assert_eq!(error.code, ExitCode::RunDirectory);
+    for word in ["metrics.jsonl: line 4 has digest", &other, "promised.jsonl", "was changed"] {
+        assert!(error.message.contains(word), "{word}: {error}");
+    }
+}
+
+/// The configuration of a run whose budget was changed.
+fn longer() -> Config {
+    let mut config = config();
+    config.run.env_steps *= 2;
+    config
+}
+
+/// A kill between the change of the budget and the end of its promises once made the next resume report
+/// a difference that was none.
+#[test]
+fn a_change_of_the_budget_may_be_cut_short_anywhere() {
+    let budget = |config: &Config| config.run.env_steps;
+    let resumed = |run_dir: &RunDir| {
+        let reporter = Reporter::create(run_dir, &longer(), Some(2), true).expect("creates");
+        for iteration in 2..8 {
+            reporter.check_promised(iteration, Digest([77; 16])).expect("another course");
+        }
+        assert!(!run_dir.promised().exists());
+        assert_eq!(iterations(run_dir), [0, 1]);
+        let last = Budgets::read(run_dir).expect("readable").last().expect("written");
+        assert_eq!((last.from, last.env_steps), (2, budget(&longer())));
+    };
+    // What is there before: lines of six iterations, and promises of three of these and two more.
+    let before = || {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let run_dir = RunDir::new(dir.path());
+        killed(&run_dir, None, 0..8);
+        killed(&run_dir, Some(3), 3..6);
+        assert_eq!(Budgets::read(&run_dir).expect("readable").last().map(|b| b.from), Some(0));
+        assert!(run_dir.promised().is_file());
+        (dir, run_dir)
+    };
+    let (_dir, run_dir) = before();
+    resumed(&run_dir);
+    // The lines are cut, the promises are there.
+    let (_dir, run_dir) = before();
+    JsonLines::open(&run_dir.metrics_jsonl(), 2).expect("cuts");
+    resumed(&run_dir);
+    // Nothing is left but to write the budget down.
+    let (_dir, run_dir) = before();
+    JsonLines::open(&run_dir.metrics_jsonl(), 2).expect("cuts");
+    fs::remove_file(run_dir.promised()).expect("removable");
+    resumed(&run_dir);
+    // All was done, and then the machine was lost.
+    resumed(&run_dir);
+    // Whoever takes the change back before it has begun has lost no promise.
+    let (_dir, run_dir) = before();
+    let reporter = Reporter::create(&run_dir, &config(), Some(2), true).expect("creates");
+    for iteration in 2..8 {
+        assert!(reporter.check_promised(iteration, Digest([77; 16])).is_err(), "{iteration}");
+    }
+}
+
+#[test]
+fn iterations_of_a_budget_before_promise_nothing_of_this_one() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    killed(&run_dir, None, 0..6);
+    let mut reporter = Reporter::create(&run_dir, &longer(), Some(4), true).expect("creates");
+    for iteration in 4..6 {
+        reporter.iteration(&report(iteration), &live(1.0)).expect("writes");
+    }
+    // The learner dies, and its checkpoint is there: the same again.
+    reporter.rewind(4).expect("rewinds");
+    assert!(reporter.check_promised(5, Digest([77; 16])).is_err());
+    // It is lost: what came after the older one came from another budget.
+    reporter.rewind(3).expect("rewinds");
+    for iteration in 3..6 {
+        reporter.check_promised(iteration, Digest([77; 16])).expect("another course");
+    }
+    let last = Budgets::read(&run_dir).expect("readable").last().expect("written");
+    assert_eq!((last.from, last.env_steps), (3, longer().run.env_steps));
+
+    // Where nothing falls over the budget, nothing changes with it.
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    killed(&run_dir, None, 0..6);
+    let mut constant = longer();
+    constant.optimizer.schedule = Schedule::Constant;
+    let reporter = Reporter::create(&run_dir, &constant, Some(4), true).expect("creates");
+    assert!(reporter.check_promised(5, Digest([77; 16])).is_err());
+
+    fs::write(dir.path().join("budgets.json"), "{}").expect("writable");
+    let error = Reporter::create(&run_dir, &constant, Some(4), true).expect_err("damaged");
+    assert!(format!("{error:#}").contains("budgets.json: cannot be understood"), "{error:#}");
+}
+
+#[test]
+fn lines_count_and_end_where_the_file_is_spoiled() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    let recorded = || Recorded::read(&run_dir).map(|recorded| recorded.iterations());
+    assert_eq!(recorded().expect("none"), 0);
     session(&run_dir, None, 0..5);
-    assert_eq!(recorded(&run_dir).expect("readable"), 5);
+    let whole = Recorded::read(&run_dir).expect("readable");
+    assert_eq!((whole.iterations(), whole.digest_after(0)), (5, None));
+    assert_eq!(whole.digest_after(5), Some(report(4).digest));
+    assert_eq!(whole.digest_after(6), None);
+
     let text = fs::read_to_string(run_dir.metrics_jsonl()).expect("readable");
     let lines: Vec<_> = text.split_inclusive('\n').collect();
     let write = |parts: &[&str]| fs::write(run_dir.metrics_jsonl(), parts.concat());
-    write(&[lines[0], lines[1], lines[3], lines[4]]).expect("writable");
-    assert_eq!(recorded(&run_dir).expect("readable"), 2, "a line is missing");
     write(&[lines[0], "\0\0\0\0\n", lines[1]]).expect("writable");
-    assert_eq!(recorded(&run_dir).expect("readable"), 1, "a block of zeros");
+    assert_eq!(recorded().expect("readable"), 1, "a block of zeros");
     let spoiled = [lines[0].as_bytes(), b"\"\xff\xfe\"\n", lines[1].as_bytes()].concat();
     fs::write(run_dir.metrics_jsonl(), spoiled).expect("writable");
-    assert_eq!(recorded(&run_dir).expect("readable"), 1, "no text");
+    assert_eq!(recorded().expect("readable"), 1, "no text");
+
+    // Twice the same lines once made a run of twice the lines.
+    let digest = report(1).digest.to_string();
+    let none = lines[1].replace(&digest, "x");
+    let nameless = lines[1].replace("\"digest\"", "\"digits\"");
+    for (parts, expected) in [
+        (&[&text[..], &text][..], "line 6: is of iteration 0, expected 5"),
+        (&[lines[0], lines[1], lines[3]], "line 3: is of iteration 3, expected 2"),
+        (&[lines[0], lines[0]], "line 2: is of iteration 0, expected 1"),
+        (&[lines[0], "{}\n"], "line 2: is of iteration null, expected 1"),
+        (&[lines[0], &none], "line 2: has the digest \"x\", which is none"),
+        (&[lines[0], &nameless], "line 2: has no digest"),
+    ] {
+        write(parts).expect("writable");
+        let error = recorded().expect_err(expected);
+        assert_eq!(error.code, ExitCode::RunDirectory);
+        for word in ["metrics.jsonl", expected, "put the file back", "octopus resume"] {
+            assert!(error.message.contains(word), "{word}: {error}");
+        }
+    }
 }
 
 #[test]
@@ -274,4 +440,38 @@ fn the_curve_of_a_long_run_stays_small() {
 #[test]
 fn thousands_are_set_apart() {
     assert_eq!([7, 1000, 1_664_000].map(progress::grouped), ["7", "1,000", "1,664,000"]);
+}
+
+#[test]
+fn lines_are_durable_when_a_checkpoint_may_be_committed_and_in_order() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    let mut reporter = Reporter::create(&run_dir, &config(), None, true).expect("creates");
+    let durability = reporter.durability();
+    for iteration in 0..200 {
+        reporter.iteration(&report(iteration), &live(1.0)).expect("hands over");
+        if iteration % 50 == 49 {
+            // On another thread, as a committer is.
+            let durability = durability.clone();
+            std::thread::spawn(move || durability.wait().expect("writes")).join().expect("waits");
+            assert_eq!(iterations(&run_dir), (0..=iteration).collect::<Vec<_>>());
+        }
+    }
+    reporter.finish().expect("finishes");
+}
+
+#[test]
+fn a_line_that_cannot_be_written_is_told_and_nothing_is_written_after_it() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    let reporter = Reporter::create(&run_dir, &config(), None, true).expect("creates");
+    let failing = reporter.recorder.wait_for(|_| Err(anyhow::anyhow!("no space left")));
+    assert!(failing.expect_err("fails").to_string().contains("no space left"));
+    let mut reporter = reporter;
+    let refused = reporter.iteration(&report(0), &live(1.0)).expect_err("nothing more is taken");
+    assert!(refused.to_string().contains("no space left"), "{refused}");
+    let refused = reporter.durability().wait().expect_err("nothing is durable");
+    assert!(refused.to_string().contains("no space left"), "{refused}");
+    drop(reporter);
+    assert_eq!(iterations(&run_dir), [0; 0]);
 }

@@ -4,7 +4,7 @@ use proto::ExitError;
 use proto::message::Order;
 
 use super::Session;
-use super::monitor::{self, Monitor};
+use super::monitor::Monitor;
 use crate::live::{Best, Command, LiveStatus};
 use crate::preflight;
 use crate::report::Reporter;
@@ -30,7 +30,7 @@ impl Session<'_> {
                                 if let Some(scheduler) = &mut self.scheduler {
                                     scheduler.retire(worker);
                                 }
-                                self.orders.send(&Order::Leave { worker, incarnation })?;
+                                self.orders.send(Order::Leave { worker, incarnation })?;
                             }
                             if workers != before {
                                 let s = if workers == 1 { "" } else { "s" };
@@ -87,8 +87,10 @@ impl Session<'_> {
             }))
             .collect();
         let planned_iterations = config.planned_iterations();
-        let left = planned_iterations.saturating_sub(self.reported);
-        let rate = self.monitor.env_steps_per_s;
+        let left = planned_iterations.saturating_sub(self.reported) * config.steps_per_iteration();
+        let limit =
+            config.run.time_limit().map(|limit| limit.saturating_sub(self.started.elapsed()));
+        let eta = self.monitor.eta.estimate(left, limit);
         LiveStatus {
             run_dir: self.spec.run_dir.path().to_owned(),
             state: state.to_owned(),
@@ -96,23 +98,26 @@ impl Session<'_> {
             iterations: self.reported,
             planned_iterations,
             env_steps: self.reported * config.steps_per_iteration(),
-            env_steps_per_s: rate,
+            env_steps_per_s: self.monitor.env_steps_per_s,
             wall_s: self.started.elapsed().as_secs_f64(),
-            eta_s: (rate > 0.0).then(|| (left * config.steps_per_iteration()) as f64 / rate),
+            eta_s: eta.map(|eta| eta.as_secs_f64().max(1.0)),
             workers: self.workers,
             max_workers: self.channels.sizes().max_workers,
             resident_bytes: processes.iter().map(|process| process.resident_bytes).sum(),
             processes,
             shards_open: scheduler.map_or(0, Scheduler::open),
             shards_in_flight: scheduler.map_or(0, Scheduler::in_flight),
+            orders_missed: self.monitor.orders_missed,
+            orders_overdue: self.monitor.orders_overdue,
             worker_restarts: supervisor.restarts(),
             learner_restarts: self.learner_restarts,
             stages: self.monitor.stages,
             accounting: self.books.totals,
-            shared_memory_bytes: monitor::shared_memory(&self.spec.domain),
+            shared_memory_bytes: self.spec.domain.size(),
             commits: self.monitor.commits,
             checkpoint: self.monitor.checkpoint.clone(),
             best: self.monitor.best.clone().map(|(name, score)| Best { name, score }),
+            divergence: self.monitor.divergence.clone(),
             last: self.monitor.last.clone(),
         }
     }

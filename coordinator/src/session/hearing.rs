@@ -1,10 +1,11 @@
 //! What the processes of a run and its committer say, and what follows from it.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use proto::message::{IterationReport, Order, Progress, Status};
 use proto::{ExitCode, ExitError};
 
+use super::mail::Addressee;
 use super::snapshots::{Evaluation, Phase};
 use super::{Session, StoppedBy};
 use crate::checkpoint::Name;
@@ -18,18 +19,22 @@ fn unwritten(error: &anyhow::Error) -> ExitError {
     ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be written: {error:#}"))
 }
 
+/// How long a learner that has said why it fails may take to end.
+const LAST_WORD: Duration = Duration::from_secs(2);
+
 impl Session<'_> {
     pub(super) fn hear_workers(
         &mut self,
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
-        let now = Instant::now();
+        let now = self.attention.now();
         while let Some(status) = self.status.try_receive()? {
             match status {
-                Status::Ready { worker, incarnation } => {
+                Status::Ready { worker, incarnation, orders } => {
+                    self.orders.introduce(Addressee::Worker(worker), orders);
                     if supervisor.is_leaving(worker, incarnation) {
-                        self.orders.send(&Order::Leave { worker, incarnation })?;
+                        self.orders.send(Order::Leave { worker, incarnation })?;
                     }
                     if !supervisor.is_current(worker, incarnation) {
                         continue;
@@ -85,16 +90,26 @@ impl Session<'_> {
 
     pub(super) fn hear_learner(
         &mut self,
-        supervisor: &Supervisor,
+        supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
-        let now = Instant::now();
+        let now = self.attention.now();
         while let Some(progress) = self.progress.try_receive()? {
             self.learner_heard = now;
             match progress {
-                Progress::Ready { iteration, digest, precision, .. } => {
+                Progress::Ready { iteration, digest, precision, orders, .. } => {
+                    self.orders.introduce(Addressee::Learner, orders);
                     tracing::info!(iteration, %digest, precision, "learner is ready");
-                    self.precision = Some(precision);
+                    if let Some((dir, expected)) = &self.base
+                        && *expected != digest
+                    {
+                        let reason = format!(
+                            "the learner found digest {digest} in its training state, not that of \
+                             its manifest, {expected}: one of the two was changed, or run.precision"
+                        );
+                        self.refused.insert(dir.clone(), reason);
+                        continue;
+                    }
                     self.learner_ready(iteration, now, reporter)?;
                 }
                 Progress::Heartbeat => {}
@@ -108,7 +123,8 @@ impl Session<'_> {
                     self.iteration_done(*report, supervisor, reporter)?;
                 }
                 Progress::Failed { message } => {
-                    return Err(ExitError::new(ExitCode::Child, format!("learner: {message}")));
+                    let code = supervisor.learner_exit_code(LAST_WORD);
+                    return Err(ExitError::new(code, format!("learner: {message}")));
                 }
                 other => tracing::warn!(?other, "progress of an unknown kind"),
             }
@@ -172,6 +188,8 @@ impl Session<'_> {
         let line = reporter.iteration(&report, &live).map_err(|error| unwritten(&error))?;
         self.monitor.iteration(&report);
         self.monitor.env_steps_per_s = live.env_steps_per_s;
+        self.monitor.eta.iteration(report.accounting.trained, live.env_steps_per_s);
+        self.monitor.divergence = reporter.diverged().cloned();
         self.monitor.last = line;
         self.reported = iteration + 1;
         self.learner_deaths = Deaths::default();
@@ -184,7 +202,7 @@ impl Session<'_> {
 
     pub(super) fn collect_pieces(
         &mut self,
-        supervisor: &Supervisor,
+        supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
         while let Some(piece) = self.pieces.try_receive()? {
@@ -192,9 +210,8 @@ impl Session<'_> {
                 continue;
             };
             // No checkpoint without the lines of its iterations: the learner reported them before
-            // it sent the snapshot, and they are durable before that is.
+            // it sent the snapshot, and the committer waits until they are durable.
             self.hear_learner(supervisor, reporter)?;
-            reporter.sync()?;
             let phase = match self.finishing {
                 None => Phase::Training,
                 Some(_) => {
@@ -204,7 +221,7 @@ impl Session<'_> {
             let Evaluation { play, drop } = self.snapshots.arrived(snapshot, phase);
             if let Some(scheduler) = &mut self.scheduler {
                 for chunk in drop {
-                    scheduler.evaluation_done(chunk, Instant::now());
+                    scheduler.evaluation_done(chunk, self.attention.now());
                 }
                 scheduler.evaluate(play);
             }
@@ -237,6 +254,7 @@ impl Session<'_> {
                     // What was committed before is whole, and there may be room again next time.
                     reporter.note(&format!("warning: {message}; the training goes on without it"));
                 }
+                Committed::Unrecorded { error, .. } => return Err(unwritten(&error)),
                 Committed::ScoreFailed { iteration, error } => reporter.note(&format!(
                     "warning: the score of checkpoint {iteration} was not written: {error}"
                 )),

@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use proto::channel::Domain;
 use proto::message::{IterationReport, WorkerId};
 
 use crate::live::{ProcessStatus, Role, Stages};
+use crate::report::{Diverged, Eta};
 use crate::supervisor::ProcessView;
 
 /// Time between two looks.
@@ -21,6 +21,10 @@ pub(super) struct Monitor {
     pub(super) best: Option<(String, f64)>,
     pub(super) last: serde_json::Value,
     pub(super) env_steps_per_s: f64,
+    pub(super) eta: Eta,
+    pub(super) divergence: Option<Diverged>,
+    pub(super) orders_missed: u64,
+    pub(super) orders_overdue: u64,
     workers: std::collections::BTreeMap<WorkerId, (u64, Duration)>,
 }
 
@@ -34,6 +38,10 @@ impl Monitor {
             best: None,
             last: serde_json::Value::Null,
             env_steps_per_s: 0.0,
+            eta: Eta::default(),
+            divergence: None,
+            orders_missed: 0,
+            orders_overdue: 0,
             workers: std::collections::BTreeMap::new(),
         }
     }
@@ -136,15 +144,4 @@ fn usage(pid: u32) -> Usage {
     };
     let ticks = read("stat").ok().and_then(ticks).unwrap_or(0);
     Usage { resident_bytes, cpu_s: ticks as f64 / rustix::param::clock_ticks_per_second() as f64 }
-}
-
-/// Memory that the run's files in /dev/shm take (bytes).
-pub(super) fn shared_memory(domain: &Domain) -> u64 {
-    use std::os::unix::fs::MetadataExt as _;
-    let Ok(entries) = std::fs::read_dir("/dev/shm") else { return 0 };
-    entries
-        .flatten()
-        .filter(|entry| entry.file_name().to_string_lossy().starts_with(domain.as_str()))
-        .filter_map(|entry| Some(entry.metadata().ok()?.blocks() * 512))
-        .sum()
 }

@@ -5,14 +5,23 @@
 //! * The learner dies: everything since the last checkpoint is gone with it. All children are
 //!   started anew from that checkpoint, the metrics are wound back, and every iteration that is
 //!   trained on again must end with the digest that it had.
+//! * The learner cannot start from a checkpoint, or finds another state there than the manifest says:
+//!   the run goes on from the one before.
 //! * A block cannot be made: see [`failures`](super::failures).
+//!
+//! **After the learner's death everything starts anew from the last checkpoint**, workers too. They hold orders
+//! and policies of a future that is undone; a worker starts in 30 ms, and one way back is simpler to trust than
+//! two. **Death by a signal from outside is no evidence** against the block at hand; a crash, an exit code or a
+//! hang is. So any number of kills is survived, and a block that kills its worker by itself is found at the third
+//! time.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use proto::{ExitCode, ExitError};
 
 use super::Session;
-use crate::checkpoint::CheckpointError;
+use crate::base;
+use crate::checkpoint::Checkpoint;
 use crate::report::Reporter;
 use crate::supervisor::{Cause, Death, Supervisor, log_tail};
 
@@ -33,6 +42,7 @@ impl Session<'_> {
     ) -> Result<(), ExitError> {
         let deaths = supervisor.reap();
         if !deaths.is_empty() {
+            self.headroom.release();
             // Once for all of them: it waits where one has died in the middle of something.
             self.channels.clean_up_after_the_dead();
         }
@@ -66,9 +76,8 @@ impl Session<'_> {
                         "worker {worker} died ({cause}); {} open shards are ordered again",
                         estate.undelivered.len()
                     ));
-                    // Who was killed from outside says nothing about the block it was making.
                     if let Some(address) = estate.at_hand
-                        && !matches!(cause, Cause::Killed(_))
+                        && cause.blames_its_work()
                     {
                         let message = format!("its worker died ({cause})");
                         self.failures.failed(address, &message, None)?;
@@ -90,12 +99,27 @@ impl Session<'_> {
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
+        if self.stopped_by.is_some() {
+            return Err(self.died_while_stopping(cause));
+        }
+        let log = self.spec.run_dir.logs().join("learner.log");
+        let is_up = self.scheduler.is_some();
+        // With this code, and before it is ready, it says that the training state is none for it.
+        if let Some((dir, _)) = &self.base
+            && !is_up
+            && matches!(cause, Cause::Crash(_))
+            && cause.exit_code() == ExitCode::RunDirectory
+        {
+            let reason = format!("the learner refuses it: {}", log_tail(&log, 1));
+            self.refused.insert(dir.clone(), reason);
+            return self.leave_base(supervisor, reporter);
+        }
         self.learner_deaths.count(cause);
         // One that cannot even come up will not come up the next time.
-        let is_hopeless = self.scheduler.is_none() && matches!(cause, Cause::Crash(_));
+        let is_hopeless = !is_up && matches!(cause, Cause::Crash(_) | Cause::SharedMemoryFull);
         if is_hopeless || self.learner_deaths.are_too_many(MAX_LEARNER_CRASHES, MAX_LEARNER_KILLS) {
-            let log = self.spec.run_dir.logs().join("learner.log");
-            let cure = if self.store.latest_until(self.reported).is_ok() {
+            // What has never come up does not do so for being asked again.
+            let cure = if !is_hopeless && self.find_base().is_ok_and(|(base, _)| base.is_some()) {
                 let run_dir = self.spec.run_dir.path().display();
                 format!("\n`octopus resume {run_dir}` goes on from the last checkpoint")
             } else {
@@ -108,6 +132,37 @@ impl Session<'_> {
             );
             return Err(ExitError::new(cause.exit_code(), message));
         }
+        self.learner_restarts += 1;
+        self.go_back(&format!("the learner died ({cause})"), supervisor, reporter)
+    }
+
+    /// Leaves the checkpoint that the learner was started from for the one before, if it is none to
+    /// start from.
+    pub(super) fn leave_base(
+        &mut self,
+        supervisor: &mut Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
+        let refused = self.base.as_ref().and_then(|(dir, _)| self.refused.get(dir));
+        if refused.is_none() {
+            return Ok(());
+        }
+        self.go_back("the learner cannot start from that checkpoint", supervisor, reporter)
+    }
+
+    /// The checkpoint to go on from, and what is to be said about those that are none.
+    fn find_base(&self) -> Result<(Option<Checkpoint>, Vec<String>), ExitError> {
+        let run_dir = &self.spec.run_dir;
+        base::find(&self.store, run_dir, &self.refused)?.settle(run_dir)
+    }
+
+    /// Starts everything anew from the last checkpoint. `why` is told to the owner.
+    fn go_back(
+        &mut self,
+        why: &str,
+        supervisor: &mut Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
         // Workers hold orders and policies of the future that is now undone.
         supervisor.kill_all();
         self.snapshots.learner_gone();
@@ -122,29 +177,40 @@ impl Session<'_> {
         self.books.all_lost(received as u64 * self.steps_per_block);
         self.early.clear();
         self.heard.clear();
+        self.orders.forget_all();
         self.finishing = None;
 
-        // A newer one is of a future that the metrics have lost, see `octopus resume`.
-        let from = match self.store.latest_until(self.reported) {
-            Ok(checkpoint) => Some(checkpoint),
-            Err(CheckpointError::NotFound { .. }) => None,
-            Err(error) => return Err(ExitError::new(ExitCode::RunDirectory, error.to_string())),
-        };
+        let (from, said) = self.find_base()?;
+        for sentence in said {
+            reporter.note(&format!("warning: {sentence}"));
+        }
         let iteration = from.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
-        reporter.note(&format!(
-            "the learner died ({cause}); going on from iteration {iteration} of {}",
-            self.reported
-        ));
+        reporter.note(&format!("{why}; going on from iteration {iteration} of {}", self.reported));
         reporter.rewind(iteration).map_err(|error| {
             ExitError::new(ExitCode::RunDirectory, format!("metrics cannot be rewound: {error:#}"))
         })?;
-        self.learner_restarts += 1;
         self.snapshots.go_on_from(iteration);
         self.start_children(from.as_ref(), supervisor)
     }
 
+    /// The end of a run that somebody or its time limit has stopped: there is no time to train again
+    /// what the learner has taken with it, and that must not look like a stop in order.
+    fn died_while_stopping(&mut self, cause: Cause) -> ExitError {
+        self.snapshots.learner_gone();
+        let base = self.find_base().ok().and_then(|(base, _)| base);
+        let kept = base.map_or(0, |base| base.manifest.iteration);
+        let message = format!(
+            "the learner died ({cause}) while the run was stopping; the last checkpoint is of \
+             iteration {kept} of {}; `octopus resume {}` trains the others again",
+            self.reported,
+            self.spec.run_dir.path().display()
+        );
+        ExitError::new(cause.exit_code(), message)
+    }
+
     /// Kills who has not been heard for too long.
     pub(super) fn check_deadlines(&mut self, supervisor: &mut Supervisor, reporter: &mut Reporter) {
+        let now = self.attention.now();
         let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
         let start_deadline = deadline.max(START_DEADLINE);
         // When it was heard last, or started, and how long it may be silent.
@@ -155,7 +221,8 @@ impl Session<'_> {
                     Some(&heard) => (heard, deadline),
                     None => (started, start_deadline),
                 };
-                (since.elapsed() > deadline).then_some((worker, deadline.as_secs_f64()))
+                (now.saturating_duration_since(since) > deadline)
+                    .then_some((worker, deadline.as_secs_f64()))
             })
             .collect();
         for (worker, seconds) in silent {
@@ -166,10 +233,10 @@ impl Session<'_> {
             }
         }
         let deadline = if self.scheduler.is_some() { deadline } else { start_deadline };
-        if self.learner_heard.elapsed() > deadline {
+        if now.saturating_duration_since(self.learner_heard) > deadline {
             let seconds = deadline.as_secs_f64();
             reporter.note(&format!("the learner has been silent for {seconds} s and is replaced"));
-            self.learner_heard = Instant::now();
+            self.learner_heard = now;
             supervisor.kill_learner();
         }
     }

@@ -3,6 +3,11 @@
 //! The learner sends a snapshot when the plan of the run says so, and when it is asked. It arrives in
 //! pieces, and is committed, or its policy is evaluated, or both. One whose policy turns out to be the
 //! best so far is committed with its score, whether or not it was to be committed anyway.
+//!
+//! **Snapshots travel in pieces** of 4 MiB instead of one sample: shared memory stays small, and the size of a
+//! training state is no channel constant. **A disk that is slower than the training costs checkpoints, not
+//! memory.** While one snapshot is written, the newest other one waits, and the best; what they displace is
+//! reported.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -57,32 +62,44 @@ pub(super) struct Snapshots {
     committer: Committer,
     store: CheckpointStore,
     wish: Wish,
+    /// What is wanted beyond the wish that the learner has been told: a checkpoint after at least so
+    /// many iterations.
+    next_wish: Option<u64>,
     askers: Vec<(u64, Asker)>,
     /// Iterations of the newest committed checkpoint, and its directory.
     committed: Option<(u64, PathBuf)>,
-    /// When a snapshot was last handed over for a commit.
-    handed_over: Instant,
+    /// When a snapshot was last handed over for a commit, and its iterations.
+    handed_over: (Instant, u64),
 }
 
 impl Snapshots {
-    /// Of a run with this configuration and robot; `provenance` goes into every manifest.
+    /// Of a run with this configuration and robot; `provenance` goes into every manifest. `record` makes
+    /// the metrics of a snapshot's iterations durable, see [`Committer::start`].
     pub(super) fn new(
         config: &Config,
         robot_toml: String,
         provenance: serde_json::Value,
         store: CheckpointStore,
+        record: impl Fn() -> anyhow::Result<()> + Send + 'static,
     ) -> Self {
         Self {
             run: config.run.clone(),
             steps_per_iteration: config.steps_per_iteration(),
             assembly: Assembly::new(),
             selection: Selection::new(config, best_score(&store)),
-            committer: Committer::start(store.clone(), config.clone(), robot_toml, provenance),
+            committer: Committer::start(
+                store.clone(),
+                config.clone(),
+                robot_toml,
+                provenance,
+                record,
+            ),
             store,
             wish: Wish::None,
+            next_wish: None,
             askers: Vec::new(),
             committed: None,
-            handed_over: Instant::now(),
+            handed_over: (Instant::now(), 0),
         }
     }
 
@@ -102,14 +119,23 @@ impl Snapshots {
     /// Training goes on from `iteration`, and whoever still waits for a checkpoint gets a new one.
     pub(super) fn go_on_from(&mut self, iteration: u64) {
         self.wish = if self.askers.is_empty() { Wish::None } else { Wish::Untold(iteration) };
+        self.next_wish = None;
         for (asked, _) in &mut self.askers {
             *asked = iteration.min(*asked);
         }
     }
 
-    /// Wants a checkpoint after at least `iterations`.
+    /// Wants a checkpoint after at least `iterations`. The learner is told of one wish at a time: what
+    /// many want is one snapshot.
     pub(super) fn ask(&mut self, iterations: u64) {
-        self.wish = Wish::Untold(iterations);
+        match self.wish {
+            Wish::None => self.wish = Wish::Untold(iterations),
+            Wish::Untold(wanted) => self.wish = Wish::Untold(wanted.max(iterations)),
+            Wish::Told(wanted) if iterations > wanted => {
+                self.next_wish = self.next_wish.max(Some(iterations));
+            }
+            Wish::Told(_) => {}
+        }
     }
 
     /// Wants a checkpoint after at least `iterations`, for somebody.
@@ -123,7 +149,20 @@ impl Snapshots {
             return;
         }
         self.askers.push((iterations, asker));
-        self.ask(iterations);
+        let (_, under_way) = self.handed_over;
+        if !(self.committer.is_busy() && under_way >= iterations) {
+            self.ask(iterations);
+        }
+    }
+
+    /// Whether the learner was asked for a snapshot that has not come yet.
+    pub(super) fn is_awaited(&self) -> bool {
+        matches!(self.wish, Wish::Told(_))
+    }
+
+    /// Lets the committer be, whatever it waits for: the run ends at once.
+    pub(super) fn abandon(&mut self) {
+        self.committer.abandon();
     }
 
     /// Whether the learner must be asked for a snapshot now; true once for every wish.
@@ -139,7 +178,7 @@ impl Snapshots {
         if every > 0.0
             && self.wish == Wish::None
             && !self.committer.is_busy()
-            && self.handed_over.elapsed() > Duration::from_secs_f64(every)
+            && self.handed_over.0.elapsed() > Duration::from_secs_f64(every)
         {
             self.ask(iterations);
         }
@@ -173,11 +212,12 @@ impl Snapshots {
         let iteration = snapshot.iteration;
         let commits = self.commits(&snapshot);
         if self.is_wished(iteration) {
-            self.wish = Wish::None;
+            let next = self.next_wish.take().filter(|&next| next > iteration);
+            self.wish = next.map_or(Wish::None, Wish::Untold);
         }
         let snapshot = Arc::new(snapshot);
         if commits {
-            self.handed_over = Instant::now();
+            self.handed_over = (Instant::now(), iteration);
             self.committer.commit(Arc::clone(&snapshot), None);
         }
         let is_due = match phase {
@@ -236,6 +276,11 @@ impl Snapshots {
                         let _ = asker.send(Err(error.to_string()));
                     }
                     self.selection.set_best(best_score(&self.store));
+                }
+                Committed::Unrecorded { error, .. } => {
+                    for (_, asker) in self.askers.drain(..) {
+                        let _ = asker.send(Err(format!("metrics: {error:#}")));
+                    }
                 }
                 Committed::ScoreFailed { .. } => {
                     self.selection.set_best(best_score(&self.store));

@@ -3,10 +3,10 @@
 
 use std::f64::consts::TAU;
 
-use sim_worker::collision::{ContactKind, Touching, touching};
-use sim_worker::dynamics::Workspace;
-use sim_worker::robot::{ArmBody, JOINTS_PER_ARM, Model, Robot};
-use sim_worker::state::State;
+use simulator::collision::{ContactKind, Touching, touching};
+use simulator::dynamics::Workspace;
+use simulator::robot::{ArmBody, JOINTS_PER_ARM, Model, Robot};
+use simulator::state::State;
 
 use super::Fault;
 

@@ -1,5 +1,6 @@
 //! How fast libtorch multiplies matrices: what an update could reach if it did nothing else.
 
+use std::sync::Barrier;
 use std::time::{Duration, Instant};
 
 use proto::config::Config;
@@ -91,13 +92,15 @@ fn operands(
     }
 }
 
-/// Products per second and group of agents, `groups` of them side by side, summed up.
+/// Products per second of all `groups` of agents, which multiply side by side. Counted are those of all groups over the time
+/// until the last one has ended: rates of each alone, summed up, would be more than the machine can do where they took turns.
 fn products_per_s(
     groups: usize,
     threads: usize,
     time: Duration,
     operands: &(dyn Fn() -> [Tensor; 3] + Sync),
 ) -> f64 {
+    let together = Barrier::new(groups);
     let one_group = || {
         tch::set_num_threads(i32::try_from(threads.max(1)).unwrap_or(i32::MAX));
         let [a, b, out] = operands();
@@ -105,6 +108,7 @@ fn products_per_s(
             let _ = a.bmm_out(&out, &b);
         };
         multiply();
+        together.wait();
         let start = Instant::now();
         let mut products = 0;
         while products == 0 || start.elapsed() < time {
@@ -113,13 +117,37 @@ fn products_per_s(
         }
         // Waits for a GPU, too.
         let _ = out.get(0).get(0).get(0).to_kind(Kind::Float).double_value(&[]);
-        f64::from(products) / start.elapsed().as_secs_f64()
+        (products, [start, Instant::now()])
     };
     std::thread::scope(|scope| {
         let handles: Vec<_> = (0..groups).map(|_| scope.spawn(one_group)).collect();
-        handles
+        let done: Vec<(u32, [Instant; 2])> = handles
             .into_iter()
             .map(|handle| handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            .sum()
+            .collect();
+        rate(&done)
     })
+}
+
+/// Products per second over the time from the first beginning to the last end; each group does the whole number of its own.
+fn rate(groups: &[(u32, [Instant; 2])]) -> f64 {
+    let products: u32 = groups.iter().map(|(products, _)| products).sum();
+    let begin = groups.iter().map(|(_, [begin, _])| *begin).min();
+    let end = groups.iter().map(|(_, [_, end])| *end).max();
+    let elapsed = begin.zip(end).map_or(Duration::ZERO, |(begin, end)| end - begin);
+    f64::from(products) / elapsed.as_secs_f64()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_that_took_turns_did_not_work_at_the_same_time() {
+        let start = Instant::now();
+        let at = |seconds| start + Duration::from_secs(seconds);
+        // Side by side ten a second; one after the other, on one processor, half of that.
+        assert_eq!(rate(&[(10, [at(0), at(2)]), (10, [at(0), at(2)])]), 10.0);
+        assert_eq!(rate(&[(10, [at(0), at(2)]), (10, [at(2), at(4)])]), 5.0);
+    }
 }

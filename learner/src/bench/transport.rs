@@ -117,6 +117,7 @@ pub(super) fn receive(arguments: &ReceiveArguments) -> Result<Value, ExitError> 
     let blocks = latencies.len();
     latencies.sort_by(f64::total_cmp);
     Ok(json!({
+        "min_us": percentile(&latencies, 0.0),
         "p50_us": percentile(&latencies, 0.5),
         "p99_us": percentile(&latencies, 0.99),
         "max_us": percentile(&latencies, 1.0),

@@ -33,7 +33,7 @@ pub(super) fn measure(arguments: &Arguments) -> Result<Value, ExitError> {
     let seconds = arguments.common.seconds;
     let mut figures = updates(&config, &dimensions, device, seconds)?;
     if arguments.product {
-        let arithmetic = Arithmetic::choose(config.run.precision, None, device);
+        let arithmetic = Arithmetic::of(config.run.precision)?;
         let rate = product::best_rate(&config, &dimensions, arithmetic.kind(), device, seconds);
         figures["product_gflop_per_s"] = json!(rate);
     }
@@ -46,7 +46,7 @@ fn updates(
     device: Device,
     seconds: f64,
 ) -> Result<Value, LearnerError> {
-    let arithmetic = Arithmetic::choose(config.run.precision, None, device);
+    let arithmetic = Arithmetic::of(config.run.precision)?;
     let blocks = synthetic::blocks(dimensions, config.run.seed);
     let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
     let mut state = TrainingState::initial(config, dimensions, arithmetic, device);
@@ -54,14 +54,17 @@ fn updates(
     // The first one also makes buffers.
     algorithm.update(&mut state, &shards)?;
     let start = Instant::now();
-    let mut updates = 0;
+    let (mut updates, mut shortest) = (0, f64::INFINITY);
     while updates == 0 || start.elapsed().as_secs_f64() < seconds {
+        let begun = Instant::now();
         algorithm.update(&mut state, &shards)?;
+        shortest = shortest.min(begun.elapsed().as_secs_f64());
         updates += 1;
     }
-    let steps = f64::from(updates) * config.steps_per_iteration() as f64;
+    let steps = config.steps_per_iteration() as f64;
     Ok(json!({
-        "env_steps_per_s": steps / start.elapsed().as_secs_f64(),
+        "env_steps_per_s": f64::from(updates) * steps / start.elapsed().as_secs_f64(),
+        "best_env_steps_per_s": steps / shortest,
         "updates": updates,
         "precision": arithmetic.as_str(),
         "mflop_per_env_step": flops::per_env_step(config, dimensions) * 1e-6,

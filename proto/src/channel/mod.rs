@@ -2,29 +2,36 @@
 //!
 //! | channel | from → to | payload | when the receiver is full |
 //! |---|---|---|---|
-//! | orders | coordinator → workers, learner | [`Order`] | dropped; the coordinator's deadline re-sends |
+//! | orders | coordinator → workers, learner | [`Order`] | dropped; the coordinator is told, and sends it again |
 //! | policy | learner → workers | actor parameters | newest wins, two kept for late workers |
-//! | rollouts | workers → learner | a block | the worker waits, up to a deadline |
-//! | progress | learner → coordinator | [`Progress`] | the learner waits, up to a deadline |
+//! | rollouts | workers → learner | a block | the worker waits |
+//! | progress | learner → coordinator | [`Progress`] | the learner waits |
 //! | status | workers → coordinator | [`Status`] | newest wins |
-//! | snapshot | learner → coordinator | pieces of a training state | the learner waits, up to a deadline |
+//! | snapshot | learner → coordinator | pieces of a training state | the learner tries again later |
 //!
-//! Every send rings the receiver's bell (an iceoryx2 event), so nobody polls.
+//! Every send rings the receiver's bell (an iceoryx2 event), so nobody polls. Who waits for room waits
+//! for as long as its parent lives ([`WHILE_THE_PARENT_LIVES`]): a coordinator that stands still, because
+//! it was stopped or its disk is, comes back, and with one that is dead the kernel ends its children.
 //!
 //! The coordinator [creates](Channels::create) all services, everybody else [opens](Channels::open)
-//! them. All resources carry the [`Domain`]'s name, so several users and runs share a machine
-//! without seeing each other, and what a killed run left behind can be removed by name.
+//! them. Everything lies in a private directory of shared memory with the [`Domain`]'s name, so several
+//! users and runs share a machine without seeing each other, and what a killed run left behind can be
+//! removed by name.
 
 mod domain;
+mod line;
 mod ports;
+mod segment;
 mod sizes;
+mod transport;
 
-pub use domain::Domain;
+pub use domain::{Domain, SHARED_MEMORY};
 pub use ports::{
     ArrayReceiver, ArraySample, ArraySampleMut, ArraySender, Bell, BellListener, Channels,
-    MessageReceiver, MessageSender, PieceReceiver, PieceSample, PieceSender, Role,
+    MessageReceiver, MessageSender, OrderSender, PieceReceiver, PieceSample, PieceSender, Role,
+    WHILE_THE_PARENT_LIVES,
 };
-pub use sizes::{ChannelSizes, PIECE_LEN};
+pub use sizes::{ChannelSizes, ORDERS_PER_WORKER, PIECE_LEN};
 
 #[cfg(doc)]
 use crate::message::{Order, Progress, Status};

@@ -2,6 +2,8 @@
 
 use std::fmt::Debug;
 use std::marker::PhantomData;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use iceoryx2::port::listener::Listener;
@@ -9,25 +11,29 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::port::{BackpressureAction, SendError};
+use iceoryx2::port::{BackpressureAction, BackpressureFn, BackpressureInfo, SendError};
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use serde::{Deserialize, Serialize};
 
+use super::line::Line;
 use super::sizes::{
     MESSAGE_BUFFER, ORDER_LEN, PIECE_BUFFER, POLICY_BORROWED, POLICY_BUFFER, PROGRESS_LEN,
     STATUS_LEN,
 };
-use super::{ChannelSizes, Domain, PIECE_LEN};
+use super::transport::Private as Ipc;
+use super::{ChannelSizes, Domain, PIECE_LEN, SHARED_MEMORY, segment};
 use crate::ChannelError;
 use crate::layout::{BlockHeader, PolicyHeader, SnapshotHeader, layout_hash};
-use crate::message::{self, Order, Progress, Status};
+use crate::message::{self, Order, PortId, Progress, Status};
 
-type Ipc = ipc::Service;
 type Bytes<H> = publish_subscribe::PortFactory<Ipc, [u8], H>;
-type Floats<H> = publish_subscribe::PortFactory<Ipc, [f32], H>;
+type Floats<H> = publish_subscribe::PortFactory<Ipc, [Line], H>;
+
+/// The deadline of who gives up for nobody but the kernel, see [`die_with_parent`](crate::child::die_with_parent).
+pub const WHILE_THE_PARENT_LIVES: Duration = Duration::MAX;
 
 /// Who can be woken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,6 +104,10 @@ impl Channels {
 
     fn new(domain: &Domain, sizes: ChannelSizes, access: Access) -> Result<Self, ChannelError> {
         set_log_level(LogLevel::Fatal);
+        match access {
+            Access::Create => domain.make_root()?,
+            Access::Open => domain.check_root()?,
+        }
         let node = NodeBuilder::new()
             .config(&domain.config(access == Access::Create))
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -122,7 +132,6 @@ impl Channels {
                     .service_builder(&service_name($name)?)
                     .publish_subscribe::<[$payload]>()
                     .user_header::<$header>()
-                    .payload_alignment(Alignment::new(64).expect("64 is a power of two"))
                     .max_publishers(limits.publishers)
                     .max_subscribers(limits.subscribers)
                     .max_nodes(max_nodes)
@@ -150,7 +159,12 @@ impl Channels {
         };
 
         Ok(Self {
-            orders: service!("orders", u8, (), Limits { subscribers: max_workers + 2, ..messages }),
+            orders: service!(
+                "orders",
+                u8,
+                (),
+                Limits { subscribers: max_workers + 2, buffer: sizes.order_buffer, ..messages }
+            ),
             progress: service!("progress", u8, (), messages),
             status: service!(
                 "status",
@@ -160,7 +174,7 @@ impl Channels {
             ),
             policy: service!(
                 "policy",
-                f32,
+                Line,
                 PolicyHeader,
                 Limits {
                     publishers: 2,
@@ -174,7 +188,7 @@ impl Channels {
             ),
             rollouts: service!(
                 "rollouts",
-                f32,
+                Line,
                 BlockHeader,
                 Limits {
                     publishers: max_workers,
@@ -237,10 +251,15 @@ impl Channels {
         }
     }
 
-    /// The coordinator's end of `orders`. A full receiver misses an order; deadlines re-send it.
-    pub fn order_sender(&self) -> Result<MessageSender<Order>, ChannelError> {
+    /// The coordinator's end of `orders`. A full receiver misses an order, and is named.
+    pub fn order_sender(&self) -> Result<OrderSender, ChannelError> {
         let bells = vec![self.bell(Role::Workers)?, self.bell(Role::Learner)?];
-        MessageSender::new(&self.orders, "orders", bells, ORDER_LEN, Duration::ZERO)
+        let missed = Arc::default();
+        let handler = note_the_full(Arc::clone(&missed));
+        let deadline = Duration::ZERO;
+        let sender =
+            MessageSender::new(&self.orders, "orders", bells, ORDER_LEN, deadline, handler)?;
+        Ok(OrderSender { sender, missed })
     }
 
     /// A worker's or the learner's end of `orders`.
@@ -254,7 +273,8 @@ impl Channels {
         deadline: Duration,
     ) -> Result<MessageSender<Progress>, ChannelError> {
         let bells = vec![self.bell(Role::Coordinator)?];
-        MessageSender::new(&self.progress, "progress", bells, PROGRESS_LEN, deadline)
+        let handler = give_up_after(deadline);
+        MessageSender::new(&self.progress, "progress", bells, PROGRESS_LEN, deadline, handler)
     }
 
     /// The coordinator's end of `progress`.
@@ -265,7 +285,9 @@ impl Channels {
     /// A worker's end of `status`.
     pub fn status_sender(&self) -> Result<MessageSender<Status>, ChannelError> {
         let bells = vec![self.bell(Role::Coordinator)?];
-        MessageSender::new(&self.status, "status", bells, STATUS_LEN, Duration::ZERO)
+        let deadline = Duration::ZERO;
+        let handler = give_up_after(deadline);
+        MessageSender::new(&self.status, "status", bells, STATUS_LEN, deadline, handler)
     }
 
     /// The coordinator's end of `status`.
@@ -276,12 +298,13 @@ impl Channels {
     /// The learner's end of `policy`.
     pub fn policy_sender(&self) -> Result<ArraySender<PolicyHeader>, ChannelError> {
         let bell = self.bell(Role::Workers)?;
-        ArraySender::new(&self.policy, "policy", bell, self.sizes.policy_len, Duration::ZERO)
+        let (len, slots) = (self.sizes.policy_len, self.sizes.policy_slots());
+        ArraySender::new(&self.policy, "policy", bell, len, slots, Duration::ZERO)
     }
 
     /// A worker's or the coordinator's end of `policy`.
     pub fn policy_receiver(&self) -> Result<ArrayReceiver<PolicyHeader>, ChannelError> {
-        ArrayReceiver::new(&self.policy, "policy")
+        ArrayReceiver::new(&self.policy, "policy", self.sizes.policy_len)
     }
 
     /// A worker's end of `rollouts`.
@@ -290,12 +313,13 @@ impl Channels {
         deadline: Duration,
     ) -> Result<ArraySender<BlockHeader>, ChannelError> {
         let bell = self.bell(Role::Learner)?;
-        ArraySender::new(&self.rollouts, "rollouts", bell, self.sizes.block_len, deadline)
+        let len = self.sizes.block_len;
+        ArraySender::new(&self.rollouts, "rollouts", bell, len, usize::MAX, deadline)
     }
 
     /// The learner's end of `rollouts`.
     pub fn block_receiver(&self) -> Result<ArrayReceiver<BlockHeader>, ChannelError> {
-        ArrayReceiver::new(&self.rollouts, "rollouts")
+        ArrayReceiver::new(&self.rollouts, "rollouts", self.sizes.block_len)
     }
 
     /// The learner's end of `snapshot`; a piece waits for room no longer than `deadline`.
@@ -363,13 +387,14 @@ impl<M: Serialize> MessageSender<M> {
         bells: Vec<Bell>,
         max_len: usize,
         deadline: Duration,
+        when_full: impl BackpressureFn + 'static,
     ) -> Result<Self, ChannelError> {
         let publisher = factory
             .publisher_builder()
             .initial_max_slice_len(max_len)
             .max_loaned_samples(1)
             .backpressure_strategy(strategy(deadline))
-            .set_backpressure_handler(give_up_after(deadline))
+            .set_backpressure_handler(when_full)
             .create()
             .map_err(|error| port_error(service, "publisher", &error))?;
         Ok(Self { publisher, service, bells, deadline, message: PhantomData })
@@ -385,7 +410,24 @@ impl<M: Serialize> MessageSender<M> {
             .write_from_slice(&bytes);
         sample.send().map_err(|error| send_error(self.service, self.deadline, error))?;
         self.bells.iter().for_each(Bell::ring);
-        Ok(())
+        check_connections(self.service)
+    }
+}
+
+/// Sends orders to all workers and the learner, and waits for none of them.
+#[derive(Debug)]
+pub struct OrderSender {
+    sender: MessageSender<Order>,
+    /// Receivers whose queues were full at the last send.
+    missed: Arc<Mutex<Vec<PortId>>>,
+}
+
+impl OrderSender {
+    /// Sends `order` and wakes the receivers. Returns those that it has missed, because their queues
+    /// were full.
+    pub fn send(&self, order: &Order) -> Result<Vec<PortId>, ChannelError> {
+        self.sender.send(order)?;
+        Ok(std::mem::take(&mut self.missed.lock().unwrap_or_else(PoisonError::into_inner)))
     }
 }
 
@@ -406,12 +448,18 @@ impl<M: for<'de> Deserialize<'de>> MessageReceiver<M> {
         Ok(Self { subscriber, service, message: PhantomData })
     }
 
+    /// This end, as [`OrderSender::send`] names it.
+    pub fn port(&self) -> PortId {
+        self.subscriber.id().value()
+    }
+
     /// The next message, if one is there.
     pub fn try_receive(&self) -> Result<Option<M>, ChannelError> {
         let sample = self
             .subscriber
             .receive()
             .map_err(|error| transfer_error(self.service, "receive", &error))?;
+        check_connections(self.service)?;
         sample
             .map(|sample| {
                 message::decode(sample.payload()).map_err(|reason| ChannelError::Decode {
@@ -427,7 +475,7 @@ impl<M: for<'de> Deserialize<'de>> MessageReceiver<M> {
 /// Sends arrays of `f32` that are filled in place.
 #[derive(Debug)]
 pub struct ArraySender<H: Debug + ZeroCopySend + Default> {
-    publisher: Publisher<Ipc, [f32], H>,
+    publisher: Publisher<Ipc, [Line], H>,
     service: &'static str,
     bell: Bell,
     len: usize,
@@ -435,16 +483,20 @@ pub struct ArraySender<H: Debug + ZeroCopySend + Default> {
 }
 
 impl<H: Debug + ZeroCopySend + Default + Copy> ArraySender<H> {
+    /// With `slots` arrays of length `len`, or as many as iceoryx2 takes for the worst case if that is
+    /// less.
     fn new(
         factory: &Floats<H>,
         service: &'static str,
         bell: Bell,
         len: usize,
+        slots: usize,
         deadline: Duration,
     ) -> Result<Self, ChannelError> {
         let publisher = factory
             .publisher_builder()
-            .initial_max_slice_len(len)
+            .initial_max_slice_len(Line::count(len))
+            .override_sample_preallocation(move |worst| worst.min(slots))
             .max_loaned_samples(1)
             .backpressure_strategy(strategy(deadline))
             .set_backpressure_handler(give_up_after(deadline))
@@ -457,16 +509,17 @@ impl<H: Debug + ZeroCopySend + Default + Copy> ArraySender<H> {
     pub fn loan(&self) -> Result<ArraySampleMut<H>, ChannelError> {
         let sample = self
             .publisher
-            .loan_slice(self.len)
+            .loan_slice(Line::count(self.len))
             .map_err(|error| transfer_error(self.service, "loan", &error))?;
-        Ok(ArraySampleMut(sample))
+        Ok(ArraySampleMut { sample, len: self.len })
     }
 
     /// Sends a filled array and wakes the receivers. Returns how many receivers got it.
-    pub fn send(&self, sample: ArraySampleMut<H>) -> Result<usize, ChannelError> {
+    pub fn send(&self, array: ArraySampleMut<H>) -> Result<usize, ChannelError> {
         let receivers =
-            sample.0.send().map_err(|error| send_error(self.service, self.deadline, error))?;
+            array.sample.send().map_err(|error| send_error(self.service, self.deadline, error))?;
         self.bell.ring();
+        check_connections(self.service)?;
         Ok(receivers)
     }
 
@@ -478,56 +531,74 @@ impl<H: Debug + ZeroCopySend + Default + Copy> ArraySender<H> {
 
 /// An array in shared memory that is being filled.
 #[derive(Debug)]
-pub struct ArraySampleMut<H: Debug + ZeroCopySend>(SampleMut<Ipc, [f32], H>);
+pub struct ArraySampleMut<H: Debug + ZeroCopySend> {
+    sample: SampleMut<Ipc, [Line], H>,
+    len: usize,
+}
 
 impl<H: Debug + ZeroCopySend> ArraySampleMut<H> {
     /// The elements, 64-byte aligned.
     pub fn payload_mut(&mut self) -> &mut [f32] {
-        self.0.payload_mut()
+        Line::numbers_mut(self.sample.payload_mut(), self.len)
     }
 
     /// The header.
     pub fn header_mut(&mut self) -> &mut H {
-        self.0.user_header_mut()
+        self.sample.user_header_mut()
     }
 }
 
 /// Receives arrays of `f32` as views of shared memory.
 #[derive(Debug)]
 pub struct ArrayReceiver<H: Debug + ZeroCopySend> {
-    subscriber: Subscriber<Ipc, [f32], H>,
+    subscriber: Subscriber<Ipc, [Line], H>,
     service: &'static str,
+    len: usize,
 }
 
 impl<H: Debug + ZeroCopySend> ArrayReceiver<H> {
-    fn new(factory: &Floats<H>, service: &'static str) -> Result<Self, ChannelError> {
+    fn new(factory: &Floats<H>, service: &'static str, len: usize) -> Result<Self, ChannelError> {
         let subscriber = factory
             .subscriber_builder()
             .create()
             .map_err(|error| port_error(service, "subscriber", &error))?;
-        Ok(Self { subscriber, service })
+        Ok(Self { subscriber, service, len })
     }
 
     /// The next array, if one is there. Its memory stays the sender's until the sample is dropped.
     pub fn try_receive(&self) -> Result<Option<ArraySample<H>>, ChannelError> {
         let sample = self.subscriber.receive();
-        Ok(sample.map_err(|e| transfer_error(self.service, "receive", &e))?.map(ArraySample))
+        let sample = sample.map_err(|e| transfer_error(self.service, "receive", &e))?;
+        check_connections(self.service)?;
+        let Some(sample) = sample else { return Ok(None) };
+        let (lines, len) = (sample.payload().len(), self.len);
+        if lines != Line::count(len) {
+            return Err(ChannelError::Decode {
+                service: self.service.to_owned(),
+                len: size_of_val(sample.payload()),
+                reason: format!("an array of {len} numbers was expected"),
+            });
+        }
+        Ok(Some(ArraySample { sample, len }))
     }
 }
 
 /// An array in shared memory, read-only.
 #[derive(Debug)]
-pub struct ArraySample<H: Debug + ZeroCopySend>(Sample<Ipc, [f32], H>);
+pub struct ArraySample<H: Debug + ZeroCopySend> {
+    sample: Sample<Ipc, [Line], H>,
+    len: usize,
+}
 
 impl<H: Debug + ZeroCopySend> ArraySample<H> {
     /// The elements, 64-byte aligned.
     pub fn payload(&self) -> &[f32] {
-        self.0.payload()
+        Line::numbers(self.sample.payload(), self.len)
     }
 
     /// The header.
     pub fn header(&self) -> &H {
-        self.0.user_header()
+        self.sample.user_header()
     }
 }
 
@@ -558,6 +629,7 @@ impl PieceSender {
             Err(error) => return Err(transfer_error("snapshot", "send", &error)),
         }
         self.bell.ring();
+        check_connections("snapshot")?;
         Ok((begin + piece.len()) as u64)
     }
 }
@@ -570,6 +642,7 @@ impl PieceReceiver {
     /// The next piece, if one is there.
     pub fn try_receive(&self) -> Result<Option<PieceSample>, ChannelError> {
         let sample = self.0.receive().map_err(|e| transfer_error("snapshot", "receive", &e))?;
+        check_connections("snapshot")?;
         Ok(sample.map(PieceSample))
     }
 }
@@ -599,18 +672,27 @@ fn strategy(deadline: Duration) -> BackpressureStrategy {
 }
 
 /// Retries until `deadline`, then fails the send; a zero deadline drops the sample instead.
-fn give_up_after(
-    deadline: Duration,
-) -> impl Fn(&iceoryx2::port::BackpressureInfo) -> BackpressureAction {
-    move |info| {
+fn give_up_after(deadline: Duration) -> impl BackpressureFn {
+    move |info: &BackpressureInfo| {
         if deadline.is_zero() {
             BackpressureAction::DiscardData
         } else if info.elapsed_time < deadline {
-            std::thread::sleep(Duration::from_micros(50));
+            // Who has waited for long may be late by more, and a receiver that stands still costs
+            // no processor.
+            let pause = info.elapsed_time / 16;
+            std::thread::sleep(pause.clamp(Duration::from_micros(50), Duration::from_millis(5)));
             BackpressureAction::Retry
         } else {
             BackpressureAction::DiscardDataAndFail
         }
+    }
+}
+
+/// Drops the sample for a receiver without room, and writes down which it was.
+fn note_the_full(missed: Arc<Mutex<Vec<PortId>>>) -> impl BackpressureFn {
+    move |info: &BackpressureInfo| {
+        missed.lock().unwrap_or_else(PoisonError::into_inner).push(info.receiver_port_id);
+        BackpressureAction::DiscardData
     }
 }
 
@@ -620,19 +702,47 @@ fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
 }
 
 fn open_error(service: &str, error: &dyn Debug) -> ChannelError {
-    ChannelError::Open {
+    full(service).or_else(|| no_room(service)).unwrap_or_else(|| ChannelError::Open {
         service: service.to_owned(),
         reason: format!("{error:?}"),
         layout: layout_hash(),
-    }
+    })
 }
 
 fn port_error(service: &str, port: &'static str, error: &dyn Debug) -> ChannelError {
-    ChannelError::Port { service: service.to_owned(), port, reason: format!("{error:?}") }
+    full(service).or_else(|| no_room(service)).unwrap_or_else(|| ChannelError::Port {
+        service: service.to_owned(),
+        port,
+        reason: format!("{error:?}"),
+    })
 }
 
 fn transfer_error(service: &str, action: &'static str, error: &dyn Debug) -> ChannelError {
-    ChannelError::Transfer { service: service.to_owned(), action, reason: format!("{error:?}") }
+    full(service).unwrap_or_else(|| ChannelError::Transfer {
+        service: service.to_owned(),
+        action,
+        reason: format!("{error:?}"),
+    })
+}
+
+/// The error of a segment that could not be made, if there was one.
+fn full(service: &str) -> Option<ChannelError> {
+    let segment::Shortage { needed, free } = segment::take_shortage()?;
+    Some(ChannelError::Full { what: format!("channel `{service}`"), needed, free })
+}
+
+/// The error of a small file that could not be written because there is no room at all: iceoryx2 does
+/// not say so.
+fn no_room(service: &str) -> Option<ChannelError> {
+    let free = segment::free_space(Path::new(SHARED_MEMORY)).ok()?;
+    let what = format!("channel `{service}`");
+    (free < segment::MARGIN).then_some(ChannelError::Full { what, needed: segment::MARGIN, free })
+}
+
+/// Fails if a connection to the other end could not be made. Ports connect while they send and receive,
+/// and go on without those to whom they could not.
+fn check_connections(service: &str) -> Result<(), ChannelError> {
+    full(service).map_or(Ok(()), Err)
 }
 
 fn send_error(service: &str, deadline: Duration, error: SendError) -> ChannelError {

@@ -1,5 +1,6 @@
 //! How large the channels are, and how much shared memory they take.
 
+use super::segment::MARGIN;
 use crate::config::Config;
 use crate::layout::{ActorLayout, BlockLayout, Dimensions};
 
@@ -16,32 +17,45 @@ pub struct ChannelSizes {
     pub block_len: usize,
     /// Length of a policy (`f32`).
     pub policy_len: usize,
+    /// Orders that may wait in a receiver's queue: every receiver gets those of all.
+    pub order_buffer: usize,
     /// Blocks of one worker that may wait in the learner's queue.
     pub block_buffer: usize,
     /// Blocks that the learner may hold: two iterations, one trained on, one arriving.
     pub block_borrowed: usize,
 }
 
+/// Orders that a worker may have at once: one that it works on, one that waits, so that it never
+/// idles for the length of a message.
+pub const ORDERS_PER_WORKER: usize = 2;
+
 /// Messages that may wait in a receiver's queue.
 pub(super) const MESSAGE_BUFFER: usize = 64;
-/// Longest encoded order (bytes).
-pub(super) const ORDER_LEN: usize = 4 << 10;
+/// Longest encoded order (bytes); one shard or one part of an evaluation takes less than 50.
+pub(super) const ORDER_LEN: usize = 256;
 /// Longest encoded status (bytes).
 pub(super) const STATUS_LEN: usize = 4 << 10;
 /// Longest encoded progress (bytes).
 pub(super) const PROGRESS_LEN: usize = 16 << 10;
 /// Policies that may wait, and that a late worker still gets.
 pub(super) const POLICY_BUFFER: usize = 2;
-/// Policies that a worker may hold.
+/// Policies that the coordinator may hold: two and one that it has just received. A worker holds one,
+/// while it reads it.
 pub(super) const POLICY_BORROWED: usize = 3;
+/// Services, connections and what must stay free (bytes): an allowance, which a test compares with what
+/// is taken.
+const MANAGEMENT: u64 = (3 << 20) + MARGIN;
 /// Pieces of a snapshot that may wait.
 pub(super) const PIECE_BUFFER: usize = 4;
 
 impl ChannelSizes {
     /// The sizes for a configuration on a robot with `dimensions`.
     pub fn new(config: &Config, dimensions: &Dimensions) -> Self {
+        let max_workers = (2 * config.run.workers).max(16);
         Self {
-            max_workers: (2 * config.run.workers).max(16),
+            max_workers,
+            // When an iteration begins, all workers are sent their fill before any of them has read.
+            order_buffer: (ORDERS_PER_WORKER * max_workers).max(MESSAGE_BUFFER),
             block_len: BlockLayout::new(dimensions).len,
             policy_len: ActorLayout::new(config, dimensions).len,
             block_buffer: dimensions.n_shards,
@@ -49,23 +63,30 @@ impl ChannelSizes {
         }
     }
 
+    /// Policies that exist at once, at most. All receivers' queues hold the same, the newest; beside them
+    /// there are the one that is written, the one that it pushes out, what the coordinator holds, and
+    /// one for every worker that stands still while it reads. iceoryx2 would reckon with queues of which
+    /// each holds others, and reserve four times as much.
+    pub(super) fn policy_slots(&self) -> usize {
+        POLICY_BUFFER + 2 + POLICY_BORROWED + self.max_workers
+    }
+
     /// Shared memory that `workers` workers, the learner and the coordinator reserve, by channel
-    /// (bytes). iceoryx2 reserves, for each sender, as many slots as all receivers can queue and
-    /// hold, plus its history and the ones it fills.
+    /// (bytes). Each sender has as many slots as all receivers can queue and hold, plus its history and
+    /// the ones it fills; of policies see [`Self::policy_slots`].
     pub fn shared_memory(&self, workers: usize) -> [(&'static str, u64); 4] {
         let bytes = |slots: usize, len: usize| (slots * (len + 256)) as u64;
         let blocks = bytes(self.block_buffer + self.block_borrowed + 1, 4 * self.block_len);
-        let policies =
-            (self.max_workers + 1) * (POLICY_BUFFER + POLICY_BORROWED) + POLICY_BUFFER + 1;
         let messages =
-            |receivers: usize, len: usize| bytes(receivers * (MESSAGE_BUFFER + 1) + 1, len);
-        let orders = messages(self.max_workers + 2, ORDER_LEN);
-        let reports = messages(2, PROGRESS_LEN) + workers as u64 * messages(2, STATUS_LEN);
+            |receivers: usize, buffer: usize, len: usize| bytes(receivers * (buffer + 1) + 1, len);
+        let orders = messages(self.max_workers + 2, self.order_buffer, ORDER_LEN);
+        let reports = messages(2, MESSAGE_BUFFER, PROGRESS_LEN)
+            + workers as u64 * messages(2, MESSAGE_BUFFER, STATUS_LEN);
         [
             ("rollouts", blocks * workers as u64),
-            ("policy", bytes(policies, 4 * self.policy_len)),
+            ("policy", bytes(self.policy_slots(), 4 * self.policy_len)),
             ("snapshot", bytes(PIECE_BUFFER + 2, PIECE_LEN)),
-            ("messages", orders + reports),
+            ("messages", orders + reports + MANAGEMENT),
         ]
     }
 }

@@ -1,4 +1,7 @@
 //! Layered merging: every layer is checked against the preset before it overrides anything.
+//!
+//! **An algorithm's settings are data.** What `--algorithm` changes in a preset stands in the preset's
+//! `[for.ALGORITHM]`, beside the changes for a task, and any later layer overrides it.
 
 use std::path::Path;
 

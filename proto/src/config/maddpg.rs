@@ -1,4 +1,7 @@
 //! Group `algorithm.maddpg`: what only MADDPG uses, and how it explores.
+//!
+//! **Workers know the schedule of the noise.** It is a function of the iteration, so a rollout stays a pure
+//! function, and the policy that is published holds no exploration.
 
 use serde::{Deserialize, Serialize};
 

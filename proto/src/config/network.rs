@@ -1,4 +1,8 @@
 //! Group `network`: actors, critics and what goes into them.
+//!
+//! **Critics may be smaller than actors** (`critic_hidden`). They are half of an update. `trajectory` learns as
+//! well with critics of 128 × 128; `reorientation` does not, and MADDPG's actors learn from nothing but the
+//! critics' slopes, so preset `tuned` leaves those as wide as the actors.
 
 use serde::{Deserialize, Serialize};
 

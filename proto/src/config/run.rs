@@ -55,7 +55,8 @@ pub struct Run {
     pub evaluation_steps: u32,
     /// A policy trained on fewer env-steps is never the best: early luck is no merit.
     pub best_after: u64,
-    /// A process that is silent this long is replaced and its work is ordered again (s).
+    /// A process that is silent this long is replaced and its work is ordered again (s); 1.5 at least,
+    /// three signs of life.
     pub order_deadline_s: f64,
 }
 

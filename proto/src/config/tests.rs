@@ -219,3 +219,15 @@ proptest::proptest! {
         let _ = Layers::new(Preset::Tuned, None).set(&format!("{key}={value}")).map(|l| l.resolve());
     }
 }
+
+#[test]
+fn a_deadline_that_healthy_processes_would_miss_is_refused_with_the_least_one() {
+    for seconds in ["0.1", "1.49", "-1.0"] {
+        let error = message(&[&format!("run.order_deadline_s={seconds}")]);
+        assert!(error.contains("`run.order_deadline_s`"), "{error}");
+    }
+    let error = message(&["run.order_deadline_s=0.1"]);
+    assert!(error.contains("every 0.5 s") && error.contains("1.5 s or more"), "{error}");
+    let least = resolve(&["run.order_deadline_s=1.5"]).expect("long enough");
+    assert_eq!(least.run.order_deadline_s, 1.5);
+}

@@ -1,7 +1,13 @@
 //! The rules that values must meet, each for itself and together.
 
+use std::time::Duration;
+
 use super::{AlgorithmName, Config, CriticState, Maddpg, ParameterSharing, Reward, RewardWeights};
 use crate::ConfigError;
+use crate::message::HEARTBEAT;
+
+/// Least of `run.order_deadline_s`: two signs of life in a row may come late.
+const SHORTEST_SILENCE: Duration = HEARTBEAT.saturating_mul(3);
 
 impl Config {
     /// Checks ranges and what must fit together.
@@ -156,7 +162,22 @@ impl Config {
         within("run.milestone_every_s", run.milestone_every_s, 0.0, 1e9)?;
         within("run.evaluation_episodes", f64::from(run.evaluation_episodes), 1.0, 10_000.0)?;
         within("run.evaluation_steps", f64::from(run.evaluation_steps), 1.0, 10_000.0)?;
-        within("run.order_deadline_s", run.order_deadline_s, 0.1, 1e6)?;
+        within("run.order_deadline_s", run.order_deadline_s, 0.0, 1e6)?;
+        if run.order_deadline_s < SHORTEST_SILENCE.as_secs_f64() {
+            return Err(ConfigError::Invalid {
+                key: "run.order_deadline_s",
+                problem: format!(
+                    "{} s is too short: processes say every {} s that they are alive, and healthy \
+                     ones would be replaced",
+                    run.order_deadline_s,
+                    HEARTBEAT.as_secs_f64()
+                ),
+                cure: format!(
+                    "choose {} s or more; the presets have 60",
+                    SHORTEST_SILENCE.as_secs_f64()
+                ),
+            });
+        }
         let device_index = run.device.strip_prefix("cuda:").map(str::parse::<u8>);
         if run.device != "cpu" && !matches!(device_index, Some(Ok(_))) {
             return Err(ConfigError::Invalid {

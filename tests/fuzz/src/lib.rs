@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use coordinator::checkpoint::CheckpointStore;
+use coordinator::checkpoint::{CheckpointStore, STATE_FORMAT, StateLayout};
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 use proto::{Digest, DigestBuilder};
@@ -55,7 +55,7 @@ pub fn small_config() -> Config {
 
 /// A robot as a checkpoint holds it.
 pub fn robot_toml() -> String {
-    sim_worker::robot::Robot::load("paper").expect("built in").to_toml()
+    simulator::robot::Robot::builtin("paper").expect("built in").to_toml()
 }
 
 /// The place of the actors' parameters under [`small_config`].
@@ -64,12 +64,15 @@ pub fn layout() -> ActorLayout {
     ActorLayout::new(&config, &Dimensions::new(&config, 4))
 }
 
-/// Actors of zeros as safetensors, their names after `prefix`, and `more` tensors of one number.
+/// Half of one, of which all actors and moments are made.
+const HALF: f32 = 0.5;
+
+/// Actors as safetensors, their names after `prefix`, and `more` tensors of one number.
 pub fn tensors(prefix: &str, more: &[&str]) -> Vec<u8> {
     let layout = layout();
-    let zeros = vec![0; 4 * layout.len];
+    let numbers = HALF.to_le_bytes().repeat(layout.len);
     let view = |shape: Vec<usize>| {
-        let bytes = &zeros[..4 * shape.iter().product::<usize>()];
+        let bytes = &numbers[..4 * shape.iter().product::<usize>()];
         TensorView::new(Dtype::F32, shape, bytes).expect("as long as its shape says")
     };
     let actors = layout
@@ -78,6 +81,33 @@ pub fn tensors(prefix: &str, more: &[&str]) -> Vec<u8> {
         .map(|spec| (format!("{prefix}{}", spec.name), view(spec.shape.to_vec())));
     let more = more.iter().map(|name| ((*name).to_owned(), view(vec![1])));
     safetensors::serialize(actors.chain(more), None).expect("well formed")
+}
+
+/// A training state after one iteration, with the actors of [`tensors`].
+pub fn state() -> Vec<u8> {
+    let config = small_config();
+    let layout = StateLayout::new(&config, &Dimensions::new(&config, 4));
+    let bytes = |name: &str, dtype, len: usize| match (name, dtype) {
+        ("counters.env_steps", _) => config.steps_per_iteration().to_le_bytes().to_vec(),
+        ("counters.precision", _) => 32_u64.to_le_bytes().to_vec(),
+        (_, Dtype::F32) => HALF.to_le_bytes().repeat(len),
+        (_, Dtype::F64) => f64::from(HALF).to_le_bytes().repeat(len),
+        _ => 1_u64.to_le_bytes().repeat(len),
+    };
+    let tensors: Vec<_> = layout
+        .tensors
+        .into_iter()
+        .map(|(name, tensor)| {
+            let bytes = bytes(&name, tensor.dtype, tensor.shape.iter().product());
+            (name, tensor.dtype, tensor.shape, bytes)
+        })
+        .collect();
+    let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
+        let view = TensorView::new(*dtype, shape.clone(), bytes);
+        (name.clone(), view.expect("as long as its shape says"))
+    });
+    let format = [("format".to_owned(), STATE_FORMAT.to_owned())];
+    safetensors::serialize(views, Some(format.into())).expect("well formed")
 }
 
 /// A manifest that lists `files` with their true lengths and hashes, and their true digest if they

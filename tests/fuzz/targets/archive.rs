@@ -47,7 +47,7 @@ fn contents() -> [Vec<u8>; 4] {
         fuzz::small_config().to_toml().into_bytes(),
         fuzz::tensors("", &[]),
         fuzz::robot_toml().into_bytes(),
-        fuzz::tensors("state.", &["counters"]),
+        fuzz::state(),
     ]
 }
 

@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use coordinator::checkpoint::Snapshot;
-use coordinator::http::{Limits, Service, ServiceSpec};
+use coordinator::http::{Limits, Service, ServiceSpec, Token};
 use libfuzzer_sys::fuzz_target;
 use proto::Digest;
 
@@ -26,13 +26,21 @@ fn address() -> SocketAddr {
                 .commit(&snapshot, &config, &fuzz::robot_toml(), &serde_json::Value::Null)
                 .expect("a valid snapshot");
             let limits = Limits { upload_bytes: 1 << 20, ..Limits::default() };
-            Service::start(ServiceSpec { limits, ..ServiceSpec::new(store) }).expect("starts")
+            let token = Token::parse(TOKEN, "fuzz").expect("valid");
+            Service::start(ServiceSpec { limits, ..ServiceSpec::new(store, token) })
+                .expect("starts")
         })
         .address()
 }
 
+/// Seeds show it, so that what grows from them comes past it.
+const TOKEN: &str = "fuzz-fuzz-fuzz-fuzz";
+
 fn request(line: &str, rest: &str) -> Vec<u8> {
-    format!("{line} HTTP/1.1\r\nHost: localhost\r\n{rest}\r\n").into_bytes()
+    format!(
+        "{line} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {TOKEN}\r\n{rest}\r\n"
+    )
+    .into_bytes()
 }
 
 fn seeds() -> Vec<Vec<u8>> {

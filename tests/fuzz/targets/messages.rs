@@ -33,7 +33,7 @@ fn seeds() -> Vec<Vec<u8>> {
         encode(&Order::Stop),
         encode(&Progress::IterationDone(Box::new(report))),
         encode(&Progress::Failed { message: "words".to_owned() }),
-        encode(&Status::Ready { worker: 1, incarnation: 2 }),
+        encode(&Status::Ready { worker: 1, incarnation: 2, orders: 3 }),
         encode(&Status::BlockDone {
             worker: 1,
             incarnation: 2,

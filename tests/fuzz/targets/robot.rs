@@ -5,10 +5,10 @@
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 fn seeds() -> Vec<Vec<u8>> {
-    let two_arms = include_str!("../../../sim-worker/robots/two-arm.toml");
+    let two_arms = include_str!("../../../sim-worker/simulator/robots/two-arm.toml");
     vec![two_arms.into(), fuzz::robot_toml().into()]
 }
 

@@ -110,7 +110,7 @@ fn what_resume_would_take_up_must_be_of_the_run() {
     let (_dir, store) = store_with(&[1]);
     let (_other_dir, other) = super::store();
     let foreign = config_with(&["run.seed=99"]);
-    commit_of(&other, &foreign, &snapshot_of(&foreign, 5, 0.0, 10));
+    commit_of(&other, &foreign, &snapshot_of(&foreign, 5, 0.0));
     let bytes = packed(&other, &nth(5));
     let error = store.import(&bytes[..], None).expect_err("another run's").to_string();
     assert!(error.contains("of another run") && error.contains("another name"), "{error}");
@@ -121,7 +121,7 @@ fn what_resume_would_take_up_must_be_of_the_run() {
 
     // The run's own later checkpoint, with a larger budget, comes back.
     let longer = config_with(&["run.env_steps=1000000000"]);
-    commit_of(&other, &longer, &snapshot_of(&longer, 9, 0.0, 10));
+    commit_of(&other, &longer, &snapshot_of(&longer, 9, 0.0));
     let bytes = packed(&other, &nth(9));
     store.import(&bytes[..], None).expect("its own");
     assert_eq!(store.latest().expect("its own").manifest.iteration, 9);
@@ -132,7 +132,7 @@ fn what_resume_would_take_up_is_compared_with_the_run_itself() {
     let (dir, store) = super::store();
     let (_other_dir, other) = super::store();
     let foreign = config_with(&["run.seed=99"]);
-    commit_of(&other, &foreign, &snapshot_of(&foreign, 5, 0.0, 10));
+    commit_of(&other, &foreign, &snapshot_of(&foreign, 5, 0.0));
     let bytes = packed(&other, &nth(5));
     // A run that has no checkpoint yet.
     std::fs::write(dir.path().join(CONFIG), config().to_toml()).expect("write");
@@ -367,7 +367,7 @@ fn keys_of_the_run_that_change_what_is_learned_make_another_run() {
         let (_dir, store) = store_with(&[1]);
         let (_other_dir, other) = super::store();
         let changed = config_with(&[&key]);
-        commit_of(&other, &changed, &snapshot_of(&changed, 5, 0.0, 10));
+        commit_of(&other, &changed, &snapshot_of(&changed, 5, 0.0));
         let imported = store.import(&packed(&other, &nth(5))[..], None);
         assert_eq!(imported.is_ok(), taken_up, "{key}: {imported:?}");
     }

@@ -6,7 +6,7 @@ use super::*;
 fn trained(dir: &TempDir, run: &str, set: &[&str], first: f32) -> Checkpoint {
     let store = CheckpointStore::new(dir.path().join(run));
     let config = config_with(set);
-    commit_of(&store, &config, &snapshot_of(&config, first as u64 + 1, first, 10));
+    commit_of(&store, &config, &snapshot_of(&config, first as u64 + 1, first));
     store.latest().expect("whole")
 }
 

@@ -2,8 +2,10 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use rusqlite::Connection;
+use rustix::fs::{FlockOperation, flock};
 
 use super::*;
 
@@ -161,4 +163,59 @@ fn what_changes_while_it_is_hashed_is_hashed_again() {
     let store = CheckpointStore { disk, ..plain };
     store.import(&bytes[..], Some(name("x"))).expect("mends");
     assert!(std::fs::read(&state).expect("read") == whole);
+}
+
+/// Whoever can open the lock can hold it, and once a run that was asked to stop waited for ever.
+#[test]
+fn a_lock_that_is_held_is_waited_for_only_so_long() {
+    let (_dir, store) = store_with(&[1]);
+    let path = store.root().join(".lock");
+    let mode = || std::os::unix::fs::MetadataExt::mode(&path.metadata().expect("there")) & 0o777;
+    assert_eq!(mode(), 0o600, "nobody else opens it");
+    let lock = std::fs::File::open(&path).expect("own");
+    flock(&lock, FlockOperation::LockExclusive).expect("free");
+
+    let short = store.clone().with_patience(Patience::new(Duration::from_millis(30)));
+    let error = short.pin(&nth(1), true).expect_err("held");
+    assert!(matches!(error, CheckpointError::Locked { .. }), "{error:?}");
+    let said = error.to_string();
+    assert!(said.contains(".lock") && said.contains("try again"), "{said}");
+    assert!(said.contains(&format!("process {}", std::process::id())), "{said}");
+
+    let stop = Arc::new(AtomicBool::new(false));
+    let asked = Arc::clone(&stop);
+    let patience = Patience::new(Duration::from_hours(1));
+    let long = store.clone().with_patience(patience.unless(move || asked.load(Ordering::Relaxed)));
+    std::thread::scope(|scope| {
+        let waiting = scope.spawn(|| long.pin(&nth(1), true));
+        stop.store(true, Ordering::Relaxed);
+        let error = waiting.join().expect("no panic").expect_err("stopped");
+        assert!(matches!(error, CheckpointError::Locked { .. }), "{error:?}");
+    });
+    assert!(!store.entry(&nth(1)).expect("there").labels.pinned, "nothing was changed");
+    drop(lock);
+    store.pin(&nth(1), true).expect("free again");
+}
+
+#[test]
+fn a_lock_of_an_earlier_version_is_closed_to_others() {
+    use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+    let (_dir, store) = store_with(&[1]);
+    let path = store.root().join(".lock");
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o644)).expect("own");
+    store.pin(&nth(1), true).expect("pins");
+    assert_eq!(path.metadata().expect("there").mode() & 0o777, 0o600);
+}
+
+#[test]
+fn a_lock_that_is_no_file_is_said_and_not_waited_for() {
+    let (_dir, store) = store_with(&[1]);
+    let path = store.root().join(".lock");
+    std::fs::remove_file(&path).expect("there");
+    let made = std::process::Command::new("mkfifo").arg(&path).status();
+    assert!(made.expect("starts").success());
+    let error = store.pin(&nth(1), true).expect_err("a pipe").to_string();
+    assert!(error.contains(".lock") && error.contains("is a pipe"), "{error}");
+    store.heal_catalogue();
+    store.latest().expect("readers need no lock");
 }

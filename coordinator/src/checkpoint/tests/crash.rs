@@ -75,10 +75,10 @@ fn assert_clean(store: &CheckpointStore, context: &str) {
 
 #[test]
 fn a_commit() {
-    let snapshot = snapshot_of(&config(), 2, 0.0, WEIGHTS);
+    let snapshot = snapshot_of(&large(), 2, 0.0);
     let commit_second = |store: &CheckpointStore| {
         let robot = robot().to_toml();
-        store.commit(&snapshot, &config(), &robot, &serde_json::json!({})).map(|_| ())
+        store.commit(&snapshot, &large(), &robot, &serde_json::json!({})).map(|_| ())
     };
     for fault in BOTH {
         let steps = at_every_step(
@@ -115,7 +115,7 @@ fn a_first_commit() {
             super::store,
             |store| {
                 let robot = robot().to_toml();
-                let snapshot = snapshot_of(&config(), 1, 0.0, 10);
+                let snapshot = snapshot_of(&config(), 1, 0.0);
                 store.commit(&snapshot, &config(), &robot, &serde_json::json!({})).map(|_| ())
             },
             |store, at, _| {
@@ -139,7 +139,7 @@ fn a_commit_that_replaces_a_damaged_one() {
             },
             |store| {
                 let robot = robot().to_toml();
-                let snapshot = snapshot_of(&config(), 2, 0.0, 10);
+                let snapshot = snapshot_of(&config(), 2, 0.0);
                 store.commit(&snapshot, &config(), &robot, &serde_json::json!({})).map(|_| ())
             },
             |store, at, _| {
@@ -255,7 +255,7 @@ fn a_score() {
 #[test]
 fn an_import() {
     let (_dir, source) = super::store();
-    commit_of(&source, &config(), &snapshot_of(&config(), 5, 0.0, WEIGHTS));
+    commit_of(&source, &large(), &snapshot_of(&large(), 5, 0.0));
     let archive = packed(&source, &nth(5));
     for fault in BOTH {
         at_every_step(

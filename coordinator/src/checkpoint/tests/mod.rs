@@ -20,17 +20,16 @@ use proto::DigestBuilder;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 use safetensors::{Dtype, tensor::TensorView};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use super::*;
 
-/// Length of the training state's largest tensor: several chunks of a write.
-const WEIGHTS: usize = 50_000;
-
 fn config_with(set: &[&str]) -> Config {
-    let layers = Layers::new(Preset::Tuned, None).set("network.hidden=[4]").expect("valid");
-    let layers = set.iter().try_fold(layers, |layers, set| layers.set(set)).expect("valid");
+    let small = ["network.hidden=[4]", "network.critic_hidden=[4]"];
+    let layers = Layers::new(Preset::Tuned, None);
+    let layers = small.iter().chain(set).try_fold(layers, |layers, set| layers.set(set));
+    let layers = layers.expect("valid");
     layers.resolve().expect("valid")
 }
 
@@ -42,39 +41,50 @@ fn robot() -> Robot {
     Robot::builtin("paper").expect("built in")
 }
 
-/// A snapshot whose actors count up from `first`, with a training state of `n_weights` numbers and
-/// the digest that the learner would compute for it.
-pub(crate) fn snapshot_of(
-    config: &Config,
-    iteration: u64,
-    first: f32,
-    n_weights: usize,
-) -> Snapshot {
-    let layout = ActorLayout::new(config, &Dimensions::new(config, robot().n_arms));
-    let actors: Vec<u8> =
-        (0..layout.len).flat_map(|index| (first + index as f32).to_le_bytes()).collect();
-    let weights: Vec<u8> =
-        (0..n_weights).flat_map(|index| (iteration as f32 + index as f32).to_le_bytes()).collect();
-    let env_steps = iteration * config.steps_per_iteration();
-    let (iteration_bytes, env_steps) = (iteration.to_le_bytes(), env_steps.to_le_bytes());
-    let own = [
-        ("actor.head.weight", Dtype::F32, vec![n_weights], &weights[..]),
-        ("counters.env_steps", Dtype::U64, vec![1], &env_steps[..]),
-        ("counters.iteration", Dtype::U64, vec![1], &iteration_bytes[..]),
-    ];
+/// A configuration whose training state takes several chunks of a write.
+fn large() -> Config {
+    config_with(&["network.critic_hidden=[64]"])
+}
+
+/// A snapshot whose actors count up from `first` and whose critics from the iteration, with all
+/// tensors that a learner would write and the digest that it would compute for them.
+pub(crate) fn snapshot_of(config: &Config, iteration: u64, first: f32) -> Snapshot {
+    let dimensions = Dimensions::new(config, robot().n_arms);
+    let actors = ActorLayout::new(config, &dimensions);
+    let state = StateLayout::new(config, &dimensions);
+    let count = |first: f32, numbers: std::ops::Range<usize>| -> Vec<u8> {
+        numbers.flat_map(|index| (first + index as f32).to_le_bytes()).collect()
+    };
+    let mut tensors = BTreeMap::new();
+    for (name, tensor) in state.tensors {
+        let len = tensor.shape.iter().product::<usize>();
+        let actor = name.strip_prefix("actor.").and_then(|parameter| actors.get(parameter));
+        let bytes = match (name.as_str(), actor, tensor.dtype) {
+            (_, Some(spec), _) => count(first, spec.range()),
+            ("counters.iteration", ..) => iteration.to_le_bytes().into(),
+            ("counters.env_steps", ..) => {
+                (iteration * config.steps_per_iteration()).to_le_bytes().into()
+            }
+            ("counters.precision", ..) => 32_u64.to_le_bytes().into(),
+            (_, _, Dtype::F32) => count(iteration as f32, 0..len),
+            (_, _, Dtype::F64) => 0.5_f64.to_le_bytes().repeat(len),
+            _ => iteration.to_le_bytes().repeat(len),
+        };
+        tensors.insert(name, (tensor.dtype, tensor.shape, bytes));
+    }
     let mut digest = DigestBuilder::new();
-    let mut tensors = Vec::new();
-    for (name, dtype, shape, bytes) in own {
+    for (name, (_, _, bytes)) in &tensors {
         digest.field(name, bytes);
-        tensors.push((name.to_owned(), TensorView::new(dtype, shape, bytes).expect("sized")));
     }
-    for spec in &layout.tensors {
-        let bytes = &actors[4 * spec.offset..4 * spec.range().end];
-        let view = TensorView::new(Dtype::F32, spec.shape.clone(), bytes).expect("sized");
-        tensors.push((format!("policy.{}", spec.name), view));
+    for spec in &actors.tensors {
+        let tensor = (Dtype::F32, spec.shape.clone(), count(first, spec.range()));
+        tensors.insert(format!("policy.{}", spec.name), tensor);
     }
-    let metadata = HashMap::from([("format".to_owned(), "test".to_owned())]);
-    let bytes = safetensors::serialize(tensors, Some(metadata)).expect("serialises");
+    let views = tensors.iter().map(|(name, (dtype, shape, bytes))| {
+        (name.clone(), TensorView::new(*dtype, shape.clone(), bytes).expect("sized"))
+    });
+    let metadata = HashMap::from([("format".to_owned(), STATE_FORMAT.to_owned())]);
+    let bytes = safetensors::serialize(views, Some(metadata)).expect("serialises");
     Snapshot { iteration, digest: digest.finish(), bytes }
 }
 
@@ -85,7 +95,7 @@ fn commit_of(store: &CheckpointStore, config: &Config, snapshot: &Snapshot) -> s
 
 /// Commits a small checkpoint.
 fn commit(store: &CheckpointStore, iteration: u64) -> std::path::PathBuf {
-    commit_of(store, &config(), &snapshot_of(&config(), iteration, 0.0, 10))
+    commit_of(store, &config(), &snapshot_of(&config(), iteration, 0.0))
 }
 
 /// A store in a directory that goes away.

@@ -111,7 +111,7 @@ fn an_upload_of_a_later_iteration_crowds_nothing_out() {
 fn the_new_best_survives_the_retention_of_its_own_commit() {
     let (_dir, store) = store();
     let put = |iteration, value: Option<f64>| {
-        let snapshot = snapshot_of(&config(), iteration, 0.0, 10);
+        let snapshot = snapshot_of(&config(), iteration, 0.0);
         let provenance = serde_json::json!({});
         let robot = robot().to_toml();
         let placement =
@@ -131,7 +131,7 @@ fn the_new_best_survives_the_retention_of_its_own_commit() {
     // One that is there already only gets its score, and keeps it when it is committed again.
     assert!(put(20, Some(0.125)) && put(20, None));
     assert_eq!(store.entry(&nth(20)).expect("there").labels.score, Some(score(0.125)));
-    let snapshot = snapshot_of(&config(), 30, 0.0, 10);
+    let snapshot = snapshot_of(&config(), 30, 0.0);
     let nan = Some(score(f64::NAN));
     let refused = store.commit_scored(&snapshot, &config(), "", &serde_json::json!({}), nan);
     assert!(matches!(refused, Err(CheckpointError::Refused { .. })), "{refused:?}");

@@ -1,5 +1,7 @@
 use proto::layout::SnapshotHeader;
 
+use proto::config::Precision;
+
 use super::*;
 
 #[test]
@@ -103,13 +105,13 @@ fn no_file_is_read_through_a_link_and_no_pipe_is_waited_for() {
         std::fs::rename(&path, &elsewhere).expect("rename");
         std::os::unix::fs::symlink(&elsewhere, &path).expect("link");
         let error = store.load(&checkpoint).expect_err(file).to_string();
-        assert!(error.contains(file) && error.contains("is a link"), "{error}");
+        assert!(error.contains(file) && error.contains("is a symbolic link"), "{error}");
         assert!(store.export(&nth(5), std::io::sink()).is_err(), "{file}");
         std::fs::remove_file(&path).expect("remove");
         let status = std::process::Command::new("mkfifo").arg(&path).status().expect("starts");
         assert!(status.success());
         let error = store.load(&checkpoint).expect_err(file).to_string();
-        assert!(error.contains("no regular file"), "{error}");
+        assert!(error.contains("is a pipe"), "{error}");
         std::fs::remove_file(&path).expect("remove");
         std::fs::rename(&elsewhere, &path).expect("rename");
     }
@@ -174,7 +176,7 @@ fn the_same_iteration_twice_stays_and_another_state_replaces_it() {
     assert!(store.entry(&nth(5)).expect("there").labels.has_tag("mine"), "it was left alone");
 
     // A run whose budget was changed comes to another state; what was said of the old is void.
-    let other = snapshot_of(&config(), 5, 0.0, 11);
+    let other = snapshot_of(&config(), 5, 1.0);
     for _ in 0..2 {
         commit_of(&store, &config(), &other);
         let entry = store.entry(&nth(5)).expect("there");
@@ -223,4 +225,30 @@ fn what_finds_nothing_leaves_nothing() {
     std::fs::write(dir.path().join("notes"), "mine").expect("write");
     assert!(store.import(&b"no archive"[..], None).is_err());
     assert!(dir.path().join("notes").exists());
+}
+
+#[test]
+fn a_state_tells_the_precision_that_an_earlier_version_left_undecided() {
+    let (_dir, store) = store_with(&[7]);
+    let mut checkpoint = store.load(&store.dir(&nth(7))).expect("whole");
+    for known in [Precision::F32, Precision::Bf16] {
+        checkpoint.config.run.precision = known;
+        assert_eq!(checkpoint.precision().ok(), Some(known));
+    }
+    checkpoint.config.run.precision = Precision::Auto;
+    let other = TensorView::new(Dtype::U64, vec![1], &[0; 8]).expect("sized");
+    let file = safetensors::serialize([("counters.iteration", other)], None).expect("a file");
+    std::fs::write(checkpoint.state(), file).expect("writable");
+    let error = checkpoint.precision().expect_err("nothing tells").to_string();
+    assert!(error.contains("state.safetensors") && error.contains("counters.precision"), "{error}");
+    // Bits of the products' operands, as the learner writes them.
+    for (bits, expected) in
+        [(16_u64, Some(Precision::Bf16)), (32, Some(Precision::F32)), (8, None), (1 << 40, None)]
+    {
+        let bytes = bits.to_le_bytes();
+        let view = TensorView::new(Dtype::U64, vec![1], &bytes).expect("sized");
+        let file = safetensors::serialize([("counters.precision", view)], None).expect("a file");
+        std::fs::write(checkpoint.state(), file).expect("writable");
+        assert_eq!(checkpoint.precision().ok(), expected, "{bits}");
+    }
 }

@@ -25,19 +25,49 @@ fn problems_after(file: &str, change: impl Fn(&[u8]) -> Vec<u8>) -> String {
 
 /// A safetensors file with a tensor's bytes or name changed.
 fn edited(bytes: &[u8], edit: impl Fn(&mut String, &mut Vec<u8>)) -> Vec<u8> {
+    rewritten(bytes, |tensors, _| {
+        *tensors = std::mem::take(tensors)
+            .into_iter()
+            .map(|(mut name, mut tensor)| {
+                edit(&mut name, &mut tensor.2);
+                (name, tensor)
+            })
+            .collect();
+    })
+}
+
+/// What is done to tensors and format mark.
+type Change<'a> = Box<dyn Fn(&mut Tensors, &mut String) + 'a>;
+
+/// Tensors by name: type, shape, bytes.
+type Tensors = BTreeMap<String, (Dtype, Vec<usize>, Vec<u8>)>;
+
+/// A safetensors file with anything in it changed, the format mark included.
+fn rewritten(bytes: &[u8], rewrite: impl Fn(&mut Tensors, &mut String)) -> Vec<u8> {
     let file = SafeTensors::deserialize(bytes).expect("whole");
-    let mut tensors: Vec<_> = file
-        .tensors()
-        .into_iter()
-        .map(|(name, view)| (name, view.dtype(), view.shape().to_vec(), view.data().to_vec()))
-        .collect();
-    for (name, _, _, data) in &mut tensors {
-        edit(name, data);
-    }
-    let views = tensors.iter().map(|(name, dtype, shape, data)| {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).expect("whole");
+    let metadata = metadata.metadata().clone().unwrap_or_default();
+    let mut format = metadata.get("format").cloned().unwrap_or_default();
+    let tensor = |view: TensorView<'_>| (view.dtype(), view.shape().to_vec(), view.data().to_vec());
+    let mut tensors: Tensors =
+        file.tensors().into_iter().map(|(name, view)| (name, tensor(view))).collect();
+    rewrite(&mut tensors, &mut format);
+    let views = tensors.iter().map(|(name, (dtype, shape, data))| {
         (name.clone(), TensorView::new(*dtype, shape.clone(), data).expect("sized"))
     });
-    safetensors::serialize(views, None).expect("serialises")
+    let metadata = (!format.is_empty()).then(|| HashMap::from([("format".to_owned(), format)]));
+    safetensors::serialize(views, metadata).expect("serialises")
+}
+
+/// The digest that a learner would compute for a state.
+fn digest_of(state: &[u8]) -> proto::Digest {
+    let mut digest = DigestBuilder::new();
+    let file = SafeTensors::deserialize(state).expect("whole");
+    let tensors: BTreeMap<_, _> = file.tensors().into_iter().collect();
+    for (name, view) in &tensors {
+        digest.field(name, view.data());
+    }
+    digest.finish()
 }
 
 #[test]
@@ -46,7 +76,9 @@ fn a_whole_checkpoint_passes() {
     let found = store.verify(&nth(1)).expect("there");
     assert!(found.is_whole(), "{:?}", found.problems);
     let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), 4));
-    assert_eq!((found.files, found.tensors), (4, 3 + layout.tensors.len()));
+    let state = StateLayout::new(&config(), &Dimensions::new(&config(), 4));
+    let tensors = state.tensors.len() + layout.tensors.len();
+    assert_eq!((found.files, found.tensors), (4, tensors));
     assert!(matches!(store.verify(&nth(2)), Err(CheckpointError::Absent { .. })));
 }
 
@@ -115,13 +147,13 @@ fn a_number_that_is_not_finite_is_found_wherever_it_is() {
 #[test]
 fn a_tensor_of_several_pieces_is_read_to_its_end() {
     let (_dir, store) = store();
-    let large = snapshot_of(&config(), 1, 0.0, 700_001);
-    let dir = commit_of(&store, &config(), &large);
+    let config = config_with(&["network.critic_hidden=[512]"]);
+    let dir = commit_of(&store, &config, &snapshot_of(&config, 1, 0.0));
     assert!(store.verify(&nth(1)).expect("there").is_whole());
     let bytes = std::fs::read(dir.join(STATE)).expect("read");
     for position in [1 << 20, 2 << 20, 2_800_000] {
         let changed = edited(&bytes, |name, data| {
-            if name == "actor.head.weight" {
+            if name == "critic.hidden.0.weight" {
                 data[position..position + 4].copy_from_slice(&f32::INFINITY.to_le_bytes());
             }
         });
@@ -194,11 +226,97 @@ fn a_state_that_is_not_what_the_manifest_says_is_found() {
     let problems = change("actor", |_, data| data[0] ^= 1);
     assert!(problems.contains("digest") && problems.contains("manifest says"), "{problems}");
     let problems = change("counters.iteration", |_, data| data[0] = 9);
-    assert!(problems.contains("`counters.iteration` is not 1"), "{problems}");
-    let problems = change("actor", |name, _| *name = "policy.x".to_owned());
+    assert!(problems.contains("`counters.iteration` is 9, not 1"), "{problems}");
+    let problems = change("actor.head.bias", |name, _| *name = "policy.x".to_owned());
     assert!(problems.contains("`policy.x` belongs into policy.safetensors"), "{problems}");
     let problems = problems_after(STATE, |bytes| bytes[..bytes.len() - 1].to_vec());
     assert!(problems.contains(STATE), "{problems}");
+}
+
+/// Well hashed, but no learner has ever written it. All but two of these were once taken in.
+#[test]
+fn a_state_without_sense_is_neither_whole_nor_taken_in() {
+    let zeros = |tensors: &mut Tensors, wanted: fn(&str) -> bool| {
+        for (_, (.., bytes)) in tensors.iter_mut().filter(|(name, _)| wanted(name)) {
+            bytes.fill(0);
+        }
+    };
+    let retyped = |name: &'static str, dtype: Dtype| -> Change<'static> {
+        Box::new(move |tensors, _| tensors.get_mut(name).expect(name).0 = dtype)
+    };
+    let first = |name: &'static str, number: f64| -> Change<'static> {
+        Box::new(move |tensors, _| {
+            let (dtype, _, bytes) = tensors.get_mut(name).expect(name);
+            match dtype {
+                Dtype::F32 => bytes[..4].copy_from_slice(&(number as f32).to_le_bytes()),
+                Dtype::F64 => bytes[..8].copy_from_slice(&number.to_le_bytes()),
+                Dtype::I64 => bytes[..8].copy_from_slice(&(number as i64).to_le_bytes()),
+                _ => bytes[..8].copy_from_slice(&(number as u64).to_le_bytes()),
+            }
+        })
+    };
+    let cases: Vec<(&str, Change<'_>)> = vec![
+        ("its format is `none`", Box::new(|_, format| format.clear())),
+        ("its format is `pt`", Box::new(|_, format| "pt".clone_into(format))),
+        ("`critic.head.bias` is missing", Box::new(|t, _| drop(t.remove("critic.head.bias")))),
+        ("`counters.iteration` is missing", Box::new(|t, _| drop(t.remove("counters.iteration")))),
+        (
+            "`actor.extra` is unknown",
+            Box::new(|t, _| drop(t.insert("actor.extra".into(), (Dtype::F32, vec![], vec![0; 4])))),
+        ),
+        (
+            "`critic.head.bias` is F32 [1, 8], the configuration wants F32 [8, 1]",
+            Box::new(|t, _| t.get_mut("critic.head.bias").expect("there").1 = vec![1, 8]),
+        ),
+        ("`critic.adam.steps` is U64", retyped("critic.adam.steps", Dtype::U64)),
+        ("`critic.head.bias` is I32", retyped("critic.head.bias", Dtype::I32)),
+        ("`counters.env_steps` is 5, not", first("counters.env_steps", 5.0)),
+        ("`counters.precision` is 8, expected 16 or 32", first("counters.precision", 8.0)),
+        (
+            "`critic.head.weight` holds a number that is not finite",
+            first("critic.head.weight", f64::NAN),
+        ),
+        ("`critic.adam.v.head.bias` holds a negative", first("critic.adam.v.head.bias", -1.0)),
+        ("`actor.adam.steps` holds a negative", first("actor.adam.steps", -1.0)),
+        ("`value_norm.debias` holds a number outside", first("value_norm.debias", 1.5)),
+        (
+            "`critic.hidden.0.weight` holds nothing but zeros",
+            Box::new(|t, _| zeros(t, |name| name.starts_with("critic."))),
+        ),
+        (
+            "`actor.hidden.0.weight` holds nothing but zeros",
+            Box::new(|t, _| zeros(t, |name| !name.starts_with("counters."))),
+        ),
+        ("`actor.head.bias` is not `head.bias` of policy", first("actor.head.bias", 77.0)),
+    ];
+    let (_source_dir, source) = store_with(&[1]);
+    let dir = source.dir(&nth(1));
+    let whole = std::fs::read(dir.join(STATE)).expect("read");
+    for (problem, change) in cases {
+        let state = rewritten(&whole, change);
+        recommit(&dir, STATE, &state);
+        let mut manifest = Manifest::read(&dir).expect("reads");
+        manifest.digest = digest_of(&state);
+        std::fs::write(dir.join(MANIFEST), manifest.to_json()).expect("write");
+        let found = source.verify(&nth(1)).expect("there").problems.join("\n");
+        assert!(found.contains(problem), "`{problem}` is not in\n{found}");
+        assert!(!found.contains("digest"), "well hashed: {found}");
+        let (_dir, store) = super::store();
+        let error = store.import(&packed(&source, &nth(1))[..], None).expect_err(problem);
+        assert!(matches!(error, CheckpointError::Archive { .. }), "{problem}: {error}");
+        assert!(contents(store.root()).is_empty(), "{problem}");
+    }
+}
+
+#[test]
+fn env_steps_are_those_of_the_iterations() {
+    let (_dir, store) = store_with(&[1]);
+    let dir = store.dir(&nth(1));
+    let mut manifest = Manifest::read(&dir).expect("reads");
+    manifest.env_steps += 1;
+    std::fs::write(dir.join(MANIFEST), manifest.to_json()).expect("write");
+    let problems = store.verify(&nth(1)).expect("there").problems.join("\n");
+    assert!(problems.contains("env-steps are not those of 1 iterations"), "{problems}");
 }
 
 #[test]
@@ -240,7 +358,11 @@ fn a_large_state_takes_no_memory() {
 
     let before = peak();
     let found = store.verify(&nth(1)).expect("there");
-    assert!(found.is_whole(), "{:?}", found.problems);
+    // Nothing but that it is none of the configuration.
+    let known = |problem: &&String| {
+        !["its format", "is missing", "unknown"].iter().any(|word| problem.contains(word))
+    };
+    assert_eq!(found.problems.iter().find(known), None);
     // The state has 512 MiB. Other tests share this process, and have taken 170 MiB at once.
     assert!(peak() - before < 320 << 10, "{} KiB more", peak() - before);
 }

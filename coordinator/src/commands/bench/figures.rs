@@ -1,5 +1,6 @@
 //! The figures of a measurement, as a table and as JSON.
 
+use proto::{ExitCode, ExitError};
 use serde_json::{Map, Value};
 
 use crate::output;
@@ -21,12 +22,21 @@ pub(super) struct Figure {
     sense: Sense,
     peer: Option<f64>,
     floor: Option<f64>,
+    limit: Option<f64>,
 }
 
 impl Figure {
     /// More is better.
     pub(super) fn rate(key: impl Into<String>, unit: &'static str, value: f64) -> Self {
-        Self { key: key.into(), unit, value, sense: Sense::Rate, peer: None, floor: None }
+        Self {
+            key: key.into(),
+            unit,
+            value,
+            sense: Sense::Rate,
+            peer: None,
+            floor: None,
+            limit: None,
+        }
     }
 
     /// Less is better.
@@ -42,6 +52,27 @@ impl Figure {
     /// The best that the machine allows.
     pub(super) fn floor(self, floor: Option<f64>) -> Self {
         Self { floor, ..self }
+    }
+
+    /// What no processor of this kind can do.
+    pub(super) fn limit(self, limit: Option<f64>) -> Self {
+        Self { limit, ..self }
+    }
+
+    /// Why its numbers cannot all be right, if they cannot.
+    fn doubt(&self) -> Option<String> {
+        let Self { key, unit, value, .. } = self;
+        let shown = number(*value);
+        // What is no number is not possible either.
+        let possible = self.floor.is_none_or(|floor| self.advantage(floor) <= 1.0);
+        if let Some(floor) = self.floor.filter(|_| !possible) {
+            let floor = number(floor);
+            return Some(format!(
+                "{key}: measured {shown} {unit} is better than its floor of {floor}"
+            ));
+        }
+        let limit = number(self.limit.filter(|limit| value > limit)?);
+        Some(format!("{key}: measured {shown} {unit}, the processor's peak is {limit}"))
     }
 
     /// How many times better than `other`.
@@ -82,6 +113,23 @@ impl Figures {
         self.0.iter().find(|figure| figure.key == key).map(|figure| figure.value)
     }
 
+    /// Refuses floors that are none: what was measured is better than the best that was found possible, or that is more than
+    /// the processor can do. `load` says what else went on.
+    pub(super) fn check(&self, load: &str) -> Result<(), ExitError> {
+        let doubts: Vec<String> = self.0.iter().filter_map(Figure::doubt).collect();
+        if doubts.is_empty() {
+            return Ok(());
+        }
+        Err(ExitError::new(
+            ExitCode::Failure,
+            format!(
+                "the measurements contradict each other, so that none is shown:\n  {}\n{load}; measure again when \
+                 the machine is idle, or longer, by --seconds",
+                doubts.join("\n  ")
+            ),
+        ))
+    }
+
     /// For people.
     pub(super) fn table(&self) -> String {
         let header = ["figure", "unit", "measured", "peer", "ratio", "floor", "share"];
@@ -116,6 +164,34 @@ pub(super) fn number(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_that_cannot_be_right_end_in_an_error() {
+        let check = |figure: Figure| Figures(vec![figure]).check("others took 90 %");
+        let rate = || Figure::rate("learner.rate", "env-steps/s", 3000.0);
+        let cost = || Figure::cost("transport.p50_us", "µs", 30.0);
+        let product = || Figure::rate("learner.f32.product_gflop_per_s", "GFLOP/s", 1442.0);
+        for possible in [
+            rate(),
+            rate().floor(Some(3000.0)),
+            rate().floor(Some(4000.0)),
+            cost().floor(Some(20.0)),
+            product().limit(Some(1500.0)),
+        ] {
+            assert!(check(possible.clone()).is_ok(), "{possible:?}");
+        }
+        for (impossible, said) in [
+            (rate().floor(Some(2900.0)), "learner.rate: measured 3,000 env-steps/s is better"),
+            (cost().floor(Some(31.0)), "floor of 31.0"),
+            (rate().floor(Some(f64::NAN)), "learner.rate"),
+            (product().limit(Some(330.0)), "measured 1,442 GFLOP/s, the processor's peak is 330"),
+        ] {
+            let error = check(impossible).expect_err(said);
+            assert_eq!(error.code, ExitCode::Failure);
+            assert!(error.message.contains(said), "{error}");
+            assert!(error.message.contains("others took 90 %"), "{error}");
+        }
+    }
 
     #[test]
     fn ratios_say_how_many_times_better() {

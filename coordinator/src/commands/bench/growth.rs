@@ -2,10 +2,10 @@
 
 use proto::layout::{ActorLayout, Dimensions};
 use serde_json::{Map, Value, json};
-use sim_worker::dynamics::StepOptions;
-use sim_worker::env::step_options;
-use sim_worker::robot::description::RobotDescription;
-use sim_worker::robot::{MAX_ARMS, Robot};
+use simulator::dynamics::StepOptions;
+use simulator::env::step_options;
+use simulator::robot::description::RobotDescription;
+use simulator::robot::{MAX_ARMS, Robot};
 use std::path::Path;
 
 use super::figures::number;
@@ -33,6 +33,16 @@ pub(super) struct Series {
     pub(super) name: &'static str,
     pub(super) points: Vec<(f64, f64)>,
 }
+
+const ROLLOUT_BY_ENVS: &str = "rollout_by_envs";
+const PHYSICS_BY_ARMS: &str = "physics_by_arms";
+const LEARNER_BY_HIDDEN: &str = "learner_by_hidden";
+const CHECKPOINT_BY_HIDDEN: &str = "checkpoint_by_hidden";
+const TRAIN_BY_WORKERS: &str = "train_by_workers";
+
+/// What the curves are called.
+pub(super) const NAMES: [&str; 5] =
+    [ROLLOUT_BY_ENVS, PHYSICS_BY_ARMS, LEARNER_BY_HIDDEN, CHECKPOINT_BY_HIDDEN, TRAIN_BY_WORKERS];
 
 const RATE: &str = "env-steps/s";
 const RATE_PER_CORE: &str = "env-steps/s per core";
@@ -68,7 +78,7 @@ fn by_envs(bench: &Bench) -> anyhow::Result<Curve> {
     let series = vec![Series { name: "env_steps_per_s_per_core", points }];
     let logarithmic = [true, false];
     Ok(Curve {
-        name: "rollout_by_envs",
+        name: ROLLOUT_BY_ENVS,
         over: "environments",
         unit: RATE_PER_CORE,
         logarithmic,
@@ -96,7 +106,7 @@ fn by_arms(bench: &Bench) -> anyhow::Result<Curve> {
         Series { name: "without_contacts_us_per_env_step", points: without },
     ];
     let logarithmic = [false, false];
-    Ok(Curve { name: "physics_by_arms", over: "arms", unit: COST, logarithmic, series })
+    Ok(Curve { name: PHYSICS_BY_ARMS, over: "arms", unit: COST, logarithmic, series })
 }
 
 /// The robot with `n` arms: its own first, then the same ones mirrored to the base's other end.
@@ -136,8 +146,8 @@ fn by_hidden(bench: &Bench) -> anyhow::Result<[Curve; 2]> {
         series: vec![Series { name: series, points }],
     };
     Ok([
-        curve("learner_by_hidden", RATE, "env_steps_per_s", rates),
-        curve("checkpoint_by_hidden", "bytes", "bytes", bytes),
+        curve(LEARNER_BY_HIDDEN, RATE, "env_steps_per_s", rates),
+        curve(CHECKPOINT_BY_HIDDEN, "bytes", "bytes", bytes),
     ])
 }
 
@@ -150,7 +160,7 @@ fn by_workers(bench: &Bench) -> anyhow::Result<Curve> {
     }
     let series = vec![Series { name: "env_steps_per_s", points }];
     let logarithmic = [true, false];
-    Ok(Curve { name: "train_by_workers", over: "workers", unit: RATE, logarithmic, series })
+    Ok(Curve { name: TRAIN_BY_WORKERS, over: "workers", unit: RATE, logarithmic, series })
 }
 
 /// One key a series: `growth.CURVE.SERIES`, a list of pairs.

@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use proto::config::Activation;
 use proto::{ExitCode, ExitError};
 use serde_json::{Value, json};
-use sim_worker::robot::{MjcfOptions, mjcf::mjcf};
+use simulator::robot::{MjcfOptions, mjcf::mjcf};
 
 use super::{Bench, child};
 

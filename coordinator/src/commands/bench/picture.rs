@@ -1,6 +1,6 @@
 //! The curves of growth as pictures.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow};
 use plotters::prelude::*;
@@ -23,9 +23,14 @@ pub(super) fn draw_all(dir: &Path, curves: &[Curve]) -> anyhow::Result<()> {
         let mut svg = String::new();
         render(&mut svg, curve)
             .map_err(|error| anyhow!("the curve {} cannot be drawn: {error}", curve.name))?;
-        files::replace_output(&dir.join(format!("{}.svg", curve.name)), svg.as_bytes())?;
+        files::replace_output(&path(dir, curve.name), svg.as_bytes())?;
     }
     Ok(())
+}
+
+/// Where the picture of a curve goes.
+pub(super) fn path(dir: &Path, name: &str) -> PathBuf {
+    dir.join(format!("{name}.svg"))
 }
 
 /// Logarithmic axes are labelled at powers of two; linear ones begin at 0.

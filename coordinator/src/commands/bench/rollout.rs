@@ -4,11 +4,12 @@ use std::time::{Duration, Instant};
 
 use proto::clock::thread_cpu;
 use proto::config::{Config, Inference};
-use proto::layout::{ActorLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
-use proto::rng::{Address, Purpose};
-use sim_worker::env::step_options;
-use sim_worker::robot::Robot;
-use sim_worker::rollout::{RolloutSpec, World, rollout};
+use proto::layout::{Dimensions, EpisodeMetrics};
+use simulator::env::{Stage, step_options};
+use simulator::policy::initial_parameters;
+use simulator::random_motion::operations_per_step;
+use simulator::robot::Robot;
+use simulator::rollout::{RolloutSpec, World, rollout};
 
 use super::figures::{Figure, Figures};
 use super::{Bench, arithmetic};
@@ -30,7 +31,7 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
             Some(1.0 / (1.0 / mujoco + threads / torch.inference))
         }
     };
-    let physics = arithmetic::physics(&bench.robot, &step_options(&bench.config));
+    let physics = operations_per_step(&bench.robot, &step_options(&bench.config));
     let (single, pairs) = policy_flops(&bench.config, &bench.dimensions);
     let floor = 1.0
         / ((physics + single) / arithmetic::peak(bench.seconds / 10.0)
@@ -73,20 +74,28 @@ pub(super) fn rates(
     seconds: f64,
 ) -> anyhow::Result<Rates> {
     let world = World::new(config, robot);
-    let policy = world.policy(&initial_policy(config, &world.dimensions))?;
+    let policy = world.policy(&initial_parameters(config, &world.dimensions, 1))?;
     let mut block = vec![0.0; world.block_layout().len];
     let (mut steps, mut shard) = (0, 0);
     let (mut physics, mut inference, mut observe) =
         (Duration::ZERO, Duration::ZERO, Duration::ZERO);
     let (start, cpu) = (Instant::now(), thread_cpu());
+    let mut last = start;
+    let mut on_stage = |stage| {
+        let now = Instant::now();
+        let part = match stage {
+            Stage::Observed => &mut observe,
+            Stage::Decided => &mut inference,
+            Stage::Moved => &mut physics,
+        };
+        *part += now - last;
+        last = now;
+    };
     while steps == 0 || start.elapsed().as_secs_f64() < seconds {
         bench.go_on()?;
         let spec = RolloutSpec { seed: config.run.seed, iteration: 0, shard, policy: &policy };
-        let stats = rollout(&world, &spec, &mut block, &mut || {})?;
-        steps += stats.env_steps;
-        physics += stats.timing.physics;
-        inference += stats.timing.policy;
-        observe += stats.timing.observe;
+        rollout(&world, &spec, &mut block, &mut on_stage)?;
+        steps += world.block_env_steps();
         shard = (shard + 1) % world.dimensions.n_shards as u32;
     }
     let sizes = &world.dimensions;
@@ -103,40 +112,6 @@ pub(super) fn rates(
         observe_us: share(observe),
         touching_pairs: f64::from(touching) / (sizes.n_envs * sizes.n_steps) as f64,
     })
-}
-
-/// Actors like those that a training begins with: weights of the learner's scale, normal instead of
-/// orthogonal, so that actions are of the same size.
-fn initial_policy(config: &Config, dimensions: &Dimensions) -> Vec<f32> {
-    let layout = ActorLayout::new(config, dimensions);
-    let mut parameters = vec![0.0; layout.len];
-    for (index, tensor) in layout.tensors.iter().enumerate() {
-        let fan_in = tensor.shape[1] as f64;
-        let part = &mut parameters[tensor.range()];
-        let name = tensor.name.as_str();
-        match (name, name.rsplit('.').next().unwrap_or_default()) {
-            ("head.weight", _) => fill(part, index, config.network.head_gain / fan_in.sqrt()),
-            ("log_std", _) => {
-                for (agent, joints) in part.chunks_exact_mut(JOINTS_PER_AGENT).enumerate() {
-                    joints.fill(config.network.initial_log_std_of(agent) as f32);
-                }
-            }
-            (_, "weight") => fill(part, index, (2.0 / fan_in).sqrt()),
-            (_, "gain" | "inverse_std") => part.fill(1.0),
-            _ => {}
-        }
-    }
-    parameters
-}
-
-/// Normal numbers of a deviation.
-fn fill(part: &mut [f32], tensor: usize, deviation: f64) {
-    let purpose = Purpose::Initialisation;
-    for (step, four) in part.chunks_mut(4).enumerate() {
-        let (iteration, step) = (tensor as u32, step as u32);
-        let address = Address { seed: 1, purpose, iteration, env: 0, step, index: 0 };
-        four.iter_mut().zip(address.normals()).for_each(|(x, z)| *x = z * deviation as f32);
-    }
 }
 
 /// Operations of all actors' matrix products for an env-step: those in `f32`, and those of bfloat16.
@@ -163,20 +138,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn actors_are_of_the_scale_that_training_begins_with() {
+    fn products_of_the_policy_by_hand() {
         let config = Layers::new(Preset::Paper, None).resolve().expect("valid");
         let dimensions = Dimensions::new(&config, 4);
-        let parameters = initial_policy(&config, &dimensions);
-        let layout = ActorLayout::new(&config, &dimensions);
-        let square = |name: &str| {
-            let part = &parameters[layout.get(name).expect("exists").range()];
-            part.iter().map(|x| f64::from(x * x)).sum::<f64>() / part.len() as f64
-        };
-        // 8·512·512 and 8·512·3 numbers: means of squares are right to 0.1 % and 1.3 %, times five.
-        assert!((square("hidden.1.weight") * 256.0 - 1.0).abs() < 0.005);
-        assert!((square("head.weight") * 512.0 * 1e4 - 1.0).abs() < 0.065);
-        assert_eq!(square("input.gain"), 1.0);
-        assert_eq!(square("hidden.0.bias") + square("log_std"), 0.0);
         // 28·512 + 512·512 + 512·3 weights, two operations each, eight agents.
         let (single, pairs) = policy_flops(&config, &dimensions);
         assert_eq!((single, pairs), (16.0 * 15_872.0, 16.0 * 262_144.0));

@@ -14,6 +14,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use super::Bench;
 use super::child::Running;
 use super::figures::{Figure, Figures};
+use super::learner::BEST;
 use crate::report::jsonl;
 use crate::supervisor::{child_exit_code, log_tail};
 
@@ -30,12 +31,11 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
     bench.begin("train")?;
     let measured = training(bench, workers)?;
     let cores = workers.min(Bench::processors()) as f64;
-    // One after the other, as without overlap; with it both share the same processors.
     let parts = |rollout: f64, rest: f64| 1.0 / (1.0 / (cores * rollout) + rest);
     let floor = figures
         .value("rollout.env_steps_per_s_per_core")
-        .zip(figures.value("learner.env_steps_per_s"))
-        .map(|(rollout, learner)| parts(rollout, 1.0 / learner));
+        .zip(figures.value(BEST))
+        .and_then(|(rollout, learner)| floor(bench, 1.0 / (cores * rollout), 1.0 / learner));
     let peer = match &bench.peers {
         None => None,
         Some(peers) => {
@@ -57,6 +57,24 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
         }
     }
     Ok(())
+}
+
+/// Env-steps/s of a training that consists of nothing but its rollout and its update (s per env-step). None where the limit on the
+/// divergence may hold actors back: what is not computed has no floor.
+fn floor(bench: &Bench, rollout: f64, learner: f64) -> Option<f64> {
+    let run = &bench.config.run;
+    if bench.config.algorithm.max_kl > 0.0 {
+        return None;
+    }
+    let one_after_the_other = rollout + learner;
+    if run.overlap == 0 {
+        return Some(1.0 / one_after_the_other);
+    }
+    // Side by side, as far as there are processors for both.
+    let processors = Bench::processors() as f64;
+    let (workers, threads) = (run.workers as f64, run.learner_threads as f64);
+    let work = rollout * workers.min(processors) + learner * threads.min(processors);
+    Some(1.0 / rollout.max(learner).max(work / processors))
 }
 
 /// What a run did.

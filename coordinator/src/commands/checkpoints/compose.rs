@@ -2,9 +2,10 @@
 
 use proto::{ExitCode, ExitError};
 
-use super::{refused, report};
-use crate::checkpoint::{Composition, Name, Part, store_to_be};
-use crate::cli::checkpoints::ComposeArgs;
+use super::{refused, report, store_to_fill};
+use crate::checkpoint::{Composition, Name, Part};
+use crate::cli::checkpoints::{ComposeArgs, given_twice};
+use crate::output;
 use crate::output::counted;
 use crate::provenance::Provenance;
 
@@ -23,7 +24,12 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
         ))
         .into());
     };
-    let store = store_to_be(parent)?;
+    let arms: Vec<usize> = args.arms.iter().flat_map(|from| from.arms.clone()).collect();
+    if let Some(arm) = given_twice(&arms) {
+        let message = format!("--arm: arm {} is given twice; give every arm once", arm + 1);
+        return Err(usage(message).into());
+    }
+    let store = store_to_fill("--out", parent, args.force)?;
     let mut parts = Vec::new();
     for from in &args.arms {
         parts.push(Part { arms: from.arms.clone(), checkpoint: from.checkpoint.open()? });
@@ -31,7 +37,10 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
     let composition = Composition::new(&parts).map_err(refused(ExitCode::BadInput))?;
     if !composition.notes.is_empty() {
         let first = parts[0].checkpoint.dir.display();
-        eprintln!("note: the parts differ in {}; {first} decides", composition.notes.join(", "));
+        output::note(&format!(
+            "note: the parts differ in {}; {first} decides",
+            composition.notes.join(", ")
+        ));
     }
     let provenance = serde_json::to_value(Provenance::gather())?;
     let entry =

@@ -74,7 +74,7 @@ pub(super) fn diff(args: &DiffArgs) -> anyhow::Result<()> {
     if args.json {
         output::json(&difference)?;
     } else {
-        output::line(&tell(&difference))?;
+        output::line(&tell(&difference, output::columns()))?;
     }
     if difference.same {
         return Ok(());
@@ -82,20 +82,15 @@ pub(super) fn diff(args: &DiffArgs) -> anyhow::Result<()> {
     Err(NotTheSame.into())
 }
 
-fn tell(difference: &Difference) -> String {
-    let Difference { same, config, same_robot, equal_tensors, tensors } = difference;
-    if *same {
-        return format!("the same: configuration, robot and all {equal_tensors} tensors");
-    }
+/// What differs: first in a sentence, then key by key and tensor by tensor.
+fn tell(difference: &Difference, columns: usize) -> String {
+    let Difference { config, tensors, .. } = difference;
     let or_dash = |value: &Option<String>| value.clone().unwrap_or_else(|| "-".to_owned());
     let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |x| format!("{x:.3e}"));
-    let mut parts = Vec::new();
+    let mut parts = vec![summary(difference)];
     if !config.is_empty() {
         let rows = config.iter().map(|key| [key.key.clone(), or_dash(&key.a), or_dash(&key.b)]);
-        parts.push(output::table(["configuration", "A", "B"], rows));
-    }
-    if !same_robot {
-        parts.push("the robots differ".to_owned());
+        parts.push(output::table_within(columns, ["configuration", "A", "B"], rows));
     }
     if !tensors.is_empty() {
         let rows = tensors.iter().map(|tensor| {
@@ -104,13 +99,95 @@ fn tell(difference: &Difference) -> String {
             } else {
                 format!("{} | {}", or_dash(&tensor.a), or_dash(&tensor.b))
             };
-            [tensor.tensor.clone(), shape, number(tensor.max_abs), number(tensor.norm)]
+            let name = tensor.tensor.replacen(".safetensors/", "/", 1);
+            [name, shape, number(tensor.max_abs), number(tensor.norm)]
         });
-        parts.push(output::table(["tensor", "type and shape (A | B)", "max |Δ|", "‖Δ‖"], rows));
+        let header = ["tensor", "type and shape (A | B)", "max |Δ|", "‖Δ‖"];
+        parts.push(output::table_within(columns, header, rows));
     }
-    let are = if *equal_tensors == 1 { "is" } else { "are" };
-    let differ = if tensors.len() == 1 { "differs" } else { "differ" };
-    let equal = counted(*equal_tensors as u64, "tensor");
-    parts.push(format!("{equal} {are} equal, {} {differ}", tensors.len()));
     parts.join("\n\n")
+}
+
+/// All differences in a few words.
+fn summary(difference: &Difference) -> String {
+    let Difference { same, config, same_robot, equal_tensors, tensors } = difference;
+    if *same {
+        return format!("the same: configuration, robot and all {equal_tensors} tensors");
+    }
+    let of = counted((equal_tensors + tensors.len()) as u64, "tensor");
+    let largest = tensors.iter().filter_map(|tensor| tensor.max_abs).reduce(f64::max);
+    let by = largest.map_or_else(String::new, |largest| format!(", by {largest:.3e} at most"));
+    let tensors = match tensors.len() {
+        0 => format!("all {of} are the same"),
+        differing => format!("{differing} of {of} differ{by}"),
+    };
+    let config = match config.len() as u64 {
+        0 => "the same".to_owned(),
+        keys => format!("{} with other values", counted(keys, "key")),
+    };
+    let robot = if *same_robot { "the same" } else { "another" };
+    format!("different\ntensors        {tensors}\nconfiguration  {config}\nrobot          {robot}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checkpoint::{KeyDifference, TensorDifference};
+
+    /// The longest names and shapes that there are.
+    fn difference() -> Difference {
+        let shape = || Some("F32 [8, 1024, 1024]".to_owned());
+        let tensor = |tensor: &str, b: Option<String>, max_abs| TensorDifference {
+            tensor: tensor.to_owned(),
+            a: shape(),
+            b,
+            max_abs,
+            norm: max_abs,
+        };
+        let key = "algorithm.maddpg.updates_per_step";
+        let paths = ["robots/of-somebody/with-a-long-name.toml", "robots/of-another/other.toml"];
+        let of = |key: &str, [a, b]: [&str; 2]| KeyDifference {
+            key: key.to_owned(),
+            a: Some(a.to_owned()),
+            b: Some(b.to_owned()),
+        };
+        Difference {
+            same: false,
+            config: vec![of(key, ["0.015625", "0.25"]), of("robot.description", paths)],
+            same_robot: false,
+            equal_tensors: 3,
+            tensors: vec![
+                tensor(
+                    "state.safetensors/critic.adam.second.hidden.12.weight",
+                    shape(),
+                    Some(0.25),
+                ),
+                tensor("policy.safetensors/head.weight", None, None),
+            ],
+        }
+    }
+
+    #[test]
+    fn the_summary_stands_first() {
+        let text = tell(&difference(), 80);
+        let first: Vec<&str> = text.lines().take(5).collect();
+        let expected = [
+            "different",
+            "tensors        2 of 5 tensors differ, by 2.500e-1 at most",
+            "configuration  2 keys with other values",
+            "robot          another",
+            "",
+        ];
+        assert_eq!(first, expected);
+        let nothing = Difference { tensors: Vec::new(), ..difference() };
+        assert!(tell(&nothing, 80).contains("all 3 tensors are the same"));
+    }
+
+    #[test]
+    fn the_tables_fit() {
+        let text = tell(&difference(), 80);
+        for line in text.lines() {
+            assert!(line.chars().count() <= 80, "{line}");
+        }
+    }
 }

@@ -35,6 +35,16 @@ pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
     }
     let Survey { entries, damaged } = &survey;
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs());
+    let mut lines = Vec::new();
+    if !entries.is_empty() {
+        lines.push(listed(entries, now, output::columns()));
+    }
+    lines.extend(damaged.iter().map(|entry| format!("{}: damaged: {}", entry.name, entry.reason)));
+    output::line(&lines.join("\n"))
+}
+
+/// Checkpoints as a table, at the time `now` (s since 1970).
+fn listed(entries: &[Entry], now: u64, columns: usize) -> String {
     let rows = entries.iter().map(|entry| {
         let score = entry.labels.score.as_ref();
         [
@@ -48,12 +58,7 @@ pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
         ]
     });
     let header = ["name", "iteration", "env-steps", "size", "score", "labels", "age"];
-    let mut lines = Vec::new();
-    if !entries.is_empty() {
-        lines.push(output::table(header, rows));
-    }
-    lines.extend(damaged.iter().map(|entry| format!("{}: damaged: {}", entry.name, entry.reason)));
-    output::line(&lines.join("\n"))
+    output::table_within(columns, header, rows)
 }
 
 /// A tensor of a checkpoint.
@@ -101,7 +106,7 @@ pub(super) fn show(args: &ShowArgs) -> anyhow::Result<()> {
     if args.json {
         output::json(&shown)?;
     } else {
-        output::line(&describe(&shown))?;
+        output::line(&describe(&shown, output::columns(), args.tensors))?;
     }
     if damaged {
         let message = "the checkpoint is damaged";
@@ -120,10 +125,24 @@ fn error_in_words(name: &str, error: f64) -> String {
     }
 }
 
-fn describe(shown: &Shown) -> String {
+/// What the checkpoint is in a few words.
+fn summary(shown: &Shown) -> String {
+    let Shown { entry, tensors, problems, .. } = shown;
+    let state = if problems.is_empty() { "whole" } else { "damaged" };
+    let what = match entry.kind {
+        Kind::Training => "training goes on from it",
+        Kind::Composed => "actors of several checkpoints",
+        Kind::Policy => "actors only",
+    };
+    format!("{state}: {what}, {}, {}", size(entry.bytes), counted(tensors.len() as u64, "tensor"))
+}
+
+/// The summary first, then what is known of it, then its files; its tensors if they are wanted.
+fn describe(shown: &Shown, columns: usize, with_tensors: bool) -> String {
     let Shown { entry, manifest, tensors, problems } = shown;
     let committed = utc(UNIX_EPOCH + std::time::Duration::from_secs(entry.created_unix_s));
     let mut lines = vec![
+        format!("{:12}{}", "summary", summary(shown)),
         format!("{:12}{}", "checkpoint", entry.dir.display()),
         format!("{:12}{}", "kind", entry.kind.as_str()),
         format!("{:12}{}", "iteration", grouped(entry.iteration)),
@@ -136,14 +155,10 @@ fn describe(shown: &Shown) -> String {
         let errors: Vec<String> =
             score.errors.iter().map(|(name, error)| error_in_words(name, *error)).collect();
         lines.push(format!(
-            "{:12}{:.6} over {} episodes of {} steps, seed {} ({})",
-            "score",
-            score.value,
-            score.episodes,
-            score.steps,
-            score.seed,
-            errors.join(", ")
+            "{:12}{:.6} over {} episodes of {} steps, seed {}",
+            "score", score.value, score.episodes, score.steps, score.seed
         ));
+        lines.extend(errors.iter().map(|error| format!("{:12}{error}", "")));
     }
     let checked = if problems.is_empty() { "whole" } else { "damaged:" };
     lines.push(format!("{:12}{checked}", "files"));
@@ -153,31 +168,42 @@ fn describe(shown: &Shown) -> String {
             lines.push(format!("{key:12}{value}"));
         }
     }
-    for origin in &manifest.origins {
-        lines.push(format!(
-            "{:12}agent {} is agent {} of {}, iteration {}, {}",
-            "origin",
-            origin.agent,
-            origin.source_agent,
-            origin.run,
-            origin.iteration,
-            origin.digest
-        ));
+    if !manifest.origins.is_empty() {
+        let rows = manifest.origins.iter().map(|origin| {
+            [
+                format!("agent {}", origin.agent),
+                format!("agent {} of {}", origin.source_agent, origin.run),
+                grouped(origin.iteration),
+                abridged(&origin.digest.to_string()),
+            ]
+        });
+        let header = ["actor", "origin", "iteration", "digest"];
+        lines.extend([String::new(), output::table_within(columns, header, rows)]);
     }
     lines.push(String::new());
     let files = manifest
         .files
         .iter()
-        .map(|(name, file)| [name.clone(), grouped(file.len), file.blake3.clone()]);
-    lines.push(output::table(["file", "bytes", "BLAKE3"], files));
+        .map(|(name, file)| [name.clone(), grouped(file.len), abridged(&file.blake3)]);
+    lines.push(output::table_within(columns, ["file", "bytes", "BLAKE3"], files));
     lines.push(String::new());
+    if !with_tensors {
+        let all = counted(tensors.len() as u64, "tensor");
+        lines.push(format!("--tensors lists the {all}, --json all digits of the hashes"));
+        return lines.join("\n");
+    }
     let rows = tensors.iter().map(|tensor| {
         let shape: Vec<String> = tensor.shape.iter().map(ToString::to_string).collect();
         let file = tensor.file.trim_end_matches(".safetensors");
         [format!("{file}/{}", tensor.name), tensor.dtype.clone(), shape.join(" × ")]
     });
-    lines.push(output::table(["tensor", "type", "shape"], rows));
+    lines.push(output::table_within(columns, ["tensor", "type", "shape"], rows));
     lines.join("\n")
+}
+
+/// As much of a hash as tells it from others.
+fn abridged(hash: &str) -> String {
+    format!("{}…", hash.chars().take(16).collect::<String>())
 }
 
 /// Labels in a few words.
@@ -218,7 +244,49 @@ fn age(seconds: u64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
+    use proto::Digest;
+
     use super::*;
+    use crate::checkpoint::{Name, Score};
+
+    #[test]
+    fn a_listing_fits_and_lists_all_labels() {
+        let name = |text: &str| text.parse::<Name>().expect("a name");
+        let labels = Labels {
+            pinned: true,
+            milestone: true,
+            tags: vec![name("best"), name("latest"), name("paper-figure-3")],
+            score: Some(Score {
+                value: 1234.5678,
+                errors: BTreeMap::new(),
+                episodes: 100,
+                steps: 200,
+                seed: 1,
+            }),
+            ..Labels::default()
+        };
+        let entry = Entry {
+            name: name("iteration-00012345"),
+            dir: "runs/a".into(),
+            kind: Kind::Training,
+            iteration: 12_345,
+            env_steps: 999_999_999,
+            digest: Digest([7; 16]),
+            created_unix_s: 0,
+            bytes: 999_900_000,
+            labels,
+            origins: Vec::new(),
+        };
+        let text = listed(&[entry], 3000, 80);
+        for line in text.lines() {
+            assert!(line.chars().count() <= 80, "{text}");
+        }
+        for word in ["iteration-00012345", "1234.5678", "pinned,", "paper-figure-3", "50 min"] {
+            assert!(text.contains(word), "{word} is not whole in\n{text}");
+        }
+    }
 
     #[test]
     fn sizes_and_ages_have_their_largest_unit() {

@@ -1,5 +1,6 @@
 //! `octopus checkpoints`: the checkpoint service on the command line.
 
+mod commit;
 mod compose;
 mod inspect;
 mod keep;
@@ -7,9 +8,11 @@ mod label;
 mod listing;
 mod transfer;
 
+use std::path::Path;
+
 use proto::{ExitCode, ExitError};
 
-use crate::checkpoint::{CheckpointError, Entry};
+use crate::checkpoint::{CATALOGUE, CheckpointError, CheckpointStore, Entry, store_to_be};
 use crate::cli::checkpoints::{CheckpointsArgs, CheckpointsCommand};
 use crate::output;
 
@@ -27,6 +30,7 @@ pub fn run(args: &CheckpointsArgs) -> anyhow::Result<()> {
         CheckpointsCommand::Prune(args) => keep::prune(args),
         CheckpointsCommand::Rebuild(args) => keep::rebuild(args),
         CheckpointsCommand::Delete(args) => keep::delete(args),
+        CheckpointsCommand::Commit(args) => commit::commit(args),
         CheckpointsCommand::Import(args) => transfer::import(args),
         CheckpointsCommand::Export(args) => transfer::export(args),
         CheckpointsCommand::Compose(args) => compose::compose(args),
@@ -39,6 +43,28 @@ fn refused(code: ExitCode) -> impl Fn(CheckpointError) -> anyhow::Error {
         CheckpointError::Refused { reason } => ExitError::new(code, reason).into(),
         other => other.into(),
     }
+}
+
+/// The store at `path` that a checkpoint is about to be put into, named by `flag`. A directory that holds other
+/// things and no checkpoint becomes a store by `force` only.
+fn store_to_fill(flag: &str, path: &Path, force: bool) -> anyhow::Result<CheckpointStore> {
+    let store = store_to_be(path)?;
+    let root = store.root();
+    let is_store = root.join(CATALOGUE).exists() || !store.survey()?.is_empty();
+    let of_a_run = root != path;
+    if force || is_store || of_a_run {
+        return Ok(store);
+    }
+    let entries = std::fs::read_dir(root).into_iter().flatten().flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    // What a store hides does not make it somebody's.
+    let Some(other) = names.filter(|name| !name.starts_with('.')).min() else { return Ok(store) };
+    let message = format!(
+        "{flag} {}: holds {other:?} and no checkpoint; name a directory of checkpoints or a new one, \
+         or use --force",
+        path.display()
+    );
+    Err(ExitError::new(ExitCode::RunDirectory, message).into())
 }
 
 /// Prints a checkpoint as JSON, or what became of it in words.

@@ -7,19 +7,20 @@ use std::path::Path;
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
 
-use super::{refused, report};
-use crate::checkpoint::{CheckpointError, CheckpointStore, Name, store_to_be};
+use super::{refused, report, store_to_fill};
+use crate::checkpoint::{CheckpointError, CheckpointStore, Name};
 use crate::cli::checkpoints::{ExportArgs, ImportArgs};
-use crate::files;
+use crate::outputs::Output;
+use crate::{files, regular};
 
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
-    let store = store_to_be(&args.store)?;
+    let store = store_to_fill("--store", &args.store, args.force)?;
     let name = args.name.clone();
     let imported = if args.archive == Path::new("-") {
         store.import(std::io::stdin().lock(), name)
     } else {
-        let file = File::open(&args.archive).map_err(|error| {
+        let file = regular::open(&args.archive).map_err(|error| {
             let message = format!("{}: cannot be read: {error}", args.archive.display());
             ExitError::new(ExitCode::BadInput, message)
         })?;
@@ -44,10 +45,8 @@ pub(super) fn export(args: &ExportArgs) -> anyhow::Result<()> {
         store.export(&name, &mut stdout)?;
         return stdout.flush().context("standard output cannot be written");
     }
-    if !args.force && args.out.is_file() {
-        let message = format!("{}: is there already; --force writes over it", args.out.display());
-        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
-    }
+    let output = Output { flag: "--out", path: &args.out, mark: b"", force: args.force };
+    output.check(&[("CHECKPOINT", &store.dir(&name))])?;
     write(&store, &name, &args.out)?;
     report(&store.entry(&name)?, args.json, &format!("exported to {}", args.out.display()))
 }

@@ -2,7 +2,7 @@
 
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
-use sim_worker::experiment::{Effect, FixedGoals, Intervention, Trial};
+use simulator::experiment::{Effect, FixedGoals, Intervention, Trial};
 
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report, share};
@@ -104,7 +104,7 @@ impl Experiment for ArmFailureArgs {
         Ok(results)
     }
 
-    fn table(report: &Report<Settings, Failed>) -> String {
+    fn table(columns: usize, report: &Report<Settings, Failed>) -> String {
         let rows = report.results.iter().map(|result| {
             let [paper, released] = [0, 1].map(|index| percent(result.success[index].share));
             let ErrorOfMany { min, last, tail, .. } = &result.error;
@@ -117,7 +117,7 @@ impl Experiment for ArmFailureArgs {
         format!(
             "{} each; percentiles are those of tail\n{}",
             output::counted(report.protocol.episodes as u64, "episode"),
-            output::table(header, rows)
+            output::table_within(columns, header, rows)
         )
     }
 }

@@ -87,17 +87,17 @@ impl Experiment for BaseMassArgs {
         self.masses.0.iter().map(measure).collect()
     }
 
-    fn table(report: &Report<Settings, Weighed>) -> String {
+    fn table(columns: usize, report: &Report<Settings, Weighed>) -> String {
         format!(
             "{} each; success is judged after the last step\n{}",
             output::counted(report.protocol.episodes as u64, "episode"),
-            table(&report.results, &report.protocol.settings.thresholds_rad)
+            table(columns, &report.results, &report.protocol.settings.thresholds_rad)
         )
     }
 }
 
 /// A row a mass and threshold would be long, so thresholds share a column.
-fn table(results: &[Weighed], thresholds: &[f64]) -> String {
+fn table(columns: usize, results: &[Weighed], thresholds: &[f64]) -> String {
     let within: Vec<String> = thresholds.iter().map(|t| format!("{:.0}", 1e3 * t)).collect();
     let success = format!("% within {} mrad", within.join(" / "));
     let rows = results.iter().map(|result| {
@@ -107,5 +107,5 @@ fn table(results: &[Weighed], thresholds: &[f64]) -> String {
         let [mean, p50, p90] = [last.mean, last.p50, last.p90].map(milli);
         [format!("{} kg", result.mass), mean, p50, p90, shares.join(" / ")]
     });
-    output::table(["base", "final (mrad)", "p50", "p90", &success], rows)
+    output::table_within(columns, ["base", "final (mrad)", "p50", "p90", &success], rows)
 }

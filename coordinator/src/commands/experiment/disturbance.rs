@@ -6,9 +6,9 @@ use std::ops::Range;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::Course;
-use sim_worker::experiment::{Effect, FixedGoals, Intervention, Recording};
-use sim_worker::robot::JOINTS_PER_ARM;
+use simulator::evaluate::Course;
+use simulator::experiment::{Effect, FixedGoals, Intervention, Recording};
+use simulator::robot::JOINTS_PER_ARM;
 
 use super::lab::{Lab, Needs};
 use super::report::{CourseOfMany, Figure, Goals, Report, Words, share, spread};
@@ -188,8 +188,8 @@ impl Experiment for DisturbanceArgs {
         Ok(results)
     }
 
-    fn table(report: &Report<Settings, Disturbed>) -> String {
-        table(&report.results, report.protocol.episodes)
+    fn table(columns: usize, report: &Report<Settings, Disturbed>) -> String {
+        table(columns, &report.results, report.protocol.episodes)
     }
 }
 
@@ -387,7 +387,7 @@ impl Recovery {
     }
 }
 
-fn table(results: &[Disturbed], episodes: usize) -> String {
+fn table(columns: usize, results: &[Disturbed], episodes: usize) -> String {
     let rows = results.iter().flat_map(|result| {
         result.errors.iter().map(move |error| {
             let soonest =
@@ -423,7 +423,7 @@ fn table(results: &[Disturbed], episodes: usize) -> String {
     format!(
         "{} each\n{}{}",
         output::counted(episodes as u64, "episode"),
-        output::table(header, rows),
+        output::table_within(columns, header, rows),
         notes(results)
     )
 }

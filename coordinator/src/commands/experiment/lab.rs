@@ -6,18 +6,18 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use sim_worker::dynamics::StepOptions;
-use sim_worker::env::step_options;
-use sim_worker::evaluate::{Evaluation, EvaluationOptions};
-use sim_worker::experiment::{CHUNK, Pose, Recording, Trial, play};
-use sim_worker::reach::within_reach;
-use sim_worker::robot::Robot;
+use simulator::dynamics::StepOptions;
+use simulator::env::step_options;
+use simulator::evaluate::{Evaluation, EvaluationOptions};
+use simulator::experiment::{CHUNK, Pose, Recording, Trial, play};
+use simulator::reach::within_reach;
+use simulator::robot::Robot;
 
 #[cfg(test)]
 use {
     crate::checkpoint::{Checkpoint, Manifest},
     proto::layout::ActorLayout,
-    sim_worker::rollout::World,
+    simulator::rollout::World,
 };
 
 use super::report::{Protocol, Report, RobotIdentity};
@@ -28,6 +28,7 @@ use crate::commands::trained::{PolicyIdentity, Trained, open_checkpoint};
 use crate::provenance::Provenance;
 use crate::report::progress::Parts;
 use crate::shakedown::shakedown;
+use crate::threads::Threads;
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,7 +54,7 @@ pub(crate) struct Lab {
     pub(crate) steps: usize,
     /// Seed of goals and noise.
     pub(crate) seed: u64,
-    threads: usize,
+    threads: Threads,
     progress: Arc<Parts>,
 }
 
@@ -122,7 +123,7 @@ impl Lab {
             episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
             steps: args.steps as usize,
             seed: args.seed,
-            threads: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            threads: Threads::available(),
             progress: Arc::default(),
         })
     }
@@ -165,7 +166,7 @@ impl Lab {
             episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
             steps: args.steps as usize,
             seed: args.seed,
-            threads: 1,
+            threads: Threads::new(1),
             progress: Arc::default(),
         }
     }
@@ -202,7 +203,7 @@ impl Lab {
     pub(crate) fn play(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
         let chunks = trial.episodes.div_ceil(CHUNK);
         self.progress.begin(what, (chunks * trial.steps) as u64);
-        play(trial, self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
+        play(trial, &self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
     }
 
     /// Which of the trial's hand goals could be reached; none in `reorientation`.
@@ -211,13 +212,9 @@ impl Lab {
         policy: &Trained,
         evaluation: &Evaluation,
     ) -> anyhow::Result<Option<Reach>> {
-        let options = EvaluationOptions {
-            seed: self.seed,
-            episodes: self.episodes,
-            steps: self.steps,
-            threads: self.threads,
-        };
-        Reach::of(&policy.world, evaluation, &options, &self.progress)
+        let options =
+            EvaluationOptions { seed: self.seed, episodes: self.episodes, steps: self.steps };
+        Reach::of(&policy.world, evaluation, &options, self.threads, &self.progress)
     }
 
     /// Whether inverse kinematics has a solution for the goals of a trial's hands with the base where each episode ended: `[episode][arm]`.
@@ -226,7 +223,7 @@ impl Lab {
         let ends: Vec<Pose> =
             (0..recording.episodes()).map(|episode| recording.pose(episode, last)).collect();
         let ends: Vec<&Pose> = ends.iter().collect();
-        within_reach(&policy.world, self.seed, &ends, self.threads)
+        within_reach(&policy.world, self.seed, &ends, &self.threads)
     }
 
     /// Refuses a robot that an option has made of the policies'.

@@ -35,6 +35,16 @@ pub(crate) enum Name {
 }
 
 impl Name {
+    /// All of them.
+    pub(crate) const ALL: [Self; 6] = [
+        Self::Precision,
+        Self::Disturbance,
+        Self::ArmFailure,
+        Self::BaseMass,
+        Self::Reassembly,
+        Self::Noise,
+    ];
+
     /// As on the command line.
     pub(crate) fn as_str(self) -> &'static str {
         match self {
@@ -82,8 +92,8 @@ pub(crate) trait Experiment {
     /// Does it, with settings that were not refused.
     fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Self::Result>>;
 
-    /// What it found as a person reads it.
-    fn table(report: &ReportOf<Self>) -> String;
+    /// What it found as a person reads it, in lines of `columns` characters.
+    fn table(columns: usize, report: &ReportOf<Self>) -> String;
 }
 
 /// What an experiment's report holds.
@@ -108,7 +118,7 @@ fn print<E: Experiment>(experiment: &E) -> anyhow::Result<()> {
     if experiment.common().json {
         return output::json(&report);
     }
-    output::line(&E::table(&report))
+    output::line(&E::table(output::columns(), &report))
 }
 
 /// Does an experiment in a lab that was made for it.

@@ -3,8 +3,8 @@
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::Evaluation;
-use sim_worker::experiment::{Effect, Intervention, SensorNoise};
+use simulator::evaluate::Evaluation;
+use simulator::experiment::{Effect, Intervention, SensorNoise};
 
 use super::lab::{Lab, Needs};
 use super::report::{Report, Words};
@@ -147,8 +147,8 @@ impl Experiment for NoiseArgs {
         Ok(results)
     }
 
-    fn table(report: &Report<Settings, Point>) -> String {
-        table(&report.results, report.protocol.episodes)
+    fn table(columns: usize, report: &Report<Settings, Point>) -> String {
+        table(columns, &report.results, report.protocol.episodes)
     }
 }
 
@@ -211,7 +211,7 @@ impl Quantity {
     }
 }
 
-fn table(results: &[Point], episodes: usize) -> String {
+fn table(columns: usize, results: &[Point], episodes: usize) -> String {
     let rows = results.iter().flat_map(|point| {
         point.errors.iter().map(move |error| {
             let name = format!(
@@ -229,6 +229,6 @@ fn table(results: &[Point], episodes: usize) -> String {
     format!(
         "{} each; success at the paper's 25 mm and 40 mrad, of the base 30 mrad\n{}",
         output::counted(episodes as u64, "episode"),
-        output::table(header, rows)
+        output::table_within(columns, header, rows)
     )
 }

@@ -2,8 +2,8 @@
 
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::Evaluation;
-use sim_worker::experiment::TAIL_STEPS;
+use simulator::evaluate::Evaluation;
+use simulator::experiment::TAIL_STEPS;
 
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Report, Words};
@@ -72,11 +72,10 @@ impl Experiment for PrecisionArgs {
         lab.policies().iter().map(measure).collect()
     }
 
-    fn table(report: &Report<Settings, Precision>) -> String {
-        let tables = report
-            .results
-            .iter()
-            .map(|result| format!("{}\n{}", result.summary.task.as_str(), result.summary.table()));
+    fn table(columns: usize, report: &Report<Settings, Precision>) -> String {
+        let tables = report.results.iter().map(|result| {
+            format!("{}\n{}", result.summary.task.as_str(), result.summary.table(columns, true))
+        });
         tables.collect::<Vec<_>>().join("\n\n")
     }
 }

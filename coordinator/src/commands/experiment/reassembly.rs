@@ -5,8 +5,8 @@ use std::fmt;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
-use sim_worker::env::step_options;
-use sim_worker::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
+use simulator::env::step_options;
+use simulator::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
 
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report};
@@ -167,8 +167,8 @@ impl Experiment for ReassemblyArgs {
         Ok(results)
     }
 
-    fn table(report: &Report<Settings, Staged>) -> String {
-        table(&report.results)
+    fn table(columns: usize, report: &Report<Settings, Staged>) -> String {
+        table(columns, &report.results)
     }
 }
 
@@ -242,7 +242,7 @@ impl Staged {
     }
 }
 
-fn table(results: &[Staged]) -> String {
+fn table(columns: usize, results: &[Staged]) -> String {
     let rows = results.iter().flat_map(|result| {
         result.errors.iter().map(move |error| {
             let [min, last, tail] = [&error.min, &error.last, &error.tail].map(|s| milli(s.mean));
@@ -252,7 +252,7 @@ fn table(results: &[Staged]) -> String {
         })
     });
     let header = ["stage", "episodes", "min", "final", "tail", "p50", "p90"];
-    output::table(header, rows)
+    output::table_within(columns, header, rows)
 }
 
 #[cfg(test)]

@@ -4,9 +4,9 @@ use std::borrow::Cow;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use sim_worker::evaluate::Course;
-use sim_worker::experiment::Recording;
-use sim_worker::robot::Robot;
+use simulator::evaluate::Course;
+use simulator::experiment::Recording;
+use simulator::robot::Robot;
 
 use super::Name;
 use crate::commands::statistics::{ErrorOf, Spread, Unit};
@@ -235,8 +235,9 @@ pub(crate) fn share(n: usize, holds: impl Fn(usize) -> bool) -> f64 {
 pub(super) mod tests {
     use proto::config::{Layers, Preset, TaskName};
     use proto::layout::ActorLayout;
-    use sim_worker::experiment::{Player, Trial, play};
-    use sim_worker::rollout::World;
+    use simulator::executor::InOrder;
+    use simulator::experiment::{Player, Trial, play};
+    use simulator::rollout::World;
 
     use super::*;
 
@@ -260,7 +261,7 @@ pub(super) mod tests {
         let policy = world.policy(&zeros).expect("a policy");
         let mut trial = Trial::new(Player::new(&world, &policy), 0, episodes, steps);
         change(&mut trial);
-        play(&trial, 1, &|| {}).expect("a recording")
+        play(&trial, &InOrder, &|| {}).expect("a recording")
     }
 
     #[test]

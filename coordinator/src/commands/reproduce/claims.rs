@@ -271,7 +271,7 @@ impl Tally {
 }
 
 /// The claims as a person reads them.
-pub(super) fn table(claims: &[Claim]) -> String {
+pub(super) fn table(columns: usize, claims: &[Claim]) -> String {
     let rows = claims.iter().map(|claim| {
         let strict = claim.stricter.iter().map(|stricter| claim.paper.show(stricter.value));
         [
@@ -282,7 +282,7 @@ pub(super) fn table(claims: &[Claim]) -> String {
             strict.collect::<Vec<_>>().join(" / "),
         ]
     });
-    output::table(["claim", "paper", "ours", "", "stricter"], rows)
+    output::table_within(columns, ["claim", "paper", "ours", "", "stricter"], rows)
 }
 
 /// A judgement in a word.
@@ -348,7 +348,7 @@ mod tests {
         assert_eq!(failed.stricter.len(), 2);
         let mass = find("reorientation, other masses");
         assert_eq!((mass.paper, mass.stricter.len()), (Bound::MostOf(2), 2));
-        let text = table(&claims);
+        let text = table(200, &claims);
         assert_eq!(text.lines().count(), 12);
         assert!(text.contains("fails") && text.contains("< 25 mm"), "{text}");
     }

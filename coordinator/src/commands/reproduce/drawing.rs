@@ -1,8 +1,8 @@
 //! The robot in a row of moments: its base as a box, its arms as lines, its joints as dots.
 
 use maud::{Markup, html};
-use sim_worker::experiment::Skeleton;
-use sim_worker::robot::Robot;
+use simulator::experiment::Skeleton;
+use simulator::robot::Robot;
 
 use crate::commands::experiment::reassembly::{StageGoals, Staged};
 

@@ -34,7 +34,7 @@ use crate::commands::trained::PolicyIdentity;
 use crate::figures::recorded;
 use crate::provenance::{Provenance, utc};
 use crate::report::progress::Parts;
-use crate::{files, output};
+use crate::{files, output, outputs, regular};
 
 /// Episodes of a setting with `--quick`.
 const QUICK_EPISODES: u32 = 10;
@@ -74,6 +74,7 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
     let out = args.out.clone().unwrap_or_else(|| format!("reproduction-{now}").into());
     let page = out.join(PAGE);
     check_page(&page)?;
+    outputs::check_directory("--out", &out, is_ours, args.force)?;
     let (policies, runs) = if args.train {
         training::train(args, &out)?
     } else {
@@ -82,9 +83,9 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
         let shipped = (args.runs.is_empty() && shipped.is_file()).then_some(shipped);
         (policies, args.runs.iter().cloned().chain(shipped).collect())
     };
-    let mut curves = Vec::new();
-    for path in &runs {
-        curves.extend(recorded::read(path)?);
+    let (curves, notes) = recorded::read_all(&runs)?;
+    for note in &notes {
+        eprintln!("{note}");
     }
     let line = |name, quick: &[&str]| Line::new(name, args, &policies, quick);
     let jobs = Jobs {
@@ -136,7 +137,7 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
     let tally = Tally::of(&claims);
     output::line(&format!(
         "{}\n\n{} of {} claims hold{}\nreport      {}",
-        claims::table(&claims),
+        claims::table(output::columns(), &claims),
         tally.hold,
         tally.of,
         tally.not_judged(),
@@ -161,10 +162,16 @@ fn default_policies() -> Result<PathBuf, ExitError> {
     })
 }
 
+/// Whether a file or directory of this name in the directory is made here.
+fn is_ours(name: &str) -> bool {
+    let made = [PAGE, training::RUNS, training::POLICIES].contains(&name);
+    made || Name::ALL.iter().any(|experiment| name == format!("{experiment}.json"))
+}
+
 /// Refuses to write over a page that is none of ours.
 fn check_page(path: &Path) -> Result<(), ExitError> {
     let mark = format!("content=\"{GENERATOR}\"");
-    match std::fs::read(path) {
+    match regular::read(path, regular::RECORD) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
         Ok(there) if String::from_utf8_lossy(&there).contains(&mark) => Ok(()),
         Ok(_) => Err(refused(path, "is there already and was not made by this command")),
@@ -267,7 +274,7 @@ fn find<E: Experiment>(
     lab: &Lab,
     settings: E::Settings,
 ) -> Result<Option<ReportOf<E>>, ExitError> {
-    let bytes = match std::fs::read(path) {
+    let bytes = match regular::read(path, regular::RECORD) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(refused(path, &format!("cannot be read: {error}"))),
@@ -406,6 +413,26 @@ mod tests {
     }
 
     #[test]
+    fn all_tables_fit() {
+        let reports = reports();
+        let Reports { precision, disturbance, arm_failure, base_mass, reassembly, noise } = reports;
+        let columns = output::COLUMNS;
+        for text in [
+            PrecisionArgs::table(columns, precision),
+            DisturbanceArgs::table(columns, disturbance),
+            ArmFailureArgs::table(columns, arm_failure),
+            BaseMassArgs::table(columns, base_mass),
+            ReassemblyArgs::table(columns, reassembly),
+            NoiseArgs::table(columns, noise),
+            claims::table(columns, &claims::claims(reports)),
+        ] {
+            for line in text.lines() {
+                assert!(line.chars().count() <= columns, "{line}\nis too long in\n{text}");
+            }
+        }
+    }
+
+    #[test]
     fn a_line_is_one_that_can_be_typed() {
         let cli = Cli::try_parse_from(["octopus", "reproduce", "--quick", "--seed=3"]);
         let Command::Reproduce(args) = cli.expect("valid").command else { panic!("another") };
@@ -449,8 +476,8 @@ mod tests {
         std::fs::write(&path, &bytes).expect("written");
         let found = find(line).expect("the same").expect("there");
         assert_eq!(found.protocol, reports().precision.protocol);
-        let text = PrecisionArgs::table(&found);
-        assert_eq!(text, PrecisionArgs::table(&reports().precision));
+        let text = PrecisionArgs::table(output::COLUMNS, &found);
+        assert_eq!(text, PrecisionArgs::table(output::COLUMNS, &reports().precision));
         let refusal = |line: &str| find(line).expect_err("refused").to_string();
         assert!(refusal(&format!("{line} --seed=1")).contains("made with other settings"));
         std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("written");

@@ -3,7 +3,7 @@
 use std::time::SystemTime;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 use super::claims::{Claim, Tally, verdict};
 use super::{GENERATOR, Reports, drawing, figures};
@@ -193,7 +193,7 @@ fn section<E: Experiment>(
         (figures)
         details {
             summary { "All numbers" }
-            pre { (E::table(report)) }
+            pre { (E::table(output::COLUMNS, report)) }
         }
         dl {
             @if let Some((_, command)) = command {
@@ -277,7 +277,7 @@ fn learning(curves: &[Recorded]) -> anyhow::Result<Markup> {
         } }
         dl {
             @for family in &by_steps {
-                dt { (family.name()) }
+                dt { (family.name) }
                 dd { @for (run, seed) in &family.runs { code { (run.display()) } " (seed " (seed) ") " } }
             }
         }

@@ -11,16 +11,22 @@ use clap::{Parser as _, ValueEnum as _};
 use proto::config::TaskName;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 
 use super::{Line, refused};
 use crate::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
 use crate::cli::reproduce::ReproduceArgs;
 use crate::cli::{AlgorithmArg, Cli, Command};
 use crate::commands::{read_config, resume, train};
+use crate::output;
 use crate::provenance::Provenance;
-use crate::report::recorded;
+use crate::report::recorded::Recorded;
 use crate::signals;
+
+/// Where runs land in the directory of everything.
+pub(super) const RUNS: &str = "runs";
+/// Where the best policies do.
+pub(super) const POLICIES: &str = "policies";
 
 /// Tasks that are trained.
 const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
@@ -30,14 +36,14 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
     let runs = planned(args, out);
     for (index, run) in runs.iter().enumerate() {
         if !run.is_finished()? {
-            eprintln!("run {} of {}: {}", index + 1, runs.len(), run.dir.display());
+            output::note(&format!("run {} of {}: {}", index + 1, runs.len(), run.dir.display()));
             run.go_on(args, out)?;
         }
     }
     // The trainings ended at Ctrl-C by themselves; what follows is whole or not there at any time.
     signals::exit_when_asked(format!("stopped; `{}` goes on", again(args, out).text()))
         .context("signals cannot be caught")?;
-    let policies = out.join("policies");
+    let policies = out.join(POLICIES);
     for task in TASKS {
         take_best(task, &runs, &policies)?;
     }
@@ -65,7 +71,7 @@ fn planned(args: &ReproduceArgs, out: &Path) -> Vec<Run> {
         for task in TASKS {
             for seed in 1..=args.seeds {
                 let name = format!("{}-{}-{seed}", name(algorithm), task.as_str());
-                runs.push(Run { task, algorithm, seed, dir: out.join("runs").join(name) });
+                runs.push(Run { task, algorithm, seed, dir: out.join(RUNS).join(name) });
             }
         }
     }
@@ -87,7 +93,7 @@ impl Run {
         let planned = read_config(&run_dir)?.planned_iterations();
         let done = CheckpointStore::new(run_dir.checkpoints()).entries()?;
         let done = done.iter().map(|entry| entry.iteration).max().unwrap_or(0);
-        Ok(done >= planned && recorded(&run_dir)? >= planned)
+        Ok(done >= planned && Recorded::read(&run_dir)?.iterations() >= planned)
     }
 
     /// Begins it or goes on with it, until it is finished.
@@ -161,7 +167,7 @@ fn again(args: &ReproduceArgs, out: &Path) -> Line {
     words.extend(args.sets.iter().map(|set| format!("--set={set}").into()));
     words.extend(args.episodes.map(|episodes| format!("--episodes={episodes}").into()));
     words.extend(
-        [("--quick", args.quick), ("--json", args.json)]
+        [("--quick", args.quick), ("--json", args.json), ("--force", args.force)]
             .into_iter()
             .filter(|&(_, given)| given)
             .map(|(flag, _)| flag.into()),
@@ -213,7 +219,7 @@ mod tests {
         let out = Path::new("reproduction-20260101-120000");
         for line in [
             "octopus reproduce --train",
-            "octopus reproduce --train --baselines --quick --json",
+            "octopus reproduce --train --baselines --quick --json --force",
             "octopus reproduce --train --seeds 1 --baselines ippo --set run.workers=2 --episodes 3 --steps 9 --seed 8",
         ] {
             let args = parse(line.split(' '));

@@ -1,6 +1,6 @@
 //! In what two runs differ that could make, or excuse, different digests.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use proto::config::Run;
 use serde::Serialize;
@@ -52,7 +52,7 @@ pub(super) fn of_configuration(a: &Record, b: &Record) -> Vec<ConfigDifference> 
     }
     let keys: BTreeSet<&String> = left.keys().chain(right.keys()).collect();
     keys.into_iter()
-        .filter(|key| left.get(*key) != right.get(*key))
+        .filter(|key| left.get(*key) != right.get(*key) || is_undecided(key, &left))
         .map(|key| ConfigDifference {
             key: key.clone(),
             a: left.get(key).cloned(),
@@ -64,6 +64,11 @@ pub(super) fn of_configuration(a: &Record, b: &Record) -> Vec<ConfigDifference> 
             },
         })
         .collect()
+}
+
+/// Whether a value says nothing: what an earlier version chose for `auto` may be another thing in each run.
+fn is_undecided(key: &str, config: &BTreeMap<String, String>) -> bool {
+    key == "run.precision" && config.get(key).is_some_and(|value| value == "\"auto\"")
 }
 
 /// Compares with what, and on what, two runs were made. A run whose own sessions differ is
@@ -107,8 +112,10 @@ mod tests {
     use super::*;
 
     fn record(sets: &[&str], robot: &str) -> Record {
-        let config = sets
+        // As a run has it: decided.
+        let config = ["run.precision=f32"]
             .iter()
+            .chain(sets)
             .try_fold(Layers::new(Preset::Tuned, None), |layers, set| layers.set(set))
             .and_then(|layers| layers.resolve())
             .expect("valid");
@@ -141,6 +148,16 @@ mod tests {
         let expected = expected.map(|(key, matters)| (key.to_owned(), matters));
         assert_eq!(verdicts(&plain, &other), expected);
         assert_eq!(verdicts(&plain, &plain), []);
+    }
+
+    #[test]
+    fn a_precision_that_was_left_undecided_excuses_other_digests() {
+        let precision = [("run.precision".to_owned(), true)];
+        let auto = || record(&["run.precision=auto"], "x");
+        assert_eq!(verdicts(&auto(), &auto()), precision);
+        assert_eq!(verdicts(&record(&["run.precision=bf16"], "x"), &auto()), precision);
+        let decided = || record(&["run.precision=bf16"], "x");
+        assert_eq!(verdicts(&decided(), &decided()), []);
     }
 
     #[test]

@@ -2,11 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use proto::config::Precision;
+use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use serde::Deserialize;
 use serde_json::Value;
 
+use crate::checkpoint::CheckpointStore;
 use crate::commands::{read_text, run_directory};
+use crate::precision;
 
 /// What a line of `metrics.jsonl` says about the training state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -27,7 +31,8 @@ pub(super) struct Record {
     pub(super) path: PathBuf,
     /// Its iterations, in order.
     pub(super) iterations: Vec<Iteration>,
-    /// Its configuration, untyped: another version may have had other keys.
+    /// Its configuration, untyped: another version may have had other keys. Where one has left `run.precision` at `auto`,
+    /// it is what the checkpoints say, if there are any.
     pub(super) config: toml::Table,
     /// Its robot.
     pub(super) robot: String,
@@ -44,7 +49,7 @@ impl Record {
             let what = "holds no iteration yet; there is nothing to compare";
             return Err(damaged(&run_dir.metrics_jsonl(), what));
         }
-        let config = read_text(&run_dir.config())?
+        let mut config: toml::Table = read_text(&run_dir.config())?
             .parse()
             .map_err(|error| damaged(&run_dir.config(), &format!("not valid TOML: {error}")))?;
         let provenance: Value = serde_json::from_str(&read_text(&run_dir.provenance())?)
@@ -53,9 +58,34 @@ impl Record {
             .as_array()
             .cloned()
             .ok_or_else(|| damaged(&run_dir.provenance(), "has no list `sessions`"))?;
+        if is_undecided(&config)
+            && let Some(precision) = trained_with(&run_dir)
+            && let Some(run) = config.get_mut("run").and_then(toml::Value::as_table_mut)
+        {
+            run.insert("precision".to_owned(), precision::name(precision).into());
+        }
         let robot = read_text(&run_dir.robot())?;
         Ok(Self { path: path.to_owned(), iterations, config, robot, sessions })
     }
+
+    /// Whether nothing says which arithmetic an earlier version chose for it.
+    pub(super) fn is_undecided(&self) -> bool {
+        is_undecided(&self.config)
+    }
+}
+
+fn is_undecided(config: &toml::Table) -> bool {
+    config.get("run").and_then(|run| run.get("precision")?.as_str()) == Some("auto")
+}
+
+/// What the run's newest whole training state was trained with.
+fn trained_with(run_dir: &RunDir) -> Option<Precision> {
+    let store = CheckpointStore::new(run_dir.checkpoints());
+    let newest_first = store.list().ok()?.into_iter().rev();
+    newest_first
+        .filter_map(|dir| store.load(&dir).ok())
+        .filter(|checkpoint| checkpoint.manifest.has_state())
+        .find_map(|checkpoint| checkpoint.precision().ok())
 }
 
 /// The iterations of a `metrics.jsonl`, which follow each other from `first` on. A last line

@@ -10,14 +10,14 @@ use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use super::differences::{self, ProvenanceDifference};
 use super::record::{self, Record, damaged};
 use super::{Comparison, iterations, promise, provenance_table};
 use crate::checkpoint::{Checkpoint, CheckpointStore};
-use crate::commands::{read_config, train};
+use crate::commands::train;
 use crate::live::LiveRun;
 use crate::preflight::Remedy;
 use crate::provenance::Provenance;
@@ -25,7 +25,7 @@ use crate::report::Reporter;
 use crate::session::{self, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
-use crate::{files, output};
+use crate::{files, output, precision};
 
 /// What helps where the system's temporary files have too little room; no flag makes a repetition smaller.
 const REMEDY: Remedy =
@@ -59,15 +59,15 @@ pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
         return Err(damaged(&RunDir::new(&run.path).metrics_jsonl(), &what).into());
     }
     let stop = StopRequests::new();
-    stop.listen().context("signals cannot be caught")?;
+    stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     warn_of_budgets(run);
     let checkpoint = newest_until(run, last)?;
     let from = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
     let dir = checkpoint.as_ref().map(|checkpoint| checkpoint.dir.clone());
-    eprintln!(
+    output::note(&format!(
         "training iterations {from} to {last} again, from {}",
         dir.as_ref().map_or_else(|| "nothing".to_owned(), |dir| dir.display().to_string())
-    );
+    ));
     let now = Provenance::gather();
     let here = serde_json::to_value(&now).context("provenance has no JSON form")?;
 
@@ -86,7 +86,7 @@ pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
         through: last,
         same: comparison.parting.is_none(),
         comparison,
-        promised: !gpu && provenance.is_empty(),
+        promised: !gpu && provenance.is_empty() && !run.is_undecided(),
         provenance,
     };
     if json {
@@ -122,9 +122,17 @@ fn train_again(
     provenance: serde_json::Value,
 ) -> anyhow::Result<StoppedBy> {
     let origin = RunDir::new(&run.path);
-    let recorded = read_config(&origin)?;
+    let text = run.config.to_string();
+    let recorded = Config::from_resolved_toml(&text, &origin.config().display().to_string())?;
     let robot = Robot::from_toml(&run.robot, &origin.robot())?;
     let config = Config { run: recorded.run.clone().without_housekeeping(), ..recorded };
+    let config = precision::resolve(config);
+    if run.is_undecided() {
+        eprintln!(
+            "note: run.precision is auto, and no checkpoint says what was chosen; training again in {}",
+            precision::name(config.run.precision)
+        );
+    }
 
     let programs = Programs::find()?;
     train::check_machine(&config, &robot, scratch, &programs, &REMEDY)?;
@@ -163,7 +171,7 @@ fn newest_until(run: &Record, last: u64) -> anyhow::Result<Option<Checkpoint>> {
                 return Ok(Some(found));
             }
             Ok(_) => {}
-            Err(error) => eprintln!("note: {error}; taking the checkpoint before"),
+            Err(error) => output::note(&format!("note: {error}; taking the checkpoint before")),
         }
     }
     Ok(None)
@@ -180,10 +188,10 @@ fn warn_of_budgets(run: &Record) {
         .filter_map(|change| change.as_str())
         .filter(|change| change.starts_with("run.env_steps "));
     for change in changes {
-        eprintln!(
+        output::note(&format!(
             "note: a resume changed the budget ({change}); with a learning rate that falls over \
              it, iterations before that resume are not repeated by today's configuration"
-        );
+        ));
     }
 }
 
@@ -222,7 +230,7 @@ impl Scratch {
     fn remove(self) {
         let path = self.dir.path().to_owned();
         if let Err(error) = self.dir.close() {
-            eprintln!("note: {}: cannot be removed: {error}", path.display());
+            output::note(&format!("note: {}: cannot be removed: {error}", path.display()));
         }
     }
 }

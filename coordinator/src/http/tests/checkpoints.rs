@@ -1,9 +1,15 @@
 //! Lists, entries, pins, tags, removal, and what is no route.
 
+use std::sync::Arc;
+use std::time::Duration;
+
 use axum::http::StatusCode;
+use rustix::fs::{FlockOperation, flock};
+use tokio::task::JoinSet;
 
 use super::Bench;
 use crate::checkpoint::{Name, Score};
+use crate::http::limits::Limits;
 
 #[tokio::test]
 async fn an_empty_store_is_an_empty_list() {
@@ -198,5 +204,53 @@ async fn the_newest_of_a_run_is_not_removed_and_nobody_hears_of_paths() {
     ] {
         let error = bench.ask(line).await.error();
         assert!(!error.contains(path) && !error.contains("octopus "), "{line}: {error}");
+    }
+}
+
+/// Each change that waits holds a thread. Once there were as many as threads, and then nothing was
+/// answered any more.
+#[tokio::test]
+async fn changes_that_wait_for_the_lock_keep_no_reader_out() {
+    let limits = Limits { lock_time: Duration::from_hours(1), ..Limits::default() };
+    let most = limits.changes;
+    let bench = Bench::with(&[1], None, limits);
+    let lock = std::fs::File::open(bench.store.root().join(".lock")).expect("own");
+    flock(&lock, FlockOperation::LockExclusive).expect("free");
+    let bench = Arc::new(bench);
+    let mut changes = JoinSet::new();
+    for _ in 0..70 {
+        let bench = Arc::clone(&bench);
+        changes.spawn(async move { bench.ask("PUT /v1/checkpoints/iteration-00000001/pin").await });
+    }
+    // Those that find no thread to wait on are refused, though nobody gives the lock back.
+    for _ in 0..70 - most {
+        let answer = changes.join_next().await.expect("one of 70").expect("no panic");
+        assert_eq!(answer.status, StatusCode::SERVICE_UNAVAILABLE, "{answer:?}");
+        assert_eq!(answer.header("retry-after"), "1");
+    }
+    for line in ["GET /v1/checkpoints", "GET /metrics", "GET /v1/checkpoints/latest"] {
+        assert_eq!(bench.ask(line).await.status, StatusCode::OK, "{line}");
+    }
+    assert!(changes.try_join_next().is_none(), "the others wait");
+    drop(lock);
+    let waited = changes.join_all().await;
+    assert_eq!(waited.len(), most);
+    for answer in waited {
+        assert_eq!(answer.status, StatusCode::OK, "{answer:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_change_does_not_wait_for_ever() {
+    let limits = Limits { lock_time: Duration::from_millis(50), ..Limits::default() };
+    let bench = Bench::with(&[1], None, limits);
+    let lock = std::fs::File::open(bench.store.root().join(".lock")).expect("own");
+    flock(&lock, FlockOperation::LockExclusive).expect("free");
+    for line in
+        ["PUT /v1/checkpoints/iteration-00000001/pin", "DELETE /v1/checkpoints/iteration-00000001"]
+    {
+        let answer = bench.ask(line).await;
+        assert_eq!(answer.status, StatusCode::SERVICE_UNAVAILABLE, "{line}");
+        assert!(answer.error().contains("another program"), "{}", answer.error());
     }
 }

@@ -234,6 +234,6 @@ async fn nothing_is_reached_through_a_link() {
     std::fs::remove_file(own.join("config.toml")).expect("remove");
     std::os::unix::fs::symlink("/etc/passwd", own.join("config.toml")).expect("link");
     let answer = bench.ask("GET /v1/checkpoints/iteration-00000001/files/config.toml").await;
-    assert!(answer.error().contains("is a link"), "{}", answer.error());
+    assert!(answer.error().contains("is a symbolic link"), "{}", answer.error());
     assert!(!precious.join("labels.json").exists());
 }

@@ -7,7 +7,7 @@ use axum::http::Request;
 use proptest::prelude::*;
 use tokio::runtime::Runtime;
 
-use super::Bench;
+use super::{Bench, TOKEN};
 use crate::http::limits::Limits;
 use crate::live::LiveRun;
 
@@ -16,7 +16,7 @@ static BENCH: LazyLock<(Runtime, Bench)> = LazyLock::new(|| {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let live = LiveRun::new();
     live.close();
-    let bench = Bench::with(&[1], Some(live), None, Limits::default());
+    let bench = Bench::with(&[1], Some(live), Limits::default());
     (runtime.expect("a runtime"), bench)
 });
 
@@ -28,6 +28,7 @@ fn status(method: &str, path: &str, range: &[u8], body: Vec<u8>) -> Option<u16> 
     let _turn = TURN.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let (runtime, bench) = &*BENCH;
     let mut request = Request::builder().method(method).uri(path).header("host", "localhost");
+    request = request.header("authorization", format!("Bearer {TOKEN}"));
     if let Ok(range) = axum::http::HeaderValue::from_bytes(range) {
         request = request.header("range", &range).header("if-none-match", range);
     }

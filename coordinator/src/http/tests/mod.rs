@@ -8,20 +8,15 @@ mod run;
 mod service;
 mod uploads;
 
-use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use axum::Router;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::http::{HeaderMap, Request, StatusCode};
-use proto::DigestBuilder;
 use proto::config::{Config, Layers, Preset};
-use proto::layout::{ActorLayout, Dimensions};
-use safetensors::Dtype;
-use safetensors::tensor::TensorView;
 use serde_json::Value;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 use tower::ServiceExt as _;
 
@@ -29,11 +24,13 @@ use super::context::Context;
 use super::limits::Limits;
 use super::router::router;
 use super::token::Token;
-use crate::checkpoint::{CheckpointStore, Snapshot};
+use crate::checkpoint::CheckpointStore;
+use crate::checkpoint::tests::snapshot_of;
 use crate::live::LiveRun;
 
-/// A token.
+/// The tokens of every service here.
 const TOKEN: &str = "correct-horse-battery";
+const OTHER_TOKEN: &str = "staple-staple-staple";
 
 /// A service of a store in a directory of its own.
 struct Bench {
@@ -68,33 +65,31 @@ impl Answer {
 }
 
 impl Bench {
-    /// A store with checkpoints of these iterations, beside no run, without a token.
+    /// A store with checkpoints of these iterations, beside no run.
     fn new(iterations: &[u64]) -> Self {
-        Self::with(iterations, None, None, Limits::default())
+        Self::with(iterations, None, Limits::default())
     }
 
-    fn with(
-        iterations: &[u64],
-        live: Option<LiveRun>,
-        token: Option<&str>,
-        limits: Limits,
-    ) -> Self {
+    fn with(iterations: &[u64], live: Option<LiveRun>, limits: Limits) -> Self {
         let dir = tempfile::tempdir().expect("tempdir");
         let store = CheckpointStore::new(dir.path().join("checkpoints"));
         for &iteration in iterations {
             commit(&store, iteration);
         }
-        let token = token.map(|token| Token::parse(token, "test").expect("valid"));
-        let context = Context::new(store.clone(), live, token, limits);
+        let tokens = [TOKEN, OTHER_TOKEN].map(|token| Token::parse(token, "test").expect("valid"));
+        let context = Context::new(store.clone(), live, tokens.into(), limits);
         Self { dir, store, router: router(Arc::new(context)) }
     }
 
-    /// Sends a request with these headers, as a client on this machine does.
+    /// Sends a request with these headers, and the token unless they say otherwise.
     async fn send(&self, line: &str, headers: &[(&str, &str)], body: impl Into<Body>) -> Answer {
         let (method, path) = line.split_once(' ').expect("METHOD PATH");
         let mut request = Request::builder().method(method).uri(path);
-        if !headers.iter().any(|(name, _)| *name == "host") {
-            request = request.header("host", "127.0.0.1:8270");
+        let bearer = format!("Bearer {TOKEN}");
+        for (name, value) in [("host", "127.0.0.1:8270"), ("authorization", &bearer)] {
+            if !headers.iter().any(|(there, _)| *there == name) {
+                request = request.header(name, value);
+            }
         }
         for (name, value) in headers {
             // An empty value stands for no header.
@@ -140,39 +135,15 @@ impl Bench {
 fn config() -> Config {
     Layers::new(Preset::Tuned, None)
         .set("network.hidden=[4]")
+        .and_then(|layers| layers.set("network.critic_hidden=[32]"))
         .and_then(|layers| layers.resolve())
         .expect("valid")
 }
 
-/// Commits a whole checkpoint whose numbers depend on the iteration.
+/// Commits a whole checkpoint whose numbers depend on the iteration, long enough for several pieces
+/// of a download.
 fn commit(store: &CheckpointStore, iteration: u64) -> PathBuf {
-    let robot = Robot::load("paper").expect("built in");
-    let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), robot.n_arms));
-    let values: Vec<u8> =
-        (0..layout.len).flat_map(|index| (index as f32 + iteration as f32).to_le_bytes()).collect();
-    // Long enough for several pieces of a download.
-    let moments: Vec<u8> =
-        (0..100_000u64).flat_map(|index| ((index ^ iteration) as f64).to_le_bytes()).collect();
-    let counter = iteration.to_le_bytes();
-    let mut tensors = vec![
-        ("counter", TensorView::new(Dtype::I64, vec![1], &counter).expect("eight bytes")),
-        ("moments", TensorView::new(Dtype::F64, vec![100_000], &moments).expect("sized")),
-    ]
-    .into_iter()
-    .map(|(name, view)| (name.to_owned(), view))
-    .collect::<Vec<_>>();
-    let mut digest = DigestBuilder::new();
-    for (name, view) in &tensors {
-        digest.field(name, view.data());
-    }
-    for spec in &layout.tensors {
-        let bytes = &values[4 * spec.offset..4 * spec.range().end];
-        let view = TensorView::new(Dtype::F32, spec.shape.clone(), bytes).expect("sized");
-        tensors.push((format!("policy.{}", spec.name), view));
-    }
-    let metadata = HashMap::from([("iteration".to_owned(), iteration.to_string())]);
-    let bytes = safetensors::serialize(tensors, Some(metadata)).expect("serialises");
-    let snapshot = Snapshot { iteration, digest: digest.finish(), bytes };
-    let toml = robot.to_toml();
-    store.commit(&snapshot, &config(), &toml, &serde_json::json!({})).expect("commits")
+    let robot = Robot::builtin("paper").expect("built in").to_toml();
+    let snapshot = snapshot_of(&config(), iteration, iteration as f32);
+    store.commit(&snapshot, &config(), &robot, &serde_json::json!({})).expect("commits")
 }

@@ -48,7 +48,7 @@ impl FakeRun {
     }
 
     fn bench(&self) -> Bench {
-        Bench::with(&[1], Some(self.live.clone()), None, Limits::default())
+        Bench::with(&[1], Some(self.live.clone()), Limits::default())
     }
 }
 
@@ -162,7 +162,7 @@ async fn a_checkpoint_is_committed_when_asked_for() {
 async fn a_run_that_does_not_answer_is_not_waited_for_for_ever() {
     let live = LiveRun::new();
     let limits = Limits { command_time: Duration::from_millis(10), ..Limits::default() };
-    let bench = Bench::with(&[], Some(live.clone()), None, limits);
+    let bench = Bench::with(&[], Some(live.clone()), limits);
     let answer = bench.ask("POST /v1/checkpoints").await;
     assert_eq!(answer.status, StatusCode::ACCEPTED);
     assert_eq!(answer.json(), json!({ "checkpoint": null }));

@@ -5,15 +5,22 @@ use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::time::Duration;
 
-use super::Bench;
+use super::{Bench, TOKEN};
 use crate::checkpoint::CheckpointStore;
 use crate::client::Client;
-use crate::http::{Limits, Service, ServiceSpec};
+use crate::http::{Limits, Service, ServiceSpec, Token};
 use crate::live::{LiveRun, LiveStatus};
 
+fn token() -> Token {
+    Token::parse(TOKEN, "test").expect("valid")
+}
+
+fn spec() -> ServiceSpec {
+    ServiceSpec::new(CheckpointStore::new("/nonexistent/store"), token())
+}
+
 fn start(limits: Limits) -> Service {
-    let store = CheckpointStore::new("/nonexistent/store");
-    Service::start(ServiceSpec { limits, ..ServiceSpec::new(store) }).expect("starts")
+    Service::start(ServiceSpec { limits, ..spec() }).expect("starts")
 }
 
 fn exchange(address: SocketAddr, request: &str) -> String {
@@ -22,6 +29,13 @@ fn exchange(address: SocketAddr, request: &str) -> String {
     let mut answer = String::new();
     stream.read_to_string(&mut answer).expect("reads");
     answer
+}
+
+const STATE: &str = "/v1/checkpoints/latest/files/state.safetensors";
+
+/// The header that shows the token.
+fn bearer() -> String {
+    format!("Authorization: Bearer {TOKEN}\r\n")
 }
 
 const HEALTH: &str = "GET /health HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
@@ -72,16 +86,15 @@ fn no_thread_is_left() {
 #[test]
 fn a_port_that_is_taken_is_named() {
     let first = start(Limits::default());
-    let store = CheckpointStore::new("/nonexistent/store");
-    let spec = ServiceSpec { address: first.address(), ..ServiceSpec::new(store) };
+    let spec = ServiceSpec { address: first.address(), ..spec() };
     let error = Service::start(spec).expect_err("taken");
     assert!(error.message.contains(&first.address().to_string()), "{error}");
 }
 
+/// All places are taken by clients that never finish a head, which would be waited for an hour.
 #[test]
-fn slow_heads_are_cut_off_and_hold_nobody_up() {
-    let limits =
-        Limits { head_time: Duration::from_millis(200), connections: 4, ..Limits::default() };
+fn slow_heads_hold_nobody_up() {
+    let limits = Limits { head_time: Duration::from_hours(1), connections: 4, ..Limits::default() };
     let service = start(limits);
     let address = service.address();
     let mut slow: Vec<TcpStream> =
@@ -89,25 +102,72 @@ fn slow_heads_are_cut_off_and_hold_nobody_up() {
     for stream in &mut slow {
         let _ = stream.write_all(b"GET /health HTTP/1.1\r\nX: ");
     }
-    // Four at a time are waited for; the others wait in the queue, and so does this one.
     assert!(exchange(address, HEALTH).starts_with("HTTP/1.1 200 OK"));
-    for stream in &mut slow {
+    // Those that came first had to go.
+    for stream in &mut slow[..12] {
         let mut rest = Vec::new();
         let _ = stream.read_to_end(&mut rest);
     }
 }
 
 #[test]
+fn slow_heads_are_cut_off() {
+    let service = start(Limits { head_time: Duration::from_millis(200), ..Limits::default() });
+    let mut slow = TcpStream::connect(service.address()).expect("connects");
+    slow.write_all(b"GET /health HTTP/1.1\r\nX: ").expect("sends");
+    let mut rest = Vec::new();
+    let _ = slow.read_to_end(&mut rest);
+}
+
+/// Clients that have the token and are busy for ever: others get a place all the same.
+#[test]
+fn busy_connections_make_room_after_a_time() {
+    let bench = Bench::new(&[1]);
+    let limits =
+        Limits { connections: 4, connection_time: Duration::from_millis(100), ..Limits::default() };
+    let spec = ServiceSpec { limits, ..ServiceSpec::new(bench.store.clone(), token()) };
+    let service = Service::start(spec).expect("starts");
+    let request = format!("GET {STATE} HTTP/1.1\r\nHost: localhost\r\n{}\r\n", bearer());
+    let mut busy: Vec<TcpStream> = (0..4)
+        .map(|_| {
+            let mut stream = TcpStream::connect(service.address()).expect("connects");
+            // More answers than the system's buffers take, and nobody who reads them.
+            stream.write_all(request.repeat(50).as_bytes()).expect("sends");
+            let mut first = [0; 12];
+            stream.read_exact(&mut first).expect("is served");
+            assert_eq!(&first, b"HTTP/1.1 200");
+            stream
+        })
+        .collect();
+    for _ in 0..4 {
+        assert!(exchange(service.address(), HEALTH).starts_with("HTTP/1.1 200 OK"));
+    }
+    let mut rest = Vec::new();
+    let end = busy[0].read_to_end(&mut rest);
+    assert!(end.is_err() || rest.len() < 50 * 800_000, "the oldest was cut off");
+}
+
+#[test]
+fn who_may_not_ask_does_not_keep_the_connection() {
+    let service = start(Limits { head_time: Duration::from_hours(1), ..Limits::default() });
+    // It ends, although the client would keep it.
+    let answer = exchange(service.address(), "GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    assert!(answer.starts_with("HTTP/1.1 401") && answer.contains("connection: close"), "{answer}");
+    let two = "GET /metrics HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n";
+    assert!(exchange(service.address(), two).starts_with("HTTP/1.1 400"));
+}
+
+#[test]
 fn a_reader_that_does_not_read_is_cut_off() {
     let bench = Bench::new(&[1]);
     let limits = Limits { pace_time: Duration::from_millis(200), ..Limits::default() };
-    let spec = ServiceSpec { limits, ..ServiceSpec::new(bench.store.clone()) };
+    let spec = ServiceSpec { limits, ..ServiceSpec::new(bench.store.clone(), token()) };
     let service = Service::start(spec).expect("starts");
     let mut stream = TcpStream::connect(service.address()).expect("connects");
-    let line = "GET /v1/checkpoints/latest/files/state.safetensors HTTP/1.1\r\nHost: localhost\r\n";
+    let line = format!("GET {STATE} HTTP/1.1\r\nHost: localhost\r\n{}\r\n", bearer());
     // Answers pile up: far more than the system's buffers take.
     for _ in 0..200 {
-        stream.write_all(format!("{line}\r\n").as_bytes()).expect("sends");
+        stream.write_all(line.as_bytes()).expect("sends");
     }
     std::thread::sleep(Duration::from_secs(2));
     let mut rest = Vec::new();
@@ -132,9 +192,12 @@ fn large_heads_are_refused() {
 fn the_client_understands_the_service() {
     let live = LiveRun::new();
     live.publish(LiveStatus { iterations: 3, ..LiveStatus::default() });
-    let spec = ServiceSpec::new(CheckpointStore::new("/nonexistent/store"));
-    let service = Service::start(ServiceSpec { live: Some(live.clone()), ..spec }).expect("starts");
+    let spec = ServiceSpec { live: Some(live.clone()), ..spec() };
+    let service = Service::start(spec).expect("starts");
     let client = Client::new(&service.address().to_string());
+    let error = client.status().expect_err("no token").to_string();
+    assert!(error.contains("token"), "{error}");
+    let client = client.with_token(Some(token()));
     assert_eq!(client.status().expect("answers").iterations, 3);
     live.close();
     let error = client.scale(2).expect_err("the run has ended");
@@ -206,7 +269,7 @@ async fn the_description_knows_refusals_and_bytes() {
     assert!(document["components"]["schemas"]["ErrorBody"].is_object());
     for (path, methods) in document["paths"].as_object().expect("paths") {
         for (method, operation) in methods.as_object().expect("methods") {
-            for status in ["401", "403", "431"] {
+            for status in ["400", "401", "431"] {
                 let known = operation["responses"][status].is_object();
                 assert_eq!(known, path != "/health" || status != "401", "{method} {path} {status}");
             }

@@ -74,7 +74,7 @@ async fn too_large_is_refused_announced_or_not() {
     let source = Bench::new(&[1]);
     let body = archive(&source, 1).await;
     let limits = Limits { upload_bytes: 100_000, ..Limits::default() };
-    let bench = Bench::with(&[], None, None, limits);
+    let bench = Bench::with(&[], None, limits);
     let length = body.len().to_string();
     for headers in [&[("content-length", length.as_str())][..], &[]] {
         let answer = bench.send("PUT /v1/checkpoints/new", headers, body.clone()).await;
@@ -126,7 +126,7 @@ async fn a_client_that_stalls_or_goes_leaves_nothing() {
     let source = Bench::new(&[1]);
     let start = archive(&source, 1).await.slice(..10_000);
     let limits = Limits { pace_time: Duration::from_millis(20), ..Limits::default() };
-    let bench = Bench::with(&[], None, None, limits);
+    let bench = Bench::with(&[], None, limits);
     for (gone, status) in [(false, StatusCode::REQUEST_TIMEOUT), (true, StatusCode::BAD_REQUEST)] {
         let body = Body::new(Unfinished { first: Some(start.clone()), gone });
         let answer = bench.send("PUT /v1/checkpoints/new", &[], body).await;
@@ -138,7 +138,7 @@ async fn a_client_that_stalls_or_goes_leaves_nothing() {
 #[tokio::test]
 async fn uploads_beyond_the_limit_are_told_to_wait() {
     let limits = Limits { uploads: 0, archives: 0, ..Limits::default() };
-    let bench = Bench::with(&[1], None, None, limits);
+    let bench = Bench::with(&[1], None, limits);
     for line in ["PUT /v1/checkpoints/new", "GET /v1/checkpoints/latest/archive"] {
         let answer = bench.ask(line).await;
         assert_eq!(answer.status, StatusCode::SERVICE_UNAVAILABLE, "{line}");
@@ -177,20 +177,61 @@ async fn beside_a_live_run_an_upload_is_at_most_a_few_times_its_state() {
     for (states, least, status) in [
         (4, 0, StatusCode::CREATED),
         (1, 0, StatusCode::PAYLOAD_TOO_LARGE),
-        (0, 0, StatusCode::PAYLOAD_TOO_LARGE),
+        (0, 0, StatusCode::INSUFFICIENT_STORAGE),
         (0, 2 * two.len() as u64, StatusCode::CREATED),
     ] {
         let limits =
             Limits { live_upload_states: states, live_upload_bytes: least, ..Limits::default() };
         let live = Some(crate::live::LiveRun::new());
-        let bench = Bench::with(&[1], live, None, limits.clone());
+        let bench = Bench::with(&[1], live, limits.clone());
         // What others brought is no measure.
         let foreign = bench.store.import(&two[..], None);
         assert!(foreign.expect("imports").labels.imported);
         let answer = bench.send("PUT /v1/checkpoints/new", &[], one.clone()).await;
         assert_eq!(answer.status, status, "{states} {least}: {answer:?}");
-        let alone = Bench::with(&[], None, None, limits);
+        let alone = Bench::with(&[], None, limits);
         let answer = alone.send("PUT /v1/checkpoints/new", &[], one.clone()).await;
         assert_eq!(answer.status, StatusCode::CREATED, "alone: {answer:?}");
     }
+}
+
+#[tokio::test]
+async fn uploads_leave_room_on_the_disk() {
+    let source = Bench::new(&[1]);
+    let body = archive(&source, 1).await;
+    let length = body.len().to_string();
+    let free = crate::preflight::free_space(source.dir.path()).expect("a disk");
+    for reserve in [u64::MAX, 2 * free] {
+        let bench = Bench::with(&[], None, Limits { disk_reserve: reserve, ..Limits::default() });
+        for headers in [&[("content-length", length.as_str())][..], &[]] {
+            let answer = bench.send("PUT /v1/checkpoints/new", headers, body.clone()).await;
+            assert_eq!(answer.status, StatusCode::INSUFFICIENT_STORAGE, "{headers:?}");
+            let said = answer.error();
+            assert!(said.contains(&reserve.to_string()) && said.contains("stay free"), "{said}");
+        }
+        assert_eq!(bench.inventory(), [""; 0]);
+    }
+}
+
+#[tokio::test]
+async fn beside_a_live_run_all_uploads_together_have_a_limit() {
+    let source = Bench::new(&[1]);
+    let body = archive(&source, 1).await;
+    let limits =
+        Limits { live_upload_bytes: 2 * body.len() as u64, live_uploads: 1, ..Limits::default() };
+    let live = Some(crate::live::LiveRun::new());
+    let bench = Bench::with(&[], live, limits);
+    let mut statuses = Vec::new();
+    for name in ["a", "b", "c", "d", "e"] {
+        let answer = bench.send(&format!("PUT /v1/checkpoints/{name}"), &[], body.clone()).await;
+        if !answer.status.is_success() {
+            assert!(answer.error().contains("delete some"), "{}", answer.error());
+        }
+        statuses.push(answer.status.as_u16());
+    }
+    assert_eq!(statuses, [201, 201, 201, 507, 507], "an archive is larger than what is in it");
+    assert_eq!(bench.inventory(), ["a", "b", "c"]);
+    assert_eq!(bench.ask("DELETE /v1/checkpoints/a").await.status, StatusCode::NO_CONTENT);
+    let answer = bench.send("PUT /v1/checkpoints/d", &[], body.clone()).await;
+    assert_eq!(answer.status, StatusCode::CREATED);
 }

@@ -1,7 +1,7 @@
 use proto::config::{Layers, Preset};
 use proto::message::TaskErrors;
 use serde_json::json;
-use sim_worker::robot::Robot;
+use simulator::robot::Robot;
 use tempfile::TempDir;
 
 use super::*;
@@ -20,6 +20,7 @@ impl Fixture {
     fn new(settings: &[&str]) -> Self {
         let common = [
             "network.hidden=[4]",
+            "network.critic_hidden=[4]",
             "run.checkpoints_kept=1",
             "run.evaluate_every=10",
             "run.evaluation_episodes=8",
@@ -33,12 +34,12 @@ impl Fixture {
         let dir = tempfile::tempdir().expect("a directory");
         let store = CheckpointStore::new(dir.path().join("checkpoints"));
         let robot = Robot::builtin("paper").expect("built in").to_toml();
-        let snapshots = Snapshots::new(&config, robot, json!({}), store.clone());
+        let snapshots = Snapshots::new(&config, robot, json!({}), store.clone(), || Ok(()));
         Self { config, snapshots, store, _dir: dir }
     }
 
     fn arrives(&mut self, iteration: u64) -> Evaluation {
-        let snapshot = snapshot_of(&self.config, iteration, 0.0, 10);
+        let snapshot = snapshot_of(&self.config, iteration, 0.0);
         self.snapshots.arrived(snapshot, Phase::Training)
     }
 
@@ -158,4 +159,56 @@ fn a_commit_that_fails_is_told_to_whoever_asked_and_leaves_the_best_as_it_is() {
     }
     fixture.settle();
     assert_eq!(fixture.store.best().expect("readable").map(|best| best.iteration), Some(10));
+}
+
+#[test]
+fn many_who_ask_for_the_same_share_one_snapshot() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=0"]);
+    let ask = |fixture: &mut Fixture, iterations| {
+        let (asker, answer) = oneshot::channel();
+        fixture.snapshots.ask_for(iterations, asker);
+        answer
+    };
+    let mut answers: Vec<_> = (0..5).map(|_| ask(&mut fixture, 3)).collect();
+    assert!(fixture.snapshots.must_tell_learner());
+    // Asked while the learner is at it, and while the disk is.
+    answers.push(ask(&mut fixture, 3));
+    assert!(!fixture.snapshots.must_tell_learner(), "it has been told");
+    fixture.arrives(3);
+    answers.push(ask(&mut fixture, 3));
+    assert!(!fixture.snapshots.must_tell_learner(), "it is being committed");
+    let results = fixture.settle();
+    assert!(matches!(results[..], [Committed::Checkpoint { iteration: 3, .. }]), "{results:?}");
+    for mut answer in answers {
+        assert_eq!(answer.try_recv().expect("answered"), Ok("iteration-00000003".to_owned()));
+    }
+}
+
+#[test]
+fn who_asks_for_more_than_is_on_its_way_gets_the_next_snapshot() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=0"]);
+    let [(first, mut early), (second, mut late)] = [(); 2].map(|()| oneshot::channel());
+    fixture.snapshots.ask_for(3, first);
+    assert!(fixture.snapshots.must_tell_learner());
+    fixture.snapshots.ask_for(4, second);
+    assert!(!fixture.snapshots.must_tell_learner(), "one at a time");
+    fixture.arrives(3);
+    assert!(fixture.snapshots.must_tell_learner());
+    fixture.arrives(4);
+    fixture.settle();
+    assert_eq!(early.try_recv().expect("answered"), Ok("iteration-00000003".to_owned()));
+    assert_eq!(late.try_recv().expect("answered"), Ok("iteration-00000004".to_owned()));
+}
+
+#[test]
+fn nothing_is_committed_whose_metrics_are_not_durable() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=1", "run.evaluate_every=0"]);
+    let robot = Robot::builtin("paper").expect("built in").to_toml();
+    let record = || Err(anyhow::anyhow!("the disk is gone"));
+    let store = fixture.store.clone();
+    fixture.snapshots = Snapshots::new(&fixture.config, robot, json!({}), store, record);
+    fixture.arrives(1);
+    let results = fixture.settle();
+    assert!(matches!(results[..], [Committed::Unrecorded { iteration: 1, .. }]), "{results:?}");
+    assert_eq!(fixture.kept(), [0; 0]);
 }

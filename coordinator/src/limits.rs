@@ -1,0 +1,65 @@
+//! Limits that the shell sets and that a process runs into only later, by a signal.
+//!
+//! A stack that is too small ends a process by SIGSEGV somewhere in the middle, a file that is too
+//! large by SIGXFSZ. So the first is raised when a program starts, or refused; the second becomes an
+//! error of the write, which is reported as what it is.
+
+use proto::{ExitCode, ExitError, mib};
+use rustix::process::{Resource, Rlimit, Signal, getrlimit, setrlimit};
+use tokio::signal::unix::{SignalKind, signal};
+
+/// The stack that Linux gives by default, and that children get where less was allowed.
+const STACK: u64 = 8 << 20;
+/// The least that a program starts with: what Rust gives a thread, chosen, not measured.
+const LEAST_STACK: u64 = 2 << 20;
+/// What a write fails with that would make a file larger than allowed (EFBIG).
+const TOO_LARGE: i32 = rustix::io::Errno::FBIG.raw_os_error();
+
+/// Raises what can be raised, and refuses what is too little. The first thing in a program: also
+/// the reading of a command line needs a stack.
+pub fn prepare() -> Result<(), ExitError> {
+    raise_stack()?;
+    let fail = |error: std::io::Error| {
+        ExitError::new(ExitCode::Environment, format!("signals cannot be caught: {error}"))
+    };
+    // Whoever listens to a signal does not die of it. Listening outlasts the runtime.
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(fail)?;
+    let _context = runtime.enter();
+    let listening = signal(SignalKind::from_raw(Signal::XFSZ.as_raw())).map_err(fail)?;
+    drop(listening);
+    Ok(())
+}
+
+fn raise_stack() -> Result<(), ExitError> {
+    let limit = getrlimit(Resource::Stack);
+    if limit.current.is_none_or(|current| current >= STACK) {
+        return Ok(());
+    }
+    let set = |maximum: Option<u64>| {
+        let current = Some(maximum.unwrap_or(STACK).min(STACK));
+        setrlimit(Resource::Stack, Rlimit { current, maximum }).is_ok()
+    };
+    // Root may raise the hard limit, too, everybody the other up to it.
+    let _ = set(limit.maximum.map(|hard| hard.max(STACK))) || set(limit.maximum);
+    let now = getrlimit(Resource::Stack).current.unwrap_or(STACK);
+    if now >= LEAST_STACK {
+        return Ok(());
+    }
+    let message = format!(
+        "a program's stack may have {} here, and {} are needed; `ulimit -s {}`",
+        mib(now),
+        mib(LEAST_STACK),
+        STACK >> 10
+    );
+    Err(ExitError::new(ExitCode::Environment, message))
+}
+
+/// What to do about an error whose text is `error`, if it is that a file would have become larger than
+/// this process may make one.
+pub fn cure(error: &str) -> Option<String> {
+    let limit = getrlimit(Resource::Fsize).current?;
+    error.contains(&format!("(os error {TOO_LARGE})")).then(|| {
+        format!("a file may have {} here; `ulimit -f unlimited`, and do the same again", mib(limit))
+    })
+}

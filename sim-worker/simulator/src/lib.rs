@@ -1,0 +1,63 @@
+//! The robot, its dynamics and tasks, the inference of policies, and whole episodes: pure functions.
+//!
+//! Nothing here knows a process, a thread, a clock, a file or a channel, so that the same code with the
+//! same bits runs in workers, in commands and in WebAssembly. Who has threads lends them, see [`executor`].
+//!
+//! From the bottom up, which is also an order to read in:
+//!
+//! * [`scalar`]: the numbers everything is generic over, `f64` or `f32` lanes, one
+//!   environment a lane;
+//! * [`spatial`]: three- and six-dimensional vectors, rotations;
+//! * [`robot`]: descriptions from files, checked and laid out for the dynamics; MJCF;
+//! * [`state`], [`dynamics`], [`collision`]: the articulated-body algorithm, integrators, contacts;
+//! * [`simulate`]: open loop, from commands to a trajectory;
+//! * [`task`]: goals, observations, critic states, rewards;
+//! * [`policy`]: the actors, evaluated without libtorch;
+//! * [`mod@env`]: the vectorised environment that writes its block in place;
+//! * [`rollout`]: whole episodes that explore, for training, as pure functions of their addresses;
+//! * [`experiment`], [`evaluate`]: whole episodes with deterministic actions, in which things may happen;
+//! * [`reach`]: which goals can be reached at all;
+//! * [`random_motion`]: the dynamics under random commands, for measurements.
+//!
+//! Models are immutable and shared, all scratch memory is owned by a workspace, and no inner loop
+//! allocates. Read [`rollout`] next.
+
+#![expect(
+    clippy::inline_always,
+    reason = "only code inlined into a lane function is compiled for the processor's vectors, see `scalar`"
+)]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "an index that runs through several arrays at once says more than nested zips"
+)]
+
+pub mod scalar;
+pub mod spatial;
+
+pub mod robot;
+
+pub mod state;
+
+pub mod executor;
+
+pub mod dynamics;
+
+pub mod collision;
+
+pub mod simulate;
+
+pub mod task;
+
+pub mod policy;
+
+pub mod env;
+
+pub mod rollout;
+
+pub mod experiment;
+
+pub mod evaluate;
+
+pub mod reach;
+
+pub mod random_motion;

@@ -1,0 +1,85 @@
+use std::path::Path;
+
+use super::*;
+
+const PAPER: &str = include_str!("../../robots/paper.toml");
+
+fn error_of(from: &str, to: &str) -> String {
+    assert!(PAPER.contains(from), "the test's text {from:?}");
+    Robot::from_toml(&PAPER.replacen(from, to, 1), Path::new("my-robot.toml"))
+        .unwrap_err()
+        .to_string()
+}
+
+#[test]
+fn built_in_robots_load_and_return_from_their_text() {
+    for name in Robot::builtin_names() {
+        let robot = Robot::builtin(name).unwrap();
+        assert_eq!(robot.name, name);
+        assert_eq!((robot.n_arms, robot.n_joints()), (4, 24));
+        assert_eq!(Robot::from_toml(&robot.to_toml(), Path::new("x")).unwrap(), robot);
+    }
+    let two = Robot::from_toml(include_str!("../../robots/two-arm.toml"), Path::new("x")).unwrap();
+    assert_eq!((two.n_arms, two.n_joints()), (2, 12));
+}
+
+#[test]
+fn mounts_sit_flush_on_the_cube() {
+    for name in Robot::builtin_names() {
+        let robot = Robot::builtin(name).unwrap();
+        for arm in &robot.arms {
+            let far = arm.mount.centre.abs().max();
+            assert!((far - arm.mount.half.z - robot.boxes[0].half.x).abs() < 1e-12, "{name}");
+        }
+    }
+    let edge = Robot::builtin("paper").unwrap().boxes[0].body.inertia[(0, 0)];
+    assert!((edge - 400.0 * 0.8726_f64.powi(2) / 6.0).abs() < 1e-9);
+}
+
+#[test]
+fn another_base_mass_scales_the_cube_alone() {
+    let robot = Robot::builtin("release").unwrap();
+    let heavy = robot.with_base_mass(800.0).unwrap();
+    assert!((heavy.total_mass() - robot.total_mass() - 400.0).abs() < 1e-9);
+    assert!((heavy.boxes[0].body.inertia[(1, 1)] - 2.0 * 59.5602).abs() < 1e-3);
+    assert!(robot.with_base_mass(-1.0).is_err());
+}
+
+#[test]
+fn bad_descriptions_name_file_key_and_expectation() {
+    for (from, to, words) in [
+        ("mass = 3.7", "mass = -3.7", &["links[0] (shoulder).mass", "-3.7", "above zero"][..]),
+        ("mass = 3.7", "mass = nan", &["links[0] (shoulder).mass", "NaN"]),
+        ("0.0067, 0.0064, 0.0067", "0.0067, -0.0064, 0.0067", &["inertia", "positive definite"]),
+        ("0.0067, 0.0064, 0.0067", "0.0067, 0.0264, 0.0067", &["inertia", "triangle"]),
+        ("0.0067, 0.0064, 0.0067", "0.0067, 0.0064", &["inertia"]),
+        ("dh = { a = 0.0, d = 0.089159, alpha_deg = 90.0 }\n", "", &["missing field `dh`"]),
+        ("armature = 1.0", "amature = 1.0", &["amature", "unknown field"]),
+        ("d = 0.089159", "d = inf", &["links[0] (shoulder).dh", "finite"]),
+        ("home = [3.14, -1.57", "home = [3.14, 1.0, -1.57", &["arms[0] (plus_y).home", "7 angles"]),
+        ("gain = 100.0", "gain = 0.0", &["servo.gain"]),
+        ("radius = 0.0595", "radius = -1.0", &["capsules[0].radius"]),
+        ("joint = 2", "joint = 7", &["stops[0].joint", "1 to 6"]),
+        ("\"upper_arm\"]", "\"elbow\"]", &["stops[0].pair", "elbow"]),
+        ("name = \"forearm\"", "name = \"mount\"", &["links[2].name", "mount"]),
+        ("name = \"minus_y\"", "name = \"plus_y\"", &["arms[1].name", "before it"]),
+        ("name = \"minus_z\"", "name = \"minus<z\"", &["arms[3].name", "letters"]),
+        (
+            "0.3553, 0.0, 0.0, 0.0]\narmature = 1.0",
+            "0.3553, 0.0, 0.0, 0.0]\narmature = 0.0",
+            &["stops[0].push", "armature"],
+        ),
+        ("size = [0.8726", "size = [0.0", &["base[0] (cube).size"]),
+    ] {
+        let message = error_of(from, to);
+        assert!(message.contains("my-robot.toml"), "{message}");
+        for word in words {
+            assert!(message.contains(word), "{message:?} lacks {word:?}");
+        }
+    }
+    let last = PAPER.find("[[links]]\nname = \"wrist_3\"").unwrap();
+    let tool = PAPER.find("# The hand").unwrap();
+    let text = format!("{}{}", &PAPER[..last], &PAPER[tool..]);
+    let message = Robot::from_toml(&text, Path::new("my-robot.toml")).unwrap_err().to_string();
+    assert!(message.contains("5 rows") && message.contains("6 [[links]]"), "{message}");
+}

@@ -1,0 +1,143 @@
+//! What a shell leaves to a run: variables, limits, and what a killed run left on the disk.
+
+use std::process::{Command, Output, Stdio};
+
+use rustix::process::{Signal, getuid};
+use tests::{Run, SMALL, processes_with, program, stderr};
+
+/// No library can read this, and no process of ours puts it there.
+const GARBAGE: &str = "garbage-7f3a55d1e0c2";
+
+#[test]
+fn variables_of_others_change_no_bit_and_reach_no_child() {
+    let names = [
+        "ATEN_CPU_CAPABILITY",
+        "DNNL_MAX_CPU_ISA",
+        "DNNL_VERBOSE",
+        "GLIBC_TUNABLES",
+        "GOMP_SPINCOUNT",
+        "IDEEP_CACHE_CAPACITY",
+        "KMP_STACKSIZE",
+        "LRU_CACHE_CAPACITY",
+        "MKLDNN_VERBOSE",
+        "MKL_CBWR",
+        "MKL_NUM_THREADS",
+        "OMP_CANCELLATION",
+        "OMP_NUM_THREADS",
+        "OMP_STACKSIZE",
+        "ONEDNN_DEFAULT_FPMATH_MODE",
+        "SPACEOCTOPUS_TOKEN",
+    ];
+    // The budget is that of the schedules, so it is the same for both.
+    let flags = ["--workers=2", "--iterations=100000"];
+    let mut calm = Run::train(&flags);
+    calm.wait_for_iterations(4);
+    calm.signal(Signal::INT);
+    calm.succeed();
+
+    let mut run = Run::with_variables(&names.map(|name| (name, GARBAGE)));
+    run.start_training(&flags);
+    run.wait_for_iterations(4);
+    let domain = run.domain();
+    let children = processes_with(&domain);
+    let programs: Vec<&str> = children.iter().map(|(_, name)| name.as_str()).collect();
+    for program in ["learner", "sim-worker", "octopus"] {
+        assert!(programs.contains(&program), "{programs:?}");
+    }
+    for (pid, program) in &children {
+        let environment = std::fs::read(format!("/proc/{pid}/environ")).expect("readable");
+        let environment = String::from_utf8_lossy(&environment);
+        let foreign: Vec<&str> =
+            environment.split('\0').filter(|variable| variable.contains(GARBAGE)).collect();
+        assert_eq!(foreign, Vec::<&str>::new(), "{program}");
+    }
+    run.signal(Signal::INT);
+    run.succeed();
+    assert_eq!(run.digests()[..4], calm.digests()[..4]);
+}
+
+/// Runs `octopus` from a shell that has set a limit.
+fn limited(limit: &str, launcher: &[&str], args: &[&str]) -> Output {
+    let script = format!("{limit} && exec \"$@\"");
+    Command::new("bash")
+        .args(["-c", &script, "bash"])
+        .args(launcher)
+        .arg(program("octopus"))
+        .args(args)
+        .stdin(Stdio::null())
+        .output()
+        .expect("bash is there")
+}
+
+fn train(dir: &tempfile::TempDir) -> Vec<String> {
+    let run_dir = format!("--run-dir={}", dir.path().join("run").display());
+    let own = [run_dir.as_str(), "--workers=1", "--iterations=2", "--quiet"];
+    ["train", "trajectory"].iter().chain(SMALL).chain(&own).map(|arg| (*arg).to_owned()).collect()
+}
+
+#[test]
+fn a_stack_that_is_too_small_is_raised_or_named() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let args = train(&dir);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    // The soft limit may be raised by everybody.
+    let output = limited("ulimit -S -s 256", &[], &args);
+    assert!(output.status.success(), "{}", stderr(&output));
+    if !getuid().is_root() {
+        eprintln!("not root: a hard limit, which root may raise, was not tried");
+        return;
+    }
+    let without = ["setpriv", "--bounding-set=-sys_resource", "--inh-caps=-sys_resource"];
+    let output = limited("ulimit -s 256", &without, &["doctor"]);
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("stack") && said.contains("ulimit -s 8192"), "{said}");
+}
+
+#[test]
+fn a_file_that_may_not_become_large_enough_is_named() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let args = train(&dir);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let output = limited("ulimit -f 64", &[], &args);
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("file size") && said.contains("ulimit -f unlimited"), "{said}");
+    assert!(!dir.path().join("run").exists(), "nothing was begun");
+
+    // Where nobody knows beforehand how large it will be.
+    let out = dir.path().join("robot.xml");
+    let output = limited(
+        "ulimit -f 1",
+        &[],
+        &["mjcf", "--robot=paper", "--out", out.to_str().expect("UTF-8")],
+    );
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("robot.xml") && said.contains("ulimit -f unlimited"), "{said}");
+    assert!(!out.exists(), "half a file is none");
+}
+
+#[test]
+fn what_a_killed_run_had_begun_to_write_goes_when_it_is_resumed() {
+    let mut run = Run::train(&["--workers=1", "--iterations=5"]);
+    run.succeed();
+    let mut child = Command::new("true").spawn().expect("starts");
+    child.wait().expect("own child");
+    let dead = child.id();
+    let begun = [
+        run.path().join(format!(".config.toml.{dead}.tmp")),
+        run.path().join(format!("checkpoints/iteration-00000005/.labels.json.{dead}.tmp")),
+    ];
+    for path in &begun {
+        std::fs::write(path, "a part").expect("writable");
+    }
+    let notes = run.path().join(".notes.tmp");
+    std::fs::write(&notes, "of a person").expect("writable");
+    run.resume(&["--iterations=6"]);
+    run.succeed();
+    for path in &begun {
+        assert!(!path.exists(), "{}", path.display());
+    }
+    assert!(notes.exists());
+}
