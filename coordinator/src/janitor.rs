@@ -12,7 +12,7 @@ use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use proto::channel::Domain;
+use channels::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{environment, shield};

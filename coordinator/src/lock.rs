@@ -6,7 +6,7 @@ use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use proto::channel::Domain;
+use channels::Domain;
 use rustix::fs::{FlockOperation, flock};
 use serde::{Deserialize, Serialize};
 

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use proto::channel::{ChannelSizes, SHARED_MEMORY};
+use channels::{ChannelSizes, SHARED_MEMORY};
 use proto::config::{Config, Precision};
 use proto::layout::{Dimensions, replay_bytes};
 pub use proto::mib;

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
-use proto::channel::ORDERS_PER_WORKER;
+use channels::ORDERS_PER_WORKER;
 use proto::message::{EvaluationChunk, Order, WorkerId, policy_version_for};
 
 /// Iteration and shard: the address of a block.

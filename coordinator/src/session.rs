@@ -25,7 +25,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use proto::channel::{
+use channels::{
     BellListener, ChannelSizes, Channels, Domain, MessageReceiver, PieceReceiver, Role,
 };
 use proto::config::Config;

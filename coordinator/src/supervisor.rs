@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use proto::channel::Domain;
+use channels::Domain;
 use proto::config::Run;
 use proto::message::WorkerId;
 use proto::run_dir::RunDir;

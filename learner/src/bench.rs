@@ -43,7 +43,7 @@ pub struct Common {
 impl Common {
     /// Dies with the parent from now on; reads what is to be measured.
     fn begin(&self) -> Result<(proto::config::Config, proto::layout::Dimensions), ExitError> {
-        proto::child::die_with_parent(self.parent)?;
+        process::child::die_with_parent(self.parent)?;
         Ok(load(&RunDir::new(&self.run_dir))?)
     }
 }

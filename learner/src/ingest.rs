@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use proto::channel::ArraySample;
+use channels::ArraySample;
 use proto::config::Config;
 use proto::layout::{BlockHeader, BlockLayout, Dimensions, EpisodeMetrics};
 use proto::message::{Accounting, Errors, policy_version_for};

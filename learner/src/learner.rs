@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use proto::channel::{
+use channels::{
     ArrayReceiver, ArraySample, ArraySender, BellListener, ChannelSizes, Channels, Domain,
     MessageReceiver, MessageSender, PieceSender, Role, WHILE_THE_PARENT_LIVES,
 };
@@ -54,7 +54,7 @@ pub struct Arguments {
 
 /// Learns until it is told to stop.
 pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
-    proto::child::die_with_parent(arguments.parent)?;
+    process::child::die_with_parent(arguments.parent)?;
     let (config, dimensions) = load(&RunDir::new(&arguments.run_dir))?;
     let device = device(&config.run.device)?;
     let threads = i32::try_from(config.run.learner_threads).unwrap_or(i32::MAX);

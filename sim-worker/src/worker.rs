@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use proto::channel::{
+use channels::{
     ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, MessageReceiver,
     MessageSender, Role, WHILE_THE_PARENT_LIVES,
 };
@@ -18,7 +18,8 @@ use proto::config::Config;
 use proto::layout::{BlockHeader, PolicyHeader};
 use proto::message::{self, EvaluationChunk, Fault, HEARTBEAT, Order, Status, WorkerId};
 use proto::run_dir::RunDir;
-use proto::{ChannelError, ExitCode, ExitError};
+use channels::ChannelError;
+use proto::{ExitCode, ExitError};
 
 use simulator::env::{EpisodeError, Moment};
 use simulator::evaluate;
@@ -57,9 +58,9 @@ pub struct Arguments {
 
 /// Works until it is told to stop.
 pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
-    proto::child::die_with_parent(arguments.parent)?;
+    process::child::die_with_parent(arguments.parent)?;
     if let Some(index) = arguments.pin {
-        proto::child::pin(index)?;
+        process::child::pin(index)?;
     }
     let world = load(&RunDir::new(&arguments.run_dir))?;
     let mut worker = Worker::connect(arguments, &world)?;

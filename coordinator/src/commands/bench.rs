@@ -231,7 +231,7 @@ impl Bench {
 /// The middle one of an odd number of values.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
-    proto::clock::percentile(&values, 0.5)
+    proto::statistics::percentile(&values, 0.5)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! nobody.
 
 use anyhow::Context as _;
-use proto::channel::Domain;
+use channels::Domain;
 use serde_json::json;
 
 use crate::cli::CleanArgs;
@@ -72,7 +72,7 @@ fn traces() -> std::io::Result<Vec<String>> {
 
 #[cfg(test)]
 mod tests {
-    use proto::channel::{ChannelSizes, Channels};
+    use channels::{ChannelSizes, Channels};
     use proto::config::{Layers, Preset};
     use proto::layout::Dimensions;
 

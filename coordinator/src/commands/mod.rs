@@ -26,7 +26,7 @@ use std::io::BufReader;
 use std::path::Path;
 
 use anyhow::Context as _;
-use proto::channel::Domain;
+use channels::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};

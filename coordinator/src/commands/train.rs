@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use anyhow::Context as _;
-use proto::channel::Domain;
+use channels::Domain;
 use proto::config::{AlgorithmName, Config, Layers};
 use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
@@ -75,7 +75,7 @@ fn show(args: &TrainArgs) -> anyhow::Result<()> {
 /// Trains.
 pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     if args.parent.is_some() {
-        proto::child::die_with_parent(args.parent)?;
+        process::child::die_with_parent(args.parent)?;
     }
     let Plan { config, robot, programs } = plan(args)?;
     let (run_dir, counter) = open(args, &config)?;

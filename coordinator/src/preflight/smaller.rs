@@ -1,6 +1,6 @@
 //! What a run can do with less of: remedies that are enough, or none.
 
-use proto::channel::ChannelSizes;
+use channels::ChannelSizes;
 use proto::config::Config;
 use proto::layout::{AGENTS_PER_ARM, Dimensions};
 

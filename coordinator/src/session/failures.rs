@@ -13,12 +13,13 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
-use proto::channel::{ArrayReceiver, ArraySample};
+use channels::{ArrayReceiver, ArraySample};
 use proto::config::Config;
 use proto::layout::{ActorLayout, Dimensions, PolicyHeader};
 use proto::message::{Fault, policy_version_for};
 use proto::run_dir::RunDir;
-use proto::{ChannelError, ExitCode, ExitError};
+use channels::ChannelError;
+use proto::{ExitCode, ExitError};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde_json::json;

@@ -9,7 +9,7 @@ use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use proto::channel::Domain;
+use channels::Domain;
 use rustix::fs::{FallocateFlags, fallocate};
 
 /// Size (bytes): generous for connections, which are queues of offsets.

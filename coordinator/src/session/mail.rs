@@ -7,8 +7,8 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
-use proto::ChannelError;
-use proto::channel::OrderSender;
+use channels::ChannelError;
+use channels::OrderSender;
 use proto::message::{Order, PortId, WorkerId};
 
 /// Time between two tries: a queue that is full now is so for a while.
@@ -96,7 +96,7 @@ impl Mail {
 
 #[cfg(test)]
 mod tests {
-    use proto::channel::{ChannelSizes, Channels, Domain};
+    use channels::{ChannelSizes, Channels, Domain};
 
     use super::*;
 

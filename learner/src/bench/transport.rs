@@ -15,10 +15,11 @@ use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use proto::channel::{
+use channels::{
     ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, Role,
 };
-use proto::clock::{monotonic, percentile, thread_cpu};
+use process::clock::{monotonic, thread_cpu};
+use proto::statistics::percentile;
 use proto::config::Config;
 use proto::layout::{BlockHeader, BlockLayout, Dimensions, JOINTS_PER_AGENT};
 use proto::{ExitCode, ExitError};

@@ -3,7 +3,6 @@
 //! **An algorithm's settings are data.** What `--algorithm` changes in a preset stands in the preset's
 //! `[for.ALGORITHM]`, beside the changes for a task, and any later layer overrides it.
 
-use std::path::Path;
 
 use toml::{Table, Value};
 
@@ -52,13 +51,6 @@ impl Layers {
     /// Starts from `preset`; a `task` given here wins over any layer's `task.name`.
     pub fn new(preset: Preset, task: Option<TaskName>) -> Self {
         Self { preset, task, overlays: Vec::new() }
-    }
-
-    /// Adds a file.
-    pub fn file(self, path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
-        self.text(&text, &path.display().to_string())
     }
 
     /// Adds TOML text that came from `origin`.

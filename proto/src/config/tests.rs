@@ -207,8 +207,6 @@ fn without_housekeeping_only_harmless_keys_change() {
 #[test]
 fn a_file_is_named_in_its_errors() {
     let layers = Layers::new(Preset::Paper, None);
-    let error = layers.clone().file("no/such.toml".as_ref()).expect_err("missing").to_string();
-    assert!(error.contains("no/such.toml"), "{error}");
     let error = layers.text("[task\n", "my.toml").expect_err("broken").to_string();
     assert!(error.contains("my.toml") && error.contains("line 1"), "{error}");
 }

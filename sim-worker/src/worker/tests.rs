@@ -1,6 +1,6 @@
 //! A worker in a thread, with the test as coordinator and learner.
 
-use proto::channel::{ArraySample, MessageReceiver};
+use channels::{ArraySample, MessageReceiver};
 use proto::config::{Layers, Preset};
 
 use super::*;

@@ -183,7 +183,7 @@ fn the_checkpoint_that_a_run_falls_back_to_is_not_removed() {
     store.pin(&nth(2), true).expect("pins");
     assert!(matches!(store.delete_even_newest(&nth(2)), Err(CheckpointError::Pinned { .. })));
     store.pin(&nth(2), false).expect("unpins");
-    let lock = crate::lock::RunLock::acquire(&run.lock(), &proto::channel::Domain::fresh());
+    let lock = crate::lock::RunLock::acquire(&run.lock(), &channels::Domain::fresh());
     assert!(needed(2, true));
     assert!(matches!(
         store.delete_even_newest(&nth(2)),

@@ -5,7 +5,7 @@
     reason = "only code inlined into a lane function is compiled for the processor's vectors"
 )]
 
-use proto::clock::thread_cpu;
+use process::clock::thread_cpu;
 use simulator::scalar::{LaneFn, PairKernel, PairProducts, Real, WeightPair, dispatch};
 
 /// Floating-point operations per second of one core, a fused multiply-add being two.

@@ -1,6 +1,6 @@
 //! The dynamics alone: control steps under random commands, sixteen environments to a group.
 
-use proto::clock::thread_cpu;
+use process::clock::thread_cpu;
 use simulator::dynamics::StepOptions;
 use simulator::env::step_options;
 use simulator::random_motion::{operations_per_step, random_motion};

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use proto::clock::thread_cpu;
+use process::clock::thread_cpu;
 use proto::config::{Config, Inference};
 use proto::layout::{Dimensions, EpisodeMetrics};
 use simulator::env::{Stage, step_options};

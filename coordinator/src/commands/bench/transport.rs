@@ -4,7 +4,7 @@
 use std::process::Command;
 
 use anyhow::Context as _;
-use proto::channel::{ChannelSizes, Channels, Domain};
+use channels::{ChannelSizes, Channels, Domain};
 use serde_json::Value;
 
 use super::figures::{Figure, Figures};

@@ -5,7 +5,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use proto::channel::Domain;
+use channels::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};

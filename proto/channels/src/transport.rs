@@ -1,7 +1,7 @@
 //! iceoryx2 as this program uses it: between processes, in files of a private directory.
 //!
 //! Everything is as in [`iceoryx2::prelude::ipc`], except where memory is shared: not in POSIX shared
-//! memory, whose names all users see, but in [segments](super::segment) under the root path, which is
+//! memory, whose names all users see, but in [segments](crate::segment) under the root path, which is
 //! a directory that only its owner may enter.
 
 use std::fmt::Debug;
@@ -21,11 +21,11 @@ use iceoryx2_cal::shm_allocator::pool_allocator::PoolAllocator;
 use iceoryx2_cal::zero_copy_connection::common::details::{Connection, SharedManagementData};
 use iceoryx2_cal::{arc_sync_policy, bag, hash, monitoring, reactor, serialize, static_storage};
 
-use super::segment::Segment;
+use crate::segment::Segment;
 
 /// The variant of iceoryx2's services.
 #[derive(Debug, Clone)]
-pub(super) struct Private {}
+pub(crate) struct Private {}
 
 impl Service for Private {
     type StaticStorage = static_storage::recommended::Ipc;

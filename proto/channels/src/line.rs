@@ -14,21 +14,21 @@ const WIDTH: usize = 16;
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable, ZeroCopySend)]
 #[repr(C)]
 #[repr(align(64))]
-pub(super) struct Line([f32; WIDTH]);
+pub(crate) struct Line([f32; WIDTH]);
 
 impl Line {
     /// How many lines hold `len` numbers.
-    pub(super) const fn count(len: usize) -> usize {
+    pub(crate) const fn count(len: usize) -> usize {
         len.div_ceil(WIDTH)
     }
 
     /// The first `len` numbers of `lines`.
-    pub(super) fn numbers(lines: &[Self], len: usize) -> &[f32] {
+    pub(crate) fn numbers(lines: &[Self], len: usize) -> &[f32] {
         &bytemuck::cast_slice(lines)[..len]
     }
 
     /// The same, to be written.
-    pub(super) fn numbers_mut(lines: &mut [Self], len: usize) -> &mut [f32] {
+    pub(crate) fn numbers_mut(lines: &mut [Self], len: usize) -> &mut [f32] {
         &mut bytemuck::cast_slice_mut(lines)[..len]
     }
 }

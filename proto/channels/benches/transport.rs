@@ -1,13 +1,13 @@
 //! A block through its channel within one process: what loan, send and receive cost without waking
 //! anybody. `octopus bench transport` measures from process to process.
 //!
-//! `cargo bench -p proto`
+//! `cargo bench -p channels`
 
 use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use proto::channel::{ChannelSizes, Channels, Domain};
+use channels::{ChannelSizes, Channels, Domain};
 use proto::config::{Layers, Preset};
 use proto::layout::Dimensions;
 

@@ -1,4 +1,4 @@
-//! Typed channels over iceoryx2, the only module that names its types.
+//! Typed channels over iceoryx2, the only crate that names its types.
 //!
 //! | channel | from → to | payload | when the receiver is full |
 //! |---|---|---|---|
@@ -18,23 +18,33 @@
 //! users and runs share a machine without seeing each other, and what a killed run left behind can be
 //! removed by name.
 
+mod arrays;
+mod backpressure;
+mod bells;
 mod domain;
+mod error;
+mod header;
 mod line;
-mod ports;
+mod messages;
+mod pieces;
 mod segment;
+mod services;
 mod sizes;
 mod transport;
 
+pub use arrays::{ArrayReceiver, ArraySample, ArraySampleMut, ArraySender};
+pub use backpressure::WHILE_THE_PARENT_LIVES;
+pub use bells::{Bell, BellListener, Role};
 pub use domain::{Domain, SHARED_MEMORY};
-pub use ports::{
-    ArrayReceiver, ArraySample, ArraySampleMut, ArraySender, Bell, BellListener, Channels,
-    MessageReceiver, MessageSender, OrderSender, PieceReceiver, PieceSample, PieceSender, Role,
-    WHILE_THE_PARENT_LIVES,
-};
+pub use error::ChannelError;
+pub use header::Header;
+pub use messages::{MessageReceiver, MessageSender, OrderSender};
+pub use pieces::{PieceReceiver, PieceSample, PieceSender};
+pub use services::Channels;
 pub use sizes::{ChannelSizes, ORDERS_PER_WORKER, PIECE_LEN};
 
 #[cfg(doc)]
-use crate::message::{Order, Progress, Status};
+use proto::message::{Order, Progress, Status};
 
 #[cfg(test)]
 mod tests;

@@ -1,8 +1,9 @@
 //! How large the channels are, and how much shared memory they take.
 
-use super::segment::MARGIN;
-use crate::config::Config;
-use crate::layout::{ActorLayout, BlockLayout, Dimensions};
+use proto::config::Config;
+use proto::layout::{ActorLayout, BlockLayout, Dimensions};
+
+use crate::segment::MARGIN;
 
 /// Longest piece of a snapshot (bytes).
 pub const PIECE_LEN: usize = 4 << 20;
@@ -30,23 +31,23 @@ pub struct ChannelSizes {
 pub const ORDERS_PER_WORKER: usize = 2;
 
 /// Messages that may wait in a receiver's queue.
-pub(super) const MESSAGE_BUFFER: usize = 64;
+pub(crate) const MESSAGE_BUFFER: usize = 64;
 /// Longest encoded order (bytes); one shard or one part of an evaluation takes less than 50.
-pub(super) const ORDER_LEN: usize = 256;
+pub(crate) const ORDER_LEN: usize = 256;
 /// Longest encoded status (bytes).
-pub(super) const STATUS_LEN: usize = 4 << 10;
+pub(crate) const STATUS_LEN: usize = 4 << 10;
 /// Longest encoded progress (bytes).
-pub(super) const PROGRESS_LEN: usize = 16 << 10;
+pub(crate) const PROGRESS_LEN: usize = 16 << 10;
 /// Policies that may wait, and that a late worker still gets.
-pub(super) const POLICY_BUFFER: usize = 2;
+pub(crate) const POLICY_BUFFER: usize = 2;
 /// Policies that the coordinator may hold: two and one that it has just received. A worker holds one,
 /// while it reads it.
-pub(super) const POLICY_BORROWED: usize = 3;
+pub(crate) const POLICY_BORROWED: usize = 3;
 /// Services, connections and what must stay free (bytes): an allowance, which a test compares with what
 /// is taken.
 const MANAGEMENT: u64 = (3 << 20) + MARGIN;
 /// Pieces of a snapshot that may wait.
-pub(super) const PIECE_BUFFER: usize = 4;
+pub(crate) const PIECE_BUFFER: usize = 4;
 
 impl ChannelSizes {
     /// The sizes for a configuration on a robot with `dimensions`.
@@ -67,7 +68,7 @@ impl ChannelSizes {
     /// there are the one that is written, the one that it pushes out, what the coordinator holds, and
     /// one for every worker that stands still while it reads. iceoryx2 would reckon with queues of which
     /// each holds others, and reserve four times as much.
-    pub(super) fn policy_slots(&self) -> usize {
+    pub(crate) fn policy_slots(&self) -> usize {
         POLICY_BUFFER + 2 + POLICY_BORROWED + self.max_workers
     }
 

@@ -39,18 +39,18 @@ use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::io::Errno;
 
 /// Where less than this is free (bytes), shared memory is full, whatever else an error says.
-pub(super) const MARGIN: u64 = 1 << 20;
+pub(crate) const MARGIN: u64 = 1 << 20;
 /// iceoryx2 puts its version before the content, and tmpfs deals in pages.
 const HEADER: u64 = 64;
 const PAGE: u64 = 4096;
 
 /// Shared memory that was not there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Shortage {
+pub(crate) struct Shortage {
     /// Bytes that were asked for.
-    pub(super) needed: u64,
+    pub(crate) needed: u64,
     /// Bytes that were free.
-    pub(super) free: u64,
+    pub(crate) free: u64,
 }
 
 thread_local! {
@@ -60,7 +60,7 @@ thread_local! {
 }
 
 /// What this thread could not have since this was asked the last time.
-pub(super) fn take_shortage() -> Option<Shortage> {
+pub(crate) fn take_shortage() -> Option<Shortage> {
     SHORTAGE.take()
 }
 
@@ -70,7 +70,7 @@ fn note_shortage(needed: u64, free: u64) {
 }
 
 /// Bytes that are free where `directory` lies.
-pub(super) fn free_space(directory: &Path) -> rustix::io::Result<u64> {
+pub(crate) fn free_space(directory: &Path) -> rustix::io::Result<u64> {
     let space = statvfs(directory)?;
     Ok(space.f_bavail * space.f_frsize)
 }
@@ -96,11 +96,11 @@ fn reserve(path: &Path) -> std::io::Result<()> {
 
 /// A `T` in shared memory, and what follows it.
 #[derive(Debug)]
-pub(super) struct Segment<T: Debug + Send + Sync + ZeroCopySend>(file::Storage<T>);
+pub(crate) struct Segment<T: Debug + Send + Sync + ZeroCopySend>(file::Storage<T>);
 
 /// Makes and opens [segments](Segment).
 #[derive(Debug)]
-pub(super) struct Builder<'builder, T: Debug + Send + Sync + ZeroCopySend> {
+pub(crate) struct Builder<'builder, T: Debug + Send + Sync + ZeroCopySend> {
     inner: file::Builder<'builder, T>,
     name: FileName,
     config: file::Configuration<T>,

@@ -3,10 +3,11 @@ use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::*;
-use crate::config::{Layers, Preset};
-use crate::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
-use crate::message::{Order, Progress, Status};
+use proto::config::{Layers, Preset};
+use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
+use proto::message::{Order, Progress, Status};
+
+use crate::*;
 
 /// A domain that leaves nothing, also when a test fails.
 struct TestDomain(Domain);

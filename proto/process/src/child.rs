@@ -3,7 +3,7 @@
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-use crate::{ExitCode, ExitError};
+use proto::{ExitCode, ExitError};
 
 /// Asks the kernel to kill this process when its parent dies, and makes sure that the parent, which
 /// should be the process `expected`, has not died yet.

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FileName, Path as IpcPath, SemanticString};
 
-use super::segment::MARGIN;
 use crate::ChannelError;
+use crate::segment::MARGIN;
 
 /// Where shared memory lives.
 pub const SHARED_MEMORY: &str = "/dev/shm";
@@ -68,7 +68,7 @@ impl Domain {
         Err(ChannelError::Open {
             service: name.to_owned(),
             reason: format!("not a domain of this user: {prefix} and eight hexadecimal digits"),
-            layout: crate::layout::layout_hash(),
+            layout: proto::layout::layout_hash(),
         })
     }
 
@@ -84,7 +84,7 @@ impl Domain {
 
     /// Makes [`Self::root`], into which nobody else can look, so that what is made in it is private
     /// from the start.
-    pub(super) fn make_root(&self) -> Result<(), ChannelError> {
+    pub(crate) fn make_root(&self) -> Result<(), ChannelError> {
         match std::fs::DirBuilder::new().mode(PRIVATE).create(self.root()) {
             Ok(()) => Ok(()),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => self.check_root(),
@@ -97,7 +97,7 @@ impl Domain {
     }
 
     /// Refuses a directory in the place of [`Self::root`] that is not private.
-    pub(super) fn check_root(&self) -> Result<(), ChannelError> {
+    pub(crate) fn check_root(&self) -> Result<(), ChannelError> {
         let there = std::fs::symlink_metadata(self.root());
         let there = there.map_err(|error| self.refuse(error.to_string()))?;
         if there.is_dir() && there.uid() == own_uid() && there.mode() & 0o777 == PRIVATE {
@@ -116,7 +116,7 @@ impl Domain {
         ChannelError::Open {
             service: self.root().display().to_string(),
             reason,
-            layout: crate::layout::layout_hash(),
+            layout: proto::layout::layout_hash(),
         }
     }
 
@@ -171,7 +171,7 @@ impl Domain {
 
     /// iceoryx2's configuration for this domain. Only the coordinator cleans up after the dead:
     /// several processes that do so at once have raced in the past.
-    pub(super) fn config(&self, cleans_up: bool) -> Config {
+    pub(crate) fn config(&self, cleans_up: bool) -> Config {
         let mut config = Config::default();
         let root = format!("{}/", self.root().display());
         config.global.set_root_path(
