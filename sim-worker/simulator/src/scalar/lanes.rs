@@ -3,14 +3,19 @@
 //! The arithmetic of the types in `avx512` and `avx2` is processor intrinsics behind `#[inline(always)]`: they become single instructions
 //! where they are inlined into the functions there that enable the processor features, and [`dispatch_on`] enters those only after asking the processor.
 //! Values of these types exist only inside such a call.
-#![expect(
-    unsafe_code,
-    reason = "calls of functions compiled for detected processor features have no safe form"
+#![cfg_attr(
+    target_arch = "x86_64",
+    expect(
+        unsafe_code,
+        reason = "calls of functions compiled for detected processor features have no safe form"
+    )
 )]
 
 use std::ops::{BitAnd, BitOr, Not};
 
-use super::{Kernel, LANES, Mask, Real};
+#[cfg(target_arch = "x86_64")]
+use super::LANES;
+use super::{Kernel, Mask, Real};
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -102,6 +107,8 @@ pub fn dispatch_for<F: LaneFn>(n: usize, backend: Backend, f: F) -> F::Output {
         // SAFETY: the processor features were just found.
         return unsafe { avx512::eight::call(f) };
     }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = n; // no back end there has eight lanes
     dispatch_on(backend, f)
 }
 
@@ -175,6 +182,7 @@ macro_rules! bit_mask {
         }
     };
 }
+#[cfg(target_arch = "x86_64")]
 use bit_mask;
 
 bit_mask!(Mask16, u16);
@@ -212,6 +220,7 @@ macro_rules! derive_operators {
 use derive_operators;
 
 /// A binary operator of an intrinsic type.
+#[cfg(target_arch = "x86_64")]
 macro_rules! operator {
     ($t:ident, $trait:ident, $f:ident, |$a:ident, $b:ident| $e:expr) => {
         impl $trait for $t {
@@ -225,4 +234,5 @@ macro_rules! operator {
         }
     };
 }
+#[cfg(target_arch = "x86_64")]
 use operator;
