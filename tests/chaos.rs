@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 

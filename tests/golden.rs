@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context as _, Result, ensure};
-use coordinator::checkpoint::read_policy;
+use store::checkpoint::read_policy;
 use proto::config::{AlgorithmName, Config, Layers, Preset, TaskName};
 use proto::layout::{ActorLayout, Dimensions};
 use proto::rng::{Address, Purpose};

@@ -105,7 +105,7 @@ impl Example {
         let dimensions = Dimensions::new(&config, robot.n_arms);
         let layout = proto::layout::ActorLayout::new(&config, &dimensions);
         let parameters =
-            coordinator::checkpoint::read_policy(&checkpoint.join("policy.safetensors"), &layout)?;
+            store::checkpoint::read_policy(&checkpoint.join("policy.safetensors"), &layout)?;
         let world = World::new(&config, &robot);
         let policy = world.policy(&parameters)?;
 

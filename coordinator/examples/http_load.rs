@@ -17,7 +17,6 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail, ensure};
 use clap::Parser;
-use coordinator::output;
 use serde::Serialize;
 
 /// Measures the checkpoint service.

@@ -10,8 +10,8 @@ use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
-use crate::printable::printable;
-use crate::report::progress::LogWriter;
+use output::printable::printable;
+use run::report::progress::LogWriter;
 
 /// Sends the logs of this program to standard error, around a progress bar if there is one.
 ///

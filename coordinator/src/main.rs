@@ -3,13 +3,16 @@
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use coordinator::{causes, cli::Cli, commands, limits, logs, output};
+use coordinator::{cli::Cli, commands, limits, logs};
+use run::causes;
+use store::provenance;
 
 fn main() -> ExitCode {
     if let Err(error) = limits::prepare() {
         output::note(&format!("error: {error}"));
         return ExitCode::from(error.code as u8);
     }
+    provenance::built_from(env!("SPACEOCTOPUS_COMMIT"));
     let cli = Cli::parse();
     logs::init();
     match commands::run(cli.command) {

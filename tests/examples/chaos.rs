@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use clap::Parser as _;
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use serde_json::json;
 use tests::chaos::plan::Plan;
 use tests::chaos::{Chaos, calm, damage, restarts};

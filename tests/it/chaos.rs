@@ -1,6 +1,6 @@
 //! A short dose of chaos; `make chaos` gives the long one.
 
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use tests::chaos::plan::Plan;
 use tests::chaos::{Chaos, calm, restarts};
 

@@ -486,7 +486,7 @@ fn a_live_run_is_scaled_and_asked_from_outside() {
     let too_many = octopus(&["scale", path, "100000"]);
     assert_eq!(too_many.status.code(), Some(2), "{}", stderr(&too_many));
 
-    let client = coordinator::client::Client::of_run(&run.path(), None).expect("a service");
+    let client = service::client::Client::of_run(&run.path(), None).expect("a service");
     // The run says a few times a second what it is doing.
     let patience = Instant::now() + Duration::from_mins(1);
     let mut status = client.status().expect("answers");

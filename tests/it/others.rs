@@ -195,7 +195,7 @@ fn a_run_ends_although_somebody_holds_the_lock_of_its_checkpoints() {
     wait_for(&lock);
     let lock = std::fs::File::open(lock).expect("own");
     flock(&lock, FlockOperation::LockExclusive).expect("free");
-    let client = coordinator::client::Client::of_run(&run.path(), None).expect("a service");
+    let client = service::client::Client::of_run(&run.path(), None).expect("a service");
     run.signal(Signal::INT);
     // Two signals at once are one.
     let watchdog = Instant::now() + Duration::from_mins(1);

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use store::checkpoint::{Name, Selector};
 
 use super::values::whole;
-use crate::checkpoint::{Name, Selector};
 
 const GROUP_EXAMPLES: &str = "\
 Examples:

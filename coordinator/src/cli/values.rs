@@ -3,9 +3,10 @@
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::time::Duration;
 
+use output::words::grouped;
+
 use super::Listen;
 use super::experiment::Amounts;
-use crate::report::progress::grouped;
 
 /// Most workers that a configuration may have.
 const MAX_WORKERS: u64 = 256;

@@ -21,21 +21,21 @@ use proto::config::{Config, Layers, Preset};
 use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
+use run::precision;
+use run::report::progress::Stages;
+use run::signals::StopRequests;
+use run::supervisor::Programs;
 use serde_json::Value;
 use simulator::env::step_options;
 use simulator::robot::Robot;
+use store::outputs::Output;
+use store::provenance::Provenance;
 use tempfile::TempDir;
 
 use self::figures::Figures;
 use self::load::{Load, Watch};
 use self::peer::Peers;
 use crate::cli::bench::{BenchArgs, Subject};
-use crate::outputs::Output;
-use crate::provenance::Provenance;
-use crate::report::progress::Stages;
-use crate::signals::StopRequests;
-use crate::supervisor::Programs;
-use crate::{output, precision};
 
 /// What `octopus train` trains unless told otherwise.
 const TRAINED: Preset = Preset::Tuned;

@@ -9,7 +9,6 @@ use channels::Domain;
 use serde_json::json;
 
 use crate::cli::CleanArgs;
-use crate::output;
 
 /// Cleans.
 pub fn run(args: CleanArgs) -> anyhow::Result<()> {

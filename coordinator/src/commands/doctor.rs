@@ -5,12 +5,12 @@ use std::path::Path;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::Dimensions;
 use proto::{ExitCode, ExitError};
+use run::preflight::{self, Check, Verdict};
+use run::supervisor::Programs;
+use store::provenance;
 
 use super::clean;
 use crate::cli::DoctorArgs;
-use crate::preflight::{self, Check, Verdict};
-use crate::supervisor::Programs;
-use crate::{output, provenance};
 
 /// Workers that the checks reckon with.
 const WORKERS: usize = 2;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use proto::config::TaskName;
+use run::report::progress::{Parts, grouped};
 use serde::{Deserialize, Serialize};
 use simulator::evaluate::{
     self, ContactSteps, Course, EpisodeResult, Evaluation, EvaluationOptions,
@@ -10,14 +11,12 @@ use simulator::evaluate::{
 use simulator::experiment::CHUNK;
 use simulator::reach::{self, HandReach};
 use simulator::rollout::World;
+use store::checkpoint::Checkpoint;
 
 use super::statistics::{ErrorOf, Spread, Unit, milli, number, papers, percent};
 use super::trained::{Trained, open_checkpoint};
 use super::verdict::Verdict;
-use crate::checkpoint::Checkpoint;
 use crate::cli::EvalArgs;
-use crate::output;
-use crate::report::progress::{Parts, grouped};
 use crate::threads::Threads;
 
 /// Evaluates.

@@ -5,8 +5,8 @@ use std::path::Path;
 use simulator::robot::mjcf::{MjcfOptions, mjcf};
 
 use crate::cli::{MjcfArgs, Switch};
-use crate::outputs::Output;
-use crate::{files, output};
+use store::files;
+use store::outputs::Output;
 
 /// What a model begins with.
 const MARK: &[u8] = b"<mujoco model=";

@@ -33,13 +33,13 @@ use proto::{ConfigError, ExitCode, ExitError};
 use simulator::dynamics::StepOptions;
 use simulator::robot::{Robot, RobotError};
 
-use crate::checkpoint::CheckpointError;
 use crate::cli::{Command, JanitorArgs};
-use crate::janitor;
-use crate::lock::LockError;
-use crate::regular;
-use crate::shakedown::shakedown;
-use crate::signals;
+use run::janitor;
+use run::shakedown::shakedown;
+use run::signals;
+use store::checkpoint::CheckpointError;
+use store::lock::LockError;
+use store::regular;
 
 /// Two things that were compared are not the same. No failure but the answer, which standard output
 /// holds: the program ends with exit code 1 and says no more.

@@ -8,8 +8,8 @@ use crate::cli::plot::PlotArgs;
 use crate::figures::families::{Family, families};
 use crate::figures::learning::learning;
 use crate::figures::recorded;
-use crate::outputs::Output;
-use crate::{files, output};
+use store::files;
+use store::outputs::Output;
 
 /// Draws.
 pub fn run(args: &PlotArgs) -> anyhow::Result<()> {

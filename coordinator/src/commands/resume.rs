@@ -9,18 +9,19 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 
 use super::train::{self, Counter, Ended, Start};
-use crate::base;
-use crate::checkpoint::{Checkpoint, CheckpointStore, MANIFEST};
 use crate::cli::ResumeArgs;
-use crate::lock::RunLock;
-use crate::preflight::Remedy;
-use crate::provenance::Provenance;
-use crate::report;
-use crate::report::budgets::{self, Budgets};
-use crate::report::promised::Promised;
-use crate::report::recorded::Recorded;
-use crate::supervisor::Programs;
-use crate::{files, output, precision};
+use run::base;
+use run::precision;
+use run::preflight::Remedy;
+use run::report;
+use run::report::promised::Promised;
+use run::supervisor::Programs;
+use store::budgets::{self, Budgets};
+use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST};
+use store::files;
+use store::lock::RunLock;
+use store::provenance::Provenance;
+use store::recorded::Recorded;
 
 /// What helps an old run that its disk does not carry.
 const REMEDY: Remedy = Remedy {
@@ -63,7 +64,7 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     check_no_checkpoint(&run_dir)?;
     train::check_token_file(&args.http)?;
     let domain = Domain::fresh();
-    let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+    let lock = RunLock::acquire(&run_dir.lock(), domain.as_str())?;
     files::sweep(run_dir.path());
 
     let recorded = super::read_config(&run_dir)?;

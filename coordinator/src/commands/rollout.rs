@@ -15,12 +15,12 @@ use serde_json::json;
 use simulator::env::Moment;
 use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
 
-use crate::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
 use crate::cli::rollout::{BlockAddress, RolloutArgs};
-use crate::outputs::Output;
-use crate::report::progress::grouped;
-use crate::session::failures;
-use crate::{files, output};
+use output::words::grouped;
+use run::session::failures;
+use store::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
+use store::files;
+use store::outputs::Output;
 
 /// What a block is.
 #[derive(Debug, Serialize)]

@@ -3,9 +3,8 @@
 use proto::{ExitCode, ExitError};
 
 use crate::cli::serve::ScaleArgs;
-use crate::client::{Client, ClientError};
-use crate::http::Token;
-use crate::output;
+use service::client::{Client, ClientError};
+use service::http::Token;
 
 /// Tells the run and says what changed.
 pub fn run(args: &ScaleArgs) -> anyhow::Result<()> {

@@ -7,12 +7,11 @@ use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
 use serde_json::json;
 
-use crate::checkpoint::{CheckpointStore, store_to_be};
 use crate::cli::serve::ServeArgs;
-use crate::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
-use crate::output;
-use crate::output::counted;
-use crate::signals::StopRequests;
+use output::words::counted;
+use run::signals::StopRequests;
+use service::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
+use store::checkpoint::{CheckpointStore, store_to_be};
 
 /// How often to look whether the user wants to stop.
 const TICK: Duration = Duration::from_millis(50);

@@ -9,8 +9,8 @@ use simulator::robot::Robot;
 use simulator::simulate::{self, Precision, SimulationRow};
 
 use crate::cli::{IntegratorArg, PrecisionArg, SimulateArgs, Switch};
-use crate::outputs::Output;
-use crate::{files, output, regular};
+use store::outputs::Output;
+use store::{files, regular};
 
 /// What a trajectory begins with.
 const MARK: &[u8] = b"t,base_x,base_y,base_z,";

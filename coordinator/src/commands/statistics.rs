@@ -5,7 +5,7 @@ use std::fmt;
 use proto::config::TaskName;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::selection::PAPER;
+use run::selection::PAPER;
 
 /// Mean, spread and percentiles over a set of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -8,18 +8,17 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::train::RUNS;
-use crate::causes;
-use crate::checkpoint::{CheckpointStore, Name};
 use crate::cli::StatusArgs;
-use crate::client::Client;
-use crate::http::Token;
-use crate::live::{Best, LiveStatus, ProcessStatus, Role, Stages};
-use crate::lock::RunLock;
-use crate::output;
-use crate::preflight::mib;
-use crate::report::divergence::{CURE, Divergence};
-use crate::report::progress::grouped;
-use crate::report::{Diverged, jsonl};
+use output::words::grouped;
+use run::causes;
+use run::preflight::mib;
+use run::report::divergence::{CURE, Divergence};
+use run::report::{Diverged, jsonl};
+use service::client::Client;
+use service::http::Token;
+use service::live::{Best, LiveStatus, ProcessStatus, Role, Stages};
+use store::checkpoint::{CheckpointStore, Name};
+use store::lock::RunLock;
 
 /// What can be said about a run from outside.
 #[derive(Debug, Clone, PartialEq, Serialize)]

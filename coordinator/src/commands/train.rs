@@ -15,20 +15,21 @@ use simulator::evaluate::EvaluationOptions;
 use simulator::robot::Robot;
 
 use super::eval::{self, Summary};
-use crate::checkpoint::{Checkpoint, CheckpointStore};
 use crate::cli::{Ending, HttpArgs, Listen, TrainArgs};
-use crate::http::{OwnToken, Service, ServiceSpec, TOKEN_FILE, Token};
-use crate::live::LiveRun;
-use crate::lock::RunLock;
-use crate::preflight::{self, Remedy, Verdict};
-use crate::provenance::{self, Provenance};
-use crate::report::divergence::{CURE, Divergence};
-use crate::report::progress::grouped;
-use crate::report::{Diverged, Reporter};
-use crate::session::{self, Outcome, SessionSpec, StoppedBy};
-use crate::signals::StopRequests;
-use crate::supervisor::Programs;
-use crate::{files, output, outputs, precision, regular};
+use output::words::grouped;
+use run::precision;
+use run::preflight::{self, Remedy, Verdict};
+use run::report::divergence::{CURE, Divergence};
+use run::report::{Diverged, Reporter};
+use run::session::{self, Outcome, SessionSpec, StoppedBy};
+use run::signals::StopRequests;
+use run::supervisor::Programs;
+use service::http::{OwnToken, Service, ServiceSpec, TOKEN_FILE, Token};
+use service::live::LiveRun;
+use store::checkpoint::{Checkpoint, CheckpointStore};
+use store::lock::RunLock;
+use store::provenance::{self, Provenance};
+use store::{files, outputs, regular};
 
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
@@ -82,7 +83,7 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
 
     create(&run_dir)?;
     let domain = Domain::fresh();
-    let lock = RunLock::acquire(&run_dir.lock(), &domain)?;
+    let lock = RunLock::acquire(&run_dir.lock(), domain.as_str())?;
     let provenance = Provenance::gather();
     files::replace(&run_dir.robot(), robot.to_toml().as_bytes())?;
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;

@@ -10,7 +10,7 @@ use simulator::policy::Policy;
 use simulator::robot::Robot;
 use simulator::rollout::World;
 
-use crate::checkpoint::{Checkpoint, POLICY, Selector};
+use store::checkpoint::{Checkpoint, POLICY, Selector};
 
 /// A checkpoint's policy with the world it acts in.
 #[derive(Debug)]

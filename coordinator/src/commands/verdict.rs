@@ -4,7 +4,6 @@ use proto::config::TaskName;
 
 use super::eval::ErrorSummary;
 use super::statistics::{Spread, milli, papers};
-use crate::output;
 
 /// The mean errors of an evaluation beside those that the paper reports.
 #[derive(Debug, Clone, PartialEq)]

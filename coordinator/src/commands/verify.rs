@@ -13,8 +13,7 @@ use self::differences::{ConfigDifference, ProvenanceDifference};
 use self::record::{Iteration, Record};
 use super::NotTheSame;
 use crate::cli::verify::VerifyArgs;
-use crate::output;
-use crate::report::progress::grouped;
+use output::words::grouped;
 
 /// Compares; exit code 1 if what was compared is not the same.
 pub fn run(args: &VerifyArgs) -> anyhow::Result<()> {

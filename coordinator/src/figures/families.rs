@@ -8,11 +8,11 @@ use serde::Serialize;
 
 use super::bootstrap::Resamples;
 use super::recorded::Recorded;
-use crate::report::curve::Point;
-use crate::report::evaluations::HeldOut;
-use crate::report::progress::grouped;
-use crate::report::row::Row;
-use crate::selection::{MeanErrors, Means};
+use output::words::grouped;
+use run::report::curve::Point;
+use run::report::evaluations::HeldOut;
+use run::report::row::Row;
+use run::selection::{MeanErrors, Means};
 
 /// Points of a curve.
 const POINTS: usize = 300;
@@ -358,7 +358,7 @@ mod tests {
         };
         let name = "mappo, hidden=[1024,1024,1024,1024…, parameter_sharing=roles".to_owned();
         let row = Family::new(kind, name, Over::EnvSteps).row(Over::EnvSteps);
-        let text = crate::output::table_within(80, Family::HEADER, [row]);
+        let text = output::table_within(80, Family::HEADER, [row]);
         for line in text.lines() {
             assert!(line.chars().count() <= 80, "{line}\nis too long in\n{text}");
         }

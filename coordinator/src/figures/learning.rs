@@ -4,7 +4,7 @@ use proto::config::TaskName;
 
 use super::families::{Errors, Family, Over};
 use super::panels::{Axis, COLORS, Item, Panel, line, render};
-use crate::selection::PAPER;
+use run::selection::PAPER;
 
 /// A quantity `[low, mean, high]` along a curve.
 type Read = fn(&Errors) -> &[[f64; 3]];

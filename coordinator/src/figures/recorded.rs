@@ -10,11 +10,11 @@ use serde_json::Value;
 
 use super::families::learn_alike;
 use crate::commands::{read_config, run_directory};
-use crate::report::curve::{Point, read_points, thin_out};
-use crate::report::evaluations::{self, HeldOut};
-use crate::report::jsonl;
-use crate::report::row::Row;
-use crate::{files, regular};
+use run::report::curve::{Point, read_points, thin_out};
+use run::report::evaluations::{self, HeldOut};
+use run::report::row::Row;
+use store::jsonl;
+use store::{files, regular};
 
 /// Points that a file keeps of a curve, at most.
 const POINTS: usize = 130;

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use coordinator::checkpoint::{CheckpointStore, STATE_FORMAT, StateLayout};
+use store::checkpoint::{CheckpointStore, STATE_FORMAT, StateLayout};
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 use proto::{Digest, DigestBuilder};

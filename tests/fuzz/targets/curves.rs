@@ -5,9 +5,9 @@
 use coordinator::figures::families::{Over, families};
 use coordinator::figures::learning::learning;
 use coordinator::figures::recorded::{parse, to_json};
-use coordinator::report::curve::Point;
-use coordinator::report::evaluations::HeldOut;
-use coordinator::report::row::Row as _;
+use run::report::curve::Point;
+use run::report::evaluations::HeldOut;
+use run::report::row::Row as _;
 use libfuzzer_sys::fuzz_target;
 use serde_json::{Value, json};
 

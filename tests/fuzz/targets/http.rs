@@ -8,8 +8,8 @@ use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use coordinator::checkpoint::Snapshot;
-use coordinator::http::{Limits, Service, ServiceSpec, Token};
+use store::checkpoint::Snapshot;
+use service::http::{Limits, Service, ServiceSpec, Token};
 use libfuzzer_sys::fuzz_target;
 use proto::Digest;
 

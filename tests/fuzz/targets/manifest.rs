@@ -2,7 +2,7 @@
 
 #![no_main]
 
-use coordinator::checkpoint::{LABELS, Labels, MANIFEST, Manifest};
+use store::checkpoint::{LABELS, Labels, MANIFEST, Manifest};
 use libfuzzer_sys::fuzz_target;
 use serde_json::json;
 

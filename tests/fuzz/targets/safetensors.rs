@@ -3,7 +3,7 @@
 
 #![no_main]
 
-use coordinator::checkpoint::{Assembly, read_policy};
+use store::checkpoint::{Assembly, read_policy};
 use libfuzzer_sys::fuzz_target;
 use proto::layout::SnapshotHeader;
 

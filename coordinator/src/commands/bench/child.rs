@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
+use run::supervisor::{child_exit_code, log_tail};
 
 use super::Bench;
-use crate::supervisor::{child_exit_code, log_tail};
 
 /// How often a program is asked whether it has ended: seldom enough to cost nothing.
 const PATIENCE: Duration = Duration::from_millis(10);

@@ -1,10 +1,8 @@
 //! The figures of a measurement, as a table and as JSON.
 
+use output::words::grouped;
 use proto::{ExitCode, ExitError};
 use serde_json::{Map, Value};
-
-use crate::output;
-use crate::report::progress::grouped;
 
 /// Whether more is better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

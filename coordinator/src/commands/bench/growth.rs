@@ -1,16 +1,16 @@
 //! How speed and size grow with environments, workers, arms and hidden width.
 
+use std::path::Path;
+
 use proto::layout::{ActorLayout, Dimensions};
 use serde_json::{Map, Value, json};
 use simulator::dynamics::StepOptions;
 use simulator::env::step_options;
 use simulator::robot::description::RobotDescription;
 use simulator::robot::{MAX_ARMS, Robot};
-use std::path::Path;
 
 use super::figures::number;
 use super::{Bench, learner, physics, rollout, train};
-use crate::output;
 
 /// A quantity over another.
 #[derive(Debug, Clone)]

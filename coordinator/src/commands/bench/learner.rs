@@ -4,13 +4,13 @@ use std::process::Command;
 
 use anyhow::Context as _;
 use proto::config::Config;
+use run::environment;
 use serde_json::Value;
 
 use super::figures::{Figure, Figures};
 use super::processor::Processor;
 use super::rollout::OTHERS;
 use super::{Bench, child};
-use crate::environment;
 
 /// The fastest of all updates: what the floor of a training reckons with.
 pub(super) const BEST: &str = "learner.best_env_steps_per_s";

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow};
 use plotters::prelude::*;
+use store::files;
 
 use super::figures::number;
 use super::growth::{Curve, Series};
-use crate::files;
 
 const SIZE: (u32, u32) = (640, 400);
 const INK: RGBColor = RGBColor(38, 50, 56);

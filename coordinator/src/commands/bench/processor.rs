@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::provenance;
+use store::provenance;
 
 /// Highest clock of any processor that is sold (Hz), for machines that do not tell theirs: virtual ones mostly. A bound is
 /// better too high than wrong.

@@ -9,14 +9,14 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use proto::ExitError;
 use proto::run_dir::RunDir;
+use run::supervisor::{child_exit_code, log_tail};
 use rustix::process::{Pid, Signal, kill_process};
+use store::jsonl;
 
 use super::Bench;
 use super::child::Running;
 use super::figures::{Figure, Figures};
 use super::learner::BEST;
-use crate::report::jsonl;
-use crate::supervisor::{child_exit_code, log_tail};
 
 /// Iterations that count, at least; the first one does not.
 const ITERATIONS: usize = 3;

@@ -5,12 +5,12 @@ use std::process::Command;
 
 use anyhow::Context as _;
 use channels::{ChannelSizes, Channels, Domain};
+use run::janitor::Janitor;
+use run::preflight::{self, Verdict};
 use serde_json::Value;
 
 use super::figures::{Figure, Figures};
 use super::{Bench, child, learner};
-use crate::janitor::Janitor;
-use crate::preflight::{self, Verdict};
 
 /// Blocks of a measurement, unless its time is over before.
 const BLOCKS: &str = "2000";

@@ -1,9 +1,9 @@
 //! `commit`: has a live run commit a checkpoint now.
 
+use service::client::Client;
+use service::http::Token;
+
 use crate::cli::checkpoints::CommitArgs;
-use crate::client::Client;
-use crate::http::Token;
-use crate::output;
 
 /// Asks the run and says what it has committed.
 pub(super) fn commit(args: &CommitArgs) -> anyhow::Result<()> {

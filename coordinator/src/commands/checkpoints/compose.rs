@@ -1,13 +1,12 @@
 //! `compose`.
 
+use output::words::counted;
 use proto::{ExitCode, ExitError};
+use store::checkpoint::{Composition, Name, Part};
+use store::provenance::Provenance;
 
 use super::{refused, report, store_to_fill};
-use crate::checkpoint::{Composition, Name, Part};
 use crate::cli::checkpoints::{ComposeArgs, given_twice};
-use crate::output;
-use crate::output::counted;
-use crate::provenance::Provenance;
 
 /// Builds one policy set from the arms of several checkpoints.
 pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {

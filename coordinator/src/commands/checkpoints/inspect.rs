@@ -1,13 +1,12 @@
 //! `verify` and `diff`.
 
+use output::words::counted;
 use proto::{ExitCode, ExitError};
+use store::checkpoint::{Difference, Selector, Verification, compare, store_at};
 
 use super::listing::size;
-use crate::checkpoint::{Difference, Selector, Verification, compare, store_at};
 use crate::cli::checkpoints::{DiffArgs, VerifyArgs};
 use crate::commands::NotTheSame;
-use crate::output;
-use crate::output::counted;
 
 /// Checks checkpoints thoroughly.
 pub(super) fn verify(args: &VerifyArgs) -> anyhow::Result<()> {
@@ -131,8 +130,9 @@ fn summary(difference: &Difference) -> String {
 
 #[cfg(test)]
 mod tests {
+    use store::checkpoint::{KeyDifference, TensorDifference};
+
     use super::*;
-    use crate::checkpoint::{KeyDifference, TensorDifference};
 
     /// The longest names and shapes that there are.
     fn difference() -> Difference {

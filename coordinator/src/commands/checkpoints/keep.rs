@@ -1,11 +1,10 @@
 //! `prune`, `rebuild` and `delete`.
 
+use output::words::counted;
 use proto::{ExitCode, ExitError};
+use store::checkpoint::{CATALOGUE, Name, Retention, store_at};
 
-use crate::checkpoint::{CATALOGUE, Name, Retention, store_at};
 use crate::cli::checkpoints::{DeleteArgs, PruneArgs, RebuildArgs};
-use crate::output;
-use crate::output::counted;
 
 /// Removes old checkpoints.
 pub(super) fn prune(args: &PruneArgs) -> anyhow::Result<()> {

@@ -1,11 +1,10 @@
 //! `pin`, `unpin`, `tag` and `untag`.
 
 use proto::{ExitCode, ExitError};
+use store::checkpoint::{BEST, CheckpointError, store_at};
 
 use super::{refused, report};
-use crate::checkpoint::{BEST, CheckpointError, store_at};
 use crate::cli::checkpoints::{PinArgs, TagArgs, UntagArgs};
-use crate::output;
 
 /// Pins a checkpoint or lets it go.
 pub(super) fn pin(args: &PinArgs, pinned: bool) -> anyhow::Result<()> {

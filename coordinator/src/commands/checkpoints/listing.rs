@@ -2,17 +2,16 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use output::words::counted;
+use output::words::grouped;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
-
-use crate::checkpoint::{
+use store::checkpoint::{
     Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, runs_in, shapes, store_at,
 };
+use store::provenance::utc;
+
 use crate::cli::checkpoints::{ListArgs, ShowArgs};
-use crate::output;
-use crate::output::counted;
-use crate::provenance::utc;
-use crate::report::progress::grouped;
 
 /// Lists a store.
 pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
@@ -218,28 +217,8 @@ fn labels(labels: &Labels, kind: Kind) -> String {
     if labels.milestone {
         words.push("milestone");
     }
-    words.extend(labels.tags.iter().map(crate::checkpoint::Name::as_str));
+    words.extend(labels.tags.iter().map(store::checkpoint::Name::as_str));
     if words.is_empty() { "-".to_owned() } else { words.join(", ") }
-}
-
-/// Bytes with a unit of powers of ten.
-pub(super) fn size(bytes: u64) -> String {
-    let bytes = bytes as f64;
-    let units = [(1e9, "GB"), (1e6, "MB"), (1e3, "kB")];
-    match units.into_iter().find(|(unit, _)| bytes >= *unit) {
-        Some((unit, name)) => format!("{:.1} {name}", bytes / unit),
-        None => format!("{bytes} B"),
-    }
-}
-
-/// A duration in its largest unit.
-fn age(seconds: u64) -> String {
-    match seconds {
-        0..60 => format!("{seconds} s"),
-        60..3600 => format!("{} min", seconds / 60),
-        3600..86400 => format!("{} h", seconds / 3600),
-        _ => format!("{} d", seconds / 86400),
-    }
 }
 
 #[cfg(test)]
@@ -247,9 +226,9 @@ mod tests {
     use std::collections::BTreeMap;
 
     use proto::Digest;
+    use store::checkpoint::{Name, Score};
 
     use super::*;
-    use crate::checkpoint::{Name, Score};
 
     #[test]
     fn a_listing_fits_and_lists_all_labels() {
@@ -286,11 +265,5 @@ mod tests {
         for word in ["iteration-00012345", "1234.5678", "pinned,", "paper-figure-3", "50 min"] {
             assert!(text.contains(word), "{word} is not whole in\n{text}");
         }
-    }
-
-    #[test]
-    fn sizes_and_ages_have_their_largest_unit() {
-        assert_eq!([size(999), size(1000), size(12_345_678)], ["999 B", "1.0 kB", "12.3 MB"]);
-        assert_eq!([age(59), age(60), age(7200), age(200_000)], ["59 s", "1 min", "2 h", "2 d"]);
     }
 }

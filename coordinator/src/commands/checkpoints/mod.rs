@@ -11,10 +11,9 @@ mod transfer;
 use std::path::Path;
 
 use proto::{ExitCode, ExitError};
+use store::checkpoint::{CATALOGUE, CheckpointError, CheckpointStore, Entry, store_to_be};
 
-use crate::checkpoint::{CATALOGUE, CheckpointError, CheckpointStore, Entry, store_to_be};
 use crate::cli::checkpoints::{CheckpointsArgs, CheckpointsCommand};
-use crate::output;
 
 /// Does what the command line says.
 pub fn run(args: &CheckpointsArgs) -> anyhow::Result<()> {

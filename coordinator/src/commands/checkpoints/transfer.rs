@@ -6,12 +6,12 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
+use store::checkpoint::{CheckpointError, CheckpointStore, Name};
+use store::outputs::Output;
+use store::{files, regular};
 
 use super::{refused, report, store_to_fill};
-use crate::checkpoint::{CheckpointError, CheckpointStore, Name};
 use crate::cli::checkpoints::{ExportArgs, ImportArgs};
-use crate::outputs::Output;
-use crate::{files, regular};
 
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {

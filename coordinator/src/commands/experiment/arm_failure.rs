@@ -9,7 +9,6 @@ use super::report::{ErrorOfMany, Figure, Goals, Report, share};
 use super::{Experiment, Name};
 use crate::cli::experiment::{ArmFailureArgs, CommonArgs, Failing};
 use crate::commands::statistics::{milli, percent};
-use crate::output;
 
 /// The authors' goal of the figure.
 const GOAL: [f64; 3] = [-0.10385, 0.08410, 0.13543];

@@ -9,7 +9,6 @@ use super::report::{ErrorOfMany, Report, Words, share};
 use super::{Experiment, Name};
 use crate::cli::experiment::{BaseMassArgs, CommonArgs};
 use crate::commands::statistics::milli;
-use crate::output;
 
 /// How well a base of some mass turns.
 #[derive(Debug, Serialize, Deserialize)]

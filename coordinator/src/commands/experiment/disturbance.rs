@@ -16,7 +16,6 @@ use super::{Experiment, Name};
 use crate::cli::experiment::{CommonArgs, DisturbanceArgs};
 use crate::commands::statistics::{ErrorOf, Spread, Unit, milli, percent};
 use crate::commands::trained::Trained;
-use crate::output;
 
 /// Steps in which the released script overwrites the actions of the base's task.
 const BASE_STEPS: usize = 5;

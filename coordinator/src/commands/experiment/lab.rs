@@ -15,9 +15,9 @@ use simulator::robot::Robot;
 
 #[cfg(test)]
 use {
-    crate::checkpoint::{Checkpoint, Manifest},
     proto::layout::ActorLayout,
     simulator::rollout::World,
+    store::checkpoint::{Checkpoint, Manifest},
 };
 
 use super::report::{Protocol, Report, RobotIdentity};
@@ -25,10 +25,10 @@ use super::{Experiment, Name};
 use crate::cli::experiment::CommonArgs;
 use crate::commands::eval::Reach;
 use crate::commands::trained::{PolicyIdentity, Trained, open_checkpoint};
-use crate::provenance::Provenance;
-use crate::report::progress::Parts;
-use crate::shakedown::shakedown;
 use crate::threads::Threads;
+use run::report::progress::Parts;
+use run::shakedown::shakedown;
+use store::provenance::Provenance;
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -20,7 +20,6 @@ use serde::{Deserialize, Serialize};
 use self::lab::{Lab, Needs};
 use self::report::Report;
 use crate::cli::experiment::{CommonArgs, ExperimentArgs, ExperimentCommand};
-use crate::output;
 
 /// What an experiment is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -13,7 +13,6 @@ use crate::cli::experiment::{Amounts, CommonArgs, NoiseArgs};
 use crate::commands::eval::{ErrorSummary, Success, Summary};
 use crate::commands::statistics::{milli, percent};
 use crate::commands::trained::Trained;
-use crate::output;
 
 /// Standard deviations of sensors of strength 1: 1 mm, 1 mrad, 1 mm/s, 1 mrad/s.
 const UNIT: f64 = 1e-3;

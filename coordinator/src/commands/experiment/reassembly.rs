@@ -13,7 +13,6 @@ use super::report::{ErrorOfMany, Figure, Goals, Report};
 use super::{Experiment, Name};
 use crate::cli::experiment::{CommonArgs, ReassemblyArgs};
 use crate::commands::statistics::milli;
-use crate::output;
 
 /// The players, in the order of a trial's.
 const REACHES: usize = 0;

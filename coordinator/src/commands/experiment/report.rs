@@ -11,7 +11,7 @@ use simulator::robot::Robot;
 use super::Name;
 use crate::commands::statistics::{ErrorOf, Spread, Unit};
 use crate::commands::trained::PolicyIdentity;
-use crate::provenance::Provenance;
+use store::provenance::Provenance;
 
 /// Words of ours that a file may hold.
 pub(crate) type Words = Cow<'static, str>;

@@ -13,7 +13,6 @@ use crate::commands::experiment::arm_failure::Failure;
 use crate::commands::experiment::disturbance::Disturbance;
 use crate::commands::experiment::report::Goals;
 use crate::commands::statistics::{ErrorOf, Spread, Unit, thousandths};
-use crate::output;
 
 /// Share of episodes that a mass must bring within [`MASS_THRESHOLD`], as the paper says of most masses.
 pub(super) const MASS_SHARE: f64 = 0.9;

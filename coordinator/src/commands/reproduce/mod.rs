@@ -32,9 +32,9 @@ use crate::commands::experiment::report::RobotIdentity;
 use crate::commands::experiment::{Experiment, Name, ReportOf, perform};
 use crate::commands::trained::PolicyIdentity;
 use crate::figures::recorded;
-use crate::provenance::{Provenance, utc};
-use crate::report::progress::Parts;
-use crate::{files, output, outputs, regular};
+use run::report::progress::Parts;
+use store::provenance::{Provenance, utc};
+use store::{files, outputs, regular};
 
 /// Episodes of a setting with `--quick`.
 const QUICK_EPISODES: u32 = 10;

@@ -16,9 +16,8 @@ use crate::commands::trained::PolicyIdentity;
 use crate::figures::families::{Family, Over, families};
 use crate::figures::learning::learning as learning_curves;
 use crate::figures::recorded::Recorded;
-use crate::output;
-use crate::provenance::{Provenance, utc};
-use crate::report::progress::grouped;
+use output::words::grouped;
+use store::provenance::{Provenance, utc};
 
 /// What the page shows.
 pub(super) struct Content<'a> {

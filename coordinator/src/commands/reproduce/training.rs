@@ -14,14 +14,13 @@ use proto::{ExitCode, ExitError};
 use simulator::robot::Robot;
 
 use super::{Line, refused};
-use crate::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
 use crate::cli::reproduce::ReproduceArgs;
 use crate::cli::{AlgorithmArg, Cli, Command};
 use crate::commands::{read_config, resume, train};
-use crate::output;
-use crate::provenance::Provenance;
-use crate::report::recorded::Recorded;
-use crate::signals;
+use run::signals;
+use store::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
+use store::provenance::Provenance;
+use store::recorded::Recorded;
 
 /// Where runs land in the directory of everything.
 pub(super) const RUNS: &str = "runs";

@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::record::Record;
-use crate::checkpoint::flatten;
+use store::checkpoint::flatten;
 
 /// What the promise does not extend over, as `provenance.json` names it.
 const EXCLUDED: &[&str] = &["version", "commit", "build", "processor", "vector_extensions"];

@@ -8,9 +8,9 @@ use proto::{Digest, ExitCode, ExitError};
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::checkpoint::CheckpointStore;
 use crate::commands::{read_text, run_directory};
-use crate::precision;
+use run::precision;
+use store::checkpoint::CheckpointStore;
 
 /// What a line of `metrics.jsonl` says about the training state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

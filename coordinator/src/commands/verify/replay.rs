@@ -16,16 +16,17 @@ use tempfile::TempDir;
 use super::differences::{self, ProvenanceDifference};
 use super::record::{self, Record, damaged};
 use super::{Comparison, iterations, promise, provenance_table};
-use crate::checkpoint::{Checkpoint, CheckpointStore};
 use crate::commands::train;
-use crate::live::LiveRun;
-use crate::preflight::Remedy;
-use crate::provenance::Provenance;
-use crate::report::Reporter;
-use crate::session::{self, SessionSpec, StoppedBy};
-use crate::signals::StopRequests;
-use crate::supervisor::Programs;
-use crate::{files, output, precision};
+use run::precision;
+use run::preflight::Remedy;
+use run::report::Reporter;
+use run::session::{self, SessionSpec, StoppedBy};
+use run::signals::StopRequests;
+use run::supervisor::Programs;
+use service::live::LiveRun;
+use store::checkpoint::{Checkpoint, CheckpointStore};
+use store::files;
+use store::provenance::Provenance;
 
 /// What helps where the system's temporary files have too little room; no flag makes a repetition smaller.
 const REMEDY: Remedy =

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use proto::config::{Config, Run};
 
-use crate::checkpoint::flatten;
+use store::checkpoint::flatten;
 
 /// Longest value that a name holds.
 const LONGEST: usize = 24;
