@@ -7,13 +7,13 @@ use std::process::{Command, Output, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail, ensure};
-use run::signals::StopRequests;
 use proto::rng::philox4x32_10;
+use run::signals::StopRequests;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::PATIENCE;
 use crate::{Owned, Run, program};
+use super::PATIENCE;
 
 /// Iterations of the run that is damaged.
 const ITERATIONS: usize = 20;

@@ -1,13 +1,13 @@
 //! The one place that writes to standard output: data, as tables a person reads or as JSON. Notes go
 //! to standard error.
 //!
-//! * [`words`]: numbers, sizes and times as a person reads them;
+//! * [`counted`], [`grouped`], [`size`], [`age`]: numbers and times as a person reads them;
 //! * [`mod@table`]: tables that fit the terminal;
 //! * [`printable`](mod@printable): nothing that is shown tells a terminal what to do.
 
 pub mod printable;
 pub mod table;
-pub mod words;
+mod words;
 
 use std::io::{ErrorKind, Write as _};
 
@@ -16,8 +16,9 @@ use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
 use serde::Serialize;
 
-pub use self::table::{COLUMNS, columns, table, table_within};
 use crate::printable::{printable, printable_json};
+pub use self::words::{age, counted, grouped, size};
+pub use self::table::{COLUMNS, columns, table, table_within};
 
 /// Writes a text with a line end.
 pub fn line(text: &str) -> anyhow::Result<()> {

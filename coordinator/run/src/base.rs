@@ -162,7 +162,7 @@ mod tests {
     use proto::Digest;
     use proto::config::{Config, Layers, Preset};
     use simulator::robot::Robot;
-    use store::checkpoint::tests::snapshot_of;
+    use store::checkpoint::fixtures::snapshot_of;
     use store::checkpoint::{LABELS, MANIFEST, STATE};
 
     use super::*;

@@ -3,7 +3,7 @@
 use std::net::{SocketAddr, ToSocketAddrs as _};
 use std::time::Duration;
 
-use output::words::grouped;
+use output::grouped;
 
 use super::Listen;
 use super::experiment::Amounts;

@@ -32,10 +32,10 @@ use store::outputs::Output;
 use store::provenance::Provenance;
 use tempfile::TempDir;
 
+use crate::cli::bench::{BenchArgs, Subject};
 use self::figures::Figures;
 use self::load::{Load, Watch};
 use self::peer::Peers;
-use crate::cli::bench::{BenchArgs, Subject};
 
 /// What `octopus train` trains unless told otherwise.
 const TRAINED: Preset = Preset::Tuned;
@@ -238,8 +238,8 @@ fn median(mut values: Vec<f64>) -> f64 {
 mod tests {
     use clap::Parser as _;
 
-    use super::*;
     use crate::cli::{Cli, Command};
+    use super::*;
 
     #[test]
     fn the_preset_that_a_table_names_is_the_one_that_is_trained_by_default() {

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use proto::config::TaskName;
-use run::report::progress::{Parts, grouped};
+use output::grouped;
+use run::report::progress::Parts;
 use serde::{Deserialize, Serialize};
 use simulator::evaluate::{
     self, ContactSteps, Course, EpisodeResult, Evaluation, EvaluationOptions,
@@ -13,11 +14,11 @@ use simulator::reach::{self, HandReach};
 use simulator::rollout::World;
 use store::checkpoint::Checkpoint;
 
+use crate::cli::EvalArgs;
+use crate::threads::Threads;
 use super::statistics::{ErrorOf, Spread, Unit, milli, number, papers, percent};
 use super::trained::{Trained, open_checkpoint};
 use super::verdict::Verdict;
-use crate::cli::EvalArgs;
-use crate::threads::Threads;
 
 /// Evaluates.
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {

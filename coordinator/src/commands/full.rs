@@ -2,10 +2,10 @@
 
 use proto::ExitError;
 use proto::run_dir::RunDir;
+use run::causes;
 use rustix::io::Errno;
 
 use super::exit_code;
-use run::causes;
 
 /// Adds to an error of a run that there was no room what makes the run go on. All that is committed is whole.
 pub(super) fn explain(error: anyhow::Error, run_dir: &RunDir) -> anyhow::Error {

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use simulator::robot::mjcf::{MjcfOptions, mjcf};
-
-use crate::cli::{MjcfArgs, Switch};
 use store::files;
 use store::outputs::Output;
+
+use crate::cli::{MjcfArgs, Switch};
 
 /// What a model begins with.
 const MARK: &[u8] = b"<mujoco model=";

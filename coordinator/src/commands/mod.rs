@@ -30,16 +30,16 @@ use channels::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
-use simulator::dynamics::StepOptions;
-use simulator::robot::{Robot, RobotError};
-
-use crate::cli::{Command, JanitorArgs};
 use run::janitor;
 use run::shakedown::shakedown;
 use run::signals;
+use simulator::dynamics::StepOptions;
+use simulator::robot::{Robot, RobotError};
 use store::checkpoint::CheckpointError;
 use store::lock::LockError;
 use store::regular;
+
+use crate::cli::{Command, JanitorArgs};
 
 /// Two things that were compared are not the same. No failure but the answer, which standard output
 /// holds: the program ends with exit code 1 and says no more.

@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use proto::{ExitCode, ExitError};
+use store::files;
+use store::outputs::Output;
 
 use crate::cli::plot::PlotArgs;
 use crate::figures::families::{Family, families};
 use crate::figures::learning::learning;
 use crate::figures::recorded;
-use store::files;
-use store::outputs::Output;
 
 /// Draws.
 pub fn run(args: &PlotArgs) -> anyhow::Result<()> {

@@ -7,14 +7,11 @@ use channels::Domain;
 use proto::config::{Config, Precision};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-
-use super::train::{self, Counter, Ended, Start};
-use crate::cli::ResumeArgs;
 use run::base;
 use run::precision;
 use run::preflight::Remedy;
-use run::report;
 use run::report::promised::Promised;
+use run::report;
 use run::supervisor::Programs;
 use store::budgets::{self, Budgets};
 use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST};
@@ -22,6 +19,9 @@ use store::files;
 use store::lock::RunLock;
 use store::provenance::Provenance;
 use store::recorded::Recorded;
+
+use crate::cli::ResumeArgs;
+use super::train::{self, Counter, Ended, Start};
 
 /// What helps an old run that its disk does not carry.
 const REMEDY: Remedy = Remedy {

@@ -3,24 +3,24 @@
 use std::collections::BTreeSet;
 use std::time::Instant;
 
+use output::grouped;
 use proto::config::Config;
 use proto::layout::{ActorLayout, BlockLayout, Dimensions};
 use proto::message::policy_version_for;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
+use run::session::failures;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use serde::Serialize;
 use serde_json::json;
 use simulator::env::Moment;
 use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
-
-use crate::cli::rollout::{BlockAddress, RolloutArgs};
-use output::words::grouped;
-use run::session::failures;
 use store::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
 use store::files;
 use store::outputs::Output;
+
+use crate::cli::rollout::{BlockAddress, RolloutArgs};
 
 /// What a block is.
 #[derive(Debug, Serialize)]

@@ -1,10 +1,10 @@
 //! `octopus scale`: changes the number of workers of a live run.
 
 use proto::{ExitCode, ExitError};
-
-use crate::cli::serve::ScaleArgs;
 use service::client::{Client, ClientError};
 use service::http::Token;
+
+use crate::cli::serve::ScaleArgs;
 
 /// Tells the run and says what changed.
 pub fn run(args: &ScaleArgs) -> anyhow::Result<()> {

@@ -4,14 +4,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use output::counted;
 use proto::{ExitCode, ExitError};
-use serde_json::json;
-
-use crate::cli::serve::ServeArgs;
-use output::words::counted;
 use run::signals::StopRequests;
+use serde_json::json;
 use service::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
 use store::checkpoint::{CheckpointStore, store_to_be};
+
+use crate::cli::serve::ServeArgs;
 
 /// How often to look whether the user wants to stop.
 const TICK: Duration = Duration::from_millis(50);

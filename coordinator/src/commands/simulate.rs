@@ -7,10 +7,10 @@ use proto::{ExitCode, ExitError};
 use simulator::dynamics::{Integrator, StepOptions};
 use simulator::robot::Robot;
 use simulator::simulate::{self, Precision, SimulationRow};
-
-use crate::cli::{IntegratorArg, PrecisionArg, SimulateArgs, Switch};
 use store::outputs::Output;
 use store::{files, regular};
+
+use crate::cli::{IntegratorArg, PrecisionArg, SimulateArgs, Switch};
 
 /// What a trajectory begins with.
 const MARK: &[u8] = b"t,base_x,base_y,base_z,";

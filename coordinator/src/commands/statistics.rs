@@ -3,9 +3,8 @@
 use std::fmt;
 
 use proto::config::TaskName;
-use serde::{Deserialize, Deserializer, Serialize};
-
 use run::selection::PAPER;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Mean, spread and percentiles over a set of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -3,22 +3,23 @@
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 
+use output::grouped;
 use proto::run_dir::RunDir;
-use serde::Serialize;
-use serde_json::Value;
-
-use super::train::RUNS;
-use crate::cli::StatusArgs;
-use output::words::grouped;
 use run::causes;
 use run::preflight::mib;
 use run::report::divergence::{CURE, Divergence};
-use run::report::{Diverged, jsonl};
+use run::report::Diverged;
+use store::jsonl;
+use serde::Serialize;
+use serde_json::Value;
 use service::client::Client;
 use service::http::Token;
 use service::live::{Best, LiveStatus, ProcessStatus, Role, Stages};
 use store::checkpoint::{CheckpointStore, Name};
 use store::lock::RunLock;
+
+use crate::cli::StatusArgs;
+use super::train::RUNS;
 
 /// What can be said about a run from outside.
 #[derive(Debug, Clone, PartialEq, Serialize)]

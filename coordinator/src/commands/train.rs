@@ -5,18 +5,11 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::Context as _;
 use channels::Domain;
+use output::grouped;
 use proto::config::{AlgorithmName, Config, Layers};
 use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
-use serde_json::json;
-use simulator::env::step_options;
-use simulator::evaluate::EvaluationOptions;
-use simulator::robot::Robot;
-
-use super::eval::{self, Summary};
-use crate::cli::{Ending, HttpArgs, Listen, TrainArgs};
-use output::words::grouped;
 use run::precision;
 use run::preflight::{self, Remedy, Verdict};
 use run::report::divergence::{CURE, Divergence};
@@ -24,12 +17,19 @@ use run::report::{Diverged, Reporter};
 use run::session::{self, Outcome, SessionSpec, StoppedBy};
 use run::signals::StopRequests;
 use run::supervisor::Programs;
+use serde_json::json;
 use service::http::{OwnToken, Service, ServiceSpec, TOKEN_FILE, Token};
 use service::live::LiveRun;
+use simulator::env::step_options;
+use simulator::evaluate::EvaluationOptions;
+use simulator::robot::Robot;
 use store::checkpoint::{Checkpoint, CheckpointStore};
 use store::lock::RunLock;
 use store::provenance::{self, Provenance};
 use store::{files, outputs, regular};
+
+use crate::cli::{Ending, HttpArgs, Listen, TrainArgs};
+use super::eval::{self, Summary};
 
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
@@ -575,8 +575,8 @@ pub(super) fn record(
 mod tests {
     use clap::Parser as _;
 
-    use super::*;
     use crate::cli::{Cli, Command};
+    use super::*;
 
     fn parse(line: &str) -> Result<Config, ExitError> {
         let cli = Cli::try_parse_from(line.split(' ')).expect("a valid command line");

@@ -9,7 +9,6 @@ use simulator::experiment::Player;
 use simulator::policy::Policy;
 use simulator::robot::Robot;
 use simulator::rollout::World;
-
 use store::checkpoint::{Checkpoint, POLICY, Selector};
 
 /// A checkpoint's policy with the world it acts in.

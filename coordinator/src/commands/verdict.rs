@@ -80,8 +80,8 @@ impl Verdict {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::commands::statistics::ErrorOf;
+    use super::*;
 
     fn error(of: ErrorOf, min: f64, tail: f64) -> ErrorSummary {
         let spread = |mean| Spread { mean, std: 0.0, p50: mean, p90: mean, p99: mean };

@@ -6,14 +6,14 @@ mod replay;
 
 use std::path::Path;
 
+use output::grouped;
 use proto::Digest;
 use serde::Serialize;
 
+use crate::cli::verify::VerifyArgs;
 use self::differences::{ConfigDifference, ProvenanceDifference};
 use self::record::{Iteration, Record};
 use super::NotTheSame;
-use crate::cli::verify::VerifyArgs;
-use output::words::grouped;
 
 /// Compares; exit code 1 if what was compared is not the same.
 pub fn run(args: &VerifyArgs) -> anyhow::Result<()> {

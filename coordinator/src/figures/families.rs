@@ -3,16 +3,16 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use output::grouped;
 use proto::config::{Config, TaskName};
-use serde::Serialize;
-
-use super::bootstrap::Resamples;
-use super::recorded::Recorded;
-use output::words::grouped;
 use run::report::curve::Point;
 use run::report::evaluations::HeldOut;
 use run::report::row::Row;
 use run::selection::{MeanErrors, Means};
+use serde::Serialize;
+
+use super::bootstrap::Resamples;
+use super::recorded::Recorded;
 
 /// Points of a curve.
 const POINTS: usize = 300;

@@ -1,10 +1,10 @@
 //! Learning curves: a panel for the return and for each error of each task.
 
 use proto::config::TaskName;
+use run::selection::PAPER;
 
 use super::families::{Errors, Family, Over};
 use super::panels::{Axis, COLORS, Item, Panel, line, render};
-use run::selection::PAPER;
 
 /// A quantity `[low, mean, high]` along a curve.
 type Read = fn(&Errors) -> &[[f64; 3]];

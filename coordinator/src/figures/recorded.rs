@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 
 use proto::config::Config;
 use proto::{ExitCode, ExitError};
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
-
-use super::families::learn_alike;
-use crate::commands::{read_config, run_directory};
 use run::report::curve::{Point, read_points, thin_out};
 use run::report::evaluations::{self, HeldOut};
 use run::report::row::Row;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use store::jsonl;
 use store::{files, regular};
+
+use crate::commands::{read_config, run_directory};
+use super::families::learn_alike;
 
 /// Points that a file keeps of a curve, at most.
 const POINTS: usize = 130;

@@ -6,13 +6,13 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use store::checkpoint::{CheckpointStore, STATE_FORMAT, StateLayout};
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 use proto::{Digest, DigestBuilder};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value, json};
+use store::checkpoint::{CheckpointStore, STATE_FORMAT, StateLayout};
 
 /// A directory of this process for files. `make fuzz` puts it into memory by `TMPDIR` and removes
 /// it, because libFuzzer ends processes without unwinding.

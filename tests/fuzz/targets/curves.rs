@@ -5,10 +5,10 @@
 use coordinator::figures::families::{Over, families};
 use coordinator::figures::learning::learning;
 use coordinator::figures::recorded::{parse, to_json};
+use libfuzzer_sys::fuzz_target;
 use run::report::curve::Point;
 use run::report::evaluations::HeldOut;
 use run::report::row::Row as _;
-use libfuzzer_sys::fuzz_target;
 use serde_json::{Value, json};
 
 fn seeds() -> Vec<Vec<u8>> {

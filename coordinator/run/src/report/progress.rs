@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle, WeakProgressBar};
-use output::words::grouped;
+use output::grouped;
 use proto::config::{Config, TaskName};
 
 use super::{Eta, Line, eta, margin};

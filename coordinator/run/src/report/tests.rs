@@ -6,9 +6,9 @@ use proto::{Digest, ExitCode};
 use serde_json::Value;
 use store::recorded::Recorded;
 
-use super::curve::Point;
-use super::*;
 use crate::selection::{MeanErrors, Means};
+use super::*;
+use super::curve::Point;
 
 fn report(iteration: u64) -> IterationReport {
     IterationReport {
@@ -41,7 +41,7 @@ fn session(run_dir: &RunDir, resume_from: Option<u64>, iterations: std::ops::Ran
 }
 
 fn iterations(run_dir: &RunDir) -> Vec<u64> {
-    let lines = jsonl::read(&run_dir.metrics_jsonl()).expect("readable");
+    let lines = store::jsonl::read(&run_dir.metrics_jsonl()).expect("readable");
     lines.iter().map(|(_, line)| line["iteration"].as_u64().expect("a number")).collect()
 }
 
@@ -99,7 +99,7 @@ fn a_resumed_run_drops_what_its_checkpoint_does_not_hold() {
     let first_cells: Vec<_> = csv.lines().filter_map(|row| row.split(',').next()).collect();
     assert_eq!(first_cells, ["iteration", "0", "1", "2", "3", "4", "5"]);
     // Iteration 2 ended 3 s after the start, so 3 ended a second later.
-    let lines = jsonl::read(&run_dir.metrics_jsonl()).expect("readable");
+    let lines = store::jsonl::read(&run_dir.metrics_jsonl()).expect("readable");
     assert_eq!(lines[3].1["wall_s"], 4.0);
     assert!(lines[0].1["explained_variance"].is_null(), "NaN has no other form in JSON");
     assert_eq!(fs::read_dir(run_dir.events()).expect("readable").count(), 2);
@@ -133,7 +133,7 @@ fn evaluations_of_policies_that_are_trained_again_are_dropped() {
     reporter.evaluation(&evaluated(6), 0.5).expect("writes");
     reporter.evaluation(&evaluated(6), 0.75).expect("writes nothing");
     reporter.durability().wait().expect("writes");
-    let lines = jsonl::read(&run_dir.evaluations()).expect("readable");
+    let lines = store::jsonl::read(&run_dir.evaluations()).expect("readable");
     let of = |key: &str| lines.iter().map(|(_, line)| line[key].clone()).collect::<Vec<_>>();
     assert_eq!(of("iteration"), [2, 4, 6]);
     assert_eq!(of("wall_s"), [1.5, 1.5, 4.5]);
@@ -439,7 +439,7 @@ fn the_curve_of_a_long_run_stays_small() {
 
 #[test]
 fn thousands_are_set_apart() {
-    assert_eq!([7, 1000, 1_664_000].map(progress::grouped), ["7", "1,000", "1,664,000"]);
+    assert_eq!([7, 1000, 1_664_000].map(output::grouped), ["7", "1,000", "1,664,000"]);
 }
 
 #[test]

@@ -23,7 +23,7 @@ fn refused(robot: &Robot, words: &[&str]) {
 
 #[test]
 fn robots_that_ship_are_fit_with_a_wide_margin() {
-    let two = include_str!("../../../sim-worker/simulator/robots/two-arm.toml");
+    let two = include_str!("../../../../sim-worker/simulator/robots/two-arm.toml");
     let two = Robot::from_toml(two, "two-arm.toml".as_ref()).expect("valid");
     let builtin = Robot::builtin_names().map(|name| Robot::builtin(name).expect("built in"));
     for robot in builtin.chain([two]) {

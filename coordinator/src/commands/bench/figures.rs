@@ -1,6 +1,6 @@
 //! The figures of a measurement, as a table and as JSON.
 
-use output::words::grouped;
+use output::grouped;
 use proto::{ExitCode, ExitError};
 use serde_json::{Map, Value};
 

@@ -106,7 +106,7 @@ impl Load {
     /// For people.
     pub(super) fn sentence(&self) -> String {
         let [before, after] = self.average;
-        let processors = output::words::counted(self.processors as u64, "processor");
+        let processors = output::counted(self.processors as u64, "processor");
         format!(
             "meanwhile other programs had {:.0} % and other machines {:.0} % of the time of {processors}, load average \
              {before:.1}, then {after:.1}",

@@ -1,12 +1,12 @@
 //! `verify` and `diff`.
 
-use output::words::counted;
+use output::counted;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{Difference, Selector, Verification, compare, store_at};
 
-use super::listing::size;
 use crate::cli::checkpoints::{DiffArgs, VerifyArgs};
 use crate::commands::NotTheSame;
+use output::size;
 
 /// Checks checkpoints thoroughly.
 pub(super) fn verify(args: &VerifyArgs) -> anyhow::Result<()> {

@@ -1,6 +1,6 @@
 //! `prune`, `rebuild` and `delete`.
 
-use output::words::counted;
+use output::counted;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{CATALOGUE, Name, Retention, store_at};
 

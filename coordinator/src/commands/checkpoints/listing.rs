@@ -2,8 +2,8 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use output::words::counted;
-use output::words::grouped;
+use output::{age, counted, size};
+use output::grouped;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use store::checkpoint::{

@@ -4,11 +4,11 @@ use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
 use simulator::experiment::{Effect, FixedGoals, Intervention, Trial};
 
+use crate::cli::experiment::{ArmFailureArgs, CommonArgs, Failing};
+use crate::commands::statistics::{milli, percent};
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report, share};
 use super::{Experiment, Name};
-use crate::cli::experiment::{ArmFailureArgs, CommonArgs, Failing};
-use crate::commands::statistics::{milli, percent};
 
 /// The authors' goal of the figure.
 const GOAL: [f64; 3] = [-0.10385, 0.08410, 0.13543];

@@ -4,11 +4,11 @@ use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 
+use crate::cli::experiment::{BaseMassArgs, CommonArgs};
+use crate::commands::statistics::milli;
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Report, Words, share};
 use super::{Experiment, Name};
-use crate::cli::experiment::{BaseMassArgs, CommonArgs};
-use crate::commands::statistics::milli;
 
 /// How well a base of some mass turns.
 #[derive(Debug, Serialize, Deserialize)]

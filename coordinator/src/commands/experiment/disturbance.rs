@@ -10,12 +10,12 @@ use simulator::evaluate::Course;
 use simulator::experiment::{Effect, FixedGoals, Intervention, Recording};
 use simulator::robot::JOINTS_PER_ARM;
 
-use super::lab::{Lab, Needs};
-use super::report::{CourseOfMany, Figure, Goals, Report, Words, share, spread};
-use super::{Experiment, Name};
 use crate::cli::experiment::{CommonArgs, DisturbanceArgs};
 use crate::commands::statistics::{ErrorOf, Spread, Unit, milli, percent};
 use crate::commands::trained::Trained;
+use super::lab::{Lab, Needs};
+use super::report::{CourseOfMany, Figure, Goals, Report, Words, share, spread};
+use super::{Experiment, Name};
 
 /// Steps in which the released script overwrites the actions of the base's task.
 const BASE_STEPS: usize = 5;
@@ -460,9 +460,9 @@ fn notes(results: &[Disturbed]) -> String {
 mod tests {
     use clap::Parser as _;
 
-    use super::*;
     use crate::cli::experiment::ExperimentCommand;
     use crate::cli::{Cli, Command};
+    use super::*;
 
     fn args(line: &str) -> DisturbanceArgs {
         let cli = Cli::try_parse_from(line.split(' ')).expect("valid");

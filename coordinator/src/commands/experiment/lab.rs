@@ -6,13 +6,15 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
+use run::report::progress::Parts;
+use run::shakedown::shakedown;
 use simulator::dynamics::StepOptions;
 use simulator::env::step_options;
 use simulator::evaluate::{Evaluation, EvaluationOptions};
 use simulator::experiment::{CHUNK, Pose, Recording, Trial, play};
 use simulator::reach::within_reach;
 use simulator::robot::Robot;
-
+use store::provenance::Provenance;
 #[cfg(test)]
 use {
     proto::layout::ActorLayout,
@@ -20,15 +22,12 @@ use {
     store::checkpoint::{Checkpoint, Manifest},
 };
 
-use super::report::{Protocol, Report, RobotIdentity};
-use super::{Experiment, Name};
 use crate::cli::experiment::CommonArgs;
 use crate::commands::eval::Reach;
 use crate::commands::trained::{PolicyIdentity, Trained, open_checkpoint};
 use crate::threads::Threads;
-use run::report::progress::Parts;
-use run::shakedown::shakedown;
-use store::provenance::Provenance;
+use super::report::{Protocol, Report, RobotIdentity};
+use super::{Experiment, Name};
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

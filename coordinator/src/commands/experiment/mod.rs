@@ -17,9 +17,9 @@ use std::fmt;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::cli::experiment::{CommonArgs, ExperimentArgs, ExperimentCommand};
 use self::lab::{Lab, Needs};
 use self::report::Report;
-use crate::cli::experiment::{CommonArgs, ExperimentArgs, ExperimentCommand};
 
 /// What an experiment is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 use simulator::evaluate::Evaluation;
 use simulator::experiment::{Effect, Intervention, SensorNoise};
 
-use super::lab::{Lab, Needs};
-use super::report::{Report, Words};
-use super::{Experiment, Name};
 use crate::cli::experiment::{Amounts, CommonArgs, NoiseArgs};
 use crate::commands::eval::{ErrorSummary, Success, Summary};
 use crate::commands::statistics::{milli, percent};
 use crate::commands::trained::Trained;
+use super::lab::{Lab, Needs};
+use super::report::{Report, Words};
+use super::{Experiment, Name};
 
 /// Standard deviations of sensors of strength 1: 1 mm, 1 mrad, 1 mm/s, 1 mrad/s.
 const UNIT: f64 = 1e-3;

@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 use simulator::env::step_options;
 use simulator::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
 
+use crate::cli::experiment::{CommonArgs, ReassemblyArgs};
+use crate::commands::statistics::milli;
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report};
 use super::{Experiment, Name};
-use crate::cli::experiment::{CommonArgs, ReassemblyArgs};
-use crate::commands::statistics::milli;
 
 /// The players, in the order of a trial's.
 const REACHES: usize = 0;

@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 use simulator::evaluate::Course;
 use simulator::experiment::Recording;
 use simulator::robot::Robot;
+use store::provenance::Provenance;
 
-use super::Name;
 use crate::commands::statistics::{ErrorOf, Spread, Unit};
 use crate::commands::trained::PolicyIdentity;
-use store::provenance::Provenance;
+use super::Name;
 
 /// Words of ours that a file may hold.
 pub(crate) type Words = Cow<'static, str>;

@@ -6,13 +6,13 @@
 use proto::config::TaskName;
 use serde::Serialize;
 
-use super::Reports;
 use crate::commands::eval::Summary;
 use crate::commands::experiment::Name;
 use crate::commands::experiment::arm_failure::Failure;
 use crate::commands::experiment::disturbance::Disturbance;
 use crate::commands::experiment::report::Goals;
 use crate::commands::statistics::{ErrorOf, Spread, Unit, thousandths};
+use super::Reports;
 
 /// Share of episodes that a mass must bring within [`MASS_THRESHOLD`], as the paper says of most masses.
 pub(super) const MASS_SHARE: f64 = 0.9;

@@ -18,9 +18,11 @@ use std::time::SystemTime;
 use anyhow::Context as _;
 use clap::Parser as _;
 use proto::{ExitCode, ExitError};
+use run::report::progress::Parts;
 use serde::Serialize;
+use store::provenance::{Provenance, utc};
+use store::{files, outputs, regular};
 
-use self::claims::{Claim, Tally};
 use crate::cli::experiment::{
     ArmFailureArgs, BaseMassArgs, DisturbanceArgs, ExperimentCommand, NoiseArgs, PrecisionArgs,
     ReassemblyArgs,
@@ -32,9 +34,7 @@ use crate::commands::experiment::report::RobotIdentity;
 use crate::commands::experiment::{Experiment, Name, ReportOf, perform};
 use crate::commands::trained::PolicyIdentity;
 use crate::figures::recorded;
-use run::report::progress::Parts;
-use store::provenance::{Provenance, utc};
-use store::{files, outputs, regular};
+use self::claims::{Claim, Tally};
 
 /// Episodes of a setting with `--quick`.
 const QUICK_EPISODES: u32 = 10;

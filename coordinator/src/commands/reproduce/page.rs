@@ -3,10 +3,10 @@
 use std::time::SystemTime;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use output::grouped;
 use simulator::robot::Robot;
+use store::provenance::{Provenance, utc};
 
-use super::claims::{Claim, Tally, verdict};
-use super::{GENERATOR, Reports, drawing, figures};
 use crate::cli::experiment::{
     ArmFailureArgs, BaseMassArgs, DisturbanceArgs, NoiseArgs, PrecisionArgs, ReassemblyArgs,
 };
@@ -16,8 +16,8 @@ use crate::commands::trained::PolicyIdentity;
 use crate::figures::families::{Family, Over, families};
 use crate::figures::learning::learning as learning_curves;
 use crate::figures::recorded::Recorded;
-use output::words::grouped;
-use store::provenance::{Provenance, utc};
+use super::claims::{Claim, Tally, verdict};
+use super::{GENERATOR, Reports, drawing, figures};
 
 /// What the page shows.
 pub(super) struct Content<'a> {

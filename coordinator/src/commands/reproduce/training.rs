@@ -11,16 +11,16 @@ use clap::{Parser as _, ValueEnum as _};
 use proto::config::TaskName;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use simulator::robot::Robot;
-
-use super::{Line, refused};
-use crate::cli::reproduce::ReproduceArgs;
-use crate::cli::{AlgorithmArg, Cli, Command};
-use crate::commands::{read_config, resume, train};
 use run::signals;
+use simulator::robot::Robot;
 use store::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
 use store::provenance::Provenance;
 use store::recorded::Recorded;
+
+use crate::cli::reproduce::ReproduceArgs;
+use crate::cli::{AlgorithmArg, Cli, Command};
+use crate::commands::{read_config, resume, train};
+use super::{Line, refused};
 
 /// Where runs land in the directory of everything.
 pub(super) const RUNS: &str = "runs";

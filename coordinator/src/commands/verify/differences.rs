@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use proto::config::Run;
 use serde::Serialize;
 use serde_json::Value;
+use store::checkpoint::flatten;
 
 use super::record::Record;
-use store::checkpoint::flatten;
 
 /// What the promise does not extend over, as `provenance.json` names it.
 const EXCLUDED: &[&str] = &["version", "commit", "build", "processor", "vector_extensions"];

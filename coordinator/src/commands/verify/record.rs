@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use proto::config::Precision;
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
+use run::precision;
 use serde::Deserialize;
 use serde_json::Value;
+use store::checkpoint::CheckpointStore;
 
 use crate::commands::{read_text, run_directory};
-use run::precision;
-use store::checkpoint::CheckpointStore;
 
 /// What a line of `metrics.jsonl` says about the training state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

@@ -9,24 +9,24 @@ use channels::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use serde::Serialize;
-use simulator::robot::Robot;
-use tempfile::TempDir;
-
-use super::differences::{self, ProvenanceDifference};
-use super::record::{self, Record, damaged};
-use super::{Comparison, iterations, promise, provenance_table};
-use crate::commands::train;
 use run::precision;
 use run::preflight::Remedy;
 use run::report::Reporter;
 use run::session::{self, SessionSpec, StoppedBy};
 use run::signals::StopRequests;
 use run::supervisor::Programs;
+use serde::Serialize;
 use service::live::LiveRun;
+use simulator::robot::Robot;
 use store::checkpoint::{Checkpoint, CheckpointStore};
 use store::files;
 use store::provenance::Provenance;
+use tempfile::TempDir;
+
+use crate::commands::train;
+use super::differences::{self, ProvenanceDifference};
+use super::record::{self, Record, damaged};
+use super::{Comparison, iterations, promise, provenance_table};
 
 /// What helps where the system's temporary files have too little room; no flag makes a repetition smaller.
 const REMEDY: Remedy =

@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use proto::config::{Config, Run};
-
 use store::checkpoint::flatten;
 
 /// Longest value that a name holds.

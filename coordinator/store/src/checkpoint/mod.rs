@@ -41,6 +41,7 @@ mod compose;
 mod disk;
 mod entry;
 mod error;
+pub mod fixtures;
 mod guard;
 mod labelling;
 mod labels;
@@ -91,4 +92,4 @@ pub const CONFIG: &str = "config.toml";
 pub const ROBOT: &str = "robot.toml";
 
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;

@@ -2,7 +2,7 @@ use proto::config::{Layers, Preset};
 use proto::message::TaskErrors;
 use serde_json::json;
 use simulator::robot::Robot;
-use store::checkpoint::tests::snapshot_of;
+use store::checkpoint::fixtures::snapshot_of;
 use tempfile::TempDir;
 
 use super::*;

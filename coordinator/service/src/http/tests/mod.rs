@@ -18,15 +18,15 @@ use proto::config::{Config, Layers, Preset};
 use serde_json::Value;
 use simulator::robot::Robot;
 use store::checkpoint::CheckpointStore;
-use store::checkpoint::tests::snapshot_of;
+use store::checkpoint::fixtures::snapshot_of;
 use tempfile::TempDir;
 use tower::ServiceExt as _;
 
+use crate::live::LiveRun;
 use super::context::Context;
 use super::limits::Limits;
 use super::router::router;
 use super::token::Token;
-use crate::live::LiveRun;
 
 /// The tokens of every service here.
 const TOKEN: &str = "correct-horse-battery";

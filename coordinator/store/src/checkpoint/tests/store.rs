@@ -1,6 +1,5 @@
-use proto::layout::SnapshotHeader;
-
 use proto::config::Precision;
+use proto::layout::SnapshotHeader;
 
 use super::*;
 
