@@ -19,10 +19,10 @@ use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
-use crate::{Run, assert_nothing_left, kill, octopus, stderr};
 use self::measure::Times;
 use self::observe::{FirstBlock, domain_of, iterations, workers};
 use self::plan::{Act, Event, Plan};
+use crate::{Run, assert_nothing_left, kill, octopus, stderr};
 
 /// Flags of every run here, calm or not; a hung process is noticed after three seconds.
 const FLAGS: &[&str] = &["--workers=2", "--set=run.order_deadline_s=3", "--quiet"];

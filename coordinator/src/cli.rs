@@ -3,6 +3,7 @@
 pub mod bench;
 pub mod checkpoints;
 pub mod experiment;
+pub mod named;
 pub mod plot;
 pub mod reproduce;
 pub mod rollout;

@@ -6,7 +6,5 @@
 pub mod cli;
 pub mod commands;
 
-pub mod figures;
 pub mod limits;
 pub mod logs;
-pub mod threads;

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Parser as _;
 use coordinator::{cli::Cli, commands, limits, logs};
-use run::causes;
+use run::errors;
 use store::provenance;
 
 fn main() -> ExitCode {
@@ -20,15 +20,15 @@ fn main() -> ExitCode {
         Err(error) => {
             // The answer has been printed.
             if error.is::<commands::NotTheSame>() {
-                return ExitCode::from(commands::exit_code(&error) as u8);
+                return ExitCode::from(errors::exit_code(&error) as u8);
             }
-            let text = causes::told(&error);
+            let text = errors::told(&error);
             output::note(&format!("error: {text}"));
             if let Some(cure) = limits::cure(&text) {
                 output::note(&cure);
                 return ExitCode::from(proto::ExitCode::Environment as u8);
             }
-            ExitCode::from(commands::exit_code(&error) as u8)
+            ExitCode::from(errors::exit_code(&error) as u8)
         }
     }
 }

@@ -10,6 +10,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use channels::ChannelError;
 use channels::{
     ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, MessageReceiver,
     MessageSender, Role, WHILE_THE_PARENT_LIVES,
@@ -18,7 +19,6 @@ use proto::config::Config;
 use proto::layout::{BlockHeader, PolicyHeader};
 use proto::message::{self, EvaluationChunk, Fault, HEARTBEAT, Order, Status, WorkerId};
 use proto::run_dir::RunDir;
-use channels::ChannelError;
 use proto::{ExitCode, ExitError};
 
 use simulator::env::{EpisodeError, Moment};

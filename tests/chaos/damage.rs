@@ -12,8 +12,8 @@ use run::signals::StopRequests;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::{Owned, Run, program};
 use super::PATIENCE;
+use crate::{Owned, Run, program};
 
 /// Iterations of the run that is damaged.
 const ITERATIONS: usize = 20;

@@ -8,10 +8,10 @@ use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
-use crate::{Run, assert_nothing_left, kill};
 use super::measure::{Times, Trend, descriptors, domain_files, private_memory};
 use super::observe::{FirstBlock, domain_of, iterations, workers};
 use super::{Watch, check_lines, flags};
+use crate::{Run, assert_nothing_left, kill};
 
 /// What a coordinator's own memory may grow by over any number of restarts (bytes): its allocator
 /// settles only after a while, but what is lost at every restart shows in a thousand of them.

@@ -16,9 +16,9 @@ use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
 use serde::Serialize;
 
-use crate::printable::{printable, printable_json};
-pub use self::words::{age, counted, grouped, size};
 pub use self::table::{COLUMNS, columns, table, table_within};
+pub use self::words::{age, counted, grouped, size};
+use crate::printable::{printable, printable_json};
 
 /// Writes a text with a line end.
 pub fn line(text: &str) -> anyhow::Result<()> {

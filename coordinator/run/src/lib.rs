@@ -8,16 +8,17 @@
 //! * [`preflight`], [`precision`], [`shakedown`]: what is checked and decided before a run begins;
 //! * [`signals`], [`shield`], [`environment`], [`janitor`]: Ctrl-C once and twice; what children inherit;
 //!   cleaning up after a kill;
-//! * [`causes`]: an error with its causes, as a person reads it.
+//! * [`robots`]: robots as commands name them; [`errors`]: words and exit codes of errors.
 
 pub mod base;
-pub mod causes;
 pub mod committer;
 pub mod environment;
+pub mod errors;
 pub mod janitor;
 pub mod precision;
 pub mod preflight;
 pub mod report;
+pub mod robots;
 pub mod scheduler;
 pub mod selection;
 pub mod session;

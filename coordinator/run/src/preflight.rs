@@ -13,9 +13,12 @@ use channels::{ChannelSizes, SHARED_MEMORY};
 use proto::config::{Config, Precision};
 use proto::layout::{Dimensions, replay_bytes};
 pub use proto::mib;
+use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
+use simulator::robot::Robot;
+use store::checkpoint::CheckpointStore;
 use store::files::free_space;
 use store::provenance;
 
@@ -188,6 +191,24 @@ pub fn scale(sizes: &ChannelSizes, from: usize, to: usize) -> Result<(), String>
 /// Whether there is not even room for what a process needs to come up.
 pub fn shared_memory_is_full() -> bool {
     free_space(Path::new(SHARED_MEMORY)).is_ok_and(|free| free < 1 << 20)
+}
+
+/// Refuses what the machine cannot carry; `remedy` is what helps where the disk is at fault.
+pub fn check_machine(
+    config: &Config,
+    robot: &Robot,
+    run_dir: &RunDir,
+    learner: &Path,
+    remedy: &Remedy,
+) -> Result<(), ExitError> {
+    let dimensions = Dimensions::new(config, robot.n_arms);
+    check_run(config, &dimensions, learner)?;
+    let there = CheckpointStore::new(run_dir.checkpoints()).list().map_or(0, |there| there.len());
+    let disk = disk(run_dir.path(), config, &dimensions, there, remedy);
+    if disk.verdict == Verdict::Failure {
+        return Err(ExitError::new(ExitCode::RunDirectory, disk.sentence()));
+    }
+    Ok(())
 }
 
 /// How large a file may become, against the largest segment of shared memory and the largest file of a

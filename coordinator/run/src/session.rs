@@ -37,10 +37,6 @@ use service::live::LiveRun;
 use simulator::robot::Robot;
 use store::checkpoint::{Checkpoint, CheckpointStore, Patience};
 
-use crate::report::Reporter;
-use crate::scheduler::Scheduler;
-use crate::signals::StopRequests;
-use crate::supervisor::{Deaths, Programs, Supervisor};
 use self::attention::{Attention, STANDSTILL};
 use self::books::Books;
 use self::failures::Failures;
@@ -48,6 +44,10 @@ use self::headroom::Headroom;
 use self::mail::Mail;
 use self::monitor::Monitor;
 use self::snapshots::Snapshots;
+use crate::report::Reporter;
+use crate::scheduler::Scheduler;
+use crate::signals::StopRequests;
+use crate::supervisor::{Deaths, Programs, Supervisor};
 
 /// Everything that a run needs to start or to go on. The run directory exists, holds
 /// `config.toml` and `robot.toml`, and is locked.

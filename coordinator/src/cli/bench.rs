@@ -2,9 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use lab::bench::Subject;
 
 use super::PresetArg;
+use super::named::{Named, Names};
 use super::values::{assignment, measuring_time, workers};
 
 const EXAMPLES: &str = "\
@@ -58,8 +60,8 @@ Ctrl-C stops at once and leaves nothing behind.";
 #[command(after_help = EXAMPLES)]
 pub struct BenchArgs {
     /// What to measure.
-    #[arg(value_enum, default_value_t = Subject::All)]
-    pub subject: Subject,
+    #[arg(value_enum, default_value_t = Named(Subject::All))]
+    pub subject: Named<Subject>,
     /// Also measure MuJoCo and PyTorch on the same work.
     #[arg(long)]
     pub peer: bool,
@@ -89,23 +91,40 @@ pub struct BenchArgs {
     pub json: bool,
 }
 
-/// What to measure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Subject {
-    /// The dynamics.
-    Physics,
-    /// Simulation with a policy, as a worker does it.
-    Rollout,
-    /// The update.
-    Learner,
-    /// Blocks from process to process.
-    Transport,
-    /// A whole training, and its memory.
-    Train,
-    /// How all of it grows.
-    Growth,
-    /// All but growth.
-    All,
+impl Names for Subject {
+    const ALL: &'static [Named<Self>] = &[
+        Named(Self::Physics),
+        Named(Self::Rollout),
+        Named(Self::Learner),
+        Named(Self::Transport),
+        Named(Self::Train),
+        Named(Self::Growth),
+        Named(Self::All),
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Physics => "physics",
+            Self::Rollout => "rollout",
+            Self::Learner => "learner",
+            Self::Transport => "transport",
+            Self::Train => "train",
+            Self::Growth => "growth",
+            Self::All => "all",
+        }
+    }
+
+    fn help(self) -> &'static str {
+        match self {
+            Self::Physics => "The dynamics",
+            Self::Rollout => "Simulation with a policy, as a worker does it",
+            Self::Learner => "The update",
+            Self::Transport => "Blocks from process to process",
+            Self::Train => "A whole training, and its memory",
+            Self::Growth => "How all of it grows",
+            Self::All => "All but growth",
+        }
+    }
 }
 
 #[cfg(test)]
@@ -124,7 +143,7 @@ mod tests {
     #[test]
     fn without_options_all_of_the_paper_is_measured() {
         let args = parse("octopus bench").expect("valid");
-        assert_eq!((args.subject, args.preset), (Subject::All, PresetArg::Paper));
+        assert_eq!((args.subject, args.preset), (Named(Subject::All), PresetArg::Paper));
         assert_eq!((args.seconds, args.workers), (5.0, 2));
         assert!(!args.peer && !args.json && args.sets.is_empty());
         assert_eq!(args.python, PathBuf::from(".venv-benches/bin/python"));
@@ -133,7 +152,7 @@ mod tests {
     #[test]
     fn subjects_and_numbers_are_checked() {
         let args = parse("octopus bench growth --seconds 0.05 --set env.n_envs=8").expect("valid");
-        assert_eq!((args.subject, args.seconds), (Subject::Growth, 0.05));
+        assert_eq!((args.subject, args.seconds), (Named(Subject::Growth), 0.05));
         for wrong in
             ["speed", "--seconds 0", "--seconds -1", "--workers 0", "--set x", "--preset a"]
         {

@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use lab::figures::families::Over;
 
-use crate::figures::families::Over;
+use super::named::{Named, Names};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -28,8 +29,8 @@ pub struct PlotArgs {
     #[arg(value_name = "RUN_DIR|CURVES", required = true, num_args = 1..)]
     pub runs: Vec<PathBuf>,
     /// What learning is drawn against.
-    #[arg(long, value_enum, default_value_t = Over::EnvSteps)]
-    pub over: Over,
+    #[arg(long, value_enum, default_value_t = Named(Over::EnvSteps))]
+    pub over: Named<Over>,
     /// Where the picture goes; another picture that is there is replaced.
     #[arg(long, value_name = "FILE", default_value = "learning-curves.svg")]
     pub out: PathBuf,
@@ -42,4 +43,22 @@ pub struct PlotArgs {
     /// Print the curves as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+impl Names for Over {
+    const ALL: &'static [Named<Self>] = &[Named(Self::EnvSteps), Named(Self::Time)];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::EnvSteps => "env-steps",
+            Self::Time => "time",
+        }
+    }
+
+    fn help(self) -> &'static str {
+        match self {
+            Self::EnvSteps => "Env-steps trained on",
+            Self::Time => "Wall-clock time",
+        }
+    }
 }

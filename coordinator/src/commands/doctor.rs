@@ -9,8 +9,8 @@ use run::preflight::{self, Check, Verdict};
 use run::supervisor::Programs;
 use store::provenance;
 
-use crate::cli::DoctorArgs;
 use super::clean;
+use crate::cli::DoctorArgs;
 
 /// Workers that the checks reckon with.
 const WORKERS: usize = 2;
@@ -64,7 +64,7 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
 
 /// Whether the default run fits.
 fn shared_memory(config: &Config) -> anyhow::Result<Check> {
-    let robot = super::load_robot(&config.robot.description)?;
+    let robot = run::robots::load_robot(&config.robot.description)?;
     Ok(preflight::shared_memory(config, &Dimensions::new(config, robot.n_arms)))
 }
 

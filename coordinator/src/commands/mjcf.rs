@@ -13,7 +13,7 @@ const MARK: &[u8] = b"<mujoco model=";
 
 /// Writes the model.
 pub fn run(args: &MjcfArgs) -> anyhow::Result<()> {
-    let robot = super::load_robot(&args.robot)?;
+    let robot = run::robots::load_robot(&args.robot)?;
     if let Some(path) = &args.out {
         Output { flag: "--out", path, mark: MARK, force: args.force }
             .check(&[("--robot", Path::new(&args.robot))])?;

@@ -2,34 +2,34 @@
 
 use std::path::Path;
 
+use lab::figures::families::{Family, families};
+use lab::figures::learning::learning;
+use lab::figures::recorded;
 use proto::{ExitCode, ExitError};
 use store::files;
 use store::outputs::Output;
 
 use crate::cli::plot::PlotArgs;
-use crate::figures::families::{Family, families};
-use crate::figures::learning::learning;
-use crate::figures::recorded;
 
 /// Draws.
 pub fn run(args: &PlotArgs) -> anyhow::Result<()> {
     check_outputs(args)?;
     let (curves, notes) = recorded::read_all(&args.runs)?;
     for note in &notes {
-        eprintln!("{note}");
+        output::note(note);
     }
     if let Some(path) = &args.save {
         recorded::write(path, &curves)?;
     }
-    let families = families(&curves, args.over);
-    let picture = learning(&families, args.over)?;
+    let families = families(&curves, args.over.0);
+    let picture = learning(&families, args.over.0)?;
     // A picture by itself has a ground of its own; what it is drawn on may be dark.
     let ground = r##"><rect width="100%" height="100%" fill="#FFFFFF"/>"##;
     files::replace_output(&args.out, picture.replacen('>', ground, 1).as_bytes())?;
     if args.json {
         return output::json(&families);
     }
-    let rows = families.iter().map(|family| family.row(args.over));
+    let rows = families.iter().map(|family| family.row(args.over.0));
     let table = output::table(Family::HEADER, rows);
     output::line(&format!("{table}\n\npicture  {}", args.out.display()))
 }

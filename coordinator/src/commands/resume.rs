@@ -9,9 +9,9 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::base;
 use run::precision;
-use run::preflight::Remedy;
-use run::report::promised::Promised;
+use run::preflight::{self, Remedy};
 use run::report;
+use run::report::promised::Promised;
 use run::supervisor::Programs;
 use store::budgets::{self, Budgets};
 use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST};
@@ -20,8 +20,8 @@ use store::lock::RunLock;
 use store::provenance::Provenance;
 use store::recorded::Recorded;
 
-use crate::cli::ResumeArgs;
 use super::train::{self, Counter, Ended, Start};
+use crate::cli::ResumeArgs;
 
 /// What helps an old run that its disk does not carry.
 const REMEDY: Remedy = Remedy {
@@ -60,15 +60,15 @@ impl Resumed {
 
 /// Resumes.
 pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
-    let run_dir = super::run_directory(&args.run_dir)?;
+    let run_dir = store::run_files::run_directory(&args.run_dir)?;
     check_no_checkpoint(&run_dir)?;
     train::check_token_file(&args.http)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), domain.as_str())?;
     files::sweep(run_dir.path());
 
-    let recorded = super::read_config(&run_dir)?;
-    let (robot, robot_text) = super::read_robot(&run_dir)?;
+    let recorded = store::run_files::read_config(&run_dir)?;
+    let (robot, robot_text) = store::run_files::read_robot(&run_dir)?;
     let mut budgets = Budgets::read(&run_dir)?;
     let resume = find_start(&run_dir, &recorded)?;
     let before = decided(&recorded, resume.as_ref())?;
@@ -101,7 +101,7 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     }
 
     let programs = Programs::find()?;
-    train::check_machine(&config, &robot, &run_dir, &programs, &REMEDY)?;
+    preflight::check_machine(&config, &robot, &run_dir, &programs.learner, &REMEDY)?;
     let counter = Counter::open(&args.http, &run_dir)?;
     let provenance = Provenance::gather();
     if budgets.last().is_none() {

@@ -41,14 +41,14 @@ struct Summary {
 
 /// Makes the block.
 pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
-    let run_dir = super::run_directory(&args.run_dir)?;
+    let run_dir = store::run_files::run_directory(&args.run_dir)?;
     if let Some(path) = &args.out {
         let output = Output { flag: "--out", path, mark: b"", force: args.force };
         output.check(&[("RUN_DIR", &args.run_dir)])?;
     }
     let BlockAddress { seed, iteration, shard } = args.address;
-    let config = super::read_config(&run_dir)?;
-    let (robot, _) = super::read_robot(&run_dir)?;
+    let config = store::run_files::read_config(&run_dir)?;
+    let (robot, _) = store::run_files::read_robot(&run_dir)?;
     let world = World::new(&config, &robot);
     check_address(args, &config)?;
     let version = policy_version_for(iteration, config.run.overlap);

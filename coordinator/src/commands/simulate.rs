@@ -18,7 +18,7 @@ const MARK: &[u8] = b"t,base_x,base_y,base_z,";
 /// Integrates.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     // Judged as training would run it: how coarse the steps are is what may be tried here.
-    let robot = super::load_fit_robot(&args.robot, &StepOptions::default())?;
+    let robot = run::robots::load_fit_robot(&args.robot, &StepOptions::default())?;
     check_steps(args)?;
     let output = Output { flag: "--out", path: &args.out, mark: MARK, force: args.force };
     output.check(&[("--actions", &args.actions), ("--robot", Path::new(&args.robot))])?;

@@ -5,21 +5,21 @@ use std::path::{Path, PathBuf};
 
 use output::grouped;
 use proto::run_dir::RunDir;
-use run::causes;
+use run::errors;
 use run::preflight::mib;
-use run::report::divergence::{CURE, Divergence};
 use run::report::Diverged;
-use store::jsonl;
+use run::report::divergence::{CURE, Divergence};
 use serde::Serialize;
 use serde_json::Value;
 use service::client::Client;
 use service::http::Token;
 use service::live::{Best, LiveStatus, ProcessStatus, Role, Stages};
 use store::checkpoint::{CheckpointStore, Name};
+use store::jsonl;
 use store::lock::RunLock;
 
-use crate::cli::StatusArgs;
 use super::train::RUNS;
+use crate::cli::StatusArgs;
 
 /// What can be said about a run from outside.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -264,7 +264,7 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
         match inspect(&path) {
             Ok(status) => runs.push(status),
             // One damaged run does not hide the others.
-            Err(error) => output::note(&format!("note: {}", causes::told(&error))),
+            Err(error) => output::note(&format!("note: {}", errors::told(&error))),
         }
     }
     if json {
@@ -302,8 +302,8 @@ fn listed(runs: &[RunStatus], columns: usize) -> String {
 
 /// Reads what a run left and whether it lives; does not ask it.
 pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
-    let run_dir = super::run_directory(path)?;
-    let config = super::read_config(&run_dir)?;
+    let run_dir = store::run_files::run_directory(path)?;
+    let config = store::run_files::read_config(&run_dir)?;
     let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
     let holder = RunLock::holder(&run_dir.lock())?;

@@ -5,13 +5,14 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::Context as _;
 use channels::Domain;
+use lab::evaluation::{self, Summary};
 use output::grouped;
 use proto::config::{AlgorithmName, Config, Layers};
-use proto::layout::Dimensions;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
+use run::errors;
 use run::precision;
-use run::preflight::{self, Remedy, Verdict};
+use run::preflight::{self, Remedy};
 use run::report::divergence::{CURE, Divergence};
 use run::report::{Diverged, Reporter};
 use run::session::{self, Outcome, SessionSpec, StoppedBy};
@@ -29,7 +30,6 @@ use store::provenance::{self, Provenance};
 use store::{files, outputs, regular};
 
 use crate::cli::{Ending, HttpArgs, Listen, TrainArgs};
-use super::eval::{self, Summary};
 
 /// Where runs land without `--run-dir`.
 pub(super) const RUNS: &str = "runs";
@@ -50,7 +50,7 @@ struct Plan {
 fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let config = precision::resolve(configure(args)?);
     check_token_file(&args.http)?;
-    let robot = super::load_fit_robot(&config.robot.description, &step_options(&config))?;
+    let robot = run::robots::load_fit_robot(&config.robot.description, &step_options(&config))?;
     match &args.run_dir {
         Some(path) => {
             check_vacant(path)?;
@@ -60,7 +60,7 @@ fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     }
     let programs = Programs::find()?;
     let place = args.run_dir.as_deref().unwrap_or(Path::new(RUNS));
-    check_machine(&config, &robot, &RunDir::new(place), &programs, &REMEDY)?;
+    preflight::check_machine(&config, &robot, &RunDir::new(place), &programs.learner, &REMEDY)?;
     Ok(Plan { config, robot, programs })
 }
 
@@ -202,7 +202,7 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
     }
     // Also after a failure: what was measured until then is worth keeping.
     let finished = reporter.finish();
-    let full = |error: anyhow::Error| super::full::explain(error, &run_dir);
+    let full = |error: anyhow::Error| errors::name_what_goes_on(error, &run_dir);
     let outcome = result.map_err(|error| full(error.into()))?;
     finished.map_err(full)?;
     Ok(Ended { run_dir, outcome, stop })
@@ -331,7 +331,7 @@ fn evaluate(checkpoint: Checkpoint, stop: &StopRequests) -> anyhow::Result<Summa
     let asked = stop.count();
     let dir = checkpoint.dir.clone();
     let evaluation =
-        std::thread::spawn(move || eval::evaluate(checkpoint, &EvaluationOptions::default()));
+        std::thread::spawn(move || evaluation::evaluate(checkpoint, &EvaluationOptions::default()));
     while !evaluation.is_finished() {
         if stop.count() > asked {
             let message =
@@ -451,24 +451,6 @@ fn sets(args: &TrainArgs, key: &str) -> bool {
     args.sets.iter().any(|set| set.split('=').next().is_some_and(|name| name.trim() == key))
 }
 
-/// Refuses what the machine cannot carry; `remedy` is what helps where the disk is at fault.
-pub(super) fn check_machine(
-    config: &Config,
-    robot: &Robot,
-    run_dir: &RunDir,
-    programs: &Programs,
-    remedy: &Remedy,
-) -> Result<(), ExitError> {
-    let dimensions = Dimensions::new(config, robot.n_arms);
-    preflight::check_run(config, &dimensions, &programs.learner)?;
-    let there = CheckpointStore::new(run_dir.checkpoints()).list().map_or(0, |there| there.len());
-    let disk = preflight::disk(run_dir.path(), config, &dimensions, there, remedy);
-    if disk.verdict == Verdict::Failure {
-        return Err(ExitError::new(ExitCode::RunDirectory, disk.sentence()));
-    }
-    Ok(())
-}
-
 /// Says so if there are more workers than an iteration has shards.
 fn idle_workers(config: &Config) -> Option<String> {
     let (workers, shards) = (config.run.workers, config.env.n_shards);
@@ -575,8 +557,8 @@ pub(super) fn record(
 mod tests {
     use clap::Parser as _;
 
-    use crate::cli::{Cli, Command};
     use super::*;
+    use crate::cli::{Cli, Command};
 
     fn parse(line: &str) -> Result<Config, ExitError> {
         let cli = Cli::try_parse_from(line.split(' ')).expect("a valid command line");

@@ -6,8 +6,8 @@
 use std::hint::black_box;
 use std::time::Duration;
 
-use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use channels::{ChannelSizes, Channels, Domain};
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use proto::config::{Layers, Preset};
 use proto::layout::Dimensions;
 

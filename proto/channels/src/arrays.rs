@@ -105,7 +105,11 @@ pub struct ArrayReceiver<H: Header> {
 }
 
 impl<H: Header> ArrayReceiver<H> {
-    pub(crate) fn new(factory: &Floats<H>, service: &'static str, len: usize) -> Result<Self, ChannelError> {
+    pub(crate) fn new(
+        factory: &Floats<H>,
+        service: &'static str,
+        len: usize,
+    ) -> Result<Self, ChannelError> {
         let subscriber = factory
             .subscriber_builder()
             .create()

@@ -106,7 +106,11 @@ pub(crate) fn port_error(service: &str, port: &'static str, error: &dyn Debug) -
     })
 }
 
-pub(crate) fn transfer_error(service: &str, action: &'static str, error: &dyn Debug) -> ChannelError {
+pub(crate) fn transfer_error(
+    service: &str,
+    action: &'static str,
+    error: &dyn Debug,
+) -> ChannelError {
     full(service).unwrap_or_else(|| ChannelError::Transfer {
         service: service.to_owned(),
         action,

@@ -16,8 +16,7 @@ use crate::line::Line;
 use crate::messages::{MessageReceiver, MessageSender, OrderSender};
 use crate::pieces::{PieceReceiver, PieceSender};
 use crate::sizes::{
-    MESSAGE_BUFFER, PIECE_BUFFER, POLICY_BORROWED, POLICY_BUFFER, PROGRESS_LEN,
-    STATUS_LEN,
+    MESSAGE_BUFFER, PIECE_BUFFER, POLICY_BORROWED, POLICY_BUFFER, PROGRESS_LEN, STATUS_LEN,
 };
 use crate::transport::Private as Ipc;
 use crate::{ChannelError, ChannelSizes, Domain, PIECE_LEN};

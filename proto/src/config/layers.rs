@@ -3,7 +3,6 @@
 //! **An algorithm's settings are data.** What `--algorithm` changes in a preset stands in the preset's
 //! `[for.ALGORITHM]`, beside the changes for a task, and any later layer overrides it.
 
-
 use toml::{Table, Value};
 
 use super::{AlgorithmName, Config, TaskName};

@@ -2,9 +2,9 @@
 
 #![no_main]
 
-use coordinator::figures::families::{Over, families};
-use coordinator::figures::learning::learning;
-use coordinator::figures::recorded::{parse, to_json};
+use lab::figures::families::{Over, families};
+use lab::figures::learning::learning;
+use lab::figures::recorded::{parse, to_json};
 use libfuzzer_sys::fuzz_target;
 use run::report::curve::Point;
 use run::report::evaluations::HeldOut;

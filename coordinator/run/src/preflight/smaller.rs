@@ -64,8 +64,8 @@ pub(super) fn open_files(needed: u64, limit: u64, hard_limit: Option<u64>) -> St
 mod tests {
     use proto::config::{Layers, Preset};
 
-    use crate::preflight::{Verdict, shared_memory};
     use super::*;
+    use crate::preflight::{Verdict, shared_memory};
 
     fn of(sets: &[&str]) -> (Config, Dimensions) {
         let layers = Layers::new(Preset::Tuned, None);

@@ -7,8 +7,8 @@ use serde::Serialize;
 use serde_json::Value;
 use store::jsonl::{self, JsonLines};
 
-use crate::selection::{MeanErrors, Means};
 use super::row::Row;
+use crate::selection::{MeanErrors, Means};
 
 /// What an evaluation says.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -21,8 +21,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 
-use crate::selection::{MeanErrors, Means};
 use super::{Evaluated, Line};
+use crate::selection::{MeanErrors, Means};
 
 /// An open event file.
 #[derive(Debug)]

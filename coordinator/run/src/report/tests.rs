@@ -6,9 +6,9 @@ use proto::{Digest, ExitCode};
 use serde_json::Value;
 use store::recorded::Recorded;
 
-use crate::selection::{MeanErrors, Means};
-use super::*;
 use super::curve::Point;
+use super::*;
+use crate::selection::{MeanErrors, Means};
 
 fn report(iteration: u64) -> IterationReport {
     IterationReport {

@@ -4,12 +4,12 @@ use proto::ExitError;
 use proto::message::Order;
 use service::live::{Best, Command, LiveStatus};
 
+use super::Session;
+use super::monitor::Monitor;
 use crate::preflight;
 use crate::report::Reporter;
 use crate::scheduler::Scheduler;
 use crate::supervisor::Supervisor;
-use super::Session;
-use super::monitor::Monitor;
 
 impl Session<'_> {
     /// Does what others ask for.

@@ -6,13 +6,13 @@ use proto::message::{IterationReport, Order, Progress, Status};
 use proto::{ExitCode, ExitError};
 use store::checkpoint::Name;
 
+use super::mail::Addressee;
+use super::snapshots::{Evaluation, Phase};
+use super::{Session, StoppedBy};
 use crate::committer::Committed;
 use crate::report::{Live, Reporter};
 use crate::scheduler::Scheduler;
 use crate::supervisor::{Deaths, Supervisor};
-use super::mail::Addressee;
-use super::snapshots::{Evaluation, Phase};
-use super::{Session, StoppedBy};
 
 /// What metrics say of a run cannot be kept.
 fn unwritten(error: &anyhow::Error) -> ExitError {

@@ -20,10 +20,10 @@ use std::time::Duration;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::Checkpoint;
 
+use super::Session;
 use crate::base;
 use crate::report::Reporter;
 use crate::supervisor::{Cause, Death, Supervisor, log_tail};
-use super::Session;
 
 /// How long a learner or worker may take at least until it is ready, however short the deadline is
 /// for one that has been heard.

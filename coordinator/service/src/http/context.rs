@@ -6,12 +6,12 @@ use axum::http::StatusCode;
 use store::checkpoint::{Checked, CheckpointError, CheckpointStore, Patience};
 use tokio::sync::{Mutex, Semaphore};
 
-use crate::live::LiveRun;
 use super::limits::Limits;
 use super::problem::Problem;
 use super::requests::Requests;
 use super::room;
 use super::token::Token;
+use crate::live::LiveRun;
 
 /// The state that handlers are given.
 pub(super) type Shared = Arc<Context>;

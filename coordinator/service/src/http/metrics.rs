@@ -5,11 +5,11 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 use store::checkpoint::{CheckpointStore, Entry};
 
-use crate::live::{LiveStatus, ProcessStatus, Role};
 use super::context::Shared;
 use super::exposition::{self, Exposition};
 use super::problem::{ErrorBody, Problem};
 use super::requests::{BOUNDS, Requests};
+use crate::live::{LiveStatus, ProcessStatus, Role};
 
 /// Numbers of the run, the store and the service, in Prometheus' text format.
 #[utoipa::path(get, path = "/metrics", tag = "service", responses(

@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 use utoipa::ToSchema;
 
-use crate::live::{Command, LiveStatus};
 use super::context::{Context, Shared};
 use super::intake::Intake;
 use super::problem::{ErrorBody, Problem};
+use crate::live::{Command, LiveStatus};
 
 /// How many workers a run shall have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

@@ -10,11 +10,11 @@ use store::checkpoint::CheckpointStore;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::oneshot;
 
-use crate::live::LiveRun;
 use super::context::Context;
 use super::limits::Limits;
 use super::token::Token;
 use super::{access, connections, router};
+use crate::live::LiveRun;
 
 /// Threads that may wait for the disk at a time.
 const POOL: usize = 64;

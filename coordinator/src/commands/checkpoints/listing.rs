@@ -2,8 +2,8 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use output::{age, counted, size};
 use output::grouped;
+use output::{age, counted, size};
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use store::checkpoint::{

@@ -10,8 +10,8 @@ use store::checkpoint::{CheckpointError, CheckpointStore, Name};
 use store::outputs::Output;
 use store::{files, regular};
 
-use crate::cli::checkpoints::{ExportArgs, ImportArgs};
 use super::{refused, report, store_to_fill};
+use crate::cli::checkpoints::{ExportArgs, ImportArgs};
 
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::{Parser as _, ValueEnum as _};
+use lab::experiments::command_line::typed;
 use proto::config::TaskName;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
@@ -16,16 +17,12 @@ use simulator::robot::Robot;
 use store::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
 use store::provenance::Provenance;
 use store::recorded::Recorded;
+use store::run_files::read_config;
 
+use super::{POLICIES, RUNS, refused};
 use crate::cli::reproduce::ReproduceArgs;
 use crate::cli::{AlgorithmArg, Cli, Command};
-use crate::commands::{read_config, resume, train};
-use super::{Line, refused};
-
-/// Where runs land in the directory of everything.
-pub(super) const RUNS: &str = "runs";
-/// Where the best policies do.
-pub(super) const POLICIES: &str = "policies";
+use crate::commands::{resume, train};
 
 /// Tasks that are trained.
 const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
@@ -40,7 +37,7 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
         }
     }
     // The trainings ended at Ctrl-C by themselves; what follows is whole or not there at any time.
-    signals::exit_when_asked(format!("stopped; `{}` goes on", again(args, out).text()))
+    signals::exit_when_asked(format!("stopped; `{}` goes on", typed(&again(args, out))))
         .context("signals cannot be caught")?;
     let policies = out.join(POLICIES);
     for task in TASKS {
@@ -124,7 +121,7 @@ impl Run {
         if !ended.was_interrupted() && self.is_finished()? {
             return Ok(());
         }
-        let message = format!("{dir}: stopped; `{}` goes on", again(args, out).text());
+        let message = format!("{dir}: stopped; `{}` goes on", typed(&again(args, out)));
         Err(ExitError::new(ExitCode::Interrupted, message).into())
     }
 
@@ -153,7 +150,7 @@ impl Run {
 }
 
 /// The command that goes on below `out`, wherever that was named.
-fn again(args: &ReproduceArgs, out: &Path) -> Line {
+fn again(args: &ReproduceArgs, out: &Path) -> Vec<OsString> {
     let mut out_flag = OsString::from("--out=");
     out_flag.push(out);
     let baselines: Vec<String> = args.baselines.iter().map(|baseline| name(*baseline)).collect();
@@ -174,7 +171,7 @@ fn again(args: &ReproduceArgs, out: &Path) -> Line {
     words.extend(
         [format!("--steps={}", args.steps), format!("--seed={}", args.seed)].map(OsString::from),
     );
-    Line(words)
+    words
 }
 
 /// Puts the policy of the best MAPPO run of `task` below `policies`.
@@ -224,8 +221,8 @@ mod tests {
             let args = parse(line.split(' '));
             let asked = ReproduceArgs { out: Some(out.to_owned()), ..args.clone() };
             let again = again(&args, out);
-            assert!(again.text().contains("--train --out=reproduction-20260101-120000"));
-            assert_eq!(format!("{:?}", parse(again.0)), format!("{asked:?}"), "{line}");
+            assert!(typed(&again).contains("--train --out=reproduction-20260101-120000"));
+            assert_eq!(format!("{:?}", parse(again)), format!("{asked:?}"), "{line}");
         }
     }
 }

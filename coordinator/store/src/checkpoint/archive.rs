@@ -23,8 +23,6 @@ use proto::config::{Config, Precision, Run};
 use proto::run_dir::RunDir;
 use tar::{Archive, Builder, EntryType, Header};
 
-use crate::budgets;
-use crate::recorded::Recorded;
 use super::disk::{CHUNK, Disk};
 use super::entry::Entry;
 use super::guard::Scratch;
@@ -33,6 +31,8 @@ use super::name::Name;
 use super::read::{self, MAX_TEXT, small_files};
 use super::store::{Arrival, CheckpointStore, Clash};
 use super::{CONFIG, CheckpointError, MANIFEST, ROBOT, opening, verify};
+use crate::budgets;
+use crate::recorded::Recorded;
 
 /// Longest content of an archive (bytes).
 pub const MAX_CONTENT: u64 = 4 << 30;

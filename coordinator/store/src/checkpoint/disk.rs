@@ -5,9 +5,9 @@ use std::io::{self, Write as _};
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::files;
 use super::CheckpointError;
 use super::patience::Patience;
+use crate::files;
 
 /// Bytes that one write takes.
 pub(super) const CHUNK: usize = 64 << 10;

@@ -12,12 +12,12 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
-use crate::own;
-use crate::regular::{self, Links};
 use super::CheckpointError;
 use super::disk::Disk;
 use super::labels::Labels;
 use super::opening::is_directory;
+use crate::own;
+use crate::regular::{self, Links};
 
 /// Name of the file that is locked.
 const LOCK: &str = ".lock";

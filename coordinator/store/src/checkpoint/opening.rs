@@ -6,8 +6,8 @@ use std::io::ErrorKind;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
-use crate::regular::{self, Links};
 use super::{CheckpointError, LABELS};
+use crate::regular::{self, Links};
 
 /// Whether `path` itself is a directory, and not a link to one.
 pub(super) fn is_directory(path: &Path) -> bool {

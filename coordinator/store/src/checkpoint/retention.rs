@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::lock::RunLock;
 use super::CheckpointError;
 use super::entry::{Entry, Kind, Survey};
 use super::guard::{Guard, REMOVED, sweep, unique};
@@ -12,6 +11,7 @@ use super::labels::Labels;
 use super::name::Name;
 use super::read::{self, looks_whole};
 use super::store::CheckpointStore;
+use crate::lock::RunLock;
 
 /// Which of the run's own checkpoints stay. Pinned ones, milestones and tagged ones always do, and
 /// so do all that are not the run's own: imported and composed ones, whatever their name, are for

@@ -19,12 +19,12 @@ use std::str::FromStr;
 
 use proto::run_dir::RunDir;
 
-use crate::lock::RunLock;
 use super::labelling::{BEST, LATEST};
 use super::name::Name;
 use super::read::Checkpoint;
 use super::store::CheckpointStore;
 use super::{CheckpointError, MANIFEST};
+use crate::lock::RunLock;
 
 /// What a user wrote to name a checkpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use axum::http::StatusCode;
 
-use crate::http::token::Token;
 use super::{Bench, OTHER_TOKEN, TOKEN};
+use crate::http::token::Token;
 
 #[tokio::test]
 async fn everything_but_health_needs_a_token() {

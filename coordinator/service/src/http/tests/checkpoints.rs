@@ -8,8 +8,8 @@ use rustix::fs::{FlockOperation, flock};
 use store::checkpoint::{Name, Score};
 use tokio::task::JoinSet;
 
-use crate::http::limits::Limits;
 use super::Bench;
+use crate::http::limits::Limits;
 
 #[tokio::test]
 async fn an_empty_store_is_an_empty_list() {

@@ -7,9 +7,9 @@ use axum::http::Request;
 use proptest::prelude::*;
 use tokio::runtime::Runtime;
 
+use super::{Bench, TOKEN};
 use crate::http::limits::Limits;
 use crate::live::LiveRun;
-use super::{Bench, TOKEN};
 
 /// One service for all cases; none of them may change what is there.
 static BENCH: LazyLock<(Runtime, Bench)> = LazyLock::new(|| {

@@ -22,11 +22,11 @@ use store::checkpoint::fixtures::snapshot_of;
 use tempfile::TempDir;
 use tower::ServiceExt as _;
 
-use crate::live::LiveRun;
 use super::context::Context;
 use super::limits::Limits;
 use super::router::router;
 use super::token::Token;
+use crate::live::LiveRun;
 
 /// The tokens of every service here.
 const TOKEN: &str = "correct-horse-battery";

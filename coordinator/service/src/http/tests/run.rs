@@ -8,9 +8,9 @@ use std::time::Duration;
 use axum::http::StatusCode;
 use serde_json::json;
 
+use super::Bench;
 use crate::http::limits::Limits;
 use crate::live::{Best, Command, LiveRun, LiveStatus, ProcessStatus, Role, Totals};
-use super::Bench;
 
 /// A run's loop that does what it is asked at once.
 struct FakeRun {

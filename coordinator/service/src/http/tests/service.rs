@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use store::checkpoint::CheckpointStore;
 
+use super::{Bench, TOKEN};
 use crate::client::Client;
 use crate::http::{Limits, Service, ServiceSpec, Token};
 use crate::live::{LiveRun, LiveStatus};
-use super::{Bench, TOKEN};
 
 fn token() -> Token {
     Token::parse(TOKEN, "test").expect("valid")

@@ -9,8 +9,8 @@ use axum::http::StatusCode;
 use http_body::Frame;
 use store::checkpoint::Name;
 
-use crate::http::limits::Limits;
 use super::Bench;
+use crate::http::limits::Limits;
 
 async fn archive(bench: &Bench, iteration: u64) -> Bytes {
     let name = Name::of_iteration(iteration);

@@ -1,14 +1,17 @@
 //! Turning the base with an arm held or limp.
 
+use std::ffi::OsString;
+
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
 use simulator::experiment::{Effect, FixedGoals, Intervention, Trial};
 
-use crate::cli::experiment::{ArmFailureArgs, CommonArgs, Failing};
-use crate::commands::statistics::{milli, percent};
+use super::command_line::option;
+use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report, share};
 use super::{Experiment, Name};
+use crate::statistics::{milli, percent};
 
 /// The authors' goal of the figure.
 const GOAL: [f64; 3] = [-0.10385, 0.08410, 0.13543];
@@ -18,7 +21,7 @@ const THRESHOLDS: [f32; 2] = [0.03, 0.05];
 /// How an arm fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum Failure {
+pub enum Failure {
     /// Not at all.
     None,
     /// Its actions are zero: its servos hold it.
@@ -29,7 +32,7 @@ pub(crate) enum Failure {
 
 /// How well the base turns with a failed arm.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Failed {
+pub struct Failed {
     pub(crate) failure: Failure,
     /// The failed arm, counted from 1.
     arm: Option<usize>,
@@ -40,15 +43,16 @@ pub(crate) struct Failed {
     pub(crate) figure: Figure,
 }
 
+/// The share of episodes whose last error is below a threshold.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Success {
+pub struct Success {
     threshold: f32,
     share: f64,
 }
 
 /// Which arms fail, and what counts.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Settings {
+pub struct Settings {
     /// The arms that fail, one at a time, counted from 1.
     arms: Vec<usize>,
     from_step: usize,
@@ -56,7 +60,32 @@ pub(crate) struct Settings {
     figure_goal_rad: [f64; 3],
 }
 
-impl ArmFailureArgs {
+/// Which arm fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Failing {
+    /// This one, counted from 1.
+    One(usize),
+    /// Every one in turn.
+    Each,
+}
+
+/// What is asked of the experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Study {
+    /// Policies, robot, episodes.
+    pub common: Common,
+    /// The arm that fails.
+    pub arm: Failing,
+}
+
+impl Default for Study {
+    /// As in the paper, and as far as it tells.
+    fn default() -> Self {
+        Self { common: Common::default(), arm: Failing::One(4) }
+    }
+}
+
+impl Study {
     /// The arms that fail, counted from 0.
     fn arms(&self, lab: &Lab) -> Vec<usize> {
         match self.arm {
@@ -66,14 +95,21 @@ impl ArmFailureArgs {
     }
 }
 
-impl Experiment for ArmFailureArgs {
+impl Experiment for Study {
     const NAME: Name = Name::ArmFailure;
     const NEEDS: Needs = Needs::Reorientation;
     type Settings = Settings;
     type Result = Failed;
 
-    fn common(&self) -> &CommonArgs {
+    fn common(&self) -> &Common {
         &self.common
+    }
+
+    fn options(&self) -> Vec<OsString> {
+        vec![match self.arm {
+            Failing::One(arm) => option("--arm", arm),
+            Failing::Each => option("--arm", "all"),
+        }]
     }
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {

@@ -27,7 +27,7 @@ pub struct Spread {
 }
 
 /// A number, or `null`, which stands for one that JSON cannot write.
-pub(super) fn number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+pub(crate) fn number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
@@ -102,7 +102,7 @@ impl fmt::Display for Unit {
 }
 
 /// What the paper reports for its best policies on `task`: position (m), and orientation or attitude (rad).
-pub(crate) fn papers(task: TaskName) -> (f64, f64) {
+pub fn papers(task: TaskName) -> (f64, f64) {
     let attitude = match task {
         TaskName::Trajectory => PAPER.orientation,
         TaskName::Reorientation => PAPER.base,
@@ -111,17 +111,17 @@ pub(crate) fn papers(task: TaskName) -> (f64, f64) {
 }
 
 /// A single-precision number of thousandths in double precision.
-pub(crate) fn thousandths(value: f32) -> f64 {
+pub fn thousandths(value: f32) -> f64 {
     (1e3 * f64::from(value)).round() / 1e3
 }
 
 /// A number in thousandths: mm or mrad. A dash where there was nothing to measure.
-pub(crate) fn milli(value: f64) -> String {
+pub fn milli(value: f64) -> String {
     if value.is_nan() { "-".to_owned() } else { format!("{:.1}", 1e3 * value) }
 }
 
 /// A share as a person reads it; a dash where there was nothing to share.
-pub(crate) fn percent(share: f64) -> String {
+pub fn percent(share: f64) -> String {
     if share.is_nan() { "-".to_owned() } else { format!("{:.1} %", 100.0 * share) }
 }
 

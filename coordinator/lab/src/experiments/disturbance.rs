@@ -1,5 +1,6 @@
 //! What a disturbance does, and how soon it is over.
 
+use std::ffi::OsString;
 use std::fmt;
 use std::ops::Range;
 
@@ -10,12 +11,13 @@ use simulator::evaluate::Course;
 use simulator::experiment::{Effect, FixedGoals, Intervention, Recording};
 use simulator::robot::JOINTS_PER_ARM;
 
-use crate::cli::experiment::{CommonArgs, DisturbanceArgs};
-use crate::commands::statistics::{ErrorOf, Spread, Unit, milli, percent};
-use crate::commands::trained::Trained;
+use super::command_line::option;
+use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{CourseOfMany, Figure, Goals, Report, Words, share, spread};
 use super::{Experiment, Name};
+use crate::statistics::{ErrorOf, Spread, Unit, milli, percent};
+use crate::trained::Trained;
 
 /// Steps in which the released script overwrites the actions of the base's task.
 const BASE_STEPS: usize = 5;
@@ -38,7 +40,7 @@ const BASE_GOAL: [f64; 3] = [0.02927, -0.03531, 0.19579];
 
 /// What disturbs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) enum Disturbance {
+pub enum Disturbance {
     /// Actions are overwritten.
     #[serde(rename = "override")]
     Override,
@@ -76,7 +78,7 @@ struct Case {
 
 /// What a disturbance led to.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Disturbed {
+pub struct Disturbed {
     pub(crate) task: TaskName,
     pub(crate) disturbance: Disturbance,
     pub(crate) what: String,
@@ -100,7 +102,7 @@ pub(crate) struct Disturbed {
 
 /// How an error went: the largest of its three axes.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Recovery {
+pub struct Recovery {
     pub(crate) error: ErrorOf,
     pub(crate) unit: Unit,
     /// What counts as recovered.
@@ -132,7 +134,7 @@ pub(crate) struct Recovery {
 
 /// How it is disturbed.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Settings {
+pub struct Settings {
     /// The first disturbed control step.
     at: usize,
     /// The disturbed arm, counted from 1.
@@ -142,14 +144,46 @@ pub(crate) struct Settings {
     errors: Words,
 }
 
-impl Experiment for DisturbanceArgs {
+/// What is asked of the experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Study {
+    /// Policies, robot, episodes.
+    pub common: Common,
+    /// The arm that is disturbed in the trajectory task, counted from 1.
+    pub arm: usize,
+    /// The control step that it begins with.
+    pub at: usize,
+    /// Force on the hand (N).
+    pub force: f64,
+    /// Torque on the base (N m).
+    pub torque: f64,
+}
+
+impl Default for Study {
+    /// As in the paper, and as far as it tells.
+    fn default() -> Self {
+        Self { common: Common::default(), arm: 2, at: 75, force: 50.0, torque: 5.0 }
+    }
+}
+
+impl Experiment for Study {
     const NAME: Name = Name::Disturbance;
     const NEEDS: Needs = Needs::Any;
     type Settings = Settings;
     type Result = Disturbed;
 
-    fn common(&self) -> &CommonArgs {
+    fn common(&self) -> &Common {
         &self.common
+    }
+
+    fn options(&self) -> Vec<OsString> {
+        let Self { common: _, arm, at, force, torque } = self;
+        vec![
+            option("--arm", arm),
+            option("--at", at),
+            option("--force", force),
+            option("--torque", torque),
+        ]
     }
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
@@ -197,26 +231,26 @@ fn has_figures(lab: &Lab) -> bool {
     lab.robot.n_arms == HAND_GOALS.len()
 }
 
-fn cases(args: &DisturbanceArgs, task: TaskName, n_joints: usize) -> Vec<Case> {
-    let first = args.at;
+fn cases(study: &Study, task: TaskName, n_joints: usize) -> Vec<Case> {
+    let first = study.at;
     let all_along = |steps: Range<usize>, effect| Intervention { steps, effect };
     // A force that is given and taken back leaves angular momentum, because the hand has moved meanwhile; a torque leaves none.
     let (unit, length, amount): (_, _, Box<dyn Fn(f64) -> Effect>) = match task {
         TaskName::Trajectory => {
-            let (arm, force) = (args.arm - 1, args.force);
+            let (arm, force) = (study.arm - 1, study.force);
             let effect =
                 move |sign: f64| Effect::HandForce { arm, force: [sign * force, 0.0, 0.0] };
-            (format!("{} N on hand {}", args.force, args.arm), 1, Box::new(effect))
+            (format!("{} N on hand {}", study.force, study.arm), 1, Box::new(effect))
         }
         TaskName::Reorientation => {
-            let torque = args.torque;
+            let torque = study.torque;
             let effect = move |sign: f64| Effect::BaseTorque([0.0, 0.0, sign * torque]);
-            (format!("{} N m on the base", args.torque), BASE_STEPS, Box::new(effect))
+            (format!("{} N m on the base", study.torque), BASE_STEPS, Box::new(effect))
         }
     };
     let (joints, value) = match task {
         TaskName::Trajectory => {
-            let lift = (args.arm - 1) * JOINTS_PER_ARM + 1;
+            let lift = (study.arm - 1) * JOINTS_PER_ARM + 1;
             (lift..lift + 1, LIFT_ACTION)
         }
         TaskName::Reorientation => (0..n_joints, BASE_ACTION),
@@ -226,7 +260,7 @@ fn cases(args: &DisturbanceArgs, task: TaskName, n_joints: usize) -> Vec<Case> {
         Case {
             name: Disturbance::Override,
             what: match task {
-                TaskName::Trajectory => format!("lift of arm {} at {value}", args.arm),
+                TaskName::Trajectory => format!("lift of arm {} at {value}", study.arm),
                 TaskName::Reorientation => format!("all actions at {value}"),
             },
             steps: once.clone(),
@@ -458,18 +492,8 @@ fn notes(results: &[Disturbed]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser as _;
 
-    use crate::cli::experiment::ExperimentCommand;
-    use crate::cli::{Cli, Command};
     use super::*;
-
-    fn args(line: &str) -> DisturbanceArgs {
-        let cli = Cli::try_parse_from(line.split(' ')).expect("valid");
-        let Command::Experiment(args) = cli.command else { panic!("not an experiment") };
-        let ExperimentCommand::Disturbance(args) = args.command else { panic!("another one") };
-        args
-    }
 
     #[test]
     fn a_recovery_by_hand() {
@@ -502,13 +526,13 @@ mod tests {
     /// So that the two disturbances of the base can be compared, in the authors' scale.
     #[test]
     fn the_torque_turns_the_base_as_far_as_the_overwritten_actions() {
-        let args = args("octopus experiment disturbance --at 1");
+        let study = Study { at: 1, ..Study::default() };
         let turned = |case: usize| {
             let task = TaskName::Reorientation;
             let recording = super::super::report::tests::changed(task, 1, 6, |trial| {
                 trial.fixed.base = Some([0.0; 3]);
                 trial.players[0].action_scale = 0.5;
-                trial.interventions = cases(&args, task, 24).swap_remove(case).interventions;
+                trial.interventions = cases(&study, task, 24).swap_remove(case).interventions;
             });
             assert_eq!(recording.attitude(0, 0), 0.0, "it rests before");
             recording.base(0, 5)[2].abs()
@@ -532,10 +556,10 @@ mod tests {
     /// The hand has moved between push and pull, so that they leave angular momentum; a torque and its opposite leave none.
     #[test]
     fn a_force_that_is_taken_back_leaves_the_base_turning_and_a_torque_does_not() {
-        let args = args("octopus experiment disturbance --at 1");
+        let study = Study { at: 1, ..Study::default() };
         let turned = |task: TaskName, case: usize| {
             let recording = super::super::report::tests::changed(task, 1, 40, |trial| {
-                trial.interventions = cases(&args, task, 24).swap_remove(case).interventions;
+                trial.interventions = cases(&study, task, 24).swap_remove(case).interventions;
             });
             let [from, to] = [15, 39].map(|step| recording.pose(0, step).base_quaternion);
             angle_between(from, to)
@@ -550,15 +574,15 @@ mod tests {
 
     #[test]
     fn the_released_overrides_and_pushes_that_are_taken_back() {
-        let args = args("octopus experiment disturbance --arm 3 --force 20 --at 10");
-        let trajectory = cases(&args, TaskName::Trajectory, 24);
+        let study = Study { arm: 3, force: 20.0, at: 10, ..Study::default() };
+        let trajectory = cases(&study, TaskName::Trajectory, 24);
         // Arm 3's lift is joint 13.
         assert_eq!(
             trajectory[0].interventions[0].effect,
             Effect::Action { joints: 13..14, value: 1.3 }
         );
         assert_eq!(trajectory[0].steps, 10..11);
-        let base = cases(&args, TaskName::Reorientation, 24);
+        let base = cases(&study, TaskName::Reorientation, 24);
         assert_eq!(base[0].interventions[0].effect, Effect::Action { joints: 0..24, value: 1.0 });
         assert_eq!(base[0].steps, 10..15);
         for cases in [trajectory, base] {

@@ -23,7 +23,6 @@ use store::files;
 use store::provenance::Provenance;
 use tempfile::TempDir;
 
-use crate::commands::train;
 use super::differences::{self, ProvenanceDifference};
 use super::record::{self, Record, damaged};
 use super::{Comparison, iterations, promise, provenance_table};
@@ -34,7 +33,7 @@ const REMEDY: Remedy =
 
 /// The result of a repetition, as `--json` prints it.
 #[derive(Debug, Serialize)]
-struct Replay<'a> {
+pub struct Replay<'a> {
     /// The directory of the run.
     run: &'a std::path::Path,
     /// Where it began; none if from nothing.
@@ -50,10 +49,15 @@ struct Replay<'a> {
     /// Whether the promise extends over this program and machine.
     promised: bool,
     provenance: Vec<ProvenanceDifference>,
+    /// Whether the run learned on a GPU.
+    #[serde(skip)]
+    gpu: bool,
+    #[serde(skip)]
+    ended_early: Option<ExitError>,
 }
 
 /// Repeats `run` through iteration `last` and compares every digest.
-pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
+pub fn replay(run: &Record, last: u64) -> anyhow::Result<Replay<'_>> {
     let recorded = run.iterations.len() as u64;
     if last >= recorded {
         let what = format!("has no iteration {last}; it holds 0 to {}", recorded - 1);
@@ -80,7 +84,15 @@ pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
     let comparison = Comparison::of(&run.iterations, &again);
     let provenance = differences::of_provenance(&run.sessions, &[here]);
     let gpu = differences::on_gpu(run);
-    let result = Replay {
+    let ended_early = (comparison.common < last + 1 - from).then(|| {
+        let (code, why) = match stopped {
+            StoppedBy::Signal => (ExitCode::Interrupted, "stopped by Ctrl-C"),
+            _ => (ExitCode::Failure, "the training ended early"),
+        };
+        let compared = iterations(comparison.common);
+        ExitError::new(code, format!("{why} after {compared} of {}", last + 1 - from))
+    });
+    Ok(Replay {
         run: &run.path,
         checkpoint: dir,
         from,
@@ -89,28 +101,31 @@ pub(super) fn run(run: &Record, last: u64, json: bool) -> anyhow::Result<()> {
         comparison,
         promised: !gpu && provenance.is_empty() && !run.is_undecided(),
         provenance,
-    };
-    if json {
-        output::json(&result)?;
-    } else {
-        output::line(&format!(
+        gpu,
+        ended_early,
+    })
+}
+
+impl Replay<'_> {
+    /// Whether all that was trained again agrees.
+    pub fn is_same(&self) -> bool {
+        self.same
+    }
+
+    /// Why not all of it was trained again, if it was not.
+    pub fn ended_early(self) -> Option<ExitError> {
+        self.ended_early
+    }
+
+    /// As a person reads it.
+    pub fn text(&self) -> String {
+        format!(
             "{}{}{}",
-            comparison.sentence(["recorded", "again"]),
-            provenance_table(&result.provenance, ["recorded", "again"]),
-            promise(result.promised, result.same, gpu)
-        ))?;
+            self.comparison.sentence(["recorded", "again"]),
+            provenance_table(&self.provenance, ["recorded", "again"]),
+            promise(self.promised, self.same, self.gpu)
+        )
     }
-    comparison.verdict()?;
-    if comparison.common < last + 1 - from {
-        let (code, why) = match stopped {
-            StoppedBy::Signal => (ExitCode::Interrupted, "stopped by Ctrl-C"),
-            _ => (ExitCode::Failure, "the training ended early"),
-        };
-        let compared = iterations(comparison.common);
-        let message = format!("{why} after {compared} of {}", last + 1 - from);
-        return Err(ExitError::new(code, message).into());
-    }
-    Ok(())
 }
 
 /// Trains in `scratch` from `checkpoint`, or from nothing, through iteration `last`.
@@ -129,14 +144,14 @@ fn train_again(
     let config = Config { run: recorded.run.clone().without_housekeeping(), ..recorded };
     let config = precision::resolve(config);
     if run.is_undecided() {
-        eprintln!(
+        output::note(&format!(
             "note: run.precision is auto, and no checkpoint says what was chosen; training again in {}",
             precision::name(config.run.precision)
-        );
+        ));
     }
 
     let programs = Programs::find()?;
-    train::check_machine(&config, &robot, scratch, &programs, &REMEDY)?;
+    run::preflight::check_machine(&config, &robot, scratch, &programs.learner, &REMEDY)?;
     files::replace(&scratch.robot(), run.robot.as_bytes())?;
     files::replace(&scratch.config(), config.to_toml().as_bytes())?;
     // Progress is shown over what is repeated, not over the budget of the run.

@@ -2,12 +2,12 @@
 
 use proto::config::TaskName;
 
-use super::eval::ErrorSummary;
-use super::statistics::{Spread, milli, papers};
+use crate::evaluation::ErrorSummary;
+use crate::statistics::{Spread, milli, papers};
 
 /// The mean errors of an evaluation beside those that the paper reports.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Verdict {
+pub struct Verdict {
     /// One a kind of error that the task is about.
     errors: Vec<Compared>,
 }
@@ -27,7 +27,7 @@ struct Compared {
 
 impl Verdict {
     /// On the errors of all goals together.
-    pub(crate) fn of(task: TaskName, overall: &[ErrorSummary]) -> Self {
+    pub fn of(task: TaskName, overall: &[ErrorSummary]) -> Self {
         let (position, angle) = papers(task);
         let wanted: &[f64] = match task {
             TaskName::Trajectory => &[position, angle],
@@ -49,7 +49,7 @@ impl Verdict {
     }
 
     /// The verdict in a sentence.
-    pub(crate) fn sentence(&self) -> &'static str {
+    pub fn sentence(&self) -> &'static str {
         match (self.within(|error| error.min), self.within(|error| error.tail)) {
             (true, true) => "within the paper's accuracy, by both measures",
             (true, false) => {
@@ -65,7 +65,7 @@ impl Verdict {
     }
 
     /// The sentence, and below it the means that it is about.
-    pub(crate) fn table(&self, columns: usize) -> String {
+    pub fn table(&self, columns: usize) -> String {
         let judged = |error: f64, paper: f64| {
             format!("{} {}", milli(error), if error <= paper { "within" } else { "beyond" })
         };
@@ -80,8 +80,8 @@ impl Verdict {
 
 #[cfg(test)]
 mod tests {
-    use crate::commands::statistics::ErrorOf;
     use super::*;
+    use crate::statistics::ErrorOf;
 
     fn error(of: ErrorOf, min: f64, tail: f64) -> ErrorSummary {
         let spread = |mean| Spread { mean, std: 0.0, p50: mean, p90: mean, p99: mean };

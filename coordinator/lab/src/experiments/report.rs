@@ -9,16 +9,16 @@ use simulator::experiment::Recording;
 use simulator::robot::Robot;
 use store::provenance::Provenance;
 
-use crate::commands::statistics::{ErrorOf, Spread, Unit};
-use crate::commands::trained::PolicyIdentity;
 use super::Name;
+use crate::statistics::{ErrorOf, Spread, Unit};
+use crate::trained::PolicyIdentity;
 
 /// Words of ours that a file may hold.
-pub(crate) type Words = Cow<'static, str>;
+pub type Words = Cow<'static, str>;
 
 /// What an experiment found, and how; the form of its JSON.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Report<S, R> {
+pub struct Report<S, R> {
     pub(crate) experiment: Name,
     pub(crate) protocol: Protocol<S>,
     pub(crate) robot: RobotIdentity,
@@ -29,7 +29,7 @@ pub(crate) struct Report<S, R> {
 
 /// How it was done.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Protocol<S> {
+pub struct Protocol<S> {
     pub(crate) episodes: usize,
     pub(crate) steps: usize,
     pub(crate) seed: u64,
@@ -42,7 +42,7 @@ pub(crate) struct Protocol<S> {
 
 /// Which robot it was.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct RobotIdentity {
+pub struct RobotIdentity {
     pub(crate) name: String,
     /// BLAKE3 of its description as TOML.
     pub(crate) blake3: String,
@@ -57,7 +57,7 @@ impl RobotIdentity {
 
 /// A number over the steps of an episode, over several episodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct CourseOfMany {
+pub struct CourseOfMany {
     pub(crate) mean: Vec<f32>,
     pub(crate) p50: Vec<f32>,
     pub(crate) p90: Vec<f32>,
@@ -94,7 +94,7 @@ pub(crate) fn spread(values: impl Iterator<Item = f32>) -> Spread {
 
 /// An error of many episodes: the three numbers of each, and the course.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct ErrorOfMany {
+pub struct ErrorOfMany {
     /// What it is of.
     pub(crate) error: ErrorOf,
     /// What it is measured in.
@@ -165,7 +165,7 @@ impl ErrorOfMany {
 
 /// Whose goals an episode has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) enum Goals {
+pub enum Goals {
     /// The authors'.
     #[serde(rename = "the authors'")]
     Theirs,
@@ -185,7 +185,7 @@ impl fmt::Display for Goals {
 
 /// Errors of one episode, each axis, after every step (goal − actual): what a figure shows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Figure {
+pub struct Figure {
     /// Whose goals they are.
     pub(crate) goals: Goals,
     /// Hands, if the episode has goals for them.
@@ -196,7 +196,7 @@ pub(crate) struct Figure {
 
 /// A hand's part of a figure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct HandFigure {
+pub struct HandFigure {
     /// The arm, counted from 1.
     pub(crate) arm: usize,
     /// World axes (m).

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use clap::ValueEnum;
 use output::grouped;
 use proto::config::{Config, TaskName};
 use run::report::curve::Point;
@@ -18,7 +17,7 @@ use super::recorded::Recorded;
 const POINTS: usize = 300;
 
 /// What learning is drawn against.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Over {
     /// Env-steps trained on.
     EnvSteps,
@@ -164,7 +163,7 @@ impl Family {
     }
 
     /// What the cells of a [row](Self::row) are.
-    pub(crate) const HEADER: [&'static str; 9] = [
+    pub const HEADER: [&'static str; 9] = [
         "curve",
         "task",
         "runs",
@@ -177,7 +176,7 @@ impl Family {
     ];
 
     /// Where it ends, as a row of a table.
-    pub(crate) fn row(&self, over: Over) -> [String; 9] {
+    pub fn row(&self, over: Over) -> [String; 9] {
         let last = |values: &[[f64; 3]]| {
             values.last().map_or_else(String::new, |[low, mean, high]| {
                 format!("{mean:.1} ({low:.1} to {high:.1})")

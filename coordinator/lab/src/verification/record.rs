@@ -9,8 +9,7 @@ use run::precision;
 use serde::Deserialize;
 use serde_json::Value;
 use store::checkpoint::CheckpointStore;
-
-use crate::commands::{read_text, run_directory};
+use store::run_files::{read_text, run_directory};
 
 /// What a line of `metrics.jsonl` says about the training state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -26,7 +25,7 @@ pub(super) struct Iteration {
 
 /// A run, read whole and strictly: what cannot be compared is an error, never left out.
 #[derive(Debug)]
-pub(super) struct Record {
+pub struct Record {
     /// Its directory.
     pub(super) path: PathBuf,
     /// Its iterations, in order.
@@ -42,7 +41,7 @@ pub(super) struct Record {
 
 impl Record {
     /// Reads the run at `path`.
-    pub(super) fn read(path: &Path) -> Result<Self, ExitError> {
+    pub fn read(path: &Path) -> Result<Self, ExitError> {
         let run_dir = run_directory(path)?;
         let iterations = read_iterations(&run_dir.metrics_jsonl(), 0)?;
         if iterations.is_empty() {

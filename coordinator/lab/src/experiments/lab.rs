@@ -22,16 +22,16 @@ use {
     store::checkpoint::{Checkpoint, Manifest},
 };
 
-use crate::cli::experiment::CommonArgs;
-use crate::commands::eval::Reach;
-use crate::commands::trained::{PolicyIdentity, Trained, open_checkpoint};
-use crate::threads::Threads;
+use super::common::Common;
 use super::report::{Protocol, Report, RobotIdentity};
 use super::{Experiment, Name};
+use crate::evaluation::Reach;
+use crate::threads::Threads;
+use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Needs {
+pub enum Needs {
     /// One of the two, or both.
     Any,
     /// The one for the base.
@@ -42,7 +42,7 @@ pub(crate) enum Needs {
 
 /// What an experiment is made with.
 #[derive(Debug)]
-pub(crate) struct Lab {
+pub struct Lab {
     /// The policies, trajectory first; those that the experiment needs and that were given.
     policies: Vec<Trained>,
     /// The robot of all of them.
@@ -67,7 +67,7 @@ fn flag(task: TaskName) -> &'static str {
 
 impl Lab {
     /// Opens what an experiment's command line names.
-    pub(crate) fn new<E: Experiment>(experiment: &E) -> anyhow::Result<Self> {
+    pub fn new<E: Experiment>(experiment: &E) -> anyhow::Result<Self> {
         let (args, needs) = (experiment.common(), E::NEEDS);
         let usage = |message: String| ExitError::new(ExitCode::Usage, message);
         let tasks: &[TaskName] = match needs {
@@ -78,7 +78,7 @@ impl Lab {
             let message = "--trajectory has no meaning here: this experiment turns the base";
             return Err(usage(message.to_owned()).into());
         }
-        let load = |name| crate::commands::load_fit_robot(name, &StepOptions::default());
+        let load = |name| run::robots::load_fit_robot(name, &StepOptions::default());
         let robot = args.robot.as_deref().map(load).transpose()?;
         let mut policies = Vec::new();
         for &task in tasks {
@@ -171,7 +171,7 @@ impl Lab {
     }
 
     /// The policies, trajectory first.
-    pub(crate) fn policies(&self) -> &[Trained] {
+    pub fn policies(&self) -> &[Trained] {
         &self.policies
     }
 
@@ -243,7 +243,7 @@ impl Lab {
     }
 
     /// Nothing more is played: the terminal is free.
-    pub(crate) fn end(&self) {
+    pub fn end(&self) {
         self.progress.end();
     }
 
@@ -283,7 +283,7 @@ impl Lab {
 }
 
 /// Where the policy of a task is: its own option first, then its place in the directory of all.
-fn place(args: &CommonArgs, task: TaskName, needs: Needs) -> Option<PathBuf> {
+fn place(args: &Common, task: TaskName, needs: Needs) -> Option<PathBuf> {
     let own = match task {
         TaskName::Trajectory => &args.trajectory,
         TaskName::Reorientation => &args.reorientation,

@@ -1,5 +1,6 @@
 //! Some arms reach while the others hold the base.
 
+use std::ffi::OsString;
 use std::fmt;
 
 use proto::config::TaskName;
@@ -8,11 +9,12 @@ use serde::{Deserialize, Serialize};
 use simulator::env::step_options;
 use simulator::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
 
-use crate::cli::experiment::{CommonArgs, ReassemblyArgs};
-use crate::commands::statistics::milli;
+use super::command_line::option;
+use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report};
 use super::{Experiment, Name};
+use crate::statistics::milli;
 
 /// The players, in the order of a trial's.
 const REACHES: usize = 0;
@@ -23,7 +25,7 @@ const SECOND_FROM: usize = 70;
 /// What a stage is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum StageName {
+pub enum StageName {
     /// One arm reaches.
     Single,
     /// Two do, one after the other.
@@ -65,7 +67,7 @@ const STAGES: [Stage; 2] = [
 
 /// What a stage led to.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Staged {
+pub struct Staged {
     pub(crate) stage: StageName,
     pub(crate) goals: Goals,
     episodes: usize,
@@ -81,7 +83,7 @@ pub(crate) struct Staged {
 
 /// The stages, and how far actions reach in them.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Settings {
+pub struct Settings {
     action_scale: ActionScale,
     /// In their order.
     pub(crate) stages: Vec<StageGoals>,
@@ -96,7 +98,7 @@ struct ActionScale {
 
 /// The authors' goals of a stage.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct StageGoals {
+pub struct StageGoals {
     stage: StageName,
     base_goal_rad: [f64; 3],
     /// Of the reaching arms.
@@ -105,7 +107,7 @@ pub(crate) struct StageGoals {
 
 /// The goal of a hand.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct HandGoal {
+pub struct HandGoal {
     /// Counted from 1.
     arm: usize,
     from_step: usize,
@@ -113,14 +115,34 @@ pub(crate) struct HandGoal {
     pub(crate) goal: [f64; 6],
 }
 
-impl Experiment for ReassemblyArgs {
+/// What is asked of the experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Study {
+    /// Policies, robot, episodes.
+    pub common: Common,
+    /// Factor from the actions of all arms to their commands; each policy's own if none is given.
+    pub action_scale: Option<f64>,
+}
+
+impl Default for Study {
+    /// As in the paper, and as far as it tells.
+    fn default() -> Self {
+        Self { common: Common::default(), action_scale: None }
+    }
+}
+
+impl Experiment for Study {
     const NAME: Name = Name::Reassembly;
     const NEEDS: Needs = Needs::Both;
     type Settings = Settings;
     type Result = Staged;
 
-    fn common(&self) -> &CommonArgs {
+    fn common(&self) -> &Common {
         &self.common
+    }
+
+    fn options(&self) -> Vec<OsString> {
+        self.action_scale.map(|scale| option("--action-scale", scale)).into_iter().collect()
     }
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {

@@ -1,18 +1,21 @@
 //! Errors against noise, disturbing torques, delay and mass of the arms.
 
+use std::ffi::OsString;
+
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 use simulator::evaluate::Evaluation;
 use simulator::experiment::{Effect, Intervention, SensorNoise};
 
-use crate::cli::experiment::{Amounts, CommonArgs, NoiseArgs};
-use crate::commands::eval::{ErrorSummary, Success, Summary};
-use crate::commands::statistics::{milli, percent};
-use crate::commands::trained::Trained;
+use super::command_line::list_option;
+use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{Report, Words};
 use super::{Experiment, Name};
+use crate::evaluation::{ErrorSummary, Success, Summary};
+use crate::statistics::{milli, percent};
+use crate::trained::Trained;
 
 /// Standard deviations of sensors of strength 1: 1 mm, 1 mrad, 1 mm/s, 1 mrad/s.
 const UNIT: f64 = 1e-3;
@@ -22,7 +25,7 @@ const MAX_DELAY: f64 = 100.0;
 /// What is made worse.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Quantity {
+pub enum Quantity {
     /// Strength of the sensors' errors.
     Sensors,
     /// Standard deviation of torques at the joints (N m).
@@ -35,7 +38,7 @@ pub(crate) enum Quantity {
 
 /// Errors at one strength.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Point {
+pub struct Point {
     pub(crate) task: TaskName,
     pub(crate) quantity: Quantity,
     pub(crate) strength: f64,
@@ -49,7 +52,7 @@ pub(crate) struct Point {
 
 /// What is made worse, and by how much.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Settings {
+pub struct Settings {
     sensors: Sensors,
     joint_torque: Words,
     delay: Words,
@@ -59,7 +62,7 @@ pub(crate) struct Settings {
 
 /// Errors of sensors of strength 1.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-struct Sensors {
+pub struct Sensors {
     position_m: f64,
     angle_rad: f64,
     velocity_m_s: f64,
@@ -69,49 +72,86 @@ struct Sensors {
 
 /// The strengths of a quantity.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-struct Sweep {
+pub struct Sweep {
     quantity: Quantity,
     strengths: Vec<f64>,
 }
 
-impl NoiseArgs {
-    fn sweeps(&self) -> [(Quantity, &Amounts); 4] {
+/// What is asked of the experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Study {
+    /// Policies, robot, episodes.
+    pub common: Common,
+    /// Strengths of the sensors' errors.
+    pub sensors: Vec<f64>,
+    /// Standard deviations of the joints' torques (N m).
+    pub torques: Vec<f64>,
+    /// Control steps that commands come late.
+    pub delays: Vec<f64>,
+    /// Multiples of the arms' mass.
+    pub arm_masses: Vec<f64>,
+}
+
+impl Default for Study {
+    /// As in the paper, and as far as it tells.
+    fn default() -> Self {
+        Self {
+            common: Common::default(),
+            sensors: vec![0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0],
+            torques: vec![0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0],
+            delays: vec![0.0, 1.0, 2.0],
+            arm_masses: vec![0.5, 0.75, 1.0, 1.5, 2.0, 3.0],
+        }
+    }
+}
+
+impl Study {
+    fn sweeps(&self) -> [(Quantity, &[f64]); 4] {
         [
-            (Quantity::Sensors, &self.sensors),
-            (Quantity::JointTorque, &self.torques),
-            (Quantity::Delay, &self.delays),
-            (Quantity::ArmMass, &self.arm_masses),
+            (Quantity::Sensors, &self.sensors[..]),
+            (Quantity::JointTorque, &self.torques[..]),
+            (Quantity::Delay, &self.delays[..]),
+            (Quantity::ArmMass, &self.arm_masses[..]),
         ]
     }
 }
 
-impl Experiment for NoiseArgs {
+impl Experiment for Study {
     const NAME: Name = Name::Noise;
     const NEEDS: Needs = Needs::Any;
     type Settings = Settings;
     type Result = Point;
 
-    fn common(&self) -> &CommonArgs {
+    fn common(&self) -> &Common {
         &self.common
+    }
+
+    fn options(&self) -> Vec<OsString> {
+        vec![
+            list_option("--sensors", &self.sensors),
+            list_option("--torques", &self.torques),
+            list_option("--delays", &self.delays),
+            list_option("--arm-masses", &self.arm_masses),
+        ]
     }
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
         let usage = |message: String| Err(ExitError::new(ExitCode::Usage, message).into());
         let whole = |delay: &f64| delay.fract() == 0.0 && *delay <= MAX_DELAY;
-        if let Some(delay) = self.delays.0.iter().find(|delay| !whole(delay)) {
+        if let Some(delay) = self.delays.iter().find(|delay| !whole(delay)) {
             return usage(format!(
                 "--delays: {delay} is no whole number of steps up to {MAX_DELAY}"
             ));
         }
-        if self.arm_masses.0.contains(&0.0) {
+        if self.arm_masses.contains(&0.0) {
             return usage("--arm-masses: arms have a mass; leave 0 out".to_owned());
         }
-        for &factor in &self.arm_masses.0 {
+        for &factor in &self.arm_masses {
             lab.check_fit(&lab.robot.with_arm_mass(factor)?, &format!("--arm-masses {factor:?}"))?;
         }
-        let sweep = |(quantity, strengths): (Quantity, &Amounts)| Sweep {
+        let sweep = |(quantity, strengths): (Quantity, &[f64])| Sweep {
             quantity,
-            strengths: strengths.0.clone(),
+            strengths: strengths.to_vec(),
         };
         Ok(Settings {
             sensors: Sensors {
@@ -130,7 +170,7 @@ impl Experiment for NoiseArgs {
     }
 
     fn work(&self, lab: &Lab) -> u64 {
-        let points: usize = self.sweeps().iter().map(|(_, strengths)| strengths.0.len()).sum();
+        let points: usize = self.sweeps().iter().map(|(_, strengths)| strengths.len()).sum();
         lab.work(lab.policies().len() * points, 0)
     }
 
@@ -138,7 +178,7 @@ impl Experiment for NoiseArgs {
         let mut results = Vec::new();
         for policy in lab.policies() {
             for (quantity, strengths) in self.sweeps() {
-                for &strength in &strengths.0 {
+                for &strength in strengths {
                     results.push(measure(lab, policy, quantity, strength)?);
                 }
             }

@@ -6,13 +6,13 @@
 use proto::config::TaskName;
 use serde::Serialize;
 
-use crate::commands::eval::Summary;
-use crate::commands::experiment::Name;
-use crate::commands::experiment::arm_failure::Failure;
-use crate::commands::experiment::disturbance::Disturbance;
-use crate::commands::experiment::report::Goals;
-use crate::commands::statistics::{ErrorOf, Spread, Unit, thousandths};
 use super::Reports;
+use crate::evaluation::Summary;
+use crate::experiments::Name;
+use crate::experiments::arm_failure::Failure;
+use crate::experiments::disturbance::Disturbance;
+use crate::experiments::report::Goals;
+use crate::statistics::{ErrorOf, Spread, Unit, thousandths};
 
 /// Share of episodes that a mass must bring within [`MASS_THRESHOLD`], as the paper says of most masses.
 pub(super) const MASS_SHARE: f64 = 0.9;
@@ -21,7 +21,7 @@ pub(super) const MASS_THRESHOLD: f64 = 0.05;
 
 /// One of the paper's claims.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Claim {
+pub struct Claim {
     /// Where its numbers come from.
     pub(super) experiment: Name,
     /// What it is about.
@@ -248,20 +248,23 @@ fn reassembly(reports: &Reports) -> Vec<Claim> {
 
 /// How many claims hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Tally {
-    pub(super) hold: usize,
-    pub(super) of: usize,
+pub struct Tally {
+    /// Claims that hold.
+    pub hold: usize,
+    /// All claims.
+    pub of: usize,
     not_judged: usize,
 }
 
 impl Tally {
-    pub(super) fn of(claims: &[Claim]) -> Self {
+    /// Counts.
+    pub fn of(claims: &[Claim]) -> Self {
         let count = |holds| claims.iter().filter(|claim| claim.holds == holds).count();
         Self { hold: count(Some(true)), of: claims.len(), not_judged: count(None) }
     }
 
     /// How many claims say nothing about this robot; empty if all are judged.
-    pub(super) fn not_judged(self) -> String {
+    pub fn not_judged(self) -> String {
         match self.not_judged {
             0 => String::new(),
             n => format!(", {n} not judged"),
@@ -270,7 +273,7 @@ impl Tally {
 }
 
 /// The claims as a person reads them.
-pub(super) fn table(columns: usize, claims: &[Claim]) -> String {
+pub fn table(columns: usize, claims: &[Claim]) -> String {
     let rows = claims.iter().map(|claim| {
         let strict = claim.stricter.iter().map(|stricter| claim.paper.show(stricter.value));
         [

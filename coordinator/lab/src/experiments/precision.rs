@@ -1,41 +1,54 @@
 //! How near hands and base come to held-out goals.
 
+use std::ffi::OsString;
+
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
 use simulator::evaluate::Evaluation;
 use simulator::experiment::TAIL_STEPS;
 
+use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Report, Words};
 use super::{Experiment, Name};
-use crate::cli::experiment::{CommonArgs, PrecisionArgs};
-use crate::commands::eval::Summary;
-use crate::commands::trained::Trained;
+use crate::evaluation::Summary;
+use crate::trained::Trained;
 
 /// What precision is measured with.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Settings {
+pub struct Settings {
     goals: Words,
     tail_steps: usize,
 }
 
 /// The precision of one policy.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Precision {
+pub struct Precision {
     /// As `octopus eval --json` prints it.
     pub(crate) summary: Summary,
     /// Every hand's errors, or the base's, with their courses.
     pub(crate) errors: Vec<ErrorOfMany>,
 }
 
-impl Experiment for PrecisionArgs {
+/// What is asked of the experiment.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Study {
+    /// Policies, robot, episodes.
+    pub common: Common,
+}
+
+impl Experiment for Study {
     const NAME: Name = Name::Precision;
     const NEEDS: Needs = Needs::Any;
     type Settings = Settings;
     type Result = Precision;
 
-    fn common(&self) -> &CommonArgs {
+    fn common(&self) -> &Common {
         &self.common
+    }
+
+    fn options(&self) -> Vec<OsString> {
+        Vec::new()
     }
 
     fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {

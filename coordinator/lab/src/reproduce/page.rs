@@ -7,17 +7,15 @@ use output::grouped;
 use simulator::robot::Robot;
 use store::provenance::{Provenance, utc};
 
-use crate::cli::experiment::{
-    ArmFailureArgs, BaseMassArgs, DisturbanceArgs, NoiseArgs, PrecisionArgs, ReassemblyArgs,
-};
-use crate::commands::experiment::report::{Goals, Report};
-use crate::commands::experiment::{Experiment, Name, ReportOf};
-use crate::commands::trained::PolicyIdentity;
+use super::claims::{Claim, Tally, verdict};
+use super::{GENERATOR, Reports, drawing, figures};
+use crate::experiments::report::{Goals, Report};
+use crate::experiments::{Experiment, Name, ReportOf};
+use crate::experiments::{arm_failure, base_mass, disturbance, noise, precision, reassembly};
 use crate::figures::families::{Family, Over, families};
 use crate::figures::learning::learning as learning_curves;
 use crate::figures::recorded::Recorded;
-use super::claims::{Claim, Tally, verdict};
-use super::{GENERATOR, Reports, drawing, figures};
+use crate::trained::PolicyIdentity;
 
 /// What the page shows.
 pub(super) struct Content<'a> {
@@ -37,7 +35,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
     let sections = [
         precision(content)?,
         disturbance(content)?,
-        section::<ArmFailureArgs>(
+        section::<arm_failure::Study>(
             content,
             "One arm failed",
             &reports.arm_failure,
@@ -46,7 +44,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
                     one episode with the authors' goal, then all held-out goals."))
             },
         ),
-        section::<BaseMassArgs>(
+        section::<base_mass::Study>(
             content,
             "Other masses of the base",
             &reports.base_mass,
@@ -56,7 +54,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             },
         ),
         reassembly(content)?,
-        section::<NoiseArgs>(
+        section::<noise::Study>(
             content,
             "Noise, delay and mass of the arms",
             &reports.noise,
@@ -214,7 +212,7 @@ fn precision(content: &Content<'_>) -> anyhow::Result<Markup> {
         (figure(&figures::courses(reports)?, "Median errors over time; the control period is 0.4 s, which the paper's figures count as 0.1 s."))
     };
     let title = "Precision";
-    Ok(section::<PrecisionArgs>(content, title, &reports.precision, &figures))
+    Ok(section::<precision::Study>(content, title, &reports.precision, &figures))
 }
 
 fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
@@ -231,7 +229,7 @@ fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
     };
     let title = "Disturbance";
     let report = &reports.disturbance;
-    Ok(section::<DisturbanceArgs>(content, title, report, &figures))
+    Ok(section::<disturbance::Study>(content, title, report, &figures))
 }
 
 fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
@@ -258,7 +256,7 @@ fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
             second row arm 3 joins from step 70 on."))
         @for stage in &stages { (stage) }
     };
-    Ok(section::<ReassemblyArgs>(content, "Reassembly", report, &figures))
+    Ok(section::<reassembly::Study>(content, "Reassembly", report, &figures))
 }
 
 fn learning(curves: &[Recorded]) -> anyhow::Result<Markup> {

@@ -1,41 +1,50 @@
-//! `octopus experiment`: the paper's experiments, one file each.
+//! The paper's experiments, one file each.
 //!
-//! An `Experiment` is what its command line asks for. `perform` makes a `Report` of it, which is what `octopus experiment` prints and
-//! what `octopus reproduce` writes and draws.
+//! A `Study` is what is asked of an [`Experiment`]. [`perform`] makes a [`Report`] of it, which is what `octopus experiment` prints
+//! and what `octopus reproduce` writes and draws.
 
-pub(crate) mod arm_failure;
-pub(crate) mod base_mass;
-pub(crate) mod disturbance;
-pub(crate) mod lab;
-pub(crate) mod noise;
-pub(crate) mod precision;
-pub(crate) mod reassembly;
-pub(crate) mod report;
+pub mod arm_failure;
+pub mod base_mass;
+pub mod command_line;
+pub mod common;
+pub mod disturbance;
+pub mod lab;
+pub mod noise;
+pub mod precision;
+pub mod reassembly;
+pub mod report;
 
+use std::ffi::OsString;
 use std::fmt;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::cli::experiment::{CommonArgs, ExperimentArgs, ExperimentCommand};
+use self::common::Common;
 use self::lab::{Lab, Needs};
 use self::report::Report;
 
 /// What an experiment is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(crate) enum Name {
+pub enum Name {
+    /// How near hands and base come to held-out goals.
     Precision,
+    /// What a disturbance does, and how soon it is over.
     Disturbance,
+    /// Turning the base with an arm held or limp.
     ArmFailure,
+    /// Turning bases of other masses.
     BaseMass,
+    /// Some arms reach while the others hold the base.
     Reassembly,
+    /// Errors against noise, disturbing torques, delay and mass of the arms.
     Noise,
 }
 
 impl Name {
     /// All of them.
-    pub(crate) const ALL: [Self; 6] = [
+    pub const ALL: [Self; 6] = [
         Self::Precision,
         Self::Disturbance,
         Self::ArmFailure,
@@ -45,7 +54,7 @@ impl Name {
     ];
 
     /// As on the command line.
-    pub(crate) fn as_str(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Precision => "precision",
             Self::Disturbance => "disturbance",
@@ -64,7 +73,7 @@ impl fmt::Display for Name {
 }
 
 /// One of the paper's experiments, with the options it was asked for with.
-pub(crate) trait Experiment {
+pub trait Experiment {
     /// What it is called.
     const NAME: Name;
     /// Which policies it needs.
@@ -77,7 +86,16 @@ pub(crate) trait Experiment {
     type Result: fmt::Debug + Serialize + DeserializeOwned;
 
     /// The options that all share.
-    fn common(&self) -> &CommonArgs;
+    fn common(&self) -> &Common;
+
+    /// Its own options on the command line of `octopus experiment`.
+    fn options(&self) -> Vec<OsString>;
+
+    /// The command that does it, word by word.
+    fn command(&self) -> Vec<OsString> {
+        let command = ["octopus", "experiment", Self::NAME.as_str()].map(OsString::from);
+        command.into_iter().chain(self.common().options()).chain(self.options()).collect()
+    }
 
     /// Its settings in a lab.
     ///
@@ -96,32 +114,10 @@ pub(crate) trait Experiment {
 }
 
 /// What an experiment's report holds.
-pub(crate) type ReportOf<E> = Report<<E as Experiment>::Settings, <E as Experiment>::Result>;
-
-/// Runs one and prints.
-pub fn run(args: &ExperimentArgs) -> anyhow::Result<()> {
-    match &args.command {
-        ExperimentCommand::Precision(args) => print(args),
-        ExperimentCommand::Disturbance(args) => print(args),
-        ExperimentCommand::ArmFailure(args) => print(args),
-        ExperimentCommand::BaseMass(args) => print(args),
-        ExperimentCommand::Reassembly(args) => print(args),
-        ExperimentCommand::Noise(args) => print(args),
-    }
-}
-
-fn print<E: Experiment>(experiment: &E) -> anyhow::Result<()> {
-    let lab = Lab::new(experiment)?;
-    let report = perform(experiment, &lab)?;
-    lab.end();
-    if experiment.common().json {
-        return output::json(&report);
-    }
-    output::line(&E::table(output::columns(), &report))
-}
+pub type ReportOf<E> = Report<<E as Experiment>::Settings, <E as Experiment>::Result>;
 
 /// Does an experiment in a lab that was made for it.
-pub(crate) fn perform<E: Experiment>(experiment: &E, lab: &Lab) -> anyhow::Result<ReportOf<E>> {
+pub fn perform<E: Experiment>(experiment: &E, lab: &Lab) -> anyhow::Result<ReportOf<E>> {
     let settings = experiment.settings(lab)?;
     let results = experiment.measure(lab)?;
     Ok(lab.report(E::NAME, settings, results))

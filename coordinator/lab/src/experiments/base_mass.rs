@@ -1,18 +1,21 @@
 //! Turning bases of other masses.
 
+use std::ffi::OsString;
+
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 
-use crate::cli::experiment::{BaseMassArgs, CommonArgs};
-use crate::commands::statistics::milli;
+use super::command_line::list_option;
+use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Report, Words, share};
 use super::{Experiment, Name};
+use crate::statistics::milli;
 
 /// How well a base of some mass turns.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Weighed {
+pub struct Weighed {
     /// Of the cube (kg).
     pub(crate) mass: f64,
     /// Of the whole robot (kg).
@@ -24,7 +27,7 @@ pub(crate) struct Weighed {
 
 /// What bases are turned, and what counts.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Settings {
+pub struct Settings {
     /// Attitude errors that count as reached (rad).
     pub(crate) thresholds_rad: Vec<f64>,
     /// Masses of the cube (kg).
@@ -32,7 +35,31 @@ pub(crate) struct Settings {
     mass: Words,
 }
 
-impl Experiment for BaseMassArgs {
+/// What is asked of the experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Study {
+    /// Policies, robot, episodes.
+    pub common: Common,
+    /// Masses of the cube (kg).
+    pub masses: Vec<f64>,
+    /// Attitude errors that count as reached (rad).
+    pub thresholds: Vec<f64>,
+}
+
+impl Default for Study {
+    /// As in the paper, and as far as it tells.
+    fn default() -> Self {
+        Self {
+            common: Common::default(),
+            masses: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0]
+                .map(|hundreds| 100.0 * hundreds)
+                .into(),
+            thresholds: vec![0.01, 0.02, 0.03, 0.05, 0.1],
+        }
+    }
+}
+
+impl Experiment for Study {
     const NAME: Name = Name::BaseMass;
     const NEEDS: Needs = Needs::Reorientation;
     /// As in the released protocol.
@@ -40,30 +67,34 @@ impl Experiment for BaseMassArgs {
     type Settings = Settings;
     type Result = Weighed;
 
-    fn common(&self) -> &CommonArgs {
+    fn common(&self) -> &Common {
         &self.common
+    }
+
+    fn options(&self) -> Vec<OsString> {
+        vec![list_option("--masses", &self.masses), list_option("--thresholds", &self.thresholds)]
     }
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
         let usage = |message: &str| Err(ExitError::new(ExitCode::Usage, message.to_owned()).into());
-        if self.masses.0.contains(&0.0) {
+        if self.masses.contains(&0.0) {
             return usage("--masses: a base without mass has no inertia; leave 0 out");
         }
-        if self.thresholds.0.contains(&0.0) {
+        if self.thresholds.contains(&0.0) {
             return usage("--thresholds: no error is below 0; leave it out");
         }
-        for &mass in &self.masses.0 {
+        for &mass in &self.masses {
             lab.check_fit(&lab.robot.with_base_mass(mass)?, &format!("--masses {mass:?}"))?;
         }
         Ok(Settings {
-            thresholds_rad: self.thresholds.0.clone(),
-            masses_kg: self.masses.0.clone(),
+            thresholds_rad: self.thresholds.clone(),
+            masses_kg: self.masses.clone(),
             mass: "of the base's first box; its inertia scales along".into(),
         })
     }
 
     fn work(&self, lab: &Lab) -> u64 {
-        lab.work(self.masses.0.len(), 0)
+        lab.work(self.masses.len(), 0)
     }
 
     fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Weighed>> {
@@ -80,10 +111,10 @@ impl Experiment for BaseMassArgs {
                 mass,
                 total_mass: robot.total_mass(),
                 error: ErrorOfMany::base(&recording),
-                success: self.thresholds.0.iter().map(reached).collect(),
+                success: self.thresholds.iter().map(reached).collect(),
             })
         };
-        self.masses.0.iter().map(measure).collect()
+        self.masses.iter().map(measure).collect()
     }
 
     fn table(columns: usize, report: &Report<Settings, Weighed>) -> String {

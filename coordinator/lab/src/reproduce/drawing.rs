@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use simulator::experiment::Skeleton;
 use simulator::robot::Robot;
 
-use crate::commands::experiment::reassembly::{StageGoals, Staged};
+use crate::experiments::reassembly::{StageGoals, Staged};
 
 /// Direction from which it is seen: turned from the x axis, and above the horizon (rad).
 const AZIMUTH: f64 = 0.62;

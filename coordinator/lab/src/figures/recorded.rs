@@ -11,9 +11,9 @@ use run::report::row::Row;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use store::jsonl;
+use store::run_files::{read_config, run_directory};
 use store::{files, regular};
 
-use crate::commands::{read_config, run_directory};
 use super::families::learn_alike;
 
 /// Points that a file keeps of a curve, at most.
@@ -123,7 +123,7 @@ fn check_rows<R: Row>(rows: &[R]) -> Result<(), String> {
 
 /// The curves of run directories and of files that [`write`] made, each training once; and what is to be said of those
 /// that were given twice.
-pub(crate) fn read_all(paths: &[PathBuf]) -> anyhow::Result<(Vec<Recorded>, Vec<String>)> {
+pub fn read_all(paths: &[PathBuf]) -> anyhow::Result<(Vec<Recorded>, Vec<String>)> {
     let mut curves: Vec<Recorded> = Vec::new();
     let mut notes = Vec::new();
     let mut places = Vec::new();
@@ -181,7 +181,7 @@ pub fn parse(bytes: &[u8]) -> Result<Vec<Recorded>, String> {
 }
 
 /// Writes curves into one file, thinned out and rounded.
-pub(crate) fn write(path: &Path, curves: &[Recorded]) -> anyhow::Result<()> {
+pub fn write(path: &Path, curves: &[Recorded]) -> anyhow::Result<()> {
     let small = |curve: &Recorded| {
         let points = shortened(&thin_out(&curve.points, POINTS));
         Recorded { points, held_out: shortened(&curve.held_out), ..curve.clone() }

@@ -4,11 +4,11 @@ use proto::config::TaskName;
 
 use super::Reports;
 use super::claims::{MASS_SHARE, MASS_THRESHOLD};
-use crate::commands::experiment::disturbance::{Disturbance, Disturbed};
-use crate::commands::experiment::noise::Quantity;
-use crate::commands::experiment::report::{ErrorOfMany, Figure, Goals};
-use crate::commands::statistics::ErrorOf;
+use crate::experiments::disturbance::{Disturbance, Disturbed};
+use crate::experiments::noise::Quantity;
+use crate::experiments::report::{ErrorOfMany, Figure, Goals};
 use crate::figures::panels::{Axis, COLORS, Item, Panel, Quantiles, line, render};
+use crate::statistics::ErrorOf;
 
 const STEP: &str = "control step";
 
