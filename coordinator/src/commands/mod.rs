@@ -30,8 +30,8 @@ use channels::Domain;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
-use simulator::dynamics::StepOptions;
 use simulator::robot::{Robot, RobotError};
+use simulator::step::StepOptions;
 
 use crate::cli::{Command, JanitorArgs};
 use run::janitor;

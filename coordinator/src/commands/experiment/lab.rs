@@ -6,12 +6,12 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use simulator::dynamics::StepOptions;
 use simulator::env::step_options;
 use simulator::evaluate::{Evaluation, EvaluationOptions};
 use simulator::experiment::{CHUNK, Pose, Recording, Trial, play};
 use simulator::reach::within_reach;
 use simulator::robot::Robot;
+use simulator::step::StepOptions;
 
 #[cfg(test)]
 use {

@@ -14,7 +14,7 @@ use std::f64::consts::PI;
 use proto::config::Start;
 use proto::rng::{Address, Purpose};
 
-use super::Physics;
+use crate::env::Physics;
 use crate::robot::{JOINTS_PER_ARM, Robot};
 use crate::scalar::Real;
 use crate::spatial::quaternion_exp;
@@ -98,8 +98,8 @@ pub(super) fn scatter<S: Real>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::StepOptions;
     use crate::spatial::quaternion_to_rotation;
+    use crate::step::StepOptions;
 
     const START: Start = Start { share: 0.5, joints: 1.0, attitude: 0.4, anywhere: 0.0 };
 

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use proto::layout::{BlockLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
 
-use super::Extremes;
+use super::extremes::Extremes;
 use crate::scalar::{LANES, Real};
 use crate::task::Errors;
 

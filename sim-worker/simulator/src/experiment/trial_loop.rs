@@ -5,13 +5,13 @@ use proto::layout::JOINTS_PER_AGENT;
 use super::intervention::Lanes;
 use super::recording::record;
 use super::{Player, SensorNoise, Trial};
-use crate::dynamics::Disturbance;
 use crate::env::{EpisodeError, Physics, check_means, check_state};
 use crate::policy::Scratch;
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::{LaneFn, Real};
 use crate::state::State;
+use crate::step::Disturbance;
 use crate::task::goal::GoalAddress;
 use crate::task::observation::observe;
 use crate::task::{Errors, Goals, Readings};
@@ -42,23 +42,23 @@ struct Group<S: Real> {
     waiting: Vec<Vec<S>>,
 }
 
-/// What a player sees and says.
-struct Mind<S: Real> {
+/// What a player sees and says, and room for its networks.
+struct PlayerScratch<S: Real> {
     /// Shape: `[P][group][agent of the actor][O]`.
     observations: Vec<S>,
     /// Shape: `[group][agent of the actor][U]`.
     means: Vec<S>,
-    scratch: Scratch<S>,
+    inference: Scratch<S>,
 }
 
-impl<S: Real> Mind<S> {
+impl<S: Real> PlayerScratch<S> {
     fn new(player: &Player<'_>, n_groups: usize) -> Self {
         let dimensions = &player.world.dimensions;
         let input = dimensions.n_actors * n_groups * dimensions.actor_input();
         Self {
             observations: vec![S::zero(); input],
             means: vec![S::zero(); n_groups * dimensions.actor_output()],
-            scratch: Scratch::new(player.policy, n_groups),
+            inference: Scratch::new(player.policy, n_groups),
         }
     }
 }
@@ -112,8 +112,8 @@ impl LaneFn for Play<'_, '_> {
             })
             .collect();
         let limits: Vec<S> = task.action_limit.iter().map(|&limit| S::splat(limit)).collect();
-        let mut minds: Vec<Mind<S>> =
-            players.iter().map(|player| Mind::new(player, n_groups)).collect();
+        let mut scratches: Vec<PlayerScratch<S>> =
+            players.iter().map(|player| PlayerScratch::new(player, n_groups)).collect();
         let mut drawn = vec![S::zero(); SensorNoise::draws(n_arms)];
         let mut disturbance = Disturbance::none(n_arms);
         let undisturbed = disturbance.clone();
@@ -149,7 +149,7 @@ impl LaneFn for Play<'_, '_> {
                 } else {
                     (&group.readings, &group.errors)
                 };
-                for (player, mind) in minds.iter_mut().enumerate() {
+                for (player, scratch) in scratches.iter_mut().enumerate() {
                     let World { task, dimensions, .. } = players[player].world;
                     let (o, agents_per_actor) =
                         (dimensions.observation, dimensions.agents_per_actor());
@@ -157,7 +157,7 @@ impl LaneFn for Play<'_, '_> {
                         for part in 0..agents_per_actor {
                             let agent = actor * agents_per_actor + part;
                             let at = ((actor * n_groups + index) * agents_per_actor + part) * o;
-                            let out = &mut mind.observations[at..at + o];
+                            let out = &mut scratch.observations[at..at + o];
                             observe(task, seen, &group.goals, errors, agent, out);
                         }
                     }
@@ -171,14 +171,14 @@ impl LaneFn for Play<'_, '_> {
                 // Of arms that nobody moves.
                 group.action.fill(S::zero());
             }
-            for (player, mind) in minds.iter_mut().enumerate() {
+            for (player, scratch) in scratches.iter_mut().enumerate() {
                 let Player { world: World { dimensions, .. }, policy, .. } = players[player];
                 let agents_per_actor = dimensions.agents_per_actor();
                 let (input, output) = (dimensions.actor_input(), dimensions.actor_output());
                 for actor in phase.actors(player, dimensions) {
                     let of_actor = actor * n_groups * input..(actor + 1) * n_groups * input;
-                    let seen = &mind.observations[of_actor];
-                    policy.mean(actor, seen, &mut mind.scratch, &mut mind.means);
+                    let seen = &scratch.observations[of_actor];
+                    policy.mean(actor, seen, &mut scratch.inference, &mut scratch.means);
                     for part in 0..agents_per_actor {
                         let agent = actor * agents_per_actor + part;
                         if !phase.moves(player, agent) {
@@ -186,7 +186,7 @@ impl LaneFn for Play<'_, '_> {
                         }
                         for (index, group) in groups.iter_mut().enumerate() {
                             let at = index * output + part * JOINTS_PER_AGENT;
-                            let mean = &mind.means[at..at + JOINTS_PER_AGENT];
+                            let mean = &scratch.means[at..at + JOINTS_PER_AGENT];
                             let env = first + (index * S::LANES) as u32;
                             if let Err(error) = check_means(mean, env, step, agent) {
                                 let Group { state, goals, command, .. } = group;

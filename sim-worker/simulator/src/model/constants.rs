@@ -2,8 +2,8 @@
 
 use nalgebra::Matrix3;
 
-use super::{JOINTS_PER_ARM, RigidBody, Robot, is_rotation};
-use crate::collision::{CollisionModel, ContactKind};
+use super::collision::{CollisionModel, ContactKind};
+use crate::robot::{JOINTS_PER_ARM, RigidBody, Robot, is_rotation};
 use crate::scalar::Real;
 use crate::spatial::{Mat3, Vec3};
 
@@ -85,9 +85,9 @@ pub(crate) struct ArmModel<S> {
     pub(crate) permutation: Option<SignedPermutation<S>>,
 }
 
-/// A joint interval in which a pair touches (see [`Stop`](super::Stop)).
+/// A joint interval in which a pair touches (see [`AngleContact`](crate::robot::AngleContact)).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct StopModel<S> {
+pub(crate) struct AngleContactModel<S> {
     pub(crate) joint: usize,
     pub(crate) centre: S,
     pub(crate) half: S,
@@ -98,7 +98,7 @@ pub(crate) struct StopModel<S> {
 }
 
 /// A robot's constants in scalar `S`, shared by everything that simulates it; scratch memory is a
-/// [`Workspace`](crate::dynamics::Workspace).
+/// [`Workspace`](crate::workspace::Workspace).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model<S: Real> {
     pub(crate) n_arms: usize,
@@ -107,7 +107,7 @@ pub struct Model<S: Real> {
     /// The same six for every arm.
     pub(crate) links: Vec<LinkModel<S>>,
     pub(crate) arms: Vec<ArmModel<S>>,
-    pub(crate) stops: Vec<StopModel<S>>,
+    pub(crate) angle_contacts: Vec<AngleContactModel<S>>,
     /// Pose of the hand in the last link frame.
     pub(crate) tool_position: Vec3<S>,
     pub(crate) tool_rotation: Mat3<S>,
@@ -161,21 +161,21 @@ impl<S: Real> Model<S> {
                 permutation: signed_permutation(&arm.rotation),
             }
         });
-        let stops = robot.stops.iter().map(|stop| StopModel {
-            joint: stop.joint,
-            centre: S::splat(stop.centre),
-            half: S::splat(stop.half),
-            narrowing: S::splat(stop.narrowing),
-            narrowing_joint: stop.narrowing_joint,
-            push: stop.push,
-            kind: ContactKind::of_stop(stop.pair),
+        let angle_contacts = robot.angle_contacts.iter().map(|contact| AngleContactModel {
+            joint: contact.joint,
+            centre: S::splat(contact.centre),
+            half: S::splat(contact.half),
+            narrowing: S::splat(contact.narrowing),
+            narrowing_joint: contact.narrowing_joint,
+            push: contact.push,
+            kind: ContactKind::told_by_angle(contact.pair),
         });
         Self {
             n_arms: robot.n_arms,
             base: RigidInertia::new(&robot.base),
             links: links.collect(),
             arms: arms.collect(),
-            stops: stops.collect(),
+            angle_contacts: angle_contacts.collect(),
             tool_position: robot.tool_position.map(S::splat).into(),
             tool_rotation: splat_matrix(&robot.tool_rotation),
             collision: CollisionModel::new(robot),

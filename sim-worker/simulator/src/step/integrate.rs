@@ -4,20 +4,20 @@
 //! third order needs fewer evaluations than the fourth, and both are far more accurate than what they are
 //! compared with. The start of a period is cut finer, because that is where the servos answer.
 
-use super::aba::{aba, world_acceleration};
 use super::disturbance::{Disturbance, disturb_bodies, disturb_joints};
-use super::invariants::{BaseMotion, invariants};
-use super::kinematics::{poses, poses_of_arm, velocities};
-use super::servo::{push_of_stops, servo};
-use super::workspace::Workspace;
 use crate::collision;
-use crate::robot::Model;
+use crate::dynamics::aba::{aba, world_acceleration};
+use crate::dynamics::invariants::{BaseMotion, invariants};
+use crate::dynamics::kinematics::{poses, poses_of_arm, velocities};
+use crate::dynamics::servo::{push_of_angle_contacts, servo};
+use crate::model::Model;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{
     Vec6, mat_t_vec, mul_add, quaternion_exp, quaternion_normalised, quaternion_product,
     quaternion_to_rotation,
 };
 use crate::state::State;
+use crate::workspace::Workspace;
 
 /// Scheme that advances the state by one substep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +41,7 @@ pub struct StepOptions {
     pub substep: f64,
     /// Scheme.
     pub integrator: Integrator,
-    /// Whether contacts and angle stops push.
+    /// Whether contacts push.
     pub contacts: bool,
 }
 
@@ -309,26 +309,26 @@ fn derivative<S: Real>(
         disturb_joints(ws, disturbance);
     }
     if contacts == Contacts::Off {
-        collision::clear(ws);
+        ws.take_off_outside_forces();
     } else {
-        push_of_stops(model, ws, q, qd);
+        push_of_angle_contacts(model, ws, q, qd);
         if let Contacts::Find { now, h } = contacts {
             poses(model, ws);
             if disturbance.is_some() {
-                collision::wake_all(ws);
+                ws.contacts.wake_all();
             }
             collision::find(model, ws, now, h);
         } else {
             for arm in 0..model.n_arms {
-                if collision::touches_arm(ws, arm) {
+                if ws.contacts.touches_arm(arm) {
                     poses_of_arm(model, ws, arm);
                 }
             }
         }
-        if collision::any_contact(ws) {
+        if ws.contacts.any() {
             collision::push(model, ws);
         } else {
-            collision::clear(ws);
+            ws.take_off_outside_forces();
         }
     }
     if let Some(disturbance) = disturbance {

@@ -52,7 +52,7 @@ impl ContactKind {
     pub const ALL: [Self; Self::COUNT] = [Self::Base, Self::Mount, Self::Own, Self::Arms];
 
     /// The kind of a pair that is told by joint angle.
-    pub(crate) fn of_stop(pair: [ArmBody; 2]) -> Self {
+    pub(crate) fn told_by_angle(pair: [ArmBody; 2]) -> Self {
         if pair.iter().all(|body| matches!(body, ArmBody::Link(_))) {
             Self::Own
         } else {
@@ -139,7 +139,7 @@ impl<S: Real> CollisionModel<S> {
 
         let shaped = |l: usize| !robot.links[l % JOINTS_PER_ARM].shapes.is_empty();
         let by_angle = |x: ArmBody, y: ArmBody| {
-            robot.stops.iter().any(|s| s.pair == [x, y] || s.pair == [y, x])
+            robot.angle_contacts.iter().any(|c| c.pair == [x, y] || c.pair == [y, x])
         };
         let link_radius: Vec<f64> = balls.iter().map(|b| b.1).collect();
         let mut pairs = Vec::new();

@@ -5,12 +5,13 @@
 //! that it would be without. The projection onto the invariants gets the impulse, and pairs that may touch do not
 //! sleep, because commands no longer bound speeds.
 
-use super::kinematics::poses_of_arm;
-use super::workspace::Workspace;
 use crate::collision;
-use crate::robot::{JOINTS_PER_ARM, Model};
+use crate::dynamics::kinematics::poses_of_arm;
+use crate::model::Model;
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Mat3, Vec3, Vec6, add, cross_add, mat_t_vec, mat_vec};
+use crate::workspace::Workspace;
 
 /// Forces from outside, torques at the joints, and servos without power, over a control period.
 ///

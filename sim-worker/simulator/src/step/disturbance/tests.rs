@@ -5,10 +5,10 @@ use nalgebra::Vector3;
 use super::*;
 use crate::dynamics::tests::Noise;
 use crate::dynamics::twin::{Momentum, kinetic_energy, momentum};
-use crate::dynamics::{StepOptions, step, step_disturbed};
 use crate::robot::Robot;
 use crate::scalar::{LANES, LaneFn, dispatch};
 use crate::state::State;
+use crate::step::{StepOptions, step, step_disturbed};
 
 /// Training's scheme.
 fn training() -> StepOptions {

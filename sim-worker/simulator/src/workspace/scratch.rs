@@ -1,7 +1,8 @@
-//! All scratch memory of the dynamics, named.
+//! Scratch memory of the dynamics, named.
 
-use crate::collision::ContactSet;
-use crate::robot::{JOINTS_PER_ARM, Model};
+use super::contacts::ContactSet;
+use crate::model::Model;
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::spatial::{Mat3, Vec3, Vec6};
 
@@ -21,7 +22,7 @@ pub(crate) struct LinkScratch<S> {
     pub(crate) d_inv: S,
     /// τ − Sᵀ p_A.
     pub(crate) u: S,
-    /// Servo's and stops' torque (N m).
+    /// Torque of the servo and of the contacts that the joint's angle tells (N m).
     pub(crate) tau: S,
 }
 
@@ -87,5 +88,12 @@ impl<S: Real> Workspace<S> {
             sum: flat,
             contacts: ContactSet::new(model),
         }
+    }
+
+    /// Takes all outside forces off base and links.
+    #[inline(always)]
+    pub(crate) fn take_off_outside_forces(&mut self) {
+        self.base_f_ext = Vec6::zero();
+        self.forced.fill(false);
     }
 }
