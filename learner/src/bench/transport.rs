@@ -15,13 +15,11 @@ use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use channels::{
-    ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, Role,
-};
+use channels::{ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, Role};
 use process::clock::{monotonic, thread_cpu};
-use proto::statistics::percentile;
 use proto::config::Config;
 use proto::layout::{BlockHeader, BlockLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::statistics::percentile;
 use proto::{ExitCode, ExitError};
 use serde_json::{Value, json};
 

@@ -1,55 +1,19 @@
 //! ReLU or ELU of hidden layers, LayerNorm if there is one, and the head, in one pass over each sample, forward and backward, on a CPU.
 //!
 //! libtorch does the matrix products; what stands between them would be a dozen of its operations, each a pass over activations that
-//! do not fit into the first caches. Here a sample's features are read once and written once, in f32 in between. [`crate::mlp`] holds the
+//! do not fit into the first caches. Here a sample's features are read once and written once, in f32 in between. `torch.rs` holds the
 //! same passes in libtorch's operations, for other activations and devices and as the twin that tests this one.
 //!
 //! The arithmetic is plain Rust ([`crate::features`]). Sums run in sixteen interleaved chains and an order that only the shapes fix.
 //!
-//! Letters as in [`crate::mlp`]: `A` agents, `B` samples, `H` features, `U` outputs of the head. All arrays are row-major.
+//! Letters as in [`super`]: `A` agents, `B` samples, `H` features, `U` outputs of the head. All arrays are row-major.
 
 use crate::features::{Features, Loop, mul_add, run_for};
-use crate::mlp::LAYER_NORM_EPSILON;
+use crate::layer_norm::LAYER_NORM_EPSILON;
+use crate::number::Number;
 
 /// Interleaved chains of a sum.
 const CHAINS: usize = 16;
-
-/// A number as activations are kept.
-pub(crate) trait Number: Copy {
-    /// Widened exactly.
-    fn widen(self) -> f32;
-    /// Rounded to nearest, ties to even.
-    fn round(x: f32) -> Self;
-}
-
-impl Number for f32 {
-    #[inline(always)]
-    fn widen(self) -> f32 {
-        self
-    }
-    #[inline(always)]
-    fn round(x: f32) -> Self {
-        x
-    }
-}
-
-/// bfloat16: the upper half of an f32.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(transparent)]
-pub(crate) struct Bf16(pub(crate) u16);
-
-impl Number for Bf16 {
-    #[inline(always)]
-    fn widen(self) -> f32 {
-        f32::from_bits(u32::from(self.0) << 16)
-    }
-    #[inline(always)]
-    fn round(x: f32) -> Self {
-        let bits = x.to_bits();
-        // Half of the last place, less one if that is even; NaN stays NaN, because libtorch's has its upper bits set.
-        Self((bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16) as u16)
-    }
-}
 
 /// What a hidden layer makes of its product, `[A, B, H]` each, and reciprocal deviations `[A, B]`.
 #[derive(Debug)]
@@ -190,13 +154,13 @@ fn exp_of_negative<const FMA: bool>(x: f32) -> f32 {
 
 /// Scratch memory of the passes: one sample's features, twice.
 #[derive(Debug)]
-pub(crate) struct Passes {
+pub(crate) struct RowPasses {
     features: Features,
     unit: Unit,
     rows: [Vec<f32>; 2],
 }
 
-impl Passes {
+impl RowPasses {
     /// Scratch memory, and the features of this processor.
     pub(crate) fn new(unit: Unit) -> Self {
         Self { features: Features::detect(), unit, rows: [Vec::new(), Vec::new()] }
@@ -209,8 +173,8 @@ impl Passes {
             row.as_mut_slice()
         });
         match self.unit {
-            Unit::Relu => run_for(self.features, Job { sizes, arrays, rows, unit: Relu }),
-            Unit::Elu => run_for(self.features, Job { sizes, arrays, rows, unit: Elu }),
+            Unit::Relu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu }),
+            Unit::Elu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu }),
         }
     }
 
@@ -221,28 +185,28 @@ impl Passes {
             row.as_mut_slice()
         });
         match self.unit {
-            Unit::Relu => run_for(self.features, Job { sizes, arrays, rows, unit: Relu }),
-            Unit::Elu => run_for(self.features, Job { sizes, arrays, rows, unit: Elu }),
+            Unit::Relu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu }),
+            Unit::Elu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu }),
         }
     }
 }
 
 /// The arguments of a pass.
-struct Job<'r, A, N> {
+struct RowKernel<'r, A, N> {
     sizes: Sizes,
     arrays: A,
     rows: [&'r mut [f32]; 2],
     unit: N,
 }
 
-impl<T: Number, N: Nonlinearity + Copy> Loop for Job<'_, Forward<'_, T>, N> {
+impl<T: Number, N: Nonlinearity + Copy> Loop for RowKernel<'_, Forward<'_, T>, N> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         forward_rows::<T, N, FMA>(self.sizes, self.arrays, self.rows, self.unit);
     }
 }
 
-impl<T: Number, N: Nonlinearity + Copy> Loop for Job<'_, Backward<'_, T>, N> {
+impl<T: Number, N: Nonlinearity + Copy> Loop for RowKernel<'_, Backward<'_, T>, N> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         backward_rows::<T, N, FMA>(self.sizes, self.arrays, self.rows, self.unit);

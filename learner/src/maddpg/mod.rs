@@ -3,7 +3,7 @@
 //! Lowe, Wu, Tamar, Harb, Abbeel and Mordatch, "Multi-agent actor-critic for mixed
 //! cooperative-competitive environments", NeurIPS 2017, algorithm 1. Every agent i has a deterministic
 //! actor μ_i, a critic Q_i that sees everything and all agents' actions, and a slowly following copy of
-//! both, the targets μ′_i and Q′_i. The workers' episodes go into a [`replay`]; an update draws a batch
+//! both, the targets μ′_i and Q′_i. The workers' episodes go into a [`replay`](crate::state::replay); an update draws a batch
 //! of steps (x, a, r, x′) from it, the same for all agents, and makes for each agent, in this order,
 //!
 //! ```text
@@ -35,8 +35,6 @@
 //! Why together: every update of an agent needs all agents' targets, so agents that were taken apart, as MAPPO's
 //! are, would wait for one another thousands of times an iteration.
 
-pub mod replay;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -45,44 +43,17 @@ use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 use tch::{Device, Kind, Tensor};
 
-use self::replay::{Batch, Replay};
 use crate::LearnerError;
 use crate::actors::Actors;
-use crate::descent::{Descent, Half, Learned, check, learning_rates};
+use crate::descent::{Descent, NetworkPart, NetworkPasses, check, learning_rates};
 use crate::input_norm::{InputNorm, Normalisation};
 use crate::report::{Sums, UpdateReport, add};
-use crate::state::{NetworkState, TrainingState};
-
-/// What only MADDPG's training state holds.
-#[derive(Debug)]
-pub struct OffPolicy {
-    /// `[A, P]`: the target actors' parameters θ′.
-    pub target_actor: Tensor,
-    /// `[A, P]`: the target critics'.
-    pub target_critic: Tensor,
-    /// The episodes.
-    pub replay: Replay,
-}
-
-impl OffPolicy {
-    /// Targets that equal the networks, and an empty replay.
-    pub(crate) fn new(
-        config: &Config,
-        dimensions: &Dimensions,
-        actor: &NetworkState,
-        critic: &NetworkState,
-    ) -> Self {
-        Self {
-            target_actor: actor.flat.copy(),
-            target_critic: critic.flat.copy(),
-            replay: Replay::new(config, dimensions),
-        }
-    }
-}
+use crate::state::replay::Batch;
+use crate::state::{NetworkState, OffPolicy, TrainingState};
 
 /// What an update computed on its way; kept only on request, for tests.
 #[derive(Debug, Default)]
-pub struct Trace {
+pub struct MaddpgTrace {
     /// Rows of the replay, of every update.
     pub rows: Vec<Vec<i64>>,
     /// Targets y `[A, B]`, of every update.
@@ -101,8 +72,8 @@ pub struct Maddpg {
     settings: Settings,
     normalisation: Normalisation,
     descent: Descent,
-    actor: Half,
-    critic: Half,
+    actor: NetworkPasses,
+    critic: NetworkPasses,
     batch: Batch,
     device: Device,
     kind: Kind,
@@ -116,7 +87,7 @@ struct Moments {
 }
 
 /// What all updates of an iteration share.
-struct Job {
+struct IterationSettings {
     moments: Moments,
     iteration: u64,
     actor_lr: f64,
@@ -125,8 +96,8 @@ struct Job {
 
 /// The networks as an update changes them.
 struct Networks<'a> {
-    actor: Learned,
-    critic: Learned,
+    actor: NetworkPart,
+    critic: NetworkPart,
     target_actor: &'a mut Tensor,
     target_critic: &'a mut Tensor,
 }
@@ -139,16 +110,17 @@ impl Maddpg {
     pub fn new(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
         let (kind, device) = (state.arithmetic.kind(), state.device());
         let off_policy = state.off_policy.as_ref().expect("a state of MADDPG");
-        let half =
-            |network: &NetworkState| Half::new(config, network, dimensions.n_agents, kind, device);
+        let passes = |network: &NetworkState| {
+            NetworkPasses::new(config, network, dimensions.n_agents, kind, device)
+        };
         let settings = config.algorithm.maddpg;
         Self {
             config: config.clone(),
             dimensions: *dimensions,
             normalisation: Normalisation::new(&config.network),
             descent: Descent::new(config),
-            actor: half(&state.actor),
-            critic: half(&state.critic),
+            actor: passes(&state.actor),
+            critic: passes(&state.critic),
             batch: off_policy.replay.batch(settings.batch_size),
             settings,
             device,
@@ -179,13 +151,17 @@ impl Maddpg {
         &mut self,
         state: &mut TrainingState,
         shards: &[&[f32]],
-        mut trace: Option<&mut Trace>,
+        mut trace: Option<&mut MaddpgTrace>,
     ) -> Result<UpdateReport, LearnerError> {
         tch::set_num_threads(i32::try_from(self.config.run.learner_threads).unwrap_or(i32::MAX));
         state.begin_update(&self.dimensions, shards);
         let (actor_lr, critic_lr) = learning_rates(&self.config, state.env_steps);
-        let job =
-            Job { moments: self.moments(state), iteration: state.iteration, actor_lr, critic_lr };
+        let shared = IterationSettings {
+            moments: self.moments(state),
+            iteration: state.iteration,
+            actor_lr,
+            critic_lr,
+        };
         let env_steps = self.config.steps_per_iteration();
         let updates = self.settings.updates_until(state.env_steps + env_steps)
             - self.settings.updates_until(state.env_steps);
@@ -197,13 +173,13 @@ impl Maddpg {
         replay.insert(&self.dimensions, shards);
         let all = Actors::all(n);
         let mut networks = Networks {
-            actor: Learned::part(actor, &all),
-            critic: Learned::part(critic, &all),
+            actor: NetworkPart::part(actor, &all),
+            critic: NetworkPart::part(critic, &all),
             target_actor,
             target_critic,
         };
-        for half in [&mut self.actor, &mut self.critic] {
-            half.record(trace.is_some());
+        for passes in [&mut self.actor, &mut self.critic] {
+            passes.record(trace.is_some());
         }
         let mut sums = Sums::new(n);
         let mut explained = vec![0.0; n];
@@ -212,7 +188,7 @@ impl Maddpg {
             let address = Address {
                 seed: self.config.run.seed,
                 purpose: Purpose::Replay,
-                iteration: job.iteration as u32,
+                iteration: shared.iteration as u32,
                 env: update as u32,
                 step: 0,
                 index: 0,
@@ -220,11 +196,11 @@ impl Maddpg {
             let rows = replay.draw(address, self.settings.batch_size);
             replay.gather(&rows, &mut self.batch);
             let target = tch::no_grad(|| {
-                self.step(&job, &mut networks, update as usize, &mut sums, &mut explained)
+                self.step(&shared, &mut networks, update as usize, &mut sums, &mut explained)
             })?;
             if let Some(trace) = trace.as_deref_mut() {
-                let recorded = |half: &Half| {
-                    half.recorded.as_ref().map(Tensor::shallow_clone).expect("recorded")
+                let recorded = |passes: &NetworkPasses| {
+                    passes.recorded.as_ref().map(Tensor::shallow_clone).expect("recorded")
                 };
                 trace.rows.push(rows.iter().map(|&row| row as i64).collect());
                 trace.targets.push(target);
@@ -272,16 +248,21 @@ impl Maddpg {
     }
 
     /// Inputs `[A, B, O]` of all actors for observations `[B, A·O]`.
-    fn actor_input(&self, job: &Job, observation: &Tensor) -> Tensor {
+    fn actor_input(&self, shared: &IterationSettings, observation: &Tensor) -> Tensor {
         let agents = self.dimensions.n_agents as i64;
-        let x = self.normalise(observation, job.moments.observation.as_ref(), agents);
+        let x = self.normalise(observation, shared.moments.observation.as_ref(), agents);
         let x = x.to_kind(self.kind);
         x.view([x.size()[0], agents, -1]).transpose(0, 1)
     }
 
     /// What critics see of the environment, `[B, S]`.
-    fn critic_state(&self, job: &Job, observation: &Tensor, state: Option<&Tensor>) -> Tensor {
-        self.normalise(state.unwrap_or(observation), job.moments.state.as_ref(), 1)
+    fn critic_state(
+        &self,
+        shared: &IterationSettings,
+        observation: &Tensor,
+        state: Option<&Tensor>,
+    ) -> Tensor {
+        self.normalise(state.unwrap_or(observation), shared.moments.state.as_ref(), 1)
     }
 
     /// Inputs `[A, B, F]` of all critics, the same for all: states `[B, S]`, actions `[B, A·U]`.
@@ -294,7 +275,7 @@ impl Maddpg {
     /// An update on the batch at hand; returns the targets `[A, B]`.
     fn step(
         &mut self,
-        job: &Job,
+        shared: &IterationSettings,
         networks: &mut Networks<'_>,
         update: usize,
         sums: &mut Sums,
@@ -311,10 +292,11 @@ impl Maddpg {
         };
 
         let batch = &self.batch;
-        let next_state = self.critic_state(job, &batch.next_observation, batch.next_state.as_ref());
-        let state = self.critic_state(job, &batch.observation, batch.state.as_ref());
-        let next_seen = self.actor_input(job, &batch.next_observation);
-        let seen = self.actor_input(job, &batch.observation);
+        let next_state =
+            self.critic_state(shared, &batch.next_observation, batch.next_state.as_ref());
+        let state = self.critic_state(shared, &batch.observation, batch.state.as_ref());
+        let next_seen = self.actor_input(shared, &batch.next_observation);
+        let seen = self.actor_input(shared, &batch.observation);
         let taken = batch.action.to_device(self.device) / self.settings.action_limit;
         let reward = batch.reward.to_device(self.device).transpose(0, 1);
         let future = batch.future.to_device(self.device) * self.config.algorithm.gamma;
@@ -327,7 +309,7 @@ impl Maddpg {
         let target = self.critic.compute.forward(&x).squeeze_dim(1) * future + reward;
 
         let x = self.critic_input(&state, &taken);
-        let Half { compute, gradient, .. } = &mut self.critic;
+        let NetworkPasses { compute, gradient, .. } = &mut self.critic;
         let _ = gradient.zero_();
         compute.load(&critic.flat);
         let error = compute.forward(&x).squeeze_dim(1) - &target;
@@ -335,15 +317,15 @@ impl Maddpg {
         compute.backward(&x, &(&error * (2.0 / b as f64)).unsqueeze(1), gradient);
         compute.unfold(&critic.flat, gradient);
         let norms =
-            self.descent.step(critic, &mut self.critic, &vec![job.critic_lr; agents], &active);
-        check(&norms, "critic", Actors::all(agents), job.iteration, (0, update))?;
+            self.descent.step(critic, &mut self.critic, &vec![shared.critic_lr; agents], &active);
+        check(&norms, "critic", Actors::all(agents), shared.iteration, (0, update))?;
         sums.critic(mean(error.square()).into_iter(), &norms);
         let variance = |x: &Tensor| x.to_kind(Kind::Double).var_dim(&[1i64][..], false, false);
         let share = 1.0 - variance(&error) / variance(&target).clamp_min(1e-12);
         add(explained, Vec::<f64>::try_from(share).expect("one number an agent").into_iter());
 
         // Each agent's own action is its actor's now, the others' are those that were taken.
-        let Half { compute, gradient, .. } = &mut self.actor;
+        let NetworkPasses { compute, gradient, .. } = &mut self.actor;
         let _ = gradient.zero_();
         compute.load(&actor.flat);
         let action = compute.forward(&seen).tanh();
@@ -362,11 +344,12 @@ impl Maddpg {
         let d_action = critics.input_gradient(&x, &slope, &columns, u);
         // d tanh = 1 − tanh².
         let d_output = Tensor::tanh_backward(&d_action.transpose(1, 2), &action);
-        let Half { compute, gradient, .. } = &mut self.actor;
+        let NetworkPasses { compute, gradient, .. } = &mut self.actor;
         compute.backward(&seen, &d_output, gradient);
         compute.unfold(&actor.flat, gradient);
-        let norms = self.descent.step(actor, &mut self.actor, &vec![job.actor_lr; agents], &active);
-        check(&norms, "actor", Actors::all(agents), job.iteration, (0, update))?;
+        let norms =
+            self.descent.step(actor, &mut self.actor, &vec![shared.actor_lr; agents], &active);
+        check(&norms, "actor", Actors::all(agents), shared.iteration, (0, update))?;
         let zeros = || std::iter::repeat_n(0.0, agents);
         sums.actor(mean(-value).into_iter(), zeros(), zeros(), &norms);
 
