@@ -9,7 +9,7 @@ use std::marker::PhantomData;
 
 use tch::{Device, Kind, Tensor};
 
-use crate::fused::Bf16;
+use crate::number::Bf16;
 
 /// A tensor that reads memory which Rust owns.
 #[derive(Debug)]

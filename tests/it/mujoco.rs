@@ -11,14 +11,14 @@ use std::process::Command;
 use serde_json::{Value, json};
 use simulator::collision::count_contacts;
 use simulator::dynamics::twin::inertia_matrix;
-use simulator::dynamics::{
-    Disturbance, Hand, Integrator, StepOptions, Workspace, forward_dynamics, hands, step,
-    step_disturbed,
-};
-use simulator::robot::{MjcfOptions, Model, Robot, mjcf::mjcf};
+use simulator::dynamics::{Hand, forward_dynamics, hands};
+use simulator::model::Model;
+use simulator::robot::{MjcfOptions, Robot, mjcf::mjcf};
 use simulator::scalar::{LANES, LaneFn, Real, dispatch};
 use simulator::simulate::{Precision, simulate};
 use simulator::state::State;
+use simulator::step::{Disturbance, Integrator, StepOptions, step, step_disturbed};
+use simulator::workspace::Workspace;
 
 /// Uniform numbers in ±1, the same on every machine.
 struct Noise(u64);
@@ -233,7 +233,7 @@ fn touching_pairs_agree_with_mujoco() {
         .collect();
     let stops: Vec<Value> = robot
         .description()
-        .stops
+        .angle_contacts
         .iter()
         .map(|s| {
             json!({

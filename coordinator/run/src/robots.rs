@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use proto::{ExitCode, ExitError};
-use simulator::dynamics::StepOptions;
+use simulator::step::StepOptions;
 use simulator::robot::Robot;
 use store::regular;
 

@@ -5,9 +5,10 @@
 mod touches;
 
 use proto::{ExitCode, ExitError};
-use simulator::dynamics::{Integrator, StepOptions, twin};
+use simulator::dynamics::twin;
 use simulator::robot::{JOINTS_PER_ARM, Robot};
 use simulator::simulate::{Precision, SimulationRow, simulate};
+use simulator::step::{Integrator, StepOptions};
 use touches::touches_at_home;
 
 /// Control periods of the motion: joints go away, come back, and stand still.

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
-use simulator::dynamics::{Integrator, StepOptions};
 use simulator::robot::Robot;
 use simulator::simulate::{self, Precision, SimulationRow};
+use simulator::step::{Integrator, StepOptions};
 use store::outputs::Output;
 use store::{files, regular};
 

@@ -8,8 +8,8 @@ use std::ops::Range;
 use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 use tch::{Kind, Tensor};
 
-use super::Trace;
-use super::group::{Group, Job};
+use super::MappoTrace;
+use super::group::{Group, IterationInputs};
 use crate::actors::Actors;
 use crate::gae::standardise;
 use crate::memory::view;
@@ -34,10 +34,10 @@ impl Group {
     /// Normalises inputs, predicts values, estimates advantages, packs samples.
     pub(super) fn prepare(
         &mut self,
-        job: &Job<'_>,
+        job: &IterationInputs<'_>,
         critic: &Tensor,
         value_norm: &ValueNorm,
-        trace: Option<&mut Trace>,
+        trace: Option<&mut MappoTrace>,
     ) -> Samples {
         let Dimensions { n_agents, n_steps, n_envs, observation, state, .. } = *job.dimensions;
         let (input, g) = (job.dimensions.actor_input(), job.dimensions.agents_per_actor());

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use proto::layout::{ActorLayout, Dimensions};
 use serde_json::{Map, Value, json};
-use simulator::dynamics::StepOptions;
 use simulator::env::step_options;
 use simulator::robot::description::RobotDescription;
 use simulator::robot::{MAX_ARMS, Robot};
+use simulator::step::StepOptions;
 
 use super::figures::number;
 use super::{Bench, learner, physics, rollout, train};

@@ -1,10 +1,10 @@
 //! The dynamics alone: control steps under random commands, sixteen environments to a group.
 
 use process::clock::thread_cpu;
-use simulator::dynamics::StepOptions;
 use simulator::env::step_options;
 use simulator::random_motion::{operations_per_step, random_motion};
 use simulator::robot::Robot;
+use simulator::step::StepOptions;
 
 use super::figures::{Figure, Figures};
 use super::{Bench, arithmetic, median};

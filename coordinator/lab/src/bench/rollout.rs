@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 use process::clock::thread_cpu;
 use proto::config::{Config, Inference};
 use proto::layout::{Dimensions, EpisodeMetrics};
-use simulator::env::{Stage, step_options};
+use simulator::env::step_options;
 use simulator::policy::initial_parameters;
 use simulator::random_motion::operations_per_step;
 use simulator::robot::Robot;
+use simulator::rollout::Stage;
 use simulator::rollout::{RolloutSpec, World, rollout};
 
 use super::figures::{Figure, Figures};

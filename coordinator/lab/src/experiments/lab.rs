@@ -8,12 +8,12 @@ use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use run::report::progress::Parts;
 use run::shakedown::shakedown;
-use simulator::dynamics::StepOptions;
 use simulator::env::step_options;
 use simulator::evaluate::{Evaluation, EvaluationOptions};
 use simulator::experiment::{CHUNK, Pose, Recording, Trial, play};
 use simulator::reach::within_reach;
 use simulator::robot::Robot;
+use simulator::step::StepOptions;
 use store::provenance::Provenance;
 #[cfg(test)]
 use {
@@ -22,12 +22,12 @@ use {
     store::checkpoint::{Checkpoint, Manifest},
 };
 
-use super::common::Common;
-use super::report::{Protocol, Report, RobotIdentity};
-use super::{Experiment, Name};
 use crate::evaluation::Reach;
 use crate::threads::Threads;
 use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
+use super::common::Common;
+use super::report::{Protocol, Report, RobotIdentity};
+use super::{Experiment, Name};
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

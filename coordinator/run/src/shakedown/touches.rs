@@ -3,10 +3,11 @@
 
 use std::f64::consts::TAU;
 
-use simulator::collision::{ContactKind, Touching, touching};
-use simulator::dynamics::Workspace;
-use simulator::robot::{ArmBody, JOINTS_PER_ARM, Model, Robot};
+use simulator::collision::{Touching, touching};
+use simulator::model::{ContactKind, Model};
+use simulator::robot::{ArmBody, JOINTS_PER_ARM, Robot};
 use simulator::state::State;
+use simulator::workspace::Workspace;
 
 use super::Fault;
 
@@ -37,7 +38,7 @@ fn at_home(robot: &Robot) -> Touching<f64> {
 
 /// A joint that stands where two bodies touch.
 fn stopped(robot: &Robot, more: &str) -> Option<Fault> {
-    for (index, stop) in robot.stops.iter().enumerate() {
+    for (index, stop) in robot.angle_contacts.iter().enumerate() {
         for (number, arm) in robot.arms.iter().enumerate() {
             let offset = arm.home[stop.joint] - stop.centre;
             let offset = offset - TAU * (offset / TAU).round();

@@ -7,13 +7,14 @@ use super::kinematics::{
     for_sparsity, force_from_next, force_to_base, motion_to_arm, motion_to_next, turn, unturn,
     velocities,
 };
-use super::workspace::{LinkScratch, Workspace};
-use crate::robot::{JOINTS_PER_ARM, LinkModel, Model, RigidInertia};
+use crate::model::{LinkModel, Model, RigidInertia};
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::spatial::{
     Vec6, add, cross, cross_add, mat_t_vec, mat_vec, quaternion_to_rotation, scale,
 };
 use crate::state::State;
+use crate::workspace::{LinkScratch, Workspace};
 
 /// Derivative of the generalised velocity.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +27,7 @@ pub struct Acceleration<S> {
     pub joints: Vec<S>,
 }
 
-/// Acceleration of the robot under joint torques `tau` (N m, arm-major, `n_joints`), without contacts and stops.
+/// Acceleration of the robot under joint torques `tau` (N m, arm-major, `n_joints`), without contacts.
 pub fn forward_dynamics<S: Real>(
     model: &Model<S>,
     ws: &mut Workspace<S>,

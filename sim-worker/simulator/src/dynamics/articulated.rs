@@ -1,7 +1,7 @@
 //! Articulated-body inertia: the symmetric 6 × 6 matrix, kept as its 21 numbers and carried between link frames.
 
 use super::kinematics::twist;
-use crate::robot::{ArmModel, LinkModel, RigidInertia, Sparsity, Twist};
+use crate::model::{ArmModel, LinkModel, RigidInertia, Sparsity, Twist};
 use crate::scalar::Real;
 use crate::spatial::{Mat3, Vec3, Vec6, cross_add, dot, mat_mat, mat_vec};
 

@@ -124,8 +124,8 @@ impl Xml {
     fn excluded(&mut self, robot: &Robot) {
         self.open("contact");
         for arm in &robot.arms {
-            for stop in &robot.stops {
-                if let [ArmBody::Link(a), ArmBody::Link(b)] = stop.pair {
+            for contact in &robot.angle_contacts {
+                if let [ArmBody::Link(a), ArmBody::Link(b)] = contact.pair {
                     let name = |l: usize| format!("{}_{}", arm.name, robot.links[l].name);
                     self.line(&format!("exclude body1=\"{}\" body2=\"{}\"", name(a), name(b)));
                 }

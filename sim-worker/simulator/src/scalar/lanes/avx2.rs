@@ -12,10 +12,10 @@ use std::arch::x86_64::{
 };
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
-use super::{LaneFn, derive_operators, operator};
+use super::operators::{derive_operators, operator};
 use crate::scalar::bf16::{self, pairs_side_by_side};
 use crate::scalar::single::single_precision_functions;
-use crate::scalar::{Kernel, LANES, Mask, Real, elementary};
+use crate::scalar::{Kernel, LANES, LaneFn, Mask, Real, elementary};
 
 /// Sixteen `f32` in two AVX registers; needs AVX2 and FMA.
 #[derive(Clone, Copy, Debug)]

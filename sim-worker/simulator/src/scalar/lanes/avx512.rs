@@ -7,10 +7,11 @@
 use std::arch::x86_64::{_CMP_EQ_OQ, _CMP_LE_OQ, _CMP_LT_OQ, _CMP_NLT_UQ};
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
-use super::{LaneFn, Mask16, bit_mask, derive_operators, operator};
-use crate::scalar::bf16::{self, Native, PairKernel, PairProducts, WeightPair, WithoutNative};
+use super::operators::{Mask16, bit_mask, derive_operators, operator};
+use crate::scalar::bf16::{self, Native, PairProducts, WeightPair};
+use crate::scalar::real::WithoutNative;
 use crate::scalar::single::single_precision_functions;
-use crate::scalar::{Kernel, Mask, Real, elementary};
+use crate::scalar::{Kernel, LaneFn, Mask, PairKernel, Real, elementary};
 
 /// Bits of the sign of an `f32`.
 const SIGN: i32 = i32::MIN;
@@ -231,7 +232,7 @@ macro_rules! back_end {
 
         /// Runs `f` with this type.
         #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw,fma")]
-        pub(in crate::scalar) fn call<F: LaneFn>(f: F) -> F::Output {
+        pub(crate) fn call<F: LaneFn>(f: F) -> F::Output {
             f.call::<$vector>()
         }
 
