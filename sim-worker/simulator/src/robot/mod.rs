@@ -11,6 +11,7 @@ mod model;
 mod resolve;
 mod rigid_body;
 mod shape;
+mod wording;
 
 use std::path::Path;
 
@@ -148,8 +149,9 @@ impl Robot {
 
     /// Reads a description; `path` is only for messages.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, RobotError> {
-        let description: RobotDescription = toml::from_str(text).map_err(|e| {
-            RobotError::Parse { path: path.display().to_string(), reason: e.to_string() }
+        let description: RobotDescription = toml::from_str(text).map_err(|error| {
+            let reason = wording::in_words(&error, text);
+            RobotError::Parse { path: path.display().to_string(), reason }
         })?;
         Self::from_description(description, path)
     }
