@@ -272,7 +272,7 @@ fn a_run_takes_no_more_than_its_budget() {
         block.update_connections();
         policies.try_receive().expect("receive");
         orders.try_receive().expect("receive");
-        status.send(&Status::Heartbeat { worker: 0, incarnation: 0 }).expect("send");
+        status.send(&Status::Heartbeat { worker: 0, incarnation: 0, orders: 0 }).expect("send");
     }
     blocks.try_receive().expect("receive");
 
@@ -330,13 +330,13 @@ fn status_of_a_crowd_overflows_instead_of_blocking() {
     let sender = channels.status_sender().expect("sender");
     let receiver = channels.status_receiver().expect("receiver");
     for worker in 0..200 {
-        sender.send(&Status::Heartbeat { worker, incarnation: 0 }).expect("never blocks");
+        sender.send(&Status::Heartbeat { worker, incarnation: 0, orders: 0 }).expect("never blocks");
     }
     let mut last = None;
     while let Some(status) = receiver.try_receive().expect("receive") {
         last = Some(status);
     }
-    assert_eq!(last, Some(Status::Heartbeat { worker: 199, incarnation: 0 }));
+    assert_eq!(last, Some(Status::Heartbeat { worker: 199, incarnation: 0, orders: 0 }));
 }
 
 /// All files of a domain, with what the system knows about them.
