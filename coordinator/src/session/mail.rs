@@ -62,14 +62,14 @@ impl Mail {
 
     /// Sends an order.
     pub(super) fn send(&mut self, order: Order) -> Result<(), ChannelError> {
-        let full = self.sender.send(&order)?;
+        let missed = self.sender.send(&order)?;
         let Some(addressee) = Addressee::of(&order) else { return Ok(()) };
         let is_missed = match self.ports.get(&addressee) {
-            Some(port) => full.contains(port),
-            None => !full.is_empty(),
+            Some(port) => missed.includes(*port),
+            None => !missed.is_nobody(),
         };
         if is_missed {
-            tracing::debug!(?order, "the receiver's queue is full");
+            tracing::debug!(?order, "there is no room for it");
             self.missed.push_back(order);
         }
         Ok(())
