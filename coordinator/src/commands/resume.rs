@@ -77,9 +77,6 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     if recorded.run.precision == Precision::Auto {
         output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
     }
-    if recorded.run.precision == Precision::Auto {
-        output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
-    }
 
     note_budget(&run_dir, &budgets, &before);
     let (config, overrides) = override_limits(&before, args)?;
