@@ -1,6 +1,6 @@
 //! What to do when a run ends because its disk is full.
 
-use proto::ExitError;
+use proto::{ExitCode, ExitError};
 use proto::run_dir::RunDir;
 use rustix::io::Errno;
 
@@ -20,13 +20,16 @@ pub(super) fn explain(error: anyhow::Error, run_dir: &RunDir) -> anyhow::Error {
     }
     let shown = run_dir.path().display();
     let message = format!("{told}; make room, then `octopus resume {shown}` goes on");
-    ExitError::new(exit_code(&error), message).into()
+    let code = match exit_code(&error) {
+        // The system's own error, of a file of the run.
+        ExitCode::Failure => ExitCode::RunDirectory,
+        code => code,
+    };
+    ExitError::new(code, message).into()
 }
 
 #[cfg(test)]
 mod tests {
-    use proto::ExitCode;
-
     use super::*;
 
     #[test]
@@ -41,5 +44,8 @@ mod tests {
         assert!(told.ends_with("; make room, then `octopus resume runs/a` goes on"), "{told}");
         assert_eq!(exit_code(&of(Errno::NOSPC)), ExitCode::RunDirectory);
         assert!(!causes::told(&of(Errno::ACCESS)).contains("resume"));
+        let plain = anyhow::Error::from(std::io::Error::from(Errno::DQUOT));
+        let error = explain(plain, &RunDir::new("runs/a"));
+        assert_eq!(exit_code(&error), ExitCode::RunDirectory);
     }
 }

@@ -60,6 +60,10 @@ impl Resumed {
 /// Resumes.
 pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let run_dir = super::run_directory(&args.run_dir)?;
+    go_on(args, run_dir.clone()).map_err(|error| super::full::explain(error, &run_dir))
+}
+
+fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
     check_no_checkpoint(&run_dir)?;
     train::check_token_file(&args.http)?;
     let domain = Domain::fresh();
