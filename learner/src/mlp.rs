@@ -25,7 +25,7 @@ use tch::{Device, Kind, Tensor};
 use crate::fused::{
     Backward, Bf16, Forward, HeadBackward, HeadForward, Number, Passes, Sizes, Unit,
 };
-use crate::memory::{Element, numbers, numbers_mut};
+use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::network::NetworkSpec;
 
 /// ε of LayerNorm.
@@ -248,34 +248,37 @@ impl Compute {
     }
 
     /// [`Self::forward`] with one pass a layer.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     fn forward_fused<T: Number + Element>(&mut self, x: &Tensor) -> Tensor {
         let (a, rows, layers) = (self.n_agents, x.size()[1], self.spec.hidden.len());
         let float = (Kind::Float, self.device);
-        let mut output = Tensor::empty([a, self.spec.output, rows], float);
+        let mut output = Tensor::zeros([a, self.spec.output, rows], float);
         let mut input = x.shallow_clone();
         for layer in 0..layers {
             let width = self.spec.hidden[layer];
             let product = self.chunk(&self.buffers.active[layer], rows, width);
             let mut hidden = self.chunk(&self.buffers.standard[layer], rows, width);
             let _ = input.bmm_out(&product, &self.weight[layer]);
-            let mut inverse_std = self.spec.layer_norm.then(|| Tensor::empty([a, rows], float));
+            let mut inverse_std = self.spec.layer_norm.then(|| Tensor::zeros([a, rows], float));
             let sizes = self.sizes(layer, rows);
             let fused = self.fused.as_mut().expect("asked before");
-            let head = (layer + 1 == layers).then(|| HeadForward {
-                weight: numbers(&self.head),
-                bias: numbers(&self.head_bias),
-                output: numbers_mut(&mut output),
-            });
-            fused.passes.forward::<T>(
-                sizes,
+            // SAFETY: every tensor here was made of zeros by this type or this call and has a storage of
+            // its own: `active` and `standard` of this layer are two buffers. No handle of them has left
+            // it, and libtorch does nothing until the pass has ended.
+            let arrays = unsafe {
                 Forward {
                     product: numbers(&product),
                     bias: numbers(&fused.bias[layer]),
                     hidden: numbers_mut(&mut hidden),
-                    inverse_std: inverse_std.as_mut().map(numbers_mut),
-                    head,
-                },
-            );
+                    inverse_std: inverse_std.as_mut().map(|tensor| numbers_mut(tensor)),
+                    head: (layer + 1 == layers).then(|| HeadForward {
+                        weight: numbers(&self.head),
+                        bias: numbers(&self.head_bias),
+                        output: numbers_mut(&mut output),
+                    }),
+                }
+            };
+            fused.passes.forward::<T>(sizes, arrays);
             self.buffers.inverse_std.extend(inverse_std);
             input = hidden;
         }
@@ -283,6 +286,7 @@ impl Compute {
     }
 
     /// [`Self::backward`] with one pass a layer.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     fn backward_fused<T: Number + Element>(
         &mut self,
         x: &Tensor,
@@ -304,26 +308,33 @@ impl Compute {
             let mut d_head = Tensor::zeros([a, self.spec.output, width], float);
             let mut d_head_bias = Tensor::zeros([a, self.spec.output], float);
             let is_last = layer + 1 == layers;
-            let head = is_last.then(|| HeadBackward {
-                weight: numbers(&self.head),
-                output_gradient: numbers(&d_output),
-                weight_gradient: numbers_mut(&mut d_head),
-                bias_gradient: numbers_mut(&mut d_head_bias),
-            });
+            assert!(
+                are_apart(&[&d, &d_output]),
+                "the loss's gradient lies in a buffer of the passes"
+            );
             let sizes = self.sizes(layer, rows);
             let fused = self.fused.as_mut().expect("asked before");
-            fused.passes.backward::<T>(
-                sizes,
+            // SAFETY: `d_output` is filled by the caller and apart from what is written. Every other
+            // tensor here was made of zeros by this type or this call and has a storage of its own:
+            // `active`, `standard` and `gradient` are three buffers. No handle of what is written has
+            // left it, and libtorch does nothing until the pass has ended.
+            let arrays = unsafe {
                 Backward {
                     product: numbers(&product),
                     bias: numbers(&fused.bias[layer]),
                     hidden: numbers(&hidden),
-                    inverse_std: self.buffers.inverse_std.get(layer).map(numbers),
+                    inverse_std: self.buffers.inverse_std.get(layer).map(|tensor| numbers(tensor)),
                     gradient: numbers_mut(&mut d),
                     bias_gradient: numbers_mut(&mut d_bias),
-                    head,
-                },
-            );
+                    head: is_last.then(|| HeadBackward {
+                        weight: numbers(&self.head),
+                        output_gradient: numbers(&d_output),
+                        weight_gradient: numbers_mut(&mut d_head),
+                        bias_gradient: numbers_mut(&mut d_head_bias),
+                    }),
+                }
+            };
+            fused.passes.backward::<T>(sizes, arrays);
             if let Some(gradient) = gradient {
                 if is_last {
                     add("head.weight", &d_head.transpose(1, 2), gradient);

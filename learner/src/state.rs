@@ -129,6 +129,7 @@ impl Source<'_> {
     }
 
     /// The bytes, in order; those of columns are one piece a row, where they lie.
+    #[expect(unsafe_code, reason = "a source's bytes are read while nobody trains")]
     fn pieces(&self) -> impl Iterator<Item = &[u8]> {
         fn whole(memory: &[u8]) -> (&[u8], usize, Range<usize>) {
             (memory, memory.len(), 0..memory.len())
@@ -136,9 +137,12 @@ impl Source<'_> {
         let (memory, row_len, piece) = match self {
             Self::Columns { flat, columns } => {
                 let of = |column: usize| column * size_of::<f32>();
-                (bytes(flat), of(flat.size()[1] as usize), of(columns.start)..of(columns.end))
+                // SAFETY: a source borrows the state, which is filled when it is made and which an update
+                // has to itself.
+                (unsafe { bytes(flat) }, of(flat.size()[1] as usize), of(columns.start)..of(columns.end))
             }
-            Self::Tensor(tensor) => whole(bytes(tensor)),
+            // SAFETY: as above.
+            Self::Tensor(tensor) => whole(unsafe { bytes(tensor) }),
             Self::F32(values) => whole(bytemuck::cast_slice(values)),
             Self::F64(values) => whole(bytemuck::cast_slice(values)),
             Self::I64(values) => whole(bytemuck::cast_slice(values)),
@@ -499,12 +503,14 @@ impl TrainingState {
     ///
     /// # Panics
     /// If `out` is not of the layout's length.
+    #[expect(unsafe_code, reason = "parameters are read while nobody trains")]
     pub fn write_policy(&self, out: &mut [f32]) {
         let layout = &self.policy_layout;
         assert_eq!(out.len(), layout.len, "a policy has {} numbers", layout.len);
         let norm = self.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std);
         let flat = self.actor.flat.to_device(Device::Cpu);
-        let parameters: &[f32] = bytemuck::cast_slice(bytes(&flat));
+        // SAFETY: parameters are filled when they are made, and only read until the end of this function.
+        let parameters: &[f32] = bytemuck::cast_slice(unsafe { bytes(&flat) });
         let row_len = flat.size()[1] as usize;
         for tensor in &layout.tensors {
             let slot = &mut out[tensor.range()];
