@@ -139,7 +139,11 @@ impl Source<'_> {
                 let of = |column: usize| column * size_of::<f32>();
                 // SAFETY: a source borrows the state, which is filled when it is made and which an update
                 // has to itself.
-                (unsafe { bytes(flat) }, of(flat.size()[1] as usize), of(columns.start)..of(columns.end))
+                (
+                    unsafe { bytes(flat) },
+                    of(flat.size()[1] as usize),
+                    of(columns.start)..of(columns.end),
+                )
             }
             // SAFETY: as above.
             Self::Tensor(tensor) => whole(unsafe { bytes(tensor) }),
