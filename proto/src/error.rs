@@ -32,14 +32,22 @@ pub enum ConfigError {
         /// A near name or the list of the group's keys.
         hint: String,
     },
-    /// A value of another type than the key has.
+    /// A key that every configuration has.
+    #[error("{origin}: key `{key}` is missing")]
+    Missing {
+        /// The file, or the flag as it was written.
+        origin: String,
+        /// The dotted key.
+        key: String,
+    },
+    /// A value that the key cannot have.
     #[error("{origin}: key `{key}` wants {expected}, got {found}")]
     WrongType {
         /// The file, or the flag as it was written.
         origin: String,
         /// The dotted key.
         key: String,
-        /// The type that the key has.
+        /// What the key can have.
         expected: String,
         /// What was written.
         found: String,

@@ -267,8 +267,8 @@ impl<'a> Worker<'a> {
     /// Plays episodes of the run's own evaluation.
     fn evaluate(&mut self, chunk: EvaluationChunk) -> Result<(), ExitError> {
         let policy = self.policies.iter().find(|(held, _)| *held == chunk.policy_version);
+        let alive = self.alive();
         let (status, heartbeat) = (&self.status, &mut self.heartbeat);
-        let alive = Status::Heartbeat { worker: self.id, incarnation: self.incarnation };
         let mut on_step = || say_alive(status, heartbeat, &alive);
         let errors = policy.map(|(_, policy)| {
             evaluate::select(self.world, policy, chunk.first, chunk.episodes, &mut on_step)
@@ -296,8 +296,8 @@ impl<'a> Worker<'a> {
         };
         let spec = RolloutSpec { seed: self.world.config.run.seed, iteration, shard, policy };
         let start = Instant::now();
+        let alive = self.alive();
         let (status, heartbeat) = (&self.status, &mut self.heartbeat);
-        let alive = Status::Heartbeat { worker: self.id, incarnation: self.incarnation };
         let mut on_stage = |_| say_alive(status, heartbeat, &alive);
         if let Err(error) = rollout(self.world, &spec, block.payload_mut(), &mut on_stage) {
             self.fail(&error.to_string(), Some(Box::new(describe(job, &error))))?;
@@ -341,7 +341,12 @@ impl<'a> Worker<'a> {
             return Ok(());
         }
         self.heartbeat = Instant::now();
-        self.send(&Status::Heartbeat { worker: self.id, incarnation: self.incarnation })
+        self.send(&self.alive())
+    }
+
+    fn alive(&self) -> Status {
+        let (worker, incarnation, orders) = (self.id, self.incarnation, self.orders.port());
+        Status::Heartbeat { worker, incarnation, orders }
     }
 
     fn fail(&self, what: &str, fault: Option<Box<Fault>>) -> Result<(), ExitError> {

@@ -85,6 +85,26 @@ fn random_commands(robot: &Robot, steps: usize, noise: &mut Noise) -> Vec<Vec<f6
     (0..steps).map(|_| (0..robot.n_joints()).map(|_| 0.8 * noise.next()).collect()).collect()
 }
 
+/// To the rounding of products of a dozen rotations.
+#[test]
+fn the_home_keyframe_is_the_robot_at_home() {
+    for robot in robots() {
+        let answer = ask(&json!({
+            "model": mjcf(&robot, MjcfOptions::default()),
+            "hands": hand_names(&robot),
+            "keyframe": "home",
+        }));
+        let home = State::<f64>::home(&robot);
+        assert_eq!(numbers(&answer["keyframe"]["qpos"]), qpos(&home), "{}", robot.name);
+        let model = Model::<f64>::new(&robot);
+        let mut ours = vec![Hand::default(); robot.n_arms];
+        hands(&model, &mut Workspace::new(&model), &home, &mut ours);
+        let ours: Vec<f64> = ours.iter().flat_map(|hand| hand.position).collect();
+        let worst = largest_difference(&ours, &numbers(&answer["keyframe"]["hands"]));
+        assert!(worst < 1e-12, "{}: {worst:e}", robot.name);
+    }
+}
+
 /// Inertia matrices and accelerations at random states, to 1e-9 of their largest element.
 #[test]
 fn inertia_and_accelerations_agree_with_mujoco() {

@@ -50,7 +50,12 @@ pub fn name_what_goes_on(error: anyhow::Error, run_dir: &RunDir) -> anyhow::Erro
     }
     let shown = run_dir.path().display();
     let message = format!("{told}; make room, then `octopus resume {shown}` goes on");
-    ExitError::new(exit_code(&error), message).into()
+    let code = match exit_code(&error) {
+        // The system's own error, of a file of the run.
+        ExitCode::Failure => ExitCode::RunDirectory,
+        code => code,
+    };
+    ExitError::new(code, message).into()
 }
 
 #[cfg(test)]
@@ -87,5 +92,8 @@ mod tests {
         assert!(text.ends_with("; make room, then `octopus resume runs/a` goes on"), "{text}");
         assert_eq!(exit_code(&of(Errno::NOSPC)), ExitCode::RunDirectory);
         assert!(!told(&of(Errno::ACCESS)).contains("resume"));
+        let plain = anyhow::Error::from(std::io::Error::from(Errno::DQUOT));
+        let error = name_what_goes_on(plain, &RunDir::new("runs/a"));
+        assert_eq!(exit_code(&error), ExitCode::RunDirectory);
     }
 }

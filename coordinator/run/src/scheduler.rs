@@ -96,6 +96,11 @@ impl Scheduler {
         self.workers.insert(worker, ready);
     }
 
+    /// Whether this worker is one that gets orders.
+    pub fn knows(&self, worker: WorkerId, incarnation: u32) -> bool {
+        self.workers.get(&worker).is_some_and(|known| known.incarnation == incarnation)
+    }
+
     /// A worker is no more; its orders are open again.
     pub fn worker_gone(&mut self, worker: WorkerId) -> Estate {
         let Some(gone) = self.workers.remove(&worker) else { return Estate::default() };

@@ -8,6 +8,7 @@ use proto::config::{Config, Precision};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::base;
+use run::errors;
 use run::precision;
 use run::preflight::{self, Remedy};
 use run::report;
@@ -61,6 +62,10 @@ impl Resumed {
 /// Resumes.
 pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let run_dir = store::run_files::run_directory(&args.run_dir)?;
+    go_on(args, run_dir.clone()).map_err(|error| errors::name_what_goes_on(error, &run_dir))
+}
+
+fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
     check_no_checkpoint(&run_dir)?;
     train::check_token_file(&args.http)?;
     let domain = Domain::fresh();
@@ -74,9 +79,6 @@ pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     let before = decided(&recorded, resume.as_ref())?;
     if let Some(checkpoint) = &resume {
         check_unchanged(&run_dir, &before, &robot_text, checkpoint)?;
-    }
-    if recorded.run.precision == Precision::Auto {
-        output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
     }
     if recorded.run.precision == Precision::Auto {
         output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));

@@ -88,9 +88,9 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     files::replace(&run_dir.robot(), robot.to_toml().as_bytes())?;
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     record(&run_dir, &provenance, &[])?;
-    let resume = None;
+    let (resume, dir) = (None, run_dir.clone());
     let start = Start { run_dir, config, robot, resume, programs, domain, provenance, counter };
-    run_session(start, lock, args.ending.quiet)
+    run_session(start, lock, args.ending.quiet).map_err(|error| errors::name_what_goes_on(error, &dir))
 }
 
 /// What helps a new run that its disk does not carry.
@@ -202,9 +202,8 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
     }
     // Also after a failure: what was measured until then is worth keeping.
     let finished = reporter.finish();
-    let full = |error: anyhow::Error| errors::name_what_goes_on(error, &run_dir);
-    let outcome = result.map_err(|error| full(error.into()))?;
-    finished.map_err(full)?;
+    let outcome = result?;
+    finished?;
     Ok(Ended { run_dir, outcome, stop })
 }
 

@@ -6,7 +6,7 @@ use tch::{Device, Kind, Tensor};
 use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes, Unit};
 use super::passes::Passes;
 use super::stack::Stack;
-use crate::memory::{Element, numbers, numbers_mut};
+use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::number::{Bf16, Number};
 
 /// One loop over the samples a layer.
@@ -34,33 +34,36 @@ impl PlainPasses {
     }
 
     /// [`Passes::forward`] with activations of `T`.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     fn forward_in<T: Number + Element>(&mut self, stack: &mut Stack, x: &Tensor) -> Tensor {
         let (a, rows, layers) = (stack.n_agents, x.size()[1], stack.spec.hidden.len());
         let float = (Kind::Float, stack.device);
-        let mut output = Tensor::empty([a, stack.spec.output, rows], float);
+        let mut output = Tensor::zeros([a, stack.spec.output, rows], float);
         let mut input = x.shallow_clone();
         for layer in 0..layers {
             let width = stack.spec.hidden[layer];
             let product = stack.chunk(&stack.buffers.active[layer], rows, width);
             let mut hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
             let _ = input.bmm_out(&product, &stack.weight[layer]);
-            let mut inverse_std = stack.spec.layer_norm.then(|| Tensor::empty([a, rows], float));
+            let mut inverse_std = stack.spec.layer_norm.then(|| Tensor::zeros([a, rows], float));
             let sizes = sizes(stack, layer, rows);
-            let head = (layer + 1 == layers).then(|| HeadForward {
-                weight: numbers(&stack.head),
-                bias: numbers(&stack.head_bias),
-                output: numbers_mut(&mut output),
-            });
-            self.rows.forward::<T>(
-                sizes,
+            // SAFETY: every tensor here was made of zeros by this type, its stack or this call and has a
+            // storage of its own: `active` and `standard` of this layer are two buffers. No handle of them
+            // has left it, and libtorch does nothing until the pass has ended.
+            let arrays = unsafe {
                 Forward {
                     product: numbers(&product),
                     bias: numbers(&self.bias[layer]),
                     hidden: numbers_mut(&mut hidden),
-                    inverse_std: inverse_std.as_mut().map(numbers_mut),
-                    head,
-                },
-            );
+                    inverse_std: inverse_std.as_mut().map(|tensor| numbers_mut(tensor)),
+                    head: (layer + 1 == layers).then(|| HeadForward {
+                        weight: numbers(&stack.head),
+                        bias: numbers(&stack.head_bias),
+                        output: numbers_mut(&mut output),
+                    }),
+                }
+            };
+            self.rows.forward::<T>(sizes, arrays);
             stack.buffers.inverse_std.extend(inverse_std);
             input = hidden;
         }
@@ -68,6 +71,7 @@ impl PlainPasses {
     }
 
     /// [`Passes::backward`] with activations of `T`.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     fn backward_in<T: Number + Element>(
         &mut self,
         stack: &Stack,
@@ -90,25 +94,32 @@ impl PlainPasses {
             let mut d_head = Tensor::zeros([a, stack.spec.output, width], float);
             let mut d_head_bias = Tensor::zeros([a, stack.spec.output], float);
             let is_last = layer + 1 == layers;
-            let head = is_last.then(|| HeadBackward {
-                weight: numbers(&stack.head),
-                output_gradient: numbers(&d_output),
-                weight_gradient: numbers_mut(&mut d_head),
-                bias_gradient: numbers_mut(&mut d_head_bias),
-            });
+            assert!(
+                are_apart(&[&d, &d_output]),
+                "the loss's gradient lies in a buffer of the passes"
+            );
             let sizes = sizes(stack, layer, rows);
-            self.rows.backward::<T>(
-                sizes,
+            // SAFETY: `d_output` is filled by the caller and apart from what is written. Every other
+            // tensor here was made of zeros by this type, its stack or this call and has a storage of its
+            // own: `active`, `standard` and `gradient` are three buffers. No handle of what is written has
+            // left it, and libtorch does nothing until the pass has ended.
+            let arrays = unsafe {
                 Backward {
                     product: numbers(&product),
                     bias: numbers(&self.bias[layer]),
                     hidden: numbers(&hidden),
-                    inverse_std: stack.buffers.inverse_std.get(layer).map(numbers),
+                    inverse_std: stack.buffers.inverse_std.get(layer).map(|tensor| numbers(tensor)),
                     gradient: numbers_mut(&mut d),
                     bias_gradient: numbers_mut(&mut d_bias),
-                    head,
-                },
-            );
+                    head: is_last.then(|| HeadBackward {
+                        weight: numbers(&stack.head),
+                        output_gradient: numbers(&d_output),
+                        weight_gradient: numbers_mut(&mut d_head),
+                        bias_gradient: numbers_mut(&mut d_head_bias),
+                    }),
+                }
+            };
+            self.rows.backward::<T>(sizes, arrays);
             if let Some(gradient) = gradient {
                 if is_last {
                     add("head.weight", &d_head.transpose(1, 2), gradient);

@@ -43,6 +43,7 @@ impl Source<'_> {
     }
 
     /// The bytes, in order; those of columns are one piece a row, where they lie.
+    #[expect(unsafe_code, reason = "a source's bytes are read while nobody trains")]
     pub(super) fn pieces(&self) -> impl Iterator<Item = &[u8]> {
         fn whole(memory: &[u8]) -> (&[u8], usize, Range<usize>) {
             (memory, memory.len(), 0..memory.len())
@@ -50,9 +51,16 @@ impl Source<'_> {
         let (memory, row_len, piece) = match self {
             Self::Columns { flat, columns } => {
                 let of = |column: usize| column * size_of::<f32>();
-                (bytes(flat), of(flat.size()[1] as usize), of(columns.start)..of(columns.end))
+                // SAFETY: a source borrows the state, which is filled when it is made and which an update
+                // has to itself.
+                (
+                    unsafe { bytes(flat) },
+                    of(flat.size()[1] as usize),
+                    of(columns.start)..of(columns.end),
+                )
             }
-            Self::Tensor(tensor) => whole(bytes(tensor)),
+            // SAFETY: as above.
+            Self::Tensor(tensor) => whole(unsafe { bytes(tensor) }),
             Self::F32(values) => whole(bytemuck::cast_slice(values)),
             Self::F64(values) => whole(bytemuck::cast_slice(values)),
             Self::I64(values) => whole(bytemuck::cast_slice(values)),

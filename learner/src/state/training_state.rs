@@ -145,12 +145,14 @@ impl TrainingState {
     ///
     /// # Panics
     /// If `out` is not of the layout's length.
+    #[expect(unsafe_code, reason = "parameters are read while nobody trains")]
     pub fn write_policy(&self, out: &mut [f32]) {
         let layout = &self.policy_layout;
         assert_eq!(out.len(), layout.len, "a policy has {} numbers", layout.len);
         let norm = self.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std);
         let flat = self.actor.flat.to_device(Device::Cpu);
-        let parameters: &[f32] = bytemuck::cast_slice(bytes(&flat));
+        // SAFETY: parameters are filled when they are made, and only read until the end of this function.
+        let parameters: &[f32] = bytemuck::cast_slice(unsafe { bytes(&flat) });
         let row_len = flat.size()[1] as usize;
         for tensor in &layout.tensors {
             let slot = &mut out[tensor.range()];

@@ -38,7 +38,7 @@ pub use bells::{Bell, BellListener, Role};
 pub use domain::{Domain, SHARED_MEMORY};
 pub use error::ChannelError;
 pub use header::Header;
-pub use messages::{MessageReceiver, MessageSender, OrderSender};
+pub use messages::{MessageReceiver, MessageSender, Missed, OrderSender};
 pub use pieces::{PieceReceiver, PieceSample, PieceSender};
 pub use services::Channels;
 pub use sizes::{ChannelSizes, ORDERS_PER_WORKER, PIECE_LEN};

@@ -4,9 +4,9 @@ use std::marker::PhantomData;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use iceoryx2::port::BackpressureFn;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::{BackpressureFn, LoanError};
 use iceoryx2::service::port_factory::publish_subscribe;
 use proto::message::{self, Order, PortId};
 use serde::{Deserialize, Serialize};
@@ -38,11 +38,13 @@ impl<M: Serialize> MessageSender<M> {
         bells: Vec<Bell>,
         max_len: usize,
         deadline: Duration,
+        slots: usize,
         when_full: impl BackpressureFn + 'static,
     ) -> Result<Self, ChannelError> {
         let publisher = factory
             .publisher_builder()
             .initial_max_slice_len(max_len)
+            .override_sample_preallocation(move |worst| worst.min(slots))
             .max_loaned_samples(1)
             .backpressure_strategy(strategy(deadline))
             .set_backpressure_handler(when_full)
@@ -53,15 +55,48 @@ impl<M: Serialize> MessageSender<M> {
 
     /// Sends `message` and wakes the receivers.
     pub fn send(&self, message: &M) -> Result<(), ChannelError> {
+        if self.try_send(message)? {
+            return Ok(());
+        }
+        Err(transfer_error(self.service, "loan", &LoanError::OutOfMemory))
+    }
+
+    /// Likewise; whether there was a slot for it.
+    fn try_send(&self, message: &M) -> Result<bool, ChannelError> {
         let bytes = message::encode(message);
-        let sample = self
-            .publisher
-            .loan_slice_uninit(bytes.len())
-            .map_err(|error| transfer_error(self.service, "loan", &error))?
-            .write_from_slice(&bytes);
+        let sample = match self.publisher.loan_slice_uninit(bytes.len()) {
+            Ok(sample) => sample.write_from_slice(&bytes),
+            Err(LoanError::OutOfMemory) => return Ok(false),
+            Err(error) => return Err(transfer_error(self.service, "loan", &error)),
+        };
         sample.send().map_err(|error| send_error(self.service, self.deadline, error))?;
         self.bells.iter().for_each(Bell::ring);
-        check_connections(self.service)
+        check_connections(self.service)?;
+        Ok(true)
+    }
+}
+
+/// Who has not got an order.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Missed {
+    /// These, often none: their queues were full.
+    By(Vec<PortId>),
+    /// All: queues of receivers that do not read hold so many different orders that no slot is left.
+    ByAll,
+}
+
+impl Missed {
+    /// Whether the receiver is one of them.
+    pub fn includes(&self, receiver: PortId) -> bool {
+        match self {
+            Self::By(receivers) => receivers.contains(&receiver),
+            Self::ByAll => true,
+        }
+    }
+
+    /// Whether all have it.
+    pub fn is_nobody(&self) -> bool {
+        matches!(self, Self::By(receivers) if receivers.is_empty())
     }
 }
 
@@ -74,19 +109,26 @@ pub struct OrderSender {
 }
 
 impl OrderSender {
-    pub(crate) fn new(factory: &Bytes, bells: Vec<Bell>) -> Result<Self, ChannelError> {
+    /// With `slots` orders, or as many as iceoryx2 takes for the worst case if that is less.
+    pub(crate) fn new(
+        factory: &Bytes,
+        bells: Vec<Bell>,
+        slots: usize,
+    ) -> Result<Self, ChannelError> {
         let missed = Arc::default();
         let handler = note_the_full(Arc::clone(&missed));
-        let sender =
-            MessageSender::new(factory, "orders", bells, ORDER_LEN, Duration::ZERO, handler)?;
+        let (len, deadline) = (ORDER_LEN, Duration::ZERO);
+        let sender = MessageSender::new(factory, "orders", bells, len, deadline, slots, handler)?;
         Ok(Self { sender, missed })
     }
 
-    /// Sends `order` and wakes the receivers. Returns those that it has missed, because their queues
-    /// were full.
-    pub fn send(&self, order: &Order) -> Result<Vec<PortId>, ChannelError> {
-        self.sender.send(order)?;
-        Ok(std::mem::take(&mut self.missed.lock().unwrap_or_else(PoisonError::into_inner)))
+    /// Sends `order` and wakes the receivers. Returns those that it has missed.
+    pub fn send(&self, order: &Order) -> Result<Missed, ChannelError> {
+        if !self.sender.try_send(order)? {
+            return Ok(Missed::ByAll);
+        }
+        let mut missed = self.missed.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(Missed::By(std::mem::take(&mut missed)))
     }
 }
 

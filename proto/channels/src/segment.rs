@@ -126,17 +126,21 @@ impl<T: Debug + Send + Sync + ZeroCopySend> Builder<'_, T> {
     }
 }
 
-/// `segment` with all its pages; it is gone if it cannot have them.
+/// `segment` with all its pages; if it cannot have them, it is gone if it was just `made` here, and stays
+/// with whoever made it if it was only opened.
 fn with_pages<T>(
     segment: file::Storage<T>,
     path: &Path,
+    made: bool,
 ) -> Result<Segment<T>, DynamicStorageCreateError>
 where
     T: Debug + Send + Sync + ZeroCopySend,
 {
     if reserve(path).is_err() {
-        // The owner removes it.
-        segment.acquire_ownership();
+        if made {
+            // The owner removes it.
+            segment.acquire_ownership();
+        }
         return Err(DynamicStorageCreateError::InternalError);
     }
     Ok(Segment(segment))
@@ -189,7 +193,7 @@ impl<'builder, T: Debug + Send + Sync + ZeroCopySend> DynamicStorageBuilder<'bui
         if !self.fits(&path) {
             return Err(DynamicStorageCreateError::InternalError);
         }
-        with_pages(self.inner.create()?, &path)
+        with_pages(self.inner.create()?, &path, true)
     }
 
     fn open(self, access_mode: AccessMode) -> Result<Segment<T>, DynamicStorageOpenError> {
@@ -201,7 +205,10 @@ impl<'builder, T: Debug + Send + Sync + ZeroCopySend> DynamicStorageBuilder<'bui
         if !path.exists() && !self.fits(&path) {
             return Err(DynamicStorageCreateError::InternalError.into());
         }
-        Ok(with_pages(self.inner.open_or_create()?, &path)?)
+        let segment = self.inner.open_or_create()?;
+        // Who only opened a segment does not own it.
+        let made = segment.has_ownership();
+        Ok(with_pages(segment, &path, made)?)
     }
 }
 
@@ -275,5 +282,57 @@ impl<T: Debug + Send + Sync + ZeroCopySend> DynamicStorage<T> for Segment<T> {
     ) {
         // SAFETY: the caller knows that `type_name` is that of `T`.
         unsafe { file::Storage::<T>::__internal_set_type_name_in_config(config, type_name) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use iceoryx2::prelude::SemanticString as _;
+
+    use super::*;
+    use crate::Domain;
+
+    /// A domain that leaves nothing, also when a test fails.
+    struct TestDomain(Domain);
+
+    impl Drop for TestDomain {
+        fn drop(&mut self) {
+            let _ = self.0.remove_leftovers();
+        }
+    }
+
+    #[test]
+    fn a_segment_without_pages_goes_only_if_it_was_made_here() {
+        let domain = TestDomain(Domain::fresh());
+        domain.0.make_root().expect("made");
+        let root = domain.0.root();
+        let at = IpcPath::new(root.as_os_str().as_encoded_bytes()).expect("a path");
+        let config = file::Configuration::<u64>::default().path_hint(&at);
+        let name = FileName::new(b"segment").expect("a name");
+        let builder = || {
+            <Builder<'_, u64> as NamedConceptBuilder<Segment<u64>>>::new(&name)
+                .config(&config)
+                .initializer(|data, _| {
+                    data.write(7);
+                    true
+                })
+        };
+        let first = builder().open_or_create().expect("made");
+        let path = builder().path();
+        // Pages cannot be had for a file that is not there.
+        let nowhere = root.join("nowhere");
+        let second = builder().inner.open_or_create().expect("opened");
+        let made = second.has_ownership();
+        assert!(first.has_ownership() && !made);
+        with_pages(second, &nowhere, made).expect_err("no pages");
+        assert!(path.exists(), "it is the first one's");
+        assert_eq!(*first.get(), 7);
+        drop(first);
+        assert!(!path.exists());
+
+        let third = builder().inner.open_or_create().expect("made");
+        let made = third.has_ownership();
+        with_pages(third, &nowhere, made).expect_err("no pages");
+        assert!(!path.exists());
     }
 }

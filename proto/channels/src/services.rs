@@ -222,7 +222,7 @@ impl Channels {
     /// The coordinator's end of `orders`. A full receiver misses an order, and is named.
     pub fn order_sender(&self) -> Result<OrderSender, ChannelError> {
         let bells = vec![self.bell(Role::Workers)?, self.bell(Role::Learner)?];
-        OrderSender::new(&self.orders, bells)
+        OrderSender::new(&self.orders, bells, self.sizes.order_slots())
     }
 
     /// A worker's or the learner's end of `orders`.
@@ -237,7 +237,8 @@ impl Channels {
     ) -> Result<MessageSender<Progress>, ChannelError> {
         let bells = vec![self.bell(Role::Coordinator)?];
         let handler = give_up_after(deadline);
-        MessageSender::new(&self.progress, "progress", bells, PROGRESS_LEN, deadline, handler)
+        let (len, slots) = (PROGRESS_LEN, usize::MAX);
+        MessageSender::new(&self.progress, "progress", bells, len, deadline, slots, handler)
     }
 
     /// The coordinator's end of `progress`.
@@ -250,7 +251,8 @@ impl Channels {
         let bells = vec![self.bell(Role::Coordinator)?];
         let deadline = Duration::ZERO;
         let handler = give_up_after(deadline);
-        MessageSender::new(&self.status, "status", bells, STATUS_LEN, deadline, handler)
+        let (len, slots) = (STATUS_LEN, usize::MAX);
+        MessageSender::new(&self.status, "status", bells, len, deadline, slots, handler)
     }
 
     /// The coordinator's end of `status`.

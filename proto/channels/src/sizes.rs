@@ -34,6 +34,9 @@ pub const ORDERS_PER_WORKER: usize = 2;
 pub(crate) const MESSAGE_BUFFER: usize = 64;
 /// Longest encoded order (bytes); one shard or one part of an evaluation takes less than 50.
 pub(crate) const ORDER_LEN: usize = 256;
+/// Receivers that may stand still, each at another time, with orders in their queues that nobody else has any
+/// more; see [`ChannelSizes::order_slots`].
+const STANDING_STILL: usize = 16;
 /// Longest encoded status (bytes).
 pub(crate) const STATUS_LEN: usize = 4 << 10;
 /// Longest encoded progress (bytes).
@@ -72,15 +75,31 @@ impl ChannelSizes {
         POLICY_BUFFER + 2 + POLICY_BORROWED + self.max_workers
     }
 
+    /// Orders that exist at once, at most. Who reads its queue now and then holds what was sent since, and
+    /// that is the same for all of them; only who stands still keeps others. iceoryx2 would reckon with queues
+    /// of which each holds others, which grows with the square of the workers. Where all slots are taken all the
+    /// same an order is missed by all, and sent again when there is room.
+    pub(crate) fn order_slots(&self) -> usize {
+        let worst = (self.max_workers + 2) * (self.order_buffer + 1) + 1;
+        worst.min(STANDING_STILL * self.order_buffer)
+    }
+
+    /// What one receiver's connection takes (bytes): a mark for each slot, and a place of its queue there
+    /// and back.
+    fn order_connection(&self) -> u64 {
+        (self.order_slots() + 32 * self.order_buffer) as u64
+    }
+
     /// Shared memory that `workers` workers, the learner and the coordinator reserve, by channel
     /// (bytes). Each sender has as many slots as all receivers can queue and hold, plus its history and
-    /// the ones it fills; of policies see [`Self::policy_slots`].
+    /// the ones it fills; of policies see [`Self::policy_slots`], of orders [`Self::order_slots`].
     pub fn shared_memory(&self, workers: usize) -> [(&'static str, u64); 4] {
         let bytes = |slots: usize, len: usize| (slots * (len + 256)) as u64;
         let blocks = bytes(self.block_buffer + self.block_borrowed + 1, 4 * self.block_len);
         let messages =
             |receivers: usize, buffer: usize, len: usize| bytes(receivers * (buffer + 1) + 1, len);
-        let orders = messages(self.max_workers + 2, self.order_buffer, ORDER_LEN);
+        let orders = bytes(self.order_slots(), ORDER_LEN)
+            + (workers as u64 + 1) * self.order_connection();
         let reports = messages(2, MESSAGE_BUFFER, PROGRESS_LEN)
             + workers as u64 * messages(2, MESSAGE_BUFFER, STATUS_LEN);
         [

@@ -57,13 +57,45 @@ fn an_order_that_a_full_receiver_misses_names_that_receiver() {
     let orders = channels.order_sender().expect("sender");
     let [quick, slow] = [(); 2].map(|()| channels.order_receiver().expect("receiver"));
     for _ in 0..SIZES.order_buffer {
-        assert!(orders.send(&Order::Snapshot).expect("send").is_empty());
+        assert!(orders.send(&Order::Snapshot).expect("send").is_nobody());
         assert_eq!(quick.try_receive().expect("receive"), Some(Order::Snapshot));
     }
-    assert_eq!(orders.send(&Order::Stop).expect("send"), [slow.port()]);
+    assert_eq!(orders.send(&Order::Stop).expect("send"), Missed::By(vec![slow.port()]));
     assert_eq!(quick.try_receive().expect("receive"), Some(Order::Stop));
     assert_eq!(slow.try_receive().expect("receive"), Some(Order::Snapshot));
-    assert!(orders.send(&Order::Stop).expect("send").is_empty(), "there is room again");
+    assert!(orders.send(&Order::Stop).expect("send").is_nobody(), "there is room again");
+}
+
+#[test]
+fn an_order_without_a_slot_is_missed_by_all_until_somebody_reads() {
+    let domain = TestDomain::new();
+    let sizes = ChannelSizes { max_workers: 40, order_buffer: 4, ..SIZES };
+    let channels = Channels::create(&domain.0, sizes).expect("create");
+    let orders = channels.order_sender().expect("sender");
+    let quick = channels.order_receiver().expect("receiver");
+    // Each stands still when the queue of the one before is full: no two hold the same.
+    let mut still = Vec::new();
+    let mut sent = 0;
+    let missed = loop {
+        if sent % sizes.order_buffer == 0 {
+            still.push(channels.order_receiver().expect("receiver"));
+        }
+        let missed = orders.send(&Order::Snapshot).expect("no error");
+        if missed == Missed::ByAll {
+            break missed;
+        }
+        assert!(!missed.includes(quick.port()), "after {sent}");
+        assert_eq!(quick.try_receive().expect("receive"), Some(Order::Snapshot));
+        sent += 1;
+        assert!(sent < 40 * sizes.order_buffer, "no end");
+    };
+    assert!(missed.includes(quick.port()) && !missed.is_nobody());
+    assert!(sent >= 16 * sizes.order_buffer, "{sent}");
+    let awake = still.remove(0);
+    while awake.try_receive().expect("receive").is_some() {}
+    let missed = orders.send(&Order::Stop).expect("no error");
+    assert!(!missed.includes(quick.port()) && !missed.includes(awake.port()));
+    assert_eq!(quick.try_receive().expect("receive"), Some(Order::Stop));
 }
 
 #[test]
@@ -75,7 +107,28 @@ fn every_worker_of_a_run_can_be_sent_its_fill_at_once() {
         let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, 4));
         assert!(sizes.max_workers >= 2 * workers, "{sizes:?}");
         assert!(sizes.order_buffer >= ORDERS_PER_WORKER * sizes.max_workers, "{sizes:?}");
+        // All else is of one worker each.
+        let [.., (name, messages)] = sizes.shared_memory(workers);
+        let bound = (12 << 20) + (640 << 10) * workers as u64;
+        assert!(messages <= bound, "{name} of {workers} workers take {messages} bytes");
     }
+}
+
+#[test]
+fn orders_of_many_workers_take_what_was_reckoned_with() {
+    let domain = TestDomain::new();
+    let sizes = ChannelSizes { max_workers: 512, order_buffer: 1024, ..SIZES };
+    let channels = Channels::create(&domain.0, sizes).expect("create");
+    let before = domain.0.size();
+    let orders = channels.order_sender().expect("sender");
+    let receivers: Vec<_> =
+        (0..257).map(|_| channels.order_receiver().expect("receiver")).collect();
+    orders.send(&Order::Stop).expect("send");
+    for receiver in &receivers {
+        assert_eq!(receiver.try_receive().expect("receive"), Some(Order::Stop));
+    }
+    let taken = domain.0.size() - before;
+    assert!(taken < 24 << 20, "{taken} bytes");
 }
 
 #[test]
@@ -272,7 +325,7 @@ fn a_run_takes_no_more_than_its_budget() {
         block.update_connections();
         policies.try_receive().expect("receive");
         orders.try_receive().expect("receive");
-        status.send(&Status::Heartbeat { worker: 0, incarnation: 0 }).expect("send");
+        status.send(&Status::Heartbeat { worker: 0, incarnation: 0, orders: 0 }).expect("send");
     }
     blocks.try_receive().expect("receive");
 
@@ -330,13 +383,13 @@ fn status_of_a_crowd_overflows_instead_of_blocking() {
     let sender = channels.status_sender().expect("sender");
     let receiver = channels.status_receiver().expect("receiver");
     for worker in 0..200 {
-        sender.send(&Status::Heartbeat { worker, incarnation: 0 }).expect("never blocks");
+        sender.send(&Status::Heartbeat { worker, incarnation: 0, orders: 0 }).expect("never blocks");
     }
     let mut last = None;
     while let Some(status) = receiver.try_receive().expect("receive") {
         last = Some(status);
     }
-    assert_eq!(last, Some(Status::Heartbeat { worker: 199, incarnation: 0 }));
+    assert_eq!(last, Some(Status::Heartbeat { worker: 199, incarnation: 0, orders: 0 }));
 }
 
 /// All files of a domain, with what the system knows about them.

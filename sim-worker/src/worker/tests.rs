@@ -134,6 +134,30 @@ fn a_worker_makes_what_is_ordered_and_nothing_else() {
     assert!(blocks.try_receive().expect("receive").is_none(), "nothing was made twice");
 }
 
+/// A coordinator that stands still while its workers come up never hears that they are ready: their first
+/// word is pushed out of its queue by those that follow.
+#[test]
+fn every_sign_of_life_says_where_orders_are_taken() {
+    let world = world();
+    let domain = TestDomain(Domain::fresh());
+    let sizes = ChannelSizes::new(&world.config, &world.dimensions);
+    let channels = Channels::create(&domain.0, sizes).expect("create");
+    let orders = channels.order_sender().expect("orders");
+    let status = channels.status_receiver().expect("status");
+    std::thread::scope(|scope| {
+        let worker = scope.spawn(|| {
+            let mut worker = Worker::connect(&arguments(&domain.0), &world).expect("connect");
+            worker.serve()
+        });
+        let first = wait_for(|| status.try_receive().expect("receive"));
+        let Status::Ready { orders: port, .. } = first else { panic!("{first:?}") };
+        let next = wait_for(|| status.try_receive().expect("receive"));
+        assert_eq!(next, Status::Heartbeat { worker: 2, incarnation: 1, orders: port });
+        orders.send(&Order::Stop).expect("send");
+        worker.join().expect("no panic").expect("a clean end");
+    });
+}
+
 #[test]
 fn a_worker_without_a_run_says_what_is_missing() {
     let error = load(&RunDir::new("no/such/run")).expect_err("no such run");

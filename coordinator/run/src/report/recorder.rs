@@ -144,6 +144,22 @@ impl Durability {
     }
 }
 
+#[cfg(test)]
+impl Durability {
+    /// Has the thread do nothing more until what is returned is dropped, as on a disk that stands still.
+    pub(super) fn stand_still(&self) -> Sender<()> {
+        let (end, wait) = channel();
+        let (done, _) = channel();
+        let work: Work = Box::new(move |_| {
+            // That nothing is ever sent is how it ends.
+            let _ = wait.recv();
+            Ok(())
+        });
+        self.0.send(Job::Do(work, done)).expect("the thread lives");
+        end
+    }
+}
+
 fn wait_for(jobs: &SyncSender<Job>, work: Work) -> anyhow::Result<()> {
     let (done, wait) = channel();
     jobs.send(Job::Do(work, done)).map_err(|_| gone())?;

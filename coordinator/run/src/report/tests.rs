@@ -106,6 +106,26 @@ fn a_resumed_run_drops_what_its_checkpoint_does_not_hold() {
     assert!(run_dir.curve().is_file());
 }
 
+#[test]
+fn a_disk_that_stands_still_holds_no_iteration_up_and_loses_none() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    let mut reporter = Reporter::create(&run_dir, &config(), None, true).expect("creates");
+    let still = reporter.durability().stand_still();
+    for iteration in 0..200 {
+        reporter.iteration(&report(iteration), &live(1.0)).expect("hands over");
+        if iteration % 10 == 9 {
+            reporter.evaluation(&evaluated(iteration + 1), 1.5).expect("hands over");
+        }
+    }
+    assert_eq!(iterations(&run_dir), [0; 0], "all of them wait");
+    drop(still);
+    reporter.durability().wait().expect("writes");
+    assert_eq!(iterations(&run_dir), (0..200).collect::<Vec<_>>());
+    let evaluations = store::jsonl::read(&run_dir.evaluations()).expect("readable");
+    assert_eq!(evaluations.len(), 20);
+}
+
 fn evaluated(iteration: u64) -> Evaluated {
     let tail = MeanErrors { position: 0.01, orientation: 0.02, base: 0.03 };
     let errors = Means { tail, min: tail };

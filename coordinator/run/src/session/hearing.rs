@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use proto::message::{IterationReport, Order, Progress, Status};
+use proto::message::{IterationReport, Order, PortId, Progress, Status, WorkerId};
 use proto::{ExitCode, ExitError};
 use store::checkpoint::Name;
 
@@ -22,6 +22,23 @@ fn unwritten(error: &anyhow::Error) -> ExitError {
 /// How long a learner that has said why it fails may take to end.
 const LAST_WORD: Duration = Duration::from_secs(2);
 
+/// Has a living worker get orders, now or as soon as the learner is ready, unless it does already.
+fn employ(
+    scheduler: Option<&mut Scheduler>,
+    early: &mut Vec<(WorkerId, u32)>,
+    worker: WorkerId,
+    incarnation: u32,
+    now: Instant,
+) {
+    match scheduler {
+        Some(scheduler) if !scheduler.knows(worker, incarnation) => {
+            scheduler.worker_ready(worker, incarnation, now);
+        }
+        None if !early.contains(&(worker, incarnation)) => early.push((worker, incarnation)),
+        _ => {}
+    }
+}
+
 impl Session<'_> {
     pub(super) fn hear_workers(
         &mut self,
@@ -31,24 +48,9 @@ impl Session<'_> {
         let now = self.attention.now();
         while let Some(status) = self.status.try_receive()? {
             match status {
-                Status::Ready { worker, incarnation, orders } => {
-                    self.orders.introduce(Addressee::Worker(worker), orders);
-                    if supervisor.is_leaving(worker, incarnation) {
-                        self.orders.send(Order::Leave { worker, incarnation })?;
-                    }
-                    if !supervisor.is_current(worker, incarnation) {
-                        continue;
-                    }
-                    self.heard.insert(worker, now);
-                    match &mut self.scheduler {
-                        Some(scheduler) => scheduler.worker_ready(worker, incarnation, now),
-                        None => self.early.push((worker, incarnation)),
-                    }
-                }
-                Status::Heartbeat { worker, incarnation } => {
-                    if supervisor.is_current(worker, incarnation) {
-                        self.heard.insert(worker, now);
-                    }
+                Status::Ready { worker, incarnation, orders }
+                | Status::Heartbeat { worker, incarnation, orders } => {
+                    self.worker_lives(worker, incarnation, orders, supervisor)?;
                 }
                 Status::BlockDone {
                     worker, incarnation, iteration, env_steps, rollout_ns, ..
@@ -85,6 +87,34 @@ impl Session<'_> {
                 other => tracing::warn!(?other, "status of an unknown kind"),
             }
         }
+        Ok(())
+    }
+
+    /// A worker says that it is there and where it takes orders. It does so first when it is ready; where
+    /// that word was pushed out of the queue, because this process stood still, its next one counts as much.
+    fn worker_lives(
+        &mut self,
+        worker: WorkerId,
+        incarnation: u32,
+        orders: PortId,
+        supervisor: &Supervisor,
+    ) -> Result<(), ExitError> {
+        let is_leaving = supervisor.is_leaving(worker, incarnation);
+        let is_current = supervisor.is_current(worker, incarnation);
+        if !is_leaving && !is_current {
+            // A late word of the dead.
+            return Ok(());
+        }
+        let is_new = self.orders.introduce(Addressee::Worker(worker), orders);
+        if is_leaving {
+            if is_new {
+                self.orders.send(Order::Leave { worker, incarnation })?;
+            }
+            return Ok(());
+        }
+        let now = self.attention.now();
+        self.heard.insert(worker, now);
+        employ(self.scheduler.as_mut(), &mut self.early, worker, incarnation, now);
         Ok(())
     }
 
@@ -265,5 +295,36 @@ impl Session<'_> {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The first word of a worker was the only one that got it orders, and a coordinator that stood still
+    /// for half a minute never heard it.
+    #[test]
+    fn a_worker_whose_first_word_was_lost_gets_orders_after_the_next_and_once() {
+        let now = Instant::now();
+        let mut early = Vec::new();
+        // Before the learner is ready.
+        for _ in 0..3 {
+            employ(None, &mut early, 4, 0, now);
+        }
+        employ(None, &mut early, 5, 0, now);
+        assert_eq!(early, [(4, 0), (5, 0)]);
+        // And after.
+        let mut scheduler = Scheduler::new(3, 0, 0, 1);
+        employ(Some(&mut scheduler), &mut early, 4, 0, now);
+        let orders = scheduler.assign(now);
+        assert_eq!(orders.len(), 2);
+        employ(Some(&mut scheduler), &mut early, 4, 0, now);
+        assert!(orders.iter().all(|order| scheduler.awaits(order)), "it keeps what it has");
+        // A successor has nothing of that.
+        employ(Some(&mut scheduler), &mut early, 4, 1, now);
+        assert!(!orders.iter().any(|order| scheduler.awaits(order)));
+        assert_eq!(scheduler.assign(now).len(), 2);
+        assert_eq!(early.len(), 2);
     }
 }

@@ -49,9 +49,9 @@ impl Mail {
         Self { sender, ports, missed, tried: Instant::now() }
     }
 
-    /// Where somebody takes orders, who may have taken the place of another.
-    pub(super) fn introduce(&mut self, addressee: Addressee, port: PortId) {
-        self.ports.insert(addressee, port);
+    /// Where somebody takes orders, who may have taken the place of another. Whether that was not known.
+    pub(super) fn introduce(&mut self, addressee: Addressee, port: PortId) -> bool {
+        self.ports.insert(addressee, port) != Some(port)
     }
 
     /// Nobody is left of those who were introduced.
@@ -62,14 +62,14 @@ impl Mail {
 
     /// Sends an order.
     pub(super) fn send(&mut self, order: Order) -> Result<(), ChannelError> {
-        let full = self.sender.send(&order)?;
+        let missed = self.sender.send(&order)?;
         let Some(addressee) = Addressee::of(&order) else { return Ok(()) };
         let is_missed = match self.ports.get(&addressee) {
-            Some(port) => full.contains(port),
-            None => !full.is_empty(),
+            Some(port) => missed.includes(*port),
+            None => !missed.is_nobody(),
         };
         if is_missed {
-            tracing::debug!(?order, "the receiver's queue is full");
+            tracing::debug!(?order, "there is no room for it");
             self.missed.push_back(order);
         }
         Ok(())
@@ -126,7 +126,8 @@ mod tests {
         let channels = Channels::create(&domain.0, sizes).expect("create");
         let mut mail = Mail::new(channels.order_sender().expect("sender"));
         let [quick, busy] = [(); 2].map(|()| channels.order_receiver().expect("receiver"));
-        mail.introduce(Addressee::Worker(0), quick.port());
+        assert!(mail.introduce(Addressee::Worker(0), quick.port()));
+        assert!(!mail.introduce(Addressee::Worker(0), quick.port()), "known");
         mail.introduce(Addressee::Worker(1), busy.port());
         let retry = |mail: &mut Mail, wanted: bool| {
             std::thread::sleep(PAUSE);

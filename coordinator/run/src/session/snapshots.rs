@@ -148,6 +148,8 @@ impl Snapshots {
             let _ = asker.send(Ok(Name::of_iteration(*newest).to_string()));
             return;
         }
+        // Those who have gone meanwhile are not kept until the next commit, which may be far away.
+        self.askers.retain(|(_, asker)| !asker.is_closed());
         self.askers.push((iterations, asker));
         let (_, under_way) = self.handed_over;
         if !(self.committer.is_busy() && under_way >= iterations) {

@@ -219,6 +219,7 @@ impl Replay {
     }
 }
 
+#[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
 fn copy_rows(
     rows: &[usize],
     place: impl Fn(usize) -> usize,
@@ -226,7 +227,10 @@ fn copy_rows(
     width: usize,
     to: &mut Tensor,
 ) {
-    for (slot, &row) in numbers_mut::<f32>(to).chunks_exact_mut(width).zip(rows) {
+    // SAFETY: `to` is a tensor of a batch, made of zeros with a storage of its own, and the learner has
+    // done with it when it is filled again.
+    let to = unsafe { numbers_mut::<f32>(to) };
+    for (slot, &row) in to.chunks_exact_mut(width).zip(rows) {
         slot.copy_from_slice(&from[place(row) * width..][..width]);
     }
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::wording;
 use super::{
     AngleContact, Arm, BaseBox, JOINTS_PER_ARM, Link, RigidBody, RobotDescription, RobotError,
 };
@@ -53,8 +54,9 @@ impl Robot {
 
     /// Reads a description; `path` is only for messages.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, RobotError> {
-        let description: RobotDescription = toml::from_str(text).map_err(|e| {
-            RobotError::Parse { path: path.display().to_string(), reason: e.to_string() }
+        let description: RobotDescription = toml::from_str(text).map_err(|error| {
+            let reason = wording::in_words(&error, text);
+            RobotError::Parse { path: path.display().to_string(), reason }
         })?;
         Self::from_description(description, path)
     }

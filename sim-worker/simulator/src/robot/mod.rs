@@ -12,6 +12,7 @@ mod parts;
 mod resolve;
 mod rigid_body;
 mod shape;
+mod wording;
 
 pub use assembly::Robot;
 pub use description::RobotDescription;

@@ -16,7 +16,7 @@ impl Robot {
     /// Validates and completes a description; `path` is only for messages.
     pub fn from_description(d: RobotDescription, path: &Path) -> Result<Self, RobotError> {
         let check = Check { path: path.display().to_string() };
-        check.that(!d.name.is_empty(), "name", "empty", "a name")?;
+        check.that(is_plain(&d.name), "name", &format!("{:?}", d.name), PLAIN)?;
         check.finite("home_position", &d.home_position)?;
         check.that(!d.base.is_empty(), "base", "no box", "at least one [[base]] box")?;
         check.that(
@@ -34,6 +34,13 @@ impl Robot {
             &format!("1 to {MAX_ARMS} [[arms]]"),
         )?;
 
+        // Keys hold names, so these come first.
+        let box_names: Vec<&str> = d.base.iter().map(|b| b.name.as_str()).collect();
+        check.names("base", &box_names, &[])?;
+        let link_names: Vec<&str> = d.links.iter().map(|link| link.name.as_str()).collect();
+        check.names("links", &link_names, &["mount", "pedestal"])?;
+        let arm_names: Vec<&str> = d.arms.iter().map(|arm| arm.name.as_str()).collect();
+        check.names("arms", &arm_names, &[])?;
         let mut boxes = Vec::new();
         for (i, b) in d.base.iter().enumerate() {
             let key = format!("base[{i}] ({})", b.name);
@@ -56,10 +63,6 @@ impl Robot {
             .enumerate()
             .map(|(i, link)| resolve_link(&check, i, link))
             .collect::<Result<Vec<_>, _>>()?;
-        let link_names: Vec<&str> = d.links.iter().map(|link| link.name.as_str()).collect();
-        check.names("links", &link_names, &["mount", "pedestal"])?;
-        let arm_names: Vec<&str> = d.arms.iter().map(|arm| arm.name.as_str()).collect();
-        check.names("arms", &arm_names, &[])?;
         check.finite("tool.position", &d.tool.position)?;
         let last = &links[JOINTS_PER_ARM - 1];
         let tool_position = last.shift + last.twist * Vector3::from(d.tool.position);
@@ -136,6 +139,14 @@ impl Robot {
     }
 }
 
+/// What a name is made of: it goes into file names, messages and MJCF as it is.
+const PLAIN: &str = "letters, digits, `-`, `_`";
+
+fn is_plain(name: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    !name.is_empty() && name.chars().all(plain)
+}
+
 /// Refuses values, naming file and key.
 struct Check {
     path: String,
@@ -176,13 +187,12 @@ impl Check {
     /// Names by which files, messages and MJCF tell parts apart.
     fn names(&self, list: &str, names: &[&str], taken: &[&str]) -> Result<(), RobotError> {
         for (i, name) in names.iter().enumerate() {
-            let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
             let free = !names[..i].contains(name) && !taken.contains(name);
             self.that(
-                free && !name.is_empty() && name.chars().all(plain),
+                free && is_plain(name),
                 &format!("{list}[{i}].name"),
                 &format!("{name:?}"),
-                &format!("letters, digits, `-`, `_`, other than {taken:?} and the names before it"),
+                &format!("{PLAIN}, other than {taken:?} and the names before it"),
             )?;
         }
         Ok(())

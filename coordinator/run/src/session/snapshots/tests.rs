@@ -212,3 +212,44 @@ fn nothing_is_committed_whose_metrics_are_not_durable() {
     assert!(matches!(results[..], [Committed::Unrecorded { iteration: 1, .. }]), "{results:?}");
     assert_eq!(fixture.kept(), [0; 0]);
 }
+
+#[test]
+fn who_asked_and_has_gone_is_not_kept() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=0"]);
+    for _ in 0..1000 {
+        let (asker, answer) = oneshot::channel();
+        fixture.snapshots.ask_for(3, asker);
+        drop(answer);
+    }
+    let (asker, mut answer) = oneshot::channel();
+    fixture.snapshots.ask_for(3, asker);
+    assert_eq!(fixture.snapshots.askers.len(), 1);
+    fixture.arrives(3);
+    fixture.settle();
+    assert_eq!(answer.try_recv().expect("answered"), Ok("iteration-00000003".to_owned()));
+}
+
+#[test]
+fn metrics_that_wait_for_their_disk_hold_up_commits_and_nothing_else() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=1", "run.evaluate_every=0"]);
+    let robot = Robot::builtin("paper").expect("built in").to_toml();
+    let store = fixture.store.clone();
+    let (end, wait) = std::sync::mpsc::channel::<()>();
+    let record = move || {
+        // That nothing is ever sent is how it ends.
+        let _ = wait.recv();
+        Ok(())
+    };
+    fixture.snapshots = Snapshots::new(&fixture.config, robot, json!({}), store, record);
+    for iteration in 1..=4 {
+        fixture.arrives(iteration);
+        fixture.snapshots.iteration_done(iteration);
+        fixture.snapshots.results();
+    }
+    assert_eq!(fixture.kept(), [0; 0]);
+    assert_eq!(fixture.snapshots.settled_at(4), None);
+    drop(end);
+    fixture.settle();
+    assert_eq!(fixture.kept(), [4]);
+    assert!(fixture.snapshots.settled_at(4).is_some());
+}

@@ -40,7 +40,7 @@ macro_rules! back_end {
             #[inline(always)]
             fn neg(self) -> Self {
                 // −0 − x is −x for every number; the compiler knows it as a negation and folds it into multiply-adds.
-                // SAFETY: values of this type exist only where `dispatch_on` has found AVX-512.
+                // SAFETY: values of this type exist only once `dispatch_on` or `dispatch_for` has found AVX-512.
                 Self(unsafe { sub_ps(set1_ps(-0.0), self.0) })
             }
         }
@@ -93,7 +93,7 @@ macro_rules! back_end {
             }
             #[inline(always)]
             fn add_pair_product<P: PairProducts>(self, x: $pair, w: WeightPair, by: P) -> Self {
-                // SAFETY: as for `splat`; there is no `Native` without AVX-512 BF16. The transmuted types are of one size.
+                // SAFETY: as for `splat`; there is no `Native` without AVX-512 BF16. The transmuted types are of one size, and every bit pattern is a value of both.
                 unsafe {
                     if by.native().is_some() {
                         let w = set1_epi32(w.0 as i32);

@@ -2,7 +2,8 @@
 //!
 //! The arithmetic of the types in `avx512` and `avx2` is processor intrinsics behind `#[inline(always)]`: they become single instructions
 //! where they are inlined into the functions there that enable the processor features, and [`dispatch_on`] enters those only after asking the processor.
-//! Values of these types exist only inside such a call.
+//! The types are named inside such a call alone, so where there is a value of one, or a function for one, this process has found the features: they stay
+//! true when either leaves the call.
 #![cfg_attr(
     target_arch = "x86_64",
     expect(
@@ -40,11 +41,12 @@ impl Backend {
         match self {
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => {
-                std::arch::is_x86_feature_detected!("avx512f")
+                // The compiler takes AVX2 for granted with AVX-512; a virtual machine may leave it out.
+                Self::Avx2.is_available()
+                    && std::arch::is_x86_feature_detected!("avx512f")
                     && std::arch::is_x86_feature_detected!("avx512dq")
                     && std::arch::is_x86_feature_detected!("avx512vl")
                     && std::arch::is_x86_feature_detected!("avx512bw")
-                    && std::arch::is_x86_feature_detected!("fma")
             }
             #[cfg(target_arch = "x86_64")]
             Self::Avx2 => {

@@ -102,7 +102,7 @@ macro_rules! operator {
             #[inline(always)]
             fn $f(self, other: Self) -> Self {
                 let ($a, $b) = (self, other);
-                // SAFETY: values of this type exist only where `dispatch_on` or `dispatch_for` has found the processor features.
+                // SAFETY: values of this type exist only once `dispatch_on` or `dispatch_for` has found the processor features.
                 unsafe { $e }
             }
         }
