@@ -15,6 +15,7 @@ use super::Bench;
 use super::child::Running;
 use super::figures::{Figure, Figures};
 use super::learner::BEST;
+use crate::environment;
 use crate::report::jsonl;
 use crate::supervisor::{child_exit_code, log_tail};
 
@@ -130,7 +131,9 @@ impl Run {
     fn start(bench: &Bench, run_dir: &RunDir, dir: &Path, workers: usize) -> anyhow::Result<Self> {
         let log = dir.join("train.log");
         let file = File::create(&log).with_context(|| log.display().to_string())?;
-        let child = Command::new(std::env::current_exe().context("no program")?)
+        let mut command = Command::new(std::env::current_exe().context("no program")?);
+        environment::clean(&mut command);
+        let child = command
             .args(["train", "--no-eval", "--quiet", "--listen=off"])
             // Killed with this process; its janitor then cleans up.
             .args(["--parent", &std::process::id().to_string()])
