@@ -85,7 +85,7 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
     };
     let (curves, notes) = recorded::read_all(&runs)?;
     for note in &notes {
-        eprintln!("{note}");
+        output::note(note);
     }
     let line = |name, quick: &[&str]| Line::new(name, args, &policies, quick);
     let jobs = Jobs {
