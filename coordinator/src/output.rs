@@ -2,6 +2,7 @@
 //! to standard error.
 
 mod table;
+mod wrap;
 
 use std::io::{ErrorKind, Write as _};
 
@@ -11,6 +12,7 @@ use rustix::io::Errno;
 use serde::Serialize;
 
 pub use self::table::{COLUMNS, columns, table, table_within};
+pub use self::wrap::{wrap, wrap_within};
 use crate::printable::{printable, printable_json};
 use crate::report::progress::grouped;
 

@@ -114,12 +114,6 @@ impl Bench {
                 return Err(ExitError::new(ExitCode::Usage, message).into());
             }
         }
-        for name in args.pictures.iter().flat_map(|_| growth::NAMES) {
-            let dir = args.pictures.as_deref().unwrap_or(Path::new("."));
-            let path = picture::path(dir, name);
-            let mark = b"<svg";
-            Output { flag: "--pictures", path: &path, mark, force: args.force }.check(&[])?;
-        }
         let preset: Preset = args.preset.into();
         let workers = format!("[run]\nworkers = {}", args.workers);
         let mut layers = Layers::new(preset, None).text(&workers, "--workers")?;
@@ -127,6 +121,13 @@ impl Bench {
             layers = layers.set(assignment)?;
         }
         let config = precision::resolve(layers.resolve()?);
+        for name in args.pictures.iter().flat_map(|_| growth::NAMES) {
+            let dir = args.pictures.as_deref().unwrap_or(Path::new("."));
+            let path = picture::path(dir, name);
+            let read = ("--set robot.description", Path::new(&config.robot.description));
+            let mark = b"<svg";
+            Output { flag: "--pictures", path: &path, mark, force: args.force }.check(&[read])?;
+        }
         let robot = super::load_fit_robot(&config.robot.description, &step_options(&config))?;
         let mut train_args =
             vec![format!("--preset={}", preset.as_str()), format!("--workers={}", args.workers)];
@@ -171,13 +172,13 @@ impl Bench {
         } else {
             format!("; `octopus train` takes {} unless told otherwise", TRAINED.as_str())
         };
-        format!(
-            "preset {}, {}, learner in {}{other}\n\n{table}\n\n{}",
+        let header = format!(
+            "preset {}, {}, learner in {}{other}",
             self.preset.as_str(),
             output::counted(run.workers as u64, "worker"),
             precision::name(run.precision),
-            load.sentence()
-        )
+        );
+        format!("{}\n\n{table}\n\n{}", output::wrap(&header), output::wrap(&load.sentence()))
     }
 
     /// Says what is measured now; an error after Ctrl-C.
