@@ -94,6 +94,11 @@ pub(crate) trait Experiment {
 
     /// What it found as a person reads it, in lines of `columns` characters.
     fn table(columns: usize, report: &ReportOf<Self>) -> String;
+
+    /// The same as its command prints it.
+    fn printed(&self, columns: usize, report: &ReportOf<Self>) -> String {
+        Self::table(columns, report)
+    }
 }
 
 /// What an experiment's report holds.
@@ -118,7 +123,7 @@ fn print<E: Experiment>(experiment: &E) -> anyhow::Result<()> {
     if experiment.common().json {
         return output::json(&report);
     }
-    output::line(&E::table(output::columns(), &report))
+    output::line(&experiment.printed(output::columns(), &report))
 }
 
 /// Does an experiment in a lab that was made for it.

@@ -73,9 +73,18 @@ impl Experiment for PrecisionArgs {
     }
 
     fn table(columns: usize, report: &Report<Settings, Precision>) -> String {
-        let tables = report.results.iter().map(|result| {
-            format!("{}\n{}", result.summary.task.as_str(), result.summary.table(columns, true))
-        });
-        tables.collect::<Vec<_>>().join("\n\n")
+        tables(columns, report, true)
     }
+
+    fn printed(&self, columns: usize, report: &Report<Settings, Precision>) -> String {
+        tables(columns, report, self.agents)
+    }
+}
+
+/// A table a task, with the errors of each agent if `agents` says so.
+fn tables(columns: usize, report: &Report<Settings, Precision>, agents: bool) -> String {
+    let tables = report.results.iter().map(|result| {
+        format!("{}\n{}", result.summary.task.as_str(), result.summary.table(columns, agents))
+    });
+    tables.collect::<Vec<_>>().join("\n\n")
 }
