@@ -45,6 +45,9 @@ impl Session<'_> {
             self.headroom.release();
             // Once for all of them: it waits where one has died in the middle of something.
             self.channels.clean_up_after_the_dead();
+            // Successors inherit what is open, and would keep the memory of the dead: it is closed when this
+            // process hears that they are gone.
+            self.hear_workers(supervisor, reporter)?;
         }
         for death in deaths {
             match death {
@@ -167,12 +170,10 @@ impl Session<'_> {
         supervisor.kill_all();
         self.snapshots.learner_gone();
         self.hear_committer(reporter)?;
-        while self.status.try_receive()?.is_some() {}
-        while self.progress.try_receive()?.is_some() {}
-        while self.pieces.try_receive()?.is_some() {}
-        self.failures.take_policies()?;
-        self.failures.forget_policies();
+        self.forget_what_was_said()?;
         self.channels.clean_up_after_the_dead();
+        // Once more: only now it is closed, before successors inherit it, what the dead had sent.
+        self.forget_what_was_said()?;
         let received = self.scheduler.take().map_or(0, |scheduler| scheduler.received());
         self.books.all_lost(received as u64 * self.steps_per_block);
         self.early.clear();
@@ -191,6 +192,16 @@ impl Session<'_> {
         })?;
         self.snapshots.go_on_from(iteration);
         self.start_children(from.as_ref(), supervisor)
+    }
+
+    /// Takes what is still on its way from processes that are no more, and drops it.
+    fn forget_what_was_said(&mut self) -> Result<(), ExitError> {
+        while self.status.try_receive()?.is_some() {}
+        while self.progress.try_receive()?.is_some() {}
+        while self.pieces.try_receive()?.is_some() {}
+        self.failures.take_policies()?;
+        self.failures.forget_policies();
+        Ok(())
     }
 
     /// The end of a run that somebody or its time limit has stopped: there is no time to train again
