@@ -93,8 +93,11 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
 }
 
 /// What helps a new run that its disk does not carry.
-const REMEDY: Remedy =
-    Remedy { elsewhere: "choose another --run-dir", less: Some("--set run.checkpoints_kept=1") };
+pub(crate) const REMEDY: Remedy = Remedy {
+    elsewhere: "choose another --run-dir",
+    less: Some("--set run.checkpoints_kept=1"),
+    flags: &["--workers", "--envs"],
+};
 
 /// The run directory and the counter that belongs to it. A directory of our own choice is made here, so
 /// that no other run chooses it, and is gone again if there is no counter.
@@ -347,7 +350,7 @@ fn evaluation_path(run_dir: &RunDir) -> PathBuf {
 
 /// The configuration that the command line asks for. An error about a key that a flag has set
 /// names the flag.
-fn configure(args: &TrainArgs) -> Result<Config, ExitError> {
+pub(super) fn configure(args: &TrainArgs) -> Result<Config, ExitError> {
     resolve(args).map_err(|error| {
         let flag = match &error {
             ConfigError::Invalid { key, .. } => {
@@ -449,7 +452,7 @@ fn sets(args: &TrainArgs, key: &str) -> bool {
     args.sets.iter().any(|set| set.split('=').next().is_some_and(|name| name.trim() == key))
 }
 
-/// Refuses what the machine cannot carry; `remedy` is what helps where the disk is at fault.
+/// Refuses what the machine cannot carry; `remedy` is what helps.
 pub(super) fn check_machine(
     config: &Config,
     robot: &Robot,
@@ -458,7 +461,7 @@ pub(super) fn check_machine(
     remedy: &Remedy,
 ) -> Result<(), ExitError> {
     let dimensions = Dimensions::new(config, robot.n_arms);
-    preflight::check_run(config, &dimensions, &programs.learner)?;
+    preflight::check_run(config, &dimensions, &programs.learner, remedy.flags)?;
     let there = CheckpointStore::new(run_dir.checkpoints()).list().map_or(0, |there| there.len());
     let disk = preflight::disk(run_dir.path(), config, &dimensions, there, remedy);
     if disk.verdict == Verdict::Failure {
