@@ -159,6 +159,14 @@ impl Session<'_> {
         base::find(&self.store, run_dir, &self.refused)?.settle(run_dir)
     }
 
+    /// Where a repetition of some iterations began: its checkpoint lies in the directory of another run, and it
+    /// has none of its own.
+    fn base_from_elsewhere(&self) -> Option<Checkpoint> {
+        let begun = self.spec.resume.as_ref()?;
+        let is_own = begun.dir.starts_with(self.store.root());
+        (!is_own && !self.refused.contains_key(&begun.dir)).then(|| begun.clone())
+    }
+
     /// Starts everything anew from the last checkpoint. `why` is told to the owner.
     fn go_back(
         &mut self,
@@ -182,6 +190,7 @@ impl Session<'_> {
         self.finishing = None;
 
         let (from, said) = self.find_base()?;
+        let from = from.or_else(|| self.base_from_elsewhere());
         for sentence in said {
             reporter.note(&format!("warning: {sentence}"));
         }
@@ -209,11 +218,16 @@ impl Session<'_> {
     fn died_while_stopping(&mut self, cause: Cause) -> ExitError {
         self.snapshots.learner_gone();
         let base = self.find_base().ok().and_then(|(base, _)| base);
-        let kept = base.map_or(0, |base| base.manifest.iteration);
+        let kept = match base {
+            Some(base) => {
+                format!("the last checkpoint is of iteration {}", base.manifest.iteration)
+            }
+            None => "there is no checkpoint to go on from".to_owned(),
+        };
         let message = format!(
-            "the learner died ({cause}) while the run was stopping; the last checkpoint is of \
-             iteration {kept} of {}; `octopus resume {}` trains the others again",
-            self.reported,
+            "the learner died ({cause}) while the run was stopping; {} done, and {kept}; `octopus resume \
+             {}` trains what is missing again",
+            crate::output::counted(self.reported, "iteration"),
             self.spec.run_dir.path().display()
         );
         ExitError::new(cause.exit_code(), message)
