@@ -546,9 +546,9 @@ fn uploads_wait_for_a_held_lock_and_reads_do_not() {
     };
     let lock = std::fs::File::open(store.join(".lock")).expect("own");
     flock(&lock, FlockOperation::LockExclusive).expect("free");
+    let names: Vec<String> = (0..8).map(|n| format!("copy-{n}")).collect();
     std::thread::scope(|scope| {
-        let names: Vec<String> = (0..8).map(|n| format!("copy-{n}")).collect();
-        let uploads: Vec<_> = names.iter().map(|name| scope.spawn(|| upload(name))).collect();
+        let uploads: Vec<_> = names.iter().map(|name| scope.spawn(move || upload(name))).collect();
         // Each of them has its archive on the disk before it waits.
         let patience = Instant::now() + Duration::from_mins(1);
         while served.nameless_files() < 8 && Instant::now() < patience {
