@@ -210,8 +210,8 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
 }
 
 /// What a second request to stop says if something in this process does not end.
-pub(super) const ABANDONED: &str = "stopped at once; what was being written is abandoned, and the last checkpoint is where \
-     `octopus resume` goes on";
+pub(super) const ABANDONED: &str = "stopped at once; what was being written is abandoned; `octopus resume` goes on from the last \
+     checkpoint, if there is one";
 
 fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
     let task = config.task.name.as_str();

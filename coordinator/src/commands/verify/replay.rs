@@ -167,12 +167,8 @@ impl Part {
 fn read_again(scratch: &RunDir, planned: u64) -> Result<Vec<Iteration>, ExitError> {
     let path = scratch.metrics_jsonl();
     // The learner has refused the checkpoint.
-    record::read_iterations(&path, planned).or_else(|error| {
-        match record::read_iterations(&path, 0) {
-            Ok(all) => Ok(all),
-            Err(_) => Err(error),
-        }
-    })
+    record::read_iterations(&path, planned)
+        .or_else(|error| record::read_iterations(&path, 0).map_err(|_| error))
 }
 
 /// Trains in `scratch` from `checkpoint`, or from nothing, what `part` says.
