@@ -28,12 +28,14 @@ pub fn prepare() -> Result<(), ExitError> {
     let fail = |error: std::io::Error| {
         ExitError::new(ExitCode::Environment, format!("signals cannot be caught: {error}"))
     };
-    // Whoever listens to a signal does not die of it. Listening outlasts the runtime.
+    // Whoever listens to a signal does not die of it. Listening outlasts the runtime. It also ends that a
+    // shell had a signal ignored: who ignores the death of children never hears how they ended.
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(fail)?;
     let _context = runtime.enter();
-    let listening = signal(SignalKind::from_raw(Signal::XFSZ.as_raw())).map_err(fail)?;
-    drop(listening);
+    for kind in [SignalKind::from_raw(Signal::XFSZ.as_raw()), SignalKind::child()] {
+        drop(signal(kind).map_err(fail)?);
+    }
     Ok(())
 }
 

@@ -167,6 +167,15 @@ fn a_disk_that_is_full_when_a_run_is_resumed_names_what_goes_on() {
 }
 
 #[test]
+fn a_shell_that_ignores_the_death_of_children_harms_no_run() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let args = train(&dir);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let output = limited("trap '' CHLD", &[], &args);
+    assert!(output.status.success(), "{}", stderr(&output));
+}
+
+#[test]
 fn what_a_killed_run_had_begun_to_write_goes_when_it_is_resumed() {
     let mut run = Run::train(&["--workers=1", "--iterations=5"]);
     run.succeed();
