@@ -194,14 +194,14 @@ pub struct TrainArgs {
     #[arg(value_enum)]
     pub task: Option<TaskArg>,
     /// The configuration to start from.
-    #[arg(long, value_enum, default_value_t = PresetArg::Tuned)]
+    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = PresetArg::Tuned)]
     pub preset: PresetArg,
     /// A TOML file with the keys to change.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// The learning algorithm, with what the preset changes for it [default: mappo, unless --config says
     /// otherwise].
-    #[arg(long, value_name = "NAME", value_enum)]
+    #[arg(long, allow_negative_numbers = true, value_name = "NAME", value_enum)]
     pub algorithm: Option<AlgorithmArg>,
     /// Change one key; may be given again: --set algorithm.gamma=0.97.
     #[arg(long = "set", value_name = "KEY=VALUE", allow_hyphen_values = true, value_parser = assignment)]
@@ -228,10 +228,10 @@ pub struct TrainArgs {
     #[arg(long, value_name = "0|1", allow_hyphen_values = true, value_parser = whole::<u64>(0, 1))]
     pub overlap: Option<u64>,
     /// Where the learner computes: cpu, cuda:0.
-    #[arg(long, value_name = "DEVICE")]
+    #[arg(long, allow_negative_numbers = true, value_name = "DEVICE")]
     pub device: Option<String>,
     /// `paper`, `release`, or a robot file.
-    #[arg(long, value_name = "NAME|FILE")]
+    #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]
     pub robot: Option<String>,
     /// The run's HTTP service.
     #[command(flatten)]
@@ -338,7 +338,7 @@ pub struct EvalArgs {
 #[command(override_usage = SIMULATE_USAGE, after_help = SIMULATE_EXAMPLES)]
 pub struct SimulateArgs {
     /// `paper`, `release`, or a robot file.
-    #[arg(long, value_name = "NAME|FILE")]
+    #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]
     pub robot: String,
     /// The commands; `-` reads standard input.
     #[arg(long, value_name = "IN.csv")]
@@ -350,10 +350,10 @@ pub struct SimulateArgs {
     #[arg(long)]
     pub force: bool,
     /// Arithmetic.
-    #[arg(long, value_enum, default_value_t = PrecisionArg::F32)]
+    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = PrecisionArg::F32)]
     pub precision: PrecisionArg,
     /// Integration scheme.
-    #[arg(long, value_enum, default_value_t = IntegratorArg::Rk3)]
+    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = IntegratorArg::Rk3)]
     pub integrator: IntegratorArg,
     /// Duration of an integration step; divides the control period.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.016, allow_hyphen_values = true, value_parser = seconds)]
@@ -362,7 +362,7 @@ pub struct SimulateArgs {
     #[arg(long, value_name = "SECONDS", default_value_t = 0.4, allow_hyphen_values = true, value_parser = seconds)]
     pub control_period: f64,
     /// Whether touching bodies push each other.
-    #[arg(long, value_name = "on|off", value_enum, default_value_t = Switch::On)]
+    #[arg(long, allow_negative_numbers = true, value_name = "on|off", value_enum, default_value_t = Switch::On)]
     pub contacts: Switch,
 }
 
@@ -371,7 +371,7 @@ pub struct SimulateArgs {
 #[command(after_help = MJCF_EXAMPLES)]
 pub struct MjcfArgs {
     /// `paper`, `release`, or a robot file.
-    #[arg(long, value_name = "NAME|FILE")]
+    #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]
     pub robot: String,
     /// The model file [default: standard output].
     #[arg(long, value_name = "FILE")]
@@ -380,7 +380,7 @@ pub struct MjcfArgs {
     #[arg(long)]
     pub force: bool,
     /// Whether shapes of the model collide.
-    #[arg(long, value_name = "on|off", value_enum, default_value_t = Switch::On)]
+    #[arg(long, allow_negative_numbers = true, value_name = "on|off", value_enum, default_value_t = Switch::On)]
     pub contacts: Switch,
 }
 
@@ -646,7 +646,14 @@ mod tests {
                 .filter(|option| !option.is_require_equals_set() && !option.is_hide_set())
             {
                 let words = !option.get_possible_values().is_empty();
-                if words || paths.contains(&option.get_value_parser().type_id()) {
+                let parser = option.get_value_parser().type_id();
+                if parser == paths[0] {
+                    continue;
+                }
+                if words || parser == paths[1] {
+                    let taken = option.is_allow_negative_numbers_set()
+                        || option.is_allow_hyphen_values_set();
+                    assert!(taken, "{path} {option}");
                     continue;
                 }
                 let several = option.get_num_args().is_some_and(|range| range.max_values() > 1);
@@ -665,6 +672,16 @@ mod tests {
             assert_eq!(error.kind(), clap::error::ErrorKind::ValueValidation, "{line}");
             assert!(error.to_string().contains(wanted), "{error}");
         }
+        for (line, said) in [
+            ("octopus train --preset -1", "possible values: tuned, paper, release"),
+            ("octopus mjcf --robot paper --contacts -1", "possible values: on, off"),
+        ] {
+            let error = Cli::try_parse_from(line.split(' ')).expect_err(line);
+            assert_eq!(error.kind(), clap::error::ErrorKind::InvalidValue, "{line}");
+            assert!(error.to_string().contains(said), "{error}");
+        }
+        assert!(Cli::try_parse_from(["octopus", "train", "--device", "-1"]).is_ok(), "a value");
+        assert!(Cli::try_parse_from(["octopus", "train", "--device", "--json"]).is_err());
         for line in ["octopus train --set network.min_log_std=-3", "octopus train --run-dir --json"]
         {
             let parsed = Cli::try_parse_from(line.split(' '));

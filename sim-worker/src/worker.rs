@@ -76,7 +76,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
 /// Reads configuration and robot of a run.
 pub fn load(run_dir: &RunDir) -> Result<World, ExitError> {
     let read = |path: PathBuf| {
-        std::fs::read_to_string(&path).map(|text| (text, path.display().to_string())).map_err(
+        process::input::read_text(&path).map(|text| (text, path.display().to_string())).map_err(
             |error| {
                 ExitError::new(
                     ExitCode::RunDirectory,

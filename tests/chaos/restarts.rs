@@ -177,7 +177,7 @@ fn kill_learner(run: &mut Run, stop: &StopRequests) -> Result<Duration> {
 }
 
 /// Waits for something of a run that must not end.
-fn wait_for(
+pub(super) fn wait_for(
     run: &mut Run,
     stop: &StopRequests,
     mut happened: impl FnMut(&Run) -> bool,

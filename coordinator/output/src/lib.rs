@@ -8,6 +8,7 @@
 pub mod printable;
 pub mod table;
 mod words;
+mod wrap;
 
 use std::io::{ErrorKind, Write as _};
 
@@ -18,6 +19,7 @@ use serde::Serialize;
 
 pub use self::table::{COLUMNS, columns, table, table_within};
 pub use self::words::{age, counted, grouped, size};
+pub use self::wrap::{wrap, wrap_within};
 use crate::printable::{printable, printable_json};
 
 /// Writes a text with a line end.

@@ -44,9 +44,13 @@ pub fn printable_json(text: &str) -> Cow<'_, str> {
 
 /// Whether a terminal would obey a character instead of showing it.
 fn is_hidden(c: char) -> bool {
-    let turns =
-        matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
-    (c.is_control() && c != '\n' && c != '\t') || turns
+    let turns = matches!(
+        c,
+        '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}'
+    );
+    // Some terminals and pagers begin a line there.
+    let ends_a_line = matches!(c, '\u{2028}' | '\u{2029}');
+    (c.is_control() && c != '\n' && c != '\t') || turns || ends_a_line
 }
 
 #[cfg(test)]
@@ -64,6 +68,7 @@ mod tests {
             ("\u{9b}31m", "\\u{9b}31m"),
             // Shown from right to left: `exe.txt`.
             ("\u{202e}txt.exe", "\\u{202e}txt.exe"),
+            ("a\u{61c}b\u{2028}c\u{2029}d", "a\\u{61c}b\\u{2028}c\\u{2029}d"),
         ] {
             assert_eq!(printable(text), shown);
         }

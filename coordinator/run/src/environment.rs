@@ -10,10 +10,13 @@ use std::process::Command;
 
 use service::http::TOKEN_VARIABLE;
 
-/// Prefixes of variables that the libraries of the learner read: libtorch, MKL, oneDNN by its names of
-/// all times, and both kinds of OpenMP.
-const FOREIGN_PREFIXES: [&str; 11] = [
+/// Prefixes of variables that the libraries of the learner read: libtorch, MKL, OpenBLAS, oneDNN by its
+/// names of all times, both kinds of OpenMP, and CUDA's where they choose the arithmetic. Which GPUs there
+/// are (`CUDA_`, `NVIDIA_VISIBLE_DEVICES`) stays a matter of the machine.
+const FOREIGN_PREFIXES: [&str; 17] = [
     "ATEN_",
+    "C10_",
+    "CUBLAS_",
     "DNNL_",
     "GOMP_",
     "IDEEP_",
@@ -22,8 +25,12 @@ const FOREIGN_PREFIXES: [&str; 11] = [
     "LRU_CACHE_",
     "MKLDNN_",
     "MKL_",
+    "NVIDIA_TF32_",
     "OMP_",
     "ONEDNN_",
+    "OPENBLAS_",
+    "PYTORCH_",
+    "TORCH_",
 ];
 
 /// Other variables that change what a process computes or whether it lives. The first chooses variants
@@ -82,6 +89,12 @@ mod tests {
             "IDEEP_CACHE_CAPACITY",
             "LRU_CACHE_CAPACITY",
             "ATEN_CPU_CAPABILITY",
+            "TORCH_SHOW_CPP_STACKTRACES",
+            "PYTORCH_CUDA_ALLOC_CONF",
+            "C10_LOG_LEVEL",
+            "OPENBLAS_NUM_THREADS",
+            "NVIDIA_TF32_OVERRIDE",
+            "CUBLAS_WORKSPACE_CONFIG",
             "GLIBC_TUNABLES",
             "RUST_MIN_STACK",
             TOKEN_VARIABLE,
@@ -89,9 +102,15 @@ mod tests {
         for name in removed {
             assert!(is_removed(OsStr::new(name)), "{name}");
         }
-        for name in
-            ["PATH", "HOME", "LD_LIBRARY_PATH", "LD_PRELOAD", "RUST_LOG", "CUDA_VISIBLE_DEVICES"]
-        {
+        for name in [
+            "PATH",
+            "HOME",
+            "LD_LIBRARY_PATH",
+            "LD_PRELOAD",
+            "RUST_LOG",
+            "CUDA_VISIBLE_DEVICES",
+            "NVIDIA_VISIBLE_DEVICES",
+        ] {
             assert!(!is_removed(OsStr::new(name)), "{name}");
         }
     }

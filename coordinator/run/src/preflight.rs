@@ -80,19 +80,21 @@ impl Check {
     }
 }
 
-/// Refuses to start a run that this machine cannot carry; logs what could be better.
+/// Refuses to start a run that this machine cannot carry; logs what could be better. What the command that asks has of
+/// [`Remedy::flags`] is in `flags`.
 pub fn check_run(
     config: &Config,
     dimensions: &Dimensions,
     learner: &Path,
+    flags: &[&str],
 ) -> Result<(), ExitError> {
     let workers = config.run.workers;
     let checks: [&dyn Fn() -> Check; 8] = [
-        &|| shared_memory(config, dimensions),
+        &|| shared_memory(config, dimensions, flags),
         &|| file_size(config, dimensions),
-        &|| descriptors(workers),
+        &|| descriptors(workers, flags),
         &|| memory_maps(workers),
-        &|| processors(workers, config.run.learner_threads),
+        &|| processors(workers, config.run.learner_threads, flags),
         &|| arithmetic(config, &provenance::vector_extensions()),
         &|| libtorch(learner),
         &|| device(learner, &config.run.device),
@@ -111,7 +113,7 @@ pub fn check_run(
 }
 
 /// Free shared memory against what the channels of the run reserve.
-pub fn shared_memory(config: &Config, dimensions: &Dimensions) -> Check {
+pub fn shared_memory(config: &Config, dimensions: &Dimensions, flags: &[&str]) -> Check {
     const NAME: &str = "shared memory";
     let directory = Path::new(SHARED_MEMORY);
     let free = match free_space(directory) {
@@ -136,7 +138,7 @@ pub fn shared_memory(config: &Config, dimensions: &Dimensions) -> Check {
             parts.join(", "),
             mib(free)
         ),
-        cures(needed, &smaller::fitting(config, dimensions, free), directory),
+        cures(needed, &smaller::fitting(config, dimensions, free, flags), directory),
     )
 }
 
@@ -193,7 +195,7 @@ pub fn shared_memory_is_full() -> bool {
     free_space(Path::new(SHARED_MEMORY)).is_ok_and(|free| free < 1 << 20)
 }
 
-/// Refuses what the machine cannot carry; `remedy` is what helps where the disk is at fault.
+/// Refuses what the machine cannot carry; `remedy` is what helps.
 pub fn check_machine(
     config: &Config,
     robot: &Robot,
@@ -202,7 +204,7 @@ pub fn check_machine(
     remedy: &Remedy,
 ) -> Result<(), ExitError> {
     let dimensions = Dimensions::new(config, robot.n_arms);
-    check_run(config, &dimensions, learner)?;
+    check_run(config, &dimensions, learner, remedy.flags)?;
     let there = CheckpointStore::new(run_dir.checkpoints()).list().map_or(0, |there| there.len());
     let disk = disk(run_dir.path(), config, &dimensions, there, remedy);
     if disk.verdict == Verdict::Failure {
@@ -237,7 +239,7 @@ fn checkpoint_size(config: &Config, dimensions: &Dimensions) -> u64 {
 }
 
 /// Open files that a process of the run may have, against what the transport opens.
-pub fn descriptors(workers: usize) -> Check {
+pub fn descriptors(workers: usize, flags: &[&str]) -> Check {
     const NAME: &str = "file descriptors";
     // With two workers a learner has 80 open, a worker 69, a coordinator 65 (/proc/PID/fd); each
     // further worker adds a few connections to all of them, and this leaves room for that.
@@ -247,7 +249,7 @@ pub fn descriptors(workers: usize) -> Check {
         Some(limit) if limit < needed => Check::failure(
             NAME,
             format!("a process may open {limit} files and {workers} workers need {needed}"),
-            smaller::open_files(needed, limit, limits.maximum),
+            smaller::open_files(needed, limit, limits.maximum, flags),
         ),
         Some(limit) => Check::good(NAME, format!("{limit} allowed, {needed} needed")),
         None => Check::good(NAME, "no limit"),
@@ -271,25 +273,31 @@ pub fn memory_maps(workers: usize) -> Check {
 }
 
 /// Processors against the threads of a run.
-pub fn processors(workers: usize, learner_threads: usize) -> Check {
+pub fn processors(workers: usize, learner_threads: usize, flags: &[&str]) -> Check {
     const NAME: &str = "processors";
     let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let extensions = provenance::vector_extensions();
     let name = provenance::processor_name();
     let found = format!("{processors} of {name} ({})", extensions.join(", "));
     let mut crowd = Vec::new();
-    let mut flags = Vec::new();
+    let mut faster = Vec::new();
     if workers > processors {
         crowd.push(format!("{workers} workers"));
-        flags.push(format!("--workers {processors}"));
+        if flags.contains(&smaller::WORKERS) {
+            faster.push(format!("{} {processors}", smaller::WORKERS));
+        }
     }
     if learner_threads > processors {
         crowd.push(format!("{learner_threads} learner threads"));
-        flags.push(format!("a new run with --set run.learner_threads={processors}"));
+        faster.push(format!("a new run with --set run.learner_threads={processors}"));
     }
     if !crowd.is_empty() {
         let found = format!("{found}, shared by {}", crowd.join(" and by "));
-        return Check::warning(NAME, found, format!("{} is faster", flags.join(", ")));
+        let cure = match faster.as_slice() {
+            [] => "a machine with more processors is faster".to_owned(),
+            some => format!("{} is faster", some.join(", ")),
+        };
+        return Check::warning(NAME, found, cure);
     }
     if cfg!(target_arch = "x86_64")
         && !(extensions.contains(&"avx2") && extensions.contains(&"fma"))
@@ -338,7 +346,7 @@ pub fn memory() -> Check {
         return Check::warning(
             NAME,
             mib(memory),
-            "the default run needs about 2 GiB: fewer --workers and --envs",
+            "the default run needs about 2 GiB: `octopus train` with fewer --workers and --envs",
         );
     }
     Check::good(NAME, mib(memory))
@@ -465,14 +473,16 @@ fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
     Err(format!("{} {} fails: {last}", learner.display(), args.join(" ")))
 }
 
-/// What helps where a disk is not enough, in the words of the command that asks: not all have the same
+/// What helps where a machine is not enough, in the words of the command that asks: not all have the same
 /// flags.
 #[derive(Debug, Clone, Copy)]
 pub struct Remedy {
     /// How to use another directory.
     pub elsewhere: &'static str,
-    /// How to need less.
+    /// How to need less of a disk.
     pub less: Option<&'static str>,
+    /// Which of `--workers` and `--envs` it has, with which a run needs less of everything else.
+    pub flags: &'static [&'static str],
 }
 
 /// Room for a run's directory: checkpoints, metrics and logs. `there` checkpoints lie in it already.
@@ -539,7 +549,8 @@ mod tests {
         let config = config("env.n_envs=65536");
         let config =
             Config { run: proto::config::Run { workers: 256, ..config.run.clone() }, ..config };
-        let check = shared_memory(&config, &Dimensions::new(&config, 4));
+        let flags = ["--workers", "--envs"];
+        let check = shared_memory(&config, &Dimensions::new(&config, 4), &flags);
         assert_eq!(check.verdict, Verdict::Failure);
         let cure = check.cure.expect("a failure has a cure");
         assert!(cure.contains("need less: --") && cure.ends_with("killed runs left"), "{cure}");
@@ -556,7 +567,7 @@ mod tests {
     fn what_lies_on_the_disk_already_is_not_asked_for_again() {
         let config = config("run.checkpoints_kept=3");
         let dimensions = Dimensions::new(&config, 4);
-        let remedy = Remedy { elsewhere: "elsewhere", less: None };
+        let remedy = Remedy { elsewhere: "elsewhere", less: None, flags: &[] };
         let dir = tempfile::tempdir().expect("tempdir");
         let wanted = |there| {
             let found = disk(dir.path(), &config, &dimensions, there, &remedy).found;

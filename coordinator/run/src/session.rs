@@ -318,7 +318,7 @@ impl<'a> Session<'a> {
         if self.spec.stop.count() > 1 {
             return Err(ExitError::new(
                 ExitCode::Interrupted,
-                "stopped at once; the last checkpoint is where `octopus resume` goes on",
+                "stopped at once; `octopus resume` goes on from the last checkpoint, if there is one",
             ));
         }
         self.failures.take_policies()?;

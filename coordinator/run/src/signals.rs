@@ -4,16 +4,20 @@
 //! first one lets what is under way come to its end, the second one ends it at once. Whoever was told to
 //! ignore SIGHUP, as `nohup` does, goes on ignoring it.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use proto::ExitCode;
 use rustix::process::Signal;
 use tokio::signal::unix::{SignalKind, signal};
 
+use crate::output;
+
 /// How long a process may take to end by itself after the second request.
 const GRACE: Duration = Duration::from_secs(3);
+/// How long its last word may take.
+const LAST_WORD: Duration = Duration::from_millis(200);
 
 /// How often the user asked to stop: once means finish the iteration, twice means now.
 #[derive(Debug, Clone, Default)]
@@ -77,8 +81,22 @@ pub fn exit_when_asked(message: String) -> std::io::Result<()> {
     reason = "a request to stop at once; whoever asks for this has nothing to undo"
 )]
 fn end(message: &str) -> ! {
-    output::note(&format!("error: {message}"));
+    say(format!("error: {message}"));
     std::process::exit(ExitCode::Interrupted as i32)
+}
+
+/// Writes to standard error, but does not wait for it for long: a terminal that is held with Ctrl-S takes
+/// nothing, nor does a pipe that nobody reads, and another thread may hold standard error meanwhile.
+fn say(message: String) {
+    let (done, wait) = mpsc::channel();
+    let speaker = std::thread::Builder::new().name("last word".to_owned()).spawn(move || {
+        output::note(&message);
+        // Who waits may have gone.
+        let _ = done.send(());
+    });
+    if speaker.is_ok() {
+        let _ = wait.recv_timeout(LAST_WORD);
+    }
 }
 
 /// Calls `act` at each SIGINT, SIGTERM and SIGHUP, on a thread of its own.

@@ -69,7 +69,7 @@ pub struct BenchArgs {
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0, allow_hyphen_values = true, value_parser = measuring_time)]
     pub seconds: f64,
     /// The configuration to measure. `paper`, as its peers do the same work; `octopus train` takes `tuned` unless told otherwise.
-    #[arg(long, value_enum, default_value_t = PresetArg::Paper)]
+    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = PresetArg::Paper)]
     pub preset: PresetArg,
     /// Change one key; may be given again: --set algorithm.epochs=10.
     #[arg(long = "set", value_name = "KEY=VALUE", allow_hyphen_values = true, value_parser = assignment)]

@@ -323,7 +323,7 @@ pub struct CommitArgs {
     /// The run directory.
     #[arg(value_name = "RUN")]
     pub run_dir: PathBuf,
-    /// A file with the token of the run's service [default: that in SPACEOCTOPUS_TOKEN].
+    /// A file with the token to show [default: http.token of the run directory].
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
     /// Print as JSON.

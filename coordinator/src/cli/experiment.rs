@@ -121,7 +121,7 @@ pub struct CommonArgs {
     #[arg(long, value_name = "CHECKPOINT", help_heading = "Policies")]
     pub reorientation: Option<PathBuf>,
     /// Another robot than the policies' own: `paper`, `release`, or a robot file.
-    #[arg(long, value_name = "NAME|FILE")]
+    #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]
     pub robot: Option<String>,
     /// Episodes with goals of their own [default: 30; of base-mass 50 for each mass].
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u32>(1, 1_000_000))]
@@ -144,6 +144,9 @@ pub struct PrecisionArgs {
     /// What all share.
     #[command(flatten)]
     pub common: CommonArgs,
+    /// Show the errors of each agent, too.
+    #[arg(long)]
+    pub agents: bool,
 }
 
 /// Options of `disturbance`.

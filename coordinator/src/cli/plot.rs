@@ -29,7 +29,7 @@ pub struct PlotArgs {
     #[arg(value_name = "RUN_DIR|CURVES", required = true, num_args = 1..)]
     pub runs: Vec<PathBuf>,
     /// What learning is drawn against.
-    #[arg(long, value_enum, default_value_t = Named(Over::EnvSteps))]
+    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = Named(Over::EnvSteps))]
     pub over: Named<Over>,
     /// Where the picture goes; another picture that is there is replaced.
     #[arg(long, value_name = "FILE", default_value = "learning-curves.svg")]

@@ -36,7 +36,7 @@ as it was started or resumed with if that is more.";
 #[derive(Debug, Clone, Args)]
 #[command(after_help = SERVE_EXAMPLES)]
 pub struct ServeArgs {
-    /// A directory of checkpoints, or a run directory.
+    /// A directory of checkpoints, an empty one, or a run directory.
     #[arg(long, value_name = "DIR")]
     pub store: PathBuf,
     /// Make the directory if it does not exist.

@@ -29,10 +29,10 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
         }
     };
     let checks = [
-        preflight::processors(WORKERS.min(processors), 1),
+        preflight::processors(WORKERS.min(processors), 1, &[]),
         preflight::memory(),
         shared_memory(&config)?,
-        preflight::descriptors(WORKERS),
+        preflight::descriptors(WORKERS, &[]),
         preflight::memory_maps(WORKERS),
         libtorch,
         preflight::gpu(learner.as_deref(), Path::new("/proc/driver/nvidia")),
@@ -42,15 +42,17 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
     if args.json {
         output::json(&checks)?;
     } else {
+        let columns = output::columns();
         let rows = checks.iter().map(|check| {
             let verdict = match check.verdict {
                 Verdict::Good => "ok",
                 Verdict::Warning => "warning",
                 Verdict::Failure => "FAILS",
             };
-            let cure =
-                check.cure.as_ref().map(|cure| format!("\n{:20}-> {cure}", "")).unwrap_or_default();
-            format!("{verdict:8}{:18}{}{cure}", check.name, check.found)
+            let wrap = |indent, text: &str| output::wrap_within(columns, indent, indent, text);
+            let cure = check.cure.as_ref().map(|cure| format!("\n{:20}-> {}", "", wrap(23, cure)));
+            let found = wrap(26, &check.found);
+            format!("{verdict:8}{:18}{found}{}", check.name, cure.unwrap_or_default())
         });
         output::line(&rows.collect::<Vec<_>>().join("\n"))?;
     }
@@ -65,7 +67,7 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
 /// Whether the default run fits.
 fn shared_memory(config: &Config) -> anyhow::Result<Check> {
     let robot = run::robots::load_robot(&config.robot.description)?;
-    Ok(preflight::shared_memory(config, &Dimensions::new(config, robot.n_arms)))
+    Ok(preflight::shared_memory(config, &Dimensions::new(config, robot.n_arms), &[]))
 }
 
 /// What killed runs left behind.

@@ -12,7 +12,8 @@ use crate::cli::experiment::{CommonArgs, ExperimentArgs, ExperimentCommand, Fail
 pub fn run(args: &ExperimentArgs) -> anyhow::Result<()> {
     match args.command.clone() {
         ExperimentCommand::Precision(args) => {
-            print(&precision::Study { common: study(&args.common) }, args.common.json)
+            let (common, agents) = (study(&args.common), args.agents);
+            print(&precision::Study { common, agents }, args.common.json)
         }
         ExperimentCommand::Disturbance(args) => {
             let (common, json) = (study(&args.common), args.common.json);
@@ -68,5 +69,5 @@ fn print<E: Experiment>(experiment: &E, json: bool) -> anyhow::Result<()> {
     if json {
         return output::json(&report);
     }
-    output::line(&E::table(output::columns(), &report))
+    output::line(&experiment.printed(output::columns(), &report))
 }

@@ -10,6 +10,11 @@ use store::files;
 use store::outputs::Output;
 
 use crate::cli::plot::PlotArgs;
+use crate::figures::families::{Family, families};
+use crate::figures::learning::learning;
+use crate::figures::recorded;
+use crate::outputs::{Output, is_same_place};
+use crate::{files, output};
 
 /// Draws.
 pub fn run(args: &PlotArgs) -> anyhow::Result<()> {
@@ -42,7 +47,7 @@ fn check_outputs(args: &PlotArgs) -> Result<(), ExitError> {
     Output { flag: "--out", path: out, mark: b"<svg", force: *force }.check(&inputs)?;
     let Some(save) = save else { return Ok(()) };
     Output { flag: "--save", path: save, mark: b"{\"curves\":", force: *force }.check(&inputs)?;
-    if out == save {
+    if is_same_place(out, save) {
         let message = format!("--save {}: is what --out names, too", save.display());
         return Err(ExitError::new(ExitCode::Usage, message));
     }

@@ -22,12 +22,15 @@ use store::provenance::Provenance;
 use store::recorded::Recorded;
 
 use super::train::{self, Counter, Ended, Start};
+use crate::base;
+use crate::checkpoint::{Checkpoint, CheckpointStore, MANIFEST, Name};
 use crate::cli::ResumeArgs;
 
-/// What helps an old run that its disk does not carry.
-const REMEDY: Remedy = Remedy {
+/// What helps an old run that this machine does not carry.
+pub(crate) const REMEDY: Remedy = Remedy {
     elsewhere: "move the run directory to another disk",
     less: Some("lower run.checkpoints_kept in its config.toml"),
+    flags: &["--workers"],
 };
 
 /// Resumes, evaluates and says where everything is.
@@ -75,7 +78,7 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
     let recorded = store::run_files::read_config(&run_dir)?;
     let (robot, robot_text) = store::run_files::read_robot(&run_dir)?;
     let mut budgets = Budgets::read(&run_dir)?;
-    let resume = find_start(&run_dir, &recorded)?;
+    let resume = find_start(&run_dir, &recorded, &robot_text)?;
     let before = decided(&recorded, resume.as_ref())?;
     if let Some(checkpoint) = &resume {
         check_unchanged(&run_dir, &before, &robot_text, checkpoint)?;
@@ -110,6 +113,11 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
         // A run from before they were written down.
         let then = resume.as_ref().map_or(&before, |checkpoint| &checkpoint.config);
         budgets.begin(0, then.run.env_steps)?;
+    }
+    if resume.is_none() {
+        // What an undecided arithmetic came to, or another budget, is nothing to compare with.
+        let repeats = budgets.repeat(&config, 0) && recorded.run.precision != Precision::Auto;
+        note_beginning(&run_dir, repeats)?;
     }
     if recorded.run.precision == Precision::Auto && resume.is_none() {
         // What was computed in before the first checkpoint is not known, so that nothing is promised.
@@ -172,16 +180,22 @@ fn check_no_checkpoint(run_dir: &RunDir) -> Result<(), ExitError> {
 ///
 /// The metrics reach every one: a checkpoint is committed after its lines are durable. Only where a file
 /// was lost or cut by other means does the run go further back, so that no iteration is left out.
-fn find_start(run_dir: &RunDir, config: &Config) -> anyhow::Result<Option<Checkpoint>> {
+fn find_start(
+    run_dir: &RunDir,
+    config: &Config,
+    robot_toml: &str,
+) -> anyhow::Result<Option<Checkpoint>> {
     let store = CheckpointStore::new(run_dir.checkpoints());
     let recorded = Recorded::read(run_dir)?;
     let mut promised = Promised::read(run_dir)?;
     promised.agree(&recorded)?;
     let search = base::find(&store, run_dir, &BTreeMap::new())?;
     // What the metrics have lost is known all the same, if it is the run's.
-    let lost = search.passed_over.iter().find(|passed| passed.unreached && !passed.imported);
-    let lost = lost.and_then(|passed| store.load(&passed.dir).ok()).filter(|newest| {
-        !budgets::matters(config) || newest.config.run.env_steps == config.run.env_steps
+    let mut unreached =
+        search.passed_over.iter().filter(|passed| passed.unreached && !passed.imported);
+    let lost = unreached.find_map(|passed| {
+        let newest = store.load(&passed.dir).ok()?;
+        promises(&store, run_dir, config, robot_toml, &newest).then_some(newest)
     });
     let (base, said) = search.settle(run_dir)?;
     for sentence in said {
@@ -190,19 +204,44 @@ fn find_start(run_dir: &RunDir, config: &Config) -> anyhow::Result<Option<Checkp
     if let (Some(_), Some(newest)) = (&base, lost) {
         promised.add([(newest.manifest.iteration - 1, newest.manifest.digest)])?;
     }
-    if base.is_none() {
-        // Nothing was lost: the same seed gives the same run from the beginning.
-        let is_there = match recorded.iterations() {
-            0 => "no iteration is recorded".to_owned(),
-            1 => "one iteration is recorded, which must end as it did".to_owned(),
-            n => format!("{n} iterations are recorded, which must end as they did"),
-        };
-        output::note(&format!(
-            "note: {}: holds no checkpoint to go on from; the run starts from the beginning ({is_there})",
-            store.root().display()
-        ));
-    }
     Ok(base)
+}
+
+/// Whether a checkpoint that the metrics do not reach says what an iteration of this run must end with.
+/// Nothing recorded ties it to the run, so it has to be one of the same configuration and whole, down to
+/// the digest in its manifest.
+fn promises(
+    store: &CheckpointStore,
+    run_dir: &RunDir,
+    config: &Config,
+    robot_toml: &str,
+    newest: &Checkpoint,
+) -> bool {
+    let same_budget =
+        !budgets::matters(config) || newest.config.run.env_steps == config.run.env_steps;
+    let unchanged = decided(config, Some(newest))
+        .and_then(|config| check_unchanged(run_dir, &config, robot_toml, newest));
+    let name = Name::of_iteration(newest.manifest.iteration);
+    let is_whole = || store.verify(&name).is_ok_and(|found| found.is_whole());
+    same_budget && unchanged.is_ok() && newest.dir == store.dir(&name) && is_whole()
+}
+
+/// Says that a run without a checkpoint begins again, and whether what it has recorded must come out once more.
+fn note_beginning(run_dir: &RunDir, repeats: bool) -> anyhow::Result<()> {
+    let is_there = match (Recorded::read(run_dir)?.iterations(), repeats) {
+        (0, _) => "no iteration is recorded".to_owned(),
+        (1, true) => "one iteration is recorded, which must end as it did".to_owned(),
+        (n, true) => format!("{n} iterations are recorded, which must end as they did"),
+        (n, false) => {
+            let recorded = output::counted(n, "recorded iteration");
+            format!("what is trained now is not compared with {recorded}")
+        }
+    };
+    output::note(&format!(
+        "note: {}: holds no checkpoint to go on from; the run starts from the beginning ({is_there})",
+        run_dir.checkpoints().display()
+    ));
+    Ok(())
 }
 
 /// Says so if the budget in `config.toml` is another than that of the iterations so far.
@@ -211,11 +250,12 @@ fn note_budget(run_dir: &RunDir, budgets: &Budgets, before: &Config) {
         && last.env_steps != before.run.env_steps
     {
         output::note(&format!(
-            "note: {}: run.env_steps is {}, and was {} for the iterations so far: it was changed by \
-             hand, or a resume that changes it was cut short",
+            "note: {}: run.env_steps is {}, and was {} for the iterations so far, as {} says: one of \
+             the two was changed by hand, or a resume that changes it was cut short",
             run_dir.config().display(),
             before.run.env_steps,
-            last.env_steps
+            last.env_steps,
+            budgets.path().display()
         ));
     }
 }

@@ -1,6 +1,7 @@
 //! `octopus rollout`: one block of a run, made again alone.
 
 use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use output::grouped;
@@ -20,6 +21,7 @@ use store::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
 use store::files;
 use store::outputs::Output;
 
+use crate::checkpoint::{Checkpoint, CheckpointStore, Name, POLICY, Selector, read_policy};
 use crate::cli::rollout::{BlockAddress, RolloutArgs};
 
 /// What a block is.
@@ -42,9 +44,12 @@ struct Summary {
 /// Makes the block.
 pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let run_dir = store::run_files::run_directory(&args.run_dir)?;
+    let chosen = args.policy.as_deref().map(open_policy).transpose()?;
     if let Some(path) = &args.out {
         let output = Output { flag: "--out", path, mark: b"", force: args.force };
-        output.check(&[("RUN_DIR", &args.run_dir)])?;
+        let chosen = chosen.iter().map(|checkpoint| ("--policy", checkpoint.dir.as_path()));
+        let inputs: Vec<_> = chosen.chain([("RUN_DIR", args.run_dir.as_path())]).collect();
+        output.check(&inputs)?;
     }
     let BlockAddress { seed, iteration, shard } = args.address;
     let config = store::run_files::read_config(&run_dir)?;
@@ -52,7 +57,12 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let world = World::new(&config, &robot);
     check_address(args, &config)?;
     let version = policy_version_for(iteration, config.run.overlap);
-    let (found, parameters) = find_policy(args, &run_dir, &config, &world.dimensions, version)?;
+    let layout = ActorLayout::new(&config, &world.dimensions);
+    let path = match &chosen {
+        Some(checkpoint) => checkpoint.dir.join(POLICY),
+        None => find_policy(args, &run_dir, &config, version)?,
+    };
+    let (found, parameters) = (path.display().to_string(), read_policy(&path, &layout)?);
     let policy = world
         .policy(&parameters)
         .map_err(|error| ExitError::new(ExitCode::RunDirectory, format!("{found}: {error}")))?;
@@ -118,31 +128,29 @@ fn check_address(args: &RolloutArgs, config: &Config) -> Result<(), ExitError> {
     Ok(())
 }
 
-/// Where the policy is, in words, and its parameters.
+/// The checkpoint that `--policy` names.
+fn open_policy(path: &Path) -> anyhow::Result<Checkpoint> {
+    let selector =
+        Selector::from_path(path).map_err(|message| ExitError::new(ExitCode::Usage, message))?;
+    Ok(selector.open()?)
+}
+
+/// Where the run has kept the policy.
 fn find_policy(
     args: &RolloutArgs,
     run_dir: &RunDir,
     config: &Config,
-    dimensions: &Dimensions,
     version: u64,
-) -> anyhow::Result<(String, Vec<f32>)> {
-    let layout = ActorLayout::new(config, dimensions);
-    if let Some(path) = &args.policy {
-        let selector = Selector::from_path(path)
-            .map_err(|message| ExitError::new(ExitCode::Usage, message))?;
-        let checkpoint = selector.open()?;
-        let path = checkpoint.dir.join(POLICY);
-        return Ok((path.display().to_string(), read_policy(&path, &layout)?));
-    }
+) -> anyhow::Result<PathBuf> {
     let address = (args.address.iteration, args.address.shard);
     let beside = failures::directory(run_dir, address).join(POLICY);
     if beside.is_file() {
-        return Ok((beside.display().to_string(), read_policy(&beside, &layout)?));
+        return Ok(beside);
     }
     let store = CheckpointStore::new(run_dir.checkpoints());
     let path = store.dir(&Name::of_iteration(version)).join(POLICY);
     if path.is_file() {
-        return Ok((path.display().to_string(), read_policy(&path, &layout)?));
+        return Ok(path);
     }
     let versions = store.entries()?.into_iter().filter_map(|entry| {
         (entry.name == Name::of_iteration(entry.iteration)).then_some(entry.iteration)

@@ -11,6 +11,8 @@ use serde_json::json;
 use service::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
 use store::checkpoint::{CheckpointStore, store_to_be};
 
+use super::checkpoints::store_to_fill;
+use crate::checkpoint::CheckpointStore;
 use crate::cli::serve::ServeArgs;
 
 /// How often to look whether the user wants to stop.
@@ -62,9 +64,9 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The store that `path` means, made if that is wanted.
+/// The store that `path` means, made if that is wanted. Files of the service and uploads go into it, so it is no
+/// directory that holds other things.
 fn store(path: &Path, create: bool) -> anyhow::Result<CheckpointStore> {
-    let store = store_to_be(path)?;
     let failure =
         |what: &str| ExitError::new(ExitCode::RunDirectory, format!("{}: {what}", path.display()));
     if path.exists() && !path.is_dir() {
@@ -73,6 +75,7 @@ fn store(path: &Path, create: bool) -> anyhow::Result<CheckpointStore> {
     if !path.exists() && !create {
         return Err(failure("does not exist; --create makes it").into());
     }
+    let store = store_to_fill("--store", path, None)?;
     std::fs::create_dir_all(store.root())
         .map_err(|error| failure(&format!("cannot be made: {error}")))?;
     Ok(store)

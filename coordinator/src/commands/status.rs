@@ -38,7 +38,7 @@ pub struct RunStatus {
     pub planned_iterations: u64,
     /// The last line of its metrics.
     pub last: Option<Value>,
-    /// Its newest checkpoint.
+    /// The newest checkpoint of its own.
     pub checkpoint: Option<PathBuf>,
     /// Where the training has diverged, unless it has recovered.
     pub divergence: Option<Diverged>,
@@ -308,7 +308,9 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
     let holder = RunLock::holder(&run_dir.lock())?;
     let planned_iterations = config.planned_iterations();
-    let checkpoint = CheckpointStore::new(run_dir.checkpoints()).list()?.pop();
+    // What was imported or copied is nothing that the run has done.
+    let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
+    let checkpoint = own.into_iter().next();
     // A run that was killed between its last line and its last checkpoint has that still to make.
     let done = iterations.min(checkpoint.as_deref().map_or(0, iteration_of));
     let state = match &holder {

@@ -94,8 +94,11 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
 }
 
 /// What helps a new run that its disk does not carry.
-const REMEDY: Remedy =
-    Remedy { elsewhere: "choose another --run-dir", less: Some("--set run.checkpoints_kept=1") };
+pub(crate) const REMEDY: Remedy = Remedy {
+    elsewhere: "choose another --run-dir",
+    less: Some("--set run.checkpoints_kept=1"),
+    flags: &["--workers", "--envs"],
+};
 
 /// The run directory and the counter that belongs to it. A directory of our own choice is made here, so
 /// that no other run chooses it, and is gone again if there is no counter.
@@ -208,8 +211,8 @@ pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyho
 }
 
 /// What a second request to stop says if something in this process does not end.
-pub(super) const ABANDONED: &str = "stopped at once; what was being written is abandoned, and the last checkpoint is where \
-     `octopus resume` goes on";
+pub(super) const ABANDONED: &str = "stopped at once; what was being written is abandoned; `octopus resume` goes on from the last \
+     checkpoint, if there is one";
 
 fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
     let task = config.task.name.as_str();
@@ -348,7 +351,7 @@ fn evaluation_path(run_dir: &RunDir) -> PathBuf {
 
 /// The configuration that the command line asks for. An error about a key that a flag has set
 /// names the flag.
-fn configure(args: &TrainArgs) -> Result<Config, ExitError> {
+pub(super) fn configure(args: &TrainArgs) -> Result<Config, ExitError> {
     resolve(args).map_err(|error| {
         let flag = match &error {
             ConfigError::Invalid { key, .. } => {

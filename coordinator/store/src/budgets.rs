@@ -6,7 +6,7 @@
 //! budget makes void is gone, so whatever a kill leaves in between, the next resume finds the two
 //! different and does the same again. The same tells a budget that was changed by hand.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use proto::config::{Config, Schedule};
 use proto::run_dir::RunDir;
@@ -57,13 +57,28 @@ impl Budgets {
                 ),
             )
         };
-        let content = match regular::read(&path, regular::TEXT) {
+        let content: Content = match regular::read(&path, regular::TEXT) {
             Ok(bytes) => serde_json::from_slice(&bytes)
                 .map_err(|error| refuse(format!("cannot be understood: {error}")))?,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Content::default(),
             Err(error) => return Err(refuse(format!("cannot be read: {error}"))),
         };
+        let from = || content.budgets.iter().map(|budget| budget.from);
+        let ascends = from().zip(from().skip(1)).all(|(one, next)| one < next);
+        if from().next().is_some_and(|first| first != 0) || !ascends {
+            return Err(refuse("was changed: its iterations do not ascend from 0".to_owned()));
+        }
         Ok(Self { path, content })
+    }
+
+    /// Where they were read.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All of them, in the order of their iterations; none of a run from before there was the file.
+    pub fn history(&self) -> &[Budget] {
+        &self.content.budgets
     }
 
     /// The budget of the newest iterations, if it is known.

@@ -128,9 +128,26 @@ fn refused(message: String) -> ExitError {
     ExitError::new(ExitCode::RunDirectory, message)
 }
 
-/// Whether `path` leads to the very file.
+/// Whether `path` leads to the very file; `-` to what standard input is read from.
 fn is(path: &Path, file: &Metadata) -> bool {
+    if path == Path::new("-") {
+        let input = rustix::fs::fstat(std::io::stdin());
+        return input.is_ok_and(|input| (input.st_dev, input.st_ino) == (file.dev(), file.ino()));
+    }
     path.metadata().is_ok_and(|other| (other.dev(), other.ino()) == (file.dev(), file.ino()))
+}
+
+/// Whether two names are of one file, which may be still to be made.
+pub fn is_same_place(one: &Path, other: &Path) -> bool {
+    if let Ok(there) = one.metadata() {
+        return is(other, &there);
+    }
+    let whole = |path: &Path| {
+        let parent = path.parent()?;
+        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+        Some(parent.canonicalize().ok()?.join(path.file_name()?))
+    };
+    one == other || (whole(one).is_some() && whole(one) == whole(other))
 }
 
 /// Whether a file may be replaced by another of its kind.
@@ -206,6 +223,21 @@ mod tests {
                 assert_eq!(code, ExitCode::Usage);
                 assert!(message.contains("is what --actions reads"), "{message}");
             }
+        }
+    }
+
+    #[test]
+    fn one_place_has_many_names() {
+        let place = place();
+        let at = |name: &str| place.path().join(name);
+        std::os::unix::fs::symlink(at("in.csv"), at("soft")).expect("linked");
+        for (one, other) in
+            [("new", "./new"), ("new", "run/../new"), ("in.csv", "soft"), ("none/x", "none/x")]
+        {
+            assert!(is_same_place(&at(one), &at(other)), "{one} and {other}");
+        }
+        for (one, other) in [("new", "other"), ("in.csv", "empty"), ("new", "run/new")] {
+            assert!(!is_same_place(&at(one), &at(other)), "{one} and {other}");
         }
     }
 

@@ -1,8 +1,9 @@
 //! From arguments to a running learner.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use proto::ExitError;
+use process::input;
 use proto::config::Config;
 use proto::layout::Dimensions;
 use proto::message::{self, Progress};
@@ -48,7 +49,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     let state = match &arguments.resume {
         None => TrainingState::initial(&config, &dimensions, arithmetic, device),
         Some(path) => {
-            let data = read(path)?;
+            let data = read_state(path)?;
             let state = TrainingState::from_safetensors(&data, &config, &dimensions, device)
                 .map_err(|error| LearnerError::State(format!("{}: {error}", path.display())))?;
             if state.arithmetic != arithmetic {
@@ -83,17 +84,20 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
     Ok(result?)
 }
 
-fn read(path: &std::path::Path) -> Result<Vec<u8>, LearnerError> {
-    std::fs::read(path).map_err(|source| LearnerError::File { path: path.to_owned(), source })
+/// Reads a training state. One that cannot be read is as one that cannot be restored: the coordinator goes on
+/// from the one before.
+fn read_state(path: &Path) -> Result<Vec<u8>, LearnerError> {
+    input::read(path, input::STATE).map_err(|error| {
+        LearnerError::State(format!("{}: cannot be read: {error}", path.display()))
+    })
 }
 
 /// Reads configuration and robot of a run. Of the robot the learner needs the number of arms only.
 pub fn load(run_dir: &RunDir) -> Result<(Config, Dimensions), LearnerError> {
     let text = |path: PathBuf| -> Result<(String, String), LearnerError> {
-        let origin = path.display().to_string();
-        match String::from_utf8(read(&path)?) {
-            Ok(text) => Ok((text, origin)),
-            Err(error) => Err(LearnerError::Robot(format!("{origin}: not UTF-8: {error}"))),
+        match input::read_text(&path) {
+            Ok(text) => Ok((text, path.display().to_string())),
+            Err(source) => Err(LearnerError::File { path, source }),
         }
     };
     let (config, origin) = text(run_dir.config())?;
@@ -129,4 +133,26 @@ pub fn device(name: &str) -> Result<Device, LearnerError> {
         )));
     }
     Ok(Device::Cuda(index))
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::ExitCode;
+
+    use super::*;
+
+    /// A checkpoint that was removed while a learner started from it once ended the run.
+    #[test]
+    fn a_state_that_cannot_be_read_is_told_from_other_bad_input() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        for path in [dir.path().join("gone.safetensors"), dir.path().to_owned()] {
+            let error = ExitError::from(read_state(&path).expect_err("nothing to read"));
+            assert_eq!(error.code, ExitCode::RunDirectory, "{error}");
+            assert!(error.message.starts_with("training state: "), "{error}");
+            assert!(error.message.contains(&path.display().to_string()), "{error}");
+        }
+        let error = ExitError::from(load(&RunDir::new(dir.path())).expect_err("no run"));
+        assert_eq!(error.code, ExitCode::BadInput, "the state is not to blame: {error}");
+        assert!(error.message.contains("config.toml"), "{error}");
+    }
 }

@@ -32,3 +32,22 @@ impl Line {
         &mut bytemuck::cast_slice_mut(lines)[..len]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_lie_in_their_lines_one_after_the_other() {
+        let mut lines = vec![Line::default(); Line::count(33)];
+        assert_eq!((lines.len(), Line::count(0), Line::count(32)), (3, 0, 2));
+        for (i, x) in Line::numbers_mut(&mut lines, 33).iter_mut().enumerate() {
+            *x = i as f32;
+        }
+        assert_eq!(lines[1].0[15], 31.0);
+        assert_eq!(lines[2].0[..2], [32.0, 0.0]);
+        let numbers = Line::numbers(&lines, 33);
+        assert_eq!((numbers.len(), numbers[32]), (33, 32.0));
+        assert_eq!(numbers.as_ptr() as usize % 64, 0);
+    }
+}

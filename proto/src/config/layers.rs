@@ -114,7 +114,7 @@ impl Layers {
         }
         set_task(&mut base, &task);
 
-        let origin_of = |key: &str| origins.get(key).unwrap_or(&origin.as_str()).to_string();
+        let origin_of = |key: &str| origins.get(key).copied().unwrap_or(&origin).to_owned();
         let config = typed(base, origin_of)?;
         config.validate()?;
         Ok(config)

@@ -45,19 +45,25 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
         };
         let figure = rate(format!("learner.{precision}.env_steps_per_s"), update);
         figures.push(figure.peer(peer.filter(|_| precision == "f32")));
-        let product = update.product_gflop_per_s.unwrap_or_default();
-        let key = format!("learner.{precision}.product_gflop_per_s");
-        let limit = Processor::here().peak(precision == "bf16") * Bench::processors() as f64;
-        // The table knows processors, and no GPU.
-        let limit = (bench.config.run.device == "cpu").then_some(1e-9 * limit);
-        figures.push(Figure::rate(key, "GFLOP/s", product).limit(limit));
+        figures.push(product(bench, precision, update));
     }
     for (name, change) in OTHERS {
         bench.begin(&format!("learner {name}"))?;
         let update = self::update(bench, &bench.whole(&[change])?, true)?;
         figures.push(rate(format!("learner.{name}.env_steps_per_s"), &update));
+        figures.push(product(bench, name, &update));
     }
     Ok(())
+}
+
+/// The best rate of an update's matrix products, which its floor reckons with.
+fn product(bench: &Bench, name: &str, update: &Update) -> Figure {
+    let product = update.product_gflop_per_s.unwrap_or_default();
+    let key = format!("learner.{name}.product_gflop_per_s");
+    let limit = Processor::here().peak(update.precision == "bf16") * Bench::processors() as f64;
+    // The table knows processors, and no GPU.
+    let limit = (bench.config.run.device == "cpu").then_some(1e-9 * limit);
+    Figure::rate(key, "GFLOP/s", product).limit(limit)
 }
 
 /// What the learner says of a configuration.

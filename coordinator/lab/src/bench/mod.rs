@@ -146,12 +146,6 @@ struct Bench {
 
 impl Bench {
     fn new(study: &Study) -> anyhow::Result<Self> {
-        for name in study.pictures.iter().flat_map(|_| growth::NAMES) {
-            let dir = study.pictures.as_deref().unwrap_or(Path::new("."));
-            let path = picture::path(dir, name);
-            let mark = b"<svg";
-            Output { flag: "--pictures", path: &path, mark, force: study.force }.check(&[])?;
-        }
         let preset = study.preset;
         let workers = format!("[run]\nworkers = {}", study.workers);
         let mut layers = Layers::new(preset, None).text(&workers, "--workers")?;
@@ -159,6 +153,13 @@ impl Bench {
             layers = layers.set(assignment)?;
         }
         let config = precision::resolve(layers.resolve()?);
+        for name in study.pictures.iter().flat_map(|_| growth::NAMES) {
+            let dir = study.pictures.as_deref().unwrap_or(Path::new("."));
+            let path = picture::path(dir, name);
+            let read = ("--set robot.description", Path::new(&config.robot.description));
+            let mark = b"<svg";
+            Output { flag: "--pictures", path: &path, mark, force: study.force }.check(&[read])?;
+        }
         let robot = run::robots::load_fit_robot(&config.robot.description, &step_options(&config))?;
         let mut train_args =
             vec![format!("--preset={}", preset.as_str()), format!("--workers={}", study.workers)];
@@ -203,13 +204,13 @@ impl Bench {
         } else {
             format!("; `octopus train` takes {} unless told otherwise", TRAINED.as_str())
         };
-        format!(
-            "preset {}, {}, learner in {}{other}\n\n{table}\n\n{}",
+        let header = format!(
+            "preset {}, {}, learner in {}{other}",
             self.preset.as_str(),
             output::counted(run.workers as u64, "worker"),
             precision::name(run.precision),
-            load.sentence()
-        )
+        );
+        format!("{}\n\n{table}\n\n{}", output::wrap(&header), output::wrap(&load.sentence()))
     }
 
     /// Says what is measured now; an error after Ctrl-C.

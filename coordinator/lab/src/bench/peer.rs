@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 use simulator::robot::{MjcfOptions, mjcf::mjcf};
 
 use super::{Bench, child};
+use crate::environment;
 
 const MUJOCO: &str = include_str!("../../../../tests/peers/mujoco_physics.py");
 const TORCH: &str = include_str!("../../../../tests/peers/torch_learner.py");
@@ -117,6 +118,7 @@ impl Peers {
         let path = bench.scratch.path().join(name);
         write(&path, text)?;
         let mut command = Command::new(&self.python);
+        environment::clean(&mut command);
         command.arg(path);
         Ok(command)
     }

@@ -7,6 +7,7 @@ use simulator::robot::Robot;
 use simulator::step::StepOptions;
 
 use super::figures::{Figure, Figures};
+use super::processor::Processor;
 use super::{Bench, arithmetic, median};
 
 /// Turns that a measurement is split into, between those of the peer.
@@ -43,7 +44,9 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
     figures.push(free.floor(Some(peak / free_flops)));
     figures.push(Figure::cost("physics.touching_pairs", "pairs", touching));
     figures.push(Figure::cost("physics.mflop_per_env_step", "MFLOP", flops * 1e-6));
-    figures.push(Figure::rate("physics.core_gflop_per_s", "GFLOP/s", peak * 1e-9));
+    let limit = 1e-9 * Processor::here().peak(false);
+    let core = Figure::rate("physics.core_gflop_per_s", "GFLOP/s", peak * 1e-9);
+    figures.push(core.limit(Some(limit)));
     Ok(())
 }
 

@@ -13,6 +13,7 @@ use simulator::rollout::Stage;
 use simulator::rollout::{RolloutSpec, World, rollout};
 
 use super::figures::{Figure, Figures};
+use super::processor::Processor;
 use super::{Bench, arithmetic};
 
 /// Hidden layers that are always measured beside those of the configuration.
@@ -34,12 +35,19 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
     };
     let physics = operations_per_step(&bench.robot, &step_options(&bench.config));
     let (single, pairs) = policy_flops(&bench.config, &bench.dimensions);
-    let floor = 1.0
-        / ((physics + single) / arithmetic::peak(bench.seconds / 10.0)
-            + pairs / arithmetic::pair_peak(bench.seconds / 10.0));
+    let peak = arithmetic::peak(bench.seconds / 10.0);
+    let pair_peak = arithmetic::pair_peak(bench.seconds / 10.0);
+    let floor = 1.0 / ((physics + single) / peak + pairs / pair_peak);
     let unit = "env-steps/s";
     let figure = Figure::rate("rollout.env_steps_per_s_per_core", unit, rates.env_steps_per_s);
     figures.push(figure.peer(peer).floor(Some(floor)));
+    let core = Processor::here();
+    for (name, peak, limit) in
+        [("core", peak, core.peak(false)), ("pair", pair_peak, core.pair_peak())]
+    {
+        let key = format!("rollout.{name}_gflop_per_s");
+        figures.push(Figure::rate(key, "GFLOP/s", 1e-9 * peak).limit(Some(1e-9 * limit)));
+    }
     for (part, microseconds) in
         [("physics", rates.physics_us), ("policy", rates.policy_us), ("observe", rates.observe_us)]
     {

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use proto::ExitError;
+use proto::config::Config;
 use proto::run_dir::RunDir;
 use run::supervisor::{child_exit_code, log_tail};
 use rustix::process::{Pid, Signal, kill_process};
@@ -17,6 +18,9 @@ use super::Bench;
 use super::child::Running;
 use super::figures::{Figure, Figures};
 use super::learner::BEST;
+use crate::environment;
+use crate::report::jsonl;
+use crate::supervisor::{child_exit_code, log_tail};
 
 /// Iterations that count, at least; the first one does not.
 const ITERATIONS: usize = 3;
@@ -35,7 +39,10 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
     let floor = figures
         .value("rollout.env_steps_per_s_per_core")
         .zip(figures.value(BEST))
-        .and_then(|(rollout, learner)| floor(bench, 1.0 / (cores * rollout), 1.0 / learner));
+        .and_then(|(rollout, learner)| {
+            let processors = Bench::processors() as f64;
+            floor(&bench.config, processors, 1.0 / (cores * rollout), 1.0 / learner)
+        });
     let peer = match &bench.peers {
         None => None,
         Some(peers) => {
@@ -61,9 +68,9 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
 
 /// Env-steps/s of a training that consists of nothing but its rollout and its update (s per env-step). None where the limit on the
 /// divergence may hold actors back: what is not computed has no floor.
-fn floor(bench: &Bench, rollout: f64, learner: f64) -> Option<f64> {
-    let run = &bench.config.run;
-    if bench.config.algorithm.max_kl > 0.0 {
+fn floor(config: &Config, processors: f64, rollout: f64, learner: f64) -> Option<f64> {
+    let run = &config.run;
+    if config.algorithm.max_kl > 0.0 {
         return None;
     }
     let one_after_the_other = rollout + learner;
@@ -71,7 +78,6 @@ fn floor(bench: &Bench, rollout: f64, learner: f64) -> Option<f64> {
         return Some(1.0 / one_after_the_other);
     }
     // Side by side, as far as there are processors for both.
-    let processors = Bench::processors() as f64;
     let (workers, threads) = (run.workers as f64, run.learner_threads as f64);
     let work = rollout * workers.min(processors) + learner * threads.min(processors);
     Some(1.0 / rollout.max(learner).max(work / processors))
@@ -130,7 +136,9 @@ impl Run {
     fn start(bench: &Bench, run_dir: &RunDir, dir: &Path, workers: usize) -> anyhow::Result<Self> {
         let log = dir.join("train.log");
         let file = File::create(&log).with_context(|| log.display().to_string())?;
-        let child = Command::new(std::env::current_exe().context("no program")?)
+        let mut command = Command::new(std::env::current_exe().context("no program")?);
+        environment::clean(&mut command);
+        let child = command
             .args(["train", "--no-eval", "--quiet", "--listen=off"])
             // Killed with this process; its janitor then cleans up.
             .args(["--parent", &std::process::id().to_string()])
@@ -251,6 +259,32 @@ impl Memory {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_training_takes_its_rollout_and_its_update_at_least() {
+        use proto::config::{Layers, Preset};
+
+        let floor = |overlap: u32, max_kl: f64, processors: f64| {
+            let sets = [
+                format!("run.overlap={overlap}"),
+                format!("algorithm.max_kl={max_kl}"),
+                "run.workers=2".to_owned(),
+                "run.learner_threads=2".to_owned(),
+            ];
+            let layers = Layers::new(Preset::Tuned, None);
+            let layers = sets.iter().try_fold(layers, |layers, set| layers.set(set));
+            let config = layers.and_then(|layers| layers.resolve()).expect("valid");
+            // A quarter and an eighth of a second an env-step.
+            super::floor(&config, processors, 0.25, 0.125)
+        };
+        assert_eq!(floor(0, 0.0, 2.0), Some(1.0 / 0.375), "one after the other");
+        assert_eq!(floor(1, 0.0, 4.0), Some(4.0), "side by side the longer one counts");
+        // Two workers and two threads on two processors take turns.
+        assert_eq!(floor(1, 0.0, 2.0), Some(1.0 / 0.375));
+        // On three: (2 · 0.25 + 2 · 0.125) / 3 is a quarter.
+        assert_eq!(floor(1, 0.0, 3.0), Some(4.0));
+        assert_eq!(floor(0, 0.1, 2.0), None, "what is held back has no floor");
+    }
 
     #[test]
     fn a_process_has_memory() {

@@ -18,7 +18,7 @@ const BLOCKS: &str = "2000";
 /// Figures `transport.*`.
 pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()> {
     bench.begin("transport")?;
-    let check = preflight::shared_memory(&bench.config, &bench.dimensions);
+    let check = preflight::shared_memory(&bench.config, &bench.dimensions, &["--workers"]);
     if check.verdict == Verdict::Failure {
         return Err(child::environment(check.sentence()).into());
     }

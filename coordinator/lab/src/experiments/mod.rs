@@ -111,6 +111,11 @@ pub trait Experiment {
 
     /// What it found as a person reads it, in lines of `columns` characters.
     fn table(columns: usize, report: &ReportOf<Self>) -> String;
+
+    /// The same as its command prints it.
+    fn printed(&self, columns: usize, report: &ReportOf<Self>) -> String {
+        Self::table(columns, report)
+    }
 }
 
 /// What an experiment's report holds.

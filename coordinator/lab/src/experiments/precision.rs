@@ -35,6 +35,8 @@ pub struct Precision {
 pub struct Study {
     /// Policies, robot, episodes.
     pub common: Common,
+    /// Whether the errors of each agent are shown, too.
+    pub agents: bool,
 }
 
 impl Experiment for Study {
@@ -48,7 +50,7 @@ impl Experiment for Study {
     }
 
     fn options(&self) -> Vec<OsString> {
-        Vec::new()
+        if self.agents { vec!["--agents".into()] } else { Vec::new() }
     }
 
     fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {
@@ -86,9 +88,18 @@ impl Experiment for Study {
     }
 
     fn table(columns: usize, report: &Report<Settings, Precision>) -> String {
-        let tables = report.results.iter().map(|result| {
-            format!("{}\n{}", result.summary.task.as_str(), result.summary.table(columns, true))
-        });
-        tables.collect::<Vec<_>>().join("\n\n")
+        tables(columns, report, true)
     }
+
+    fn printed(&self, columns: usize, report: &Report<Settings, Precision>) -> String {
+        tables(columns, report, self.agents)
+    }
+}
+
+/// A table a task, with the errors of each agent if `agents` says so.
+fn tables(columns: usize, report: &Report<Settings, Precision>, agents: bool) -> String {
+    let tables = report.results.iter().map(|result| {
+        format!("{}\n{}", result.summary.task.as_str(), result.summary.table(columns, agents))
+    });
+    tables.collect::<Vec<_>>().join("\n\n")
 }

@@ -80,13 +80,18 @@ impl Recorded {
         self.points.last().map_or(0.0, |point| point.env_steps)
     }
 
-    /// Whether it tells of the same bits: the state at the end is the same, or everything on which it depends. A copy of a
-    /// run, or its repetition, says nothing about other seeds.
+    /// Whether it tells of the same bits: the state at the end is the same, or, where that is not known of both, everything on which
+    /// it depends. A copy of a run, or its repetition, says nothing about other seeds.
     fn is_same_training(&self, other: &Self) -> bool {
         if self.config.run.seed != other.config.run.seed
             || !learn_alike(&self.config, &other.config)
         {
             return false;
+        }
+        if let (Some(one), Some(another)) = (&self.digest, &other.digest)
+            && self.end() == other.end()
+        {
+            return one == another;
         }
         let known = |one: &Option<String>, other: &Option<String>| one.is_some() && one == other;
         let on_cpu = self.config.run.device == "cpu" && other.config.run.device == "cpu";
@@ -330,6 +335,12 @@ mod tests {
         let ended = |digest: &str| Recorded { digest: Some(digest.to_owned()), ..curve(20) };
         assert!(ended("aa").is_same_training(&ended("aa")));
         assert!(!ended("aa").is_same_training(&Recorded { commit: None, ..ended("bb") }));
+        // Two states at the same end are two trainings, of whatever build: it may have been changed since its commit.
+        let built = |digest: &str| Recorded { processor: Some("Xeon".to_owned()), ..ended(digest) };
+        assert!(!built("aa").is_same_training(&built("bb")));
+        assert!(
+            built("aa").is_same_training(&Recorded { points: curve(30).points, ..built("bb") })
+        );
     }
 
     #[test]

@@ -301,7 +301,7 @@ impl Planned {
         let arm_failure = arm_failure::Study { common: common(), ..arm_failure::Study::default() };
         let reassembly = reassembly::Study { common: common(), ..reassembly::Study::default() };
         Ok(Self {
-            precision: PlannedExperiment::new(precision::Study { common: common() }, out)?,
+            precision: PlannedExperiment::new(precision::Study { common: common(), agents: false }, out)?,
             disturbance: PlannedExperiment::new(disturbance, out)?,
             arm_failure: PlannedExperiment::new(arm_failure, out)?,
             base_mass: PlannedExperiment::new(study.base_mass(), out)?,
@@ -363,7 +363,7 @@ mod tests {
         static REPORTS: LazyLock<Reports> = LazyLock::new(|| {
             let common = small();
             Reports {
-                precision: made(&precision::Study { common: common.clone() }),
+                precision: made(&precision::Study { common: common.clone(), agents: false }),
                 disturbance: made(&disturbance::Study {
                     common: common.clone(),
                     at: 40,
@@ -437,7 +437,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("a directory");
         let path = dir.path().join("precision.json");
         let find = |seed: u64| {
-            let experiment = precision::Study { common: Common { seed, ..small() } };
+            let experiment = precision::Study { common: Common { seed, ..small() }, agents: false };
             let lab = Lab::resting(&experiment);
             let settings = experiment.settings(&lab).expect("settings");
             super::find::<precision::Study>(&path, &lab, settings)

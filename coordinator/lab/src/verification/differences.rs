@@ -8,6 +8,8 @@ use serde_json::Value;
 use store::checkpoint::flatten;
 
 use super::record::Record;
+use crate::checkpoint::flatten;
+use crate::report::budgets::Budget;
 
 /// What the promise does not extend over, as `provenance.json` names it.
 const EXCLUDED: &[&str] = &["version", "commit", "build", "processor", "vector_extensions"];
@@ -39,9 +41,16 @@ pub(super) struct ProvenanceDifference {
 /// Compares what two runs were told to do.
 pub(super) fn of_configuration(a: &Record, b: &Record) -> Vec<ConfigDifference> {
     let (mut left, mut right) = (flatten(&a.config), flatten(&b.config));
-    let scheduled = [&left, &right].iter().any(|config| {
-        config.get("optimizer.schedule").is_none_or(|schedule| schedule != "\"constant\"")
-    });
+    let common = a.iterations.len().min(b.iterations.len()) as u64;
+    let budgets = [a, b].map(|run| run.budgets_until(common));
+    let undated = [a, b].iter().any(|run| !run.undated_budgets().is_empty());
+    let other_budgets =
+        (is_scheduled(&left) || is_scheduled(&right)) && (budgets[0] != budgets[1] || undated);
+    if other_budgets {
+        for (config, budgets) in [&mut left, &mut right].into_iter().zip(&budgets) {
+            config.insert("run.env_steps".to_owned(), course(budgets));
+        }
+    }
     if a.robot == b.robot {
         // Two names of one robot.
         left.remove("robot.description");
@@ -52,18 +61,40 @@ pub(super) fn of_configuration(a: &Record, b: &Record) -> Vec<ConfigDifference> 
     }
     let keys: BTreeSet<&String> = left.keys().chain(right.keys()).collect();
     keys.into_iter()
-        .filter(|key| left.get(*key) != right.get(*key) || is_undecided(key, &left))
+        .filter(|key| {
+            let budgets = other_budgets && *key == "run.env_steps";
+            left.get(*key) != right.get(*key) || budgets || is_undecided(key, &left)
+        })
         .map(|key| ConfigDifference {
             key: key.clone(),
             a: left.get(key).cloned(),
             b: right.get(key).cloned(),
             matters: match key.as_str() {
-                // The learning rate falls over the budget.
-                "run.env_steps" => scheduled,
+                // The learning rate falls over the budget that was in force.
+                "run.env_steps" => other_budgets,
                 key => !key.strip_prefix("run.").is_some_and(|key| Run::HARMLESS.contains(&key)),
             },
         })
         .collect()
+}
+
+/// Whether what is learned depends on the budget.
+fn is_scheduled(config: &BTreeMap<String, String>) -> bool {
+    config.get("optimizer.schedule").is_none_or(|schedule| schedule != "\"constant\"")
+}
+
+/// Whether what a run learns depends on the budget.
+pub(super) fn depends_on_budget(run: &Record) -> bool {
+    is_scheduled(&flatten(&run.config))
+}
+
+/// Budgets in the order in which they were in force: `2560, 2816 from iteration 20`.
+fn course(budgets: &[Budget]) -> String {
+    let shown = budgets.iter().map(|Budget { from, env_steps }| match from {
+        0 => env_steps.to_string(),
+        from => format!("{env_steps} from iteration {from}"),
+    });
+    shown.collect::<Vec<_>>().join(", ")
 }
 
 /// Whether a value says nothing: what an earlier version chose for `auto` may be another thing in each run.
@@ -106,9 +137,11 @@ fn fingerprint(text: &str) -> String {
 mod tests {
     use std::path::PathBuf;
 
+    use proto::Digest;
     use proto::config::{Layers, Preset};
     use serde_json::json;
 
+    use super::super::record::Iteration;
     use super::*;
 
     fn record(sets: &[&str], robot: &str) -> Record {
@@ -119,12 +152,14 @@ mod tests {
             .try_fold(Layers::new(Preset::Tuned, None), |layers, set| layers.set(set))
             .and_then(|layers| layers.resolve())
             .expect("valid");
+        let line = |iteration| Iteration { iteration, env_steps: 8, digest: Digest([0; 16]) };
         Record {
             path: PathBuf::new(),
-            iterations: Vec::new(),
+            iterations: (0..4).map(line).collect(),
             config: config.to_toml().parse().expect("TOML"),
             robot: robot.to_owned(),
             sessions: Vec::new(),
+            budgets: Vec::new(),
         }
     }
 
@@ -169,6 +204,32 @@ mod tests {
         let (constant, longer) =
             (record(&[constant], "x"), record(&[constant, "run.env_steps=2e6"], "x"));
         assert_eq!(verdicts(&constant, &longer), [("run.env_steps".to_owned(), false)]);
+    }
+
+    #[test]
+    fn budgets_count_as_far_as_both_have_come() {
+        let with = |budgets: &[(u64, u64)], env_steps: &str| {
+            let mut run = record(&[&format!("run.env_steps={env_steps}")], "x");
+            let budget = |&(from, env_steps)| Budget { from, env_steps };
+            run.budgets = budgets.iter().map(budget).collect();
+            run
+        };
+        // In the end both have the same one.
+        let changed = with(&[(0, 1_000_000), (2, 2_000_000)], "2e6");
+        let straight = with(&[(0, 2_000_000)], "2e6");
+        let found = of_configuration(&changed, &straight);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert_eq!((found[0].key.as_str(), found[0].matters), ("run.env_steps", true));
+        assert_eq!(found[0].a.as_deref(), Some("1000000, 2000000 from iteration 2"));
+        assert_eq!(verdicts(&changed, &changed), []);
+        // What comes after the iterations that both have changes nothing in these.
+        let later = with(&[(0, 1_000_000), (4, 2_000_000)], "2e6");
+        let shorter = with(&[(0, 1_000_000)], "1e6");
+        assert_eq!(verdicts(&later, &shorter), [("run.env_steps".to_owned(), false)]);
+        // An earlier version wrote down that it was changed, but not when.
+        let mut undated = with(&[], "2e6");
+        undated.sessions = vec![json!({"overrides": ["run.env_steps is now 2, was 1"]})];
+        assert_eq!(verdicts(&undated, &straight), [("run.env_steps".to_owned(), true)]);
     }
 
     #[test]

@@ -13,7 +13,7 @@ use serde::Serialize;
 use self::differences::{ConfigDifference, ProvenanceDifference};
 use self::record::Iteration;
 pub use self::record::Record;
-pub use self::replay::{Replay, replay};
+pub use self::replay::{REMEDY, Replay, replay};
 
 /// How two sequences of digests compare.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -58,7 +58,13 @@ impl Comparison {
         };
         let width = names.map(|name| name.chars().count()).into_iter().max().unwrap_or(0);
         let side = |i: usize| {
-            format!("  {:width$}  {}  {} env-steps", names[i], digests[i], grouped(env_steps[i]))
+            let state = format!("{}  {} env-steps", digests[i], grouped(env_steps[i]));
+            // Beside long names there is no room.
+            if width + state.len() + 4 <= output::COLUMNS {
+                format!("  {:width$}  {state}", names[i])
+            } else {
+                format!("  {}\n    {state}", names[i])
+            }
         };
         format!(
             "the same for {}, then they part at iteration {iteration}:\n{}\n{}",
@@ -170,7 +176,7 @@ fn promise(promised: bool, same: bool, gpu: bool) -> String {
         (false, true) => "With these differences the same bits are not promised; here they are.",
         (false, false) => "With these differences the same bits are not promised.",
     };
-    format!("\n\n{sentence}")
+    format!("\n\n{}", output::wrap(sentence))
 }
 
 /// `1 iteration`, `2 iterations`.
@@ -223,5 +229,9 @@ mod tests {
                 digest("03")
             )
         );
+        let long = "runs/trajectory-20261124-with-another-seed";
+        let sentence = comparison.sentence([long, "b"]);
+        assert!(sentence.contains(&format!("  {long}\n    {}", digest("02"))), "{sentence}");
+        assert!(sentence.lines().all(|line| line.chars().count() <= 80), "{sentence}");
     }
 }

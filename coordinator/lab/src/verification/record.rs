@@ -10,6 +10,10 @@ use serde::Deserialize;
 use serde_json::Value;
 use store::checkpoint::CheckpointStore;
 use store::run_files::{read_text, run_directory};
+use crate::checkpoint::CheckpointStore;
+use crate::commands::{read_text, run_directory};
+use crate::precision;
+use crate::report::budgets::{Budget, Budgets};
 
 /// What a line of `metrics.jsonl` says about the training state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -37,6 +41,8 @@ pub struct Record {
     pub(super) robot: String,
     /// Where its sessions ran.
     pub(super) sessions: Vec<Value>,
+    /// Over which budgets its schedules ran, if it says so.
+    pub(super) budgets: Vec<Budget>,
 }
 
 impl Record {
@@ -64,7 +70,30 @@ impl Record {
             run.insert("precision".to_owned(), precision::name(precision).into());
         }
         let robot = read_text(&run_dir.robot())?;
-        Ok(Self { path: path.to_owned(), iterations, config, robot, sessions })
+        let budgets = Budgets::read(&run_dir)?.history().to_vec();
+        Ok(Self { path: path.to_owned(), iterations, config, robot, sessions, budgets })
+    }
+
+    /// The budgets of the first `iterations` iterations. A run from before they were written down is taken
+    /// to have had the one of its configuration.
+    pub(super) fn budgets_until(&self, iterations: u64) -> Vec<Budget> {
+        let only = || {
+            let run = self.config.get("run");
+            let env_steps = run.and_then(|run| run.get("env_steps")?.as_integer()).unwrap_or(0);
+            vec![Budget { from: 0, env_steps: env_steps.unsigned_abs() }]
+        };
+        let mut budgets = if self.budgets.is_empty() { only() } else { self.budgets.clone() };
+        budgets.retain(|budget| budget.from < iterations);
+        budgets
+    }
+
+    /// What earlier versions wrote of changes of the budget, where nothing says when they were made.
+    pub(super) fn undated_budgets(&self) -> Vec<&str> {
+        let changes = self.sessions.iter().filter_map(|session| session["overrides"].as_array());
+        let changes = changes.flatten().filter_map(Value::as_str);
+        changes
+            .filter(|change| self.budgets.is_empty() && change.starts_with("run.env_steps "))
+            .collect()
     }
 
     /// Whether nothing says which arithmetic an earlier version chose for it.
@@ -77,11 +106,11 @@ fn is_undecided(config: &toml::Table) -> bool {
     config.get("run").and_then(|run| run.get("precision")?.as_str()) == Some("auto")
 }
 
-/// What the run's newest whole training state was trained with.
+/// What the newest whole training state of the run's own was trained with.
 fn trained_with(run_dir: &RunDir) -> Option<Precision> {
     let store = CheckpointStore::new(run_dir.checkpoints());
-    let newest_first = store.list().ok()?.into_iter().rev();
-    newest_first
+    let [own, _] = store.by_ownership().ok()?;
+    own.into_iter()
         .filter_map(|dir| store.load(&dir).ok())
         .filter(|checkpoint| checkpoint.manifest.has_state())
         .find_map(|checkpoint| checkpoint.precision().ok())

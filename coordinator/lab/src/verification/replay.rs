@@ -24,12 +24,22 @@ use store::provenance::Provenance;
 use tempfile::TempDir;
 
 use super::differences::{self, ProvenanceDifference};
-use super::record::{self, Record, damaged};
+use super::record::{self, Iteration, Record, damaged};
 use super::{Comparison, iterations, promise, provenance_table};
+use crate::checkpoint::{Checkpoint, CheckpointStore, Manifest, Name};
+use crate::commands::train;
+use crate::live::LiveRun;
+use crate::preflight::Remedy;
+use crate::provenance::Provenance;
+use crate::report::Reporter;
+use crate::session::{self, SessionSpec, StoppedBy};
+use crate::signals::StopRequests;
+use crate::supervisor::Programs;
+use crate::{files, output, precision};
 
 /// What helps where the system's temporary files have too little room; no flag makes a repetition smaller.
-const REMEDY: Remedy =
-    Remedy { elsewhere: "set TMPDIR to a directory on another disk", less: None };
+pub const REMEDY: Remedy =
+    Remedy { elsewhere: "set TMPDIR to a directory on another disk", less: None, flags: &[] };
 
 /// The result of a repetition, as `--json` prints it.
 #[derive(Debug, Serialize)]
@@ -40,7 +50,7 @@ pub struct Replay<'a> {
     checkpoint: Option<PathBuf>,
     /// First iteration that was trained again.
     from: u64,
-    /// Last one.
+    /// Last one; that before a change of the budget, if no checkpoint lies behind that.
     through: u64,
     /// Whether all agree.
     same: bool,
@@ -65,29 +75,42 @@ pub fn replay(run: &Record, last: u64) -> anyhow::Result<Replay<'_>> {
     }
     let stop = StopRequests::new();
     stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
-    warn_of_budgets(run);
     let checkpoint = newest_until(run, last)?;
-    let from = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
+    let planned = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.manifest.iteration);
+    let part = Part::of(run, planned, last);
     let dir = checkpoint.as_ref().map(|checkpoint| checkpoint.dir.clone());
     output::note(&format!(
-        "training iterations {from} to {last} again, from {}",
+        "training iterations {planned} to {} again, from {}",
+        part.last,
         dir.as_ref().map_or_else(|| "nothing".to_owned(), |dir| dir.display().to_string())
     ));
     let now = Provenance::gather();
     let here = serde_json::to_value(&now).context("provenance has no JSON form")?;
 
     let scratch = Scratch::create()?;
-    let stopped = train_again(run, &scratch.run_dir, checkpoint, last, stop, here.clone())?;
-    let again = record::read_iterations(&scratch.run_dir.metrics_jsonl(), from)?;
+    let stopped = train_again(run, &scratch.run_dir, checkpoint, &part, stop, here.clone())?;
+    let again = read_again(&scratch.run_dir, planned)?;
     scratch.remove();
+    // From nothing, if the learner could not start from the checkpoint.
+    let from = again.first().map_or(planned, |first| first.iteration);
+    let dir = dir.filter(|_| from == planned);
+    let as_planned = from == planned || Part::of(run, from, last) == part;
 
     let comparison = Comparison::of(&run.iterations, &again);
     let provenance = differences::of_provenance(&run.sessions, &[here]);
     let gpu = differences::on_gpu(run);
     let ended_early = (comparison.common < last + 1 - from).then(|| {
         let (code, why) = match stopped {
-            StoppedBy::Signal => (ExitCode::Interrupted, "stopped by Ctrl-C"),
-            _ => (ExitCode::Failure, "the training ended early"),
+            StoppedBy::Signal => (ExitCode::Interrupted, "stopped by Ctrl-C".to_owned()),
+            _ if comparison.common == part.last + 1 - from => {
+                let change = part.last + 1;
+                let why = format!(
+                    "the budget, over which the learning rate falls, was another from iteration {change} \
+                     on, and no whole checkpoint lies between that and iteration {last}: ended"
+                );
+                (ExitCode::Failure, why)
+            }
+            _ => (ExitCode::Failure, "the training ended early".to_owned()),
         };
         let compared = iterations(comparison.common);
         ExitError::new(code, format!("{why} after {compared} of {}", last + 1 - from))
@@ -96,10 +119,14 @@ pub fn replay(run: &Record, last: u64) -> anyhow::Result<Replay<'_>> {
         run: &run.path,
         checkpoint: dir,
         from,
-        through: last,
+        through: part.last,
         same: comparison.parting.is_none(),
         comparison,
-        promised: !gpu && provenance.is_empty() && !run.is_undecided(),
+        promised: !gpu
+            && provenance.is_empty()
+            && !run.is_undecided()
+            && part.budget_is_known
+            && as_planned,
         provenance,
         gpu,
         ended_early,
@@ -128,12 +155,54 @@ impl Replay<'_> {
     }
 }
 
-/// Trains in `scratch` from `checkpoint`, or from nothing, through iteration `last`.
+/// What is trained again, under one budget.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Part {
+    /// The last iteration.
+    last: u64,
+    /// `run.env_steps` that was in force, where another than the last one was.
+    env_steps: Option<u64>,
+    /// Whether nothing says that it may have been yet another.
+    budget_is_known: bool,
+}
+
+impl Part {
+    /// What can be trained again from `from` through `last`: at most until the budget was changed.
+    fn of(run: &Record, from: u64, last: u64) -> Self {
+        if !differences::depends_on_budget(run) {
+            return Self { last, env_steps: None, budget_is_known: true };
+        }
+        let undated = run.undated_budgets();
+        for change in &undated {
+            output::note(&format!(
+                "note: a resume changed the budget ({change}); with a learning rate that falls over \
+                 it, iterations before that resume are not repeated by today's configuration"
+            ));
+        }
+        let budgets = run.budgets_until(last + 1);
+        let behind = budgets.partition_point(|budget| budget.from <= from);
+        Self {
+            last: budgets.get(behind).map_or(last, |next| next.from - 1),
+            env_steps: budgets[..behind].last().map(|budget| budget.env_steps),
+            budget_is_known: undated.is_empty(),
+        }
+    }
+}
+
+/// The iterations that were trained again, from `planned` on, or from the first.
+fn read_again(scratch: &RunDir, planned: u64) -> Result<Vec<Iteration>, ExitError> {
+    let path = scratch.metrics_jsonl();
+    // The learner has refused the checkpoint.
+    record::read_iterations(&path, planned)
+        .or_else(|error| record::read_iterations(&path, 0).map_err(|_| error))
+}
+
+/// Trains in `scratch` from `checkpoint`, or from nothing, what `part` says.
 fn train_again(
     run: &Record,
     scratch: &RunDir,
     checkpoint: Option<Checkpoint>,
-    last: u64,
+    part: &Part,
     stop: StopRequests,
     provenance: serde_json::Value,
 ) -> anyhow::Result<StoppedBy> {
@@ -142,7 +211,10 @@ fn train_again(
     let recorded = Config::from_resolved_toml(&text, &origin.config().display().to_string())?;
     let robot = Robot::from_toml(&run.robot, &origin.robot())?;
     let config = Config { run: recorded.run.clone().without_housekeeping(), ..recorded };
-    let config = precision::resolve(config);
+    let mut config = precision::resolve(config);
+    if let Some(env_steps) = part.env_steps {
+        config.run.env_steps = env_steps;
+    }
     if run.is_undecided() {
         output::note(&format!(
             "note: run.precision is auto, and no checkpoint says what was chosen; training again in {}",
@@ -156,7 +228,7 @@ fn train_again(
     files::replace(&scratch.config(), config.to_toml().as_bytes())?;
     // Progress is shown over what is repeated, not over the budget of the run.
     let mut shown = config.clone();
-    shown.run.env_steps = (last + 1) * config.steps_per_iteration();
+    shown.run.env_steps = (part.last + 1) * config.steps_per_iteration();
     let from = checkpoint.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
     let mut reporter = Reporter::create(scratch, &shown, from, false)?;
     let spec = SessionSpec {
@@ -168,7 +240,7 @@ fn train_again(
         provenance,
         domain: Domain::fresh(),
         stop,
-        until: Some(last + 1),
+        until: Some(part.last + 1),
         live: LiveRun::new(),
     };
     let outcome = session::run(&spec, &mut reporter);
@@ -178,37 +250,55 @@ fn train_again(
     Ok(outcome.stopped_by)
 }
 
-/// The newest whole checkpoint from which iteration `last` is still to come.
+/// The newest whole checkpoint of the run's own from which iteration `last` is still to come. Of those that
+/// are passed over for it, it is said why.
 fn newest_until(run: &Record, last: u64) -> anyhow::Result<Option<Checkpoint>> {
     let store = CheckpointStore::new(RunDir::new(&run.path).checkpoints());
+    let mut reasons = Vec::new();
+    let mut found = None;
     for dir in store.list()?.into_iter().rev() {
+        let name = dir.file_name().and_then(|name| name.to_str()?.parse::<Name>().ok());
+        if name.and_then(|name| name.iteration()).is_some_and(|iteration| iteration > last) {
+            continue;
+        }
         match store.load(&dir) {
-            Ok(found) if found.manifest.iteration <= last && found.manifest.has_state() => {
-                return Ok(Some(found));
-            }
-            Ok(_) => {}
-            Err(error) => output::note(&format!("note: {error}; taking the checkpoint before")),
+            // The state before the first iteration is that of a start.
+            Ok(there) if !there.manifest.has_state() || there.manifest.iteration == 0 => {}
+            Ok(there) if there.manifest.iteration > last => {}
+            Ok(there) => match foreign(run, &there) {
+                Some(reason) => reasons.push(reason),
+                None => {
+                    found = Some(there);
+                    break;
+                }
+            },
+            // Removed since it was listed.
+            Err(_) if !dir.exists() => {}
+            Err(error) => reasons.push(error.to_string()),
         }
     }
-    Ok(None)
+    let instead = match &found {
+        Some(found) => format!("checkpoint {}", found.manifest.iteration),
+        None => "nothing".to_owned(),
+    };
+    for reason in reasons {
+        output::note(&format!("note: {reason}; training again from {instead} instead"));
+    }
+    Ok(found)
 }
 
-/// Says so if the run's budget was changed on the way: a learning rate that falls over the budget
-/// then fell otherwise in the earlier sessions than it does in the repetition.
-fn warn_of_budgets(run: &Record) {
-    let changes = run
-        .sessions
-        .iter()
-        .filter_map(|session| session["overrides"].as_array())
-        .flatten()
-        .filter_map(|change| change.as_str())
-        .filter(|change| change.starts_with("run.env_steps "));
-    for change in changes {
-        output::note(&format!(
-            "note: a resume changed the budget ({change}); with a learning rate that falls over \
-             it, iterations before that resume are not repeated by today's configuration"
-        ));
-    }
+/// Why a checkpoint is not what the run had come to.
+fn foreign(run: &Record, checkpoint: &Checkpoint) -> Option<String> {
+    let Manifest { iteration, digest, .. } = &checkpoint.manifest;
+    let ended = usize::try_from(iteration - 1).ok().and_then(|last| run.iterations.get(last))?;
+    (ended.digest != *digest).then(|| {
+        format!(
+            "{}: has digest {digest}, but iteration {} is recorded to have ended with {}",
+            checkpoint.dir.display(),
+            ended.iteration,
+            ended.digest
+        )
+    })
 }
 
 /// A run directory among the system's temporary files that goes away with this value.

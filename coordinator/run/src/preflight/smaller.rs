@@ -8,8 +8,18 @@ use proto::layout::{AGENTS_PER_ARM, Dimensions};
 const FILES: u64 = 128 + 2 * FILES_OF_A_WORKER;
 const FILES_OF_A_WORKER: u64 = 32;
 
-/// Flags with which the run would do with `free` bytes of shared memory, each alone.
-pub(super) fn fitting(config: &Config, dimensions: &Dimensions, free: u64) -> Vec<String> {
+/// The flag for the number of simulator processes.
+pub(super) const WORKERS: &str = "--workers";
+/// The flag for the number of environments.
+const ENVS: &str = "--envs";
+
+/// Those of `flags` with which the run would do with `free` bytes of shared memory, each alone.
+pub(super) fn fitting(
+    config: &Config,
+    dimensions: &Dimensions,
+    free: u64,
+    flags: &[&str],
+) -> Vec<String> {
     let n_arms = dimensions.n_agents / AGENTS_PER_ARM;
     let fits = |config: &Config| {
         let sizes = ChannelSizes::new(config, &Dimensions::new(config, n_arms));
@@ -40,13 +50,20 @@ pub(super) fn fitting(config: &Config, dimensions: &Dimensions, free: u64) -> Ve
         .take_while(|n_envs| *n_envs > 0)
         .map(whole)
         .find(|n_envs| *n_envs < config.env.n_envs && with_envs(*n_envs));
-    let workers = workers.map(|workers| format!("--workers {workers}"));
-    let envs = envs.map(|n_envs| format!("--envs {n_envs}"));
-    workers.into_iter().chain(envs).collect()
+    [(WORKERS, workers), (ENVS, envs)]
+        .into_iter()
+        .filter(|(flag, _)| flags.contains(flag))
+        .filter_map(|(flag, number)| Some(format!("{flag} {}", number?)))
+        .collect()
 }
 
 /// What helps where a process may open `limit` files and needs more.
-pub(super) fn open_files(needed: u64, limit: u64, hard_limit: Option<u64>) -> String {
+pub(super) fn open_files(
+    needed: u64,
+    limit: u64,
+    hard_limit: Option<u64>,
+    flags: &[&str],
+) -> String {
     let wanted = needed.next_power_of_two();
     let mut cures = vec![match hard_limit {
         Some(hard) if hard < needed => format!("`ulimit -n {wanted}` as root"),
@@ -54,18 +71,23 @@ pub(super) fn open_files(needed: u64, limit: u64, hard_limit: Option<u64>) -> St
         None => format!("`ulimit -n {wanted}`"),
     }];
     let workers = limit.saturating_sub(FILES) / FILES_OF_A_WORKER;
-    if workers > 0 {
-        cures.push(format!("--workers {workers}"));
+    if workers > 0 && flags.contains(&WORKERS) {
+        cures.push(format!("{WORKERS} {workers}"));
     }
     cures.join(", or ")
 }
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser as _;
     use proto::config::{Layers, Preset};
 
     use super::*;
+    use crate::cli::Cli;
+    use crate::commands::{resume, train, verify};
     use crate::preflight::{Verdict, shared_memory};
+
+    const BOTH: [&str; 2] = [WORKERS, ENVS];
 
     fn of(sets: &[&str]) -> (Config, Dimensions) {
         let layers = Layers::new(Preset::Tuned, None);
@@ -94,20 +116,44 @@ mod tests {
         let (config, dimensions) = of(&sets);
         let all = needed(&config, &dimensions);
         for free in [all - 1, all / 2, all / 1000] {
-            let remedies = fitting(&config, &dimensions, free);
+            let remedies = fitting(&config, &dimensions, free, &BOTH);
             assert!(!remedies.is_empty(), "{free} of {all}");
             for remedy in &remedies {
                 let (config, dimensions) = applied(&sets, remedy);
                 assert!(needed(&config, &dimensions) <= free, "{remedy} for {free} of {all}");
             }
         }
-        assert!(fitting(&config, &dimensions, 1000).is_empty(), "nothing is small enough");
+        assert!(fitting(&config, &dimensions, 1000, &BOTH).is_empty(), "nothing is small enough");
+    }
+
+    /// What is proposed must be what the command takes, or whoever follows it ends with a usage error.
+    #[test]
+    fn remedies_have_flags_that_the_command_has() {
+        let (config, dimensions) = of(&["run.workers=8", "env.n_envs=1000000", "env.n_shards=16"]);
+        let free = needed(&config, &dimensions) / 2;
+        for (command, flags) in [
+            ("train", &train::REMEDY),
+            ("resume runs/x", &resume::REMEDY),
+            ("verify runs/x --replay 3", &verify::REMEDY),
+        ]
+        .map(|(command, remedy)| (command, remedy.flags))
+        {
+            let mut proposed = fitting(&config, &dimensions, free, flags);
+            let files = open_files(300, 256, Some(256), flags);
+            proposed.extend(files.split(", or ").skip(1).map(str::to_owned));
+            assert_eq!(proposed.is_empty(), flags.is_empty(), "{command}: {proposed:?}");
+            for remedy in proposed {
+                let line = format!("octopus {command} {remedy}");
+                let parsed = Cli::try_parse_from(line.split(' '));
+                assert!(parsed.is_ok(), "{line}: {}", parsed.err().expect("an error"));
+            }
+        }
     }
 
     #[test]
     fn what_this_machine_cannot_hold_is_not_made_room_for() {
         let (config, dimensions) = of(&["env.n_envs=1000000", "env.n_shards=1"]);
-        let check = shared_memory(&config, &dimensions);
+        let check = shared_memory(&config, &dimensions, &BOTH);
         assert_eq!(check.verdict, Verdict::Failure);
         let cure = check.cure.expect("there is one");
         assert!(!cure.contains("remount") && cure.contains("--envs "), "{cure}");
@@ -115,8 +161,9 @@ mod tests {
 
     #[test]
     fn open_files_are_allowed_by_who_can() {
-        assert_eq!(open_files(256, 192, Some(4096)), "`ulimit -n 256`");
-        assert_eq!(open_files(300, 256, Some(400)), "`ulimit -n 400`, or --workers 2");
-        assert_eq!(open_files(300, 256, Some(256)), "`ulimit -n 512` as root, or --workers 2");
+        let cure = |needed, limit, hard| open_files(needed, limit, Some(hard), &BOTH);
+        assert_eq!(cure(256, 192, 4096), "`ulimit -n 256`");
+        assert_eq!(cure(300, 256, 400), "`ulimit -n 400`, or --workers 2");
+        assert_eq!(cure(300, 256, 256), "`ulimit -n 512` as root, or --workers 2");
     }
 }

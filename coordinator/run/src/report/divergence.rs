@@ -9,7 +9,8 @@
 //! * the mean return of ten iterations is below that of the first ten by more than twice its size and three
 //!   times its range: worse by far than not to have trained at all.
 //!
-//! It has recovered after ten iterations of which none does so, and whose return is at most half as far down.
+//! It has recovered after ten iterations of which none does so, and whose mean return is not below the lowest of
+//! the first ones: what ends worse than it began has not come back.
 //! All of it follows from the lines of the metrics, so that who resumes a run or looks at it says the same.
 
 use std::collections::VecDeque;
@@ -66,9 +67,12 @@ impl Sample {
         Self { iteration, return_mean, kl, broken: broken.collect() }
     }
 
-    /// Of a line of `metrics.jsonl`, in which a number that is not finite is `null`.
+    /// Of a line of `metrics.jsonl`, in which a number that is not finite is `null`. One that is not there at
+    /// all, because another version wrote the line, says nothing; without a return the line does not.
     fn of_json(line: &Value) -> Option<Self> {
-        Some(Self::new(line["iteration"].as_u64()?, FINITE.map(|name| line[name].as_f64())))
+        line.get("return_mean")?;
+        let numbers = FINITE.map(|name| line.get(name).map_or(Some(0.0), Value::as_f64));
+        Some(Self::new(line["iteration"].as_u64()?, numbers))
     }
 
     /// What is wrong with the update, if anything is.
@@ -150,14 +154,15 @@ impl Divergence {
     }
 
     /// Mean of the first returns, and how far below it is too far.
-    fn first(&self) -> Option<(f64, f64)> {
-        if self.first.is_empty() {
-            return None;
-        }
+    fn first(&self) -> (f64, f64) {
         let mean = self.first.iter().sum::<f64>() / self.first.len() as f64;
-        let low = self.first.iter().copied().fold(f64::INFINITY, f64::min);
         let high = self.first.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        Some((mean, (SIZES * mean.abs()).max(RANGES * (high - low))))
+        (mean, (SIZES * mean.abs()).max(RANGES * (high - self.lowest())))
+    }
+
+    /// The lowest of the first returns; infinite if there is none.
+    fn lowest(&self) -> f64 {
+        self.first.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
     /// Mean return of the last iterations.
@@ -171,7 +176,7 @@ impl Divergence {
         if self.first.len() < WINDOW || newest < 2 * WINDOW as u64 - 1 {
             return None;
         }
-        let (mean, far) = self.first()?;
+        let (mean, far) = self.first();
         let last = self.last();
         (last < mean - far).then(|| {
             format!("its return has fallen to {last:.1}, from {mean:.1} in the first iterations")
@@ -181,7 +186,7 @@ impl Divergence {
     fn has_recovered(&self) -> bool {
         let sound =
             self.last.len() == WINDOW && self.last.iter().all(|last| last.fault().is_none());
-        sound && self.first().is_none_or(|(mean, far)| self.last() >= mean - far / 2.0)
+        sound && (self.first.is_empty() || self.last() >= self.lowest())
     }
 }
 
@@ -228,6 +233,25 @@ mod tests {
         assert_eq!(watch.found(), None);
     }
 
+    /// A training once counted as recovered that ended at almost twice the costs that it began with.
+    #[test]
+    fn what_ends_worse_than_it_began_has_not_recovered() {
+        let ended = |returns: f64| {
+            let mut watch = Divergence::default();
+            for k in 0..10 {
+                watch.add(sample(k, -100.0 - k as f64, 0.1));
+            }
+            watch.add(sample(10, -105.0, 11.0));
+            for k in 11..60 {
+                watch.add(sample(k, returns, 0.0));
+            }
+            watch.found
+        };
+        assert_eq!(ended(-199.0).expect("diverged").iteration, 10);
+        assert!(ended(-110.0).is_some());
+        assert_eq!(ended(-109.0), None, "as low as in the beginning");
+    }
+
     #[test]
     fn returns_that_fall_far_below_the_first_are_a_divergence_and_others_are_none() {
         let falling: Vec<f64> = (0..60).map(|k| -100.0 - 10.0 * f64::from(k)).collect();
@@ -251,5 +275,13 @@ mod tests {
         });
         let found = Divergence::of(Sample::of_json(&line)).found.expect("diverged");
         assert_eq!(found.reason, "no finite number in policy_loss");
+
+        // Keys that another version does not write.
+        let line = serde_json::json!({ "iteration": 3, "return_mean": -1.0, "kl": 0.1 });
+        assert_eq!(Divergence::of(Sample::of_json(&line)).found, None);
+        assert_eq!(Sample::of_json(&serde_json::json!({ "iteration": 3 })), None);
+        let line = serde_json::json!({ "iteration": 3, "return_mean": null });
+        let found = Divergence::of(Sample::of_json(&line)).found.expect("diverged");
+        assert_eq!(found.reason, "no finite number in return_mean");
     }
 }

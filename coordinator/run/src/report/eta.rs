@@ -47,6 +47,12 @@ pub(super) fn shown(estimate: Option<Duration>) -> String {
     format!("eta {}", HumanDuration(estimate.max(Duration::from_secs(1))))
 }
 
+/// The same where there is little room: `eta 3m`.
+pub(super) fn brief(estimate: Option<Duration>) -> String {
+    let Some(estimate) = estimate else { return "ending".to_owned() };
+    format!("eta {:#}", HumanDuration(estimate.max(Duration::from_secs(1))))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -84,5 +90,7 @@ mod tests {
         assert_eq!(shown_for(1, None), "eta 1 second");
         assert_eq!(shown_for(1_000_000_000, Some(Duration::ZERO)), "eta 1 second");
         assert_eq!(shown_for(0, None), "ending");
+        assert_eq!(brief(Some(Duration::ZERO)), "eta 1s");
+        assert_eq!(brief(Some(Duration::from_mins(3))), "eta 3m");
     }
 }

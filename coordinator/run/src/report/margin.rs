@@ -65,21 +65,25 @@ impl<T: TermLike> TermLike for Margin<T> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::sync::{Arc, Mutex};
 
     use indicatif::{ProgressBar, ProgressStyle};
 
     use super::*;
 
-    const WIDTH: usize = 40;
-
     /// What is on a screen: a character after the last column begins a new line.
-    #[derive(Debug, Clone, Default)]
-    struct Screen(Arc<Mutex<Cells>>);
+    #[derive(Debug, Clone)]
+    pub(in super::super) struct Screen(Arc<Mutex<Cells>>);
+
+    /// What draws a bar on a screen, with a margin.
+    pub(in super::super) fn on(screen: &Screen) -> ProgressDrawTarget {
+        ProgressDrawTarget::term_like(Box::new(Margin(screen.clone())))
+    }
 
     #[derive(Debug, Default)]
     struct Cells {
+        width: usize,
         lines: Vec<Vec<char>>,
         row: usize,
         column: usize,
@@ -91,7 +95,7 @@ mod tests {
                 '\n' => (self.row, self.column) = (self.row + 1, 0),
                 '\r' => self.column = 0,
                 c => {
-                    if self.column == WIDTH {
+                    if self.column == self.width {
                         (self.row, self.column) = (self.row + 1, 0);
                     }
                     self.lines.resize_with(self.lines.len().max(self.row + 1), Vec::new);
@@ -105,13 +109,32 @@ mod tests {
     }
 
     impl Screen {
-        /// What the terminal itself writes, or a program past the bar.
-        fn put(&self, text: &str) {
-            let mut cells = self.0.lock().expect("no panic");
-            text.chars().for_each(|c| cells.put(c));
+        pub(in super::super) fn new(width: usize) -> Self {
+            Self(Arc::new(Mutex::new(Cells { width, ..Cells::default() })))
         }
 
-        fn lines_with(&self, text: &str) -> usize {
+        /// What stands on it, without empty rows.
+        pub(in super::super) fn rows(&self) -> Vec<String> {
+            let cells = self.0.lock().expect("no panic");
+            let rows = cells.lines.iter().map(|line| line.iter().collect::<String>());
+            rows.map(|row| row.trim_end().to_owned()).filter(|row| !row.is_empty()).collect()
+        }
+
+        /// What the terminal itself writes, or a program past the bar.
+        pub(in super::super) fn put(&self, text: &str) {
+            let mut cells = self.0.lock().expect("no panic");
+            let mut chars = text.chars();
+            while let Some(c) = chars.next() {
+                // A colour: `ESC [ … m`.
+                if c == '\u{1b}' {
+                    chars.by_ref().find(char::is_ascii_alphabetic);
+                } else {
+                    cells.put(c);
+                }
+            }
+        }
+
+        pub(in super::super) fn lines_with(&self, text: &str) -> usize {
             let cells = self.0.lock().expect("no panic");
             let lines = cells.lines.iter().map(|line| line.iter().collect::<String>());
             lines.filter(|line| line.contains(text)).count()
@@ -124,7 +147,7 @@ mod tests {
 
     impl TermLike for Screen {
         fn width(&self) -> u16 {
-            WIDTH as u16
+            self.0.lock().expect("no panic").width as u16
         }
 
         fn move_cursor_up(&self, n: usize) -> io::Result<()> {
@@ -138,7 +161,7 @@ mod tests {
         }
 
         fn move_cursor_right(&self, n: usize) -> io::Result<()> {
-            self.change(|cells| cells.column = (cells.column + n).min(WIDTH));
+            self.change(|cells| cells.column = (cells.column + n).min(cells.width));
             Ok(())
         }
 
@@ -194,10 +217,10 @@ mod tests {
 
     #[test]
     fn ctrl_c_leaves_no_copy_of_the_bar() {
-        let screen = Screen::default();
+        let screen = Screen::new(40);
         assert_eq!(bars_after_ctrl_c(Box::new(Margin(screen.clone())), &screen), 1);
         // The same without a margin, so that this test can see what it looks for.
-        let screen = Screen::default();
+        let screen = Screen::new(40);
         assert!(bars_after_ctrl_c(Box::new(screen.clone()), &screen) > 1);
     }
 }

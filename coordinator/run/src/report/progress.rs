@@ -6,9 +6,11 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle, WeakProgressBar};
 use output::grouped;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle, WeakProgressBar};
 use proto::config::{Config, TaskName};
 
 use super::{Eta, Line, eta, margin};
+use crate::printable::printable;
 
 /// The bar on the terminal, if there is one, so that log lines can step around it.
 static SHOWN: Mutex<Option<WeakProgressBar>> = Mutex::new(None);
@@ -43,16 +45,7 @@ impl Progress {
         let form = if quiet {
             Form::Nothing
         } else if std::io::stderr().is_terminal() {
-            let bar = ProgressBar::with_draw_target(Some(planned_steps), margin::stderr());
-            let style = ProgressStyle::with_template(
-                "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  {prefix}",
-            )
-            .expect("the template is valid")
-            .progress_chars("━╸─");
-            bar.set_style(style);
-            bar.set_position(env_steps);
-            bar.set_message("starting");
-            bar.tick();
+            let bar = run_bar(planned_steps, env_steps, margin::stderr());
             *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
             Form::Bar(bar)
         } else {
@@ -75,19 +68,19 @@ impl Progress {
         let left = self.planned_steps.saturating_sub(line.env_steps);
         let session = Duration::from_secs_f64(session_s.clamp(0.0, 1e9));
         let limit = self.time_limit.map(|limit| limit.saturating_sub(session));
-        let eta = eta::shown(self.eta.estimate(left, limit));
-        let text = describe(line, self.task, self.planned_iterations);
+        let estimate = self.eta.estimate(left, limit);
         match &mut self.form {
             Form::Bar(bar) => {
-                bar.set_prefix(eta);
-                bar.set_message(text);
+                bar.set_prefix(eta::brief(estimate));
+                bar.set_message(describe_briefly(line, self.task, self.planned_iterations));
                 bar.set_position(line.env_steps.min(self.planned_steps));
             }
             Form::Plain { shown_at } => {
+                let text = describe(line, self.task, self.planned_iterations);
                 if shown_at.is_none_or(|at| at.elapsed() >= PLAIN_INTERVAL) {
                     *shown_at = Some(Instant::now());
                     self.last = None;
-                    write_line(&format!("{text}  {eta}"));
+                    write_line(&format!("{text}  {}", eta::shown(estimate)));
                 } else {
                     self.last = Some(text);
                 }
@@ -99,7 +92,7 @@ impl Progress {
     /// Shows a line of its own.
     pub fn note(&mut self, line: &str) {
         match &self.form {
-            Form::Bar(bar) => bar.println(line),
+            Form::Bar(bar) => bar.println(printable(line)),
             Form::Plain { .. } | Form::Nothing => write_line(line),
         }
     }
@@ -146,7 +139,7 @@ impl Stages {
     /// The next stage begins.
     pub fn begin(&self, stage: String) {
         match &self.bar {
-            Some(bar) => bar.set_message(stage),
+            Some(bar) => bar.set_message(printable(&stage).into_owned()),
             None => write_line(&stage),
         }
     }
@@ -172,22 +165,68 @@ impl Drop for Stages {
     }
 }
 
+/// The bar of a run, of which `env_steps` are done. It fits on a narrow terminal; what has no room is cut.
+fn run_bar(planned_steps: u64, env_steps: u64, target: ProgressDrawTarget) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(planned_steps), target);
+    bar.set_style(style("{bar:12.cyan/black.bright} {percent:>3} %  {prefix}  {wide_msg}"));
+    bar.set_position(env_steps);
+    bar.set_message("starting");
+    bar.tick();
+    bar
+}
+
+/// The bar of [`Parts`], with a time that says nothing before anything is known.
+fn parts_bar(length: u64, target: ProgressDrawTarget) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(length), target);
+    let left = |state: &ProgressState, to: &mut dyn std::fmt::Write| {
+        let length = state.len().unwrap_or(0);
+        let left = match state.pos() {
+            0 => String::new(),
+            done if done < length => eta::brief(Some(state.eta())),
+            _ => eta::brief(None),
+        };
+        // A text that cannot be written is not shown.
+        let _ = write!(to, "{left:7}");
+    };
+    let style = style("{bar:12.cyan/black.bright} {percent:>3} %  {left}  {wide_msg}");
+    bar.set_style(style.with_key("left", left));
+    bar
+}
+
+fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).expect("the template is valid").progress_chars("━╸─")
+}
+
 /// One line about an iteration: what a person watches.
 fn describe(line: &Line, task: TaskName, planned_iterations: u64) -> String {
-    let errors = match task {
-        TaskName::Trajectory => format!(
-            "error {:.0} mm {:.0} mrad",
-            1e3 * line.errors.position,
-            1e3 * line.errors.orientation
-        ),
-        TaskName::Reorientation => format!("error {:.1} mrad", 1e3 * line.errors.base),
-    };
     format!(
-        "iteration {}/{planned_iterations}  {} env-steps/s  return {:.2}  {errors}",
+        "iteration {}/{planned_iterations}  {} env-steps/s  return {:.2}  error {}",
         line.iteration + 1,
         grouped(line.env_steps_per_s.max(0.0) as u64),
         line.return_mean,
+        errors(line, task),
     )
+}
+
+/// The same beside a bar.
+fn describe_briefly(line: &Line, task: TaskName, planned_iterations: u64) -> String {
+    format!(
+        "{}/{planned_iterations}  {}/s  return {:.1}  {}",
+        line.iteration + 1,
+        grouped(line.env_steps_per_s.max(0.0) as u64),
+        line.return_mean,
+        errors(line, task),
+    )
+}
+
+fn errors(line: &Line, task: TaskName) -> String {
+    let errors = &line.errors;
+    match task {
+        TaskName::Trajectory => {
+            format!("{:.0} mm {:.0} mrad", 1e3 * errors.position, 1e3 * errors.orientation)
+        }
+        TaskName::Reorientation => format!("{:.1} mrad", 1e3 * errors.base),
+    }
 }
 
 /// Shows how far a work of known length has come: a bar on a terminal, a line a part elsewhere.
@@ -211,14 +250,7 @@ impl Parts {
 
     fn with_length(steps: Option<u64>) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
-            let length = steps.unwrap_or(0);
-            let bar = ProgressBar::with_draw_target(Some(length), margin::stderr());
-            let style = ProgressStyle::with_template(
-                "{bar:24.cyan/black.bright} {percent:>3} %  {msg}  eta {eta}",
-            )
-            .expect("the template is valid")
-            .progress_chars("━╸─");
-            bar.set_style(style);
+            let bar = parts_bar(steps.unwrap_or(0), margin::stderr());
             *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
             bar
         });
@@ -228,12 +260,12 @@ impl Parts {
     /// The next part begins, of so many steps.
     pub fn begin(&self, part: &str, steps: u64) {
         match &self.bar {
-            Some(bar) if self.whole => bar.set_message(part.to_owned()),
+            Some(bar) if self.whole => bar.set_message(printable(part).into_owned()),
             Some(bar) => {
                 bar.set_length(steps);
                 bar.set_position(0);
                 bar.reset_eta();
-                bar.set_message(part.to_owned());
+                bar.set_message(printable(part).into_owned());
             }
             None => write_line(part),
         }
@@ -269,7 +301,7 @@ impl Drop for Parts {
 
 /// Standard error may be closed; a run goes on without its spectators.
 fn write_line(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    let _ = writeln!(std::io::stderr(), "{}", printable(line));
 }
 
 /// Standard error for logs: a line that is written while a bar is shown appears above it.
@@ -293,5 +325,91 @@ impl Write for LogWriter {
 
     fn flush(&mut self) -> std::io::Result<()> {
         std::io::stderr().flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+
+    use proto::message::IterationReport;
+
+    use super::*;
+    use crate::report::Live;
+    use crate::report::margin::tests::{Screen, on};
+
+    fn line(iteration: u64) -> Line {
+        let mut report = IterationReport { iteration, ..IterationReport::default() };
+        report.accounting.trained = 3200;
+        Line::new(&report, &Live { wall_s: 1.0, env_steps_per_s: 9000.0, workers: 2, restarts: 0 })
+    }
+
+    /// A screen, and a progress of a run of as many env-steps as anybody wants that is shown on it.
+    fn shown() -> (Screen, Progress) {
+        let screen = Screen::new(80);
+        let layers = Layers::new(Preset::Tuned, None).set("run.env_steps=300000000");
+        let config = layers.and_then(|layers| layers.resolve()).expect("valid");
+        let mut progress = Progress::new(&config, 0, true);
+        progress.form = Form::Bar(run_bar(progress.planned_steps, 0, on(&screen)));
+        (screen, progress)
+    }
+
+    #[test]
+    fn the_bar_of_a_run_is_one_row_of_80_columns_whatever_it_says() {
+        let (screen, mut progress) = shown();
+        let mut large = line(99_998);
+        large.return_mean = -98_765.4;
+        large.env_steps_per_s = 123_456.0;
+        (large.errors.position, large.errors.orientation) = (9.999, 3.141);
+        progress.iteration(&large, 10.0);
+        let rows = screen.rows();
+        assert_eq!(rows.len(), 1, "{rows:?}");
+        for part in ["eta ", "99999/", "123,456/s", "return -98765.4"] {
+            assert!(rows[0].contains(part), "{part} is not in {rows:?}");
+        }
+        assert!(rows[0].chars().count() <= 76, "room for ^C: {rows:?}");
+        // What a run says mostly is there to its end.
+        let mut usual = line(411);
+        (usual.return_mean, usual.env_steps_per_s) = (-12.34, 5432.1);
+        (usual.errors.position, usual.errors.orientation) = (0.012, 0.034);
+        progress.iteration(&usual, 10.0);
+        assert!(screen.rows()[0].contains("12 mm 34 mrad"), "{:?}", screen.rows());
+        // Ctrl-C leaves no copy of it.
+        screen.put("^C");
+        progress.note("stopping");
+        progress.iteration(&usual, 10.0);
+        assert_eq!(screen.lines_with("412/"), 1, "{:?}", screen.rows());
+    }
+
+    #[test]
+    fn parts_are_one_row_and_never_over_before_they_are() {
+        let screen = Screen::new(80);
+        let bar = parts_bar(50, on(&screen));
+        let parts = Parts { bar: Some(bar), whole: true };
+        let long =
+            "disturbance, trajectory: 50 N on hand 2 in each of six directions, and back again";
+        parts.begin(long, 50);
+        for done in 0..50 {
+            let rows = screen.rows();
+            assert_eq!(rows.len(), 1, "{rows:?}");
+            assert!(
+                rows[0].chars().count() <= 76 && rows[0].contains("disturbance, traj"),
+                "{rows:?}"
+            );
+            assert!(!rows[0].contains(" 0s") && !rows[0].contains("ending"), "{done}: {rows:?}");
+            assert_eq!(rows[0].contains("eta "), done > 0, "{done}: {rows:?}");
+            parts.advance();
+            if let Some(bar) = &parts.bar {
+                bar.force_draw();
+            }
+        }
+        assert!(screen.rows()[0].contains("ending"), "{:?}", screen.rows());
+    }
+
+    #[test]
+    fn what_is_told_beside_a_bar_moves_no_cursor() {
+        let (screen, mut progress) = shown();
+        progress.note("a\u{1b}[2Jb");
+        assert_eq!(screen.lines_with("a\\u{1b}[2Jb"), 1, "{:?}", screen.rows());
     }
 }

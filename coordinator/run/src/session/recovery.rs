@@ -45,6 +45,9 @@ impl Session<'_> {
             self.headroom.release();
             // Once for all of them: it waits where one has died in the middle of something.
             self.channels.clean_up_after_the_dead();
+            // Successors inherit what is open, and would keep the memory of the dead: it is closed when this
+            // process hears that they are gone.
+            self.hear_workers(supervisor, reporter)?;
         }
         for death in deaths {
             match death {
@@ -156,6 +159,14 @@ impl Session<'_> {
         base::find(&self.store, run_dir, &self.refused)?.settle(run_dir)
     }
 
+    /// Where a repetition of some iterations began: its checkpoint lies in the directory of another run, and it
+    /// has none of its own.
+    fn base_from_elsewhere(&self) -> Option<Checkpoint> {
+        let begun = self.spec.resume.as_ref()?;
+        let is_own = begun.dir.starts_with(self.store.root());
+        (!is_own && !self.refused.contains_key(&begun.dir)).then(|| begun.clone())
+    }
+
     /// Starts everything anew from the last checkpoint. `why` is told to the owner.
     fn go_back(
         &mut self,
@@ -167,12 +178,10 @@ impl Session<'_> {
         supervisor.kill_all();
         self.snapshots.learner_gone();
         self.hear_committer(reporter)?;
-        while self.status.try_receive()?.is_some() {}
-        while self.progress.try_receive()?.is_some() {}
-        while self.pieces.try_receive()?.is_some() {}
-        self.failures.take_policies()?;
-        self.failures.forget_policies();
+        self.forget_what_was_said()?;
         self.channels.clean_up_after_the_dead();
+        // Once more: only now it is closed, before successors inherit it, what the dead had sent.
+        self.forget_what_was_said()?;
         let received = self.scheduler.take().map_or(0, |scheduler| scheduler.received());
         self.books.all_lost(received as u64 * self.steps_per_block);
         self.early.clear();
@@ -181,6 +190,7 @@ impl Session<'_> {
         self.finishing = None;
 
         let (from, said) = self.find_base()?;
+        let from = from.or_else(|| self.base_from_elsewhere());
         for sentence in said {
             reporter.note(&format!("warning: {sentence}"));
         }
@@ -193,16 +203,31 @@ impl Session<'_> {
         self.start_children(from.as_ref(), supervisor)
     }
 
+    /// Takes what is still on its way from processes that are no more, and drops it.
+    fn forget_what_was_said(&mut self) -> Result<(), ExitError> {
+        while self.status.try_receive()?.is_some() {}
+        while self.progress.try_receive()?.is_some() {}
+        while self.pieces.try_receive()?.is_some() {}
+        self.failures.take_policies()?;
+        self.failures.forget_policies();
+        Ok(())
+    }
+
     /// The end of a run that somebody or its time limit has stopped: there is no time to train again
     /// what the learner has taken with it, and that must not look like a stop in order.
     fn died_while_stopping(&mut self, cause: Cause) -> ExitError {
         self.snapshots.learner_gone();
         let base = self.find_base().ok().and_then(|(base, _)| base);
-        let kept = base.map_or(0, |base| base.manifest.iteration);
+        let kept = match base {
+            Some(base) => {
+                format!("the last checkpoint is of iteration {}", base.manifest.iteration)
+            }
+            None => "there is no checkpoint to go on from".to_owned(),
+        };
         let message = format!(
-            "the learner died ({cause}) while the run was stopping; the last checkpoint is of \
-             iteration {kept} of {}; `octopus resume {}` trains the others again",
-            self.reported,
+            "the learner died ({cause}) while the run was stopping; {} done, and {kept}; `octopus resume \
+             {}` trains what is missing again",
+            crate::output::counted(self.reported, "iteration"),
             self.spec.run_dir.path().display()
         );
         ExitError::new(cause.exit_code(), message)

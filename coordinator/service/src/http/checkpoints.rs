@@ -13,6 +13,10 @@ use utoipa::ToSchema;
 use super::context::Shared;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
+use crate::checkpoint::{
+    Checked, CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name,
+    Ownership,
+};
 
 /// Everything in the store.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -252,7 +256,8 @@ pub(super) fn find(
     Ok(Choice { entry, passed_over: Vec::new() })
 }
 
-/// The newest of the run's own checkpoints from which training can go on and that is whole.
+/// The newest of the run's own checkpoints from which training can go on and that is whole; one that the run
+/// has not come to itself only where there is no other.
 fn latest(store: &CheckpointStore, checked: &Checked) -> Result<Choice, CheckpointError> {
     let survey = store.survey()?;
     let damaged = survey.damaged.into_iter().map(|damaged| {
@@ -264,9 +269,14 @@ fn latest(store: &CheckpointStore, checked: &Checked) -> Result<Choice, Checkpoi
         whole.map(|entry| (entry.name.clone(), Ok(entry))).chain(damaged).collect();
     own.retain(|(name, _)| name.iteration().is_some());
     own.sort_by_key(|(name, _)| name.iteration());
+    let ownership = Ownership::of(store);
+    let (foreign, own): (Vec<_>, Vec<_>) = own.into_iter().rev().partition(|(name, entry)| {
+        let manifest = entry.as_ref().ok().map(|entry| (entry.iteration, entry.digest));
+        ownership.is_foreign(&store.dir(name), manifest)
+    });
     let mut passed_over = Vec::new();
     let mut newest_damage = None;
-    for (name, entry) in own.into_iter().rev() {
+    for (name, entry) in own.into_iter().chain(foreign) {
         match entry.and_then(|entry| checked.check(&entry.dir).map(|()| entry)) {
             Ok(entry) => return Ok(Choice { entry, passed_over }),
             // Removed meanwhile.

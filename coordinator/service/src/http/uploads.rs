@@ -1,7 +1,8 @@
 //! Uploads of checkpoints as tar archives.
 
 use std::fs::File;
-use std::io::{BufReader, Seek as _};
+use std::io::{BufReader, ErrorKind, Seek as _};
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,6 +22,8 @@ use super::intake::Intake;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
 use super::room;
+use crate::checkpoint::{CheckpointError, Entry, Name, UPLOAD};
+use crate::own;
 
 /// Buffer between the file and the reader of archives (bytes).
 const BUFFER: usize = 1 << 20;
@@ -140,8 +143,17 @@ fn nameless(root: &Path) -> std::io::Result<File> {
     }
     // Not every file system has such files: a name for a moment, then.
     let count = COUNTER.fetch_add(1, Ordering::Relaxed);
-    let path = root.join(format!(".upload-{}-{count}", std::process::id()));
-    let file = File::options().read(true).write(true).create_new(true).open(&path)?;
-    std::fs::remove_file(&path)?;
-    Ok(file)
+    named(&root.join(format!("{UPLOAD}{}-{count}", std::process::id())))
+}
+
+/// A new file that loses its name at once; a process that is killed in between leaves it to a sweep.
+fn named(path: &Path) -> std::io::Result<File> {
+    let mut options = File::options();
+    options.read(true).write(true).create_new(true).mode(own::MODE);
+    let file = options.open(path)?;
+    match std::fs::remove_file(path) {
+        // A sweep was faster.
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => Ok(file),
+    }
 }

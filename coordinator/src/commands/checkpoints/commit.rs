@@ -8,7 +8,8 @@ use crate::cli::checkpoints::CommitArgs;
 /// Asks the run and says what it has committed.
 pub(super) fn commit(args: &CommitArgs) -> anyhow::Result<()> {
     let token_file = args.token_file.as_deref();
-    let client = Client::of_run(&args.run_dir, Token::find(token_file)?)?;
+    let token = token_file.map(Token::from_file).transpose()?;
+    let client = Client::of_run(&args.run_dir, token)?;
     let answer = client.checkpoint_now().map_err(|error| error.explained(token_file))?;
     if args.json {
         return output::json(&answer);

@@ -15,7 +15,7 @@ use crate::cli::checkpoints::{ExportArgs, ImportArgs};
 
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
-    let store = store_to_fill("--store", &args.store, args.force)?;
+    let store = store_to_fill("--store", &args.store, Some(args.force))?;
     let name = args.name.clone();
     let imported = if args.archive == Path::new("-") {
         store.import(std::io::stdin().lock(), name)

@@ -10,6 +10,7 @@ use anyhow::Context as _;
 use clap::{Parser as _, ValueEnum as _};
 use lab::experiments::command_line::typed;
 use proto::config::TaskName;
+use proto::config::{Config, Precision, Run as RunGroup, TaskName};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::signals;
@@ -20,6 +21,10 @@ use store::recorded::Recorded;
 use store::run_files::read_config;
 
 use super::{POLICIES, RUNS, refused};
+use super::{Line, refused};
+use crate::checkpoint::{
+    BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part, flatten,
+};
 use crate::cli::reproduce::ReproduceArgs;
 use crate::cli::{AlgorithmArg, Cli, Command};
 use crate::commands::{resume, train};
@@ -30,6 +35,9 @@ const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
 /// Trains what is missing below `out`, and takes the best policies of it. Returns where they lie, and all runs.
 pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf, Vec<PathBuf>)> {
     let runs = planned(args, out);
+    for run in &runs {
+        run.check(args)?;
+    }
     for (index, run) in runs.iter().enumerate() {
         if !run.is_finished()? {
             output::note(&format!("run {} of {}: {}", index + 1, runs.len(), run.dir.display()));
@@ -87,8 +95,9 @@ impl Run {
             return Ok(false);
         }
         let planned = read_config(&run_dir)?.planned_iterations();
-        let done = CheckpointStore::new(run_dir.checkpoints()).entries()?;
-        let done = done.iter().map(|entry| entry.iteration).max().unwrap_or(0);
+        let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
+        let done = own.iter().filter_map(|dir| Manifest::read(dir).ok());
+        let done = done.map(|manifest| manifest.iteration).max().unwrap_or(0);
         Ok(done >= planned && Recorded::read(&run_dir)?.iterations() >= planned)
     }
 
@@ -98,19 +107,7 @@ impl Run {
         let words: Vec<String> = if RunDir::new(&self.dir).config().is_file() {
             ["octopus", "resume", &dir, "--no-eval", "--listen=off"].map(str::to_owned).into()
         } else {
-            let (algorithm, seed) = (name(self.algorithm), self.seed.to_string());
-            let line = [
-                "octopus",
-                "train",
-                self.task.as_str(),
-                "--algorithm",
-                &algorithm,
-                "--seed",
-                &seed,
-            ];
-            let rest = ["--run-dir", &dir, "--no-eval", "--listen=off"];
-            let sets = args.sets.iter().map(|set| format!("--set={set}"));
-            line.iter().chain(&rest).map(ToString::to_string).chain(sets).collect()
+            self.words(args)
         };
         let ended = match Cli::try_parse_from(&words)?.command {
             Command::Train(args) => train::train(&args)?,
@@ -123,6 +120,50 @@ impl Run {
         }
         let message = format!("{dir}: stopped; `{}` goes on", typed(&again(args, out)));
         Err(ExitError::new(ExitCode::Interrupted, message).into())
+    }
+
+    /// The command that begins it.
+    fn words(&self, args: &ReproduceArgs) -> Vec<String> {
+        let dir = self.dir.display().to_string();
+        let (algorithm, seed) = (name(self.algorithm), self.seed.to_string());
+        let line =
+            ["octopus", "train", self.task.as_str(), "--algorithm", &algorithm, "--seed", &seed];
+        let rest = ["--run-dir", &dir, "--no-eval", "--listen=off"];
+        let sets = args.sets.iter().map(|set| format!("--set={set}"));
+        line.iter().chain(&rest).map(ToString::to_string).chain(sets).collect()
+    }
+
+    /// Refuses a run of that name that is not the one that would be trained: somebody else's, or one that was asked for
+    /// with other settings.
+    fn check(&self, args: &ReproduceArgs) -> anyhow::Result<()> {
+        let run_dir = RunDir::new(&self.dir);
+        if !run_dir.config().is_file() {
+            return Ok(());
+        }
+        let found = read_config(&run_dir)?;
+        let words = self.words(args);
+        let mut wanted = match Cli::try_parse_from(&words)?.command {
+            Command::Train(args) => train::configure(&args)?,
+            other => unreachable!("{words:?} was read as {other:?}"),
+        };
+        if [wanted.run.precision, found.run.precision].contains(&Precision::Auto) {
+            // Decided when the run began, by the processor.
+            wanted.run.precision = found.run.precision;
+        }
+        let keys =
+            |config: &Config| -> anyhow::Result<_> { Ok(flatten(&config.to_toml().parse()?)) };
+        let (found, wanted) = (keys(&found)?, keys(&wanted)?);
+        let matters = |key: &String| {
+            let of_run = key.strip_prefix("run.");
+            !of_run.is_some_and(|key| key == "device" || RunGroup::HARMLESS.contains(&key))
+        };
+        let differs = |key: &&String| matters(key) && found.get(*key) != wanted.get(*key);
+        let Some(key) = found.keys().chain(wanted.keys()).find(differs) else { return Ok(()) };
+        let [found, wanted] =
+            [&found, &wanted].map(|keys| keys.get(key).map_or("no value", String::as_str));
+        let what =
+            format!("is a run already, with {found} as {key}, where this command wants {wanted}");
+        Err(refused(&self.dir, &what).into())
     }
 
     /// Its best checkpoint, and that one's score: the lower, the better.
@@ -208,6 +249,44 @@ mod tests {
             panic!("another command")
         };
         args
+    }
+
+    /// A directory with other runs may have been named, or other settings were asked for before.
+    #[test]
+    fn a_run_that_is_not_the_planned_one_is_not_gone_on_with() {
+        let out = tempfile::tempdir().expect("tempdir");
+        let args =
+            |sets: &str| parse(format!("octopus reproduce --train --seeds=1{sets}").split(' '));
+        let run = |args: &ReproduceArgs| planned(args, out.path()).remove(0);
+        let asked = args(" --set run.env_steps=6400 --set run.workers=3");
+        let Command::Train(train) =
+            Cli::try_parse_from(run(&asked).words(&asked)).expect("valid").command
+        else {
+            panic!("another command")
+        };
+        let config = train::configure(&train).expect("valid");
+        let run_dir = RunDir::new(run(&asked).dir);
+        assert!(run(&asked).check(&asked).is_ok(), "it is still to be made");
+        std::fs::create_dir_all(run_dir.path()).expect("made");
+        // Decided when it began.
+        for precision in [Precision::F32, Precision::Bf16] {
+            let mut config = config.clone();
+            config.run.precision = precision;
+            std::fs::write(run_dir.config(), config.to_toml()).expect("written");
+            run(&asked).check(&asked).expect("the same");
+            // What changes nothing that is learned may differ.
+            let harmless = args(" --set run.env_steps=6400 --set run.workers=1");
+            run(&harmless).check(&harmless).expect("the same");
+        }
+        for (sets, key) in [
+            ("", "run.env_steps"),
+            (" --set run.env_steps=6400 --set network.hidden=[8]", "network.hidden"),
+        ] {
+            let other = args(sets);
+            let error = run(&other).check(&other).expect_err("another").to_string();
+            assert!(error.contains("mappo-trajectory-1: is a run already"), "{error}");
+            assert!(error.contains(key) && error.contains("another --out"), "{error}");
+        }
     }
 
     #[test]

@@ -7,8 +7,10 @@
 //! It is written after every change of the store and is never the truth: what is missing, damaged,
 //! of another version or at odds with the directories is written anew from the manifests.
 
-use std::fs;
-use std::path::Path;
+use std::fs::{self, Permissions};
+use std::io::ErrorKind;
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::{Connection, params};
@@ -16,6 +18,7 @@ use rusqlite::{Connection, params};
 use super::CheckpointError;
 use super::entry::Entry;
 use super::name::Name;
+use crate::own;
 
 /// Name of the database.
 pub const CATALOGUE: &str = "catalogue.sqlite";
@@ -124,10 +127,9 @@ pub(super) fn refresh(
 /// Writes the catalogue of the store in `root` anew.
 pub(super) fn rebuild(root: &Path, entries: &[Entry]) -> Result<(), CheckpointError> {
     let path = root.join(CATALOGUE);
-    for suffix in ["", "-wal", "-shm", "-journal"] {
-        let part = root.join(format!("{CATALOGUE}{suffix}"));
+    for part in parts(&path) {
         match fs::remove_file(&part) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
                 return Err(CheckpointError::io(&part, "remove")(error));
             }
             _ => {}
@@ -152,7 +154,37 @@ fn rows(entries: &[Entry]) -> Vec<Row> {
     rows
 }
 
+/// Makes the database, or what there is of it, its user's alone: whoever may open it may lock it, too. The files
+/// that SQLite puts beside it get its rights.
+fn keep_private(path: &Path) -> Result<(), Reason> {
+    let made = fs::File::options().write(true).create_new(true).mode(own::MODE).open(path);
+    match made {
+        Ok(_) => return Ok(()),
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+        Err(error) => return Err(error.to_string()),
+    }
+    for part in parts(path) {
+        // Not opened: SQLite's own locks on a file end when this process closes it anywhere.
+        let Ok(there) = part.symlink_metadata() else { continue };
+        if there.is_file() && there.uid() == own::user() && there.mode() & 0o077 != 0 {
+            fs::set_permissions(&part, Permissions::from_mode(own::MODE))
+                .map_err(|error| error.to_string())?;
+        }
+    }
+    Ok(())
+}
+
+/// The database and the files that SQLite puts beside it.
+fn parts(path: &Path) -> [PathBuf; 4] {
+    ["", "-wal", "-shm", "-journal"].map(|suffix| {
+        let mut part = path.as_os_str().to_owned();
+        part.push(suffix);
+        part.into()
+    })
+}
+
 fn connect(path: &Path) -> Result<Connection, Reason> {
+    keep_private(path)?;
     let database = Connection::open(path).map_err(sql)?;
     database.busy_timeout(PATIENCE).map_err(sql)?;
     database.pragma_update(None, "journal_mode", "wal").map_err(sql)?;

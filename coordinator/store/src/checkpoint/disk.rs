@@ -1,7 +1,8 @@
 //! Every system call that changes a store, in one place, so that tests can cut each of them off.
 
-use std::fs::{self, File};
+use std::fs::{self, DirBuilder, File, Permissions};
 use std::io::{self, Write as _};
+use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, PermissionsExt as _};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -63,9 +64,17 @@ impl Disk {
         allowed.and_then(|()| take()).map_err(CheckpointError::io(path, action))
     }
 
-    /// Makes a directory; its parent must exist.
+    /// Makes a directory that nobody else may enter; its parent must exist.
     pub(super) fn create_dir(&self, path: &Path) -> Result<(), CheckpointError> {
-        self.step("create", path, || fs::create_dir(path))
+        self.step("create", path, || DirBuilder::new().mode(0o700).create(path))
+    }
+
+    /// Lets those into a directory who may enter the one that it lies in.
+    pub(super) fn open_dir(&self, path: &Path, above: &Path) -> Result<(), CheckpointError> {
+        self.step("open", path, || {
+            let (itself, above) = (fs::metadata(path)?.mode(), fs::metadata(above)?.mode());
+            fs::set_permissions(path, Permissions::from_mode(itself & 0o7000 | above & 0o777))
+        })
     }
 
     /// Opens a new file for writing.

@@ -31,6 +31,8 @@ pub(super) const REMOVED: &str = ".removed-";
 pub(super) const REPLACED: &str = ".replaced-";
 /// How long such a one is kept.
 const REPLACED_TIME: Duration = Duration::from_hours(7 * 24);
+/// Prefix of an archive that is being taken in where files without a name cannot be made.
+pub const UPLOAD: &str = ".upload-";
 /// Prefix of labels that are being written.
 const STUMP: &str = ".labels.json.";
 
@@ -155,7 +157,7 @@ fn missing(path: &Path) -> Vec<PathBuf> {
 /// A directory that is being written, inside the store but invisible to readers.
 ///
 /// While it lives it holds a lock on the directory itself. That is how [`sweep`] tells it from
-/// what a killed process has left. Dropped, it is removed, unless it was published.
+/// what a killed process has left; so nobody else may open it, which is all that it takes to lock it. Dropped, it is removed, unless it was published.
 #[derive(Debug)]
 pub(super) struct Scratch<'a> {
     disk: &'a Disk,
@@ -197,8 +199,9 @@ impl<'a> Scratch<'a> {
         &self.path
     }
 
-    /// Gives it its final name.
+    /// Gives it its final name, and lets those in who may enter the store.
     pub(super) fn publish(mut self, target: &Path, _: &Guard) -> Result<(), CheckpointError> {
+        self.disk.open_dir(&self.path, &self.root)?;
         self.disk.rename(&self.path, target)?;
         self.published = true;
         Ok(())
@@ -229,6 +232,10 @@ pub(super) fn sweep(disk: &Disk, root: &Path, _: &Guard) -> Result<Vec<PathBuf>,
         let path = entry.map_err(CheckpointError::io(root, "read"))?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if !is_directory(&path) {
+            // It has no name any more before a byte is in it, unless its process was killed.
+            if name.starts_with(UPLOAD) {
+                disk.remove_file(&path)?;
+            }
             continue;
         }
         if name.starts_with(REMOVED) {

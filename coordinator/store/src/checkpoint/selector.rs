@@ -201,8 +201,8 @@ fn none_of_run(run: &RunDir) -> String {
         )
     } else {
         format!(
-            "holds no checkpoint; `octopus resume {shown}` goes on with the run, which commits one \
-             at its end"
+            "holds no checkpoint; `octopus resume {shown}` trains the run from its beginning and commits \
+             one at its end"
         )
     }
 }

@@ -14,6 +14,11 @@ use safetensors::Dtype;
 /// The `format` entry of a state's metadata.
 pub const STATE_FORMAT: &str = "spaceoctopus training state 1";
 
+/// The published running mean of the input.
+pub(super) const MEAN: &str = "input.mean";
+/// The published inverse of its standard deviation.
+pub(super) const INVERSE_STD: &str = "input.inverse_std";
+
 /// Which numbers make sense in a tensor; finite they are everywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Numbers {
@@ -133,7 +138,7 @@ fn actors(config: &Config, dimensions: &Dimensions) -> Vec<(String, Vec<usize>)>
 
 /// Whether a published tensor is a running moment of the input.
 pub(super) fn is_moment(published: &str) -> bool {
-    ["input.mean", "input.inverse_std"].contains(&published)
+    [MEAN, INVERSE_STD].contains(&published)
 }
 
 /// Names and shapes of the critics' parameters: one critic an actor.

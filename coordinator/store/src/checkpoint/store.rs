@@ -322,26 +322,30 @@ impl CheckpointStore {
     }
 
     /// The newest of the run's own checkpoints from which training can go on and that is whole. A
-    /// damaged one is reported through the log and passed over; if all are damaged,
-    /// that is an error, never a silent start from nothing.
-    /// Whether a run may go on from it is for the run to say, see [`base`](run::base).
+    /// damaged one is reported through the log and passed over, and so is one that the run has not come
+    /// to itself, unless there is no other; if all are damaged, that is an error, never a silent start
+    /// from nothing.
+    /// Whether a run may go on from it is for the run to say, see `base` of the crate `run`.
     pub fn latest(&self) -> Result<Checkpoint, CheckpointError> {
-        let mut last_error = None;
-        for dir in self.list()?.into_iter().rev() {
+        let mut passed_over = Vec::new();
+        for dir in self.by_ownership()?.into_iter().flatten() {
             if Manifest::read(&dir).is_ok_and(|manifest| !manifest.has_state()) {
                 continue;
             }
             match read::load(&dir) {
-                Ok(checkpoint) => return Ok(checkpoint),
+                Ok(checkpoint) => {
+                    for error in passed_over {
+                        tracing::error!(%error, "damaged checkpoint, passed over");
+                    }
+                    return Ok(checkpoint);
+                }
                 // Removed since it was listed.
                 Err(_) if !dir.exists() => {}
-                Err(error) => {
-                    tracing::error!(%error, "damaged checkpoint, passed over");
-                    last_error = Some(error);
-                }
+                Err(error) => passed_over.push(error),
             }
         }
-        Err(last_error.unwrap_or_else(|| CheckpointError::NotFound {
+        // The newest is the one to mend.
+        Err(passed_over.into_iter().next().unwrap_or_else(|| CheckpointError::NotFound {
             path: self.root.clone(),
             what: "holds no checkpoint from which training can go on".to_owned(),
         }))

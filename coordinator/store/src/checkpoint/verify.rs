@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use proto::config::Config;
+use proto::config::{Config, Precision};
 use proto::layout::{ActorLayout, Dimensions};
 use proto::{Digest, DigestBuilder};
 use safetensors::Dtype;
@@ -15,10 +15,13 @@ use utoipa::ToSchema;
 use super::manifest::Manifest;
 use super::name::Name;
 use super::read::{self, small_files};
-use super::state_layout::{Numbers, STATE_FORMAT, StateLayout, is_moment};
+use super::state_layout::{INVERSE_STD, MEAN, Numbers, STATE_FORMAT, StateLayout, is_moment};
 use super::store::CheckpointStore;
 use super::tensors::{POLICY_PREFIX, TensorFile};
 use super::{CheckpointError, POLICY, ROBOT, STATE};
+
+/// What a learner adds to the variance of an input before it takes the root.
+const VARIANCE_FLOOR: f64 = 1e-6;
 
 /// What a thorough check found.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
@@ -106,6 +109,7 @@ pub(super) fn examine(dir: &Path) -> Verification {
                     if problems.is_empty() {
                         let policy = TensorFile::open(&dir.join(POLICY))?;
                         acts(&policy, &tensors, wanted, &mut problems)?;
+                        standardises(&policy, &tensors, &mut problems)?;
                     }
                 }
                 None => {}
@@ -245,10 +249,18 @@ fn makes_sense(
             problems.push(format!("`{name}` is {is}, not {said}, as the manifest says"));
         }
     }
+    let expected: &[u64] = match wanted.config.run.precision {
+        // As an earlier version left it.
+        Precision::Auto => &[16, 32],
+        Precision::Bf16 => &[16],
+        Precision::F32 => &[32],
+    };
     if let Some(bits) = counter(file, "counters.precision")?
-        && ![16, 32].contains(&bits)
+        && !expected.contains(&bits)
     {
-        problems.push(format!("`counters.precision` is {bits}, expected 16 or 32"));
+        let expected: Vec<String> = expected.iter().map(ToString::to_string).collect();
+        let expected = expected.join(" or ");
+        problems.push(format!("`counters.precision` is {bits}, expected {expected}"));
     }
     Ok(())
 }
@@ -295,6 +307,54 @@ fn acts(
         };
         if hash(policy, ours, false)? != hash(state, theirs, spec.name == "log_std")? {
             problems.push(format!("tensor `{of_state}` is not `{}` of {POLICY}", spec.name));
+        }
+    }
+    Ok(())
+}
+
+/// Reports a published running normalisation of the input that is not the one of the training state. Both files
+/// fit the layouts.
+fn standardises(
+    policy: &TensorFile,
+    state: &TensorFile,
+    problems: &mut Vec<String>,
+) -> Result<(), String> {
+    let all = |file: &TensorFile, name: &str| -> Result<Option<Vec<f64>>, String> {
+        let Some(info) = file.tensors.get(name) else { return Ok(None) };
+        let mut all = Vec::new();
+        file.pieces(info, |piece| all.extend(numbers(info.dtype, piece).into_iter().flatten()))?;
+        Ok(Some(all))
+    };
+    let of_state = |name: &str| all(state, &format!("observation_norm.{name}"));
+    let (Some(mean), Some(m2), Some(count)) =
+        (of_state("mean")?, of_state("m2")?, of_state("count")?)
+    else {
+        return Ok(());
+    };
+    let count = count.first().copied().unwrap_or(0.0);
+    let wanted = |index: usize| {
+        // Nothing was seen yet.
+        if count == 0.0 {
+            (0.0, 1.0)
+        } else {
+            (mean[index], (m2[index] / count + VARIANCE_FLOOR).sqrt().recip())
+        }
+    };
+    let [means, inverse_stds] = [all(policy, MEAN)?, all(policy, INVERSE_STD)?];
+    for (name, published, of) in [
+        (MEAN, means, &(|index| wanted(index).0) as &dyn Fn(usize) -> f64),
+        (INVERSE_STD, inverse_stds, &|index| wanted(index).1),
+    ] {
+        // Rounded to f32, after some operations in f64.
+        let is = |(index, number): (usize, &f64)| {
+            let of = of(index);
+            (number - of).abs()
+                <= 2.0 * f64::from(f32::EPSILON) * of.abs() + f64::from(f32::MIN_POSITIVE)
+        };
+        // One row a network: where agents share one, it has the moments of all of them.
+        let published = published.filter(|published| published.len() == mean.len());
+        if published.is_some_and(|published| !published.iter().enumerate().all(is)) {
+            problems.push(format!("`observation_norm` is not `{name}` of {POLICY}"));
         }
     }
     Ok(())

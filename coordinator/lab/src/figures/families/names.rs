@@ -40,7 +40,7 @@ pub(super) fn of(configs: &[&Config]) -> Vec<String> {
             break;
         }
     }
-    let name = |index: usize| {
+    let name = |index: usize, shown: fn(&str) -> String| {
         let values = telling[index].iter().map(|key| {
             let value = keys[index].get(*key).map_or("none", String::as_str);
             format!("{}={}", short(key, &keys), shown(value))
@@ -48,7 +48,15 @@ pub(super) fn of(configs: &[&Config]) -> Vec<String> {
         let parts: Vec<String> = [heading(index).1.to_owned()].into_iter().chain(values).collect();
         parts.join(", ")
     };
-    (0..configs.len()).map(name).collect()
+    let names: Vec<String> = (0..configs.len()).map(|index| name(index, shown)).collect();
+    // Two values may look alike where they are cut.
+    let is_alone = |index: usize| {
+        let alike =
+            |other: &usize| heading(*other) == heading(index) && names[*other] == names[index];
+        (0..names.len()).filter(alike).count() == 1
+    };
+    let told = |index| if is_alone(index) { names[index].clone() } else { name(index, bare) };
+    (0..configs.len()).map(told).collect()
 }
 
 /// What changes what is learned, but for the seed.
@@ -81,10 +89,15 @@ fn short<'a>(key: &'a str, keys: &[Keys]) -> &'a str {
     if alike.len() == 1 { last } else { key }
 }
 
+/// A whole value, words without their quotes.
+fn bare(value: &str) -> String {
+    value.trim_matches('"').replace(", ", ",")
+}
+
 /// A value as a name holds it: words bare, of paths the end, and cut if it is long.
 fn shown(value: &str) -> String {
-    let bare = value.trim_matches('"');
-    let bare = bare.rsplit('/').next().unwrap_or(bare).replace(", ", ",");
+    let bare = bare(value);
+    let bare = bare.rsplit('/').next().unwrap_or(&bare).to_owned();
     if bare.chars().count() <= LONGEST {
         return bare;
     }
@@ -138,6 +151,24 @@ mod tests {
         let found = names(TaskName::Trajectory, &[&one, &other]);
         assert!(found[0].starts_with("mappo, optimizer.epsilon="), "{found:?}");
         assert_ne!(found[0], found[1]);
+    }
+
+    #[test]
+    fn values_that_look_alike_where_they_are_cut_are_written_whole() {
+        let found = names(
+            TaskName::Trajectory,
+            &[
+                &["robot.description=a/x.toml"],
+                &["robot.description=b/x.toml"],
+                &["robot.description=b/y.toml"],
+            ],
+        );
+        let wanted = ["a/x.toml", "b/x.toml", "y.toml"];
+        assert_eq!(found, wanted.map(|path| format!("mappo, description={path}")));
+        let widths = |last: u32| format!("network.hidden=[1024,1024,1024,1024,1024,{last}]");
+        let (one, other) = (widths(1), widths(2));
+        let found = names(TaskName::Trajectory, &[&[&one], &[&other]]);
+        assert!(found[0].ends_with("1024,1]") && found[1].ends_with("1024,2]"), "{found:?}");
     }
 
     #[test]

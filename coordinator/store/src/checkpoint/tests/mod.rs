@@ -8,6 +8,7 @@ mod concurrency;
 mod crash;
 mod labels;
 mod name;
+mod privacy;
 mod retention;
 mod selector;
 mod store;

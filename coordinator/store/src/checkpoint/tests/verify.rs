@@ -309,6 +309,52 @@ fn a_state_without_sense_is_neither_whole_nor_taken_in() {
 }
 
 #[test]
+fn the_arithmetic_of_a_state_is_that_of_its_configuration() {
+    for (precision, problem) in
+        [("auto", None), ("f32", None), ("bf16", Some("`counters.precision` is 32, expected 16"))]
+    {
+        let (_dir, store) = store();
+        let config = config_with(&[&format!("run.precision={precision}")]);
+        // A learner of single precision.
+        commit_of(&store, &config, &snapshot_of(&config, 1, 0.0));
+        let problems = store.verify(&nth(1)).expect("there").problems;
+        assert_eq!(problems.is_empty(), problem.is_none(), "{precision}: {problems:?}");
+        assert!(problems.iter().all(|found| found.contains(problem.expect("one"))), "{problems:?}");
+    }
+}
+
+/// Actors see inputs by what was published; another than the state's is another policy.
+#[test]
+fn the_published_normalisation_is_that_of_the_state() {
+    let (_dir, store) = store();
+    let config = config_with(&["network.input_norm=running", "network.parameter_sharing=none"]);
+    let dir = commit_of(&store, &config, &snapshot_of(&config, 1, 0.0));
+    let policy = std::fs::read(dir.join(POLICY)).expect("read");
+    // As the moments of `snapshot_of` give it: mean, squares and count are all one half.
+    let publish = |mean: f32, inverse_std: f32| {
+        let policy = edited(&policy, |name, data| {
+            let number = match name.as_str() {
+                "input.mean" => mean,
+                "input.inverse_std" => inverse_std,
+                _ => return,
+            };
+            data.chunks_exact_mut(4).for_each(|bytes| bytes.copy_from_slice(&number.to_le_bytes()));
+        });
+        recommit(&dir, POLICY, &policy);
+        store.verify(&nth(1)).expect("there").problems.join("\n")
+    };
+    let inverse_std = (1.0_f64 + 1e-6).sqrt().recip() as f32;
+    assert_eq!(publish(0.5, inverse_std), "");
+    assert_eq!(publish(0.5, inverse_std + f32::EPSILON), "", "rounding is none");
+    for (mean, inverse_std, name) in
+        [(0.6, inverse_std, "input.mean"), (0.5, 1.1 * inverse_std, "input.inverse_std")]
+    {
+        let problems = publish(mean, inverse_std);
+        assert!(problems.contains(&format!("`observation_norm` is not `{name}`")), "{problems}");
+    }
+}
+
+#[test]
 fn env_steps_are_those_of_the_iterations() {
     let (_dir, store) = store_with(&[1]);
     let dir = store.dir(&nth(1));
