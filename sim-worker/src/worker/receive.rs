@@ -9,6 +9,7 @@ use super::process::{Worker, failure};
 
 /// Policy versions that a worker keeps: with overlap it acts with the one before the newest.
 const KEPT_POLICIES: usize = 3;
+
 /// Takes in all orders that have come for this worker.
 pub(super) fn take_orders(worker: &mut Worker<'_>) -> Result<(), ExitError> {
     loop {
