@@ -1,10 +1,21 @@
 //! A worker in a thread, with the test as coordinator and learner.
 
-use channels::{ArraySample, MessageReceiver};
-use proto::config::{Layers, Preset};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
-use super::*;
+use channels::{ArraySample, ChannelSizes, Channels, Domain, MessageReceiver};
+use proto::ExitCode;
+use proto::config::{Layers, Preset};
+use proto::layout::{BlockHeader, PolicyHeader};
+use proto::message::{Order, Status};
+use proto::run_dir::RunDir;
 use simulator::policy::initial_parameters as parameters;
+use simulator::robot::Robot;
+use simulator::rollout::{RolloutSpec, World, rollout};
+
+use super::process::Worker;
+use super::worker_loop::serve;
+use super::*;
 
 /// Longest that any of these tests waits for anything.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -75,7 +86,7 @@ fn a_worker_makes_what_is_ordered_and_nothing_else() {
     std::thread::scope(|scope| {
         let worker = scope.spawn(|| {
             let mut worker = Worker::connect(&arguments(&domain.0), &world).expect("connect");
-            worker.serve()
+            serve(&mut worker)
         });
         assert!(matches!(next_status(&status), Status::Ready { worker: 2, incarnation: 1, .. }));
         let order = |worker, incarnation, shards: &[u32]| Order::Rollout {

@@ -154,7 +154,7 @@ pub(crate) fn force_to_base<S: Real>(arm: &ArmModel<S>, f: Vec6<S>) -> Vec6<S> {
     Vec6 { ang: cross_add(arm.position, lin, mat_vec(&arm.rotation, f.ang)), lin }
 }
 
-/// Sines and velocities of all links [Featherstone 2008, Table 9.4, first pass]: fills `sin`, `cos`, `v` of `ws.links`.
+/// First pass of the articulated-body algorithm [Featherstone 2008, Table 9.4], sines and velocities of all links: fills `sin`, `cos`, `v` of `ws.links`.
 ///
 /// Shapes: `q`, `qd` `n_joints`. Reads `ws.base_v`.
 #[inline(always)]
@@ -170,6 +170,7 @@ pub(crate) fn velocities<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q: &[
             let (sin, cos) = q[first + j].sin_cos();
             v.ang = unturn(sin, cos, v.ang);
             v.lin = unturn(sin, cos, v.lin);
+            // v_i = iX_λ v_λ + S q̇_i.
             v.ang[2] += qd[first + j];
             let link = &mut ws.links[first + j];
             link.sin = sin;

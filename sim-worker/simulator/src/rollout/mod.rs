@@ -8,17 +8,20 @@
 //! **Episodes never cross blocks.** The released code resets every 512 steps across rollouts of 50. Here every
 //! rollout is whole episodes, so a worker needs no memory between two orders.
 
+mod batch;
 mod error;
 mod explore;
 mod extremes;
+mod lane_group;
 mod output;
 mod rollout_loop;
+mod running;
 mod shard;
 mod start;
 mod world;
 
+pub use batch::Stage;
 pub use error::RolloutError;
-pub use rollout_loop::Stage;
 #[cfg(test)]
 pub(crate) use shard::rollout_with;
 pub use shard::{RolloutSpec, rollout, rollout_on};

@@ -2,9 +2,9 @@
 
 use proto::rng::Purpose;
 
+use super::batch::{Batch, Episodes, Stage};
 use super::explore::Noise;
 use super::output::Output;
-use super::rollout_loop::{Batch, Episodes, Stage};
 use super::{RolloutError, World};
 use crate::env::EpisodeError;
 use crate::policy::Policy;

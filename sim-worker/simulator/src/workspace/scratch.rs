@@ -50,7 +50,7 @@ pub struct Workspace<S: Real> {
     pub(crate) base_v: Vec6<S>,
     /// Wrench of a disturbance on the whole robot at the last evaluation: world axes, about the base's position at the period's start.
     pub(crate) outside: Vec6<S>,
-    /// Flat states of the integrator, see `integrate`: at the substep's start, at the stage, the stage's derivative, their weighted sum.
+    /// Flat states of the integrator, see `step::flat_state`: at the substep's start, at the stage, the stage's derivative, their weighted sum.
     pub(crate) y0: Vec<S>,
     pub(crate) y: Vec<S>,
     pub(crate) k: Vec<S>,
