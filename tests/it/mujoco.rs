@@ -8,6 +8,7 @@
 use std::path::Path;
 use std::process::Command;
 
+use proto::statistics::{mean, percentile};
 use serde_json::{Value, json};
 use simulator::collision::count_contacts;
 use simulator::dynamics::twin::inertia_matrix;
@@ -352,8 +353,7 @@ fn points(robot: &Robot, commands: &[Vec<f64>], options: &StepOptions) -> Vec<Ve
 /// Mean and 99th percentile of a sample.
 fn summary(mut errors: Vec<f64>) -> (f64, f64) {
     errors.sort_by(f64::total_cmp);
-    let at = (errors.len() as f64 * 0.99) as usize;
-    (errors.iter().sum::<f64>() / errors.len() as f64, errors[at])
+    (mean(&errors), percentile(&errors, 0.99))
 }
 
 /// What training integrates (single precision, lanes, 16 ms) is nearer to the converged solution than the authors' own scheme: at base and

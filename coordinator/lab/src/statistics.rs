@@ -3,6 +3,7 @@
 use std::fmt;
 
 use proto::config::TaskName;
+use proto::statistics::{mean, quantile};
 use run::selection::PAPER;
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -36,15 +37,10 @@ impl Spread {
     /// all are NaN.
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
-        let n = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n;
-        let percentile = |share: f64| {
-            let place = share * (n - 1.0);
-            let at = |index: f64| values.get(index as usize).copied().unwrap_or(f64::NAN);
-            at(place.floor()) + place.fract() * (at(place.ceil()) - at(place.floor()))
-        };
-        let [p50, p90, p99] = [0.5, 0.9, 0.99].map(percentile);
+        let mean = mean(&values);
+        let variance =
+            values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64;
+        let [p50, p90, p99] = [0.5, 0.9, 0.99].map(|share| quantile(&values, share));
         Self { mean, std: variance.sqrt(), p50, p90, p99 }
     }
 }

@@ -158,7 +158,7 @@ fn every_sign_of_life_says_where_orders_are_taken() {
     std::thread::scope(|scope| {
         let worker = scope.spawn(|| {
             let mut worker = Worker::connect(&arguments(&domain.0), &world).expect("connect");
-            worker.serve()
+            serve(&mut worker)
         });
         let first = wait_for(|| status.try_receive().expect("receive"));
         let Status::Ready { orders: port, .. } = first else { panic!("{first:?}") };

@@ -260,9 +260,3 @@ impl Bench {
         figures
     }
 }
-
-/// The middle one of an odd number of values.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    proto::statistics::percentile(&values, 0.5)
-}

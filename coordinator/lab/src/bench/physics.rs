@@ -1,6 +1,7 @@
 //! The dynamics alone: control steps under random commands, sixteen environments to a group.
 
 use process::clock::thread_cpu;
+use proto::statistics::median;
 use simulator::env::step_options;
 use simulator::random_motion::{operations_per_step, random_motion};
 use simulator::robot::Robot;
@@ -8,7 +9,7 @@ use simulator::step::StepOptions;
 
 use super::figures::{Figure, Figures};
 use super::processor::Processor;
-use super::{Bench, arithmetic, median};
+use super::{Bench, arithmetic};
 
 /// Turns that a measurement is split into, between those of the peer.
 const TURNS: usize = 3;

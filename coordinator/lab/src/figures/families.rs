@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use output::grouped;
 use proto::config::{Config, TaskName};
+use proto::statistics::{Resamples, median};
 use run::report::curve::Point;
 use run::report::evaluations::HeldOut;
 use run::report::row::Row;
 use run::selection::{MeanErrors, Means};
 use serde::Serialize;
 
-use super::bootstrap::Resamples;
 use super::recorded::Recorded;
 
 /// Points of a curve.
@@ -55,7 +55,7 @@ impl Over {
 mod names;
 
 /// Runs that learn the same but for their seeds: `[low, mean, high]` of their mean within its 95 % bootstrap
-/// interval, as `bootstrap.rs` has it.
+/// interval, by [`Resamples`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Family {
     pub(crate) task: TaskName,
@@ -155,7 +155,7 @@ impl Family {
                 let good = |at: &&HeldOut| measure(&at.errors).in_papers(task) <= 1.0;
                 run.iter().find(good).map_or(f64::INFINITY, |at| over.of(at))
             };
-            median(held_out.iter().map(first).collect())
+            Some(median(held_out.iter().map(first).collect())).filter(|place| place.is_finite())
         };
         let to_paper =
             ToPaper { min: reached(|errors| &errors.min), tail: reached(|errors| &errors.tail) };
@@ -245,14 +245,6 @@ fn interpolate<R: Row>(run: &[R], over: Over, place: f64, read: impl Fn(&R) -> f
     let length = over.of(after) - over.of(before);
     let share = if length > 0.0 { (place - over.of(before)) / length } else { 0.0 };
     read(before) + share * (read(after) - read(before))
-}
-
-/// The middle one, or the mean of the two in the middle; `None` if that is not finite.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let upper = *values.get(values.len() / 2)?;
-    let lower = *values.get((values.len() - 1) / 2)?;
-    Some(0.5 * (lower + upper)).filter(|middle| middle.is_finite())
 }
 
 #[cfg(test)]
@@ -362,13 +354,5 @@ mod tests {
             assert!(line.chars().count() <= 80, "{line}\nis too long in\n{text}");
         }
         assert!(text.contains("900,000,000") && text.contains("never"), "{text}");
-    }
-
-    #[test]
-    fn medians_by_hand() {
-        assert_eq!(median(vec![3.0, 1.0, f64::INFINITY]), Some(3.0));
-        assert_eq!(median(vec![3.0, 1.0]), Some(2.0));
-        assert_eq!(median(vec![f64::INFINITY, 1.0]), None);
-        assert_eq!(median(Vec::new()), None);
     }
 }

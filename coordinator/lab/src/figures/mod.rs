@@ -1,6 +1,5 @@
 //! Pictures as SVG: panels of lines, bands and boxes, and the learning curves of several runs.
 
-mod bootstrap;
 pub mod families;
 pub mod learning;
 pub(crate) mod panels;

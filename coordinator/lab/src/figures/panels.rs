@@ -10,6 +10,7 @@ use plotters::coord::Shift;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
+use proto::statistics::{mean, quantile};
 
 /// Size of a panel (px).
 const PANEL: (u32, u32) = (440, 320);
@@ -146,14 +147,9 @@ impl Quantiles {
     /// Of `values`, interpolated between neighbours; none of nothing.
     pub(crate) fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
-        let last = values.len().checked_sub(1)? as f64;
-        let at = |share: f64| {
-            let (low, high) = ((share * last).floor(), (share * last).ceil());
-            let (a, b) = (values[low as usize], values[high as usize]);
-            a + (share * last - low) * (b - a)
-        };
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        Some(Self { p10: at(0.1), p25: at(0.25), p50: at(0.5), p75: at(0.75), p90: at(0.9), mean })
+        let [p10, p25, p50, p75, p90] =
+            [0.1, 0.25, 0.5, 0.75, 0.9].map(|share| quantile(&values, share));
+        (!values.is_empty()).then(|| Self { p10, p25, p50, p75, p90, mean: mean(&values) })
     }
 }
 

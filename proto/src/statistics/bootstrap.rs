@@ -2,7 +2,8 @@
 //! jackknife", 1979), which Agarwal et al., "Deep reinforcement learning at the edge of the statistical
 //! precipice", 2021, recommend for runs that differ in their seeds.
 
-use proto::rng::{Address, Purpose};
+use super::mean;
+use crate::rng::{Address, Purpose};
 
 /// Share of the resamples on either side of the interval.
 const OUTSIDE: f64 = 0.025;
@@ -11,10 +12,11 @@ const DRAWN: usize = 2_000;
 
 /// Samples of `n` runs, each drawn `n` times with replacement: all of them up to four runs, else [`DRAWN`], always the same.
 #[derive(Debug, Clone)]
-pub(crate) struct Resamples(Vec<Vec<usize>>);
+pub struct Resamples(Vec<Vec<usize>>);
 
 impl Resamples {
-    pub(crate) fn of(n: usize) -> Self {
+    /// Samples of `n` runs.
+    pub fn of(n: usize) -> Self {
         if n <= 4 {
             // A resample is a number of `n` digits to the base `n`.
             let digits = |code: usize| (0..n as u32).map(move |k| code / n.pow(k) % n);
@@ -38,9 +40,9 @@ impl Resamples {
         Self((0..DRAWN).map(draw).collect())
     }
 
-    /// `[low, mean, high]`: the mean of `values`, one a run, within its 95 % interval. Of three runs that is all that
-    /// they span: each is drawn three times by one resample in 27, more than are left out on either side.
-    pub(crate) fn interval(&self, values: &[f64]) -> [f64; 3] {
+    /// `[low, mean, high]`: the mean of `values`, one a run, within its 95 % interval; `values` are as many as the runs.
+    /// Of three runs that is all that they span: each is drawn three times by one resample in 27, more than are left out on either side.
+    pub fn interval(&self, values: &[f64]) -> [f64; 3] {
         let n = values.len() as f64;
         let mut means: Vec<f64> = self
             .0
@@ -49,7 +51,7 @@ impl Resamples {
             .collect();
         means.sort_by(f64::total_cmp);
         let outside = (OUTSIDE * means.len() as f64) as usize;
-        [means[outside], values.iter().sum::<f64>() / n, means[means.len() - 1 - outside]]
+        [means[outside], mean(values), means[means.len() - 1 - outside]]
     }
 }
 
