@@ -86,7 +86,7 @@ INTRUSIONS ?= 500
 SEED ?= 1
 
 .PHONY: chaos
-chaos: setup ## attack runs at random and compare bits (KILLS=200 RESTARTS=1000 DAMAGES=100 ENVIRONMENTS=100 REQUESTS=5000 INTRUSIONS=500 SEED=1)
+chaos: setup ## attack runs at random and compare bits (SEED=1 KILLS=200 REQUESTS=5000 and more)
 	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
 	@$(TARGET)/debug/examples/chaos --seed $(SEED) --kills $(KILLS) \
 		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS) --damages $(DAMAGES) \
