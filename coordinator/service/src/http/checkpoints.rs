@@ -3,20 +3,15 @@
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderName, StatusCode};
-use axum::response::{IntoResponse as _, Response};
+use axum::response::IntoResponse as _;
+use axum::response::Response;
 use serde::{Deserialize, Serialize};
-use store::checkpoint::{
-    Checked, CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name,
-};
+use store::checkpoint::{Checked, CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name, Ownership};
 use utoipa::ToSchema;
 
 use super::context::Shared;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
-use crate::checkpoint::{
-    Checked, CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name,
-    Ownership,
-};
 
 /// Everything in the store.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -1,7 +1,8 @@
 //! Uploads of checkpoints as tar archives.
 
 use std::fs::File;
-use std::io::{BufReader, ErrorKind, Seek as _};
+use std::io::Seek as _;
+use std::io::{BufReader, ErrorKind};
 use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 use std::sync::Arc;
@@ -10,9 +11,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::StatusCode;
-use axum::response::{IntoResponse as _, Response};
+use axum::response::IntoResponse as _;
+use axum::response::Response;
 use rustix::fs::{Mode, OFlags};
-use store::checkpoint::{CheckpointError, Entry, Name};
+use store::checkpoint::{CheckpointError, Entry, Name, UPLOAD};
+use store::own;
 use tokio::io::AsyncWriteExt as _;
 use tokio::sync::OwnedSemaphorePermit;
 
@@ -22,8 +25,6 @@ use super::intake::Intake;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
 use super::room;
-use crate::checkpoint::{CheckpointError, Entry, Name, UPLOAD};
-use crate::own;
 
 /// Buffer between the file and the reader of archives (bytes).
 const BUFFER: usize = 1 << 20;

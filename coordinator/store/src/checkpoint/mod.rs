@@ -71,7 +71,7 @@ pub use labelling::{BEST, LATEST};
 pub use labels::{LABELS, Labels, MAX_TAGS, Score};
 pub use manifest::{FileEntry, Manifest, Origin};
 pub use name::{ITERATION, Name, NameError};
-pub(crate) use ownership::Ownership;
+pub use ownership::Ownership;
 pub use patience::Patience;
 pub use read::{Checkpoint, read_policy};
 pub use retention::Retention;
