@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use lab::figures::families::{Family, families};
-use lab::figures::learning::learning;
+use lab::figures::learning::learning_alone;
 use lab::figures::recorded;
 use proto::{ExitCode, ExitError};
 use store::files;
@@ -27,10 +27,8 @@ pub fn run(args: &PlotArgs) -> anyhow::Result<()> {
         recorded::write(path, &curves)?;
     }
     let families = families(&curves, args.over.0);
-    let picture = learning(&families, args.over.0)?;
-    // A picture by itself has a ground of its own; what it is drawn on may be dark.
-    let ground = r##"><rect width="100%" height="100%" fill="#FFFFFF"/>"##;
-    files::replace_output(&args.out, picture.replacen('>', ground, 1).as_bytes())?;
+    let picture = learning_alone(&families, args.over.0)?;
+    files::replace_output(&args.out, picture.as_bytes())?;
     if args.json {
         return output::json(&families);
     }

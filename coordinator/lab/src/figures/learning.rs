@@ -1,16 +1,28 @@
 //! Learning curves: a panel for the return and for each error of each task.
 
+use drawing::{Axis, Item, Layout, Panel, line, render};
 use proto::config::TaskName;
 use run::selection::PAPER;
 
 use super::families::{Errors, Family, Over};
-use super::panels::{Axis, COLORS, Item, Panel, line, render};
 
 /// A quantity `[low, mean, high]` along a curve.
 type Read = fn(&Errors) -> &[[f64; 3]];
 
-/// Return in training and errors on held-out goals of families over `over`: their mean, and its interval.
+/// Return in training and errors on held-out goals of families over `over`: their mean, and its interval. As many panels side
+/// by side as a page has room for.
 pub fn learning(families: &[Family], over: Over) -> anyhow::Result<String> {
+    let panels = panels(families, over);
+    render(&panels, &Layout::rows_of_three(&panels))
+}
+
+/// The same as a picture that stands alone.
+pub fn learning_alone(families: &[Family], over: Over) -> anyhow::Result<String> {
+    let panels = panels(families, over);
+    render(&panels, &Layout::rows_of_three(&panels).alone())
+}
+
+fn panels(families: &[Family], over: Over) -> Vec<Panel> {
     let mut panels = Vec::new();
     for task in [TaskName::Trajectory, TaskName::Reorientation] {
         let families: Vec<&Family> = families.iter().filter(|family| family.task == task).collect();
@@ -33,14 +45,8 @@ pub fn learning(families: &[Family], over: Over) -> anyhow::Result<String> {
             ),
         };
         let returns = items(&families, |family| (&family.along, &family.returns));
-        let (low, high) = span(&families);
-        let margin = 0.05 * (high - low);
-        panels.push(Panel {
-            title: format!("{name}: return in training"),
-            x: x.clone(),
-            y: Axis::linear("return, mean of the agents", low - margin, high + margin),
-            items: returns,
-        });
+        let title = format!("{name}: return in training");
+        panels.push(Panel::linear(title, x.clone(), "return, mean of the agents", returns));
         for &(error, axis, paper, read) in errors {
             let mut items =
                 items(&families, |family| (&family.held_out.along, read(&family.held_out)));
@@ -55,8 +61,7 @@ pub fn learning(families: &[Family], over: Over) -> anyhow::Result<String> {
             panels.push(Panel::log(title, x.clone(), axis, items));
         }
     }
-    let columns = panels.len().clamp(1, 3);
-    render(&panels, columns)
+    panels
 }
 
 /// Lines with their bands, of all families that have been measured.
@@ -69,18 +74,9 @@ fn items<'a>(
         let at = |place: usize| -> Vec<(f64, f64)> {
             along.iter().copied().zip(values.iter().map(|values| values[place])).collect()
         };
-        let color = color % COLORS.len();
         let band = Item::Band { name: String::new(), color, low: at(0), high: at(2) };
         let items = [band, line(family.name.clone(), color, at(1))];
         (!along.is_empty()).then_some(items)
     };
     families.iter().enumerate().filter_map(of_family).flatten().collect()
-}
-
-/// The lowest and the highest return.
-fn span(families: &[&Family]) -> (f64, f64) {
-    let values = families.iter().flat_map(|family| &family.returns).flatten();
-    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
-        (low.min(*value), high.max(*value))
-    })
 }

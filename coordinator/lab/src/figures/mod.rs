@@ -1,6 +1,5 @@
-//! Pictures as SVG: panels of lines, bands and boxes, and the learning curves of several runs.
+//! The learning curves of several runs: read, put together and drawn.
 
 pub mod families;
 pub mod learning;
-pub(crate) mod panels;
 pub mod recorded;

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use proto::config::Config;
 use proto::{ExitCode, ExitError};
-use run::report::curve::{Point, read_points, thin_out};
 use run::report::evaluations::{self, HeldOut};
+use run::report::points::{Point, read_points, thin_out};
 use run::report::row::Row;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

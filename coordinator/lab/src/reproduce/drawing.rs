@@ -1,5 +1,6 @@
 //! The robot in a row of moments: its base as a box, its arms as lines, its joints as dots.
 
+use ::drawing::palette::{COLORS, Color, FAINT, INK};
 use maud::{Markup, html};
 use simulator::experiment::Skeleton;
 use simulator::robot::Robot;
@@ -17,11 +18,9 @@ const TITLE: f64 = 26.0;
 /// Moments that are drawn, as they are counted on the axes of figures; the last step follows.
 const MOMENTS: [usize; 4] = [1, 8, 70, 78];
 
-/// Colours of [`crate::figures::panels`], in words.
-const INK: &str = "#263238";
-const FAINT: &str = "#607078";
-const TURNING: &str = "#0072B2";
-const REACHING: [&str; 2] = ["#D55E00", "#009E73"];
+/// Colours of an arm that turns the base, and of those that reach, one after the other.
+const TURNING: Color = COLORS[0];
+const REACHING: [Color; 2] = [COLORS[1], COLORS[2]];
 
 type Point = [f64; 3];
 
@@ -177,7 +176,19 @@ fn cube(view: &View, skeleton: &Skeleton) -> Markup {
 
 #[cfg(test)]
 mod tests {
+    use ::drawing::palette::GRID;
+
     use super::*;
+
+    #[test]
+    fn the_style_sheet_knows_the_palette() {
+        let style = include_str!("style.css");
+        for color in [INK, FAINT, GRID, COLORS[0], COLORS[1], COLORS[2]] {
+            for property in ["fill", "stroke"] {
+                assert!(style.contains(&format!("svg [{property}=\"{color}\"]")), "{color}");
+            }
+        }
+    }
 
     #[test]
     fn up_is_up_and_what_is_near_is_near() {

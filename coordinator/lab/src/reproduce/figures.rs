@@ -1,5 +1,6 @@
 //! The paper's figures from our numbers.
 
+use drawing::{Axis, Item, Layout, Panel, Quantiles, line, render};
 use proto::config::TaskName;
 
 use super::Reports;
@@ -7,7 +8,6 @@ use super::claims::{MASS_SHARE, MASS_THRESHOLD};
 use crate::experiments::disturbance::{Disturbance, Disturbed};
 use crate::experiments::noise::Quantity;
 use crate::experiments::report::{ErrorOfMany, Figure, Goals};
-use crate::figures::panels::{Axis, COLORS, Item, Panel, Quantiles, line, render};
 use crate::statistics::ErrorOf;
 
 const STEP: &str = "control step";
@@ -69,8 +69,6 @@ pub(super) fn precision(reports: &Reports) -> anyhow::Result<String> {
                 (0..n_arms.max(1)).filter_map(of_arm).collect()
             };
             let (min, tail) = (boxes(false, -0.19), boxes(true, 0.19));
-            let values = min.iter().chain(&tail).flat_map(|(_, q)| [q.p10, q.p90, q.mean]);
-            let y = Axis::log(label(error), values.chain([claim]));
             let (title, x) = match error {
                 ErrorOf::Position => ("Shoulders: position of the hands", "agent"),
                 ErrorOf::Orientation => ("Wrists: orientation of the hands", "agent"),
@@ -82,19 +80,15 @@ pub(super) fn precision(reports: &Reports) -> anyhow::Result<String> {
                 ErrorOf::Orientation => (0..n_arms).map(|arm| (2 * arm + 1).to_string()).collect(),
             };
             let width = 0.34;
-            panels.push(Panel {
-                title: title.to_owned(),
-                x: Axis::names(x, names),
-                y,
-                items: vec![
-                    Item::Boxes { name: "minimum".to_owned(), color: 0, width, boxes: min },
-                    Item::Boxes { name: "last 20 steps".to_owned(), color: 1, width, boxes: tail },
-                    threshold("the paper's claim", claim),
-                ],
-            });
+            let items = vec![
+                Item::Boxes { name: "minimum".to_owned(), color: 0, width, boxes: min },
+                Item::Boxes { name: "last 20 steps".to_owned(), color: 1, width, boxes: tail },
+                threshold("the paper's claim", claim),
+            ];
+            panels.push(Panel::log(title, Axis::names(x, names), label(error), items));
         }
     }
-    render(&panels, panels.len().clamp(1, 3))
+    render(&panels, &Layout::rows_of_three(&panels))
 }
 
 /// Median errors over time.
@@ -125,7 +119,7 @@ pub(super) fn courses(reports: &Reports) -> anyhow::Result<String> {
             panels.push(course(title, label(error), steps, items.collect()));
         }
     }
-    render(&panels, panels.len().clamp(1, 3))
+    render(&panels, &Layout::rows_of_three(&panels))
 }
 
 /// The disturbed steps, marked.
@@ -177,7 +171,7 @@ pub(super) fn disturbed_axes(reports: &Reports) -> anyhow::Result<Option<String>
     if panels.is_empty() {
         return Ok(None);
     }
-    render(&panels, panels.len().clamp(1, 3)).map(Some)
+    render(&panels, &Layout::rows_of_three(&panels)).map(Some)
 }
 
 fn arm(figure: &Figure) -> usize {
@@ -207,7 +201,7 @@ pub(super) fn disturbed_courses(reports: &Reports) -> anyhow::Result<String> {
             panels.push(course(title, label(error.error), report.protocol.steps, items));
         }
     }
-    render(&panels, panels.len().clamp(1, 3))
+    render(&panels, &Layout::rows_of_three(&panels))
 }
 
 /// Courses of turning the base with a failed arm: the authors' goal, and medians.
@@ -231,7 +225,7 @@ pub(super) fn arm_failure(reports: &Reports) -> anyhow::Result<String> {
         panel("Held-out goals, median", &median),
         panel("Held-out goals, 90 % below", &tenth),
     ];
-    render(&panels, 3)
+    render(&panels, &Layout::columns(3))
 }
 
 /// Success against mass, and the error.
@@ -242,7 +236,7 @@ pub(super) fn base_mass(reports: &Reports) -> anyhow::Result<String> {
     let x = Axis::linear("mass of the cube (kg)", 0.0, 1.04 * heaviest);
     let dotted = |name: String, color: usize, points: Vec<(f64, f64)>| Item::Line {
         name,
-        color: color % COLORS.len(),
+        color,
         points,
         dots: true,
     };
@@ -273,7 +267,7 @@ pub(super) fn base_mass(reports: &Reports) -> anyhow::Result<String> {
         },
         Panel { x, ..course },
     ];
-    render(&panels, 2)
+    render(&panels, &Layout::columns(2))
 }
 
 /// Courses of both stages with the authors' goals.
@@ -316,7 +310,7 @@ pub(super) fn reassembly(reports: &Reports) -> anyhow::Result<String> {
             panels.push(course(title, label(error), report.protocol.steps, items));
         }
     }
-    render(&panels, 3)
+    render(&panels, &Layout::columns(3))
 }
 
 fn capital(word: &str) -> String {
@@ -368,7 +362,7 @@ pub(super) fn noise(reports: &Reports) -> anyhow::Result<String> {
         let panel = course(title, "error, last 20 steps (mm, mrad)", 1, items);
         panels.push(Panel { x: Axis::names(x, names), ..panel });
     }
-    render(&panels, 2)
+    render(&panels, &Layout::columns(2))
 }
 
 #[cfg(test)]

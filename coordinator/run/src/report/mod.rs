@@ -77,6 +77,7 @@ mod eta;
 pub mod evaluations;
 mod line;
 mod margin;
+pub mod points;
 pub mod progress;
 pub mod promised;
 mod recorder;
@@ -258,7 +259,7 @@ impl Reporter {
             files.sync()?;
             files.events.sync()
         })?;
-        let points = curve::read_points(&self.run_dir.metrics_jsonl())?;
+        let points = points::read_points(&self.run_dir.metrics_jsonl())?;
         if points.len() > 1 {
             curve::draw(&self.run_dir.curve(), &points, self.config.task.name)?;
         }

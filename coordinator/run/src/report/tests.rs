@@ -6,7 +6,7 @@ use proto::{Digest, ExitCode};
 use serde_json::Value;
 use store::recorded::Recorded;
 
-use super::curve::Point;
+use super::points::Point;
 use super::*;
 use crate::selection::{MeanErrors, Means};
 
