@@ -533,6 +533,24 @@ mod tests {
         Cli::command().debug_assert();
     }
 
+    /// What is proposed must be what the command takes, or whoever follows it ends with a usage error.
+    #[test]
+    fn remedies_have_flags_that_the_command_has() {
+        for (name, remedy) in [
+            ("train", &crate::commands::train::REMEDY),
+            ("resume", &crate::commands::resume::REMEDY),
+            ("verify", &lab::verification::REMEDY),
+        ] {
+            let command = Cli::command();
+            let command = command.find_subcommand(name).expect("a command");
+            let has = |flag: &str| {
+                let flag = flag.trim_start_matches("--");
+                command.get_arguments().any(|argument| argument.get_long() == Some(flag))
+            };
+            assert!(remedy.flags.iter().all(|flag| has(flag)), "{name}: {:?}", remedy.flags);
+        }
+    }
+
     #[test]
     fn at_most_one_limit() {
         let parse = |line: &str| Cli::try_parse_from(line.split(' '));

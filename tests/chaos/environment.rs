@@ -2,7 +2,7 @@
 //! ends with the bits of one that was left alone, or says which of them it cannot live with.
 
 use anyhow::{Context as _, Result, bail, ensure};
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use serde_json::{Value, json};
 
 use super::Watch;

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail, ensure};
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 

@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context as _, Result, ensure};
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use rustix::process::{Signal, geteuid};
 use serde_json::{Value, json};
 

@@ -12,8 +12,6 @@ use proto::ExitCode;
 use rustix::process::Signal;
 use tokio::signal::unix::{SignalKind, signal};
 
-use crate::output;
-
 /// How long a process may take to end by itself after the second request.
 const GRACE: Duration = Duration::from_secs(3);
 /// How long its last word may take.

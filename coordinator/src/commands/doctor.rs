@@ -9,8 +9,8 @@ use run::preflight::{self, Check, Verdict};
 use run::supervisor::Programs;
 use store::provenance;
 
-use super::clean;
 use crate::cli::DoctorArgs;
+use super::clean;
 
 /// Workers that the checks reckon with.
 const WORKERS: usize = 2;

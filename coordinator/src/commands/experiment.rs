@@ -2,9 +2,7 @@
 
 use lab::experiments::common::Common;
 use lab::experiments::lab::Lab;
-use lab::experiments::{
-    Experiment, arm_failure, base_mass, disturbance, noise, perform, precision, reassembly,
-};
+use lab::experiments::{Experiment, arm_failure, base_mass, disturbance, noise, perform, precision, reassembly};
 
 use crate::cli::experiment::{CommonArgs, ExperimentArgs, ExperimentCommand, Failing};
 

@@ -22,8 +22,7 @@ use std::io::BufReader;
 
 use anyhow::Context as _;
 use channels::Domain;
-use run::janitor;
-use run::signals;
+use run::{janitor, signals};
 
 use crate::cli::{Command, JanitorArgs};
 

@@ -7,14 +7,9 @@ use lab::figures::learning::learning_alone;
 use lab::figures::recorded;
 use proto::{ExitCode, ExitError};
 use store::files;
-use store::outputs::Output;
+use store::outputs::{Output, is_same_place};
 
 use crate::cli::plot::PlotArgs;
-use crate::figures::families::{Family, families};
-use crate::figures::learning::learning;
-use crate::figures::recorded;
-use crate::outputs::{Output, is_same_place};
-use crate::{files, output};
 
 /// Draws.
 pub fn run(args: &PlotArgs) -> anyhow::Result<()> {

@@ -7,24 +7,19 @@ use channels::Domain;
 use proto::config::{Config, Precision};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use run::base;
-use run::errors;
-use run::precision;
 use run::preflight::{self, Remedy};
-use run::report;
 use run::report::promised::Promised;
 use run::supervisor::Programs;
+use run::{base, errors, precision, report};
 use store::budgets::{self, Budgets};
-use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST};
+use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST, Name};
 use store::files;
 use store::lock::RunLock;
 use store::provenance::Provenance;
 use store::recorded::Recorded;
 
-use super::train::{self, Counter, Ended, Start};
-use crate::base;
-use crate::checkpoint::{Checkpoint, CheckpointStore, MANIFEST, Name};
 use crate::cli::ResumeArgs;
+use super::train::{self, Counter, Ended, Start};
 
 /// What helps an old run that this machine does not carry.
 pub(crate) const REMEDY: Remedy = Remedy {

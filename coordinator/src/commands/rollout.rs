@@ -17,11 +17,10 @@ use serde::Serialize;
 use serde_json::json;
 use simulator::env::Moment;
 use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
-use store::checkpoint::{CheckpointStore, Name, POLICY, Selector, read_policy};
+use store::checkpoint::{Checkpoint, CheckpointStore, Name, POLICY, Selector, read_policy};
 use store::files;
 use store::outputs::Output;
 
-use crate::checkpoint::{Checkpoint, CheckpointStore, Name, POLICY, Selector, read_policy};
 use crate::cli::rollout::{BlockAddress, RolloutArgs};
 
 /// What a block is.

@@ -9,11 +9,10 @@ use proto::{ExitCode, ExitError};
 use run::signals::StopRequests;
 use serde_json::json;
 use service::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
-use store::checkpoint::{CheckpointStore, store_to_be};
+use store::checkpoint::CheckpointStore;
 
-use super::checkpoints::store_to_fill;
-use crate::checkpoint::CheckpointStore;
 use crate::cli::serve::ServeArgs;
+use super::checkpoints::store_to_fill;
 
 /// How often to look whether the user wants to stop.
 const TICK: Duration = Duration::from_millis(50);

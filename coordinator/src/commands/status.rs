@@ -18,8 +18,8 @@ use store::checkpoint::{CheckpointStore, Name};
 use store::jsonl;
 use store::lock::RunLock;
 
-use super::train::RUNS;
 use crate::cli::StatusArgs;
+use super::train::RUNS;
 
 /// What can be said about a run from outside.
 #[derive(Debug, Clone, PartialEq, Serialize)]

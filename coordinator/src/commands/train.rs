@@ -10,14 +10,13 @@ use output::grouped;
 use proto::config::{AlgorithmName, Config, Layers};
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
-use run::errors;
-use run::precision;
 use run::preflight::{self, Remedy};
 use run::report::divergence::{CURE, Divergence};
 use run::report::{Diverged, Reporter};
 use run::session::{self, Outcome, SessionSpec, StoppedBy};
 use run::signals::StopRequests;
 use run::supervisor::Programs;
+use run::{errors, precision};
 use serde_json::json;
 use service::http::{OwnToken, Service, ServiceSpec, TOKEN_FILE, Token};
 use service::live::LiveRun;
@@ -559,8 +558,8 @@ pub(super) fn record(
 mod tests {
     use clap::Parser as _;
 
-    use super::*;
     use crate::cli::{Cli, Command};
+    use super::*;
 
     fn parse(line: &str) -> Result<Config, ExitError> {
         let cli = Cli::try_parse_from(line.split(' ')).expect("a valid command line");

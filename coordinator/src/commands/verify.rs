@@ -2,8 +2,8 @@
 
 use lab::verification::{Record, compare, replay};
 
-use super::NotTheSame;
 use crate::cli::verify::VerifyArgs;
+use super::NotTheSame;
 
 /// Compares; exit code 1 if what was compared is not the same.
 pub fn run(args: &VerifyArgs) -> anyhow::Result<()> {

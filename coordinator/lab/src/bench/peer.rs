@@ -8,11 +8,12 @@ use std::process::Command;
 use anyhow::Context as _;
 use proto::config::Activation;
 use proto::{ExitCode, ExitError};
+use run::environment;
 use serde_json::{Value, json};
-use simulator::robot::{MjcfOptions, mjcf::mjcf};
+use simulator::robot::MjcfOptions;
+use simulator::robot::mjcf::mjcf;
 
 use super::{Bench, child};
-use crate::environment;
 
 const MUJOCO: &str = include_str!("../../../../tests/peers/mujoco_physics.py");
 const TORCH: &str = include_str!("../../../../tests/peers/torch_learner.py");

@@ -10,6 +10,7 @@ use anyhow::Context as _;
 use proto::ExitError;
 use proto::config::Config;
 use proto::run_dir::RunDir;
+use run::environment;
 use run::supervisor::{child_exit_code, log_tail};
 use rustix::process::{Pid, Signal, kill_process};
 use store::jsonl;
@@ -18,9 +19,6 @@ use super::Bench;
 use super::child::Running;
 use super::figures::{Figure, Figures};
 use super::learner::BEST;
-use crate::environment;
-use crate::report::jsonl;
-use crate::supervisor::{child_exit_code, log_tail};
 
 /// Iterations that count, at least; the first one does not.
 const ITERATIONS: usize = 3;

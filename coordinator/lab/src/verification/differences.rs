@@ -5,11 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use proto::config::Run;
 use serde::Serialize;
 use serde_json::Value;
+use store::budgets::Budget;
 use store::checkpoint::flatten;
 
 use super::record::Record;
-use crate::checkpoint::flatten;
-use crate::report::budgets::Budget;
 
 /// What the promise does not extend over, as `provenance.json` names it.
 const EXCLUDED: &[&str] = &["version", "commit", "build", "processor", "vector_extensions"];
@@ -141,8 +140,8 @@ mod tests {
     use proto::config::{Layers, Preset};
     use serde_json::json;
 
-    use super::super::record::Iteration;
     use super::*;
+    use super::super::record::Iteration;
 
     fn record(sets: &[&str], robot: &str) -> Record {
         // As a run has it: decided.

@@ -8,12 +8,9 @@ use proto::{Digest, ExitCode, ExitError};
 use run::precision;
 use serde::Deserialize;
 use serde_json::Value;
+use store::budgets::{Budget, Budgets};
 use store::checkpoint::CheckpointStore;
 use store::run_files::{read_text, run_directory};
-use crate::checkpoint::CheckpointStore;
-use crate::commands::{read_text, run_directory};
-use crate::precision;
-use crate::report::budgets::{Budget, Budgets};
 
 /// What a line of `metrics.jsonl` says about the training state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]

@@ -18,7 +18,7 @@ use run::supervisor::Programs;
 use serde::Serialize;
 use service::live::LiveRun;
 use simulator::robot::Robot;
-use store::checkpoint::{Checkpoint, CheckpointStore};
+use store::checkpoint::{Checkpoint, CheckpointStore, Manifest, Name};
 use store::files;
 use store::provenance::Provenance;
 use tempfile::TempDir;
@@ -26,16 +26,6 @@ use tempfile::TempDir;
 use super::differences::{self, ProvenanceDifference};
 use super::record::{self, Iteration, Record, damaged};
 use super::{Comparison, iterations, promise, provenance_table};
-use crate::checkpoint::{Checkpoint, CheckpointStore, Manifest, Name};
-use crate::commands::train;
-use crate::live::LiveRun;
-use crate::preflight::Remedy;
-use crate::provenance::Provenance;
-use crate::report::Reporter;
-use crate::session::{self, SessionSpec, StoppedBy};
-use crate::signals::StopRequests;
-use crate::supervisor::Programs;
-use crate::{files, output, precision};
 
 /// What helps where the system's temporary files have too little room; no flag makes a repetition smaller.
 pub const REMEDY: Remedy =

@@ -4,13 +4,12 @@ use std::io::{IsTerminal as _, Write};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle, WeakProgressBar};
 use output::grouped;
+use output::printable::printable;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle, WeakProgressBar};
 use proto::config::{Config, TaskName};
 
 use super::{Eta, Line, eta, margin};
-use crate::printable::printable;
 
 /// The bar on the terminal, if there is one, so that log lines can step around it.
 static SHOWN: Mutex<Option<WeakProgressBar>> = Mutex::new(None);

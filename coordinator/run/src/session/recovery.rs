@@ -227,7 +227,7 @@ impl Session<'_> {
         let message = format!(
             "the learner died ({cause}) while the run was stopping; {} done, and {kept}; `octopus resume \
              {}` trains what is missing again",
-            crate::output::counted(self.reported, "iteration"),
+            output::counted(self.reported, "iteration"),
             self.spec.run_dir.path().display()
         );
         ExitError::new(cause.exit_code(), message)

@@ -5,8 +5,8 @@ use proto::{ExitCode, ExitError};
 use store::checkpoint::{Composition, Name, Part};
 use store::provenance::Provenance;
 
-use super::{refused, report, store_to_fill};
 use crate::cli::checkpoints::{ComposeArgs, given_twice};
+use super::{refused, report, store_to_fill};
 
 /// Builds one policy set from the arms of several checkpoints.
 pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {

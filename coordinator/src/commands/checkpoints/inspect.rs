@@ -1,12 +1,11 @@
 //! `verify` and `diff`.
 
-use output::counted;
+use output::{counted, size};
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{Difference, Selector, Verification, compare, store_at};
 
 use crate::cli::checkpoints::{DiffArgs, VerifyArgs};
 use crate::commands::NotTheSame;
-use output::size;
 
 /// Checks checkpoints thoroughly.
 pub(super) fn verify(args: &VerifyArgs) -> anyhow::Result<()> {

@@ -3,8 +3,8 @@
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{BEST, CheckpointError, store_at};
 
-use super::{refused, report};
 use crate::cli::checkpoints::{PinArgs, TagArgs, UntagArgs};
+use super::{refused, report};
 
 /// Pins a checkpoint or lets it go.
 pub(super) fn pin(args: &PinArgs, pinned: bool) -> anyhow::Result<()> {

@@ -2,13 +2,10 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use output::grouped;
-use output::{age, counted, size};
+use output::{age, counted, grouped, size};
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
-use store::checkpoint::{
-    Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, runs_in, shapes, store_at,
-};
+use store::checkpoint::{Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, runs_in, shapes, store_at};
 use store::provenance::utc;
 
 use crate::cli::checkpoints::{ListArgs, ShowArgs};

@@ -13,9 +13,9 @@ use std::path::Path;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{CATALOGUE, CheckpointError, CheckpointStore, Entry, store_to_be};
+use store::outputs;
 
 use crate::cli::checkpoints::{CheckpointsArgs, CheckpointsCommand};
-use crate::{output, outputs};
 
 /// Does what the command line says.
 pub fn run(args: &CheckpointsArgs) -> anyhow::Result<()> {

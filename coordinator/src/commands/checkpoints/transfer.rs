@@ -1,7 +1,8 @@
 //! `import` and `export`.
 
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write as _};
+use std::io::Write as _;
+use std::io::{BufReader, BufWriter};
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -10,8 +11,8 @@ use store::checkpoint::{CheckpointError, CheckpointStore, Name};
 use store::outputs::Output;
 use store::{files, regular};
 
-use super::{refused, report, store_to_fill};
 use crate::cli::checkpoints::{ExportArgs, ImportArgs};
+use super::{refused, report, store_to_fill};
 
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {

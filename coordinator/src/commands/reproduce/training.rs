@@ -7,27 +7,24 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use clap::{Parser as _, ValueEnum as _};
+use clap::Parser as _;
+use clap::ValueEnum as _;
 use lab::experiments::command_line::typed;
-use proto::config::TaskName;
-use proto::config::{Config, Precision, Run as RunGroup, TaskName};
+use proto::config::Run as RunGroup;
+use proto::config::{Config, Precision, TaskName};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::signals;
 use simulator::robot::Robot;
-use store::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
+use store::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part, flatten};
 use store::provenance::Provenance;
 use store::recorded::Recorded;
 use store::run_files::read_config;
 
-use super::{POLICIES, RUNS, refused};
-use super::{Line, refused};
-use crate::checkpoint::{
-    BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part, flatten,
-};
 use crate::cli::reproduce::ReproduceArgs;
 use crate::cli::{AlgorithmArg, Cli, Command};
 use crate::commands::{resume, train};
+use super::{POLICIES, RUNS, refused};
 
 /// Tasks that are trained.
 const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
