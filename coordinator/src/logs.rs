@@ -1,6 +1,7 @@
 //! Logs: lines on standard error, for people in the words of the rest, chosen by `RUST_LOG`.
 
-use std::fmt::{self, Write as _};
+use std::fmt;
+use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 
 use output::printable::printable;

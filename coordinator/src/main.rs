@@ -3,7 +3,8 @@
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use coordinator::{cli::Cli, commands, limits, logs};
+use coordinator::cli::Cli;
+use coordinator::{NotTheSame, limits, logs};
 use run::errors;
 use store::provenance;
 
@@ -15,11 +16,11 @@ fn main() -> ExitCode {
     provenance::built_from(env!("SPACEOCTOPUS_COMMIT"));
     let cli = Cli::parse();
     logs::init();
-    match commands::run(cli.command) {
+    match coordinator::run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // The answer has been printed.
-            if error.is::<commands::NotTheSame>() {
+            if error.is::<NotTheSame>() {
                 return ExitCode::from(errors::exit_code(&error) as u8);
             }
             let text = errors::told(&error);

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use proto::{ExitCode, ExitError};
-use simulator::step::StepOptions;
 use simulator::robot::Robot;
+use simulator::step::StepOptions;
 use store::regular;
 
 use crate::shakedown::shakedown;

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use proto::ExitError;
 use process::input;
+use proto::ExitError;
 use proto::config::Config;
 use proto::layout::Dimensions;
 use proto::message::{self, Progress};

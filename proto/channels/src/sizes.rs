@@ -98,8 +98,8 @@ impl ChannelSizes {
         let blocks = bytes(self.block_buffer + self.block_borrowed + 1, 4 * self.block_len);
         let messages =
             |receivers: usize, buffer: usize, len: usize| bytes(receivers * (buffer + 1) + 1, len);
-        let orders = bytes(self.order_slots(), ORDER_LEN)
-            + (workers as u64 + 1) * self.order_connection();
+        let orders =
+            bytes(self.order_slots(), ORDER_LEN) + (workers as u64 + 1) * self.order_connection();
         let reports = messages(2, MESSAGE_BUFFER, PROGRESS_LEN)
             + workers as u64 * messages(2, MESSAGE_BUFFER, STATUS_LEN);
         [

@@ -383,7 +383,9 @@ fn status_of_a_crowd_overflows_instead_of_blocking() {
     let sender = channels.status_sender().expect("sender");
     let receiver = channels.status_receiver().expect("receiver");
     for worker in 0..200 {
-        sender.send(&Status::Heartbeat { worker, incarnation: 0, orders: 0 }).expect("never blocks");
+        sender
+            .send(&Status::Heartbeat { worker, incarnation: 0, orders: 0 })
+            .expect("never blocks");
     }
     let mut last = None;
     while let Some(status) = receiver.try_receive().expect("receive") {

@@ -22,12 +22,12 @@ use {
     store::checkpoint::{Checkpoint, Manifest},
 };
 
-use crate::evaluation::Reach;
-use crate::threads::Threads;
-use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
 use super::common::Common;
 use super::report::{Protocol, Report, RobotIdentity};
 use super::{Experiment, Name};
+use crate::evaluation::Reach;
+use crate::threads::Threads;
+use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -301,7 +301,10 @@ impl Planned {
         let arm_failure = arm_failure::Study { common: common(), ..arm_failure::Study::default() };
         let reassembly = reassembly::Study { common: common(), ..reassembly::Study::default() };
         Ok(Self {
-            precision: PlannedExperiment::new(precision::Study { common: common(), agents: false }, out)?,
+            precision: PlannedExperiment::new(
+                precision::Study { common: common(), agents: false },
+                out,
+            )?,
             disturbance: PlannedExperiment::new(disturbance, out)?,
             arm_failure: PlannedExperiment::new(arm_failure, out)?,
             base_mass: PlannedExperiment::new(study.base_mass(), out)?,

@@ -140,8 +140,8 @@ mod tests {
     use proto::config::{Layers, Preset};
     use serde_json::json;
 
-    use super::*;
     use super::super::record::Iteration;
+    use super::*;
 
     fn record(sets: &[&str], robot: &str) -> Record {
         // As a run has it: decided.

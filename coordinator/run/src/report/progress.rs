@@ -4,9 +4,9 @@ use std::io::{IsTerminal as _, Write};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle, WeakProgressBar};
 use output::grouped;
 use output::printable::printable;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle, WeakProgressBar};
 use proto::config::{Config, TaskName};
 
 use super::{Eta, Line, eta, margin};

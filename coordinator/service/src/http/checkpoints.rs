@@ -6,7 +6,10 @@ use axum::http::{HeaderName, StatusCode};
 use axum::response::IntoResponse as _;
 use axum::response::Response;
 use serde::{Deserialize, Serialize};
-use store::checkpoint::{Checked, CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name, Ownership};
+use store::checkpoint::{
+    Checked, CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name,
+    Ownership,
+};
 use utoipa::ToSchema;
 
 use super::context::Shared;
