@@ -66,6 +66,7 @@ bench: build venv-benches ## measure this machine and the peers, with ARGS="..."
 test: setup venv ## everything that must hold: format, lints, documentation, tests
 	$(call step,'format',$(CARGO) fmt --all --check && $(CARGO) fmt --manifest-path tests/fuzz/Cargo.toml --check)
 	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets $(FEATURES) -- -D warnings)
+	$(call step,'the simulator for browsers',RUSTFLAGS='-D warnings' $(CARGO) check $(LOCKED) -p simulator --target wasm32-unknown-unknown)
 	$(call step,'fuzz targets',$(CARGO) clippy $(LOCKED) --manifest-path tests/fuzz/Cargo.toml --target-dir $(TARGET)/fuzz/check --bins -- -D warnings)
 	$(call step,'documentation',RUSTDOCFLAGS='-D warnings' $(CARGO) doc $(LOCKED) --workspace --no-deps $(FEATURES))
 	# With the tests in one call: features of dependencies are united over what is built together, and
@@ -74,18 +75,22 @@ test: setup venv ## everything that must hold: format, lints, documentation, tes
 	$(call step,'tests',$(CARGO) test $(LOCKED) --workspace $(FEATURES))
 
 # Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run, then
-# damaged files.
+# damaged files, foreign environments, requests to a live run, attempts of another user at one.
 KILLS ?= 200
 RESTARTS ?= 1000
 LEARNER_RESTARTS ?= 50
 DAMAGES ?= 100
+ENVIRONMENTS ?= 100
+REQUESTS ?= 5000
+INTRUSIONS ?= 500
 SEED ?= 1
 
 .PHONY: chaos
-chaos: setup ## kill runs at random and compare bits (KILLS=200 RESTARTS=1000 DAMAGES=100 SEED=1)
+chaos: setup ## attack runs at random and compare bits (SEED=1 KILLS=200 REQUESTS=5000 and more)
 	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
 	@$(TARGET)/debug/examples/chaos --seed $(SEED) --kills $(KILLS) \
-		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS) --damages $(DAMAGES)
+		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS) --damages $(DAMAGES) \
+		--environments $(ENVIRONMENTS) --requests $(REQUESTS) --intrusions $(INTRUSIONS)
 
 # Any value records what is found instead of checking it.
 RECORD ?=
@@ -103,6 +108,36 @@ guide: setup ## write the pages of the guide that are made from the program
 .PHONY: fuzz
 fuzz: ## fuzz everything that reads bytes from outside (SECONDS=60 for each target)
 	tests/fuzz/run.sh $(FUZZ_SECONDS) $(FUZZ_TARGETS)
+
+# A clone of https://github.com/RustSec/advisory-db; without one known defects are not looked for.
+ADVISORY_DB ?=
+DENY = $(CARGO) deny --locked
+DENY_FUZZ = $(DENY) --manifest-path tests/fuzz/Cargo.toml --config deny.toml
+# The exception is that of the fuzz targets, which have a lock file of their own.
+DENY_QUIET = -A license-exception-not-encountered
+
+.PHONY: deny
+deny: ## check what is linked: bans, licences, sources (ADVISORY_DB=CLONE: known defects, too)
+	@$(CARGO) deny --version >/dev/null 2>&1 || \
+		{ echo 'cargo-deny is missing: cargo install cargo-deny --locked' >&2; exit 1; }
+	@$(DENY) check $(DENY_QUIET) bans licenses sources
+	@$(DENY_FUZZ) check bans licenses sources
+ifneq ($(ADVISORY_DB),)
+	@export GIT_CONFIG_COUNT=1 GIT_CONFIG_KEY_0='url.file://$(abspath $(ADVISORY_DB)).insteadOf'; \
+		export GIT_CONFIG_VALUE_0=https://github.com/RustSec/advisory-db; \
+		$(DENY) check advisories && $(DENY_FUZZ) check -A advisory-not-detected advisories
+endif
+
+# Of the code that is unsafe or beside it what Miri can run: no other process, no shared memory, no vector
+# instructions. It needs nightly: rustup component add miri rust-src --toolchain nightly
+MIRI = MIRIFLAGS=-Zmiri-disable-isolation $(CARGO) +nightly miri test $(LOCKED) --target-dir $(TARGET)/miri
+
+.PHONY: miri
+miri: ## run portable lanes and byte views in an interpreter that knows the rules (needs nightly)
+	@$(CARGO) +nightly miri --version >/dev/null 2>&1 || \
+		{ echo 'Miri is missing: rustup component add miri rust-src --toolchain nightly' >&2; exit 1; }
+	$(MIRI) -p simulator --lib scalar::
+	$(MIRI) -p channels --lib line::
 
 .PHONY: clean
 clean: ## remove what was built; set-up and runs are kept

@@ -2,12 +2,17 @@
 //! bits as one that was left alone, every env-step accounted for, and nothing left behind.
 //!
 //! [`plan`] draws what happens from a seed, [`Chaos::run`] lets it happen, and [`restarts`] kills
-//! workers of one live run a thousand times. [`damage`] harms the files of a dead one. Nothing here depends on luck to pass: the moments
+//! workers of one live run a thousand times. [`damage`] harms the files of a dead one, [`environment`] starts
+//! runs from foreign shells, [`http`] and [`others`] attack a live run from outside. Nothing here depends on luck to pass: the moments
 //! fall differently on every machine, the bits must not.
 
 pub mod damage;
+pub mod dice;
+pub mod environment;
+pub mod http;
 pub mod measure;
 pub mod observe;
+pub mod others;
 pub mod plan;
 pub mod restarts;
 
@@ -15,7 +20,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -194,6 +199,7 @@ impl<'a> Chaos<'a> {
             }
             Act::KillCoordinator(workers) => {
                 count(&mut self.report, "coordinators_killed");
+                self.wait_until_begun()?;
                 let pid = self.run.pid();
                 self.run.signal(Signal::KILL);
                 let code = self.run.wait();
@@ -206,22 +212,23 @@ impl<'a> Chaos<'a> {
             }
             Act::Interrupt(workers) => {
                 count(&mut self.report, "interrupts");
-                let pid = self.run.pid();
+                self.wait_until_begun()?;
                 self.run.signal(Signal::INT);
-                let code = self.run.wait();
-                self.domains.extend(domain_of(&self.run, pid));
+                self.stopped("Ctrl-C", workers)
+            }
+            Act::SignalAll(signal, workers) => {
+                count(&mut self.report, "signals_to_all");
+                self.wait_until_begun()?;
+                let coordinator = self.run.pid();
+                self.domains.extend(domain_of(&self.run, coordinator));
                 self.domains.dedup();
-                // A signal that comes before the program listens ends it at once, and with a learner that
-                // was killed just before the run cannot end as it should.
-                let expected = match code {
-                    Some(0) | None => true,
-                    Some(6) => self.recovering.is_some(),
-                    Some(_) => false,
-                };
-                ensure!(expected, "Ctrl-C ended with {code:?}; log:\n{}", self.run.log());
-                self.wait_until_gone()?;
-                self.resume(workers);
-                Ok(format!("process {pid} ended with {code:?}"))
+                // Children first, so that none of them hears of it from the coordinator.
+                let mut everybody = observe::everybody(&self.run, &self.domains);
+                everybody.retain(|pid| *pid != coordinator);
+                for pid in everybody.into_iter().chain([coordinator]) {
+                    kill(pid, signal);
+                }
+                self.stopped("a signal to all", workers)
             }
             Act::FreezeCoordinator(time) => {
                 count(&mut self.report, "coordinators_frozen");
@@ -236,6 +243,35 @@ impl<'a> Chaos<'a> {
                 Ok("accepted".to_owned())
             }
         }
+    }
+
+    /// Waits until there is a run that can be resumed.
+    fn wait_until_begun(&mut self) -> Result<()> {
+        let mut watch = Watch::new(self.stop);
+        while !self.run.path().join("config.toml").exists() {
+            self.tend()?;
+            watch.pause(0, &self.run)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for the end of a run that was asked to stop, and resumes it.
+    fn stopped(&mut self, how: &str, workers: usize) -> Result<String> {
+        let pid = self.run.pid();
+        let code = self.run.wait();
+        self.domains.extend(domain_of(&self.run, pid));
+        self.domains.dedup();
+        // A signal that comes before the program listens ends it at once, and with a learner that
+        // was killed just before the run cannot end as it should.
+        let expected = match code {
+            Some(0) | None => true,
+            Some(6) => self.recovering.is_some(),
+            Some(_) => false,
+        };
+        ensure!(expected, "{how} ended with {code:?}; log:\n{}", self.run.log());
+        self.wait_until_gone()?;
+        self.resume(workers);
+        Ok(format!("process {pid} ended with {code:?}"))
     }
 
     /// The learner, as soon as there is one.

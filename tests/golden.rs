@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context as _, Result, ensure};
-use coordinator::checkpoint::read_policy;
 use proto::config::{AlgorithmName, Config, Layers, Preset, TaskName};
 use proto::layout::{ActorLayout, Dimensions};
 use proto::rng::{Address, Purpose};
@@ -24,6 +23,7 @@ use simulator::experiment::{Player, Trial, play};
 use simulator::robot::Robot;
 use simulator::rollout::{RolloutSpec, World, rollout_on};
 use simulator::scalar::Backend;
+use store::checkpoint::read_policy;
 
 use crate::Run;
 

@@ -4,6 +4,10 @@
 //! root of a clone after `make build`. Only what stands behind the names `octopus` and `make` differs: an `octopus` that adds
 //! a small budget to what takes long, and a `make` that checks its target and then runs what it would run in the end.
 //!
+//! The environment variable `SPACEOCTOPUS_DOCUMENTS` says which budget ([`Budget`]): `small`, unless it is set, or `whole`
+//! for every training, evaluation and measurement at its full length. `whole` takes hours, fewer with
+//! `cargo test --release`.
+//!
 //! `<!-- live: RUN -->` before a block has a training under way in the directory RUN while the block runs.
 
 use std::fmt::Write as _;
@@ -12,7 +16,7 @@ use std::os::unix::fs::{PermissionsExt as _, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 
 use crate::{SMALL, program, python};
 
@@ -27,6 +31,37 @@ pub struct Block {
     pub text: String,
     /// The run that shall be under way meanwhile.
     pub live: Option<String>,
+}
+
+/// Names the [`Budget`] that commands of documents run with.
+pub const BUDGET: &str = "SPACEOCTOPUS_DOCUMENTS";
+
+/// How much of what takes long is run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Budget {
+    /// A few iterations of tiny networks, few and short episodes, short measurements.
+    Small,
+    /// Everything as it is written.
+    Whole,
+}
+
+impl Budget {
+    /// The one of that name.
+    pub fn named(name: &str) -> Result<Self> {
+        match name {
+            "small" => Ok(Self::Small),
+            "whole" => Ok(Self::Whole),
+            other => bail!("{BUDGET} is {other:?}; expected small or whole"),
+        }
+    }
+
+    /// The one that the environment names.
+    fn of_environment() -> Result<Self> {
+        match std::env::var_os(BUDGET) {
+            None => Ok(Self::Small),
+            Some(name) => Self::named(&name.to_string_lossy()),
+        }
+    }
 }
 
 /// The repository's root.
@@ -86,7 +121,7 @@ impl Clone {
         }
         let release = dir.path().join("target/release");
         fs::create_dir_all(&release)?;
-        executable(&release.join("octopus"), &octopus())?;
+        executable(&release.join("octopus"), &octopus(Budget::of_environment()?))?;
         let bin = dir.path().join("bin");
         fs::create_dir(&bin)?;
         executable(&bin.join("make"), MAKE)?;
@@ -174,8 +209,12 @@ while read -r step; do
 done <<<"$steps"
 "#;
 
-/// The program with a small budget: small settings before the document's own, and few episodes.
-fn octopus() -> String {
+/// The program. With a small budget small settings stand before the document's own, and episodes are few.
+fn octopus(budget: Budget) -> String {
+    let program = program("octopus");
+    if budget == Budget::Whole {
+        return format!("#!/bin/sh\nexec '{}' \"$@\"\n", program.display());
+    }
     // Without the seed, which documents choose.
     let small: Vec<String> = SMALL
         .iter()
@@ -206,7 +245,7 @@ esac
 exec '{}' "$@"
 "#,
         small.join(" "),
-        program("octopus").display()
+        program.display()
     )
 }
 

@@ -1,6 +1,7 @@
 //! Drives the built programs: starts runs in directories of their own, reads what they wrote, and
 //! makes sure that nothing outlives a test, also when it fails.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -106,6 +107,7 @@ pub struct Run {
     process: Option<Child>,
     log_filter: Option<&'static str>,
     variables: Vec<(&'static str, String)>,
+    launcher: Vec<String>,
 }
 
 impl Default for Run {
@@ -118,7 +120,7 @@ impl Run {
     /// An empty directory, nothing started.
     pub fn new() -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
-        Self { dir, process: None, log_filter: None, variables: Vec::new() }
+        Self { dir, process: None, log_filter: None, variables: Vec::new(), launcher: Vec::new() }
     }
 
     /// An empty directory whose workers will log every block that they send.
@@ -144,6 +146,11 @@ impl Run {
     /// From the next start on the environment is the test's own.
     pub fn forget_variables(&mut self) {
         self.variables.clear();
+    }
+
+    /// From the next start on `octopus` is started by this command, which becomes it.
+    pub fn start_behind(&mut self, launcher: &[&str]) {
+        self.launcher = launcher.iter().map(|&word| word.to_owned()).collect();
     }
 
     /// The run directory.
@@ -185,8 +192,11 @@ impl Run {
             .append(true)
             .open(self.dir.path().join("octopus.log"))
             .expect("the log can be written");
-        let mut command = Command::new(program("octopus"));
-        command.args(args).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
+        let words = self.launcher.iter().map(OsString::from);
+        let mut words = words.chain([program("octopus").into_os_string()]);
+        let mut command = Command::new(words.next().expect("the program at least"));
+        command.args(words).args(args);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
         command.envs(self.variables.iter().map(|(name, value)| (name, value)));
         if let Some(filter) = self.log_filter {
             command.env("RUST_LOG", filter);

@@ -11,15 +11,17 @@ use proto::config::{Config, Inference};
 use proto::layout::Dimensions;
 use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
-use simulator::dynamics::{Hand, Workspace, hands};
+use simulator::dynamics::{Hand, hands};
+use simulator::model::Model;
 use simulator::policy::Scratch;
-use simulator::robot::{JOINTS_PER_ARM, Model, Robot};
+use simulator::robot::{JOINTS_PER_ARM, Robot};
 use simulator::rollout::World;
 use simulator::spatial::{euler_xyz, quaternion_exp, quaternion_to_rotation};
 use simulator::state::State;
 use simulator::task::goal::GoalAddress;
 use simulator::task::observation::observe;
 use simulator::task::{Errors, Goals, HandReading, Readings};
+use simulator::workspace::Workspace;
 
 /// A pose: position in the world (m) and Euler angles (rad).
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -105,7 +107,7 @@ impl Example {
         let dimensions = Dimensions::new(&config, robot.n_arms);
         let layout = proto::layout::ActorLayout::new(&config, &dimensions);
         let parameters =
-            coordinator::checkpoint::read_policy(&checkpoint.join("policy.safetensors"), &layout)?;
+            store::checkpoint::read_policy(&checkpoint.join("policy.safetensors"), &layout)?;
         let world = World::new(&config, &robot);
         let policy = world.policy(&parameters)?;
 

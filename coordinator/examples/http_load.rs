@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail, ensure};
 use clap::Parser;
-use coordinator::output;
+use proto::statistics::quantile;
 use serde::Serialize;
 
 /// Measures the checkpoint service.
@@ -89,10 +89,6 @@ fn measure(args: &Args, path: &str, token: &str) -> anyhow::Result<Measurement> 
     let mut latencies: Vec<f64> =
         results.into_iter().flat_map(|(latencies, _)| latencies).collect();
     latencies.sort_by(f64::total_cmp);
-    let quantile = |q: f64| {
-        let index = (q * latencies.len().saturating_sub(1) as f64).round() as usize;
-        latencies.get(index).copied().unwrap_or(f64::NAN)
-    };
     let requests = latencies.len();
     Ok(Measurement {
         path: path.to_owned(),
@@ -102,9 +98,9 @@ fn measure(args: &Args, path: &str, token: &str) -> anyhow::Result<Measurement> 
         requests_per_s: requests as f64 / seconds,
         megabytes_per_s: requests as f64 * body_bytes as f64 / 1e6 / seconds,
         body_bytes,
-        p50_ms: quantile(0.5),
-        p99_ms: quantile(0.99),
-        max_ms: quantile(1.0),
+        p50_ms: quantile(&latencies, 0.5),
+        p99_ms: quantile(&latencies, 0.99),
+        max_ms: quantile(&latencies, 1.0),
     })
 }
 

@@ -1,63 +1,77 @@
-//! The `octopus` command: everything about a run but the simulation and the learning.
-//!
-//! A coordinator owns a run. It resolves the configuration, refuses what the machine cannot carry
-//! ([`preflight`]), makes the run directory and holds its lock ([`lock`]), creates the shared
-//! memory, starts the learner and the workers ([`supervisor`]), hands out shards ([`scheduler`])
-//! and commits checkpoints ([`checkpoint`]). [`session`] is the loop that does all this; read it
-//! next. Around it:
-//!
-//! * [`cli`] and [`commands`]: the command line, one file a command;
-//! * [`report`]: metrics, TensorBoard events, progress, the learning curve;
-//! * [`precision`]: what `run.precision = "auto"` means on this machine;
-//! * [`provenance`]: which program and machine made a run;
-//! * [`output`], [`logs`]: standard output is data, standard error is for people; [`causes`] words errors;
-//!   [`printable`]: nothing tells a terminal what to do;
-//! * [`outputs`]: what a command may write over;
-//! * [`regular`], [`own`]: files that others may have put there, read with care;
-//! * [`signals`]: Ctrl-C once and twice;
-//! * [`janitor`]: who cleans up when the coordinator is killed;
-//! * [`environment`], [`limits`]: what a shell leaves to the processes of a run.
+//! The `octopus` command: one file a command, its options beside what it does. What commands do with runs, stores
+//! and policies is in the crates below: `lab`, `run`, `service`, `store`.
 //!
 //! It links no libtorch and starts in milliseconds.
 
 pub mod cli;
-pub mod commands;
+pub mod names;
+pub mod training_options;
+pub mod values;
 
-pub mod live;
-pub mod session;
-
-pub mod scheduler;
-pub mod supervisor;
-
-pub mod base;
-pub mod checkpoint;
-pub mod committer;
-pub mod selection;
-
-pub mod client;
-pub mod http;
-pub mod peer;
-
-pub mod environment;
+pub mod bench;
+pub mod checkpoints;
+pub mod clean;
+pub mod doctor;
+pub mod eval;
+pub mod experiment;
 pub mod janitor;
+pub mod mjcf;
+pub mod plot;
+pub mod reproduce;
+pub mod resume;
+pub mod rollout;
+pub mod scale;
+pub mod serve;
+pub mod simulate;
+pub mod status;
+pub mod train;
+pub mod verify;
+
 pub mod limits;
-pub mod lock;
-pub mod shield;
-pub mod signals;
-pub mod threads;
-
-pub mod figures;
-pub mod precision;
-pub mod preflight;
-pub mod provenance;
-pub mod report;
-pub mod shakedown;
-
-pub mod causes;
-pub mod files;
 pub mod logs;
-pub mod output;
-pub mod outputs;
-pub mod own;
-pub mod printable;
-pub mod regular;
+
+use anyhow::Context as _;
+use run::signals;
+
+use crate::cli::Command;
+
+/// Two things that were compared are not the same. No failure but the answer, which standard output
+/// holds: the program ends with exit code 1 and says no more.
+#[derive(Debug, thiserror::Error)]
+#[error("not the same")]
+pub struct NotTheSame;
+
+/// Does what the command line says.
+pub fn run(command: Command) -> anyhow::Result<()> {
+    // Others have something to end first, or nothing to be stopped in.
+    let stoppable = match &command {
+        Command::Eval(_) | Command::Experiment(_) | Command::Simulate(_) | Command::Rollout(_) => {
+            true
+        }
+        Command::Reproduce(args) => !args.train,
+        _ => false,
+    };
+    if stoppable {
+        signals::exit_when_asked("stopped".to_owned()).context("signals cannot be caught")?;
+    }
+    match command {
+        Command::Train(args) => train::run(&args),
+        Command::Resume(args) => resume::run(&args),
+        Command::Eval(args) => eval::run(&args),
+        Command::Experiment(args) => experiment::run(&args),
+        Command::Reproduce(args) => reproduce::run(&args),
+        Command::Plot(args) => plot::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
+        Command::Mjcf(args) => mjcf::run(&args),
+        Command::Doctor(args) => doctor::run(args),
+        Command::Bench(args) => bench::run(&args),
+        Command::Status(args) => status::run(&args),
+        Command::Scale(args) => scale::run(&args),
+        Command::Rollout(args) => rollout::run(&args),
+        Command::Verify(args) => verify::run(&args),
+        Command::Checkpoints(args) => checkpoints::run(&args),
+        Command::Serve(args) => serve::run(&args),
+        Command::Clean(args) => clean::run(args),
+        Command::Janitor(args) => janitor::run(&args),
+    }
+}

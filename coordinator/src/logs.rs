@@ -1,17 +1,17 @@
 //! Logs: lines on standard error, for people in the words of the rest, chosen by `RUST_LOG`.
 
-use std::fmt::{self, Write as _};
+use std::fmt;
+use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 
+use output::printable::printable;
+use run::report::progress::LogWriter;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
-
-use crate::printable::printable;
-use crate::report::progress::LogWriter;
 
 /// Sends the logs of this program to standard error, around a progress bar if there is one.
 ///

@@ -14,7 +14,7 @@
 use tch::{Device, Kind, Tensor};
 
 use crate::features::{Features, Loop, mul_add, run_for};
-use crate::memory::{numbers, numbers_mut};
+use crate::memory::{are_apart, numbers, numbers_mut};
 
 /// β₁, β₂, ε.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -121,15 +121,25 @@ fn step_by_operations(rates: &Rates, parts: [Tensor; 4], denominator: &Tensor) {
 }
 
 /// The same in one pass over memory, which is what a step costs on a CPU.
+///
+/// # Panics
+/// If two of the tensors share memory.
+#[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
 fn step_in_one_pass(rates: &Rates, parts: [Tensor; 4]) {
     let [mut flat, mut m, mut v, g] = parts;
-    let pass = Pass {
-        rates: [rates.first, rates.second, rates.correction, rates.epsilon, rates.length]
-            .map(|rate| rate as f32),
-        flat: numbers_mut(&mut flat),
-        m: numbers_mut(&mut m),
-        v: numbers_mut(&mut v),
-        g: numbers(&g),
+    assert!(are_apart(&[&flat, &m, &v, &g]), "parameters, moments and gradient share memory");
+    // SAFETY: parameters, moments and gradient are filled and apart. Nobody else uses these parts of
+    // their storages meanwhile: an update has the training state to itself, and of groups of actors that
+    // are updated at the same time each has rows of its own.
+    let pass = unsafe {
+        Pass {
+            rates: [rates.first, rates.second, rates.correction, rates.epsilon, rates.length]
+                .map(|rate| rate as f32),
+            flat: numbers_mut(&mut flat),
+            m: numbers_mut(&mut m),
+            v: numbers_mut(&mut v),
+            g: numbers(&g),
+        }
     };
     run_for(Features::detect(), pass);
 }
@@ -222,6 +232,13 @@ mod tests {
             // A few roundings of values of order 1, 2⁻²⁴ each; small denominators multiply them.
             assert!(error < 1e-5, "{error}");
         }
+    }
+
+    #[test]
+    #[should_panic(expected = "share memory")]
+    fn a_gradient_that_is_the_parameters_is_refused() {
+        let flat = Tensor::ones([1, 3], (Kind::Float, Device::Cpu));
+        Adam::new(&flat).step(&OPTIONS, &[0.1], &flat, &flat, &flat.zeros_like(), &[true]);
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub(crate) struct Descent {
 
 /// One kind of network of some actors: passes and buffers.
 #[derive(Debug)]
-pub(crate) struct Half {
+pub(crate) struct NetworkPasses {
     pub(crate) compute: Compute,
     pub(crate) gradient: Tensor,
     scratch: Tensor,
@@ -31,13 +31,13 @@ pub(crate) struct Half {
 }
 
 /// One kind of network of some actors: their part of the state, in the state's memory or copied.
-pub(crate) struct Learned {
+pub(crate) struct NetworkPart {
     pub(crate) spec: NetworkSpec,
     pub(crate) flat: Tensor,
     pub(crate) adam: Adam,
 }
 
-impl Learned {
+impl NetworkPart {
     /// The part of `actors`, in the state's memory if they stand side by side.
     pub(crate) fn part(network: &NetworkState, actors: &Actors) -> Self {
         let part = |tensor: &Tensor| actors.of(tensor);
@@ -59,7 +59,7 @@ impl Learned {
     }
 }
 
-impl Half {
+impl NetworkPasses {
     /// For `len` actors' networks of `network`, with products in `kind`.
     pub(crate) fn new(
         config: &Config,
@@ -98,16 +98,16 @@ impl Descent {
         }
     }
 
-    /// Clips a half's gradient and steps, each actor at its rate; returns its norms before clipping. A step with a gradient that
+    /// Clips a network's gradient and steps, each actor at its rate; returns its norms before clipping. A step with a gradient that
     /// is not finite is not made.
     pub(crate) fn step(
         &self,
-        learned: &mut Learned,
-        half: &mut Half,
+        learned: &mut NetworkPart,
+        passes: &mut NetworkPasses,
         learning_rates: &[f64],
         active: &[bool],
     ) -> Vec<f64> {
-        let Half { gradient, scratch, recorded, .. } = half;
+        let NetworkPasses { gradient, scratch, recorded, .. } = passes;
         learned.spec.share_gradient(gradient);
         if recorded.is_some() {
             *recorded = Some(gradient.copy());
@@ -115,7 +115,7 @@ impl Descent {
         let squared = learned.spec.squared_norm(gradient);
         let norms = clip_gradient(gradient, &squared, self.max_grad_norm);
         if norms.iter().all(|norm| norm.is_finite()) {
-            let Learned { spec, flat, adam } = learned;
+            let NetworkPart { spec, flat, adam } = learned;
             adam.step(&self.adam, learning_rates, flat, gradient, scratch, active);
             for tensor in [&*flat, &adam.m, &adam.v] {
                 spec.unify(tensor);

@@ -1,6 +1,7 @@
 //! What can go wrong in the learner.
 
-use proto::{ChannelError, ConfigError, ExitCode, ExitError};
+use channels::ChannelError;
+use proto::{ConfigError, ExitCode, ExitError};
 
 /// An error of the learner. Every message says what was expected.
 #[derive(Debug, thiserror::Error)]

@@ -9,15 +9,21 @@
     reason = "calls of functions compiled for detected processor features have no safe form"
 )]
 
-/// Which processor features loops use.
+/// Which processor features loops use. Those that not every processor has come from [`Features::detect`]
+/// alone, so that [`run_for`] need not ask again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Features {
     #[cfg(target_arch = "x86_64")]
-    Avx512,
+    Avx512(Detected),
     #[cfg(target_arch = "x86_64")]
-    Avx2,
+    Avx2(Detected),
     Any,
 }
+
+/// That the processor was asked: nobody else can make one.
+#[cfg(target_arch = "x86_64")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Detected(());
 
 impl Features {
     /// The best that this processor has.
@@ -27,11 +33,13 @@ impl Features {
             use std::arch::is_x86_feature_detected as has;
             let avx512 =
                 has!("avx512f") && has!("avx512bw") && has!("avx512dq") && has!("avx512vl");
-            if avx512 && has!("fma") {
-                return Self::Avx512;
+            // AVX-512 stands for AVX2 and FMA, too, to the compiler; a virtual machine may leave them out.
+            let avx2 = has!("avx2") && has!("fma");
+            if avx512 && avx2 {
+                return Self::Avx512(Detected(()));
             }
-            if has!("avx2") && has!("fma") {
-                return Self::Avx2;
+            if avx2 {
+                return Self::Avx2(Detected(()));
             }
         }
         Self::Any
@@ -58,12 +66,12 @@ pub(crate) fn run_for<L: Loop>(features: Features, job: L) {
         job.run::<true>();
     }
     match features {
-        // SAFETY: the features were detected.
+        // SAFETY: `detect` found the features, or there would be no `Detected`.
         #[cfg(target_arch = "x86_64")]
-        Features::Avx512 => unsafe { avx512(job) },
-        // SAFETY: the features were detected.
+        Features::Avx512(Detected(())) => unsafe { avx512(job) },
+        // SAFETY: as above.
         #[cfg(target_arch = "x86_64")]
-        Features::Avx2 => unsafe { avx2(job) },
+        Features::Avx2(Detected(())) => unsafe { avx2(job) },
         Features::Any => job.run::<false>(),
     }
 }

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use proto::channel::ArraySample;
+use channels::ArraySample;
 use proto::config::Config;
 use proto::layout::{BlockHeader, BlockLayout, Dimensions, EpisodeMetrics};
 use proto::message::{Accounting, Errors, policy_version_for};
@@ -33,7 +33,7 @@ impl Block for ArraySample<BlockHeader> {
 
 /// Whether a block was news.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Arrival {
+pub enum Receipt {
     /// It will be trained on.
     Fresh,
     /// It was there already, or its iteration is over; it is dropped.
@@ -70,7 +70,7 @@ impl<B: Block> Inbox<B> {
     }
 
     /// Takes a block in.
-    pub fn receive(&mut self, block: B) -> Result<Arrival, LearnerError> {
+    pub fn receive(&mut self, block: B) -> Result<Receipt, LearnerError> {
         let header = *block.header();
         self.check_header(&header, block.payload().len())?;
         let steps = self.block_steps();
@@ -78,7 +78,7 @@ impl<B: Block> Inbox<B> {
         account.received += steps;
         if header.iteration < self.iteration {
             account.duplicate += steps;
-            return Ok(Arrival::Duplicate);
+            return Ok(Receipt::Duplicate);
         }
         if let Some(present) = self.blocks.get(&(header.iteration, header.shard)) {
             account.duplicate += steps;
@@ -91,11 +91,11 @@ impl<B: Block> Inbox<B> {
                     workers: [present.header().worker, header.worker],
                 });
             }
-            return Ok(Arrival::Duplicate);
+            return Ok(Receipt::Duplicate);
         }
         self.check_numbers(&header, block.payload())?;
         self.blocks.insert((header.iteration, header.shard), block);
-        Ok(Arrival::Fresh)
+        Ok(Receipt::Fresh)
     }
 
     fn check_header(&self, header: &BlockHeader, len: usize) -> Result<(), LearnerError> {
@@ -278,18 +278,18 @@ mod tests {
         let mut receive = |iteration, shard| {
             inbox.receive(block(&layout, iteration, shard, 1)).expect("a good block")
         };
-        assert_eq!(receive(0, 1), Arrival::Fresh);
-        assert_eq!(receive(1, 0), Arrival::Fresh, "an early block of the next iteration");
-        assert_eq!(receive(0, 1), Arrival::Duplicate);
-        assert_eq!(receive(0, 0), Arrival::Fresh);
+        assert_eq!(receive(0, 1), Receipt::Fresh);
+        assert_eq!(receive(1, 0), Receipt::Fresh, "an early block of the next iteration");
+        assert_eq!(receive(0, 1), Receipt::Duplicate);
+        assert_eq!(receive(0, 0), Receipt::Fresh);
         assert!(inbox.is_complete());
         let shards: Vec<u32> = inbox.take().iter().map(|block| block.header.shard).collect();
         assert_eq!(shards, [0, 1]);
         let first = inbox.account(0);
         assert_eq!((first.received, first.trained, first.duplicate), (18, 12, 6));
         // Late and early ones of the next iteration.
-        assert_eq!(inbox.receive(block(&layout, 0, 0, 1)).expect("late"), Arrival::Duplicate);
-        assert_eq!(inbox.receive(block(&layout, 1, 1, 1)).expect("fresh"), Arrival::Fresh);
+        assert_eq!(inbox.receive(block(&layout, 0, 0, 1)).expect("late"), Receipt::Duplicate);
+        assert_eq!(inbox.receive(block(&layout, 1, 1, 1)).expect("fresh"), Receipt::Fresh);
         inbox.take();
         let second = inbox.account(1);
         assert_eq!((second.received, second.trained, second.duplicate), (18, 12, 6));

@@ -12,7 +12,7 @@
 use proto::config::{InputNorm as InputNormKind, Network};
 use tch::Tensor;
 
-use crate::mlp::standardise_input;
+use crate::layer_norm::standardise_input;
 
 /// Added to the variance, so that a feature that never moves does not divide by zero.
 const EPSILON: f64 = 1e-6;

@@ -33,7 +33,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    proto::logging::init();
+    process::logging::init();
     let result = match (cli.command, cli.arguments) {
         (Some(Command::Bench(measurement)), _) => bench::run(&measurement),
         (Some(Command::Probe { device }), _) => {

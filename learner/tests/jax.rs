@@ -7,8 +7,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use learner::maddpg::{self, Maddpg};
-use learner::mappo::{Mappo, Trace};
+use learner::maddpg::{Maddpg, MaddpgTrace};
+use learner::mappo::{Mappo, MappoTrace};
 use learner::network::NetworkSpec;
 use learner::precision::Arithmetic;
 use learner::state::TrainingState;
@@ -113,7 +113,7 @@ fn cross_check(assignments: &[&str]) {
     let before = state.to_safetensors();
     let blocks = samples(2);
     let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
-    let mut trace = Trace::default();
+    let mut trace = MappoTrace::default();
     mappo.update_traced(&mut state, &shards, Some(&mut trace)).expect("finite");
     assert_eq!(trace.gradients.len(), 10);
 
@@ -223,7 +223,7 @@ fn cross_check_maddpg(assignments: &[&str]) {
     };
     update(&mut state, 1, None);
     let before = state.to_safetensors();
-    let mut trace = maddpg::Trace::default();
+    let mut trace = MaddpgTrace::default();
     update(&mut state, 2, Some(&mut trace));
     assert_eq!(trace.rows.len(), 8);
 

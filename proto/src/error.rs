@@ -2,8 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::channel::SHARED_MEMORY;
-
 /// What can be wrong with a configuration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -34,14 +32,22 @@ pub enum ConfigError {
         /// A near name or the list of the group's keys.
         hint: String,
     },
-    /// A value of another type than the key has.
+    /// A key that every configuration has.
+    #[error("{origin}: key `{key}` is missing")]
+    Missing {
+        /// The file, or the flag as it was written.
+        origin: String,
+        /// The dotted key.
+        key: String,
+    },
+    /// A value that the key cannot have.
     #[error("{origin}: key `{key}` wants {expected}, got {found}")]
     WrongType {
         /// The file, or the flag as it was written.
         origin: String,
         /// The dotted key.
         key: String,
-        /// The type that the key has.
+        /// What the key can have.
         expected: String,
         /// What was written.
         found: String,
@@ -55,78 +61,6 @@ pub enum ConfigError {
         problem: String,
         /// What to do about it.
         cure: String,
-    },
-}
-
-/// What can go wrong between the processes of a run.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ChannelError {
-    /// The service does not exist or has another layout.
-    #[error(
-        "channel `{service}` cannot be opened: {reason}; \
-         all programs of a run must come from the same build (layout {layout})"
-    )]
-    Open {
-        /// Name of the service.
-        service: String,
-        /// The transport's reason.
-        reason: String,
-        /// Layout hash of this program.
-        layout: String,
-    },
-    /// A port could not be made.
-    #[error("channel `{service}`: cannot create a {port}: {reason}")]
-    Port {
-        /// Name of the service.
-        service: String,
-        /// `publisher`, `subscriber`, `listener` or `notifier`.
-        port: &'static str,
-        /// The transport's reason.
-        reason: String,
-    },
-    /// Shared memory is full.
-    #[error(
-        "shared memory is full: {what} needs {needed} and {place} has {free} free; make room (`octopus \
-         clean` removes what killed runs left, `ls -l {place}` shows what others have there), enlarge \
-         it (`mount -o remount,size=SIZE {place}`, in a container --shm-size=SIZE), or use fewer \
-         --workers", needed = mib(*needed), free = mib(*free), place = SHARED_MEMORY
-    )]
-    Full {
-        /// What could not be made.
-        what: String,
-        /// Bytes that it needs.
-        needed: u64,
-        /// Bytes that are free.
-        free: u64,
-    },
-    /// Nobody took the data before the deadline.
-    #[error("channel `{service}`: not delivered within {waited_ms} ms; is the receiver alive?")]
-    Backpressure {
-        /// Name of the service.
-        service: String,
-        /// How long the sender waited.
-        waited_ms: u128,
-    },
-    /// Sending or receiving failed.
-    #[error("channel `{service}`: {action} failed: {reason}")]
-    Transfer {
-        /// Name of the service.
-        service: String,
-        /// `loan`, `send` or `receive`.
-        action: &'static str,
-        /// The transport's reason.
-        reason: String,
-    },
-    /// A message that cannot be decoded.
-    #[error("channel `{service}`: a message of {len} bytes cannot be decoded: {reason}")]
-    Decode {
-        /// Name of the service.
-        service: String,
-        /// Length of the message.
-        len: usize,
-        /// The decoder's reason.
-        reason: String,
     },
 }
 
@@ -176,12 +110,5 @@ impl ExitError {
     /// Couples `message` with `code`.
     pub fn new(code: ExitCode, message: impl Into<String>) -> Self {
         Self { code, message: message.into() }
-    }
-}
-
-impl From<ChannelError> for ExitError {
-    /// Channels fail for want of shared memory, or because programs of two builds meet.
-    fn from(error: ChannelError) -> Self {
-        Self::new(ExitCode::Environment, error.to_string())
     }
 }

@@ -16,7 +16,7 @@
 
 use std::ops::Range;
 
-use iceoryx2::prelude::ZeroCopySend;
+use bytemuck::{Pod, Zeroable};
 
 use crate::config::{AlgorithmName, Config, CriticState, InputNorm, Observation, TaskName};
 
@@ -326,7 +326,7 @@ impl ActorLayout {
 }
 
 /// Describes a block; travels as the user header of its sample.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct BlockHeader {
     /// The iteration that the block belongs to.
@@ -350,7 +350,7 @@ pub struct BlockHeader {
 }
 
 /// Describes the parameters of a policy version; travels as the user header of its sample.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct PolicyHeader {
     /// The version: 0 is the initial policy, k the one after iteration k − 1 was trained on.
@@ -358,7 +358,7 @@ pub struct PolicyHeader {
 }
 
 /// Describes a piece of a snapshot; travels as the user header of its sample.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct SnapshotHeader {
     /// Iterations trained on when the snapshot was taken.
@@ -378,7 +378,7 @@ pub fn layout_hash() -> String {
         include_str!("layout.rs"),
         include_str!("message.rs"),
         include_str!("digest.rs"),
-        include_str!("channel/line.rs"),
+        include_str!("../channels/src/line.rs"),
         env!("CARGO_PKG_VERSION"),
     );
     blake3::hash(text.as_bytes()).to_hex()[..8].to_owned()

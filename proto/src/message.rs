@@ -181,6 +181,9 @@ pub enum Status {
         worker: WorkerId,
         /// Its incarnation.
         incarnation: u32,
+        /// Where it takes orders: [`Status::Ready`] may have been pushed out of the queue of a coordinator
+        /// that stood still.
+        orders: PortId,
     },
     /// A block has been sent.
     BlockDone {

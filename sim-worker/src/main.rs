@@ -7,7 +7,7 @@ use sim_worker::worker::{Arguments, run};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    proto::logging::init();
+    process::logging::init();
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

@@ -7,8 +7,8 @@ use std::process::{Command, Output, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail, ensure};
-use coordinator::signals::StopRequests;
 use proto::rng::philox4x32_10;
+use run::signals::StopRequests;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 

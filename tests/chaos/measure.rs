@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
+use proto::statistics::percentile;
 use serde_json::{Value, json};
 
 /// Times of one kind.
@@ -27,10 +28,9 @@ impl Times {
 
     /// The smallest time that at least `share` of all do not exceed (s); none of no times.
     pub fn percentile(&self, share: f64) -> Option<f64> {
-        let mut sorted = self.0.clone();
-        sorted.sort_unstable();
-        let rank = (share * sorted.len() as f64).ceil() as usize;
-        sorted.get(rank.max(1) - 1).map(Duration::as_secs_f64)
+        let mut sorted: Vec<f64> = self.0.iter().map(Duration::as_secs_f64).collect();
+        sorted.sort_by(f64::total_cmp);
+        (!sorted.is_empty()).then(|| percentile(&sorted, share))
     }
 
     /// Count, percentiles and maximum (s).

@@ -3,7 +3,9 @@
 use std::fmt;
 use std::time::Duration;
 
-use proto::rng::philox4x32_10;
+use rustix::process::Signal;
+
+use super::dice::Dice;
 
 /// Something that is done to a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +24,9 @@ pub enum Act {
     Scale(usize),
     /// Ctrl-C, then `octopus resume` with so many workers.
     Interrupt(usize),
+    /// A signal to every process of the run at once, as a supervisor or a terminal sends it, then
+    /// `octopus resume` with so many workers.
+    SignalAll(Signal, usize),
 }
 
 impl Act {
@@ -43,6 +48,7 @@ impl fmt::Display for Act {
             }
             Self::Scale(n) => write!(f, "scale to {n}"),
             Self::Interrupt(n) => write!(f, "Ctrl-C, resume with {n}"),
+            Self::SignalAll(signal, n) => write!(f, "{signal:?} to all, resume with {n}"),
         }
     }
 }
@@ -83,6 +89,8 @@ const WORKERS: (usize, usize) = (1, 3);
 /// How long a coordinator is frozen at least and at most (ms): beyond the time after which the runs of
 /// chaos replace who is silent.
 const FREEZE: (usize, usize) = (500, 6000);
+/// Signals that ask a run to stop.
+const STOPS: [Signal; 3] = [Signal::TERM, Signal::INT, Signal::HUP];
 /// Iterations after the last event: the run must be seen to go on.
 const CALM_END: usize = 10;
 
@@ -107,6 +115,9 @@ impl Plan {
         });
         add(tenths(2), &mut || Act::Scale(dice.between(WORKERS.0, WORKERS.1)));
         add(tenths(1), &mut || Act::Interrupt(dice.between(WORKERS.0, WORKERS.1)));
+        add(tenths(1), &mut || {
+            Act::SignalAll(dice.one_of(&STOPS), dice.between(WORKERS.0, WORKERS.1))
+        });
         // Fisher and Yates.
         for last in (1..acts.len()).rev() {
             acts.swap(last, dice.between(0, last));
@@ -135,29 +146,6 @@ impl fmt::Display for Plan {
     }
 }
 
-/// Philox with a counter: the same seed gives the same plan everywhere.
-#[derive(Debug)]
-struct Dice {
-    key: [u32; 2],
-    drawn: u32,
-}
-
-impl Dice {
-    fn new(seed: u64) -> Self {
-        Self { key: [seed as u32, (seed >> 32) as u32], drawn: 0 }
-    }
-
-    fn word(&mut self) -> u32 {
-        self.drawn += 1;
-        philox4x32_10([self.drawn, 0, 0, 0], self.key)[0]
-    }
-
-    /// A number from `first` to `last`, both included.
-    fn between(&mut self, first: usize, last: usize) -> usize {
-        first + ((u64::from(self.word()) * (last - first + 1) as u64) >> 32) as usize
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -173,6 +161,7 @@ mod tests {
         assert!(has(|act| matches!(act, Act::KillCoordinator(_))));
         assert!(has(|act| matches!(act, Act::FreezeCoordinator(_))));
         assert!(has(|act| matches!(act, Act::Interrupt(_))));
+        assert!(has(|act| matches!(act, Act::SignalAll(..))));
         assert!(plan.events.is_sorted_by_key(|event| event.at));
     }
 

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -177,7 +177,7 @@ fn kill_learner(run: &mut Run, stop: &StopRequests) -> Result<Duration> {
 }
 
 /// Waits for something of a run that must not end.
-fn wait_for(
+pub(super) fn wait_for(
     run: &mut Run,
     stop: &StopRequests,
     mut happened: impl FnMut(&Run) -> bool,

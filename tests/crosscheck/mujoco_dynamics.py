@@ -6,6 +6,7 @@ INPUT: {"model": MJCF text, "joints": [names in our order], "hands": [site names
         "states": [{"qpos", "qvel", "tau"}],          inertia matrix and acceleration wanted
         "episode": {"qpos", "commands": [[...]], "steps_per_command",    integrated with MuJoCo's own Euler at the model's time step
                     "disturbances": [{"hand_force": [[x, y, z]], "base_torque", "joint_torque", "limp": [actuators]}]},   one a command
+        "keyframe": name,                             positions there, and where that puts the hands
         "touching": {"model": MJCF text with contacts, "poses": [[joint angles]], "stops": [...]}}   pairs in contact wanted
 Every part may be absent.
 """
@@ -129,6 +130,12 @@ def main():
         answer["states"] = accelerations(model, given["states"])
     if "episode" in given:
         answer["episode"] = episode(model, given["hands"], given["episode"])
+    if "keyframe" in given:
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, model.key(given["keyframe"]).id)
+        mujoco.mj_forward(model, data)
+        sites = [model.site(name).id for name in given["hands"]]
+        answer["keyframe"] = {"qpos": data.qpos.tolist(), "hands": data.site_xpos[sites].ravel().tolist()}
     if "touching" in given:
         answer["touching"] = touching(given["touching"])
     json.dump(answer, open(sys.argv[2], "w", encoding="utf-8"))

@@ -5,13 +5,13 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use clap::Parser as _;
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use serde_json::json;
 use tests::chaos::plan::Plan;
-use tests::chaos::{Chaos, calm, damage, restarts};
+use tests::chaos::{Chaos, calm, damage, environment, http, others, restarts};
 
-/// Kills, hangs, stops and scales runs at random, and damages their files, and checks that it changes
-/// no bit and leaves nothing. Progress goes to standard error, a summary as JSON to standard output.
+/// Kills, hangs, stops and scales runs at random, damages their files, starts them from foreign
+/// environments, and attacks them from outside, and checks that it changes no bit and leaves nothing. Progress goes to standard error, a summary as JSON to standard output.
 #[derive(Debug, clap::Parser)]
 #[command(name = "chaos")]
 struct Arguments {
@@ -27,6 +27,15 @@ struct Arguments {
     /// Files of a run directory that are damaged, after that, each in a fresh copy.
     #[arg(long, default_value_t = 100)]
     damages: usize,
+    /// Short runs from foreign environments, after that.
+    #[arg(long, default_value_t = 100)]
+    environments: usize,
+    /// Requests to a live run, many of them hostile, after that.
+    #[arg(long, default_value_t = 5000)]
+    requests: usize,
+    /// Attempts of another user at a live run, after that; needs root.
+    #[arg(long, default_value_t = 500)]
+    intrusions: usize,
     /// What the plans are drawn from.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -69,11 +78,27 @@ fn main() -> anyhow::Result<()> {
         0 => None,
         times => Some(damage::run(times, arguments.seed, &stop, &mut narrate)?.to_json()),
     };
+    let seed = arguments.seed;
+    let environments = match arguments.environments {
+        0 => None,
+        times => Some(environment::run(times, seed, &stop, &mut narrate)?.to_json()),
+    };
+    let requests = match arguments.requests {
+        0 => None,
+        times => Some(http::run(times, seed, &stop, &mut narrate)?.to_json()),
+    };
+    let intrusions = match arguments.intrusions {
+        0 => None,
+        times => Some(others::run(times, seed, &stop, &mut narrate)?.to_json()),
+    };
     let summary = json!({
         "seed": arguments.seed,
         "runs": runs,
         "restarts": restarts,
         "damages": damages,
+        "environments": environments,
+        "requests": requests,
+        "intrusions": intrusions,
         "seconds": begun.elapsed().as_secs_f64(),
     });
     writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&summary)?)?;

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Builds the fuzz targets for coverage on stable Rust, as cargo-fuzz does on nightly but without its
 # sanitizer, and runs each of them:  run.sh SECONDS [TARGET ...]
+# Inputs: the target's own seeds, corpus/TARGET beside this script, and what earlier runs found.
 set -euo pipefail
 
 seconds=${1:-60}
@@ -21,6 +22,10 @@ flags=(
     -Cllvm-args=-sanitizer-coverage-pc-table
     -Ccodegen-units=1
 )
+# In CI compiling takes longer than running: optimised less, and without lines for backtraces.
+if [ -n "${CI:-}" ]; then
+    export CARGO_PROFILE_RELEASE_OPT_LEVEL=1 CARGO_PROFILE_RELEASE_DEBUG=none
+fi
 (cd "$here" && RUSTFLAGS="${flags[*]}" "$cargo" build --release --bins \
     ${CI:+--locked} --target "$host" --target-dir "$base/build")
 programs=$base/build/$host/release
@@ -47,13 +52,15 @@ for target in "${targets[@]}"; do
     artifacts=$base/artifacts/$target
     log=$base/$target.log
     mkdir -p "$corpus" "$artifacts"
+    kept=()
+    [ ! -d "$here/corpus/$target" ] || kept=("$here/corpus/$target")
     "$programs/$target" --seeds "$corpus"
     printf '==> %s: %d s\n' "$target" "$seconds"
     # Longest inputs: the longest seed four times over, at least 4 KiB.
     longest=$(find "$corpus" -name 'seed-*' -printf '%s\n' | sort -n | tail -1)
     length=$((longest * 4 > 4096 ? longest * 4 : 4096))
     "$programs/$target" -max_total_time="$seconds" -timeout=25 -rss_limit_mb=4096 \
-        -max_len=$length -print_final_stats=1 -artifact_prefix="$artifacts/" "$corpus" \
+        -max_len=$length -print_final_stats=1 -artifact_prefix="$artifacts/" "$corpus" "${kept[@]}" \
         >"$log" 2>&1 &
     running=$!
     status=0

@@ -28,7 +28,9 @@ fn configurations_that_cannot_be() {
     let dir = tempfile::tempdir().expect("tempdir");
     let at = dir.path();
     train(at, &["--set=algorithm.gama=0.9"], 3, &["algorithm.gama", "did you mean `gamma`"]);
-    train(at, &["--set=algorithm.gamma=high"], 3, &["algorithm.gamma", "float"]);
+    train(at, &["--set=algorithm.gamma=high"], 3, &["algorithm.gamma", "a number such as"]);
+    train(at, &["--set=network.hidden=[64,-1]"], 3, &["network.hidden", "none below 0"]);
+    train(at, &["--set=network.hidden=[]"], 3, &["network.hidden", "1 to 16 widths"]);
     train(at, &["--set=algorithm.gamma=1.5"], 3, &["algorithm.gamma", "0 to 1"]);
     train(at, &["--set=env.n_shards=32"], 3, &["env.n_shards", "divides"]);
     train(at, &["--set=env.substep=0.03"], 3, &["env.substep", "control period"]);

@@ -1,5 +1,7 @@
 //! `octopus bench`: every figure is there, nothing is left behind. How fast is no test's business.
 
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -64,6 +66,9 @@ fn every_figure_is_measured_and_nothing_is_left() {
         "physics.env_steps_per_s_per_core",
         "physics.floor_env_steps_per_s_per_core",
         "physics.without_contacts_env_steps_per_s_per_core",
+        "physics.core_gflop_per_s",
+        "rollout.core_gflop_per_s",
+        "rollout.pair_gflop_per_s",
         "rollout.env_steps_per_s_per_core",
         "rollout.physics_us",
         "rollout.policy_us",
@@ -80,6 +85,8 @@ fn every_figure_is_measured_and_nothing_is_left() {
         "learner.bf16.env_steps_per_s",
         "learner.2x256.env_steps_per_s",
         "learner.2x128.env_steps_per_s",
+        "learner.2x256.product_gflop_per_s",
+        "learner.2x128.product_gflop_per_s",
         "transport.p50_us",
         "transport.p99_us",
         "transport.floor_p99_us",
@@ -116,6 +123,41 @@ fn every_figure_is_measured_and_nothing_is_left() {
     assert!(!domains.is_empty(), "the log names the domain: {}", stderr(&output));
     for domain in &domains {
         assert_nothing_left(domain);
+    }
+}
+
+/// A learner that says it is faster than its own products.
+#[test]
+fn measurements_that_contradict_each_other_are_not_shown() {
+    let octopus = program("octopus");
+    let beside = octopus.parent().expect("a directory");
+    // Beside the programs, so that links work: octopus takes the learner next to itself.
+    let dir = tempfile::tempdir_in(beside).expect("a directory");
+    std::fs::hard_link(&octopus, dir.path().join("octopus")).expect("linked");
+    std::fs::hard_link(program("sim-worker"), dir.path().join("sim-worker")).expect("linked");
+    let learner = dir.path().join("learner");
+    let said = r#"{"env_steps_per_s":1e9,"best_env_steps_per_s":1e9,"precision":"f32",
+        "mflop_per_env_step":1.0,"state_bytes":1.0,"product_gflop_per_s":1.0}"#;
+    std::fs::write(&learner, format!("#!/bin/sh\necho '{said}'\n")).expect("written");
+    std::fs::set_permissions(&learner, Permissions::from_mode(0o755)).expect("its file");
+    let mut command = Command::new(dir.path().join("octopus"));
+    command.args(["bench", "learner", "--seconds=0.05"]).args(SMALL).stdin(Stdio::null());
+    let output = command.output().expect("octopus starts");
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("contradict each other, so that none is shown"), "{message}");
+    assert!(message.contains("learner.2x256.env_steps_per_s: measured"), "{message}");
+    assert!(output.stdout.is_empty(), "no table");
+}
+
+#[test]
+fn the_table_of_a_measurement_fits_in_80_columns() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let output = consistent(|| bench(dir.path(), &["physics", "--seconds=0.05"]));
+    let table = String::from_utf8(output.stdout).expect("UTF-8");
+    assert!(table.contains("meanwhile other programs had"), "{table}");
+    for line in table.lines() {
+        assert!(line.chars().count() <= 80, "{line}\nis too long in\n{table}");
     }
 }
 

@@ -1,8 +1,8 @@
 //! A short dose of chaos; `make chaos` gives the long one.
 
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use tests::chaos::plan::Plan;
-use tests::chaos::{Chaos, calm, restarts};
+use tests::chaos::{Chaos, calm, environment, http, others, restarts};
 
 /// Puts a run through a plan with every act that there is.
 fn survives(seed: u64, overlap: usize) {
@@ -33,5 +33,29 @@ fn processes_that_are_killed_again_and_again_cost_the_coordinator_nothing() {
         assert_eq!(phase.times.len(), restarts);
         assert_eq!(phase.descriptors.growth(), Some(0), "{phase:?}");
         assert_eq!(phase.files.growth(), Some(0), "{phase:?}");
+    }
+}
+
+#[test]
+fn foreign_environments_change_no_bit_or_are_named() {
+    let report = environment::run(3, 1, &StopRequests::new(), &mut |_| ()).expect("survives");
+    assert_eq!(report.survived + report.refused, 3);
+}
+
+#[test]
+fn clients_good_and_hostile_change_no_bit_of_a_live_run() {
+    let report = http::run(150, 1, &StopRequests::new(), &mut |_| ()).expect("survives");
+    assert_eq!(report.requests, 150);
+}
+
+#[test]
+fn another_user_gets_nothing_from_a_live_run_and_changes_nothing() {
+    let mut story = String::new();
+    let mut narrate = |line: &str| story = format!("{story}\n{line}");
+    let report = others::run(25, 1, &StopRequests::new(), &mut narrate).expect("survives");
+    if report.refused == 0 {
+        eprintln!("{story}");
+    } else {
+        assert_eq!(report.refused, 25);
     }
 }

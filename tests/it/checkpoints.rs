@@ -328,6 +328,30 @@ fn what_means_something_else_or_is_of_another_run_is_not_taken_in() {
     assert_eq!(names(&dir), ["foreign"]);
 }
 
+/// What is made inside a run would be taken for a part of it, and is no checkpoint of its.
+#[test]
+fn no_store_is_made_inside_a_run() {
+    let (_run, dir) = run(&[]);
+    let place = tempfile::tempdir().expect("tempdir");
+    let archive = place.path().join("a.tar").to_str().expect("UTF-8").to_owned();
+    text(&["export", &dir, "--out", &archive]);
+    let inside = format!("{dir}/new");
+    let arms = format!("1,2,3,4={dir}");
+    for force in [&[][..], &["--force"]] {
+        let import = ["import", &archive, "--store", &inside];
+        refused(&[&import, force].concat(), 5, &["--store", "which is a run directory"]);
+        let compose = ["compose", "--arm", &arms, "--out", &format!("{inside}/x")];
+        refused(&[&compose, force].concat(), 5, &["--out", "which is a run directory"]);
+    }
+    assert!(!Path::new(&inside).exists());
+    // The run's own store is one, also where it is named itself, and where it is still to be made.
+    let own = format!("{dir}/checkpoints");
+    text(&["import", &archive, "--store", &own, "--name", "mine"]);
+    std::fs::remove_dir_all(&own).expect("removable");
+    text(&["import", &archive, "--store", &own, "--name", "mine"]);
+    assert_eq!(names(&dir), ["mine"]);
+}
+
 #[test]
 fn an_import_that_is_killed_leaves_nothing_in_sight() {
     let (_run, dir) = run(&[]);
@@ -525,7 +549,10 @@ fn damage_is_found_named_and_stepped_over() {
     refused(&["delete", &format!("{dir}:2")], 5, &["newest whole", "--force"]);
     text(&["delete", &format!("{dir}:2"), "--force"]);
     let output = octopus(&["eval", &dir]);
-    assert_eq!(output.status.code(), Some(5), "all are damaged: {}", stderr(&output));
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(5), "all are damaged: {said}");
+    assert!(!said.contains("passed over"), "there is no other: {said}");
+    assert_eq!(said.matches("state.safetensors").count(), 1, "{said}");
 }
 
 #[test]

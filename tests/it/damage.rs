@@ -1,10 +1,12 @@
 //! What a run may start from: its own checkpoints, whole files, and nothing that was changed without a
 //! word. `make chaos` damages many more.
 
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use coordinator::signals::StopRequests;
+use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::Value;
 use tests::chaos::damage::{self, Damage, Patient, Verdict};
@@ -76,6 +78,25 @@ fn damage_is_survived_or_said() {
     }
 }
 
+/// The file is not sealed, but it says nothing alone: another budget in it is another than that of `config.toml`.
+#[test]
+fn a_changed_digit_of_the_budgets_is_said_with_the_file() {
+    let patient = Patient::new().expect("trains");
+    let text =
+        std::fs::read_to_string(patient.copy().expect("copies").path().join("run/budgets.json"));
+    let digits = text.expect("readable").bytes().filter(u8::is_ascii_digit).count();
+    for digit in 0..digits {
+        let copy = patient.copy().expect("copies");
+        let dir = copy.path().join("run");
+        Damage::Digit(u32::try_from(digit).expect("few"))
+            .inflict(&dir.join("budgets.json"))
+            .expect("own");
+        let output = damage::resume(&dir).expect("ends");
+        assert!(stderr(&output).contains("budgets.json"), "digit {digit}: {}", stderr(&output));
+        assert!([0, 5].contains(&output.status.code().expect("no signal")), "{}", stderr(&output));
+    }
+}
+
 #[test]
 fn whatever_is_damaged_the_bits_are_the_same_or_the_file_is_named() {
     let mut story = String::new();
@@ -135,6 +156,79 @@ fn a_checkpoint_of_another_budget_is_no_base() {
         resumed(&dir, 0, words);
         assert_eq!(digests(&dir), patient.calm());
     }
+}
+
+/// Nothing is recorded of where it would come from, so that it has to prove itself.
+#[test]
+fn a_foreign_checkpoint_beyond_the_metrics_promises_nothing() {
+    let patient = Patient::new().expect("trains");
+    let flags = ["--workers=2", "--overlap=0", "--iterations=20"];
+    let mut other = Run::train(&[&flags[..], &["--set=run.seed=8"]].concat());
+    other.succeed();
+    let mut same = Run::train(&flags);
+    same.succeed();
+    assert_eq!(same.digests(), patient.calm());
+    // The right state, under a digest that is none of its own.
+    let manifest = checkpoint(&same.path(), 20).join("manifest.json");
+    let text = std::fs::read_to_string(&manifest).expect("readable");
+    let reversed: String = patient.calm()[19].chars().rev().collect();
+    std::fs::write(&manifest, text.replace(&patient.calm()[19], &reversed)).expect("writable");
+    for foreign in [other, same] {
+        let copy = patient.copy().expect("copies");
+        let dir = copy.path().join("run");
+        damage::copy_dir(&checkpoint(&foreign.path(), 20), &checkpoint(&dir, 20)).expect("copies");
+        resumed(&dir, 0, &["iteration-00000020 is of 20", "going on from checkpoint 10 instead"]);
+        assert_eq!(digests(&dir), patient.calm());
+    }
+}
+
+/// Whoever may upload gives a live run no base of his own.
+#[test]
+fn an_uploaded_checkpoint_of_another_course_is_refused_and_no_base_of_a_live_run() {
+    let mut other = Run::train(&["--workers=2", "--overlap=0", "--iterations=7"]);
+    other.succeed();
+    let iterations = "--iterations=300";
+    let mut calm = Run::train(&["--workers=2", "--overlap=0", iterations]);
+    calm.succeed();
+    let mut run =
+        Run::train(&["--workers=2", "--overlap=0", iterations, "--set=run.checkpoint_every=0"]);
+    run.wait_for_iterations(9);
+    let domain = run.domain();
+    let place = tempfile::tempdir().expect("tempdir");
+    let archive = place.path().join("a.tar");
+    let from = format!("{}:7", other.path().display());
+    let exported = octopus(&["checkpoints", "export", &from, "--out", text(&archive)]);
+    assert!(exported.status.success(), "{}", stderr(&exported));
+    let answer = put(&run, "iteration-00000007", &std::fs::read(&archive).expect("readable"));
+    assert!(answer.starts_with("HTTP/1.1 422"), "{answer}");
+    assert!(answer.contains("of another course than this run"), "{answer}");
+    for learner in run.children("learner") {
+        kill(learner, Signal::KILL);
+    }
+    run.succeed();
+    assert!(run.log().contains("going on from iteration 0"), "{}", run.log());
+    assert_eq!(run.digests(), calm.digests());
+    assert_nothing_left(&domain);
+}
+
+/// Uploads an archive to the service beside a run; its answer.
+fn put(run: &Run, name: &str, archive: &[u8]) -> String {
+    let read = |file: &str| std::fs::read_to_string(run.path().join(file)).expect("readable");
+    let holder: Value = serde_json::from_str(&read("run.lock")).expect("JSON");
+    let mut stream =
+        TcpStream::connect(holder["http"].as_str().expect("a service")).expect("connects");
+    let head = format!(
+        "PUT /v1/checkpoints/{name} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
+         Authorization: Bearer {}\r\nContent-Length: {}\r\n\r\n",
+        read("http.token").trim_end(),
+        archive.len()
+    );
+    stream.write_all(head.as_bytes()).expect("sends");
+    // A refused one may be answered before all of it is read.
+    let _ = stream.write_all(archive);
+    let mut answer = String::new();
+    let _ = stream.read_to_string(&mut answer);
+    answer
 }
 
 #[test]
@@ -230,6 +324,17 @@ fn a_run_whose_checkpoints_are_gone_is_not_said_to_have_had_none() {
         resumed(&run.path(), 0, &["6 iterations are recorded, which must end as they did"]);
     assert!(!stderr(&output).contains("before its first"), "{}", stderr(&output));
     assert_eq!(run.digests(), before);
+
+    // Under another budget they end otherwise.
+    for iteration in [5, 6] {
+        let _ = std::fs::remove_dir_all(checkpoint(&run.path(), iteration));
+    }
+    let path = run.path();
+    let longer = octopus(&["resume", text(&path), "--no-eval", "--listen=off", "--iterations=8"]);
+    let said = stderr(&longer);
+    assert!(longer.status.success(), "{said}");
+    assert!(said.contains("not compared with 6 recorded iterations"), "{said}");
+    assert!(!said.contains("must end as"), "{said}");
 }
 
 #[test]

@@ -12,6 +12,8 @@ const GARBAGE: &str = "garbage-7f3a55d1e0c2";
 fn variables_of_others_change_no_bit_and_reach_no_child() {
     let names = [
         "ATEN_CPU_CAPABILITY",
+        "C10_LOG_LEVEL",
+        "CUBLAS_WORKSPACE_CONFIG",
         "DNNL_MAX_CPU_ISA",
         "DNNL_VERBOSE",
         "GLIBC_TUNABLES",
@@ -22,11 +24,15 @@ fn variables_of_others_change_no_bit_and_reach_no_child() {
         "MKLDNN_VERBOSE",
         "MKL_CBWR",
         "MKL_NUM_THREADS",
+        "NVIDIA_TF32_OVERRIDE",
         "OMP_CANCELLATION",
         "OMP_NUM_THREADS",
         "OMP_STACKSIZE",
         "ONEDNN_DEFAULT_FPMATH_MODE",
+        "OPENBLAS_NUM_THREADS",
+        "PYTORCH_NVML_BASED_CUDA_CHECK",
         "SPACEOCTOPUS_TOKEN",
+        "TORCH_CPP_LOG_LEVEL",
     ];
     // The budget is that of the schedules, so it is the same for both.
     let flags = ["--workers=2", "--iterations=100000"];
@@ -95,6 +101,18 @@ fn a_stack_that_is_too_small_is_raised_or_named() {
 }
 
 #[test]
+fn stacks_of_threads_that_are_too_small_are_named() {
+    let output = Command::new(program("octopus"))
+        .arg("doctor")
+        .env("RUST_MIN_STACK", "1")
+        .output()
+        .expect("octopus can be started");
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(4), "{said}");
+    assert!(said.contains("RUST_MIN_STACK=1") && said.contains("2.0 MiB"), "{said}");
+}
+
+#[test]
 fn a_file_that_may_not_become_large_enough_is_named() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let args = train(&dir);
@@ -116,6 +134,45 @@ fn a_file_that_may_not_become_large_enough_is_named() {
     assert_eq!(output.status.code(), Some(4), "{said}");
     assert!(said.contains("robot.xml") && said.contains("ulimit -f unlimited"), "{said}");
     assert!(!out.exists(), "half a file is none");
+}
+
+/// No file can be made any more, though bytes are free, so that no check before finds it out.
+#[test]
+fn a_disk_that_is_full_when_a_run_is_resumed_names_what_goes_on() {
+    if !getuid().is_root() {
+        eprintln!("not root, so that no other disk can be mounted: not tried");
+        return;
+    }
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let disk = dir.path().join("disk");
+    std::fs::create_dir(&disk).expect("a directory");
+    let script = "disk=$1 octopus=$2; shift 2
+        mount -t tmpfs -o size=256M,nr_inodes=200 tmpfs \"$disk\" || exit 90
+        \"$octopus\" train trajectory --run-dir \"$disk/run\" --iterations=5 \"$@\" >&2 || exit 91
+        i=0; while : > \"$disk/$i\"; do i=$((i + 1)); done 2>/dev/null
+        exec \"$octopus\" resume \"$disk/run\" --iterations=10 --no-eval --quiet";
+    let output = Command::new("unshare")
+        .args(["--mount", "bash", "-c", script, "bash"])
+        .args([disk.as_path(), &program("octopus")])
+        .args(SMALL)
+        .args(["--workers=1", "--quiet"])
+        .stdin(Stdio::null())
+        .output()
+        .expect("util-linux is there");
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(5), "{said}");
+    let cure = format!("make room, then `octopus resume {}` goes on", disk.join("run").display());
+    assert!(said.contains("No space left on device") && said.contains(&cure), "{said}");
+    assert_eq!(said.matches("make room").count(), 1, "{said}");
+}
+
+#[test]
+fn a_shell_that_ignores_the_death_of_children_harms_no_run() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let args = train(&dir);
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let output = limited("trap '' CHLD", &[], &args);
+    assert!(output.status.success(), "{}", stderr(&output));
 }
 
 #[test]

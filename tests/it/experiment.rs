@@ -28,6 +28,13 @@ fn experiment(args: &[&str]) -> String {
     String::from_utf8(output.stdout).expect("UTF-8")
 }
 
+/// Whether a terminal of 80 columns shows every line as one.
+fn fits(table: &str) {
+    for line in table.lines() {
+        assert!(line.chars().count() <= 80, "{line}\nis too long in\n{table}");
+    }
+}
+
 fn json(args: &[&str]) -> Value {
     serde_json::from_str(&experiment(&[args, &["--json"]].concat())).expect("one JSON object")
 }
@@ -228,7 +235,11 @@ fn tables_are_for_people_and_compositions_are_policies() {
     assert_eq!(of_run, of_parts);
     assert!(of_run.starts_with("trajectory\nnot within the paper's accuracy"), "{of_run}");
     assert!(of_run.contains("\n1 episode of 20 steps"), "{of_run}");
-    assert!(of_run.contains("agent 7 orientation"), "{of_run}");
+    assert!(!of_run.contains("agent 7"), "{of_run}");
+    let agents = ["precision", "--agents", "--trajectory", &run];
+    let of_agents = experiment(&[&agents, &few[..]].concat());
+    assert!(of_agents.contains("agent 7 orientation"), "{of_agents}");
+    fits(&of_agents);
     let all = ["--policies", &dir];
     let of_both = experiment(&[&["precision"], &all[..], &few].concat());
     assert!(of_both.starts_with(of_run.trim_end()) && of_both.contains("\n\nreorientation\n"));
@@ -240,9 +251,12 @@ fn tables_are_for_people_and_compositions_are_policies() {
     ] {
         let table = experiment(&[args, &all, &few].concat());
         assert!(table.contains(word), "{table}");
+        fits(&table);
     }
     let table = experiment(&[&["reassembly", "--episodes=1", "--steps=71"], &all[..]].concat());
     assert!(table.contains("dual, the"), "{table}");
+    fits(&table);
+    fits(&of_both);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //! stands in files does not reach a terminal as it is.
 
 use std::os::unix::fs::symlink;
+use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -13,8 +14,12 @@ use tests::{Run, octopus, program, stderr};
 const WATCHDOG: Duration = Duration::from_mins(2);
 
 /// What stands in a file's place.
-const KINDS: [(&str, &str); 3] =
-    [("pipe", "a pipe"), ("directory", "a directory"), ("zero", "a device")];
+const KINDS: [(&str, &str); 4] = [
+    ("pipe", "a pipe"),
+    ("directory", "a directory"),
+    ("zero", "a device"),
+    ("socket", "a socket"),
+];
 
 fn put(kind: &str, path: &Path) {
     match kind {
@@ -24,6 +29,7 @@ fn put(kind: &str, path: &Path) {
         }
         "directory" => std::fs::create_dir(path).expect("a directory"),
         "zero" => symlink("/dev/zero", path).expect("a link"),
+        "socket" => drop(UnixListener::bind(path).expect("a socket")),
         other => panic!("{other}"),
     }
 }
@@ -79,7 +85,10 @@ fn no_command_waits_for_what_stands_in_a_files_place() {
         "metrics.jsonl",
         "evaluations.jsonl",
         "promised.jsonl",
+        "budgets.json",
+        "metrics.csv",
         "evaluation.json",
+        "logs/learner.log",
         "run.lock",
         "http.token",
         "checkpoints/.lock",
@@ -143,6 +152,7 @@ fn who_needs_the_file_says_what_is_there() {
         ("robot.toml", &["resume", "verify"]),
         ("metrics.jsonl", &["status", "resume", "verify"]),
         ("promised.jsonl", &["resume"]),
+        ("budgets.json", &["resume", "verify"]),
         ("run.lock", &["status", "resume"]),
     ] {
         for (kind, what) in KINDS {

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
-use tests::guide::{Block, Clone, blocks, documents, repository, run};
+use tests::guide::{BUDGET, Block, Budget, Clone, blocks, documents, repository, run};
 use tests::worked_example::{self, Example};
 use tests::{crosscheck, python, reference, stderr};
 
@@ -61,6 +61,15 @@ fn a_document_with_a_wrong_command_fails() {
     let output = clone.run(&[first, found[1].clone()]).expect("bash");
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("the block of line 7 failed"), "{}", stderr(&output));
+}
+
+/// A misspelt budget is refused: otherwise a short run would pass as a full one.
+#[test]
+fn a_budget_of_the_documents_that_is_not_known_is_refused() {
+    assert_eq!(Budget::named("small").expect("known"), Budget::Small);
+    assert_eq!(Budget::named("whole").expect("known"), Budget::Whole);
+    let refused = Budget::named("all").expect_err("unknown").to_string();
+    assert!(refused.contains(BUDGET) && refused.contains("small or whole"), "{refused}");
 }
 
 #[test]

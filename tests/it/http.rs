@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use rustix::fs::{FlockOperation, flock};
 use rustix::process::Signal;
 use serde_json::Value;
 use tests::{Run, assert_nothing_left, kill, octopus, program, python, stderr};
@@ -441,8 +442,15 @@ fn a_token_is_needed_and_stays_secret() {
 fn services_that_cannot_be() {
     let dir = tempfile::tempdir().expect("tempdir");
     let here = dir.path().to_str().expect("UTF-8");
-    let short = dir.path().join("short.txt");
+    let tokens = tempfile::tempdir().expect("tempdir");
+    let short = tokens.path().join("short.txt");
     std::fs::write(&short, "too-short").expect("writable");
+    let others = tokens.path().to_str().expect("UTF-8");
+    let run = trained();
+    let logs = run.path().join("logs");
+    let logs = logs.to_str().expect("UTF-8");
+    let inside = run.path().join("new");
+    let inside = inside.to_str().expect("UTF-8");
     let short = short.to_str().expect("UTF-8");
     let held = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let held = held.local_addr().expect("an address").to_string();
@@ -454,6 +462,10 @@ fn services_that_cannot_be() {
         (&["--store", here, "--token-file", "/no/such/file"], 3, &["/no/such/file"]),
         (&["--store", &missing], 5, &["missing", "--create"]),
         (&["--store", short], 5, &["no directory"]),
+        (&["--store", others], 5, &["holds \"short.txt\" and no checkpoint"]),
+        (&["--store", others, "--create"], 5, &["holds \"short.txt\" and no checkpoint"]),
+        (&["--store", logs], 5, &["which is a run directory"]),
+        (&["--store", inside, "--create"], 5, &["which is a run directory"]),
         (&["--store", here, "--listen", &held], 4, &[&held]),
         (&[], 2, &["--store"]),
     ] {
@@ -467,7 +479,104 @@ fn services_that_cannot_be() {
         assert!(!message.contains("too-short"), "a token is never shown: {message}");
         assert!(output.stdout.is_empty(), "{args:?}");
     }
-    assert!(!Path::new(&missing).exists());
+    assert!(!Path::new(&missing).exists() && !Path::new(inside).exists());
+    assert!(!tokens.path().join(".http.token").exists());
+}
+
+/// A name says nothing: whoever imports or copies a checkpoint gives it a later one.
+#[test]
+fn the_newest_of_a_run_is_what_the_run_has_come_to() {
+    let run = trained();
+    let mut other = Run::train(&["--workers=1", "--iterations=3", "--set=run.seed=8"]);
+    other.succeed();
+    let newest = |run: &Run| run.path().join("checkpoints/iteration-00000003");
+    let copied = Command::new("cp").arg("-r").args([newest(&other), newest(&run)]).status();
+    assert!(copied.expect("cp starts").success());
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    let json = |output: std::process::Output| -> Value {
+        assert!(output.status.success(), "{}", stderr(&output));
+        serde_json::from_slice(&output.stdout).expect("JSON")
+    };
+    for imported in [false, true] {
+        if imported {
+            let labels = newest(&run).join("labels.json");
+            std::fs::write(labels, r#"{"imported":true}"#).expect("writable");
+        }
+        let served = Served::start(&run.path(), &[]);
+        let (_, latest) = served.get("/v1/checkpoints/latest", "");
+        let latest: Value = serde_json::from_slice(&latest).expect("JSON");
+        assert_eq!(latest["name"], "iteration-00000002");
+        let eval = json(octopus(&["eval", path, "--episodes=2", "--steps=4", "--json"]));
+        assert_eq!(eval["iteration"], 2);
+        let status = json(octopus(&["status", path, "--json"]));
+        let newest = status["checkpoint"].as_str().expect("a path");
+        assert!(newest.ends_with("iteration-00000002"), "{newest}");
+        let explicit = ["eval", &format!("{path}:3"), "--episodes=2", "--steps=4", "--json"];
+        assert_eq!(json(octopus(&explicit))["iteration"], 3, "by its name it is found");
+    }
+}
+
+/// Whoever holds the lock of a store makes changes wait, and nothing else.
+#[test]
+fn uploads_wait_for_a_held_lock_and_reads_do_not() {
+    let run = trained();
+    let dir = tempfile::tempdir().expect("tempdir");
+    let store = dir.path().join("store");
+    let archive = dir.path().join("a.tar");
+    let (from, to) = (run.path(), archive.to_str().expect("UTF-8"));
+    let from = from.to_str().expect("UTF-8");
+    let there = store.to_str().expect("UTF-8");
+    for args in [&["export", from, "--out", to][..], &["import", to, "--store", there]] {
+        let output = octopus(&[&["checkpoints"], args].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+    let archive = std::fs::read(&archive).expect("readable");
+    let served = Served::start(&store, &[]);
+    let upload = |name: &str| {
+        let mut request = format!(
+            "PUT /v1/checkpoints/{name} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{}\
+             Content-Length: {}\r\n\r\n",
+            served.bearer(),
+            archive.len()
+        )
+        .into_bytes();
+        request.extend_from_slice(&archive);
+        split(&served.exchange(&request)).0
+    };
+    let lock = std::fs::File::open(store.join(".lock")).expect("own");
+    flock(&lock, FlockOperation::LockExclusive).expect("free");
+    let names: Vec<String> = (0..8).map(|n| format!("copy-{n}")).collect();
+    std::thread::scope(|scope| {
+        let uploads: Vec<_> = names.iter().map(|name| scope.spawn(move || upload(name))).collect();
+        // Each of them has its archive on the disk before it waits.
+        let patience = Instant::now() + Duration::from_mins(1);
+        while served.nameless_files() < 8 && Instant::now() < patience {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let one_more = upload("one-more");
+        assert!(one_more.starts_with("http/1.1 503"), "{one_more}");
+        for path in ["/v1/checkpoints", "/v1/checkpoints/latest", STATE, "/metrics", "/health"] {
+            let (head, _) = served.get(path, "");
+            assert!(head.starts_with("http/1.1 200"), "{path}: {head}");
+        }
+        // Until the first of them has lost its patience.
+        while !uploads.iter().any(|upload| upload.is_finished()) && Instant::now() < patience {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        drop(lock);
+        let answers: Vec<String> =
+            uploads.into_iter().map(|upload| upload.join().expect("answered")).collect();
+        let with = |code: &str| {
+            answers.iter().filter(|head| head.starts_with(&format!("http/1.1 {code}"))).count()
+        };
+        assert!(with("503") > 0 && with("503") + with("201") == 8, "{answers:?}");
+    });
+    let (_, list) = served.get("/v1/checkpoints", "");
+    let list: Value = serde_json::from_slice(&list).expect("JSON");
+    let names = list["checkpoints"].as_array().expect("a list").iter();
+    let names: Vec<&str> = names.map(|entry| entry["name"].as_str().expect("a name")).collect();
+    assert!(!names.contains(&"one-more") && names.contains(&"iteration-00000002"), "{names:?}");
 }
 
 #[test]
@@ -486,7 +595,7 @@ fn a_live_run_is_scaled_and_asked_from_outside() {
     let too_many = octopus(&["scale", path, "100000"]);
     assert_eq!(too_many.status.code(), Some(2), "{}", stderr(&too_many));
 
-    let client = coordinator::client::Client::of_run(&run.path(), None).expect("a service");
+    let client = service::client::Client::of_run(&run.path(), None).expect("a service");
     // The run says a few times a second what it is doing.
     let patience = Instant::now() + Duration::from_mins(1);
     let mut status = client.status().expect("answers");

@@ -8,17 +8,18 @@
 use std::path::Path;
 use std::process::Command;
 
+use proto::statistics::{mean, percentile};
 use serde_json::{Value, json};
 use simulator::collision::count_contacts;
 use simulator::dynamics::twin::inertia_matrix;
-use simulator::dynamics::{
-    Disturbance, Hand, Integrator, StepOptions, Workspace, forward_dynamics, hands, step,
-    step_disturbed,
-};
-use simulator::robot::{MjcfOptions, Model, Robot, mjcf::mjcf};
+use simulator::dynamics::{Hand, forward_dynamics, hands};
+use simulator::model::Model;
+use simulator::robot::{MjcfOptions, Robot, mjcf::mjcf};
 use simulator::scalar::{LANES, LaneFn, Real, dispatch};
 use simulator::simulate::{Precision, simulate};
 use simulator::state::State;
+use simulator::step::{Disturbance, Integrator, StepOptions, step, step_disturbed};
+use simulator::workspace::Workspace;
 
 /// Uniform numbers in ±1, the same on every machine.
 struct Noise(u64);
@@ -83,6 +84,26 @@ fn hand_names(robot: &Robot) -> Vec<String> {
 
 fn random_commands(robot: &Robot, steps: usize, noise: &mut Noise) -> Vec<Vec<f64>> {
     (0..steps).map(|_| (0..robot.n_joints()).map(|_| 0.8 * noise.next()).collect()).collect()
+}
+
+/// To the rounding of products of a dozen rotations.
+#[test]
+fn the_home_keyframe_is_the_robot_at_home() {
+    for robot in robots() {
+        let answer = ask(&json!({
+            "model": mjcf(&robot, MjcfOptions::default()),
+            "hands": hand_names(&robot),
+            "keyframe": "home",
+        }));
+        let home = State::<f64>::home(&robot);
+        assert_eq!(numbers(&answer["keyframe"]["qpos"]), qpos(&home), "{}", robot.name);
+        let model = Model::<f64>::new(&robot);
+        let mut ours = vec![Hand::default(); robot.n_arms];
+        hands(&model, &mut Workspace::new(&model), &home, &mut ours);
+        let ours: Vec<f64> = ours.iter().flat_map(|hand| hand.position).collect();
+        let worst = largest_difference(&ours, &numbers(&answer["keyframe"]["hands"]));
+        assert!(worst < 1e-12, "{}: {worst:e}", robot.name);
+    }
 }
 
 /// Inertia matrices and accelerations at random states, to 1e-9 of their largest element.
@@ -233,7 +254,7 @@ fn touching_pairs_agree_with_mujoco() {
         .collect();
     let stops: Vec<Value> = robot
         .description()
-        .stops
+        .angle_contacts
         .iter()
         .map(|s| {
             json!({
@@ -332,8 +353,7 @@ fn points(robot: &Robot, commands: &[Vec<f64>], options: &StepOptions) -> Vec<Ve
 /// Mean and 99th percentile of a sample.
 fn summary(mut errors: Vec<f64>) -> (f64, f64) {
     errors.sort_by(f64::total_cmp);
-    let at = (errors.len() as f64 * 0.99) as usize;
-    (errors.iter().sum::<f64>() / errors.len() as f64, errors[at])
+    (mean(&errors), percentile(&errors, 0.99))
 }
 
 /// What training integrates (single precision, lanes, 16 ms) is nearer to the converged solution than the authors' own scheme: at base and

@@ -185,6 +185,33 @@ fn a_token_that_others_know_is_not_shown() {
     assert_nothing_left(&domain);
 }
 
+/// The variable may hold the token of another service; the run's own is at hand.
+#[test]
+fn the_variable_for_a_token_does_not_keep_commands_from_the_runs_own() {
+    let mut run = Run::train(&["--workers=1", "--iterations=100000"]);
+    run.wait_for_iterations(1);
+    let domain = run.domain();
+    let path = run.path();
+    let there = path.to_str().expect("UTF-8");
+    for args in [
+        &["status", there, "--json"][..],
+        &["scale", there, "2"],
+        &["checkpoints", "commit", there],
+    ] {
+        let output = Command::new(tests::program("octopus"))
+            .args(args)
+            .env("SPACEOCTOPUS_TOKEN", "of-another-service-0123456789")
+            .stdin(Stdio::null())
+            .output()
+            .expect("octopus can be started");
+        assert!(output.status.success(), "{args:?}: {}", stderr(&output));
+        assert_eq!(stderr(&output), "", "{args:?}");
+    }
+    run.signal(Signal::INT);
+    run.succeed();
+    assert_nothing_left(&domain);
+}
+
 /// Whoever holds the lock of the checkpoints keeps nobody from stopping a run.
 #[test]
 fn a_run_ends_although_somebody_holds_the_lock_of_its_checkpoints() {
@@ -195,7 +222,7 @@ fn a_run_ends_although_somebody_holds_the_lock_of_its_checkpoints() {
     wait_for(&lock);
     let lock = std::fs::File::open(lock).expect("own");
     flock(&lock, FlockOperation::LockExclusive).expect("free");
-    let client = coordinator::client::Client::of_run(&run.path(), None).expect("a service");
+    let client = service::client::Client::of_run(&run.path(), None).expect("a service");
     run.signal(Signal::INT);
     // Two signals at once are one.
     let watchdog = Instant::now() + Duration::from_mins(1);

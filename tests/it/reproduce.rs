@@ -74,6 +74,10 @@ fn all_experiments_make_a_page_once() {
     let table = String::from_utf8(output.stdout).expect("UTF-8");
     assert!(table.contains("of 11 claims hold") && table.contains("report.html"), "{table}");
     assert!(table.contains("trajectory, position"), "{table}");
+    // A path is as long as it is.
+    for line in table.lines().filter(|line| !line.contains(out)) {
+        assert!(line.chars().count() <= 80, "{line}\nis too long in\n{table}");
+    }
 
     // Each file is what `octopus experiment` prints.
     let dir_of = Path::new(out);

@@ -35,12 +35,9 @@ fn entries(domain: &str) -> Vec<(PathBuf, Metadata)> {
         .collect()
 }
 
-#[test]
-fn nobody_else_can_reach_the_memory_of_a_run() {
-    let mut run = Run::train(&["--workers=2", "--iterations=100000"]);
-    run.wait_for_iterations(1);
-    let domain = run.domain();
-    let entries = entries(&domain);
+/// Whether nothing of `domain` can be reached by another user.
+fn assert_is_private(domain: &str) {
+    let entries = entries(domain);
     let [(root, metadata)] = &entries[..] else { panic!("more than a directory: {entries:?}") };
     assert!(metadata.is_dir());
     assert_eq!(metadata.mode() & 0o777, 0o700, "{}", root.display());
@@ -64,8 +61,50 @@ fn nobody_else_can_reach_the_memory_of_a_run() {
     } else {
         eprintln!("not root: other users were not tried, only modes");
     }
+}
+
+#[test]
+fn nobody_else_can_reach_the_memory_of_a_run() {
+    let mut run = Run::train(&["--workers=2", "--iterations=100000"]);
+    run.wait_for_iterations(1);
+    let domain = run.domain();
+    assert_is_private(&domain);
     run.signal(Signal::INT);
     run.succeed();
+    assert_nothing_left(&domain);
+}
+
+#[test]
+fn a_umask_of_nothing_opens_the_memory_of_a_run_to_nobody() {
+    let run = Run::new();
+    let mut process = tests::Owned::spawn(
+        Command::new("sh")
+            .args(["-c", "umask 0 && exec \"$@\"", "sh"])
+            .arg(program("octopus"))
+            .args(["train", "trajectory", "--run-dir"])
+            .arg(run.path())
+            .args(SMALL)
+            .args(["--workers=2", "--iterations=100000", "--quiet"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null()),
+    );
+    let patience = Instant::now() + Duration::from_mins(2);
+    while run.metrics().is_empty() {
+        assert!(Instant::now() < patience && process.ended().is_none(), "no iteration");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let domain = run.domain();
+    assert_is_private(&domain);
+    kill(process.id(), Signal::INT);
+    let status = loop {
+        if let Some(status) = process.ended() {
+            break status;
+        }
+        assert!(Instant::now() < patience, "it hangs");
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert_eq!(status.code(), Some(0));
     assert_nothing_left(&domain);
 }
 
@@ -167,19 +206,23 @@ impl Confined {
 #[test]
 fn shared_memory_that_fills_up_later_harms_no_run() {
     let flags = ["--workers=2", "--iterations=40"];
-    let Some(mut run) = Confined::train(256, &flags) else { return };
-    run.wait_until("training", |run| run.iterations().len() >= 2);
-    run.fill();
-    // A successor takes the memory of who has died.
-    let path = run.dir.path().join("run").display().to_string();
-    let workers = processes_with(&path).into_iter().filter(|(_, name)| name == "sim-worker");
-    kill(workers.map(|(pid, _)| pid).next().expect("a worker"), Signal::KILL);
-    assert_eq!(run.end(), Some(0), "{}", run.log());
-
     let mut calm = Run::train(&flags);
     calm.succeed();
     let calm: Vec<String> = calm.digests().iter().map(|digest| format!("\"{digest}\"")).collect();
-    assert_eq!(run.iterations(), calm);
+
+    // A successor takes the memory of who has died; after the learner's death all are such.
+    for victim in ["sim-worker", "learner"] {
+        let Some(mut run) = Confined::train(256, &flags) else { return };
+        run.wait_until("training", |run| run.iterations().len() >= 2);
+        run.fill();
+        let path = run.dir.path().join("run").display().to_string();
+        let all = processes_with(&path).into_iter();
+        let mut victims = all.filter(|(_, name)| name == victim).map(|(pid, _)| pid);
+        kill(victims.next().expect("one of them"), Signal::KILL);
+        assert_eq!(run.end(), Some(0), "{victim}: {}", run.log());
+        assert!(run.log().contains("died (signal 9)"), "{victim}: {}", run.log());
+        assert_eq!(run.iterations(), calm, "{victim}");
+    }
 }
 
 #[test]

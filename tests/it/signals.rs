@@ -1,10 +1,12 @@
 //! Signals to one process and to all, processes that stand still, and locks that somebody holds.
 
 use std::fs::File;
+use std::io::Write as _;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FlockOperation, OFlags, fcntl_getfl, fcntl_setfl, flock};
+use rustix::pipe::fcntl_setpipe_size;
 use rustix::process::Signal;
 use serde_json::Value;
 use tests::chaos::observe::everybody;
@@ -89,6 +91,47 @@ fn a_closed_terminal_ends_a_run_in_order() {
     assert_stopped_in_order(&run, &domain);
 }
 
+/// A terminal that is held with Ctrl-S, or `2>&1 | less`: whoever says something waits for ever, and so did
+/// the thread that was to end the process all the same.
+#[test]
+fn a_second_request_ends_a_run_whose_standard_error_nobody_reads() {
+    let run = Run::new();
+    let dir = format!("--run-dir={}", run.path().display());
+    let (reader, mut writer) = std::io::pipe().expect("a pipe");
+    fcntl_setpipe_size(&writer, 4096).expect("a small pipe");
+    let mut command = Command::new(program("octopus"));
+    command.args(["train", "trajectory", &dir, "--quiet"]).args(SMALL).args(LONG);
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    command.stderr(writer.try_clone().expect("a pipe"));
+    let mut process = Owned::spawn(&mut command);
+    drop(command);
+    let patience = Instant::now() + Duration::from_mins(2);
+    while run.metrics().len() < 3 {
+        assert!(Instant::now() < patience && process.ended().is_none(), "no iterations");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let domain = run.domain();
+    // Full, to the last byte.
+    let flags = fcntl_getfl(&writer).expect("a pipe");
+    fcntl_setfl(&writer, flags | OFlags::NONBLOCK).expect("a pipe");
+    while writer.write(b".").is_ok() {}
+    fcntl_setfl(&writer, flags).expect("a pipe");
+    for _ in 0..2 {
+        kill(process.id(), Signal::TERM);
+        std::thread::sleep(Duration::from_secs(1));
+    }
+    let status = loop {
+        if let Some(status) = process.ended() {
+            break status;
+        }
+        assert!(Instant::now() < patience, "it hangs");
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert_eq!(status.code(), Some(130));
+    drop(reader);
+    assert_nothing_left(&domain);
+}
+
 #[test]
 fn a_learner_that_dies_while_the_run_is_stopping_is_no_stop_in_order() {
     let (mut run, domain) = under_way(LONG);
@@ -159,6 +202,30 @@ fn a_coordinator_that_stood_still_for_longer_than_its_deadlines_goes_on_with_its
     assert_nothing_left(&domain);
 }
 
+/// The queue of what workers say holds half a minute of it: after that their first word was lost, nobody gave
+/// them orders, and no deadline found that out.
+#[test]
+#[ignore = "stands still for 40 s"]
+fn a_coordinator_stopped_while_workers_come_up_uses_them_afterwards() {
+    let flags = ["--workers=2", "--iterations=40"];
+    let mut calm = Run::train(&flags);
+    calm.succeed();
+
+    let mut run = Run::train(&flags);
+    let domain = run.domain_when_there();
+    let patience = Instant::now() + Duration::from_mins(1);
+    while run.children("sim-worker").is_empty() {
+        assert!(Instant::now() < patience, "{}", run.log());
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    run.signal(Signal::STOP);
+    std::thread::sleep(Duration::from_secs(40));
+    run.signal(Signal::CONT);
+    run.succeed();
+    assert_eq!(run.digests(), calm.digests());
+    assert_nothing_left(&domain);
+}
+
 #[test]
 fn more_workers_than_a_short_queue_has_room_for_get_all_their_orders() {
     let (run, domain) = {
@@ -210,4 +277,20 @@ fn a_training_that_diverges_says_so_at_once_and_in_the_end() {
     assert!(out.status.success(), "{}", stderr(&out));
     let said = String::from_utf8_lossy(&out.stdout).into_owned();
     assert!(said.contains("the training has diverged in iteration"), "{said}");
+}
+
+/// Nothing but the rate is wrong, as in a first attempt: the preset's own limit on an update does not hide it.
+#[test]
+fn a_training_with_far_too_large_a_rate_ends_with_a_warning_on_standard_output() {
+    let run = Run::new();
+    let dir = format!("--run-dir={}", run.path().display());
+    let own = [&*dir, "--workers=2", "--iterations=12", "--set=optimizer.actor_lr=10.0", "--quiet"];
+    let args: Vec<&str> =
+        ["train", "trajectory"].iter().chain(SMALL).chain(&own).copied().collect();
+    let out = octopus(&args);
+    assert!(out.status.success(), "{}", stderr(&out));
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    let warning = "warning: the training has diverged in iteration";
+    assert_eq!(said.matches(warning).count(), 1, "{said}");
+    assert!(stderr(&out).contains(warning), "{}", stderr(&out));
 }

@@ -198,3 +198,111 @@ fn a_replay_that_is_stopped_leaves_nothing() {
     let here = temporary.path().to_str().expect("UTF-8");
     assert_eq!(processes_with(here), [], "processes are left");
 }
+
+fn promised_are(text: &str) -> bool {
+    text.contains("The same bits are promised here")
+}
+
+fn checkpoint(run: &Run, iteration: u64) -> PathBuf {
+    run.path().join(format!("checkpoints/iteration-{iteration:08}"))
+}
+
+/// The learning rate falls over the budget: until a resume changes it, over the one before.
+#[test]
+fn a_budget_that_was_changed_is_no_defect() {
+    let kept = "--set=run.checkpoints_kept=9";
+    let mut changed = finished(&["--workers=2", "--overlap=0", "--iterations=8", kept]);
+    changed.resume(&["--iterations=10"]);
+    changed.succeed();
+    let path = shown(&changed);
+    for (through, from) in [(3, 0), (6, 5), (9, 8)] {
+        let result = verify(&[&path, "--replay", &through.to_string()], 0);
+        assert_eq!(
+            (&result["from"], &result["promised"]),
+            (&from.into(), &true.into()),
+            "{result}"
+        );
+        assert_eq!(result["agreeing"], through + 1 - from, "{result}");
+    }
+    // With the same budget in the end, but not on the way.
+    let straight = finished(&["--workers=2", "--overlap=0", "--iterations=10"]);
+    assert_ne!(straight.digests()[..8], changed.digests()[..8], "another course");
+    let output = octopus(&["verify", &path, &shown(&straight)]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(!promised_are(&text) && text.contains("1280 from iteration 8"), "{text}");
+
+    // Nothing is left of where the other budget began.
+    std::fs::remove_dir_all(checkpoint(&changed, 8)).expect("removable");
+    let output = octopus(&["verify", &path, "--replay=9"]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("the same for 3 iterations; none differs"), "{text}");
+    assert!(stderr(&output).contains("another from iteration 8 on"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_replay_begins_from_no_foreign_and_no_damaged_checkpoint() {
+    let flags = ["--workers=2", "--overlap=0", "--iterations=12"];
+    let run = finished(&flags);
+    let other = finished(&[&flags[..2], &["--iterations=7", "--set=run.seed=8"]].concat());
+    let copied =
+        Command::new("cp").arg("-r").args([checkpoint(&other, 7), checkpoint(&run, 7)]).status();
+    assert!(copied.expect("cp starts").success());
+    let path = shown(&run);
+    let again = || {
+        let output = octopus(&["verify", &path, "--replay=8"]);
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{text}\n{}", stderr(&output));
+        stderr(&output)
+    };
+    let said = again();
+    assert!(said.contains("iteration-00000007: has digest"), "{said}");
+    assert!(said.contains("training again from checkpoint 5 instead"), "{said}");
+    // What is newer than the iteration was never asked for.
+    for iteration in [5, 10] {
+        std::fs::write(checkpoint(&run, iteration).join("state.safetensors"), "short")
+            .expect("own");
+    }
+    let said = again();
+    assert_eq!(said.matches("iteration-00000005/state.safetensors").count(), 1, "{said}");
+    assert!(said.contains("training again from nothing instead"), "{said}");
+    assert!(!said.contains("iteration-00000010") && !said.contains("before"), "{said}");
+}
+
+#[test]
+fn a_replay_whose_learner_is_killed_goes_on() {
+    let run =
+        finished(&["--workers=2", "--overlap=1", "--iterations=150", "--set=run.keep_every=5"]);
+    for iteration in (25..=150).step_by(5) {
+        let _ = std::fs::remove_dir_all(checkpoint(&run, iteration));
+    }
+    let temporary = tempfile::tempdir().expect("tempdir");
+    let process = start(&[&shown(&run), "--replay=149", "--json"], temporary.path());
+    let here = temporary.path().to_str().expect("UTF-8").to_owned();
+    let begun = || {
+        let mut runs = std::fs::read_dir(temporary.path()).expect("readable").flatten();
+        runs.any(|run| {
+            let metrics = std::fs::metadata(run.path().join("metrics.jsonl"));
+            metrics.is_ok_and(|metrics| metrics.len() > 0)
+        })
+    };
+    let watchdog = Instant::now() + Duration::from_mins(2);
+    while !begun() && Instant::now() < watchdog {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let learners = processes_with(&here);
+    let learners: Vec<u32> =
+        learners.into_iter().filter(|(_, name)| name == "learner").map(|(pid, _)| pid).collect();
+    for &learner in &learners {
+        kill(learner, Signal::KILL);
+    }
+    let output = end(process);
+    assert_eq!(learners.len(), 1, "{}", stderr(&output));
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(stderr(&output).contains("going on from iteration 20"), "{}", stderr(&output));
+    let result: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!((&result["from"], &result["agreeing"]), (&20.into(), &130.into()), "{result}");
+    assert!(is_empty(temporary.path()), "temporary files are left");
+    assert_eq!(processes_with(&here), [], "processes are left");
+}

@@ -1,35 +1,30 @@
-//! A group of actors: their steps over the epochs and mini-batches of an iteration.
+//! A group of actors: what it holds, reads, and comes to.
 //!
 //! Letters as in [`super`].
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 
 use proto::layout::{BlockLayout, Dimensions};
-use proto::rng::{Address, Purpose, permutation};
-use tch::{Device, Kind, Tensor};
+use tch::{Device, Kind};
 
-use super::samples::{Samples, actor_input, chunks, columns, moments, shared_input};
-use super::{Options, Trace};
-use crate::LearnerError;
+use super::options::Options;
 use crate::actors::Actors;
-use crate::descent::{Half, Learned, check};
-use crate::loss::ActorSamples;
-use crate::report::{Sums, UpdateReport, add};
-use crate::value_norm::ValueNorm;
+use crate::descent::NetworkPasses;
+use crate::report::UpdateReport;
 
 /// Actors that are computed together.
 #[derive(Debug)]
 pub(super) struct Group {
     pub(super) actors: Actors,
-    pub(super) actor: Half,
-    pub(super) critic: Half,
+    pub(super) actor: NetworkPasses,
+    pub(super) critic: NetworkPasses,
     pub(super) chunk_rows: i64,
     pub(super) device: Device,
     pub(super) kind: Kind,
 }
 
 /// What all groups read.
-pub(super) struct Job<'a> {
+pub(super) struct IterationInputs<'a> {
     pub(super) shards: &'a [&'a [f32]],
     pub(super) layout: &'a BlockLayout,
     pub(super) dimensions: &'a Dimensions,
@@ -45,208 +40,10 @@ pub(super) struct Job<'a> {
 }
 
 /// What a group's update came to.
-pub(super) struct Outcome {
+pub(super) struct GroupUpdate {
     pub(super) actor_steps: Vec<i64>,
     pub(super) critic_steps: Vec<i64>,
     /// Mean KL divergence over the last epoch's mini-batches, one an actor.
     pub(super) last_kl: Vec<f64>,
     pub(super) report: UpdateReport,
-}
-
-impl Group {
-    /// Trains `actor` and `critic`, the group's part of the state.
-    pub(super) fn update(
-        &mut self,
-        job: &Job<'_>,
-        actor: &mut Learned,
-        critic: &mut Learned,
-        mut value_norm: ValueNorm,
-        mut trace: Option<&mut Trace>,
-    ) -> Result<Outcome, LearnerError> {
-        let options = job.options;
-        let a = self.actors.len;
-        let samples = self.prepare(job, &critic.flat, &value_norm, trace.as_deref_mut());
-        let m = (job.dimensions.n_steps * job.dimensions.n_envs * job.shards.len()) as i64;
-        for half in [&mut self.actor, &mut self.critic] {
-            half.record(trace.is_some());
-        }
-        let mut sums = Sums::new(a);
-        let mut active = vec![true; a];
-        let mut last_kl = vec![0.0; a];
-        for epoch in 0..options.epochs {
-            last_kl.fill(0.0);
-            let moments = options.value_norm_beta.map(|beta| {
-                value_norm.update(&samples.returns, beta);
-                moments(&value_norm)
-            });
-            let order = Tensor::from_slice(&permutation(
-                Address {
-                    seed: options.seed,
-                    purpose: Purpose::Permutation,
-                    iteration: job.iteration as u32,
-                    env: epoch as u32,
-                    step: 0,
-                    index: 0,
-                },
-                m as usize,
-            ))
-            .to_device(self.device);
-            for mini_batch in 0..options.mini_batches {
-                let bound = |i: usize| (i as i64) * m / options.mini_batches as i64;
-                let start = bound(mini_batch);
-                let rows = order.narrow(0, start, bound(mini_batch + 1) - start);
-                let step = (epoch, mini_batch);
-                job.work.fetch_add(1, Ordering::Relaxed);
-                // Actors that are held back stay where they are; how far that is, only steering asks for.
-                let idle = !active.contains(&true) && options.target_kl == 0.0 && trace.is_none();
-                if !idle {
-                    let kl =
-                        self.actor_step(job, actor, &samples, &rows, &mut active, &mut sums, step)?;
-                    add(&mut last_kl, kl.iter().map(|kl| kl / options.mini_batches as f64));
-                }
-                self.critic_step(job, critic, &samples, &rows, moments.as_ref(), &mut sums, step)?;
-                if let Some(trace) = trace.as_deref_mut() {
-                    let recorded = |half: &Half| {
-                        half.recorded.as_ref().map(Tensor::shallow_clone).expect("recorded")
-                    };
-                    trace.gradients.push((recorded(&self.actor), recorded(&self.critic)));
-                    trace.losses.push((sums.last_policy.clone(), sums.last_value.clone()));
-                    trace.rows.push(Vec::<i64>::try_from(&rows).expect("row numbers"));
-                }
-            }
-        }
-        let parameter = actor.spec.view("log_std", &actor.flat);
-        let numbers = |tensor: Tensor| {
-            Vec::<f64>::try_from(tensor.to_kind(Kind::Double)).expect("one number an actor")
-        };
-        let std = options.actor_loss.log_std(&parameter).exp();
-        let report = UpdateReport {
-            entropy: numbers(options.actor_loss.entropy(&parameter)),
-            action_std: numbers(std.mean_dim(&[1i64][..], false, None)),
-            explained_variance: samples.explained_variance,
-            returns: samples.episode_return,
-            ..sums.means()
-        };
-        Ok(Outcome {
-            actor_steps: actor.adam.steps.clone(),
-            critic_steps: critic.adam.steps.clone(),
-            last_kl,
-            report,
-        })
-    }
-
-    /// A step of the actors on the samples of `rows`; returns how far each had moved before it, as the
-    /// divergence KL(old ‖ new).
-    #[expect(clippy::too_many_arguments, reason = "one call site; a struct would only rename them")]
-    fn actor_step(
-        &mut self,
-        job: &Job<'_>,
-        learned: &mut Learned,
-        samples: &Samples,
-        rows: &Tensor,
-        active: &mut [bool],
-        sums: &mut Sums,
-        step: (usize, usize),
-    ) -> Result<Vec<f64>, LearnerError> {
-        let loss = &job.options.actor_loss;
-        let a = self.actors.len as i64;
-        let u = job.dimensions.actor_output() as i64;
-        let batch = rows.size()[0];
-        let Half { compute, gradient, .. } = &mut self.actor;
-        let _ = gradient.zero_();
-        compute.load(&learned.flat);
-        let parameter = learned.spec.view("log_std", &learned.flat);
-        let options = (Kind::Float, self.device);
-        let mut log_std_gradient = Tensor::zeros([a, u], options);
-        let mut statistics = Tensor::zeros([a, 3], options);
-        for chunk in chunks(batch, self.chunk_rows) {
-            let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
-            let x = actor_input(&samples.observation.index_select(0, &rows), a);
-            let columns = columns(&samples.actor.index_select(0, &rows), a);
-            let samples = ActorSamples {
-                action: columns.narrow(1, 0, u),
-                old_log_prob: columns.select(1, u),
-                advantage: columns.select(1, u + 1),
-            };
-            let output = compute.forward(&x);
-            let part = loss.gradient(&output, &parameter, &samples, batch);
-            compute.backward(&x, &part.output, gradient);
-            let _ = log_std_gradient.g_add_(&part.log_std);
-            let _ = statistics.g_add_(&part.sums);
-        }
-        compute.unfold(&learned.flat, gradient);
-        let mut slot = learned.spec.view("log_std", gradient);
-        slot.copy_(&loss.finish_log_std(&log_std_gradient, &parameter));
-        let statistics = Vec::<f32>::try_from((statistics / batch as f64).view([-1]))
-            .expect("three numbers an agent");
-        let column = |index: usize| statistics.iter().skip(index).step_by(3).map(|&x| f64::from(x));
-        let mut kl: Vec<f64> = column(1).collect();
-        average_over_networks(&mut kl, learned.spec.n_networks);
-        if job.options.max_kl > 0.0 {
-            for (active, &kl) in active.iter_mut().zip(&kl) {
-                *active &= kl <= job.options.max_kl;
-            }
-        }
-        let rates: Vec<f64> = self.actors.iter().map(|actor| job.actor_lr[actor]).collect();
-        let norms = job.options.descent.step(learned, &mut self.actor, &rates, active);
-        check(&norms, "actor", self.actors, job.iteration, step)?;
-        loss.project(&learned.spec.view("log_std", &learned.flat));
-        sums.actor(column(0), column(1), column(2), &norms);
-        Ok(kl)
-    }
-
-    /// A step of the critics on the samples of `rows`; `moments` are those of the returns, if they are normalised.
-    #[expect(clippy::too_many_arguments, reason = "one call site; a struct would only rename them")]
-    fn critic_step(
-        &mut self,
-        job: &Job<'_>,
-        learned: &mut Learned,
-        samples: &Samples,
-        rows: &Tensor,
-        moments: Option<&(Tensor, Tensor)>,
-        sums: &mut Sums,
-        step: (usize, usize),
-    ) -> Result<(), LearnerError> {
-        let a = self.actors.len as i64;
-        let batch = rows.size()[0];
-        let Half { compute, gradient, .. } = &mut self.critic;
-        let _ = gradient.zero_();
-        compute.load(&learned.flat);
-        let mut total = Tensor::zeros([a], (Kind::Float, self.device));
-        for chunk in chunks(batch, self.chunk_rows) {
-            let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
-            let x = match &samples.state {
-                Some(state) => shared_input(&state.index_select(0, &rows), a),
-                None => actor_input(&samples.observation.index_select(0, &rows), a),
-            };
-            let columns = columns(&samples.critic.index_select(0, &rows), a);
-            let old = columns.select(1, 0);
-            let target = match moments {
-                Some((mean, std)) => (columns.select(1, 1) - mean) / std,
-                None => columns.select(1, 1),
-            };
-            let value = compute.forward(&x).squeeze_dim(1);
-            let (d_value, sum) = job.options.critic_loss.gradient(&value, &old, &target, batch);
-            compute.backward(&x, &d_value.unsqueeze(1), gradient);
-            let _ = total.g_add_(&sum);
-        }
-        compute.unfold(&learned.flat, gradient);
-        let active = vec![true; self.actors.len];
-        let rates = vec![job.critic_lr; self.actors.len];
-        let norms = job.options.descent.step(learned, &mut self.critic, &rates, &active);
-        check(&norms, "critic", self.actors, job.iteration, step)?;
-        let losses = Vec::<f32>::try_from(total / batch as f64).expect("one number an agent");
-        sums.critic(losses.into_iter().map(f64::from), &norms);
-        Ok(())
-    }
-}
-
-/// Gives every `networks`-th entry their mean.
-fn average_over_networks(values: &mut [f64], networks: usize) {
-    let each = values.len() / networks;
-    for network in 0..networks {
-        let of_network = values.iter().skip(network).step_by(networks);
-        let mean = of_network.sum::<f64>() / each as f64;
-        values.iter_mut().skip(network).step_by(networks).for_each(|value| *value = mean);
-    }
 }

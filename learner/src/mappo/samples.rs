@@ -8,8 +8,8 @@ use std::ops::Range;
 use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 use tch::{Kind, Tensor};
 
-use super::Trace;
-use super::group::{Group, Job};
+use super::MappoTrace;
+use super::group::{Group, IterationInputs};
 use crate::actors::Actors;
 use crate::gae::standardise;
 use crate::memory::view;
@@ -32,12 +32,13 @@ pub(super) struct Samples {
 
 impl Group {
     /// Normalises inputs, predicts values, estimates advantages, packs samples.
+    #[expect(unsafe_code, reason = "only here is it known how long a shard's tensors live")]
     pub(super) fn prepare(
         &mut self,
-        job: &Job<'_>,
+        job: &IterationInputs<'_>,
         critic: &Tensor,
         value_norm: &ValueNorm,
-        trace: Option<&mut Trace>,
+        trace: Option<&mut MappoTrace>,
     ) -> Samples {
         let Dimensions { n_agents, n_steps, n_envs, observation, state, .. } = *job.dimensions;
         let (input, g) = (job.dimensions.actor_input(), job.dimensions.agents_per_actor());
@@ -71,9 +72,14 @@ impl Group {
         let state_norm = moments_of(&job.state_norm, Actors::all(1), state);
         let actor_columns = actor.view([t, e, a, u + 2]);
         for (index, shard) in job.shards.iter().enumerate() {
+            let in_place = |range: &Range<usize>, shape: &[i64]| {
+                // SAFETY: `job` borrows the shards for longer than this function runs. What is made of
+                // one is read, copied into the tensors above, and gone at the end of this turn.
+                unsafe { view(&shard[range.clone()], shape) }
+            };
             let of_actors = |range: &Range<usize>, shape: &[i64]| {
                 let shape = [&[(n_agents as i64) / g, g][..], shape].concat();
-                self.actors.rows(view(&shard[range.clone()], &shape).tensor())
+                self.actors.rows(&in_place(range, &shape))
             };
             let first = index as i64 * n;
             // With one agent an actor, bringing G beside the features moves nothing.
@@ -84,8 +90,7 @@ impl Group {
             let mut slot = observations.view([t + 1, e, a, o]).narrow(1, first, n);
             slot.copy_(&x.permute([1, 2, 0, 3]));
             if let Some(states) = &states {
-                let x = view(&shard[job.layout.state.clone()], &[1, t + 1, n, s]);
-                let x = x.tensor().to_device(self.device);
+                let x = in_place(&job.layout.state, &[1, t + 1, n, s]).to_device(self.device);
                 let x = options.normalisation.normalise(&x, state_norm.as_ref());
                 let mut slot = states.view([t + 1, e, s]).narrow(1, first, n);
                 slot.copy_(&x.squeeze_dim(0));
@@ -100,8 +105,7 @@ impl Group {
             for (flags, range) in
                 [(&terminated, &job.layout.terminated), (&truncated, &job.layout.truncated)]
             {
-                let shard_flags = view(&shard[range.clone()], &[t, n]);
-                flags.narrow(1, first, n).copy_(shard_flags.tensor());
+                flags.narrow(1, first, n).copy_(&in_place(range, &[t, n]));
             }
         }
 

@@ -1,12 +1,17 @@
 use std::sync::atomic::Ordering;
 
-use proto::config::{Layers, Preset, TaskName};
+use proto::config::{Config, Layers, Preset, TaskName};
+use proto::layout::{BlockLayout, Dimensions};
 use proto::rng::{Address, Purpose};
-use tch::{Device, Kind};
+use tch::{Device, Kind, Tensor};
 
+use super::update::steered;
 use super::*;
+use crate::descent::learning_rates;
 use crate::mlp::Compute;
 use crate::precision::Arithmetic;
+use crate::report::UpdateReport;
+use crate::state::{NetworkState, TrainingState};
 use crate::synthetic::blocks;
 
 /// A small run: 2 shards of 4 environments, 5 steps.
@@ -269,14 +274,14 @@ fn nothing_is_computed_for_actors_that_are_held_back() {
     let _alone = crate::alone();
     // Log-probabilities of the synthetic blocks are not the network's: over the limit soon.
     let config = config(&["algorithm.max_kl=0.02", "algorithm.name=ppo", "run.learner_threads=1"]);
-    let update = |trace: Option<&mut Trace>| {
+    let update = |trace: Option<&mut MappoTrace>| {
         let mut run = Run::new(&config, Arithmetic::F32);
         let blocks = blocks(&run.dimensions, 1);
         let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
         let report = run.mappo.update_traced(&mut run.state, &shards, trace).expect("finite");
         (run.state.digest(), run.state.actor.adam.steps.clone(), report)
     };
-    let mut trace = Trace::default();
+    let mut trace = MappoTrace::default();
     // A trace has every step's gradient, also of steps that are not made.
     let (all, steps, every) = update(Some(&mut trace));
     let (spared, _, made) = update(None);

@@ -1,8 +1,13 @@
 use proto::config::{Config, Layers, Preset};
 use proto::layout::Dimensions;
 
+use proto::config::Activation;
+use tch::{Device, Kind, Tensor};
+
+use super::torch::TorchPasses;
 use super::*;
-use crate::network::NetworkKind;
+use crate::layer_norm::standardise_input;
+use crate::network::{NetworkKind, NetworkSpec};
 use crate::precision::Arithmetic;
 
 fn config(assignments: &[&str]) -> Config {
@@ -91,7 +96,7 @@ fn compare(
         let mut compute =
             Compute::new(&spec, config.network.activation, 2, arithmetic.kind(), Device::Cpu);
         if !fused {
-            compute.fused = None;
+            compute.passes = Box::new(TorchPasses::new(&compute.stack));
         }
         // A larger chunk first: later ones use the beginning of its buffers.
         let larger = Tensor::randn([a, b + 7, spec.input], options).to_kind(arithmetic.kind());

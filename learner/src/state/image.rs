@@ -9,7 +9,8 @@ use std::ops::Range;
 
 use safetensors::SafeTensors;
 
-use super::{POLICY_PREFIX, TrainingState};
+use super::TrainingState;
+use super::file::POLICY_PREFIX;
 
 /// What all files of a run's states have in common.
 #[derive(Debug)]

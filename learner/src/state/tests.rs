@@ -1,7 +1,12 @@
-use proto::config::{Layers, Preset};
+use proto::DigestBuilder;
+use proto::config::{Config, Layers, Preset};
+use proto::layout::{ActorLayout, Dimensions};
+use safetensors::SafeTensors;
+use tch::Device;
 
 use super::image::Image;
 use super::*;
+use crate::precision::Arithmetic;
 
 fn config(assignments: &[&str]) -> Config {
     ["network.hidden=[8]", "network.critic_hidden=[]", "env.n_envs=8"]

@@ -3,10 +3,11 @@
 //! **An algorithm's settings are data.** What `--algorithm` changes in a preset stands in the preset's
 //! `[for.ALGORITHM]`, beside the changes for a task, and any later layer overrides it.
 
-use std::path::Path;
+use std::collections::BTreeMap;
 
 use toml::{Table, Value};
 
+use super::typed::{found, typed, wanted};
 use super::{AlgorithmName, Config, TaskName};
 use crate::ConfigError;
 
@@ -52,13 +53,6 @@ impl Layers {
     /// Starts from `preset`; a `task` given here wins over any layer's `task.name`.
     pub fn new(preset: Preset, task: Option<TaskName>) -> Self {
         Self { preset, task, overlays: Vec::new() }
-    }
-
-    /// Adds a file.
-    pub fn file(self, path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
-        self.text(&text, &path.display().to_string())
     }
 
     /// Adds TOML text that came from `origin`.
@@ -114,16 +108,14 @@ impl Layers {
             layers.push((origin.clone(), overlay));
             layers.extend(conditional_changes(conditional, &chosen, origin)?);
         }
+        let mut origins = BTreeMap::new();
         for (origin, layer) in &layers {
-            merge(&mut base, layer, origin, "")?;
+            merge(&mut base, layer, origin, "", &mut origins)?;
         }
         set_task(&mut base, &task);
 
-        let origin =
-            layers.iter().map(|(origin, _)| origin.as_str()).collect::<Vec<_>>().join(" + ");
-        let config: Config = Value::Table(base).try_into().map_err(|error: toml::de::Error| {
-            ConfigError::Syntax { origin, message: error.to_string().trim().replace('\n', " ") }
-        })?;
+        let origin_of = |key: &str| origins.get(key).copied().unwrap_or(&origin).to_owned();
+        let config = typed(base, origin_of)?;
         config.validate()?;
         Ok(config)
     }
@@ -201,15 +193,22 @@ fn set_task(base: &mut Table, task: &str) {
     }
 }
 
-fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
+pub(super) fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
     text.parse::<Table>().map_err(|error| ConfigError::Syntax {
         origin: origin.to_owned(),
         message: error.to_string().trim_end().to_owned(),
     })
 }
 
-/// Overrides `base` by `overlay`; `base` holds every key that exists, with a value of its type.
-fn merge(base: &mut Table, overlay: &Table, origin: &str, prefix: &str) -> Result<(), ConfigError> {
+/// Overrides `base` by `overlay`; `base` holds every key that exists, with a value of its type. `origins` gets to know
+/// whose value a key has.
+fn merge<'a>(
+    base: &mut Table,
+    overlay: &Table,
+    origin: &'a str,
+    prefix: &str,
+    origins: &mut BTreeMap<String, &'a str>,
+) -> Result<(), ConfigError> {
     for (name, value) in overlay {
         let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
         let Some(slot) = base.get_mut(name) else {
@@ -219,34 +218,49 @@ fn merge(base: &mut Table, overlay: &Table, origin: &str, prefix: &str) -> Resul
                 key,
             });
         };
-        match (slot, value) {
-            (Value::Table(slot), Value::Table(value)) => merge(slot, value, origin, &key)?,
-            // TOML writes 1 where a person means 1.0.
-            (slot @ Value::Float(_), Value::Integer(value)) => *slot = Value::Float(*value as f64),
-            // Large budgets are written as 2e6.
-            (slot @ Value::Integer(_), Value::Float(value))
-                if value.fract() == 0.0 && value.abs() < 9e15 =>
-            {
-                *slot = Value::Integer(*value as i64);
-            }
-            (slot, value) if slot.same_type(value) => *slot = value.clone(),
-            (slot, value) => {
-                let kind = slot.type_str();
-                let article = if kind.starts_with(['a', 'i']) { "an" } else { "a" };
-                return Err(ConfigError::WrongType {
-                    origin: origin.to_owned(),
-                    key,
-                    expected: format!("{article} {kind} such as {slot}"),
-                    found: format!("the {} {value}", value.type_str()),
-                });
-            }
+        if let (Value::Table(slot), Value::Table(value)) = (&mut *slot, value) {
+            merge(slot, value, origin, &key, origins)?;
+            continue;
         }
+        let Some(taken) = taken(slot, value) else {
+            return Err(ConfigError::WrongType {
+                origin: origin.to_owned(),
+                key,
+                expected: wanted(slot),
+                found: found(value),
+            });
+        };
+        *slot = taken;
+        origins.insert(key, origin);
     }
     Ok(())
 }
 
+/// The value as a key takes it that has one like `slot`, if it does.
+fn taken(slot: &Value, value: &Value) -> Option<Value> {
+    match (slot, value) {
+        // TOML writes 1 where a person means 1.0.
+        (Value::Float(_), Value::Integer(value)) => Some(Value::Float(*value as f64)),
+        // No key counts below zero.
+        (Value::Integer(_), Value::Integer(value)) if *value < 0 => None,
+        // Large budgets are written as 2e6.
+        (Value::Integer(_), Value::Float(value))
+            if value.fract() == 0.0 && (0.0..9e15).contains(value) =>
+        {
+            Some(Value::Integer(*value as i64))
+        }
+        // All lists are of counts.
+        (Value::Array(_), Value::Array(values)) => values
+            .iter()
+            .map(|value| taken(&Value::Integer(0), value))
+            .collect::<Option<_>>()
+            .map(Value::Array),
+        (slot, value) => slot.same_type(value).then(|| value.clone()),
+    }
+}
+
 /// The nearest existing name, or all of them.
-fn hint(name: &str, group: &Table) -> String {
+pub(super) fn hint(name: &str, group: &Table) -> String {
     let near = group
         .keys()
         .map(|key| (edit_distance(name, key), key))

@@ -25,6 +25,7 @@ mod network;
 mod optimizer;
 mod run;
 mod task;
+mod typed;
 mod validation;
 
 use serde::{Deserialize, Serialize};
@@ -88,10 +89,7 @@ impl Config {
 
     /// Reads a resolved configuration, as `config.toml` of a run directory holds it.
     pub fn from_resolved_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text).map_err(|error| ConfigError::Syntax {
-            origin: origin.to_owned(),
-            message: error.to_string(),
-        })?;
+        let config = typed::typed(layers::parse(text, origin)?, |_| origin.to_owned())?;
         config.validate()?;
         Ok(config)
     }

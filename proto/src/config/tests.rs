@@ -131,7 +131,7 @@ fn errors_name_the_layer_the_key_and_the_cure() {
     assert!(unknown.contains("did you mean `gamma`"), "{unknown}");
 
     let wrong = message(&["algorithm.gamma=\"high\""]);
-    assert!(wrong.contains("wants a float") && wrong.contains("the string"), "{wrong}");
+    assert!(wrong.contains("wants a number") && wrong.contains("the string"), "{wrong}");
 
     let shards = message(&["env.n_envs=10", "env.n_shards=4"]);
     assert!(shards.contains("divides env.n_envs"), "{shards}");
@@ -167,6 +167,60 @@ fn errors_name_the_layer_the_key_and_the_cure() {
 
     let nan = message(&["algorithm.gamma=nan"]);
     assert!(nan.contains("algorithm.gamma"), "{nan}");
+}
+
+#[test]
+fn errors_speak_of_keys_and_values_and_not_of_this_program() {
+    let rust = ["usize", "u64", "u32", "i64", "f64", "TOML", "variant", "field", "struct"];
+    for (assignment, key, allowed) in [
+        ("network.hidden=[64,-1]", "`network.hidden`", "whole numbers, none below 0"),
+        ("network.hidden=[64,\"wide\"]", "`network.hidden`", "list of whole numbers"),
+        ("network.hidden=[]", "`network.hidden`", "has no layer; give 1 to 16 widths"),
+        ("run.workers=-1", "`run.workers`", "a whole number, not below 0"),
+        ("run.evaluation_steps=5000000000", "`run.evaluation_steps`", "at most 4294967295"),
+        ("network.activation=sigmoid", "`network.activation`", "`relu`, `elu`, `tanh`"),
+        ("task.start.share=\"half\"", "`task.start.share`", "a number such as"),
+        ("run.pin=1", "`run.pin`", "true or false"),
+    ] {
+        let error = message(&["run.seed=5", assignment, "run.overlap=0"]);
+        assert!(error.contains(key) && error.contains(allowed), "{assignment}: {error}");
+        assert!(!rust.iter().any(|word| error.contains(word)), "{assignment}: {error}");
+        let others =
+            error.contains("preset") || error.contains("seed") || error.contains("overlap");
+        assert!(!others, "{assignment} alone is at fault: {error}");
+    }
+    // Widths may be written as large counts are.
+    assert_eq!(resolve(&["network.hidden=[2e2,64]"]).expect("valid").network.hidden, [200, 64]);
+}
+
+#[test]
+fn a_resolved_text_that_is_none_is_told_by_its_key() {
+    let complete = resolve(&[]).expect("valid").to_toml();
+    let refused = |text: &str| {
+        let error =
+            Config::from_resolved_toml(text, "run/config.toml").expect_err(text).to_string();
+        assert!(error.starts_with("run/config.toml: "), "{error}");
+        error
+    };
+    let without = |key: &str| {
+        let lines: Vec<&str> = complete.lines().filter(|line| !line.starts_with(key)).collect();
+        refused(&lines.join("\n"))
+    };
+    assert!(refused("").ends_with("key `algorithm` is missing"), "{}", refused(""));
+    assert!(without("gamma =").contains("key `algorithm.gamma` is missing"));
+    let changed = |from: &str, to: &str| {
+        assert!(complete.contains(from), "{from}");
+        refused(&complete.replace(from, to))
+    };
+    let word = changed("activation = \"elu\"", "activation = \"elo\"");
+    assert!(word.contains("`network.activation` wants one of `relu`, `elu`, `tanh`"), "{word}");
+    let count = changed("n_envs = 16", "n_envs = -16");
+    assert!(count.contains("`env.n_envs` wants a whole number, not below 0"), "{count}");
+    let unknown = changed("gamma =", "gama =");
+    assert!(unknown.contains("unknown key `algorithm.gama`; did you mean `gamma`?"), "{unknown}");
+    let group = changed("[robot]", "[robots]");
+    assert!(group.contains("unknown key `robots`; did you mean `robot`?"), "{group}");
+    assert!(refused("[task\n").contains("line 1"));
 }
 
 /// What may differ between two runs that end with the same bits is decided by whoever adds a key.
@@ -207,8 +261,6 @@ fn without_housekeeping_only_harmless_keys_change() {
 #[test]
 fn a_file_is_named_in_its_errors() {
     let layers = Layers::new(Preset::Paper, None);
-    let error = layers.clone().file("no/such.toml".as_ref()).expect_err("missing").to_string();
-    assert!(error.contains("no/such.toml"), "{error}");
     let error = layers.text("[task\n", "my.toml").expect_err("broken").to_string();
     assert!(error.contains("my.toml") && error.contains("line 1"), "{error}");
 }

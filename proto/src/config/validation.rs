@@ -69,8 +69,21 @@ impl Config {
             });
         }
 
-        within("network.hidden", network.hidden.len() as f64, 1.0, 16.0)?;
-        within("network.critic_hidden", network.critic_hidden.len() as f64, 0.0, 16.0)?;
+        for (key, widths, least) in [
+            ("network.hidden", &network.hidden, 1),
+            ("network.critic_hidden", &network.critic_hidden, 0),
+        ] {
+            if !(least..=16).contains(&widths.len()) {
+                return Err(ConfigError::Invalid {
+                    key,
+                    problem: match widths.len() {
+                        0 => "has no layer".to_owned(),
+                        layers => format!("has {layers} layers"),
+                    },
+                    cure: format!("give {least} to 16 widths, such as [256, 256]"),
+                });
+            }
+        }
         let widths = network.hidden.iter().map(|width| ("network.hidden", width));
         let of_critics = network.critic_hidden.iter().map(|width| ("network.critic_hidden", width));
         for (key, &width) in widths.chain(of_critics) {
@@ -99,7 +112,10 @@ impl Config {
         if sees_its_actors_input != (network.critic_state == CriticState::Own) {
             return Err(ConfigError::Invalid {
                 key: "network.critic_state",
-                problem: format!("{:?} does not fit algorithm.name {name}", network.critic_state),
+                problem: format!(
+                    "{} does not fit algorithm.name {name}",
+                    format!("{:?}", network.critic_state).to_lowercase()
+                ),
                 cure: "set it to own with ippo and ppo, to compact or concatenated with mappo and maddpg"
                     .to_owned(),
             });

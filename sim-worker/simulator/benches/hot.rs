@@ -11,12 +11,14 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use proto::config::{Layers, Preset};
 use proto::layout::{ActorLayout, JOINTS_PER_AGENT};
 use simulator::collision::count_contacts;
-use simulator::dynamics::{StepOptions, Workspace, step};
+use simulator::model::Model;
 use simulator::policy::{Policy, Scratch};
-use simulator::robot::{Model, Robot};
+use simulator::robot::Robot;
 use simulator::rollout::{RolloutSpec, World, rollout};
 use simulator::scalar::{Kernel, LANES, LaneFn, Real, dispatch};
 use simulator::state::State;
+use simulator::step::{StepOptions, step};
+use simulator::workspace::Workspace;
 
 /// Lane groups that a policy is evaluated for at once: a shard of 32 environments.
 const GROUPS: usize = 2;

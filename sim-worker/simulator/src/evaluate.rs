@@ -3,10 +3,10 @@
 use proto::message::{EpisodeErrors, TaskErrors};
 use serde::{Deserialize, Serialize};
 
-use crate::collision::ContactKind;
 use crate::env::EpisodeError;
 use crate::executor::Executor;
 use crate::experiment::{Player, Pose, Recording, TAIL_STEPS, Trial, play, play_some};
+use crate::model::ContactKind;
 use crate::policy::Policy;
 use crate::rollout::World;
 

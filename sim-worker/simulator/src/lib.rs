@@ -8,19 +8,22 @@
 //! * [`scalar`]: the numbers everything is generic over, `f64` or `f32` lanes, one
 //!   environment a lane;
 //! * [`spatial`]: three- and six-dimensional vectors, rotations;
-//! * [`robot`]: descriptions from files, checked and laid out for the dynamics; MJCF;
-//! * [`state`], [`dynamics`], [`collision`]: the articulated-body algorithm, integrators, contacts;
+//! * [`robot`]: descriptions from files, checked and completed; MJCF;
+//! * [`state`], [`model`], [`workspace`]: what changes, what does not, laid out for the hot path, and scratch memory;
+//! * [`dynamics`]: the articulated-body algorithm, kinematics, servos;
+//! * [`collision`]: what touches, and how it pushes;
+//! * [`mod@step`]: integrators, and what disturbs from outside;
 //! * [`simulate`]: open loop, from commands to a trajectory;
 //! * [`task`]: goals, observations, critic states, rewards;
 //! * [`policy`]: the actors, evaluated without libtorch;
-//! * [`mod@env`]: the vectorised environment that writes its block in place;
-//! * [`rollout`]: whole episodes that explore, for training, as pure functions of their addresses;
+//! * [`mod@env`]: the robot with its sensors, as loops over episodes use it;
+//! * [`mod@rollout`]: whole episodes that explore, for training, as pure functions of their addresses;
 //! * [`experiment`], [`evaluate`]: whole episodes with deterministic actions, in which things may happen;
 //! * [`reach`]: which goals can be reached at all;
 //! * [`random_motion`]: the dynamics under random commands, for measurements.
 //!
 //! Models are immutable and shared, all scratch memory is owned by a workspace, and no inner loop
-//! allocates. Read [`rollout`] next.
+//! allocates. Read [`mod@rollout`] next.
 
 #![expect(
     clippy::inline_always,
@@ -40,9 +43,15 @@ pub mod state;
 
 pub mod executor;
 
+pub mod model;
+
+pub mod workspace;
+
 pub mod dynamics;
 
 pub mod collision;
+
+pub mod step;
 
 pub mod simulate;
 

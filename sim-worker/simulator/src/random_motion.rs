@@ -1,11 +1,13 @@
 //! The dynamics alone: control steps under random commands, to measure what they cost.
 
 use crate::collision::count_contacts;
-use crate::dynamics::{StepOptions, Workspace, step};
-use crate::robot::{Model, Robot};
+use crate::model::Model;
+use crate::robot::Robot;
 use crate::scalar::counted::{Counted, operations};
 use crate::scalar::{LaneFn, Real, dispatch};
 use crate::state::State;
+use crate::step::{StepOptions, step};
+use crate::workspace::Workspace;
 
 /// Groups of lanes in flight, so that states come from the cache that a rollout would use.
 const GROUPS: usize = 8;

@@ -1,10 +1,13 @@
 //! Open-loop simulation: a table of joint rate commands in, a table of states out.
 
 use crate::collision::count_contacts;
-use crate::dynamics::{Hand, StepOptions, Workspace, hands, step};
-use crate::robot::{Model, Robot};
+use crate::dynamics::{Hand, hands};
+use crate::model::Model;
+use crate::robot::Robot;
 use crate::scalar::{LaneFn, Real, dispatch};
 use crate::state::State;
+use crate::step::{StepOptions, step};
+use crate::workspace::Workspace;
 
 /// Scalar a simulation runs in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

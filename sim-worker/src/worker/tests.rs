@@ -1,10 +1,21 @@
 //! A worker in a thread, with the test as coordinator and learner.
 
-use proto::channel::{ArraySample, MessageReceiver};
-use proto::config::{Layers, Preset};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
-use super::*;
+use channels::{ArraySample, ChannelSizes, Channels, Domain, MessageReceiver};
+use proto::ExitCode;
+use proto::config::{Layers, Preset};
+use proto::layout::{BlockHeader, PolicyHeader};
+use proto::message::{Order, Status};
+use proto::run_dir::RunDir;
 use simulator::policy::initial_parameters as parameters;
+use simulator::robot::Robot;
+use simulator::rollout::{RolloutSpec, World, rollout};
+
+use super::process::Worker;
+use super::worker_loop::serve;
+use super::*;
 
 /// Longest that any of these tests waits for anything.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -75,7 +86,7 @@ fn a_worker_makes_what_is_ordered_and_nothing_else() {
     std::thread::scope(|scope| {
         let worker = scope.spawn(|| {
             let mut worker = Worker::connect(&arguments(&domain.0), &world).expect("connect");
-            worker.serve()
+            serve(&mut worker)
         });
         assert!(matches!(next_status(&status), Status::Ready { worker: 2, incarnation: 1, .. }));
         let order = |worker, incarnation, shards: &[u32]| Order::Rollout {
@@ -132,6 +143,30 @@ fn a_worker_makes_what_is_ordered_and_nothing_else() {
         worker.join().expect("no panic").expect("a clean end");
     });
     assert!(blocks.try_receive().expect("receive").is_none(), "nothing was made twice");
+}
+
+/// A coordinator that stands still while its workers come up never hears that they are ready: their first
+/// word is pushed out of its queue by those that follow.
+#[test]
+fn every_sign_of_life_says_where_orders_are_taken() {
+    let world = world();
+    let domain = TestDomain(Domain::fresh());
+    let sizes = ChannelSizes::new(&world.config, &world.dimensions);
+    let channels = Channels::create(&domain.0, sizes).expect("create");
+    let orders = channels.order_sender().expect("orders");
+    let status = channels.status_receiver().expect("status");
+    std::thread::scope(|scope| {
+        let worker = scope.spawn(|| {
+            let mut worker = Worker::connect(&arguments(&domain.0), &world).expect("connect");
+            serve(&mut worker)
+        });
+        let first = wait_for(|| status.try_receive().expect("receive"));
+        let Status::Ready { orders: port, .. } = first else { panic!("{first:?}") };
+        let next = wait_for(|| status.try_receive().expect("receive"));
+        assert_eq!(next, Status::Heartbeat { worker: 2, incarnation: 1, orders: port });
+        orders.send(&Order::Stop).expect("send");
+        worker.join().expect("no panic").expect("a clean end");
+    });
 }
 
 #[test]

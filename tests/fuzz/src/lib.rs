@@ -1,18 +1,19 @@
 //! What several fuzz targets need: a place for files, a small valid checkpoint, seeds.
 //!
 //! Every target writes its own seeds: run as `TARGET --seeds DIR` it fills the directory with valid
-//! inputs and ends. So no binary corpus is kept, and none grows stale.
+//! inputs and ends, so that none of them grows stale. Beside them `corpus/TARGET` keeps inputs that are
+//! not valid, of kinds that once were answered wrongly, under names that say what is wrong with them.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use coordinator::checkpoint::{CheckpointStore, STATE_FORMAT, StateLayout};
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 use proto::{Digest, DigestBuilder};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::{Value, json};
+use store::checkpoint::{CheckpointStore, STATE_FORMAT, StateLayout};
 
 /// A directory of this process for files. `make fuzz` puts it into memory by `TMPDIR` and removes
 /// it, because libFuzzer ends processes without unwinding.

@@ -2,13 +2,13 @@
 
 #![no_main]
 
-use coordinator::figures::families::{Over, families};
-use coordinator::figures::learning::learning;
-use coordinator::figures::recorded::{parse, to_json};
-use coordinator::report::curve::Point;
-use coordinator::report::evaluations::HeldOut;
-use coordinator::report::row::Row as _;
+use lab::figures::families::{Over, families};
+use lab::figures::learning::learning;
+use lab::figures::recorded::{parse, to_json};
 use libfuzzer_sys::fuzz_target;
+use run::report::points::Point;
+use run::report::evaluations::HeldOut;
+use run::report::row::Row as _;
 use serde_json::{Value, json};
 
 fn seeds() -> Vec<Vec<u8>> {

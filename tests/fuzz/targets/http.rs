@@ -8,10 +8,10 @@ use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use coordinator::checkpoint::Snapshot;
-use coordinator::http::{Limits, Service, ServiceSpec, Token};
 use libfuzzer_sys::fuzz_target;
 use proto::Digest;
+use service::http::{Limits, Service, ServiceSpec, Token};
+use store::checkpoint::Snapshot;
 
 /// The service of this process, which lives as long as it.
 fn address() -> SocketAddr {

@@ -2,9 +2,9 @@
 
 #![no_main]
 
-use coordinator::checkpoint::{LABELS, Labels, MANIFEST, Manifest};
 use libfuzzer_sys::fuzz_target;
 use serde_json::json;
+use store::checkpoint::{LABELS, Labels, MANIFEST, Manifest};
 
 fn seeds() -> Vec<Vec<u8>> {
     let files: Vec<(&str, &[u8])> = ["config.toml", "policy.safetensors", "robot.toml"]

@@ -3,9 +3,9 @@
 
 #![no_main]
 
-use coordinator::checkpoint::{Assembly, read_policy};
 use libfuzzer_sys::fuzz_target;
 use proto::layout::SnapshotHeader;
+use store::checkpoint::{Assembly, read_policy};
 
 fn seeds() -> Vec<Vec<u8>> {
     let tag = |kind: &[u8], bytes: Vec<u8>| [kind, &bytes].concat();

@@ -2,7 +2,7 @@
 //!
 //! [Ericson 2005] C. Ericson, Real-Time Collision Detection, Morgan Kaufmann.
 
-use super::shape::{Bound, Core, FixedBox, Rounded};
+use crate::model::{Bound, Core, FixedBox, Rounded};
 use crate::scalar::Real;
 use crate::spatial::{Vec3, add, dot, mat_t_vec, mat_vec, mul_add, scale, sub};
 

@@ -1,16 +1,16 @@
 //! Finding the contacts of a substep.
 
-use super::SLACK;
-use super::contact::{Contact, OUTLOOK};
 use super::distance::{Proximity, bound_bound, bound_box, rounded_box, rounded_rounded};
-use super::model::{FixedBody, Pair, Partner};
 use super::push::{arm_response, arms, couple, gap_and_rate, hold, take_off_forces};
-use super::shape::{Bound, Core, Rounded};
-use crate::dynamics::Workspace;
 use crate::dynamics::kinematics::{point_in_link, point_velocity};
-use crate::robot::{JOINTS_PER_ARM, Model};
+use crate::model::{Bound, Core, FixedBody, Model, Pair, Partner, Rounded};
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{Mask, Real};
 use crate::spatial::{Vec3, Vec6, cross, dot, mat_vec, sub};
+use crate::workspace::{Contact, OUTLOOK, Workspace};
+
+/// Contacts are kept when they would push within a substep at their rate, or are this far from it (m): what a joint at full torque gains in a substep.
+const SLACK: f64 = 0.005;
 
 #[inline(always)]
 fn distance<S: Real>(a: Vec3<S>, b: Vec3<S>) -> S {

@@ -1,7 +1,7 @@
 //! Collisions: which bodies touch, and how they push each other apart.
 //!
-//! * Geometry is capsules and flat cylinders on the links, boxes on the base (`shape`); a few pairs of one arm touch exactly when a joint stands
-//!   in an interval (the robot's `stops`).
+//! * Geometry is capsules and flat cylinders on the links, boxes on the base (`model::shape`); a few pairs of one arm touch exactly when a joint
+//!   stands in an interval (the robot's `angle_contacts`).
 //! * [`count_contacts`] counts touching pairs of bodies, as the penalty of the tasks wants them.
 //! * Contact forces are compliant, so that no arm passes through the base or another arm, and predictive, so that a fixed substep of
 //!   16 ms suffices: with gap g and its rate v,
@@ -18,40 +18,14 @@
 //! carry the points along with their bodies. A pair that is far sleeps for as long as its gap takes to close. All of this is decided lane by lane, and
 //! forces are sums of the lane's own pairs in a fixed order: work that another lane asks for leaves a lane's bits alone.
 
-mod contact;
 mod distance;
 mod find;
-mod model;
 mod push;
-pub(crate) mod shape;
 mod touching;
 
-pub(crate) use contact::{ContactSet, any_contact, clear, touches_arm, wake_all};
 pub(crate) use find::find;
-pub(crate) use model::CollisionModel;
-pub use model::ContactKind;
 pub(crate) use push::{push, push_link};
-
 pub use touching::{Touching, count_contacts, touching};
-
-/// Natural frequency of contacts and stops (rad/s), lower where the integrator's substep asks for it.
-pub(crate) const FREQUENCY: f64 = 260.0;
-
-/// Damping ratio of contacts and stops.
-pub(crate) const DAMPING_RATIO: f64 = 0.5;
-
-/// Contacts are kept when they would push within a substep at their rate, or are this far from it (m): what a joint at full torque gains in a substep.
-pub(crate) const SLACK: f64 = 0.005;
-
-/// Share of the acceleration that torques give a gap against which a contact holds before it is indented. Not all: the masses that joints show leave out
-/// what the base gives way, and a contact that held more than there is would hover.
-pub(crate) const HELD: f64 = 0.9;
-
-/// Sweeps over the contacts of a lane group in which their forces settle.
-pub(crate) const SWEEPS: usize = 4;
-
-/// Contacts never count as heavier than this (kg): near a joint's axis the joint shows a mass without bound.
-pub(crate) const HEAVIEST: f64 = 50.0;
 
 #[cfg(test)]
 mod tests;

@@ -6,16 +6,24 @@
 //! few projected Gauss–Seidel sweeps. Sharing the stiffness among them instead let arms sink in two to four times
 //! as deep at a step of 20 ms.
 
-use super::contact::{Contact, ContactSet, Response, clear};
-use super::model::{Pair, Partner};
-use super::{HEAVIEST, HELD, SWEEPS};
-use crate::dynamics::Workspace;
 use crate::dynamics::kinematics::{
     for_sparsity, force_from_next, point_in_link, point_velocity, turn,
 };
-use crate::robot::{JOINTS_PER_ARM, Model};
+use crate::model::{Model, Pair, Partner};
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{Mask, Real};
 use crate::spatial::{Vec3, Vec6, add, cross, cross_add, dot, mat_t_vec, mat_vec, scale, sub};
+use crate::workspace::{Contact, ContactSet, Response, Workspace};
+
+/// Share of the acceleration that torques give a gap against which a contact holds before it is indented. Not all: the masses that joints show leave out
+/// what the base gives way, and a contact that held more than there is would hover.
+const HELD: f64 = 0.9;
+
+/// Sweeps over the contacts of a lane group in which their forces settle.
+const SWEEPS: usize = 4;
+
+/// Contacts never count as heavier than this (kg): near a joint's axis the joint shows a mass without bound.
+const HEAVIEST: f64 = 50.0;
 
 /// Leaves in `free` of the contact set what the last evaluation's torques were at each joint less what its contacts pushed: u of the second pass of the
 /// articulated-body algorithm.
@@ -204,7 +212,7 @@ pub(super) fn gap_and_rate<S: Real>(
 /// add ±0 to them, which changes no bit.
 #[inline(always)]
 pub(crate) fn push<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
-    clear(ws);
+    ws.take_off_outside_forces();
     for i in 0..ws.contacts.contacts.len() {
         let contact = ws.contacts.contacts[i];
         let (gap, rate, point) = gap_and_rate(model, ws, &contact);

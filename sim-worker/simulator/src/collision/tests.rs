@@ -1,14 +1,15 @@
 #![expect(clippy::approx_constant, reason = "the servos' limit is 3.14 rad/s, not π")]
 
 use super::distance::{rounded_box, rounded_rounded};
-use super::shape::{Core, FixedBox, Rounded};
 use super::*;
 use crate::dynamics::twin::momentum;
-use crate::dynamics::{StepOptions, Workspace, step};
-use crate::robot::{Model, Robot};
+use crate::model::{ContactKind, Core, FixedBox, Model, Rounded};
+use crate::robot::Robot;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};
 use crate::spatial::{Vec3, mul_add, sub};
 use crate::state::State;
+use crate::step::{StepOptions, step};
+use crate::workspace::Workspace;
 use std::f64::consts::{PI, TAU};
 
 /// Uniform numbers in ±1, the same on every machine.
@@ -188,27 +189,30 @@ fn arms_at_full_speed_sink_in_by_millimetres() {
     }
 }
 
-/// Joints driven into their stops' intervals come as far as the end and no further: a servo that asks for 1 rad/s pushes with 100 N m against
+/// Joints driven into the intervals of pushing contacts by angle come as far as the end and no further: a servo that asks for 1 rad/s pushes with 100 N m against
 /// armature · ω² = 12.5 kN m/rad, 8 mrad.
 #[test]
-fn stops_hold_joints() {
+fn contacts_by_angle_hold_joints() {
     let robot = Robot::builtin("paper").unwrap();
     let model = Model::<f64>::new(&robot);
-    for stop in robot.stops.iter().filter(|stop| stop.push) {
+    for contact in robot.angle_contacts.iter().filter(|contact| contact.push) {
         let mut ws = Workspace::new(&model);
         let mut state = State::<f64>::home(&robot);
-        let from_centre = |q: f64| (q - stop.centre + PI).rem_euclid(TAU) - PI;
-        let side = from_centre(state.q[stop.joint]).signum();
+        let from_centre = |q: f64| (q - contact.centre + PI).rem_euclid(TAU) - PI;
+        let side = from_centre(state.q[contact.joint]).signum();
         let mut command = vec![0.0; robot.n_joints()];
-        command[stop.joint] = -side;
+        command[contact.joint] = -side;
         let mut nearest = f64::INFINITY;
         for _ in 0..30 {
             step(&model, &mut ws, &mut state, &command, &StepOptions::default());
-            nearest = nearest.min(side * from_centre(state.q[stop.joint]));
+            nearest = nearest.min(side * from_centre(state.q[contact.joint]));
         }
-        let joint = stop.joint + 1;
-        assert!(nearest > stop.half - stop.narrowing - 0.02, "joint {joint} went in: {nearest}");
-        assert!(nearest < stop.half + 0.02, "joint {joint} never came there: {nearest}");
+        let joint = contact.joint + 1;
+        assert!(
+            nearest > contact.half - contact.narrowing - 0.02,
+            "joint {joint} went in: {nearest}"
+        );
+        assert!(nearest < contact.half + 0.02, "joint {joint} never came there: {nearest}");
     }
 }
 

@@ -1,12 +1,12 @@
 //! What touches, told without pushing.
 
-use super::ContactKind;
 use super::find::{coarse_gap, place_bounds, proximity};
-use super::model::Partner;
-use crate::dynamics::{Workspace, stop_interval};
-use crate::robot::{JOINTS_PER_ARM, MAX_ARMS, Model};
+use crate::dynamics::{angle_contact_interval, kinematics_of};
+use crate::model::{ContactKind, Model, Partner};
+use crate::robot::{JOINTS_PER_ARM, MAX_ARMS};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::state::State;
+use crate::workspace::Workspace;
 
 /// What touches, per lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,17 +51,17 @@ impl<S: Real> Kernel<S> for Look<'_, S> {
 
 #[inline(always)]
 fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> Touching<S> {
-    crate::dynamics::kinematics_of(model, ws, state);
+    kinematics_of(model, ws, state);
     let mut by_kind = [S::zero(); ContactKind::COUNT];
     let mut by_arm = [S::zero(); MAX_ARMS];
-    for stop in &model.stops {
+    for contact in &model.angle_contacts {
         for arm in 0..model.n_arms() {
             let first = arm * JOINTS_PER_ARM;
-            let narrowing = &ws.links[first + stop.narrowing_joint];
-            let q = state.q[first + stop.joint];
-            let (x, half) = stop_interval(stop, q, narrowing.sin, narrowing.cos);
+            let narrowing = &ws.links[first + contact.narrowing_joint];
+            let q = state.q[first + contact.joint];
+            let (x, half) = angle_contact_interval(contact, q, narrowing.sin, narrowing.cos);
             let touches = S::select(x.abs().le(half), S::one(), S::zero());
-            by_kind[stop.kind as usize] += touches;
+            by_kind[contact.kind as usize] += touches;
             by_arm[arm] += touches;
         }
     }

@@ -1,7 +1,9 @@
 //! Articulated-body inertia: the symmetric 6 × 6 matrix, kept as its 21 numbers and carried between link frames.
+//!
+//! Formulas have the letters of the second pass of Featherstone 2008, Table 7.1.
 
 use super::kinematics::twist;
-use crate::robot::{ArmModel, LinkModel, RigidInertia, Sparsity, Twist};
+use crate::model::{ArmModel, LinkModel, RigidInertia, Sparsity, Twist};
 use crate::scalar::Real;
 use crate::spatial::{Mat3, Vec3, Vec6, cross_add, dot, mat_mat, mat_vec};
 
@@ -122,13 +124,13 @@ impl<S: Real> ArticulatedInertia<S> {
         }
     }
 
-    /// The column of a joint about z.
+    /// U = I S of a joint about z: the column of its turn.
     #[inline(always)]
     pub(crate) fn z_column(&self) -> Vec6<S> {
         Vec6 { ang: [self.a[4], self.a[5], self.a[2]], lin: self.b[2] }
     }
 
-    /// Subtracts u uᵀ / D, given u and 1/D.
+    /// I_a = I_A − U D⁻¹ Uᵀ, given U as `u` and 1/D.
     #[inline(always)]
     pub(crate) fn remove(&mut self, u: Vec6<S>, d_inv: S) {
         let n = [u.ang[0] * d_inv, u.ang[1] * d_inv, u.ang[2] * d_inv];
@@ -146,7 +148,7 @@ impl<S: Real> ArticulatedInertia<S> {
         }
     }
 
-    /// p + I m for a motion m without z components, as a joint about z makes of velocities.
+    /// p + I m for a motion m without z components, as c of a joint about z.
     #[inline(always)]
     pub(crate) fn apply_planar(&self, m: PlanarMotion<S>, p: Vec6<S>) -> Vec6<S> {
         let PlanarMotion { ang: [wx, wy], lin: [vx, vy] } = m;
@@ -166,7 +168,7 @@ impl<S: Real> ArticulatedInertia<S> {
         }
     }
 
-    /// Seen in axes turned back by the joint about z.
+    /// λX_i* I iX_λ, its turn: seen in axes turned back by the joint about z.
     #[inline(always)]
     pub(crate) fn turned(&self, sin: S, cos: S) -> Self {
         Self {
@@ -176,7 +178,7 @@ impl<S: Real> ArticulatedInertia<S> {
         }
     }
 
-    /// Seen from the link frame before: twist back, then shift the reference point by (a, 0, d).
+    /// λX_i* I iX_λ, its constant step: seen from the link frame before: twist back, then shift the reference point by (a, 0, d).
     ///
     /// With p the shift: B' = B + [p] C, A' = A + [p] Bᵀ + B' [p]ᵀ.
     #[inline(always)]

@@ -1,11 +1,12 @@
 //! Forward kinematics: where the hands are and how they move.
 
 use super::kinematics::{point_velocity, poses, velocities};
-use super::workspace::Workspace;
-use crate::robot::{JOINTS_PER_ARM, Model};
+use crate::model::Model;
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{Mat3, Vec3, Vec6, add, mat_mat, mat_t_vec, mat_vec, quaternion_to_rotation};
 use crate::state::State;
+use crate::workspace::Workspace;
 
 /// Pose and velocity of a hand (the tool frame of an arm).
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -9,12 +9,13 @@
 
 use super::articulated::ArticulatedInertia;
 use super::kinematics::{for_sparsity, force_from_next, force_to_base, turn, velocities};
-use super::workspace::Workspace;
-use crate::robot::{JOINTS_PER_ARM, Model, RigidInertia};
+use crate::model::{Model, RigidInertia};
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{
     Mat3, Vec3, Vec6, add, cross, cross_add, mat_t_vec, mat_vec, quaternion_to_rotation, scale, sub,
 };
+use crate::workspace::Workspace;
 
 /// Base coordinates of a moment: where it is, seen from a fixed point, and how it moves.
 #[derive(Clone, Copy, Debug)]

@@ -5,10 +5,11 @@
 //! Denavit–Hartenberg row (`for_sparsity!`). A branch in its middle sends all the numbers that are carried along
 //! through memory.
 
-use super::workspace::{LinkPose, Workspace};
-use crate::robot::{ArmModel, JOINTS_PER_ARM, LinkModel, Model, Sparsity, Twist};
+use crate::model::{ArmModel, LinkModel, Model, Sparsity, Twist};
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::spatial::{Vec3, Vec6, add, cross, cross_add, mat_t_vec, mat_vec, sub};
+use crate::workspace::{LinkPose, Workspace};
 
 /// Evaluates an expression with `$sparsity`, the [`Sparsity`] of a link, as a constant where it is one of the UR arms', and as a variable elsewhere.
 ///
@@ -16,37 +17,37 @@ use crate::spatial::{Vec3, Vec6, add, cross, cross_add, mat_t_vec, mat_vec, sub}
 macro_rules! for_sparsity {
     ($of:expr, $sparsity:ident => $value:expr) => {
         match $of {
-            crate::robot::Sparsity {
-                twist: crate::robot::Twist::None,
+            crate::model::Sparsity {
+                twist: crate::model::Twist::None,
                 has_a: true,
                 has_d: false,
             } => {
-                let $sparsity = crate::robot::Sparsity {
-                    twist: crate::robot::Twist::None,
+                let $sparsity = crate::model::Sparsity {
+                    twist: crate::model::Twist::None,
                     has_a: true,
                     has_d: false,
                 };
                 $value
             }
-            crate::robot::Sparsity {
-                twist: crate::robot::Twist::Quarter,
+            crate::model::Sparsity {
+                twist: crate::model::Twist::Quarter,
                 has_a: false,
                 has_d: true,
             } => {
-                let $sparsity = crate::robot::Sparsity {
-                    twist: crate::robot::Twist::Quarter,
+                let $sparsity = crate::model::Sparsity {
+                    twist: crate::model::Twist::Quarter,
                     has_a: false,
                     has_d: true,
                 };
                 $value
             }
-            crate::robot::Sparsity {
-                twist: crate::robot::Twist::MinusQuarter,
+            crate::model::Sparsity {
+                twist: crate::model::Twist::MinusQuarter,
                 has_a: false,
                 has_d: true,
             } => {
-                let $sparsity = crate::robot::Sparsity {
-                    twist: crate::robot::Twist::MinusQuarter,
+                let $sparsity = crate::model::Sparsity {
+                    twist: crate::model::Twist::MinusQuarter,
                     has_a: false,
                     has_d: true,
                 };
@@ -153,7 +154,7 @@ pub(crate) fn force_to_base<S: Real>(arm: &ArmModel<S>, f: Vec6<S>) -> Vec6<S> {
     Vec6 { ang: cross_add(arm.position, lin, mat_vec(&arm.rotation, f.ang)), lin }
 }
 
-/// Sines and velocities of all links [Featherstone 2008, Table 9.4, first pass]: fills `sin`, `cos`, `v` of `ws.links`.
+/// First pass of the articulated-body algorithm [Featherstone 2008, Table 9.4], sines and velocities of all links: fills `sin`, `cos`, `v` of `ws.links`.
 ///
 /// Shapes: `q`, `qd` `n_joints`. Reads `ws.base_v`.
 #[inline(always)]
@@ -169,6 +170,7 @@ pub(crate) fn velocities<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q: &[
             let (sin, cos) = q[first + j].sin_cos();
             v.ang = unturn(sin, cos, v.ang);
             v.lin = unturn(sin, cos, v.lin);
+            // v_i = iX_λ v_λ + S q̇_i.
             v.ang[2] += qd[first + j];
             let link = &mut ws.links[first + j];
             link.sin = sin;

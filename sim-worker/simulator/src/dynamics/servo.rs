@@ -1,8 +1,9 @@
-//! Joint torques: the velocity servo, and the angle stops that push back.
+//! Joint torques: the velocity servo, and the contacts that a joint's angle tells.
 
-use super::workspace::Workspace;
-use crate::robot::{JOINTS_PER_ARM, Model, StopModel};
+use crate::model::{AngleContactModel, Model};
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
+use crate::workspace::Workspace;
 
 /// The velocity servo's torques into `tau` of `ws.links`: clamp(k (clamp(c, ±c_max) − q̇), ±τ_max).
 ///
@@ -19,34 +20,44 @@ pub(crate) fn servo<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, command: &
     }
 }
 
-/// Offset of an angle from the middle of a stop's interval, wrapped to ±π, and half of the interval.
+/// Offset of an angle from the middle of the interval in which a pair touches, wrapped to ±π, and half of the interval.
 #[inline(always)]
-pub(crate) fn stop_interval<S: Real>(stop: &StopModel<S>, q: S, sin: S, cos: S) -> (S, S) {
-    let x = q - stop.centre;
+pub(crate) fn angle_contact_interval<S: Real>(
+    contact: &AngleContactModel<S>,
+    q: S,
+    sin: S,
+    cos: S,
+) -> (S, S) {
+    let x = q - contact.centre;
     let turns = (x * S::splat(0.5 / std::f64::consts::PI)).round();
     // |sin 2q| = 2 |sin q cos q|.
     let two_sin_cos = (sin + sin) * cos;
-    let half = stop.narrowing.neg_mul_add(two_sin_cos.abs(), stop.half);
+    let half = contact.narrowing.neg_mul_add(two_sin_cos.abs(), contact.half);
     (turns.neg_mul_add(S::splat(std::f64::consts::TAU), x), half)
 }
 
-/// Adds the pushing stops' torques to `tau` of `ws.links`, which holds `sin` and `cos`.
+/// Adds the torques of the pushing contacts by angle to `tau` of `ws.links`, which holds `sin` and `cos`.
 ///
-/// A stop is a predictive spring and damper like a contact (see [`crate::collision`]), on the angle and with the armature as mass:
+/// Such a contact is a predictive spring and damper as others are (see [`crate::collision`]), on the angle and with the armature as mass:
 /// no less than that moves when the joint does.
 #[inline(always)]
-pub(crate) fn push_of_stops<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q: &[S], qd: &[S]) {
-    for stop in &model.stops {
-        if !stop.push {
+pub(crate) fn push_of_angle_contacts<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    q: &[S],
+    qd: &[S],
+) {
+    for contact in &model.angle_contacts {
+        if !contact.push {
             continue;
         }
         let (stiffness, damping) = ws.contacts.rates();
-        let armature = model.links[stop.joint].armature;
+        let armature = model.links[contact.joint].armature;
         for arm in 0..model.n_arms {
             let first = arm * JOINTS_PER_ARM;
-            let i = first + stop.joint;
-            let narrowing = &ws.links[first + stop.narrowing_joint];
-            let (x, half) = stop_interval(stop, q[i], narrowing.sin, narrowing.cos);
+            let i = first + contact.joint;
+            let narrowing = &ws.links[first + contact.narrowing_joint];
+            let (x, half) = angle_contact_interval(contact, q[i], narrowing.sin, narrowing.cos);
             let gap = x.abs() - half;
             let outward = x.copy_sign_to(S::one());
             let closing = damping * (outward * qd[i]);

@@ -4,10 +4,13 @@ use nalgebra::DVector;
 
 use super::twin::{inertia_matrix, kinetic_energy, momentum, rnea};
 use super::*;
-use crate::robot::{Model, Robot};
+use crate::model::Model;
+use crate::robot::Robot;
 use crate::scalar::{Backend, LANES, LaneFn, Real, dispatch_on};
 use crate::spatial::{euler_xyz, quaternion_normalised, quaternion_to_rotation};
 use crate::state::State;
+use crate::step::{Integrator, StepOptions, step};
+use crate::workspace::Workspace;
 
 /// Uniform numbers in ±1, the same on every machine.
 pub(crate) struct Noise(pub(crate) u64);

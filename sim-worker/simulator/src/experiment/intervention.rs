@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use proto::rng::{Address, Purpose};
 
-use crate::dynamics::Disturbance;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
+use crate::step::Disturbance;
 
 /// Something that happens in every episode, from a control step on.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::collision::ContactKind;
+use crate::model::ContactKind;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::state::State;

@@ -4,14 +4,17 @@ use std::path::Path;
 
 use proto::config::{Layers, Preset, TaskName};
 use proto::layout::EpisodeMetrics;
+use proto::rng::Purpose;
 
 use super::recording::norm;
 use super::*;
-use crate::collision::ContactKind;
 use crate::executor::InOrder;
 use crate::executor::tests::Apart;
+use crate::model::ContactKind;
+use crate::policy::Policy;
 use crate::policy::tests::parameters;
-use crate::rollout::{RolloutSpec, rollout};
+use crate::robot::Robot;
+use crate::rollout::{RolloutSpec, World, rollout};
 
 /// A world with a small network, whose exploration is too small to change a bit.
 fn world(task: TaskName, robot: &Robot) -> World {

@@ -1,6 +1,6 @@
 //! Which goals can be reached at all: a controller that knows the robot tries every way.
 //!
-//! A goal counts as reached if, in the very simulator, with its contacts and stops, and with the
+//! A goal counts as reached if, in the very simulator, with its contacts, and with the
 //! actions that policies have, some way leads the hand there and keeps it there. The controller
 //! solves the arm's inverse kinematics (`inverse_kinematics.rs`), moves each joint towards the
 //! solution, and solves again from there in every control step, because the base gives way; if the
@@ -82,7 +82,7 @@ pub fn reach(
 }
 
 /// Whether inverse kinematics has a solution for the hand goals of evaluation episodes with the base
-/// where each of them ended, stops and contacts aside: `[episode][arm]`, one episode for each of `ends`. What
+/// where each of them ended, contacts aside: `[episode][arm]`, one episode for each of `ends`. What
 /// is told is, but for solutions that no start finds, an upper bound of what a policy could still have reached there.
 pub fn within_reach(
     world: &World,

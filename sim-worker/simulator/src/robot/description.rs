@@ -23,9 +23,9 @@ pub struct RobotDescription {
     pub links: Vec<LinkDescription>,
     /// The hand.
     pub tool: ToolDescription,
-    /// Pairs of one arm that touch by joint angle.
-    #[serde(default)]
-    pub stops: Vec<StopDescription>,
+    /// Pairs of one arm that touch by joint angle; the key in files is `stops`.
+    #[serde(default, rename = "stops")]
+    pub angle_contacts: Vec<AngleContactDescription>,
     /// The arms: where they stand and how they are folded at home.
     pub arms: Vec<ArmDescription>,
 }
@@ -109,7 +109,7 @@ pub struct ServoDescription {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkDescription {
-    /// Name in messages, stops and exported models.
+    /// Name in messages, pairs and exported models.
     pub name: String,
     /// From the frame before to this link's frame.
     pub dh: DhRow,
@@ -165,7 +165,7 @@ pub struct ToolDescription {
 /// A pair of one arm that touches exactly when a joint stands in an interval.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct StopDescription {
+pub struct AngleContactDescription {
     /// The two bodies: links' names, or `mount`, `pedestal`.
     pub pair: [String; 2],
     /// The joint, counted from 1.

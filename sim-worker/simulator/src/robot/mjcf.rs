@@ -20,7 +20,7 @@ pub struct MjcfOptions {
 /// The robot in MJCF, MuJoCo's XML format.
 ///
 /// Bodies: `base`, then per arm `<arm>_<link>`; joints and actuators likewise, joint angles are ours; sites `<arm>_hand`. MuJoCo's generalised
-/// positions and velocities then stand in the order of our [`State`](crate::state::State).
+/// positions and velocities then stand in the order of our [`State`](crate::state::State). Keyframe `home` is the robot at home.
 pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
     let mut x = Xml { text: String::new(), depth: 0, options };
     x.open(&format!("mujoco model=\"{}\"", robot.name));
@@ -75,6 +75,11 @@ pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
         }
     }
     x.close("actuator");
+    x.open("keyframe");
+    let home: Vec<f64> =
+        robot.home_position.into_iter().chain([1.0, 0.0, 0.0, 0.0]).chain(robot.home_q()).collect();
+    x.line(&format!("key name=\"home\" qpos=\"{}\"", numbers(&home)));
+    x.close("keyframe");
     x.close("mujoco");
     x.text
 }
@@ -124,8 +129,8 @@ impl Xml {
     fn excluded(&mut self, robot: &Robot) {
         self.open("contact");
         for arm in &robot.arms {
-            for stop in &robot.stops {
-                if let [ArmBody::Link(a), ArmBody::Link(b)] = stop.pair {
+            for contact in &robot.angle_contacts {
+                if let [ArmBody::Link(a), ArmBody::Link(b)] = contact.pair {
                     let name = |l: usize| format!("{}_{}", arm.name, robot.links[l].name);
                     self.line(&format!("exclude body1=\"{}\" body2=\"{}\"", name(a), name(b)));
                 }

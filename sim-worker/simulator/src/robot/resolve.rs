@@ -5,18 +5,18 @@ use std::path::Path;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::description::{
-    CapsuleDescription, DiscDescription, LinkDescription, RobotDescription, StopDescription,
+    AngleContactDescription, CapsuleDescription, DiscDescription, LinkDescription, RobotDescription,
 };
 use super::{
-    Arm, ArmBody, BaseBox, JOINTS_PER_ARM, Link, MAX_ARMS, RigidBody, Robot, RobotError, Shape,
-    Stop,
+    AngleContact, Arm, ArmBody, BaseBox, JOINTS_PER_ARM, Link, MAX_ARMS, RigidBody, Robot,
+    RobotError, Shape,
 };
 
 impl Robot {
     /// Validates and completes a description; `path` is only for messages.
     pub fn from_description(d: RobotDescription, path: &Path) -> Result<Self, RobotError> {
         let check = Check { path: path.display().to_string() };
-        check.that(!d.name.is_empty(), "name", "empty", "a name")?;
+        check.that(is_plain(&d.name), "name", &format!("{:?}", d.name), PLAIN)?;
         check.finite("home_position", &d.home_position)?;
         check.that(!d.base.is_empty(), "base", "no box", "at least one [[base]] box")?;
         check.that(
@@ -34,6 +34,13 @@ impl Robot {
             &format!("1 to {MAX_ARMS} [[arms]]"),
         )?;
 
+        // Keys hold names, so these come first.
+        let box_names: Vec<&str> = d.base.iter().map(|b| b.name.as_str()).collect();
+        check.names("base", &box_names, &[])?;
+        let link_names: Vec<&str> = d.links.iter().map(|link| link.name.as_str()).collect();
+        check.names("links", &link_names, &["mount", "pedestal"])?;
+        let arm_names: Vec<&str> = d.arms.iter().map(|arm| arm.name.as_str()).collect();
+        check.names("arms", &arm_names, &[])?;
         let mut boxes = Vec::new();
         for (i, b) in d.base.iter().enumerate() {
             let key = format!("base[{i}] ({})", b.name);
@@ -56,10 +63,6 @@ impl Robot {
             .enumerate()
             .map(|(i, link)| resolve_link(&check, i, link))
             .collect::<Result<Vec<_>, _>>()?;
-        let link_names: Vec<&str> = d.links.iter().map(|link| link.name.as_str()).collect();
-        check.names("links", &link_names, &["mount", "pedestal"])?;
-        let arm_names: Vec<&str> = d.arms.iter().map(|arm| arm.name.as_str()).collect();
-        check.names("arms", &arm_names, &[])?;
         check.finite("tool.position", &d.tool.position)?;
         let last = &links[JOINTS_PER_ARM - 1];
         let tool_position = last.shift + last.twist * Vector3::from(d.tool.position);
@@ -110,11 +113,11 @@ impl Robot {
                 home,
             });
         }
-        let stops = d
-            .stops
+        let angle_contacts = d
+            .angle_contacts
             .iter()
             .enumerate()
-            .map(|(i, s)| resolve_stop(&check, i, s, &d))
+            .map(|(i, s)| resolve_angle_contact(&check, i, s, &d))
             .collect::<Result<Vec<_>, _>>()?;
 
         let welded = boxes.iter().map(|b| &b.body);
@@ -129,11 +132,19 @@ impl Robot {
             tool_position,
             tool_rotation,
             arms,
-            stops,
+            angle_contacts,
             home_position: d.home_position,
             description: d,
         })
     }
+}
+
+/// What a name is made of: it goes into file names, messages and MJCF as it is.
+const PLAIN: &str = "letters, digits, `-`, `_`";
+
+fn is_plain(name: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    !name.is_empty() && name.chars().all(plain)
 }
 
 /// Refuses values, naming file and key.
@@ -176,13 +187,12 @@ impl Check {
     /// Names by which files, messages and MJCF tell parts apart.
     fn names(&self, list: &str, names: &[&str], taken: &[&str]) -> Result<(), RobotError> {
         for (i, name) in names.iter().enumerate() {
-            let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
             let free = !names[..i].contains(name) && !taken.contains(name);
             self.that(
-                free && !name.is_empty() && name.chars().all(plain),
+                free && is_plain(name),
                 &format!("{list}[{i}].name"),
                 &format!("{name:?}"),
-                &format!("letters, digits, `-`, `_`, other than {taken:?} and the names before it"),
+                &format!("{PLAIN}, other than {taken:?} and the names before it"),
             )?;
         }
         Ok(())
@@ -221,12 +231,12 @@ fn resolve_link(check: &Check, i: usize, link: &LinkDescription) -> Result<Link,
     })
 }
 
-fn resolve_stop(
+fn resolve_angle_contact(
     check: &Check,
     i: usize,
-    stop: &StopDescription,
+    contact: &AngleContactDescription,
     d: &RobotDescription,
-) -> Result<Stop, RobotError> {
+) -> Result<AngleContact, RobotError> {
     let key = format!("stops[{i}]");
     let body = |name: &str| match name {
         "mount" => Some(ArmBody::Mount),
@@ -238,8 +248,8 @@ fn resolve_stop(
             check.error(&format!("{key}.pair"), name, "`mount`, `pedestal` or the name of a link")
         })
     };
-    let pair = [named(&stop.pair[0])?, named(&stop.pair[1])?];
-    for (what, joint) in [("joint", stop.joint), ("narrowing_joint", stop.narrowing_joint)] {
+    let pair = [named(&contact.pair[0])?, named(&contact.pair[1])?];
+    for (what, joint) in [("joint", contact.joint), ("narrowing_joint", contact.narrowing_joint)] {
         check.that(
             (1..=JOINTS_PER_ARM).contains(&joint),
             &format!("{key}.{what}"),
@@ -247,35 +257,35 @@ fn resolve_stop(
             &format!("a joint from 1 to {JOINTS_PER_ARM}"),
         )?;
     }
-    check.finite(&format!("{key}.interval"), &stop.interval)?;
-    let [lo, hi] = stop.interval;
+    check.finite(&format!("{key}.interval"), &contact.interval)?;
+    let [lo, hi] = contact.interval;
     let half = (hi - lo) / 2.0;
     check.that(
         half > 0.0 && half < std::f64::consts::PI,
         &format!("{key}.interval"),
-        &format!("{:?}", stop.interval),
+        &format!("{:?}", contact.interval),
         "lower end, then upper end, less than a turn apart",
     )?;
     check.that(
-        (0.0..half).contains(&stop.narrowing),
+        (0.0..half).contains(&contact.narrowing),
         &format!("{key}.narrowing"),
-        &stop.narrowing.to_string(),
+        &contact.narrowing.to_string(),
         "at least zero and less than half of the interval",
     )?;
     check.that(
-        !stop.push || d.links[stop.joint - 1].armature > 0.0,
+        !contact.push || d.links[contact.joint - 1].armature > 0.0,
         &format!("{key}.push"),
         "true at a joint whose link has no armature",
-        "an armature above zero, which is the mass that a stop pushes against",
+        "an armature above zero, which is the mass that the end of the interval pushes against",
     )?;
-    Ok(Stop {
+    Ok(AngleContact {
         pair,
-        joint: stop.joint - 1,
+        joint: contact.joint - 1,
         centre: f64::midpoint(lo, hi),
         half,
-        narrowing: stop.narrowing,
-        narrowing_joint: stop.narrowing_joint - 1,
-        push: stop.push,
+        narrowing: contact.narrowing,
+        narrowing_joint: contact.narrowing_joint - 1,
+        push: contact.push,
     })
 }
 

@@ -53,8 +53,8 @@ fn bad_descriptions_name_file_key_and_expectation() {
         ("0.0067, 0.0064, 0.0067", "0.0067, -0.0064, 0.0067", &["inertia", "positive definite"]),
         ("0.0067, 0.0064, 0.0067", "0.0067, 0.0264, 0.0067", &["inertia", "triangle"]),
         ("0.0067, 0.0064, 0.0067", "0.0067, 0.0064", &["inertia"]),
-        ("dh = { a = 0.0, d = 0.089159, alpha_deg = 90.0 }\n", "", &["missing field `dh`"]),
-        ("armature = 1.0", "amature = 1.0", &["amature", "unknown field"]),
+        ("dh = { a = 0.0, d = 0.089159, alpha_deg = 90.0 }\n", "", &["there is no key `dh`"]),
+        ("armature = 1.0", "amature = 1.0", &["amature", "unknown key"]),
         ("d = 0.089159", "d = inf", &["links[0] (shoulder).dh", "finite"]),
         ("home = [3.14, -1.57", "home = [3.14, 1.0, -1.57", &["arms[0] (plus_y).home", "7 angles"]),
         ("gain = 100.0", "gain = 0.0", &["servo.gain"]),
@@ -69,10 +69,19 @@ fn bad_descriptions_name_file_key_and_expectation() {
             "0.3553, 0.0, 0.0, 0.0]\narmature = 0.0",
             &["stops[0].push", "armature"],
         ),
+        ("name = \"paper\"", "name = \"a\\u001b[2Jb\"", &["name is", "letters"]),
+        ("name = \"cube\"", "name = \"cu\\\"be\"", &["base[0].name", "letters"]),
+        ("name = \"cube\"", "name = \"<cube>\"", &["base[0].name", "letters"]),
+        ("mass = 3.7", "mass = \"x\"", &["`mass = \"x\"`: string \"x\", expected a number"]),
+        ("mass = 3.7", "mass = [3.7]", &["`mass = [3.7]`", "expected a number"]),
+        ("joint = 2", "joint = -2", &["`joint = -2`", "a whole number that is not negative"]),
         ("size = [0.8726", "size = [0.0", &["base[0] (cube).size"]),
     ] {
         let message = error_of(from, to);
         assert!(message.contains("my-robot.toml"), "{message}");
+        for rust in ["f64", "usize", "field", "struct", "\u{1b}"] {
+            assert!(!message.contains(rust), "{message}");
+        }
         for word in words {
             assert!(message.contains(word), "{message:?} lacks {word:?}");
         }

@@ -1,8 +1,11 @@
 use proto::config::{Layers, Preset, TaskName};
-use proto::layout::{EpisodeMetrics, JOINTS_PER_AGENT};
+use proto::layout::{Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
+use proto::rng::Purpose;
 
 use super::*;
 use crate::policy::tests::{parameters, plain_mean};
+use crate::robot::Robot;
+use crate::scalar::Backend;
 
 /// A world of `n_envs` environments in `n_shards` shards, `steps` steps, small networks.
 fn world(preset: Preset, task: TaskName, n_envs: usize, n_shards: usize, steps: usize) -> World {

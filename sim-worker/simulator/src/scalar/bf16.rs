@@ -8,8 +8,6 @@
 //! numbers below [`SMALLEST`] become zero when they are rounded, so that every product is a multiple
 //! of 2⁻¹¹⁴, and so is every sum of them and of a bias that [`bias`] has let through.
 
-use super::{Kernel, Real};
-
 /// What is smaller becomes zero.
 pub(crate) const SMALLEST: f32 = 1.0 / (1_u64 << 50) as f32;
 
@@ -44,14 +42,6 @@ pub(crate) fn bias(x: f32) -> f32 {
     if x.abs() < SMALLEST * SMALLEST { 0.0 } else { x }
 }
 
-/// A computation with products of pairs, see [`Real::compiled_for_pairs`]. `run` must be `#[inline(always)]`.
-pub trait PairKernel<S: Real> {
-    /// What the computation returns.
-    type Output;
-    /// Computes, by `products`.
-    fn run<P: PairProducts>(self, products: P) -> Self::Output;
-}
-
 /// How products of pairs are computed. A kernel is compiled for each way, so that a look at `native` costs nothing.
 pub trait PairProducts: Copy {
     /// The proof that the processor has an instruction for them, if that is to be used.
@@ -60,7 +50,7 @@ pub trait PairProducts: Copy {
 
 /// By two fused multiply-adds.
 #[derive(Debug, Clone, Copy)]
-struct Fused;
+pub(super) struct Fused;
 
 impl PairProducts for Fused {
     #[inline(always)]
@@ -89,17 +79,6 @@ impl PairProducts for Native {
     }
 }
 
-/// A kernel on a processor without products of pairs.
-pub(super) struct WithoutNative<K>(pub(super) K);
-
-impl<S: Real, K: PairKernel<S>> Kernel<S> for WithoutNative<K> {
-    type Output = K::Output;
-    #[inline(always)]
-    fn run(self) -> K::Output {
-        self.0.run(Fused)
-    }
-}
-
 /// Pairs as two numbers side by side, for scalars without a packed form. `$round` rounds a number to bfloat16.
 macro_rules! pairs_side_by_side {
     ($round:expr) => {
@@ -125,7 +104,7 @@ pub(super) use pairs_side_by_side;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scalar::{Backend, LaneFn, dispatch_for, dispatch_on};
+    use crate::scalar::{Backend, LaneFn, PairKernel, Real, dispatch_for, dispatch_on};
 
     #[test]
     fn rounding_is_to_nearest_even_and_small_numbers_vanish() {

@@ -15,12 +15,16 @@ fn arguments() -> Vec<f32> {
         f32::NAN,
     ];
     let mut state = 1_u64;
-    for _ in 0..100_000 {
+    // Miri takes a thousand times longer over each.
+    let drawn = if cfg!(miri) { 200 } else { 100_000 };
+    for _ in 0..drawn {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         let u = (state >> 40) as f32 / (1_u64 << 24) as f32;
         let scale = [0.1_f32, 1.0, 7.0, 90.0, 900.0][(state >> 20) as usize % 5];
         xs.push((2.0 * u - 1.0) * scale);
     }
+    // The sign of what is not a number is open, and Miri draws it anew at every conversion.
+    xs.retain(|x| !(cfg!(miri) && x.is_nan()));
     while xs.len() % LANES != 0 {
         xs.push(0.5);
     }
@@ -95,7 +99,8 @@ fn every_back_end_and_lone_f32_give_the_same_bits() {
             lone.extend(columns.iter().map(|c| canonical(c[f])));
         }
     }
-    assert!(lone == portable, "lone f32 differs from the portable lanes");
+    let differing = (0..lone.len()).find(|&i| lone[i] != portable[i]);
+    assert_eq!(differing.map(|i| i / LANES % FUNCTIONS), None, "lone f32 and the portable lanes");
     for backend in [Backend::Avx2, Backend::Avx512] {
         if backend.is_available() {
             for other in [dispatch_on(backend, All(&xs)), dispatch_for(8, backend, All(&xs))] {

@@ -43,11 +43,11 @@ impl ArmFrame {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dynamics::StepOptions;
     use crate::env::{Physics, home};
     use crate::robot::{JOINTS_PER_ARM, Robot};
     use crate::spatial::{euler_xyz_to_rotation, rotation_difference};
     use crate::state::State;
+    use crate::step::StepOptions;
     use crate::task::Readings;
 
     /// The paper's home angles are 3.14 where π would be alike to the bit, so a hand a metre away is 1.6 mm off.

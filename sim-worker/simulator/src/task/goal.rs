@@ -14,7 +14,7 @@
 use proto::config::{GoalBox, TaskName};
 use proto::rng::{Address, Purpose};
 
-use super::{Home, box_ranges};
+use super::Home;
 use crate::scalar::Real;
 
 /// Goals of the environments of one lane group.
@@ -159,5 +159,14 @@ impl GoalRanges {
     pub fn attitude(&self, address: GoalAddress) -> [f64; 3] {
         let u = address.uniforms(0);
         std::array::from_fn(|i| self.base * (2.0 * u[i] - 1.0))
+    }
+}
+
+/// Ranges of the hand goals of `goal_box`: along the mount's x, inward, and lateral (m).
+fn box_ranges(goal_box: GoalBox) -> [[f64; 2]; 3] {
+    match goal_box {
+        GoalBox::Paper => [[-0.10, 0.20], [0.15, 0.45], [-0.15, 0.15]],
+        GoalBox::Release => [[-0.05, 0.20], [0.10, 0.35], [-0.10, 0.15]],
+        GoalBox::Narrow => [[-0.05, 0.15], [0.15, 0.35], [-0.10, 0.10]],
     }
 }

@@ -10,15 +10,16 @@ use super::observation::observe;
 use super::reward::rewards;
 use super::state::critic_state;
 use super::*;
-use crate::collision::{ContactKind, Touching};
-use crate::dynamics::StepOptions;
+use crate::collision::Touching;
 use crate::env::Physics;
+use crate::model::ContactKind;
 use crate::robot::{MAX_ARMS, Robot};
 use crate::spatial::{
     add, euler_xyz, euler_xyz_to_rotation, mat_mat, mat_vec, quaternion_exp, quaternion_product,
     quaternion_to_rotation,
 };
 use crate::state::State;
+use crate::step::StepOptions;
 
 /// The released robot at home, from `reference` values of its model.
 fn home() -> Home {

@@ -12,10 +12,10 @@ use std::arch::x86_64::{
 };
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
-use super::{LaneFn, derive_operators, operator};
+use super::operators::{derive_operators, operator};
 use crate::scalar::bf16::{self, pairs_side_by_side};
 use crate::scalar::single::single_precision_functions;
-use crate::scalar::{Kernel, LANES, Mask, Real, elementary};
+use crate::scalar::{Kernel, LANES, LaneFn, Mask, Real, elementary};
 
 /// Sixteen `f32` in two AVX registers; needs AVX2 and FMA.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ pub(crate) struct Mask2x8(__m256, __m256);
 macro_rules! both {
     (|$a:ident| $e:expr, $x:expr) => {{
         let x = $x;
-        // SAFETY: values of this type exist only where `dispatch_on` has found AVX2 and FMA.
+        // SAFETY: values of this type exist only once `dispatch_on` has found AVX2 and FMA.
         unsafe {
             F32x16Avx2(
                 {
@@ -45,7 +45,7 @@ macro_rules! both {
     }};
     (|$a:ident, $b:ident| $e:expr, $x:expr, $y:expr) => {{
         let (x, y) = ($x, $y);
-        // SAFETY: values of this type exist only where `dispatch_on` has found AVX2 and FMA.
+        // SAFETY: values of this type exist only once `dispatch_on` has found AVX2 and FMA.
         unsafe {
             F32x16Avx2(
                 {
@@ -88,7 +88,7 @@ impl Not for Mask2x8 {
     type Output = Self;
     #[inline(always)]
     fn not(self) -> Self {
-        // SAFETY: values of this type exist only where `dispatch_on` has found AVX2 and FMA; so for every block below.
+        // SAFETY: values of this type exist only once `dispatch_on` has found AVX2 and FMA; so for every block below.
         unsafe {
             let ones = _mm256_castsi256_ps(_mm256_set1_epi32(-1));
             Self(_mm256_xor_ps(self.0, ones), _mm256_xor_ps(self.1, ones))

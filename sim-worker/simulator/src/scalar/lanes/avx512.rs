@@ -7,10 +7,11 @@
 use std::arch::x86_64::{_CMP_EQ_OQ, _CMP_LE_OQ, _CMP_LT_OQ, _CMP_NLT_UQ};
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
-use super::{LaneFn, Mask16, bit_mask, derive_operators, operator};
-use crate::scalar::bf16::{self, Native, PairKernel, PairProducts, WeightPair, WithoutNative};
+use super::operators::{Mask16, bit_mask, derive_operators, operator};
+use crate::scalar::bf16::{self, Native, PairProducts, WeightPair};
+use crate::scalar::real::WithoutNative;
 use crate::scalar::single::single_precision_functions;
-use crate::scalar::{Kernel, Mask, Real, elementary};
+use crate::scalar::{Kernel, LaneFn, Mask, PairKernel, Real, elementary};
 
 /// Bits of the sign of an `f32`.
 const SIGN: i32 = i32::MIN;
@@ -39,7 +40,7 @@ macro_rules! back_end {
             #[inline(always)]
             fn neg(self) -> Self {
                 // −0 − x is −x for every number; the compiler knows it as a negation and folds it into multiply-adds.
-                // SAFETY: values of this type exist only where `dispatch_on` has found AVX-512.
+                // SAFETY: values of this type exist only once `dispatch_on` or `dispatch_for` has found AVX-512.
                 Self(unsafe { sub_ps(set1_ps(-0.0), self.0) })
             }
         }
@@ -92,7 +93,7 @@ macro_rules! back_end {
             }
             #[inline(always)]
             fn add_pair_product<P: PairProducts>(self, x: $pair, w: WeightPair, by: P) -> Self {
-                // SAFETY: as for `splat`; there is no `Native` without AVX-512 BF16. The transmuted types are of one size.
+                // SAFETY: as for `splat`; there is no `Native` without AVX-512 BF16. The transmuted types are of one size, and every bit pattern is a value of both.
                 unsafe {
                     if by.native().is_some() {
                         let w = set1_epi32(w.0 as i32);
@@ -231,7 +232,7 @@ macro_rules! back_end {
 
         /// Runs `f` with this type.
         #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx512bw,fma")]
-        pub(in crate::scalar) fn call<F: LaneFn>(f: F) -> F::Output {
+        pub(crate) fn call<F: LaneFn>(f: F) -> F::Output {
             f.call::<$vector>()
         }
 

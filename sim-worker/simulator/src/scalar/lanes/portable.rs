@@ -2,7 +2,7 @@
 
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-use super::{Mask16, derive_operators};
+use super::operators::{Mask16, derive_operators};
 use crate::scalar::bf16::{self, pairs_side_by_side};
 use crate::scalar::single::{self, single_precision_functions};
 use crate::scalar::{LANES, Mask, Real, elementary};

@@ -1,0 +1,57 @@
+//! What all experiments are asked for with.
+
+use std::path::PathBuf;
+
+use super::command_line::{option, path_option};
+
+/// Policies, robot and episodes of an experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Common {
+    /// A directory that holds `trajectory` and `reorientation`.
+    pub policies: Option<PathBuf>,
+    /// The trajectory policy.
+    pub trajectory: Option<PathBuf>,
+    /// The reorientation policy.
+    pub reorientation: Option<PathBuf>,
+    /// Another robot than the policies' own: its name or its file.
+    pub robot: Option<String>,
+    /// Episodes of a setting; as many as the experiment has by itself if none are given.
+    pub episodes: Option<u32>,
+    /// Control steps of an episode.
+    pub steps: u32,
+    /// Seed of goals and noise.
+    pub seed: u64,
+}
+
+impl Default for Common {
+    fn default() -> Self {
+        Self {
+            policies: None,
+            trajectory: None,
+            reorientation: None,
+            robot: None,
+            episodes: None,
+            steps: 200,
+            seed: 0,
+        }
+    }
+}
+
+impl Common {
+    /// Its options on the command line of `octopus experiment`.
+    pub(super) fn options(&self) -> Vec<std::ffi::OsString> {
+        let paths = [
+            ("--policies", &self.policies),
+            ("--trajectory", &self.trajectory),
+            ("--reorientation", &self.reorientation),
+        ];
+        let mut options: Vec<_> = paths
+            .into_iter()
+            .filter_map(|(flag, path)| Some(path_option(flag, path.as_deref()?)))
+            .collect();
+        options.extend(self.robot.as_ref().map(|robot| option("--robot", robot)));
+        options.extend(self.episodes.map(|episodes| option("--episodes", episodes)));
+        options.extend([option("--steps", self.steps), option("--seed", self.seed)]);
+        options
+    }
+}

@@ -1,0 +1,322 @@
+//! What experiments share: policies, robot, episodes, progress.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use proto::config::TaskName;
+use proto::{ExitCode, ExitError};
+use run::report::progress::Parts;
+use run::shakedown::shakedown;
+use simulator::env::step_options;
+use simulator::evaluate::{Evaluation, EvaluationOptions};
+use simulator::experiment::{CHUNK, Pose, Recording, Trial, play};
+use simulator::reach::within_reach;
+use simulator::robot::Robot;
+use simulator::step::StepOptions;
+use store::provenance::Provenance;
+#[cfg(test)]
+use {
+    proto::layout::ActorLayout,
+    simulator::rollout::World,
+    store::checkpoint::{Checkpoint, Manifest},
+};
+
+use super::common::Common;
+use super::report::{Protocol, Report, RobotIdentity};
+use super::{Experiment, Name};
+use crate::evaluation::Reach;
+use crate::threads::Threads;
+use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
+
+/// Which policies an experiment needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Needs {
+    /// One of the two, or both.
+    Any,
+    /// The one for the base.
+    Reorientation,
+    /// Both.
+    Both,
+}
+
+/// What an experiment is made with.
+#[derive(Debug)]
+pub struct Lab {
+    /// The policies, trajectory first; those that the experiment needs and that were given.
+    policies: Vec<Trained>,
+    /// The robot of all of them.
+    pub(crate) robot: Robot,
+    /// E: episodes of a setting.
+    pub(crate) episodes: usize,
+    /// Control steps of an episode.
+    pub(crate) steps: usize,
+    /// Seed of goals and noise.
+    pub(crate) seed: u64,
+    threads: Threads,
+    progress: Arc<Parts>,
+}
+
+/// The option that names the policy of a task.
+fn flag(task: TaskName) -> &'static str {
+    match task {
+        TaskName::Trajectory => "--trajectory",
+        TaskName::Reorientation => "--reorientation",
+    }
+}
+
+impl Lab {
+    /// Opens what an experiment's command line names.
+    pub fn new<E: Experiment>(experiment: &E) -> anyhow::Result<Self> {
+        let (args, needs) = (experiment.common(), E::NEEDS);
+        let usage = |message: String| ExitError::new(ExitCode::Usage, message);
+        let tasks: &[TaskName] = match needs {
+            Needs::Any | Needs::Both => &[TaskName::Trajectory, TaskName::Reorientation],
+            Needs::Reorientation => &[TaskName::Reorientation],
+        };
+        if needs == Needs::Reorientation && args.trajectory.is_some() {
+            let message = "--trajectory has no meaning here: this experiment turns the base";
+            return Err(usage(message.to_owned()).into());
+        }
+        let load = |name| run::robots::load_fit_robot(name, &StepOptions::default());
+        let robot = args.robot.as_deref().map(load).transpose()?;
+        let mut policies = Vec::new();
+        for &task in tasks {
+            let Some(path) = place(args, task, needs) else { continue };
+            let checkpoint = open_checkpoint(&path)?;
+            let trained = Trained::new(checkpoint, robot.as_ref())?;
+            if trained.task() != task {
+                let message = format!(
+                    "{}: learned `{}`; a policy for `{}` is wanted, name it with {}",
+                    trained.checkpoint.dir.display(),
+                    trained.task().as_str(),
+                    task.as_str(),
+                    flag(task)
+                );
+                return Err(ExitError::new(ExitCode::BadInput, message).into());
+            }
+            policies.push(trained);
+        }
+        let wanted = match needs {
+            Needs::Any => 1,
+            Needs::Reorientation | Needs::Both => tasks.len(),
+        };
+        if policies.len() < wanted {
+            let given = |task: &&TaskName| policies.iter().any(|policy| policy.task() == **task);
+            let missing: Vec<&str> =
+                tasks.iter().filter(|task| !given(task)).map(|task| flag(*task)).collect();
+            let message = format!(
+                "no policy: name one with {} CHECKPOINT, or all with --policies DIR, which holds \
+                 `trajectory` and `reorientation`",
+                missing.join(if needs == Needs::Any { " or " } else { " and " })
+            );
+            return Err(usage(message).into());
+        }
+        let robot = policies[0].world.robot.clone();
+        for pair in policies.windows(2) {
+            together(&pair[0], &pair[1])?;
+        }
+        Ok(Self {
+            policies,
+            robot,
+            episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
+            steps: args.steps as usize,
+            seed: args.seed,
+            threads: Threads::available(),
+            progress: Arc::default(),
+        })
+    }
+
+    /// A lab of an experiment on the paper's robot, with policies whose actions are zero.
+    #[cfg(test)]
+    pub(crate) fn resting<E: Experiment>(experiment: &E) -> Self {
+        use proto::config::{Layers, Preset};
+
+        let robot = Robot::builtin("paper").expect("built in");
+        let policy = |task: TaskName| {
+            let layers = Layers::new(Preset::Tuned, Some(task)).set("network.hidden=[4]");
+            let config = layers.and_then(|layers| layers.resolve()).expect("valid");
+            let world = World::new(&config, &robot);
+            let len = ActorLayout::new(&world.config, &world.dimensions).len;
+            let policy = world.policy(&vec![0.0; len]).expect("a policy");
+            let manifest = Manifest {
+                format: 1,
+                iteration: 7,
+                env_steps: 700,
+                digest: proto::Digest::default(),
+                created_unix_s: 0,
+                provenance: serde_json::Value::Null,
+                files: std::collections::BTreeMap::new(),
+                origins: Vec::new(),
+            };
+            let dir = task.as_str().into();
+            let robot_toml = robot.to_toml();
+            Trained { checkpoint: Checkpoint { dir, manifest, config, robot_toml }, world, policy }
+        };
+        let tasks = match E::NEEDS {
+            Needs::Any | Needs::Both => vec![TaskName::Trajectory, TaskName::Reorientation],
+            Needs::Reorientation => vec![TaskName::Reorientation],
+        };
+        let policies = tasks.into_iter().map(policy).collect();
+        let args = experiment.common();
+        Self {
+            policies,
+            robot,
+            episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
+            steps: args.steps as usize,
+            seed: args.seed,
+            threads: Threads::new(1),
+            progress: Arc::default(),
+        }
+    }
+
+    /// The policies, trajectory first.
+    pub fn policies(&self) -> &[Trained] {
+        &self.policies
+    }
+
+    /// The policy of a task that the experiment needs.
+    pub(crate) fn policy(&self, task: TaskName) -> &Trained {
+        let found = self.policies.iter().find(|policy| policy.task() == task);
+        found.expect("the experiment was refused without it")
+    }
+
+    /// Refuses an arm (counted from 1) that the robot does not have.
+    pub(crate) fn check_arm(&self, arm: usize) -> Result<(), ExitError> {
+        if (1..=self.robot.n_arms).contains(&arm) {
+            return Ok(());
+        }
+        let message = format!(
+            "there is no arm {arm}: the robot `{}` has {}",
+            self.robot.name, self.robot.n_arms
+        );
+        Err(ExitError::new(ExitCode::BadInput, message))
+    }
+
+    /// A trial of one policy on held-out goals in which nothing happens.
+    pub(crate) fn trial<'a>(&self, policy: &'a Trained) -> Trial<'a> {
+        Trial::new(policy.player(), self.seed, self.episodes, self.steps)
+    }
+
+    /// Plays a trial and shows how far it has come.
+    pub(crate) fn play(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
+        let chunks = trial.episodes.div_ceil(CHUNK);
+        self.progress.begin(what, (chunks * trial.steps) as u64);
+        play(trial, &self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
+    }
+
+    /// Which of the trial's hand goals could be reached; none in `reorientation`.
+    pub(crate) fn reach(
+        &self,
+        policy: &Trained,
+        evaluation: &Evaluation,
+    ) -> anyhow::Result<Option<Reach>> {
+        let options =
+            EvaluationOptions { seed: self.seed, episodes: self.episodes, steps: self.steps };
+        Reach::of(&policy.world, evaluation, &options, self.threads, &self.progress)
+    }
+
+    /// Whether inverse kinematics has a solution for the goals of a trial's hands with the base where each episode ended: `[episode][arm]`.
+    pub(crate) fn within_reach(&self, policy: &Trained, recording: &Recording) -> Vec<Vec<bool>> {
+        let last = recording.steps() - 1;
+        let ends: Vec<Pose> =
+            (0..recording.episodes()).map(|episode| recording.pose(episode, last)).collect();
+        let ends: Vec<&Pose> = ends.iter().collect();
+        within_reach(&policy.world, self.seed, &ends, &self.threads)
+    }
+
+    /// Refuses a robot that an option has made of the policies'.
+    pub(crate) fn check_fit(&self, robot: &Robot, option: &str) -> anyhow::Result<()> {
+        let name = format!("{} with {option}", self.robot.name);
+        let options = step_options(&self.policies[0].world.config);
+        Ok(shakedown(robot, &name, &options)?)
+    }
+
+    /// Shows progress there, together with others.
+    pub(crate) fn share_progress(&mut self, progress: &Arc<Parts>) {
+        self.progress = Arc::clone(progress);
+    }
+
+    /// Steps of progress of `trials` trials of all episodes and `shown` of one alone.
+    pub(crate) fn work(&self, trials: usize, shown: usize) -> u64 {
+        ((trials * self.episodes.div_ceil(CHUNK) + shown) * self.steps) as u64
+    }
+
+    /// Nothing more is played: the terminal is free.
+    pub fn end(&self) {
+        self.progress.end();
+    }
+
+    /// The protocol of an experiment with these settings.
+    pub(crate) fn protocol<S>(&self, settings: S) -> Protocol<S> {
+        Protocol {
+            episodes: self.episodes,
+            steps: self.steps,
+            seed: self.seed,
+            control_period_s: self.policies[0].world.config.env.control_period,
+            actions: "deterministic".into(),
+            settings,
+        }
+    }
+
+    /// Which policies there are, trajectory first.
+    pub(crate) fn identities(&self) -> Vec<PolicyIdentity> {
+        self.policies.iter().map(Trained::identity).collect()
+    }
+
+    /// Results with everything that they were made with.
+    pub(crate) fn report<S, R>(
+        &self,
+        experiment: Name,
+        settings: S,
+        results: Vec<R>,
+    ) -> Report<S, R> {
+        Report {
+            experiment,
+            protocol: self.protocol(settings),
+            robot: RobotIdentity::of(&self.robot),
+            policies: self.identities(),
+            provenance: Provenance::gather(),
+            results,
+        }
+    }
+}
+
+/// Where the policy of a task is: its own option first, then its place in the directory of all.
+fn place(args: &Common, task: TaskName, needs: Needs) -> Option<PathBuf> {
+    let own = match task {
+        TaskName::Trajectory => &args.trajectory,
+        TaskName::Reorientation => &args.reorientation,
+    };
+    let of_all = || {
+        let place = args.policies.as_ref()?.join(task.as_str());
+        // Of two that may be missing, one that is not there is not asked for; if neither is, the first is missed.
+        let other = args.policies.as_ref()?.join(TaskName::Reorientation.as_str());
+        let left_out = needs == Needs::Any
+            && !place.exists()
+            && (task == TaskName::Reorientation || other.exists() || args.reorientation.is_some());
+        (!left_out).then_some(place)
+    };
+    own.clone().or_else(of_all)
+}
+
+/// Refuses two policies that cannot move one robot at the same time.
+fn together(one: &Trained, other: &Trained) -> Result<(), ExitError> {
+    let refuse = |what: String| {
+        let (a, b) = (one.checkpoint.dir.display(), other.checkpoint.dir.display());
+        Err(ExitError::new(ExitCode::BadInput, format!("{a} and {b}: {what}")))
+    };
+    if one.world.robot != other.world.robot {
+        return refuse(
+            "they learned on different robots; --robot NAME|FILE puts both on one".to_owned(),
+        );
+    }
+    let periods = [one, other].map(|policy| policy.world.config.env.control_period);
+    if periods[0] != periods[1] {
+        return refuse(format!(
+            "their control periods are {} s and {} s; they must be equal",
+            periods[0], periods[1]
+        ));
+    }
+    Ok(())
+}

@@ -1,0 +1,105 @@
+//! How near hands and base come to held-out goals.
+
+use std::ffi::OsString;
+
+use proto::config::TaskName;
+use serde::{Deserialize, Serialize};
+use simulator::evaluate::Evaluation;
+use simulator::experiment::TAIL_STEPS;
+
+use super::common::Common;
+use super::lab::{Lab, Needs};
+use super::report::{ErrorOfMany, Report, Words};
+use super::{Experiment, Name};
+use crate::evaluation::Summary;
+use crate::trained::Trained;
+
+/// What precision is measured with.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    goals: Words,
+    tail_steps: usize,
+}
+
+/// The precision of one policy.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Precision {
+    /// As `octopus eval --json` prints it.
+    pub(crate) summary: Summary,
+    /// Every hand's errors, or the base's, with their courses.
+    pub(crate) errors: Vec<ErrorOfMany>,
+}
+
+/// What is asked of the experiment.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Study {
+    /// Policies, robot, episodes.
+    pub common: Common,
+    /// Whether the errors of each agent are shown, too.
+    pub agents: bool,
+}
+
+impl Experiment for Study {
+    const NAME: Name = Name::Precision;
+    const NEEDS: Needs = Needs::Any;
+    type Settings = Settings;
+    type Result = Precision;
+
+    fn common(&self) -> &Common {
+        &self.common
+    }
+
+    fn options(&self) -> Vec<OsString> {
+        if self.agents { vec!["--agents".into()] } else { Vec::new() }
+    }
+
+    fn settings(&self, _: &Lab) -> anyhow::Result<Settings> {
+        Ok(Settings { goals: "held out".into(), tail_steps: TAIL_STEPS })
+    }
+
+    fn work(&self, lab: &Lab) -> u64 {
+        let reaches = |task| task == TaskName::Trajectory;
+        let reaching = lab.policies().iter().filter(|policy| reaches(policy.task())).count();
+        lab.work(lab.policies().len(), 0) + (reaching * lab.episodes) as u64
+    }
+
+    fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Precision>> {
+        let measure = |policy| {
+            let task = Trained::task(policy);
+            let recording =
+                lab.play(&format!("precision, {}", task.as_str()), &lab.trial(policy))?;
+            let errors = match task {
+                TaskName::Trajectory => (0..lab.robot.n_arms)
+                    .flat_map(|arm| {
+                        [
+                            ErrorOfMany::position(&recording, arm),
+                            ErrorOfMany::orientation(&recording, arm),
+                        ]
+                    })
+                    .collect(),
+                TaskName::Reorientation => vec![ErrorOfMany::base(&recording)],
+            };
+            let evaluation = Evaluation::of(&recording);
+            let reach = lab.reach(policy, &evaluation)?;
+            let summary = Summary::new(policy, lab.seed, evaluation, reach);
+            Ok(Precision { summary, errors })
+        };
+        lab.policies().iter().map(measure).collect()
+    }
+
+    fn table(columns: usize, report: &Report<Settings, Precision>) -> String {
+        tables(columns, report, true)
+    }
+
+    fn printed(&self, columns: usize, report: &Report<Settings, Precision>) -> String {
+        tables(columns, report, self.agents)
+    }
+}
+
+/// A table a task, with the errors of each agent if `agents` says so.
+fn tables(columns: usize, report: &Report<Settings, Precision>, agents: bool) -> String {
+    let tables = report.results.iter().map(|result| {
+        format!("{}\n{}", result.summary.task.as_str(), result.summary.table(columns, agents))
+    });
+    tables.collect::<Vec<_>>().join("\n\n")
+}

@@ -1,0 +1,19 @@
+//! What is found out about policies, runs and machines.
+//!
+//! * [`evaluation`]: how well a policy does on goals it never saw; [`verdict`] compares with the paper;
+//! * [`experiments`]: the paper's experiments, one file each; [`reproduce`] does all of them and makes a page;
+//! * [`figures`]: learning curves of runs, and the panels that everything is drawn in;
+//! * [`verification`]: whether two runs, or a run and its repetition, are the same to the bit;
+//! * [`bench`]: how fast a machine simulates, learns and transports;
+//! * [`statistics`], [`trained`], [`threads`]: what these share.
+
+pub mod bench;
+pub mod evaluation;
+pub mod experiments;
+pub mod figures;
+pub mod reproduce;
+pub mod statistics;
+pub mod threads;
+pub mod trained;
+pub mod verdict;
+pub mod verification;

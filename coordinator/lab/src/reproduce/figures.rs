@@ -1,0 +1,393 @@
+//! The paper's figures from our numbers.
+
+use drawing::{Axis, Item, Layout, Panel, Quantiles, line, render};
+use proto::config::TaskName;
+
+use super::Reports;
+use super::claims::{MASS_SHARE, MASS_THRESHOLD};
+use crate::experiments::disturbance::{Disturbance, Disturbed};
+use crate::experiments::noise::Quantity;
+use crate::experiments::report::{ErrorOfMany, Figure, Goals};
+use crate::statistics::ErrorOf;
+
+const STEP: &str = "control step";
+
+/// An error's axis label.
+fn label(error: ErrorOf) -> &'static str {
+    match error {
+        ErrorOf::Position => "position error (mm)",
+        ErrorOf::Orientation => "orientation error (mrad)",
+        ErrorOf::Base => "attitude error (mrad)",
+    }
+}
+
+/// Numbers over steps, which are counted from 1, in thousandths.
+fn over_steps(values: impl IntoIterator<Item = f32>) -> Vec<(f64, f64)> {
+    let values = values.into_iter().enumerate();
+    values.map(|(step, value)| ((step + 1) as f64, 1e3 * f64::from(value))).collect()
+}
+
+fn threshold(name: &str, at: f64) -> Item {
+    Item::Threshold { name: name.to_owned(), at }
+}
+
+fn norm([x, y, z]: [f32; 3]) -> f32 {
+    (x * x + y * y + z * z).sqrt()
+}
+
+/// A panel over the steps of an episode with a logarithmic axis for what is in it.
+fn course(title: impl Into<String>, name: &str, steps: usize, items: Vec<Item>) -> Panel {
+    Panel::log(title, Axis::linear(STEP, 0.0, steps as f64), name, items)
+}
+
+/// Boxes of every agent's error: by the paper's measure and by ours.
+pub(super) fn precision(reports: &Reports) -> anyhow::Result<String> {
+    let mut panels = Vec::new();
+    for result in &reports.precision.results {
+        let episodes = &result.summary.episodes;
+        let n_arms = match result.summary.task {
+            TaskName::Trajectory => episodes.first().map_or(0, |episode| episode.hands.len()),
+            TaskName::Reorientation => 0,
+        };
+        let kinds: &[(ErrorOf, f64)] = match result.summary.task {
+            TaskName::Trajectory => &[(ErrorOf::Position, 25.0), (ErrorOf::Orientation, 40.0)],
+            TaskName::Reorientation => &[(ErrorOf::Base, 30.0)],
+        };
+        for &(error, claim) in kinds {
+            let course = |episode: usize, arm: usize| match error {
+                ErrorOf::Position => episodes[episode].hands[arm].position,
+                ErrorOf::Orientation => episodes[episode].hands[arm].orientation,
+                ErrorOf::Base => episodes[episode].base,
+            };
+            let boxes = |tail: bool, shift: f64| -> Vec<(f64, Quantiles)> {
+                let of_arm = |arm: usize| {
+                    let courses = (0..episodes.len()).map(|episode| course(episode, arm));
+                    let values = courses.map(|course| if tail { course.tail } else { course.min });
+                    let values = values.map(|value| 1e3 * f64::from(value)).collect();
+                    Some((arm as f64 + shift, Quantiles::of(values)?))
+                };
+                (0..n_arms.max(1)).filter_map(of_arm).collect()
+            };
+            let (min, tail) = (boxes(false, -0.19), boxes(true, 0.19));
+            let (title, x) = match error {
+                ErrorOf::Position => ("Shoulders: position of the hands", "agent"),
+                ErrorOf::Orientation => ("Wrists: orientation of the hands", "agent"),
+                ErrorOf::Base => ("All agents: attitude of the base", ""),
+            };
+            let names = match error {
+                ErrorOf::Base => vec!["base".to_owned()],
+                ErrorOf::Position => (0..n_arms).map(|arm| (2 * arm).to_string()).collect(),
+                ErrorOf::Orientation => (0..n_arms).map(|arm| (2 * arm + 1).to_string()).collect(),
+            };
+            let width = 0.34;
+            let items = vec![
+                Item::Boxes { name: "minimum".to_owned(), color: 0, width, boxes: min },
+                Item::Boxes { name: "last 20 steps".to_owned(), color: 1, width, boxes: tail },
+                threshold("the paper's claim", claim),
+            ];
+            panels.push(Panel::log(title, Axis::names(x, names), label(error), items));
+        }
+    }
+    render(&panels, &Layout::rows_of_three(&panels))
+}
+
+/// Median errors over time.
+pub(super) fn courses(reports: &Reports) -> anyhow::Result<String> {
+    let mut panels = Vec::new();
+    let steps = reports.precision.protocol.steps;
+    for result in &reports.precision.results {
+        let kinds: &[(ErrorOf, &str)] = match result.summary.task {
+            TaskName::Trajectory => &[
+                (ErrorOf::Position, "Position of the hands"),
+                (ErrorOf::Orientation, "Orientation of the hands"),
+            ],
+            TaskName::Reorientation => &[(ErrorOf::Base, "Attitude of the base")],
+        };
+        for &(error, title) in kinds {
+            let errors: Vec<&ErrorOfMany> =
+                result.errors.iter().filter(|other| other.error == error).collect();
+            let items = errors.iter().enumerate().flat_map(|(index, error)| {
+                let (median, p90) = match error.arm {
+                    Some(arm) => (format!("arm {arm}"), String::new()),
+                    None => ("median".to_owned(), "90 % of the episodes below".to_owned()),
+                };
+                let tenth = (errors.len() == 1)
+                    .then(|| line(p90, 1, over_steps(error.course.p90.iter().copied())));
+                let middle = over_steps(error.course.p50.iter().copied());
+                [Some(line(median, index, middle)), tenth].into_iter().flatten()
+            });
+            panels.push(course(title, label(error), steps, items.collect()));
+        }
+    }
+    render(&panels, &Layout::rows_of_three(&panels))
+}
+
+/// The disturbed steps, marked.
+fn disturbed(result: &Disturbed) -> Item {
+    // What step k leads to stands at k + 1.
+    let [from, to] = result.steps.map(|step| step as f64);
+    Item::Span { name: "disturbed".to_owned(), from, to }
+}
+
+/// One episode with the authors' goals and overwritten actions, each axis; none on a robot of other arms than theirs.
+pub(super) fn disturbed_axes(reports: &Reports) -> anyhow::Result<Option<String>> {
+    let report = &reports.disturbance;
+    let mut panels = Vec::new();
+    for result in report.results.iter().filter(|r| r.disturbance == Disturbance::Override) {
+        let Some(figure) = &result.figure else { continue };
+        for error in &result.errors {
+            let axes: &[[f32; 3]] = match (error.error, figure.hands.first()) {
+                (ErrorOf::Position, Some(hand)) => &hand.position_m,
+                (ErrorOf::Orientation, Some(hand)) => &hand.orientation_rad,
+                _ => &figure.base_rad,
+            };
+            let (title, names) = match error.error {
+                ErrorOf::Position => (format!("Hand {}, position", arm(figure)), ["x", "y", "z"]),
+                ErrorOf::Orientation => {
+                    (format!("Hand {}, orientation", arm(figure)), ["about x", "y", "z"])
+                }
+                ErrorOf::Base => ("Base, attitude".to_owned(), ["about x", "y", "z"]),
+            };
+            let bound = 1e3 * f64::from(error.threshold);
+            let from = result.steps[0];
+            let after = axes.iter().skip(from.saturating_sub(10)).flatten();
+            let peak = after.fold(0.0_f32, |peak, value| peak.max(value.abs()));
+            // From home to the goal is far; what the disturbance does is what shall be seen.
+            let reach = (1.15e3 * f64::from(peak)).max(2.0 * bound);
+            let mut items = vec![disturbed(result)];
+            items.extend(names.iter().enumerate().map(|(axis, name)| {
+                line(*name, axis, over_steps(axes.iter().map(|error| error[axis])))
+            }));
+            items.push(threshold("claim", bound));
+            items.push(threshold("", -bound));
+            panels.push(Panel {
+                title: format!("{title}: {}", result.what),
+                x: Axis::linear(STEP, 0.0, report.protocol.steps as f64),
+                y: Axis::linear(label(error.error), -reach, reach),
+                items,
+            });
+        }
+    }
+    if panels.is_empty() {
+        return Ok(None);
+    }
+    render(&panels, &Layout::rows_of_three(&panels)).map(Some)
+}
+
+fn arm(figure: &Figure) -> usize {
+    figure.hands.first().map_or(0, |hand| hand.arm)
+}
+
+/// Medians of the worst axis over held-out goals, every disturbance.
+pub(super) fn disturbed_courses(reports: &Reports) -> anyhow::Result<String> {
+    let report = &reports.disturbance;
+    let mut panels = Vec::new();
+    for task in [TaskName::Trajectory, TaskName::Reorientation] {
+        let results: Vec<&Disturbed> =
+            report.results.iter().filter(|result| result.task == task).collect();
+        let Some(first) = results.first() else { continue };
+        for (index, error) in first.errors.iter().enumerate() {
+            let mut items = Vec::new();
+            items.extend(results.last().map(|result| disturbed(result)));
+            items.extend(results.iter().enumerate().map(|(color, result)| {
+                let median = result.errors[index].course.p50.iter().copied();
+                line(result.disturbance.to_string(), color, over_steps(median))
+            }));
+            items.push(threshold("claim", 1e3 * f64::from(error.threshold)));
+            let title = match error.error {
+                ErrorOf::Base => "Reorientation, worst axis".to_owned(),
+                of => format!("Trajectory, {of}, worst axis"),
+            };
+            panels.push(course(title, label(error.error), report.protocol.steps, items));
+        }
+    }
+    render(&panels, &Layout::rows_of_three(&panels))
+}
+
+/// Courses of turning the base with a failed arm: the authors' goal, and medians.
+pub(super) fn arm_failure(reports: &Reports) -> anyhow::Result<String> {
+    let report = &reports.arm_failure;
+    let panel = |title: &str, points: &dyn Fn(usize) -> Vec<(f64, f64)>| {
+        let results = report.results.iter().enumerate();
+        let mut items: Vec<Item> =
+            results.map(|(index, result)| line(result.name(), index, points(index))).collect();
+        items.push(threshold("claim", 30.0));
+        course(title, label(ErrorOf::Base), report.protocol.steps, items)
+    };
+    let theirs = |index: usize| {
+        let figure: &Figure = &report.results[index].figure;
+        over_steps(figure.base_rad.iter().map(|error| norm(*error)))
+    };
+    let median = |index: usize| over_steps(report.results[index].error.course.p50.iter().copied());
+    let tenth = |index: usize| over_steps(report.results[index].error.course.p90.iter().copied());
+    let panels = [
+        panel("The authors' goal", &theirs),
+        panel("Held-out goals, median", &median),
+        panel("Held-out goals, 90 % below", &tenth),
+    ];
+    render(&panels, &Layout::columns(3))
+}
+
+/// Success against mass, and the error.
+pub(super) fn base_mass(reports: &Reports) -> anyhow::Result<String> {
+    let report = &reports.base_mass;
+    let masses = report.results.iter().map(|result| result.mass);
+    let heaviest = masses.clone().fold(0.0, f64::max);
+    let x = Axis::linear("mass of the cube (kg)", 0.0, 1.04 * heaviest);
+    let dotted = |name: String, color: usize, points: Vec<(f64, f64)>| Item::Line {
+        name,
+        color,
+        points,
+        dots: true,
+    };
+    let thresholds = report.protocol.settings.thresholds_rad.iter().enumerate();
+    let mut success: Vec<Item> = thresholds
+        .map(|(index, threshold)| {
+            let points = report.results.iter().map(|r| (r.mass, 100.0 * r.success[index]));
+            dotted(format!("{:.0} mrad", 1e3 * threshold), index, points.collect())
+        })
+        .collect();
+    success.push(threshold("claim", 100.0 * MASS_SHARE));
+    let of = |read: fn(&ErrorOfMany) -> f64| -> Vec<(f64, f64)> {
+        report.results.iter().map(|result| (result.mass, 1e3 * read(&result.error))).collect()
+    };
+    let errors = vec![
+        dotted("mean".to_owned(), 0, of(|error| error.tail.mean)),
+        dotted("median".to_owned(), 1, of(|error| error.tail.p50)),
+        dotted("90 % below".to_owned(), 2, of(|error| error.tail.p90)),
+        threshold("50 mrad", 1e3 * MASS_THRESHOLD),
+    ];
+    let course = course("Error in the last 20 steps", label(ErrorOf::Base), 1, errors);
+    let panels = [
+        Panel {
+            title: "Success by threshold".to_owned(),
+            x: x.clone(),
+            y: Axis::linear("episodes that end within (%)", 0.0, 104.0),
+            items: success,
+        },
+        Panel { x, ..course },
+    ];
+    render(&panels, &Layout::columns(2))
+}
+
+/// Courses of both stages with the authors' goals.
+pub(super) fn reassembly(reports: &Reports) -> anyhow::Result<String> {
+    let report = &reports.reassembly;
+    let mut panels = Vec::new();
+    for stage in report.results.iter().filter(|stage| stage.goals == Goals::Theirs) {
+        let second = stage.reaching.iter().filter(|(_, from)| *from > 0).map(|(arm, from)| {
+            let from = *from as f64;
+            Item::Span { name: format!("arm {arm} joins"), from, to: from + 1.0 }
+        });
+        let second: Vec<Item> = second.collect();
+        for (error, claim) in
+            [(ErrorOf::Position, 40.0), (ErrorOf::Orientation, 45.0), (ErrorOf::Base, 35.0)]
+        {
+            let mut items = second.clone();
+            let hands = stage.figure.hands.iter();
+            let lines: Vec<(String, Vec<(f64, f64)>)> = match error {
+                ErrorOf::Position => hands
+                    .map(|hand| {
+                        let errors = hand.position_m.iter().map(|error| norm(*error));
+                        (format!("arm {}", hand.arm), over_steps(errors))
+                    })
+                    .collect(),
+                ErrorOf::Orientation => hands
+                    .map(|hand| {
+                        let errors = hand.orientation_rad.iter().map(|error| norm(*error));
+                        (format!("arm {}", hand.arm), over_steps(errors))
+                    })
+                    .collect(),
+                ErrorOf::Base => {
+                    let errors = stage.figure.base_rad.iter().map(|error| norm(*error));
+                    vec![("base".to_owned(), over_steps(errors))]
+                }
+            };
+            let lines = lines.into_iter().enumerate();
+            items.extend(lines.map(|(color, (name, points))| line(name, color, points)));
+            items.push(threshold("claim", claim));
+            let title = format!("{}: {error}", capital(&stage.stage.to_string()));
+            panels.push(course(title, label(error), report.protocol.steps, items));
+        }
+    }
+    render(&panels, &Layout::columns(3))
+}
+
+fn capital(word: &str) -> String {
+    let mut letters = word.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// Errors against what is made worse.
+pub(super) fn noise(reports: &Reports) -> anyhow::Result<String> {
+    let points = &reports.noise.results;
+    let mut panels = Vec::new();
+    for (quantity, title, x) in [
+        (Quantity::Sensors, "Sensors", "standard deviation (mm, mrad, mm/s, mrad/s)"),
+        (Quantity::JointTorque, "Disturbing torques", "standard deviation (N m)"),
+        (Quantity::Delay, "Delay of the commands", "control steps"),
+        (Quantity::ArmMass, "Mass of the arms", "multiple"),
+    ] {
+        let mut strengths: Vec<f64> = Vec::new();
+        for point in points.iter().filter(|point| point.quantity == quantity) {
+            if !strengths.contains(&point.strength) {
+                strengths.push(point.strength);
+            }
+        }
+        let series = |of: ErrorOf| -> Vec<(f64, f64)> {
+            let of_quantity = points.iter().filter(|point| point.quantity == quantity);
+            of_quantity
+                .filter_map(|point| {
+                    let error = point.errors.iter().find(|error| error.error == of)?;
+                    let at = strengths.iter().position(|strength| *strength == point.strength)?;
+                    Some((at as f64, 1e3 * error.tail.mean))
+                })
+                .collect()
+        };
+        let items: Vec<Item> = [
+            (ErrorOf::Position, "position of hands (mm)"),
+            (ErrorOf::Orientation, "orientation (mrad)"),
+            (ErrorOf::Base, "base (mrad)"),
+        ]
+        .into_iter()
+        .enumerate()
+        .map(|(color, (of, name))| Item::Line {
+            name: name.to_owned(),
+            color,
+            points: series(of),
+            dots: true,
+        })
+        .collect();
+        let names = strengths.iter().map(ToString::to_string).collect();
+        let panel = course(title, "error, last 20 steps (mm, mrad)", 1, items);
+        panels.push(Panel { x: Axis::names(x, names), ..panel });
+    }
+    render(&panels, &Layout::columns(2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_figure_of_an_untrained_robot() {
+        let reports = super::super::tests::reports();
+        let axes = disturbed_axes(reports).expect("drawn").expect("a robot of four arms");
+        for (figure, words) in [
+            (precision(reports), &["position error (mm)", "last 20 steps", "agent"][..]),
+            (courses(reports), &["control step", "arm 4", "median"]),
+            (Ok(axes), &["disturbed", "about x", "lift of arm 2"]),
+            (disturbed_courses(reports), &["push and pull", "worst axis"]),
+            (arm_failure(reports), &["arm 4 limp", "The authors"]),
+            (base_mass(reports), &["mass of the cube (kg)", "50 mrad", "episodes that end"]),
+            (reassembly(reports), &["arm 3 joins", "Dual: base"]),
+            (noise(reports), &["Mass of the arms", "standard deviation (N m)"]),
+        ] {
+            let figure = figure.expect("drawn");
+            assert!(!figure.contains("NaN") && !figure.contains("inf"), "{figure}");
+            for word in words {
+                assert!(figure.contains(word), "{word}");
+            }
+        }
+    }
+}

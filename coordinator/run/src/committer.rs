@@ -1,0 +1,337 @@
+//! Writes checkpoints on a thread of its own: the run's loop never waits for a disk.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use proto::config::Config;
+use store::checkpoint::{
+    CheckpointError, CheckpointStore, Name, Placement, Retention, Score, Snapshot,
+};
+
+/// What the thread is told to do, one after the other.
+#[derive(Debug)]
+enum Job {
+    Commit(Waiting),
+    Score(u64, Score),
+    /// Nothing; the answer says that everything before is done.
+    Report(Sender<()>),
+}
+
+/// A snapshot to be committed, and the score of its policy if that is the best so far.
+#[derive(Debug)]
+struct Waiting {
+    snapshot: Arc<Snapshot>,
+    score: Option<Score>,
+}
+
+/// What it has done.
+#[derive(Debug)]
+pub enum Committed {
+    /// A checkpoint is on the disk.
+    Checkpoint {
+        /// Iterations trained on.
+        iteration: u64,
+        /// Its directory.
+        dir: PathBuf,
+        /// Time that it took.
+        elapsed: Duration,
+    },
+    /// A score is recorded.
+    Score {
+        /// The checkpoint's iteration.
+        iteration: u64,
+        /// The score.
+        value: f64,
+        /// Whether it is the best so far.
+        best: bool,
+    },
+    /// A snapshot was not committed; what was there before is as it was.
+    Failed {
+        /// Its iteration.
+        iteration: u64,
+        /// Why.
+        error: CheckpointError,
+    },
+    /// A checkpoint is whole, but its score could not be written.
+    ScoreFailed {
+        /// The checkpoint's iteration.
+        iteration: u64,
+        /// Why.
+        error: CheckpointError,
+    },
+    /// A snapshot was not committed, because the metrics of its iterations could not be made durable.
+    Unrecorded {
+        /// Its iteration.
+        iteration: u64,
+        /// Why.
+        error: anyhow::Error,
+    },
+    /// A newer snapshot came before the disk was ready for this one.
+    GivenUp {
+        /// Its iteration.
+        iteration: u64,
+    },
+}
+
+/// The thread. Dropping it waits for the work under way.
+///
+/// While one snapshot is being written, only the newest other one waits, and the newest of those
+/// with a score: a disk that is slower than the training costs checkpoints, not memory.
+#[derive(Debug)]
+pub struct Committer {
+    jobs: Option<Sender<Job>>,
+    /// What the thread has done; nothing once it has dealt with a snapshot.
+    inbox: Receiver<Option<Committed>>,
+    thread: Option<JoinHandle<()>>,
+    /// Whether the thread has a snapshot.
+    writing: bool,
+    waiting: Option<Waiting>,
+    waiting_best: Option<Waiting>,
+    results: Vec<Committed>,
+}
+
+impl Committer {
+    /// Starts the thread. It calls `record` before it commits a snapshot: the metrics of the snapshot's
+    /// iterations are durable when that returns.
+    pub fn start(
+        store: CheckpointStore,
+        config: Config,
+        robot_toml: String,
+        provenance: serde_json::Value,
+        record: impl Fn() -> anyhow::Result<()> + Send + 'static,
+    ) -> Self {
+        let (jobs, orders) = channel();
+        let (outbox, inbox) = channel();
+        let thread = std::thread::spawn(move || {
+            let mut writer =
+                Writer { milestone_at: None, store, config, robot_toml, provenance, outbox };
+            for job in orders {
+                match job {
+                    Job::Commit(waiting) => {
+                        match record() {
+                            Ok(()) => writer.commit(waiting),
+                            Err(error) => {
+                                let iteration = waiting.snapshot.iteration;
+                                writer.tell(Committed::Unrecorded { iteration, error });
+                            }
+                        }
+                        // Nobody listens only while the run is being given up.
+                        let _ = writer.outbox.send(None);
+                    }
+                    Job::Score(iteration, score) => writer.score(iteration, score),
+                    Job::Report(done) => {
+                        // Whoever asked may have gone.
+                        let _ = done.send(());
+                    }
+                }
+            }
+        });
+        Self {
+            jobs: Some(jobs),
+            inbox,
+            thread: Some(thread),
+            writing: false,
+            waiting: None,
+            waiting_best: None,
+            results: Vec::new(),
+        }
+    }
+
+    /// Has a snapshot committed, as the best so far if it has a score. One that is committed
+    /// already only gets its score.
+    pub fn commit(&mut self, snapshot: Arc<Snapshot>, score: Option<Score>) {
+        let place = match score {
+            Some(_) => &mut self.waiting_best,
+            None => &mut self.waiting,
+        };
+        let iteration = snapshot.iteration;
+        let older = place.replace(Waiting { snapshot, score });
+        if let Some(older) = older.filter(|older| older.snapshot.iteration != iteration) {
+            self.results.push(Committed::GivenUp { iteration: older.snapshot.iteration });
+        }
+        self.hand_over();
+    }
+
+    /// Has a score written to the checkpoint of `iteration`, if that is still there.
+    pub fn score(&mut self, iteration: u64, score: Score) {
+        match &mut self.waiting {
+            Some(waiting) if waiting.snapshot.iteration == iteration => waiting.score = Some(score),
+            _ => self.send(Job::Score(iteration, score)),
+        }
+    }
+
+    /// Whether a snapshot is being written or waits to be.
+    pub fn is_busy(&self) -> bool {
+        self.writing || self.waiting.is_some() || self.waiting_best.is_some()
+    }
+
+    /// What has been done since the last call, in order.
+    pub fn results(&mut self) -> Vec<Committed> {
+        self.collect();
+        std::mem::take(&mut self.results)
+    }
+
+    /// Waits until everything handed over is written.
+    pub fn settle(&mut self) {
+        loop {
+            let (done, wait) = channel();
+            self.send(Job::Report(done));
+            let reported = wait.recv();
+            self.collect();
+            if !self.is_busy() || reported.is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Leaves the thread to itself, whatever it waits for.
+    pub fn abandon(&mut self) {
+        self.jobs = None;
+        self.thread = None;
+    }
+
+    fn collect(&mut self) {
+        for result in self.inbox.try_iter() {
+            match result {
+                Some(result) => self.results.push(result),
+                None => self.writing = false,
+            }
+        }
+        self.hand_over();
+    }
+
+    /// Gives the thread the snapshot that waits longest, if it has none.
+    fn hand_over(&mut self) {
+        if self.writing {
+            return;
+        }
+        let iteration = |waiting: &Option<Waiting>| {
+            waiting.as_ref().map_or(u64::MAX, |waiting| waiting.snapshot.iteration)
+        };
+        let first = if iteration(&self.waiting_best) < iteration(&self.waiting) {
+            self.waiting_best.take()
+        } else {
+            self.waiting.take()
+        };
+        if let Some(next) = first {
+            self.writing = true;
+            self.send(Job::Commit(next));
+        }
+    }
+
+    fn send(&self, job: Job) {
+        if let Some(jobs) = &self.jobs {
+            // A thread that has panicked shows when it is joined.
+            let _ = jobs.send(job);
+        }
+    }
+}
+
+impl Drop for Committer {
+    fn drop(&mut self) {
+        self.settle();
+        self.jobs = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What the thread owns.
+struct Writer {
+    store: CheckpointStore,
+    config: Config,
+    robot_toml: String,
+    provenance: serde_json::Value,
+    outbox: Sender<Option<Committed>>,
+    /// When the newest milestone was committed (seconds since 1970); none before the first look.
+    milestone_at: Option<f64>,
+}
+
+impl Writer {
+    fn commit(&mut self, Waiting { snapshot, score }: Waiting) {
+        let iteration = snapshot.iteration;
+        let begun = Instant::now();
+        let is_there = self.store.dir(&Name::of_iteration(iteration)).exists();
+        let value = score.as_ref().map(|score| score.value);
+        let result = self.store.commit_scored(
+            &snapshot,
+            &self.config,
+            &self.robot_toml,
+            &self.provenance,
+            score,
+        );
+        match result {
+            Ok(Placement { dir, best }) => {
+                // The checkpoint is safe; what is left is housekeeping, and done again next time.
+                if let Err(error) = self.mark_milestone(iteration).and_then(|()| self.retain()) {
+                    tracing::warn!(%error, "checkpoints could not be tidied up");
+                }
+                self.tell(Committed::Checkpoint { iteration, dir, elapsed: begun.elapsed() });
+                if let Some(value) = value {
+                    self.tell(Committed::Score { iteration, value, best });
+                }
+            }
+            Err(error) if is_there && value.is_some() => {
+                self.tell(Committed::ScoreFailed { iteration, error });
+            }
+            Err(error) => self.tell(Committed::Failed { iteration, error }),
+        }
+    }
+
+    fn score(&self, iteration: u64, score: Score) {
+        let dir = self.store.dir(&Name::of_iteration(iteration));
+        // Not the best, so it may have been tidied up meanwhile.
+        if dir.exists() {
+            self.tell(self.record(iteration, score));
+        }
+    }
+
+    fn record(&self, iteration: u64, score: Score) -> Committed {
+        let value = score.value;
+        match self.store.record_score(&Name::of_iteration(iteration), score) {
+            Ok(best) => Committed::Score { iteration, value, best },
+            Err(error) => Committed::ScoreFailed { iteration, error },
+        }
+    }
+
+    fn tell(&self, result: Committed) {
+        let _ = self.outbox.send(Some(result));
+    }
+
+    /// Marks the first checkpoint of every stretch of time.
+    fn mark_milestone(&mut self, iteration: u64) -> Result<(), CheckpointError> {
+        let every = self.config.run.milestone_every_s;
+        if every <= 0.0 {
+            return Ok(());
+        }
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
+        let Some(last) = self.milestone_at else {
+            // The first stretch begins with the run's first checkpoint, which is no milestone: it
+            // is hardly trained. A resumed run goes on with the stretch it was in.
+            let entries = self.store.entries()?;
+            let times = |milestone: bool| {
+                let of_kind = entries.iter().filter(move |e| !milestone || e.labels.milestone);
+                of_kind.map(|entry| entry.created_unix_s as f64)
+            };
+            let newest = times(true).reduce(f64::max);
+            self.milestone_at = newest.or(times(false).reduce(f64::min)).or(Some(now));
+            return Ok(());
+        };
+        if now - last >= every {
+            self.store.set_milestone(&Name::of_iteration(iteration), true)?;
+            self.milestone_at = Some(now);
+        }
+        Ok(())
+    }
+
+    fn retain(&self) -> Result<(), CheckpointError> {
+        let run = &self.config.run;
+        let retention =
+            Retention { latest: run.checkpoints_kept, every: run.keep_every, best: true };
+        self.store.retain(&retention).map(|_| ())
+    }
+}

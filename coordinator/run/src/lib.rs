@@ -1,0 +1,28 @@
+//! A training run, from its checks to its last checkpoint.
+//!
+//! * [`session`]: the loop of a run; read it first;
+//! * [`scheduler`], [`supervisor`]: who rolls out what; processes;
+//! * [`base`]: which checkpoint a run goes on from;
+//! * [`committer`], [`selection`]: the thread that writes checkpoints; which one is the best;
+//! * [`report`]: metrics, TensorBoard events, progress;
+//! * [`preflight`], [`precision`], [`shakedown`]: what is checked and decided before a run begins;
+//! * [`signals`], [`shield`], [`environment`], [`janitor`]: Ctrl-C once and twice; what children inherit;
+//!   cleaning up after a kill;
+//! * [`robots`]: robots as commands name them; [`errors`]: words and exit codes of errors.
+
+pub mod base;
+pub mod committer;
+pub mod environment;
+pub mod errors;
+pub mod janitor;
+pub mod precision;
+pub mod preflight;
+pub mod report;
+pub mod robots;
+pub mod scheduler;
+pub mod selection;
+pub mod session;
+pub mod shakedown;
+pub mod shield;
+pub mod signals;
+pub mod supervisor;

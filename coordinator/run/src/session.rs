@@ -1,0 +1,409 @@
+//! The loop of a run: orders out, progress in, the dead replaced, snapshots committed.
+//!
+//! One thread owns all ports and children (iceoryx2's ports are single-threaded, and children die
+//! with the thread that started them). It sleeps until the bell rings or a tick is over, then
+//! looks at everything: status, progress, snapshot pieces, deaths, deadlines, stop requests. All
+//! decisions about shards are the [`Scheduler`]'s, all handling of processes the [`Supervisor`]'s;
+//! commits are written by a [committer](crate::committer) thread, so the loop never waits for a disk.
+//!
+//! What processes say is taken in by `hearing`, what becomes of the dead stands in `recovery`, of
+//! blocks that cannot be made in [`failures`]; others reach a live run through `control`.
+
+pub mod failures;
+
+mod attention;
+mod books;
+mod control;
+mod headroom;
+mod hearing;
+mod mail;
+mod monitor;
+mod recovery;
+mod snapshots;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use channels::{
+    BellListener, ChannelSizes, Channels, Domain, MessageReceiver, PieceReceiver, Role,
+};
+use proto::config::Config;
+use proto::layout::Dimensions;
+use proto::message::{Order, Progress, Status, WorkerId};
+use proto::run_dir::RunDir;
+use proto::{Digest, ExitCode, ExitError};
+use service::live::LiveRun;
+use simulator::robot::Robot;
+use store::checkpoint::{Checkpoint, CheckpointStore, Patience};
+
+use self::attention::{Attention, STANDSTILL};
+use self::books::Books;
+use self::failures::Failures;
+use self::headroom::Headroom;
+use self::mail::Mail;
+use self::monitor::Monitor;
+use self::snapshots::Snapshots;
+use crate::report::Reporter;
+use crate::scheduler::Scheduler;
+use crate::signals::StopRequests;
+use crate::supervisor::{Deaths, Programs, Supervisor};
+
+/// Everything that a run needs to start or to go on. The run directory exists, holds
+/// `config.toml` and `robot.toml`, and is locked.
+#[derive(Debug)]
+pub struct SessionSpec {
+    /// Where results land.
+    pub run_dir: RunDir,
+    /// The resolved configuration.
+    pub config: Config,
+    /// The robot.
+    pub robot: Robot,
+    /// Where to go on from.
+    pub resume: Option<Checkpoint>,
+    /// The children's programs.
+    pub programs: Programs,
+    /// Written into every checkpoint.
+    pub provenance: serde_json::Value,
+    /// The name of the run's shared memory.
+    pub domain: Domain,
+    /// Ctrl-C.
+    pub stop: StopRequests,
+    /// Ends after this many iterations, without changing the budget that schedules run over.
+    pub until: Option<u64>,
+    /// Where others see what the run is doing, and ask it for something.
+    pub live: LiveRun,
+}
+
+/// Why a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StoppedBy {
+    /// The planned env-steps are done.
+    Budget,
+    /// The time limit.
+    TimeLimit,
+    /// Ctrl-C.
+    Signal,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// Iterations trained on, over all sessions of the run.
+    pub iterations: u64,
+    /// Env-steps trained on, over all sessions of the run.
+    pub env_steps: u64,
+    /// Why.
+    pub stopped_by: StoppedBy,
+    /// The last checkpoint.
+    pub checkpoint: PathBuf,
+}
+
+/// How long the loop sleeps at most: bounds the time until a death is noticed.
+const TICK: Duration = Duration::from_millis(20);
+/// How long the last snapshot may take, from the request to the committed checkpoint.
+const FINISH_DEADLINE: Duration = Duration::from_mins(5);
+/// How long a commit waits while somebody else has the lock of the store.
+const LOCK_TIME: Duration = Duration::from_mins(1);
+/// How long children may take to exit after [`Order::Stop`].
+const EXIT_DEADLINE: Duration = Duration::from_secs(5);
+
+/// Runs until the budget, the time limit, a signal or an error ends it. Whatever happens, no
+/// process and no shared memory is left when this returns.
+pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitError> {
+    let dimensions = Dimensions::new(&spec.config, spec.robot.n_arms);
+    let sizes = ChannelSizes::new(&spec.config, &dimensions);
+    let mut supervisor = Supervisor::new(
+        spec.programs.clone(),
+        spec.run_dir.clone(),
+        spec.domain.clone(),
+        &spec.config.run,
+        sizes.max_workers,
+    )?;
+    let result = Session::start(spec, &dimensions, sizes, &mut supervisor, reporter).and_then(
+        |mut session| {
+            let result = session.run(&mut supervisor, reporter);
+            if result.as_ref().is_err_and(|error| error.code == ExitCode::Interrupted) {
+                // Somebody does not want to wait, for a lock or a disk neither.
+                session.snapshots.abandon();
+            }
+            result
+        },
+    );
+    spec.live.close();
+    supervisor.close();
+    result
+}
+
+/// The state of a run's loop.
+struct Session<'a> {
+    spec: &'a SessionSpec,
+    store: CheckpointStore,
+    channels: Channels,
+    headroom: Headroom,
+    bell: BellListener,
+    orders: Mail,
+    progress: MessageReceiver<Progress>,
+    status: MessageReceiver<Status>,
+    pieces: PieceReceiver,
+    attention: Attention,
+    snapshots: Snapshots,
+    failures: Failures,
+    books: Books,
+    monitor: Monitor,
+    /// Present while the learner is ready.
+    scheduler: Option<Scheduler>,
+    /// When each worker was last heard.
+    heard: BTreeMap<WorkerId, Instant>,
+    /// When the learner was last heard, or was started.
+    learner_heard: Instant,
+    /// Workers that are ready before the learner is.
+    early: Vec<(WorkerId, u32)>,
+    /// Where the learner was started from, in iterations.
+    origin: u64,
+    /// The checkpoint that it was started from, and the digest that it must find there.
+    base: Option<(PathBuf, Digest)>,
+    /// Checkpoints that a learner could not start from, and why.
+    refused: BTreeMap<PathBuf, String>,
+    /// Iterations reported.
+    reported: u64,
+    learner_deaths: Deaths,
+    learner_restarts: u64,
+    workers: usize,
+    steps_per_block: u64,
+    started: Instant,
+    last_report: Instant,
+    stopped_by: Option<StoppedBy>,
+    /// Until when the last checkpoint must be there, once everything is trained.
+    finishing: Option<Instant>,
+}
+
+impl<'a> Session<'a> {
+    fn start(
+        spec: &'a SessionSpec,
+        dimensions: &Dimensions,
+        sizes: ChannelSizes,
+        supervisor: &mut Supervisor,
+        reporter: &Reporter,
+    ) -> Result<Self, ExitError> {
+        let config = &spec.config;
+        let channels = Channels::create(&spec.domain, sizes)?;
+        let stop = spec.stop.clone();
+        let store = CheckpointStore::new(spec.run_dir.checkpoints())
+            .with_patience(Patience::new(LOCK_TIME).unless(move || stop.count() > 1));
+        let best = store.best().ok().flatten();
+        let mut monitor = Monitor::new();
+        monitor.best = best
+            .and_then(|entry| Some((entry.name.to_string(), entry.labels.score.as_ref()?.value)));
+        let now = Instant::now();
+        let mut session = Self {
+            headroom: Headroom::take(&spec.domain),
+            bell: channels.listener(Role::Coordinator)?,
+            orders: Mail::new(channels.order_sender()?),
+            progress: channels.progress_receiver()?,
+            status: channels.status_receiver()?,
+            pieces: channels.snapshot_receiver()?,
+            snapshots: Snapshots::new(
+                config,
+                spec.robot.to_toml(),
+                spec.provenance.clone(),
+                store.clone(),
+                {
+                    let durability = reporter.durability();
+                    move || durability.wait()
+                },
+            ),
+            attention: Attention::new(now),
+            failures: Failures::new(&spec.run_dir, config, dimensions, channels.policy_receiver()?),
+            books: Books::default(),
+            monitor,
+            store,
+            channels,
+            scheduler: None,
+            heard: BTreeMap::new(),
+            learner_heard: now,
+            early: Vec::new(),
+            origin: 0,
+            base: None,
+            refused: BTreeMap::new(),
+            reported: 0,
+            learner_deaths: Deaths::default(),
+            learner_restarts: 0,
+            workers: config.run.workers,
+            steps_per_block: (dimensions.n_envs * dimensions.n_steps) as u64,
+            started: now,
+            last_report: now,
+            stopped_by: None,
+            finishing: None,
+            spec,
+        };
+        session.start_children(spec.resume.as_ref(), supervisor)?;
+        Ok(session)
+    }
+
+    /// Starts the learner where `from` ends, and all workers.
+    fn start_children(
+        &mut self,
+        from: Option<&Checkpoint>,
+        supervisor: &mut Supervisor,
+    ) -> Result<(), ExitError> {
+        self.origin = from.map_or(0, |checkpoint| checkpoint.manifest.iteration);
+        self.base = from.map(|checkpoint| (checkpoint.dir.clone(), checkpoint.manifest.digest));
+        self.reported = self.origin;
+        self.snapshots.begin_from(from.map(|checkpoint| (self.origin, checkpoint.dir.clone())));
+        self.learner_heard = Instant::now();
+        let state = from.map(Checkpoint::state);
+        supervisor.start_learner(state.as_deref())?;
+        supervisor.scale(self.workers)?;
+        Ok(())
+    }
+
+    fn run(
+        &mut self,
+        supervisor: &mut Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<Outcome, ExitError> {
+        loop {
+            self.bell.wait(TICK);
+            self.look_at_the_clock(supervisor);
+            self.tick(supervisor, reporter)?;
+            self.check_stop(reporter);
+            if self.scheduler.as_ref().is_some_and(Scheduler::is_finished)
+                && let Some(checkpoint) = self.finish(reporter)?
+            {
+                self.orders.send(Order::Stop)?;
+                supervisor.wait_for_all(EXIT_DEADLINE);
+                return Ok(Outcome {
+                    iterations: self.reported,
+                    env_steps: self.reported * self.spec.config.steps_per_iteration(),
+                    stopped_by: self.stopped_by.unwrap_or(StoppedBy::Budget),
+                    checkpoint,
+                });
+            }
+        }
+    }
+
+    /// Begins a turn. Where it is late, because this process or its disk stood still, nobody was heard
+    /// meanwhile, and all deadlines move by as much.
+    fn look_at_the_clock(&mut self, supervisor: &mut Supervisor) {
+        let late = self.attention.turn(Instant::now());
+        if late.is_zero() {
+            return;
+        }
+        if late > STANDSTILL {
+            let seconds = late.as_secs();
+            tracing::warn!(
+                "the coordinator stood still for {seconds} s; deadlines move by as much"
+            );
+        }
+        for heard in self.heard.values_mut() {
+            *heard += late;
+        }
+        self.learner_heard += late;
+        if let Some(deadline) = &mut self.finishing {
+            *deadline += late;
+        }
+        if let Some(scheduler) = &mut self.scheduler {
+            scheduler.forgive(late);
+        }
+        supervisor.forgive(late);
+    }
+
+    /// Looks at everything once.
+    fn tick(
+        &mut self,
+        supervisor: &mut Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
+        if self.spec.stop.count() > 1 {
+            return Err(ExitError::new(
+                ExitCode::Interrupted,
+                "stopped at once; `octopus resume` goes on from the last checkpoint, if there is one",
+            ));
+        }
+        self.failures.take_policies()?;
+        // Before the deaths: what a process said before it died still counts.
+        self.hear_workers(supervisor, reporter)?;
+        self.hear_learner(supervisor, reporter)?;
+        self.leave_base(supervisor, reporter)?;
+        self.collect_pieces(supervisor, reporter)?;
+        self.hear_committer(reporter)?;
+        self.bury(supervisor, reporter)?;
+        self.obey(supervisor, reporter)?;
+        self.send_orders(supervisor)?;
+        self.check_deadlines(supervisor, reporter);
+        if self.monitor.is_due() {
+            self.headroom.keep();
+            self.spec.live.publish(self.look(supervisor));
+        }
+        Ok(())
+    }
+
+    fn send_orders(&mut self, supervisor: &Supervisor) -> Result<(), ExitError> {
+        let Some(scheduler) = &mut self.scheduler else { return Ok(()) };
+        let snapshots = &self.snapshots;
+        let missed = self.orders.retry(|order| match order {
+            Order::Snapshot => snapshots.is_awaited(),
+            Order::Leave { worker, incarnation } => supervisor.is_leaving(*worker, *incarnation),
+            order => scheduler.awaits(order),
+        })?;
+        self.monitor.orders_missed += missed as u64;
+        if self.snapshots.must_tell_learner() {
+            self.orders.send(Order::Snapshot)?;
+        }
+        let now = self.attention.now();
+        let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
+        let repeated = scheduler.repeat_overdue(now, deadline);
+        if !repeated.is_empty() {
+            tracing::warn!(orders = repeated.len(), "orders are overdue and sent again");
+            self.monitor.orders_overdue += repeated.len() as u64;
+        }
+        for order in scheduler.assign(now).into_iter().chain(repeated) {
+            self.orders.send(order)?;
+        }
+        Ok(())
+    }
+
+    /// Begins the end if it is time.
+    fn check_stop(&mut self, reporter: &mut Reporter) {
+        if self.stopped_by.is_some() {
+            return;
+        }
+        let limit = self.spec.config.run.time_limit();
+        let reason = if self.spec.stop.count() > 0 {
+            reporter.note("stopping after this iteration; Ctrl-C again stops at once");
+            StoppedBy::Signal
+        } else if limit.is_some_and(|limit| self.started.elapsed() >= limit) {
+            reporter.note("time limit reached, stopping after this iteration");
+            StoppedBy::TimeLimit
+        } else {
+            return;
+        };
+        self.stopped_by = Some(reason);
+        if let Some(scheduler) = &mut self.scheduler {
+            scheduler.stop_after_current();
+        }
+    }
+
+    /// Has the final state committed and evaluated; returns its directory once that is done.
+    fn finish(&mut self, reporter: &mut Reporter) -> Result<Option<PathBuf>, ExitError> {
+        let Some(deadline) = self.finishing else {
+            self.finishing = Some(self.attention.now() + FINISH_DEADLINE);
+            self.snapshots.ask(self.reported);
+            return Ok(None);
+        };
+        if let Some(checkpoint) = self.snapshots.settled_at(self.reported) {
+            let checkpoint = checkpoint.to_owned();
+            // What came with the last word of the committer.
+            self.hear_committer(reporter)?;
+            return Ok(Some(checkpoint));
+        }
+        if self.attention.now() > deadline {
+            return Err(ExitError::new(
+                ExitCode::Child,
+                format!("no final checkpoint after {} s", FINISH_DEADLINE.as_secs()),
+            ));
+        }
+        Ok(None)
+    }
+}

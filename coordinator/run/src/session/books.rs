@@ -1,0 +1,67 @@
+//! Law of a run: every env-step is accounted for.
+
+use std::collections::BTreeMap;
+
+use proto::message::{Accounting, IterationReport};
+use proto::{ExitCode, ExitError};
+use service::live::Totals;
+
+/// Env-steps by iteration, as far as the coordinator has heard of them.
+#[derive(Debug, Default)]
+pub(super) struct Books {
+    /// Env-steps that workers said they produced.
+    produced: BTreeMap<u64, u64>,
+    /// Env-steps that died with workers.
+    lost: BTreeMap<u64, u64>,
+    /// Sums of this session.
+    pub(super) totals: Totals,
+}
+
+impl Books {
+    /// A worker says that it has sent a block.
+    pub(super) fn produced(&mut self, iteration: u64, env_steps: u64) {
+        *self.produced.entry(iteration).or_default() += env_steps;
+    }
+
+    /// A block died with its worker.
+    pub(super) fn lost(&mut self, iteration: u64, env_steps: u64) {
+        *self.lost.entry(iteration).or_default() += env_steps;
+    }
+
+    /// All processes are gone, and with them `env_steps` that the learner had received and not
+    /// trained on.
+    pub(super) fn all_lost(&mut self, env_steps: u64) {
+        let died: u64 = self.lost.values().sum();
+        self.totals.produced += env_steps + died;
+        self.totals.received += env_steps;
+        self.totals.lost += env_steps + died;
+        self.produced.clear();
+        self.lost.clear();
+    }
+
+    /// Completes an iteration's account, which must add up to `planned` trained env-steps.
+    pub(super) fn close(
+        &mut self,
+        report: &mut IterationReport,
+        planned: u64,
+    ) -> Result<(), ExitError> {
+        let iteration = report.iteration;
+        let accounting: &mut Accounting = &mut report.accounting;
+        let said = self.produced.remove(&iteration).unwrap_or(0);
+        let died = self.lost.remove(&iteration).unwrap_or(0);
+        // A worker that died between sending a block and saying so produced it all the same; one
+        // that said so but whose block never arrived lost it.
+        accounting.lost = died.max(said.saturating_sub(accounting.received));
+        accounting.produced = accounting.received + accounting.lost;
+        if accounting.trained != planned
+            || accounting.received != accounting.trained + accounting.duplicate
+        {
+            return Err(ExitError::new(
+                ExitCode::Failure,
+                format!("iteration {iteration} does not add up: {accounting:?}, planned {planned}"),
+            ));
+        }
+        self.totals.add(accounting);
+        Ok(())
+    }
+}

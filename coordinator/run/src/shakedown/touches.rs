@@ -1,0 +1,124 @@
+//! Which bodies touch at home. The simulator counts them by kind and by arm; by taking shapes away from the description, until
+//! those of one link or two are left, it is told which they are.
+
+use std::f64::consts::TAU;
+
+use simulator::collision::{Touching, touching};
+use simulator::model::{ContactKind, Model};
+use simulator::robot::{ArmBody, JOINTS_PER_ARM, Robot};
+use simulator::state::State;
+use simulator::workspace::Workspace;
+
+use super::Fault;
+
+/// The first two bodies that touch at home, and what to change.
+pub(super) fn touches_at_home(robot: &Robot) -> Option<Fault> {
+    let touches = at_home(robot).pairs;
+    if touches == 0.0 {
+        return None;
+    }
+    let more = match touches as usize - 1 {
+        0 => String::new(),
+        1 => " (and one pair more)".to_owned(),
+        n => format!(" (and {n} pairs more)"),
+    };
+    let expected = "nothing to touch before anything has moved";
+    Some(stopped(robot, &more).or_else(|| overlap(robot, &more)).unwrap_or_else(|| Fault {
+        found: format!("bodies touch at home{more}"),
+        cure: "change mount_position or home of the arms".to_owned(),
+        expected,
+    }))
+    .map(|fault| Fault { expected, ..fault })
+}
+
+fn at_home(robot: &Robot) -> Touching<f64> {
+    let model = Model::<f64>::new(robot);
+    touching(&model, &mut Workspace::new(&model), &State::home(robot))
+}
+
+/// A joint that stands where two bodies touch.
+fn stopped(robot: &Robot, more: &str) -> Option<Fault> {
+    for (index, stop) in robot.angle_contacts.iter().enumerate() {
+        for (number, arm) in robot.arms.iter().enumerate() {
+            let offset = arm.home[stop.joint] - stop.centre;
+            let offset = offset - TAU * (offset / TAU).round();
+            let narrowing = stop.narrowing * (2.0 * arm.home[stop.narrowing_joint]).sin().abs();
+            if offset.abs() <= stop.half - narrowing {
+                let [a, b] = stop.pair.map(|body| match body {
+                    ArmBody::Mount => "mount",
+                    ArmBody::Pedestal => "pedestal",
+                    ArmBody::Link(link) => &robot.links[link].name,
+                });
+                return Some(Fault {
+                    found: format!(
+                        "`{a}` and `{b}` of arm `{}` touch at home{more}, as joint {} stands at {} rad, \
+                         within stops[{index}].interval",
+                        arm.name,
+                        stop.joint + 1,
+                        arm.home[stop.joint]
+                    ),
+                    expected: "",
+                    cure: format!("change arms[{number}] ({}).home or the interval", arm.name),
+                });
+            }
+        }
+    }
+    None
+}
+
+/// Two bodies whose shapes overlap.
+fn overlap(robot: &Robot, more: &str) -> Option<Fault> {
+    let names: Vec<&str> = robot.links.iter().map(|link| link.name.as_str()).collect();
+    let found = |a: String, b: String, touching: &Touching<f64>| {
+        let arms = robot.arms.iter().enumerate();
+        let arms = arms.filter(|(arm, _)| touching.by_arm[*arm] > 0.0);
+        let (keys, arms): (Vec<String>, Vec<String>) = arms
+            .map(|(arm, it)| (format!("arms[{arm}] ({})", it.name), format!("`{}`", it.name)))
+            .unzip();
+        Some(Fault {
+            found: format!("{a} of arm {} touches {b} at home{more}", arms.join(", ")),
+            expected: "",
+            cure: format!(
+                "change mount_position, mount_euler_deg or home of {}, or the shapes",
+                keys.join(", ")
+            ),
+        })
+    };
+    let kind = |touching: &Touching<f64>, kind: ContactKind| touching.by_kind[kind as usize] > 0.0;
+    let boxes: Vec<String> = robot.boxes.iter().map(|part| format!("`{}`", part.name)).collect();
+    for (link, name) in names.iter().enumerate() {
+        let alone = at_home(&with_shapes_of(robot, &[link])?);
+        let name = || format!("`{name}`");
+        if kind(&alone, ContactKind::Base) {
+            return found(name(), format!("the base ({})", boxes.join(", ")), &alone);
+        }
+        if kind(&alone, ContactKind::Mount) {
+            return found(name(), "a mount or pedestal".to_owned(), &alone);
+        }
+    }
+    for a in 0..JOINTS_PER_ARM {
+        for b in a..JOINTS_PER_ARM {
+            let both = at_home(&with_shapes_of(robot, &[a, b])?);
+            let [a, b] = [a, b].map(|link| format!("`{}`", names[link]));
+            if kind(&both, ContactKind::Own) {
+                return found(a, format!("its own {b}"), &both);
+            }
+            if kind(&both, ContactKind::Arms) {
+                return found(a, format!("{b} of another arm"), &both);
+            }
+        }
+    }
+    None
+}
+
+/// The robot with no shapes on its links but on these.
+fn with_shapes_of(robot: &Robot, links: &[usize]) -> Option<Robot> {
+    let mut description = robot.description().clone();
+    for (index, link) in description.links.iter_mut().enumerate() {
+        if !links.contains(&index) {
+            link.capsules.clear();
+            link.discs.clear();
+        }
+    }
+    Robot::from_description(description, std::path::Path::new(&robot.name)).ok()
+}

@@ -1,0 +1,625 @@
+//! The child processes of a run: started, watched, reaped, replaced.
+//!
+//! **Who starts up is not killed.** A worker that shall go before it is ready is asked again when it is: a
+//! process that dies while it opens its channels leaves them half-made, and cleaning up after that waits.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use channels::Domain;
+use proto::config::Run;
+use proto::message::WorkerId;
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use rustix::process::Signal;
+use store::regular::{self, Links};
+
+use crate::environment;
+use crate::janitor::Janitor;
+use crate::preflight;
+use crate::shield;
+
+/// Where the programs of a run are.
+#[derive(Debug, Clone)]
+pub struct Programs {
+    /// `learner`.
+    pub learner: PathBuf,
+    /// `sim-worker`.
+    pub sim_worker: PathBuf,
+}
+
+impl Programs {
+    /// Looks beside this program, then along `PATH`.
+    pub fn find() -> Result<Self, ExitError> {
+        Ok(Self { learner: find("learner")?, sim_worker: find("sim-worker")? })
+    }
+}
+
+fn find(name: &str) -> Result<PathBuf, ExitError> {
+    let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(name)));
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    beside
+        .into_iter()
+        .chain(std::env::split_paths(&path).map(|dir| dir.join(name)))
+        .find(|candidate| candidate.is_file())
+        .ok_or_else(|| {
+            ExitError::new(
+                ExitCode::Environment,
+                format!("program `{name}` is neither beside octopus nor on PATH; run `make build`"),
+            )
+        })
+}
+
+/// What there is of a worker.
+#[derive(Debug)]
+enum WorkerState {
+    /// A process. `hung` if it was killed for its silence.
+    Running { child: Child, started: Instant, hung: bool },
+    /// A process that has been asked to go, and is killed after a while.
+    Leaving { child: Child, until: Instant },
+    /// None yet: a process starts after this time, as soon as there is room for one.
+    Due { after: Instant },
+}
+
+#[derive(Debug)]
+struct WorkerSlot {
+    state: WorkerState,
+    incarnation: u32,
+    /// Deaths in a row without a delivered block.
+    deaths: Deaths,
+}
+
+/// Why a process is no more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// It ended by itself: an exit code, or a signal that a program earns, such as SIGSEGV.
+    Crash(ExitStatus),
+    /// SIGBUS where shared memory is full: it touched a page that there was no room for.
+    SharedMemoryFull,
+    /// It was silent for too long and was killed for it.
+    Hang,
+    /// Somebody outside sent a signal: SIGKILL, also from the kernel when memory is short, SIGTERM,
+    /// SIGINT or SIGHUP. Says nothing about what the process was doing.
+    Killed(ExitStatus),
+}
+
+impl Cause {
+    fn of(status: ExitStatus, hung: bool) -> Self {
+        const SIGNALS: [Signal; 4] = [Signal::KILL, Signal::TERM, Signal::INT, Signal::HUP];
+        let sent = |number| SIGNALS.iter().any(|signal| signal.as_raw() == number);
+        match status.signal() {
+            _ if hung => Self::Hang,
+            Some(number)
+                if number == Signal::BUS.as_raw() && preflight::shared_memory_is_full() =>
+            {
+                Self::SharedMemoryFull
+            }
+            Some(number) if sent(number) => Self::Killed(status),
+            _ => Self::Crash(status),
+        }
+    }
+
+    /// What the coordinator ends with if this ends the run: what the child [`child_exit_code`], or that it failed.
+    pub fn exit_code(self) -> ExitCode {
+        match self {
+            Self::Crash(status) => child_exit_code(status),
+            Self::SharedMemoryFull => ExitCode::Environment,
+            Self::Hang | Self::Killed(_) => ExitCode::Child,
+        }
+    }
+
+    /// Whether it says something about the block at hand: not who was killed from outside, nor who died
+    /// for want of something that the machine lacks.
+    pub fn blames_its_work(self) -> bool {
+        !matches!(self, Self::Killed(_)) && self.exit_code() == ExitCode::Child
+    }
+}
+
+/// What a child said with its exit code, where that is about the machine or the files; else that a
+/// child failed.
+pub fn child_exit_code(status: ExitStatus) -> ExitCode {
+    [ExitCode::BadInput, ExitCode::Environment, ExitCode::RunDirectory]
+        .into_iter()
+        .find(|code| status.code() == Some(*code as i32))
+        .unwrap_or(ExitCode::Child)
+}
+
+impl std::fmt::Display for Cause {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Hang => write!(f, "hung"),
+            Self::SharedMemoryFull => write!(
+                f,
+                "signal {}: shared memory is full; {}",
+                Signal::BUS.as_raw(),
+                preflight::MAKE_ROOM
+            ),
+            Self::Crash(status) | Self::Killed(status) => match (status.code(), status.signal()) {
+                (Some(code), _) => write!(f, "exit code {code}"),
+                (None, Some(signal)) => write!(f, "signal {signal}"),
+                (None, None) => write!(f, "unknown cause"),
+            },
+        }
+    }
+}
+
+/// Deaths of a process and its successors in a row, with nothing achieved in between. Those by a
+/// signal from outside say less about the program than crashes do, so each kind has its own count.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Deaths {
+    crashes: u32,
+    kills: u32,
+}
+
+impl Deaths {
+    /// One more.
+    pub fn count(&mut self, cause: Cause) {
+        match cause {
+            Cause::Killed(_) => self.kills += 1,
+            Cause::Crash(_) | Cause::SharedMemoryFull | Cause::Hang => self.crashes += 1,
+        }
+    }
+
+    /// These and one more, of a process that had lived for `lived`.
+    fn and(self, cause: Cause, lived: Duration) -> Self {
+        // Who hangs lives on for as long as silence is borne, which may be longer, and has done nothing.
+        let settled = lived > SETTLED && cause != Cause::Hang;
+        let mut deaths = if settled { Self::default() } else { self };
+        deaths.count(cause);
+        deaths
+    }
+
+    /// All of them.
+    pub fn total(self) -> u32 {
+        self.crashes + self.kills
+    }
+
+    /// Whether there are as many crashes or as many kills as end a run.
+    pub fn are_too_many(self, crashes: u32, kills: u32) -> bool {
+        self.crashes >= crashes || self.kills >= kills
+    }
+}
+
+/// A child that has ended.
+#[derive(Debug)]
+pub enum Death {
+    /// The learner.
+    Learner(Cause),
+    /// A worker; its slot will start a successor.
+    Worker(WorkerId, Cause),
+    /// A worker that had been asked to.
+    Left(WorkerId),
+}
+
+/// A process of the run, for its status.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ProcessView {
+    /// The worker; none for the learner.
+    pub worker: Option<WorkerId>,
+    /// Process id; none while a successor waits for its back-off.
+    pub pid: Option<u32>,
+    /// How often it has died and been replaced.
+    pub replaced: u32,
+    /// Whether it has been asked to go.
+    pub leaving: bool,
+}
+
+/// All children of a run. [`Self::close`] ends them. Without it they die with the thread that started
+/// them, as they asked the kernel to kill them then, and the janitor removes what is left.
+#[derive(Debug)]
+pub struct Supervisor {
+    programs: Programs,
+    run_dir: RunDir,
+    domain: Domain,
+    /// Settings of the learner's numerical libraries.
+    threads: usize,
+    pin: bool,
+    /// Workers that the channels have room for, those on their way out included.
+    max_workers: usize,
+    janitor: Janitor,
+    learner: Option<Child>,
+    learner_hung: bool,
+    learner_replaced: u32,
+    workers: BTreeMap<WorkerId, WorkerSlot>,
+    /// Incarnations that workers will have when they start next; never used twice in a run.
+    incarnations: BTreeMap<WorkerId, u32>,
+    /// How often each worker has died and been replaced, and all together.
+    replaced: BTreeMap<WorkerId, u32>,
+    restarts: u64,
+}
+
+/// Crashes of one worker in a row, without a block in between, after which the run is given up.
+const MAX_CRASHES: u32 = 5;
+/// The same for deaths by a signal from outside, which say less.
+const MAX_KILLS: u32 = 50;
+/// Who has lived for this long did not die of what killed its predecessors.
+const SETTLED: Duration = Duration::from_mins(1);
+/// First back-off; doubles with every failure in a row.
+const BACK_OFF: Duration = Duration::from_millis(50);
+/// How long a worker that was asked to go may take for the block at hand.
+const LEAVE_DEADLINE: Duration = Duration::from_secs(30);
+
+impl Supervisor {
+    /// No children yet but the janitor.
+    pub fn new(
+        programs: Programs,
+        run_dir: RunDir,
+        domain: Domain,
+        run: &Run,
+        max_workers: usize,
+    ) -> Result<Self, ExitError> {
+        let janitor = Janitor::start(&domain).map_err(|error| {
+            ExitError::new(ExitCode::Environment, format!("cannot start the janitor: {error}"))
+        })?;
+        Ok(Self {
+            programs,
+            run_dir,
+            domain,
+            threads: run.learner_threads,
+            pin: run.pin,
+            max_workers,
+            janitor,
+            learner: None,
+            learner_hung: false,
+            learner_replaced: 0,
+            workers: BTreeMap::new(),
+            incarnations: BTreeMap::new(),
+            replaced: BTreeMap::new(),
+            restarts: 0,
+        })
+    }
+
+    /// Starts the learner, from a training state if one is given.
+    ///
+    /// Children ask the kernel to be killed when the *thread* that started them ends, so this and
+    /// [`Self::scale`] must be called from a thread that lives as long as the run.
+    pub fn start_learner(&mut self, resume: Option<&Path>) -> Result<(), ExitError> {
+        let mut command = Command::new(&self.programs.learner);
+        if let Some(state) = resume {
+            command.arg("--resume").arg(state);
+        }
+        environment::set_numerical(&mut command, self.threads);
+        self.learner_hung = false;
+        self.learner = Some(self.spawn(command, "learner.log")?);
+        Ok(())
+    }
+
+    /// Has `n` workers stay: starts what is missing as soon as the channels have room for it, and
+    /// lets the youngest go. Returns those that the caller must ask to go, with their incarnations:
+    /// now, and again when one [becomes ready](Self::is_leaving) that was not, for it hears nothing
+    /// before.
+    pub fn scale(&mut self, n: usize) -> Result<Vec<(WorkerId, u32)>, ExitError> {
+        let mut asked = Vec::new();
+        // The youngest go first, so that numbers stay dense.
+        let staying: Vec<_> = self.staying().collect();
+        for &worker in staying.iter().skip(n).rev() {
+            let Some(slot) = self.workers.remove(&worker) else { continue };
+            let WorkerState::Running { child, .. } = slot.state else { continue };
+            asked.push((worker, slot.incarnation));
+            let state = WorkerState::Leaving { child, until: Instant::now() + LEAVE_DEADLINE };
+            self.workers.insert(worker, WorkerSlot { state, ..slot });
+        }
+        // The number of one that is still on its way out is free only when it is gone.
+        let missing = n.saturating_sub(staying.len());
+        let free: Vec<_> =
+            (0..).filter(|id| !self.workers.contains_key(id)).take(missing).collect();
+        for worker in free {
+            let state = WorkerState::Due { after: Instant::now() };
+            let slot = WorkerSlot { state, incarnation: 0, deaths: Deaths::default() };
+            self.workers.insert(worker, slot);
+        }
+        self.start_due()?;
+        Ok(asked)
+    }
+
+    /// Workers that run or will run again, in order.
+    fn staying(&self) -> impl Iterator<Item = WorkerId> {
+        let stays = |slot: &WorkerSlot| !matches!(slot.state, WorkerState::Leaving { .. });
+        self.workers.iter().filter(move |(_, slot)| stays(slot)).map(|(&worker, _)| worker)
+    }
+
+    fn start_worker(&mut self, worker: WorkerId, deaths: Deaths) -> Result<(), ExitError> {
+        let next = self.incarnations.entry(worker).or_default();
+        let incarnation = *next;
+        *next += 1;
+        let mut command = Command::new(&self.programs.sim_worker);
+        environment::clean(&mut command);
+        command.args(["--worker", &worker.to_string(), "--incarnation", &incarnation.to_string()]);
+        if self.pin {
+            command.args(["--pin", &worker.to_string()]);
+        }
+        let child = self.spawn(command, &format!("worker-{worker}.log"))?;
+        let state = WorkerState::Running { child, started: Instant::now(), hung: false };
+        self.workers.insert(worker, WorkerSlot { state, incarnation, deaths });
+        Ok(())
+    }
+
+    fn spawn(&mut self, mut command: Command, log: &str) -> Result<Child, ExitError> {
+        let path = self.run_dir.logs().join(log);
+        let fail = |what: &str, error: &std::io::Error| {
+            ExitError::new(ExitCode::Environment, format!("{what}: {error}"))
+        };
+        let mut options = File::options();
+        options.create(true).append(true);
+        let file = regular::open_with(&path, &mut options, Links::Follow).map_err(|error| {
+            let message = format!("{}: cannot be written: {error}", path.display());
+            ExitError::new(ExitCode::RunDirectory, message)
+        })?;
+        let copy = file.try_clone().map_err(|error| fail("cannot share the log file", &error))?;
+        command
+            .arg("--run-dir")
+            .arg(self.run_dir.path())
+            .args(["--domain", self.domain.as_str()])
+            .args(["--parent", &std::process::id().to_string()])
+            .stdin(Stdio::null())
+            .stdout(copy)
+            .stderr(file)
+            // Ctrl-C on the terminal is for the coordinator, who tells the others.
+            .process_group(0);
+        let child = shield::spawn(&mut command).map_err(|error| {
+            fail(&format!("cannot start {}", command.get_program().display()), &error)
+        })?;
+        self.janitor.watch(child.id());
+        Ok(child)
+    }
+
+    /// Reaps whoever has ended.
+    pub fn reap(&mut self) -> Vec<Death> {
+        let mut deaths = Vec::new();
+        if let Some(status) = self.learner.as_mut().and_then(|child| child.try_wait().ok()?) {
+            self.learner = None;
+            self.learner_replaced += 1;
+            deaths.push(Death::Learner(Cause::of(status, self.learner_hung)));
+        }
+        let now = Instant::now();
+        let mut gone = Vec::new();
+        for (&worker, slot) in &mut self.workers {
+            match &mut slot.state {
+                WorkerState::Due { .. } => {}
+                WorkerState::Leaving { child, until } => {
+                    if let Ok(Some(_)) = child.try_wait() {
+                        gone.push(worker);
+                        deaths.push(Death::Left(worker));
+                    } else if now > *until {
+                        let _ = child.kill();
+                    }
+                }
+                WorkerState::Running { child, started, hung } => {
+                    let Ok(Some(status)) = child.try_wait() else { continue };
+                    let cause = Cause::of(status, *hung);
+                    slot.deaths = slot.deaths.and(cause, started.elapsed());
+                    let delay = BACK_OFF * 2_u32.pow((slot.deaths.total() - 1).min(6));
+                    slot.state = WorkerState::Due { after: now + delay };
+                    deaths.push(Death::Worker(worker, cause));
+                }
+            }
+        }
+        for worker in gone {
+            self.workers.remove(&worker);
+        }
+        deaths
+    }
+
+    /// Starts the workers that are due, as far as there is room for them. Returns those that
+    /// replace a dead one.
+    pub fn start_due(&mut self) -> Result<Vec<WorkerId>, ExitError> {
+        let now = Instant::now();
+        let lives = |slot: &&WorkerSlot| !matches!(slot.state, WorkerState::Due { .. });
+        let room = self.max_workers.saturating_sub(self.workers.values().filter(lives).count());
+        let is_due =
+            |slot: &WorkerSlot| matches!(slot.state, WorkerState::Due { after } if after <= now);
+        let due: Vec<_> = self
+            .workers
+            .iter()
+            .filter(|(_, slot)| is_due(slot))
+            .map(|(&worker, slot)| (worker, slot.deaths))
+            .take(room)
+            .collect();
+        let mut replaced = Vec::new();
+        for (worker, deaths) in due {
+            self.start_worker(worker, deaths)?;
+            if deaths.total() > 0 {
+                self.restarts += 1;
+                *self.replaced.entry(worker).or_default() += 1;
+                replaced.push(worker);
+            }
+        }
+        Ok(replaced)
+    }
+
+    /// Refuses to go on with a worker that dies again and again without delivering a block.
+    pub fn check_deaths(&self, worker: WorkerId, cause: Cause) -> Result<(), ExitError> {
+        let deaths = self.workers.get(&worker).map_or(Deaths::default(), |slot| slot.deaths);
+        if !deaths.are_too_many(MAX_CRASHES, MAX_KILLS) {
+            return Ok(());
+        }
+        let log = self.run_dir.logs().join(format!("worker-{worker}.log"));
+        Err(ExitError::new(
+            cause.exit_code(),
+            format!(
+                "worker {worker} died {} times in a row without delivering a block ({cause}); the \
+                 end of {}:\n{}",
+                deaths.total(),
+                log.display(),
+                log_tail(&log, 5)
+            ),
+        ))
+    }
+
+    /// A worker has delivered: what killed its predecessors is over.
+    pub fn worker_delivered(&mut self, worker: WorkerId) {
+        if let Some(slot) = self.workers.get_mut(&worker) {
+            slot.deaths = Deaths::default();
+        }
+    }
+
+    /// Nobody could be heard for so long: what is to happen by the clock happens so much later.
+    pub fn forgive(&mut self, late: Duration) {
+        for slot in self.workers.values_mut() {
+            match &mut slot.state {
+                WorkerState::Running { started, .. } => *started += late,
+                WorkerState::Leaving { until, .. } => *until += late,
+                WorkerState::Due { .. } => {}
+            }
+        }
+    }
+
+    /// Workers that run and are to stay, and when they were started.
+    pub fn running_since(&self) -> impl Iterator<Item = (WorkerId, Instant)> {
+        self.workers.iter().filter_map(|(&worker, slot)| match slot.state {
+            WorkerState::Running { started, .. } => Some((worker, started)),
+            _ => None,
+        })
+    }
+
+    /// Whether `incarnation` is the one that runs now: messages of the dead arrive late.
+    pub fn is_current(&self, worker: WorkerId, incarnation: u32) -> bool {
+        self.workers.get(&worker).is_some_and(|slot| {
+            slot.incarnation == incarnation && matches!(slot.state, WorkerState::Running { .. })
+        })
+    }
+
+    /// Whether `incarnation` is to go, and still runs.
+    pub fn is_leaving(&self, worker: WorkerId, incarnation: u32) -> bool {
+        self.workers.get(&worker).is_some_and(|slot| {
+            slot.incarnation == incarnation && matches!(slot.state, WorkerState::Leaving { .. })
+        })
+    }
+
+    /// Kills a worker that does not answer; [`Self::reap`] will find it. Whether it had to be.
+    pub fn kill_worker(&mut self, worker: WorkerId) -> bool {
+        if let Some(WorkerSlot { state: WorkerState::Running { child, hung, .. }, .. }) =
+            self.workers.get_mut(&worker)
+            && !*hung
+        {
+            *hung = true;
+            let _ = child.kill();
+            return true;
+        }
+        false
+    }
+
+    /// Kills a learner that does not answer; [`Self::reap`] will find it.
+    pub fn kill_learner(&mut self) {
+        if let Some(child) = &mut self.learner {
+            self.learner_hung = true;
+            let _ = child.kill();
+        }
+    }
+
+    /// What a learner that has said why it fails ends with, if it ends within `patience`.
+    pub fn learner_exit_code(&mut self, patience: Duration) -> ExitCode {
+        let deadline = Instant::now() + patience;
+        let Some(child) = &mut self.learner else { return ExitCode::Child };
+        loop {
+            match child.try_wait() {
+                Ok(Some(status)) => return child_exit_code(status),
+                Ok(None) if Instant::now() < deadline => {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                _ => return ExitCode::Child,
+            }
+        }
+    }
+
+    /// How many workers have been replaced.
+    pub fn restarts(&self) -> u64 {
+        self.restarts
+    }
+
+    /// Every process, and every one to come.
+    pub fn processes(&self) -> Vec<ProcessView> {
+        let learner = ProcessView {
+            worker: None,
+            pid: self.learner.as_ref().map(Child::id),
+            replaced: self.learner_replaced,
+            leaving: false,
+        };
+        let workers = self.workers.iter().map(|(&worker, slot)| {
+            let (pid, leaving) = match &slot.state {
+                WorkerState::Running { child, .. } => (Some(child.id()), false),
+                WorkerState::Leaving { child, .. } => (Some(child.id()), true),
+                WorkerState::Due { .. } => (None, false),
+            };
+            let replaced = self.replaced.get(&worker).copied().unwrap_or(0);
+            ProcessView { worker: Some(worker), pid, replaced, leaving }
+        });
+        std::iter::once(learner).chain(workers).collect()
+    }
+
+    /// Waits up to `patience` for all children to end by themselves, then kills the rest.
+    pub fn wait_for_all(&mut self, patience: Duration) {
+        let deadline = Instant::now() + patience;
+        while self.anybody_lives() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        self.kill_all();
+    }
+
+    fn running(&mut self) -> impl Iterator<Item = &mut Child> {
+        let workers = self.workers.values_mut().filter_map(|slot| match &mut slot.state {
+            WorkerState::Running { child, .. } | WorkerState::Leaving { child, .. } => Some(child),
+            WorkerState::Due { .. } => None,
+        });
+        self.learner.iter_mut().chain(workers)
+    }
+
+    fn anybody_lives(&mut self) -> bool {
+        self.running().any(|child| matches!(child.try_wait(), Ok(None)))
+    }
+
+    /// Kills and reaps every child.
+    pub fn kill_all(&mut self) {
+        for child in self.running() {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+        self.learner = None;
+        self.workers.clear();
+    }
+
+    /// Kills what still runs, removes the domain's leftovers and sends the janitor home.
+    pub fn close(mut self) {
+        self.kill_all();
+        match self.domain.remove_leftovers() {
+            Ok(_) => self.janitor.dismiss(),
+            // The janitor tries once more when its pipe is closed, which it is without that word.
+            Err(error) => {
+                tracing::warn!(%error, "shared memory of this run could not be removed");
+            }
+        }
+    }
+}
+
+/// The last lines of a child's log, to be shown with its death.
+pub fn log_tail(path: &Path, lines: usize) -> String {
+    let text = regular::read(path, regular::RECORD).unwrap_or_default();
+    let text = String::from_utf8_lossy(&text);
+    let tail: Vec<_> = text.lines().rev().take(lines).collect();
+    tail.into_iter().rev().collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn deaths(cause: Cause, lived: Duration, times: u32) -> Deaths {
+        (0..times).fold(Deaths::default(), |deaths, _| deaths.and(cause, lived))
+    }
+
+    #[test]
+    fn who_hangs_again_and_again_is_given_up_however_long_silence_is_borne() {
+        // A second more than the default of run.order_deadline_s, after which it is killed.
+        let silent = deaths(Cause::Hang, Duration::from_secs(61), MAX_CRASHES);
+        assert!(silent.are_too_many(MAX_CRASHES, MAX_KILLS), "{silent:?}");
+        let crash = Cause::Crash(ExitStatus::from_raw(Signal::SEGV.as_raw()));
+        let rare = deaths(crash, Duration::from_hours(1), 10 * MAX_CRASHES);
+        assert_eq!(rare.total(), 1, "an hour of work lies between any two of them");
+        let often = deaths(crash, Duration::from_secs(1), MAX_CRASHES);
+        assert!(often.are_too_many(MAX_CRASHES, MAX_KILLS), "{often:?}");
+    }
+}

@@ -1,0 +1,141 @@
+//! What all requests share.
+
+use std::sync::Arc;
+
+use axum::http::StatusCode;
+use store::checkpoint::{Checked, CheckpointError, CheckpointStore, Patience};
+use tokio::sync::{Mutex, Semaphore};
+
+use super::limits::Limits;
+use super::problem::Problem;
+use super::requests::Requests;
+use super::room;
+use super::token::Token;
+use crate::live::LiveRun;
+
+/// The state that handlers are given.
+pub(super) type Shared = Arc<Context>;
+
+/// What all requests share.
+#[derive(Debug)]
+pub(super) struct Context {
+    pub(super) store: CheckpointStore,
+    pub(super) live: Option<LiveRun>,
+    /// Whoever shows one of them may do everything.
+    tokens: Vec<Token>,
+    pub(super) limits: Limits,
+    /// Which files were found whole.
+    pub(super) checked: Arc<Checked>,
+    /// Counts requests.
+    pub(super) requests: Requests,
+    /// Bounds changes of the store.
+    changes: Arc<Semaphore>,
+    /// Bounds uploads.
+    pub(super) uploads: Arc<Semaphore>,
+    /// Bounds archives on their way out.
+    pub(super) archives: Arc<Semaphore>,
+    /// Held while an upload is taken into the store: two of one name meet there, not on the way.
+    pub(super) import: Mutex<()>,
+}
+
+impl Context {
+    pub(super) fn new(
+        store: CheckpointStore,
+        live: Option<LiveRun>,
+        tokens: Vec<Token>,
+        limits: Limits,
+    ) -> Self {
+        Self {
+            store: store.with_patience(Patience::new(limits.lock_time)),
+            live,
+            tokens,
+            checked: Arc::default(),
+            requests: Requests::default(),
+            changes: Arc::new(Semaphore::new(limits.changes)),
+            uploads: Arc::new(Semaphore::new(limits.uploads)),
+            archives: Arc::new(Semaphore::new(limits.archives)),
+            import: Mutex::new(()),
+            limits,
+        }
+    }
+
+    /// Does something with the store on a thread that may wait for the disk.
+    pub(super) async fn with_store<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&CheckpointStore) -> Result<T, CheckpointError> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let store = self.store.clone();
+        Ok(blocking(move || work(&store)).await??)
+    }
+
+    /// Likewise, with the knowledge of which files are whole.
+    pub(super) async fn with_checked<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&CheckpointStore, &Checked) -> Result<T, CheckpointError> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let checked = Arc::clone(&self.checked);
+        self.with_store(move |store| work(store, &checked)).await
+    }
+
+    /// Likewise, for what changes the store. Whoever has its lock makes changes wait, and each of
+    /// them a thread; so there are few at a time, and reads always find one.
+    pub(super) async fn changing<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&CheckpointStore, &Checked) -> Result<T, CheckpointError> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let place = Arc::clone(&self.changes).try_acquire_owned().map_err(|_| {
+            Problem::busy("too many changes at once wait for the store; try again in a moment")
+        })?;
+        self.with_checked(move |store, checked| {
+            // Until it is done, also if the client has gone meanwhile.
+            let _place = place;
+            work(store, checked)
+        })
+        .await
+    }
+
+    /// Whether what a client offers is a token of the service. All are compared, so that the time
+    /// that it takes says nothing.
+    pub(super) fn knows(&self, offered: &[u8]) -> bool {
+        self.tokens.iter().fold(false, |known, token| token.matches(offered) | known)
+    }
+
+    /// Largest upload that is taken (bytes). Beside a live run it is a few times that run's state:
+    /// an upload takes from the run's disk and processor. So do all together, and are refused when
+    /// they have taken enough.
+    pub(super) async fn upload_limit(&self) -> Result<u64, Problem> {
+        let limits = &self.limits;
+        if self.live.is_none() {
+            return Ok(limits.upload_bytes);
+        }
+        let survey = self.with_store(CheckpointStore::survey).await?;
+        let (own, foreign): (Vec<_>, Vec<_>) = survey
+            .entries
+            .iter()
+            .partition(|entry| entry.name.iteration().is_some() && !entry.labels.imported);
+        let state = own.iter().map(|entry| entry.bytes).max().unwrap_or(0);
+        let beside = limits.live_upload_states.saturating_mul(state);
+        let limit = beside.max(limits.live_upload_bytes).min(limits.upload_bytes);
+        let taken = foreign.iter().fold(0, |sum: u64, entry| sum.saturating_add(entry.bytes));
+        room::check_total(taken, limits.live_uploads.saturating_mul(limit))?;
+        Ok(limit)
+    }
+
+    /// The live run, or an answer that says that there is none.
+    pub(super) fn live(&self) -> Result<&LiveRun, Problem> {
+        self.live.as_ref().ok_or_else(|| {
+            Problem::new(
+                StatusCode::NOT_FOUND,
+                "this service stands beside no live run: it was started by `octopus serve`; the \
+                 service of a run is named in its run.lock",
+            )
+        })
+    }
+}
+
+/// Runs `work` on a thread that may wait.
+pub(super) async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Problem> {
+    tokio::task::spawn_blocking(work).await.map_err(|error| Problem::internal(&error))
+}

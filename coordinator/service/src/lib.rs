@@ -1,0 +1,10 @@
+//! A run and its checkpoints over HTTP.
+//!
+//! * [`live`]: a live run as others see it, and what it can be asked to do;
+//! * [`http`]: the service;
+//! * [`client`]: who asks it, and [`peer`], whom a client believes.
+
+pub mod client;
+pub mod http;
+pub mod live;
+pub mod peer;

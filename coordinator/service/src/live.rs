@@ -1,0 +1,252 @@
+//! A live run as others see it: what it is doing, and what it can be asked to do.
+//!
+//! The loop of a run ([`run::session`]) owns every process and channel and answers to nobody's
+//! thread but its own. Between it and the HTTP service stands a [`LiveRun`]: the loop writes a
+//! [`LiveStatus`] into it a few times a second and takes [`Command`]s out of it on every turn.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use proto::message::Accounting;
+use serde::{Deserialize, Serialize};
+use tokio::sync::oneshot;
+use utoipa::ToSchema;
+
+/// What a child process, or the coordinator itself, is to a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Owns the run.
+    Coordinator,
+    /// Trains.
+    Learner,
+    /// Rolls out.
+    Worker,
+}
+
+/// One process of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ProcessStatus {
+    /// What it does.
+    pub role: Role,
+    /// Number of the worker.
+    pub worker: Option<u32>,
+    /// Process id; none while a successor waits for its back-off.
+    pub pid: Option<u32>,
+    /// `starting`, `ready`, `leaving` or `backing off`.
+    pub state: String,
+    /// How often it has died and been replaced.
+    pub restarts: u32,
+    /// Resident memory, shared memory included (bytes).
+    pub resident_bytes: u64,
+    /// Processor time used so far (s).
+    pub cpu_s: f64,
+    /// Shards that it has been ordered to make, `iteration/shard`.
+    pub shards: Vec<String>,
+    /// Env-steps that it has sent.
+    pub env_steps: u64,
+    /// Time that it spent rolling these out (s).
+    pub rollout_s: f64,
+}
+
+/// Where a training has diverged, and by what that is seen.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Diverged {
+    /// The iteration in which it was first seen.
+    pub iteration: u64,
+    /// By what.
+    pub reason: String,
+}
+
+impl std::fmt::Display for Diverged {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "the training has diverged in iteration {}: {}", self.iteration, self.reason)
+    }
+}
+
+/// Seconds by stage, summed since this session of the run began.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct Stages {
+    /// Workers: rolling out the blocks that were trained on, summed over workers.
+    pub rollout_s: f64,
+    /// Learner: waiting for blocks.
+    pub wait_s: f64,
+    /// Learner: updating.
+    pub update_s: f64,
+    /// Learner: publishing policies.
+    pub publish_s: f64,
+    /// Learner: computing digests.
+    pub digest_s: f64,
+    /// Learner: copying its state for a snapshot, while training stands still.
+    pub copy_s: f64,
+    /// Coordinator: committing checkpoints, beside the training.
+    pub commit_s: f64,
+}
+
+/// Env-steps by fate, summed since this session of the run began.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct Totals {
+    /// Sent by workers.
+    pub produced: u64,
+    /// Arrived at the learner.
+    pub received: u64,
+    /// Trained on.
+    pub trained: u64,
+    /// Arrived twice and dropped.
+    pub duplicate: u64,
+    /// Died with a process.
+    pub lost: u64,
+}
+
+impl Totals {
+    /// Adds an iteration's.
+    pub fn add(&mut self, accounting: &Accounting) {
+        self.produced += accounting.produced;
+        self.received += accounting.received;
+        self.trained += accounting.trained;
+        self.duplicate += accounting.duplicate;
+        self.lost += accounting.lost;
+    }
+}
+
+/// The checkpoint with the lowest score.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Best {
+    /// Its name.
+    pub name: String,
+    /// Its score; lower is better, and 1 as good as the paper.
+    pub score: f64,
+}
+
+/// What a live run is doing.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct LiveStatus {
+    /// Its directory.
+    #[schema(value_type = String)]
+    pub run_dir: PathBuf,
+    /// `starting`, `training`, `recovering`, `stopping` or `finishing`.
+    pub state: String,
+    /// The task.
+    pub task: String,
+    /// Iterations trained on.
+    pub iterations: u64,
+    /// Iterations planned.
+    pub planned_iterations: u64,
+    /// Env-steps trained on.
+    pub env_steps: u64,
+    /// Env-steps trained on a second, of late.
+    pub env_steps_per_s: f64,
+    /// Time since this session of the run began (s).
+    pub wall_s: f64,
+    /// Time until the budget is used up at the rate of late, or until the time limit if that is sooner (s);
+    /// none while nothing is known of the rate, and when only the end is left to be written.
+    pub eta_s: Option<f64>,
+    /// Workers wanted.
+    pub workers: usize,
+    /// Most workers that the channels of the run allow.
+    pub max_workers: usize,
+    /// Coordinator, learner and workers.
+    pub processes: Vec<ProcessStatus>,
+    /// Shards that nobody has been ordered to make yet.
+    pub shards_open: usize,
+    /// Shards ordered and not yet at the learner.
+    pub shards_in_flight: usize,
+    /// Orders sent again since this session began, because their receiver had no room for them.
+    pub orders_missed: u64,
+    /// Orders sent again since this session began, because nothing had come of them for a whole
+    /// `run.order_deadline_s`.
+    pub orders_overdue: u64,
+    /// Workers replaced since this session began.
+    pub worker_restarts: u64,
+    /// Learners replaced since this session began.
+    pub learner_restarts: u64,
+    /// Where the time goes.
+    pub stages: Stages,
+    /// What became of the env-steps.
+    pub accounting: Totals,
+    /// Resident memory of all processes, shared memory counted in each (bytes).
+    pub resident_bytes: u64,
+    /// The run's files in shared memory (bytes).
+    pub shared_memory_bytes: u64,
+    /// Checkpoints committed since this session began.
+    pub commits: u64,
+    /// Name of the newest checkpoint.
+    pub checkpoint: Option<String>,
+    /// The best checkpoint.
+    pub best: Option<Best>,
+    /// Where the training has diverged, if it has.
+    pub divergence: Option<Diverged>,
+    /// The last line of the metrics.
+    #[schema(value_type = Object)]
+    pub last: serde_json::Value,
+}
+
+/// What a live run can be asked to do.
+#[derive(Debug)]
+pub enum Command {
+    /// Have this many workers from now on; answers with the number before.
+    Scale {
+        /// Workers wanted.
+        workers: usize,
+        /// Where the answer goes.
+        reply: oneshot::Sender<Result<usize, String>>,
+    },
+    /// Commit a checkpoint after the iteration that is being trained on; answers with its name.
+    Checkpoint {
+        /// Where the answer goes.
+        reply: oneshot::Sender<Result<String, String>>,
+    },
+}
+
+/// The board between a run's loop and everybody else. Clones share it.
+#[derive(Debug, Clone, Default)]
+pub struct LiveRun(Arc<Mutex<Board>>);
+
+#[derive(Debug, Default)]
+struct Board {
+    status: LiveStatus,
+    commands: VecDeque<Command>,
+    closed: bool,
+}
+
+impl LiveRun {
+    /// An empty board.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// What the run is doing.
+    pub fn status(&self) -> LiveStatus {
+        self.board().status.clone()
+    }
+
+    /// The loop's side: says what it is doing.
+    pub fn publish(&self, status: LiveStatus) {
+        self.board().status = status;
+    }
+
+    /// Asks the run for something. Dropped, and so answered by a closed channel, if it has ended.
+    pub fn ask(&self, command: Command) {
+        let mut board = self.board();
+        if !board.closed {
+            board.commands.push_back(command);
+        }
+    }
+
+    /// The loop's side: takes the oldest command.
+    pub fn next_command(&self) -> Option<Command> {
+        self.board().commands.pop_front()
+    }
+
+    /// The loop's side: no command will be taken any more.
+    pub fn close(&self) {
+        let mut board = self.board();
+        board.closed = true;
+        board.commands.clear();
+    }
+
+    fn board(&self) -> std::sync::MutexGuard<'_, Board> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

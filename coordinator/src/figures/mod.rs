@@ -1,7 +1,0 @@
-//! Pictures as SVG: panels of lines, bands and boxes, and the learning curves of several runs.
-
-mod bootstrap;
-pub mod families;
-pub mod learning;
-pub(crate) mod panels;
-pub mod recorded;

@@ -1,0 +1,307 @@
+//! The trainings of `octopus reproduce --train`: runs that the policies and the curves come from.
+//!
+//! Each run is asked for as on the command line of `octopus train`, one after the other, since every run uses the whole machine. Called again, finished
+//! runs are left as they are, and one that was stopped goes on.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::Parser as _;
+use clap::ValueEnum as _;
+use lab::experiments::command_line::typed;
+use lab::reproduce::{POLICIES, RUNS, refused};
+use proto::config::Run as RunGroup;
+use proto::config::{AlgorithmName, Config, Precision, TaskName};
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use run::signals;
+use simulator::robot::Robot;
+use store::checkpoint::{
+    BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part, flatten,
+};
+use store::provenance::Provenance;
+use store::recorded::Recorded;
+use store::run_files::read_config;
+
+use crate::cli::{Cli, Command};
+use crate::names::Named;
+use crate::reproduce::ReproduceArgs;
+use crate::{resume, train};
+
+/// Tasks that are trained.
+const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
+
+/// Trains what is missing below `out`, and takes the best policies of it. Returns where they lie, and all runs.
+pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf, Vec<PathBuf>)> {
+    let runs = planned(args, out);
+    for run in &runs {
+        run.check(args)?;
+    }
+    for (index, run) in runs.iter().enumerate() {
+        if !run.is_finished()? {
+            output::note(&format!("run {} of {}: {}", index + 1, runs.len(), run.dir.display()));
+            run.go_on(args, out)?;
+        }
+    }
+    // The trainings ended at Ctrl-C by themselves; what follows is whole or not there at any time.
+    signals::exit_when_asked(format!("stopped; `{}` goes on", typed(&again(args, out))))
+        .context("signals cannot be caught")?;
+    let policies = out.join(POLICIES);
+    for task in TASKS {
+        take_best(task, &runs, &policies)?;
+    }
+    Ok((policies, runs.into_iter().map(|run| run.dir).collect()))
+}
+
+/// One training.
+struct Run {
+    task: TaskName,
+    algorithm: Named<AlgorithmName>,
+    seed: u64,
+    dir: PathBuf,
+}
+
+/// All trainings; those of MAPPO first, whose policies are wanted.
+fn planned(args: &ReproduceArgs, out: &Path) -> Vec<Run> {
+    let mut algorithms = vec![Named(AlgorithmName::Mappo)];
+    for baseline in &args.baselines {
+        if !algorithms.contains(baseline) {
+            algorithms.push(*baseline);
+        }
+    }
+    let mut runs = Vec::new();
+    for algorithm in algorithms {
+        for task in TASKS {
+            for seed in 1..=args.seeds {
+                let name = format!("{}-{}-{seed}", name(algorithm), task.as_str());
+                runs.push(Run { task, algorithm, seed, dir: out.join(RUNS).join(name) });
+            }
+        }
+    }
+    runs
+}
+
+/// The algorithm as it is written on the command line.
+fn name(algorithm: Named<AlgorithmName>) -> String {
+    algorithm.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
+impl Run {
+    /// Whether all its iterations are done.
+    fn is_finished(&self) -> anyhow::Result<bool> {
+        let run_dir = RunDir::new(&self.dir);
+        if !run_dir.config().is_file() {
+            return Ok(false);
+        }
+        let planned = read_config(&run_dir)?.planned_iterations();
+        let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
+        let done = own.iter().filter_map(|dir| Manifest::read(dir).ok());
+        let done = done.map(|manifest| manifest.iteration).max().unwrap_or(0);
+        Ok(done >= planned && Recorded::read(&run_dir)?.iterations() >= planned)
+    }
+
+    /// Begins it or goes on with it, until it is finished.
+    fn go_on(&self, args: &ReproduceArgs, out: &Path) -> anyhow::Result<()> {
+        let dir = self.dir.display().to_string();
+        let words: Vec<String> = if RunDir::new(&self.dir).config().is_file() {
+            ["octopus", "resume", &dir, "--no-eval", "--listen=off"].map(str::to_owned).into()
+        } else {
+            self.words(args)
+        };
+        let ended = match Cli::try_parse_from(&words)?.command {
+            Command::Train(args) => train::train(&args)?,
+            Command::Resume(args) => resume::resume(&args)?.into_inner(),
+            other => unreachable!("{words:?} was read as {other:?}"),
+        };
+        // Ctrl-C in the last iteration, too, is meant for the trainings that would follow.
+        if !ended.was_interrupted() && self.is_finished()? {
+            return Ok(());
+        }
+        let message = format!("{dir}: stopped; `{}` goes on", typed(&again(args, out)));
+        Err(ExitError::new(ExitCode::Interrupted, message).into())
+    }
+
+    /// The command that begins it.
+    fn words(&self, args: &ReproduceArgs) -> Vec<String> {
+        let dir = self.dir.display().to_string();
+        let (algorithm, seed) = (name(self.algorithm), self.seed.to_string());
+        let line =
+            ["octopus", "train", self.task.as_str(), "--algorithm", &algorithm, "--seed", &seed];
+        let rest = ["--run-dir", &dir, "--no-eval", "--listen=off"];
+        let sets = args.sets.iter().map(|set| format!("--set={set}"));
+        line.iter().chain(&rest).map(ToString::to_string).chain(sets).collect()
+    }
+
+    /// Refuses a run of that name that is not the one that would be trained: somebody else's, or one that was asked for
+    /// with other settings.
+    fn check(&self, args: &ReproduceArgs) -> anyhow::Result<()> {
+        let run_dir = RunDir::new(&self.dir);
+        if !run_dir.config().is_file() {
+            return Ok(());
+        }
+        let found = read_config(&run_dir)?;
+        let words = self.words(args);
+        let mut wanted = match Cli::try_parse_from(&words)?.command {
+            Command::Train(args) => train::configure(&args)?,
+            other => unreachable!("{words:?} was read as {other:?}"),
+        };
+        if [wanted.run.precision, found.run.precision].contains(&Precision::Auto) {
+            // Decided when the run began, by the processor.
+            wanted.run.precision = found.run.precision;
+        }
+        let keys =
+            |config: &Config| -> anyhow::Result<_> { Ok(flatten(&config.to_toml().parse()?)) };
+        let (found, wanted) = (keys(&found)?, keys(&wanted)?);
+        let matters = |key: &String| {
+            let of_run = key.strip_prefix("run.");
+            !of_run.is_some_and(|key| key == "device" || RunGroup::HARMLESS.contains(&key))
+        };
+        let differs = |key: &&String| matters(key) && found.get(*key) != wanted.get(*key);
+        let Some(key) = found.keys().chain(wanted.keys()).find(differs) else { return Ok(()) };
+        let [found, wanted] =
+            [&found, &wanted].map(|keys| keys.get(key).map_or("no value", String::as_str));
+        let what =
+            format!("is a run already, with {found} as {key}, where this command wants {wanted}");
+        Err(refused(&self.dir, &what).into())
+    }
+
+    /// Its best checkpoint, and that one's score: the lower, the better.
+    fn best(&self) -> anyhow::Result<(f64, Checkpoint)> {
+        let store = CheckpointStore::new(RunDir::new(&self.dir).checkpoints());
+        let scored = store.entries()?.into_iter().filter_map(|entry| {
+            let best = entry.labels.has_tag(BEST);
+            entry
+                .labels
+                .score
+                .as_ref()
+                .filter(|_| best)
+                .map(|score| (score.value, entry.dir.clone()))
+        });
+        let Some((score, dir)) = scored.min_by(|a, b| a.0.total_cmp(&b.0)) else {
+            let message = format!(
+                "{}: no checkpoint was evaluated, so none is the best; it takes more than \
+                 run.best_after env-steps, and run.evaluate_every must not be 0",
+                self.dir.display()
+            );
+            return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+        };
+        Ok((score, store.load(&dir)?))
+    }
+}
+
+/// The command that goes on below `out`, wherever that was named.
+fn again(args: &ReproduceArgs, out: &Path) -> Vec<OsString> {
+    let mut out_flag = OsString::from("--out=");
+    out_flag.push(out);
+    let baselines: Vec<String> = args.baselines.iter().map(|baseline| name(*baseline)).collect();
+    let baselines = match &*baselines {
+        [] => "--baselines".to_owned(),
+        some => format!("--baselines={}", some.join(",")),
+    };
+    let mut words = vec!["octopus".into(), "reproduce".into(), "--train".into(), out_flag];
+    words.extend([format!("--seeds={}", args.seeds), baselines].map(OsString::from));
+    words.extend(args.sets.iter().map(|set| format!("--set={set}").into()));
+    words.extend(args.episodes.map(|episodes| format!("--episodes={episodes}").into()));
+    words.extend(
+        [("--quick", args.quick), ("--json", args.json), ("--force", args.force)]
+            .into_iter()
+            .filter(|&(_, given)| given)
+            .map(|(flag, _)| flag.into()),
+    );
+    words.extend(
+        [format!("--steps={}", args.steps), format!("--seed={}", args.seed)].map(OsString::from),
+    );
+    words
+}
+
+/// Puts the policy of the best MAPPO run of `task` below `policies`.
+fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()> {
+    let of_mappo =
+        runs.iter().filter(|run| run.task == task && run.algorithm == Named(AlgorithmName::Mappo));
+    let scored = of_mappo.map(Run::best).collect::<anyhow::Result<Vec<_>>>()?;
+    let best = scored.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, checkpoint)) = best else { return Ok(()) };
+    let name: Name = task.as_str().parse().context("a task is a name")?;
+    std::fs::create_dir_all(policies).with_context(|| policies.display().to_string())?;
+    let store = CheckpointStore::new(policies);
+    let there = store.dir(&name);
+    if there.exists() {
+        let origins = Manifest::read(&there)?.origins;
+        if origins.iter().all(|origin| origin.digest == checkpoint.manifest.digest) {
+            return Ok(());
+        }
+        return Err(refused(&there, "is of another run than the one that is best now").into());
+    }
+    let robot = Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir.join("robot.toml"))?;
+    let part = Part { arms: (0..robot.n_arms).collect(), checkpoint };
+    let composition = Composition::new(&[part])?;
+    store.compose(&name, &composition, &serde_json::to_value(Provenance::gather())?)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(words: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> ReproduceArgs {
+        let Command::Reproduce(args) = Cli::try_parse_from(words).expect("valid").command else {
+            panic!("another command")
+        };
+        args
+    }
+
+    /// A directory with other runs may have been named, or other settings were asked for before.
+    #[test]
+    fn a_run_that_is_not_the_planned_one_is_not_gone_on_with() {
+        let out = tempfile::tempdir().expect("tempdir");
+        let args =
+            |sets: &str| parse(format!("octopus reproduce --train --seeds=1{sets}").split(' '));
+        let run = |args: &ReproduceArgs| planned(args, out.path()).remove(0);
+        let asked = args(" --set run.env_steps=6400 --set run.workers=3");
+        let Command::Train(train) =
+            Cli::try_parse_from(run(&asked).words(&asked)).expect("valid").command
+        else {
+            panic!("another command")
+        };
+        let config = train::configure(&train).expect("valid");
+        let run_dir = RunDir::new(run(&asked).dir);
+        assert!(run(&asked).check(&asked).is_ok(), "it is still to be made");
+        std::fs::create_dir_all(run_dir.path()).expect("made");
+        // Decided when it began.
+        for precision in [Precision::F32, Precision::Bf16] {
+            let mut config = config.clone();
+            config.run.precision = precision;
+            std::fs::write(run_dir.config(), config.to_toml()).expect("written");
+            run(&asked).check(&asked).expect("the same");
+            // What changes nothing that is learned may differ.
+            let harmless = args(" --set run.env_steps=6400 --set run.workers=1");
+            run(&harmless).check(&harmless).expect("the same");
+        }
+        for (sets, key) in [
+            ("", "run.env_steps"),
+            (" --set run.env_steps=6400 --set network.hidden=[8]", "network.hidden"),
+        ] {
+            let other = args(sets);
+            let error = run(&other).check(&other).expect_err("another").to_string();
+            assert!(error.contains("mappo-trajectory-1: is a run already"), "{error}");
+            assert!(error.contains(key) && error.contains("another --out"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_command_that_goes_on_asks_for_the_same_in_the_directory_that_was_made() {
+        let out = Path::new("reproduction-20260101-120000");
+        for line in [
+            "octopus reproduce --train",
+            "octopus reproduce --train --baselines --quick --json --force",
+            "octopus reproduce --train --seeds 1 --baselines ippo --set run.workers=2 --episodes 3 --steps 9 --seed 8",
+        ] {
+            let args = parse(line.split(' '));
+            let asked = ReproduceArgs { out: Some(out.to_owned()), ..args.clone() };
+            let again = again(&args, out);
+            assert!(typed(&again).contains("--train --out=reproduction-20260101-120000"));
+            assert_eq!(format!("{:?}", parse(again)), format!("{asked:?}"), "{line}");
+        }
+    }
+}

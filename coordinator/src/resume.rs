@@ -1,0 +1,358 @@
+//! `octopus resume`: a stopped run goes on as if it had never stopped.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use channels::Domain;
+use clap::Args;
+use proto::config::{Config, Precision};
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use run::preflight::{self, Remedy};
+use run::report::promised::Promised;
+use run::supervisor::Programs;
+use run::{base, errors, precision, report};
+use store::budgets::{self, Budgets};
+use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST, Name};
+use store::files;
+use store::lock::RunLock;
+use store::provenance::Provenance;
+use store::recorded::Recorded;
+
+use crate::train::{self, Counter, Ended, Start};
+use crate::training_options::{Ending, HttpArgs, Limits};
+use crate::values::workers;
+
+const RESUME_EXAMPLES: &str = "\
+Examples:
+  octopus resume runs/trajectory-20260101-120000
+  octopus resume runs/trajectory-20260101-120000 --workers 4
+  octopus resume runs/trajectory-20260101-120000 --env-steps 4e6
+
+--iterations and --env-steps are those of the whole run, not of what is left; --time-limit is \
+that of this session. The number of workers changes nothing that is learned; another budget does \
+when the learning rate falls over it.";
+
+/// Options of `octopus resume`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = RESUME_EXAMPLES)]
+pub struct ResumeArgs {
+    /// The run directory.
+    pub run_dir: PathBuf,
+    /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
+    #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers)]
+    pub workers: Option<u64>,
+    /// When to stop.
+    #[command(flatten)]
+    pub limits: Limits,
+    /// The run's HTTP service.
+    #[command(flatten)]
+    pub http: HttpArgs,
+    /// What happens around the training.
+    #[command(flatten)]
+    pub ending: Ending,
+}
+
+/// What helps an old run that this machine does not carry.
+pub(crate) const REMEDY: Remedy = Remedy {
+    elsewhere: "move the run directory to another disk",
+    less: Some("lower run.checkpoints_kept in its config.toml"),
+    flags: &["--workers"],
+};
+
+/// Resumes, evaluates and says where everything is.
+pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
+    match resume(args)? {
+        Resumed::Trained(ended) => ended.conclude(args.ending),
+        Resumed::Done(ended) if args.ending.json => {
+            let evaluation = ended.recorded_evaluation().filter(|_| !args.ending.no_eval);
+            ended.print_json(evaluation.as_ref())
+        }
+        Resumed::Done(_) => Ok(()),
+    }
+}
+
+/// What came of it.
+pub(super) enum Resumed {
+    /// A session.
+    Trained(Ended),
+    /// Nothing: the run has done already what it was asked for.
+    Done(Ended),
+}
+
+impl Resumed {
+    /// How the run ended, now or before.
+    pub(super) fn into_inner(self) -> Ended {
+        match self {
+            Self::Trained(ended) | Self::Done(ended) => ended,
+        }
+    }
+}
+
+/// Resumes.
+pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
+    let run_dir = store::run_files::run_directory(&args.run_dir)?;
+    go_on(args, run_dir.clone()).map_err(|error| errors::name_what_goes_on(error, &run_dir))
+}
+
+fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
+    check_no_checkpoint(&run_dir)?;
+    train::check_token_file(&args.http)?;
+    let domain = Domain::fresh();
+    let lock = RunLock::acquire(&run_dir.lock(), domain.as_str())?;
+    files::sweep(run_dir.path());
+
+    let recorded = store::run_files::read_config(&run_dir)?;
+    let (robot, robot_text) = store::run_files::read_robot(&run_dir)?;
+    let mut budgets = Budgets::read(&run_dir)?;
+    let resume = find_start(&run_dir, &recorded, &robot_text)?;
+    let before = decided(&recorded, resume.as_ref())?;
+    if let Some(checkpoint) = &resume {
+        check_unchanged(&run_dir, &before, &robot_text, checkpoint)?;
+    }
+    if recorded.run.precision == Precision::Auto {
+        output::note(&format!("note: {}", decision(before.run.precision, resume.is_some())));
+    }
+
+    note_budget(&run_dir, &budgets, &before);
+    let (config, overrides) = override_limits(&before, args)?;
+    if let Some(last) = &resume
+        && last.manifest.iteration >= config.planned_iterations()
+    {
+        let done = last.manifest.iteration;
+        output::note(&format!(
+            "note: nothing to do: {} {} done, {} wanted; a larger --iterations or --env-steps goes on",
+            output::counted(done, "iteration"),
+            if done == 1 { "is" } else { "are" },
+            config.planned_iterations()
+        ));
+        return Ok(Resumed::Done(Ended::before(run_dir, last)));
+    }
+    for change in &overrides {
+        output::note(&format!("note: {change}"));
+    }
+
+    let programs = Programs::find()?;
+    preflight::check_machine(&config, &robot, &run_dir, &programs.learner, &REMEDY)?;
+    let counter = Counter::open(&args.http, &run_dir)?;
+    let provenance = Provenance::gather();
+    if budgets.last().is_none() {
+        // A run from before they were written down.
+        let then = resume.as_ref().map_or(&before, |checkpoint| &checkpoint.config);
+        budgets.begin(0, then.run.env_steps)?;
+    }
+    if resume.is_none() {
+        // What an undecided arithmetic came to, or another budget, is nothing to compare with.
+        let repeats = budgets.repeat(&config, 0) && recorded.run.precision != Precision::Auto;
+        note_beginning(&run_dir, repeats)?;
+    }
+    if recorded.run.precision == Precision::Auto && resume.is_none() {
+        // What was computed in before the first checkpoint is not known, so that nothing is promised.
+        report::forget(&run_dir)?;
+    }
+    if config != recorded {
+        files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
+    }
+    train::record(&run_dir, &provenance, &overrides)?;
+    std::fs::create_dir_all(run_dir.logs()).map_err(|error| {
+        ExitError::new(
+            ExitCode::RunDirectory,
+            format!("{}: cannot be created: {error}", run_dir.logs().display()),
+        )
+    })?;
+    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, counter };
+    train::run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
+}
+
+/// The configuration with a precision that is decided. A run of an earlier version has `auto` in its `config.toml`: its
+/// training state knows what that was, and where there is none the processor decides, as of a new run.
+fn decided(config: &Config, checkpoint: Option<&Checkpoint>) -> anyhow::Result<Config> {
+    let mut config = config.clone();
+    if config.run.precision == Precision::Auto
+        && let Some(checkpoint) = checkpoint
+    {
+        config.run.precision = checkpoint.precision()?;
+    }
+    Ok(precision::resolve(config))
+}
+
+/// Says what has become of an `auto` that an earlier version left.
+fn decision(precision: Precision, recorded: bool) -> String {
+    let name = precision::name(precision);
+    if recorded {
+        format!("run.precision is now {name}, as its checkpoints were trained; it was auto")
+    } else {
+        format!(
+            "run.precision is now {name}, by this processor; it was auto, and what it computed in before is \
+             not recorded, so that its digests may be others than those of before"
+        )
+    }
+}
+
+/// Refuses a checkpoint: it has a configuration and a robot as a run has, and would become one.
+fn check_no_checkpoint(run_dir: &RunDir) -> Result<(), ExitError> {
+    let dir = run_dir.path();
+    if !dir.join(MANIFEST).is_file() {
+        return Ok(());
+    }
+    let message = format!(
+        "{0}: is a checkpoint, not a run directory; `octopus eval {0}` measures it, and \
+         `octopus resume` wants the directory of the run that it comes from",
+        dir.display()
+    );
+    Err(ExitError::new(ExitCode::RunDirectory, message))
+}
+
+/// The newest checkpoint that is the run's own; none if it starts anew.
+///
+/// The metrics reach every one: a checkpoint is committed after its lines are durable. Only where a file
+/// was lost or cut by other means does the run go further back, so that no iteration is left out.
+fn find_start(
+    run_dir: &RunDir,
+    config: &Config,
+    robot_toml: &str,
+) -> anyhow::Result<Option<Checkpoint>> {
+    let store = CheckpointStore::new(run_dir.checkpoints());
+    let recorded = Recorded::read(run_dir)?;
+    let mut promised = Promised::read(run_dir)?;
+    promised.agree(&recorded)?;
+    let search = base::find(&store, run_dir, &BTreeMap::new())?;
+    // What the metrics have lost is known all the same, if it is the run's.
+    let mut unreached =
+        search.passed_over.iter().filter(|passed| passed.unreached && !passed.imported);
+    let lost = unreached.find_map(|passed| {
+        let newest = store.load(&passed.dir).ok()?;
+        promises(&store, run_dir, config, robot_toml, &newest).then_some(newest)
+    });
+    let (base, said) = search.settle(run_dir)?;
+    for sentence in said {
+        output::note(&format!("warning: {sentence}"));
+    }
+    if let (Some(_), Some(newest)) = (&base, lost) {
+        promised.add([(newest.manifest.iteration - 1, newest.manifest.digest)])?;
+    }
+    Ok(base)
+}
+
+/// Whether a checkpoint that the metrics do not reach says what an iteration of this run must end with.
+/// Nothing recorded ties it to the run, so it has to be one of the same configuration and whole, down to
+/// the digest in its manifest.
+fn promises(
+    store: &CheckpointStore,
+    run_dir: &RunDir,
+    config: &Config,
+    robot_toml: &str,
+    newest: &Checkpoint,
+) -> bool {
+    let same_budget =
+        !budgets::matters(config) || newest.config.run.env_steps == config.run.env_steps;
+    let unchanged = decided(config, Some(newest))
+        .and_then(|config| check_unchanged(run_dir, &config, robot_toml, newest));
+    let name = Name::of_iteration(newest.manifest.iteration);
+    let is_whole = || store.verify(&name).is_ok_and(|found| found.is_whole());
+    same_budget && unchanged.is_ok() && newest.dir == store.dir(&name) && is_whole()
+}
+
+/// Says that a run without a checkpoint begins again, and whether what it has recorded must come out once more.
+fn note_beginning(run_dir: &RunDir, repeats: bool) -> anyhow::Result<()> {
+    let is_there = match (Recorded::read(run_dir)?.iterations(), repeats) {
+        (0, _) => "no iteration is recorded".to_owned(),
+        (1, true) => "one iteration is recorded, which must end as it did".to_owned(),
+        (n, true) => format!("{n} iterations are recorded, which must end as they did"),
+        (n, false) => {
+            let recorded = output::counted(n, "recorded iteration");
+            format!("what is trained now is not compared with {recorded}")
+        }
+    };
+    output::note(&format!(
+        "note: {}: holds no checkpoint to go on from; the run starts from the beginning ({is_there})",
+        run_dir.checkpoints().display()
+    ));
+    Ok(())
+}
+
+/// Says so if the budget in `config.toml` is another than that of the iterations so far.
+fn note_budget(run_dir: &RunDir, budgets: &Budgets, before: &Config) {
+    if let Some(last) = budgets.last()
+        && last.env_steps != before.run.env_steps
+    {
+        output::note(&format!(
+            "note: {}: run.env_steps is {}, and was {} for the iterations so far, as {} says: one of \
+             the two was changed by hand, or a resume that changes it was cut short",
+            run_dir.config().display(),
+            before.run.env_steps,
+            last.env_steps,
+            budgets.path().display()
+        ));
+    }
+}
+
+/// The configuration with the limits of the command line, and what they changed.
+fn override_limits(before: &Config, args: &ResumeArgs) -> anyhow::Result<(Config, Vec<String>)> {
+    let mut config = before.clone();
+    if let Some(workers) = args.workers {
+        config.run.workers = workers as usize;
+    }
+    if let Some(env_steps) = args.limits.env_steps {
+        config.run.env_steps = env_steps;
+    }
+    if let Some(iterations) = args.limits.iterations {
+        config.run.env_steps = iterations.saturating_mul(config.steps_per_iteration());
+    }
+    if let Some(limit) = args.limits.time_limit {
+        config.run.time_limit_s = limit.as_secs_f64();
+    }
+    config.validate()?;
+    let mut overrides = Vec::new();
+    let mut changed = |key: &str, old: &dyn std::fmt::Display, new: &dyn std::fmt::Display| {
+        let (old, new) = (old.to_string(), new.to_string());
+        if old != new {
+            overrides.push(format!("{key} is now {new}, was {old}"));
+        }
+    };
+    changed("run.workers", &before.run.workers, &config.run.workers);
+    changed("run.env_steps", &before.run.env_steps, &config.run.env_steps);
+    changed("run.time_limit_s", &before.run.time_limit_s, &config.run.time_limit_s);
+    Ok((config, overrides))
+}
+
+/// A run goes on with what it began with: only limits, processes and housekeeping may differ.
+fn check_unchanged(
+    run_dir: &RunDir,
+    config: &Config,
+    robot_toml: &str,
+    checkpoint: &Checkpoint,
+) -> anyhow::Result<()> {
+    let refuse = |path: &Path, what: &str| {
+        Err(ExitError::new(
+            ExitCode::RunDirectory,
+            format!(
+                "{}: {what} since checkpoint {}; put it back (the checkpoint holds a copy), or start \
+                 another run with `octopus train --config`",
+                path.display(),
+                checkpoint.dir.display()
+            ),
+        )
+        .into())
+    };
+    let then = &checkpoint.config;
+    // Also by the checkpoints of a version that left `auto` undecided.
+    let mut then_run = then.run.clone();
+    then_run.precision = checkpoint.precision()?;
+    let groups = [
+        ("task", config.task == then.task),
+        ("robot", config.robot == then.robot),
+        ("env", config.env == then.env),
+        ("network", config.network == then.network),
+        ("algorithm", config.algorithm == then.algorithm),
+        ("optimizer", config.optimizer == then.optimizer),
+        ("run", config.run.continues(&then_run)),
+    ];
+    if let Some((group, _)) = groups.iter().find(|(_, same)| !same) {
+        return refuse(&run_dir.config(), &format!("group `{group}` was changed"));
+    }
+    if robot_toml != checkpoint.robot_toml {
+        return refuse(&run_dir.robot(), "was changed");
+    }
+    Ok(())
+}

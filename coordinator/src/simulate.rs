@@ -1,0 +1,253 @@
+//! `octopus simulate`: the robot under given joint commands, open loop.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::Args;
+use proto::{ExitCode, ExitError};
+use simulator::robot::Robot;
+use simulator::simulate::{self, Precision, SimulationRow};
+use simulator::step::{Integrator, StepOptions};
+use store::outputs::Output;
+use store::{files, regular};
+
+use crate::names::Named;
+use crate::values::{Switch, seconds};
+
+const SIMULATE_USAGE: &str = "\
+octopus simulate [OPTIONS] --robot <NAME|FILE> --actions <IN.csv>
+                        --out <OUT.csv>";
+
+const SIMULATE_EXAMPLES: &str = "\
+Examples:
+  octopus simulate --robot paper --actions in.csv --out out.csv
+  octopus simulate --robot release --actions in.csv --out - | head
+  octopus simulate --robot release --actions in.csv --out out.csv \\
+      --precision f64 --integrator euler --substep 0.001
+
+IN.csv has no header and one row per control step: joint velocity commands in rad/s, arm after \
+arm (24 numbers for four arms). OUT.csv has a header and one row per control step, after it: t, \
+base position (m) and quaternion (w first), joint angles (rad), velocity of the base (m/s, world \
+axes; rad/s, body axes), joint rates (rad/s), hand positions (m), touching pairs. The last \
+example is the scheme of the robot's authors.";
+
+/// Options of `octopus simulate`.
+#[derive(Debug, Clone, Args)]
+#[command(override_usage = SIMULATE_USAGE, after_help = SIMULATE_EXAMPLES)]
+pub struct SimulateArgs {
+    /// `paper`, `release`, or a robot file.
+    #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]
+    pub robot: String,
+    /// The commands; `-` reads standard input.
+    #[arg(long, value_name = "IN.csv")]
+    pub actions: PathBuf,
+    /// The trajectory; `-` writes standard output.
+    #[arg(long, value_name = "OUT.csv")]
+    pub out: PathBuf,
+    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    #[arg(long)]
+    pub force: bool,
+    /// Arithmetic.
+    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = Named(Precision::F32))]
+    pub precision: Named<Precision>,
+    /// Integration scheme.
+    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = Named(Integrator::Rk3))]
+    pub integrator: Named<Integrator>,
+    /// Duration of an integration step; divides the control period.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.016, allow_hyphen_values = true, value_parser = seconds)]
+    pub substep: f64,
+    /// Duration of a control step.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.4, allow_hyphen_values = true, value_parser = seconds)]
+    pub control_period: f64,
+    /// Whether touching bodies push each other.
+    #[arg(long, allow_negative_numbers = true, value_name = "on|off", value_enum, default_value_t = Switch::On)]
+    pub contacts: Switch,
+}
+
+/// What a trajectory begins with.
+const MARK: &[u8] = b"t,base_x,base_y,base_z,";
+
+/// Integrates.
+pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
+    // Judged as training would run it: how coarse the steps are is what may be tried here.
+    let robot = run::robots::load_fit_robot(&args.robot, &StepOptions::default())?;
+    check_steps(args)?;
+    let output = Output { flag: "--out", path: &args.out, mark: MARK, force: args.force };
+    output.check(&[("--actions", &args.actions), ("--robot", Path::new(&args.robot))])?;
+    let actions = read_actions(&args.actions, robot.n_joints())?;
+    let precision = args.precision.0;
+    let options = StepOptions {
+        integrator: args.integrator.0,
+        control_period: args.control_period,
+        substep: args.substep,
+        contacts: args.contacts == Switch::On,
+    };
+    let rows = simulate::simulate(&robot, &actions, precision, &options);
+    if let Some(index) = rows.iter().position(|row| !row.state.is_finite()) {
+        let message = format!(
+            "the simulation blew up in row {} (t = {} s): a number is not finite; a smaller \
+             --substep may help",
+            index + 1,
+            rows[index].t
+        );
+        return Err(ExitError::new(ExitCode::Failure, message).into());
+    }
+    let table = write_table(&robot, &rows, precision)?;
+    if args.out == Path::new("-") {
+        return output::write(&table);
+    }
+    Ok(files::replace_output(&args.out, &table)?)
+}
+
+/// The sub-step must fit the control period a whole number of times.
+fn check_steps(args: &SimulateArgs) -> Result<(), ExitError> {
+    let bad = |message: String| Err(ExitError::new(ExitCode::BadInput, message));
+    let SimulateArgs { control_period, substep, .. } = *args;
+    if !(1e-4..=10.0).contains(&control_period) {
+        return bad(format!(
+            "--control-period {control_period}: choose a time from 0.0001 to 10 s"
+        ));
+    }
+    if !(1e-5..=control_period).contains(&substep) {
+        return bad(format!(
+            "--substep {substep}: choose a time from 0.00001 to {control_period} s"
+        ));
+    }
+    let substeps = control_period / substep;
+    if (substeps - substeps.round()).abs() > 1e-6 * substeps {
+        return bad(format!(
+            "--substep {substep}: does not divide the control period of {control_period} s; choose a \
+             whole fraction of it"
+        ));
+    }
+    Ok(())
+}
+
+/// Longest file of commands that is read (bytes): a million control steps of a large robot.
+const MAX_ACTIONS: u64 = 256 << 20;
+
+/// Reads the commands: one row a control step, `width` numbers each.
+fn read_actions(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError> {
+    let shown =
+        if path == Path::new("-") { "standard input".into() } else { path.to_string_lossy() };
+    let bad = |what: String| ExitError::new(ExitCode::BadInput, format!("{shown}: {what}"));
+    let read = if path == Path::new("-") {
+        regular::drain(std::io::stdin().lock(), MAX_ACTIONS)
+    } else {
+        regular::read(path, MAX_ACTIONS)
+    };
+    let bytes = read.map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .trim(csv::Trim::All)
+        .from_reader(bytes.as_slice());
+    let mut actions = Vec::new();
+    for (index, record) in reader.records().enumerate() {
+        let row = index + 1;
+        let record = record.map_err(|error| bad(format!("row {row}: {error}")))?;
+        if record.len() != width {
+            return Err(bad(format!(
+                "row {row} has {} numbers, expected {width}: one joint velocity command in rad/s for \
+                 every joint, arm after arm",
+                record.len()
+            )));
+        }
+        let number = |(column, cell): (usize, &str)| {
+            let place = format!("row {row}, column {}", column + 1);
+            match cell.parse::<f64>() {
+                Ok(value) if value.is_finite() => Ok(value),
+                Ok(_) => Err(bad(format!("{place}: `{cell}` is not finite"))),
+                Err(_) => Err(bad(format!(
+                    "{place}: `{cell}` is no number{}",
+                    if row == 1 { "; the file has no header" } else { "" }
+                ))),
+            }
+        };
+        actions.push(record.iter().enumerate().map(number).collect::<Result<Vec<_>, _>>()?);
+    }
+    if actions.is_empty() {
+        return Err(bad(format!("is empty, expected rows of {width} joint velocity commands")));
+    }
+    Ok(actions)
+}
+
+/// The names of the columns.
+fn header(n_arms: usize, n_joints: usize) -> Vec<String> {
+    let numbered = |name: &'static str| (0..n_joints).map(move |joint| format!("{name}{joint}"));
+    let fixed = |names: &'static str| names.split(' ').map(str::to_owned);
+    fixed("t base_x base_y base_z base_qw base_qx base_qy base_qz")
+        .chain(numbered("q"))
+        .chain(fixed("base_vx base_vy base_vz base_wx base_wy base_wz"))
+        .chain(numbered("qd"))
+        .chain(
+            (0..n_arms).flat_map(|hand| ["x", "y", "z"].map(|axis| format!("hand{hand}_{axis}"))),
+        )
+        .chain(fixed("contacts"))
+        .collect()
+}
+
+/// The trajectory as a table; numbers have as many digits as identify them in their precision.
+fn write_table(
+    robot: &Robot,
+    rows: &[SimulationRow],
+    precision: Precision,
+) -> anyhow::Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(header(robot.n_arms, robot.n_joints()))?;
+    for SimulationRow { t, state, hands, contacts } in rows {
+        let numbers = state
+            .base_position
+            .iter()
+            .chain(&state.base_quaternion)
+            .chain(&state.q)
+            .chain(&state.base_linear_velocity)
+            .chain(&state.base_angular_velocity)
+            .chain(&state.qd)
+            .chain(hands.iter().flatten());
+        let written = numbers.map(|number| match precision {
+            Precision::F32 => (*number as f32).to_string(),
+            Precision::F64 => number.to_string(),
+        });
+        // Sums of control periods would end in many digits of rounding.
+        let time = ((t * 1e9).round() / 1e9).to_string();
+        writer.write_record([time].into_iter().chain(written).chain([contacts.to_string()]))?;
+    }
+    writer.into_inner().context("the table cannot be finished")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The message that `text` is refused with.
+    fn refused(text: &str) -> String {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("in.csv");
+        std::fs::write(&path, text).expect("writable");
+        let error = read_actions(&path, 3).expect_err("must be refused");
+        assert_eq!(error.code, ExitCode::BadInput);
+        error.message.split_once("in.csv: ").expect("names the file").1.to_owned()
+    }
+
+    #[test]
+    fn actions_are_refused_with_row_and_column() {
+        assert_eq!(refused("1,2,3\n1,2,nan\n"), "row 2, column 3: `nan` is not finite");
+        assert_eq!(refused("a,b,c\n"), "row 1, column 1: `a` is no number; the file has no header");
+        assert!(refused("1,2\n").starts_with("row 1 has 2 numbers, expected 3"));
+        assert!(refused("\n\n").starts_with("is empty"));
+    }
+
+    #[test]
+    fn columns_are_those_of_the_description() {
+        let header = header(4, 24);
+        assert_eq!(header.len(), 1 + 7 + 24 + 6 + 24 + 12 + 1);
+        assert!(header.join(",").as_bytes().starts_with(MARK));
+        assert_eq!(header[8], "q0");
+        assert_eq!(
+            header[32..38],
+            ["base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz"]
+        );
+        assert_eq!(header[62..65], ["hand0_x", "hand0_y", "hand0_z"]);
+    }
+}

@@ -1,0 +1,98 @@
+//! Checkpoints: committed snapshots of a training state, one directory each.
+//!
+//! ```text
+//! checkpoints/
+//!   iteration-00000050/
+//!     state.safetensors    everything that training needs to go on; only a run's own has it
+//!     policy.safetensors   the actors alone, one row an agent, as workers run them
+//!     config.toml          the resolved configuration
+//!     robot.toml           the robot's description
+//!     manifest.json        written last: counters, digest, length and BLAKE3 of every file above
+//!     labels.json          pins, tags, score: the only file that ever changes
+//!   catalogue.sqlite       an index of all this, for users' own tools
+//!   .lock                  held by whoever changes the store
+//! ```
+//!
+//! A checkpoint exists if and only if its directory has its final name. It gets that name by one
+//! rename, after every byte of it has reached the disk, so a kill or a power cut at any moment
+//! leaves either the whole checkpoint or none. See [`CheckpointStore::commit`].
+//!
+//! | file | concept |
+//! |---|---|
+//! | `store` | committing, listing, loading |
+//! | `manifest`, `labels`, `name`, `entry` | what is said about a checkpoint, and by whom |
+//! | `disk`, `guard` | how a store is changed: step by step, by one at a time |
+//! | `opening` | how files of a store are opened: no link is followed |
+//! | `labelling`, `retention` | pins, tags, scores; what stays and what goes |
+//! | `catalogue` | the index |
+//! | `checked` | which files were found whole |
+//! | `archive` | a checkpoint as one file |
+//! | `state_layout` | what a training state must hold |
+//! | `verify`, `compare` | the thorough check; two checkpoints side by side |
+//! | `compose` | one policy set from several checkpoints |
+//! | `selector` | how users name a checkpoint |
+
+mod archive;
+mod assembly;
+mod catalogue;
+mod checked;
+mod compare;
+mod compose;
+mod disk;
+mod entry;
+mod error;
+pub mod fixtures;
+mod guard;
+mod labelling;
+mod labels;
+mod manifest;
+mod name;
+mod opening;
+mod ownership;
+mod patience;
+mod read;
+mod retention;
+mod selector;
+mod state_layout;
+mod store;
+mod tensors;
+mod verify;
+
+pub use archive::MAX_CONTENT;
+pub use assembly::{Assembly, Snapshot};
+pub use catalogue::CATALOGUE;
+pub use checked::Checked;
+pub use compare::{Difference, KeyDifference, TensorDifference, compare, flatten};
+pub use compose::{Composition, Part};
+pub use entry::{DamagedEntry, Entry, Kind, Survey};
+pub use error::{CheckpointError, newest};
+pub use guard::UPLOAD;
+pub use labelling::{BEST, LATEST};
+pub use labels::{LABELS, Labels, MAX_TAGS, Score};
+pub use manifest::{FileEntry, Manifest, Origin};
+pub use name::{ITERATION, Name, NameError};
+pub use ownership::Ownership;
+pub use patience::Patience;
+pub use read::{Checkpoint, read_policy};
+pub use retention::Retention;
+pub use selector::{Selector, runs_in, store_at, store_to_be};
+pub use state_layout::{STATE_FORMAT, StateLayout, StateTensor};
+pub use store::{CheckpointStore, Placement};
+pub use tensors::shapes;
+pub use verify::Verification;
+
+/// The format that this version writes.
+pub const FORMAT: u32 = 1;
+/// Name of the file that makes a directory a checkpoint.
+pub const MANIFEST: &str = "manifest.json";
+/// Name of the training state.
+pub const STATE: &str = "state.safetensors";
+/// Name of the actors.
+pub const POLICY: &str = "policy.safetensors";
+/// Name of the resolved configuration.
+pub const CONFIG: &str = "config.toml";
+/// Name of the robot's description.
+pub const ROBOT: &str = "robot.toml";
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,65 @@
+//! Whether a checkpoint with a name of the run's own is the run's.
+//!
+//! Whoever imports or copies a checkpoint gives it such a name, too. The newest by name would then be what is
+//! evaluated, served and shown as what the run has come to, while `octopus resume` passes it over (see
+//! `base` of the crate `run`).
+
+use std::path::{Path, PathBuf};
+
+use proto::Digest;
+
+use super::CheckpointError;
+use super::labels::Labels;
+use super::manifest::Manifest;
+use super::store::CheckpointStore;
+use crate::recorded::Recorded;
+
+/// What tells a run's own checkpoints from others.
+#[derive(Debug)]
+pub struct Ownership {
+    /// Whether the store belongs to a run; in any other all are alike.
+    of_a_run: bool,
+    /// What the run has come to; none where that cannot be read, or is lost.
+    recorded: Option<Recorded>,
+}
+
+impl Ownership {
+    /// Of the run that the store belongs to, if it belongs to one.
+    pub fn of(store: &CheckpointStore) -> Self {
+        let run = store.run();
+        let recorded = run.as_ref().and_then(|run| Recorded::read(run).ok());
+        let recorded = recorded.filter(|recorded| recorded.iterations() > 0);
+        Self { of_a_run: run.is_some(), recorded }
+    }
+
+    /// Whether the run has not come to the checkpoint in `dir`: its digest is another than the recorded
+    /// one, or the metrics end before it. Where nothing is recorded, or its manifest cannot be read, what
+    /// was imported is foreign.
+    pub fn is_foreign(&self, dir: &Path, manifest: Option<(u64, Digest)>) -> bool {
+        if !self.of_a_run {
+            return false;
+        }
+        match (&self.recorded, manifest) {
+            (Some(recorded), Some((iteration, digest))) if iteration > 0 => {
+                recorded.digest_after(iteration) != Some(digest)
+            }
+            _ => Labels::read(dir).imported,
+        }
+    }
+}
+
+impl CheckpointStore {
+    /// Directories of the run's own checkpoints, newest first, and then of those of such names that are
+    /// not the run's. Nothing is hashed.
+    pub fn by_ownership(&self) -> Result<[Vec<PathBuf>; 2], CheckpointError> {
+        let dirs = self.list()?;
+        let ownership = Ownership::of(self);
+        let is_foreign = |dir: &PathBuf| {
+            let manifest = Manifest::read(dir).ok();
+            ownership
+                .is_foreign(dir, manifest.map(|manifest| (manifest.iteration, manifest.digest)))
+        };
+        let (foreign, own) = dirs.into_iter().rev().partition(is_foreign);
+        Ok([own, foreign])
+    }
+}

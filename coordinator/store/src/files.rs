@@ -1,0 +1,157 @@
+//! Durable writing of small files: a reader finds the old content or the new, never a part.
+
+use std::fs::{File, Metadata};
+use std::io::Write as _;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
+
+use proto::{ExitCode, ExitError};
+
+/// Replaces the content of `path`: temporary file beside it, fsync, rename, fsync of the directory.
+pub fn replace(path: &Path, content: &[u8]) -> Result<(), ExitError> {
+    replace_io(path, content).map_err(|error| failure(ExitCode::RunDirectory, path, &error))
+}
+
+/// Like [`replace`], for a file that the user named on the command line; one that is no regular
+/// file, such as `/dev/stdout`, is written to as it is.
+pub fn replace_output(path: &Path, content: &[u8]) -> Result<(), ExitError> {
+    let special = std::fs::metadata(path).is_ok_and(|there| !there.is_file());
+    let written = if special {
+        File::options().write(true).open(path).and_then(|mut file| file.write_all(content))
+    } else {
+        replace_io(path, content)
+    };
+    written.map_err(|error| failure(ExitCode::Failure, path, &error))
+}
+
+fn failure(code: ExitCode, path: &Path, error: &std::io::Error) -> ExitError {
+    ExitError::new(code, format!("{}: cannot be written: {error}", path.display()))
+}
+
+/// [`replace`], with the system's own error for who says himself what failed.
+pub(crate) fn replace_io(path: &Path, content: &[u8]) -> std::io::Result<()> {
+    let temporary = temporary(path);
+    let written = (|| {
+        let mut file = File::create(&temporary)?;
+        file.write_all(content)?;
+        file.sync_all()?;
+        std::fs::rename(&temporary, path)?;
+        File::open(parent(path))?.sync_all()
+    })();
+    if written.is_err() {
+        // The first error is the one to report; the temporary file may not even exist.
+        let _ = std::fs::remove_file(&temporary);
+    }
+    written
+}
+
+/// The name of the file that is written before it takes the place of `path`. What killed processes
+/// had begun to write there is removed.
+pub fn temporary(path: &Path) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    sweep_where(parent(path), |begun| begun == name);
+    path.with_file_name(format!(".{name}.{}.tmp", std::process::id()))
+}
+
+/// Removes what killed processes of this user had begun to write in `directory` and below.
+pub fn sweep(directory: &Path) {
+    sweep_where(directory, |_| true);
+    for entry in std::fs::read_dir(directory).into_iter().flatten().flatten() {
+        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            sweep(&entry.path());
+        }
+    }
+}
+
+/// Removes from `directory` what killed processes of this user had begun to write in the place of files
+/// whose names `is_meant`. A file that stays is in nobody's way, so nothing here is an error.
+fn sweep_where(directory: &Path, is_meant: impl Fn(&str) -> bool) {
+    let uid = rustix::process::getuid().as_raw();
+    for entry in std::fs::read_dir(directory).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let Some((begun, pid)) = name.to_str().and_then(parse_temporary) else { continue };
+        let is_own = |there: Metadata| there.is_file() && there.uid() == uid;
+        if is_meant(begun)
+            && !Path::new("/proc").join(pid.to_string()).exists()
+            && entry.metadata().is_ok_and(is_own)
+        {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// Of a name that [`temporary`] gave: that of the file to be replaced, and who was to replace it.
+fn parse_temporary(name: &str) -> Option<(&str, u32)> {
+    let (begun, pid) = name.strip_prefix('.')?.strip_suffix(".tmp")?.rsplit_once('.')?;
+    let pid = pid.parse().ok().filter(|_| pid.bytes().all(|byte| byte.is_ascii_digit()))?;
+    (!begun.is_empty()).then_some((begun, pid))
+}
+
+fn parent(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// Bytes that this user may still write where `path` lies.
+pub fn free_space(path: &Path) -> std::io::Result<u64> {
+    let space = rustix::fs::statvfs(path)?;
+    Ok(space.f_bavail * space.f_frsize)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::ErrorKind;
+
+    use super::*;
+
+    /// A process that has ended.
+    fn dead() -> u32 {
+        let mut child = std::process::Command::new("true").spawn().expect("starts");
+        child.wait().expect("own child");
+        child.id()
+    }
+
+    #[test]
+    fn what_a_killed_process_had_begun_to_write_goes_and_nothing_else() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let below = dir.path().join("checkpoints");
+        std::fs::create_dir(&below).expect("mkdir");
+        let (dead, alive) = (dead(), std::process::id());
+        let left = [
+            dir.path().join(format!(".config.toml.{dead}.tmp")),
+            dir.path().join(format!(".metrics.csv.{dead}.tmp")),
+            below.join(format!(".labels.json.{dead}.tmp")),
+        ];
+        let others = [
+            dir.path().join(format!(".config.toml.{alive}.tmp")),
+            dir.path().join(format!("config.toml.{dead}.tmp")),
+            dir.path().join(format!(".config.toml.{dead}")),
+            dir.path().join(".config.toml.old.tmp"),
+            dir.path().join(format!(".config.toml.+{dead}.tmp")),
+            dir.path().join(format!(".{dead}.tmp")),
+        ];
+        for path in left.iter().chain(&others) {
+            std::fs::write(path, "a part").expect("writable");
+        }
+        // Who writes a file anew removes what was begun of that file.
+        let config = dir.path().join("config.toml");
+        temporary(&config);
+        assert_eq!(left.each_ref().map(|path| path.exists()), [false, true, true]);
+        sweep(dir.path());
+        assert_eq!(left.each_ref().map(|path| path.exists()), [false; 3]);
+        for path in &others {
+            assert!(path.exists(), "{}", path.display());
+        }
+    }
+
+    #[test]
+    fn a_failure_keeps_the_kind_that_the_system_gave_it() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("gone").join("labels.json");
+        assert_eq!(replace_io(&path, b"{}").expect_err("no directory").kind(), ErrorKind::NotFound);
+        let said = replace(&path, b"{}").expect_err("no directory").to_string();
+        assert_eq!(said.matches("labels.json").count(), 1, "{said}");
+    }
+}

@@ -1,0 +1,21 @@
+//! Files that last.
+//!
+//! * [`checkpoint`]: the store of checkpoints, its catalogue, archives, comparisons and checks;
+//! * [`lock`]: one coordinator a run directory;
+//! * [`recorded`], [`budgets`], [`jsonl`]: what a run wrote about its iterations;
+//! * [`run_files`]: the configuration and the robot of a run, read back;
+//! * [`provenance`]: which program and machine made something;
+//! * [`files`]: files that are whole or absent; [`outputs`]: what a command may write over;
+//! * [`regular`], [`own`]: files that others may have put there, read with care.
+
+pub mod budgets;
+pub mod checkpoint;
+pub mod files;
+pub mod jsonl;
+pub mod lock;
+pub mod outputs;
+pub mod own;
+pub mod provenance;
+pub mod recorded;
+pub mod regular;
+pub mod run_files;

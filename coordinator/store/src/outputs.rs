@@ -1,0 +1,298 @@
+//! What a command may write over: nothing that it read, and without `--force` nothing that others made.
+//!
+//! A file that is there already is replaced if it is empty or begins as the files of its command do, as one that a
+//! command made before. What lies in a run or a checkpoint belongs to that.
+
+use std::fs::{File, Metadata};
+use std::io::Read as _;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
+
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+
+use crate::checkpoint::MANIFEST;
+
+/// A file that a command is asked to write.
+#[derive(Debug, Clone, Copy)]
+pub struct Output<'a> {
+    /// The flag that names it.
+    pub flag: &'static str,
+    /// Where it goes.
+    pub path: &'a Path,
+    /// What files of its command begin with; empty if they cannot be told from others.
+    pub mark: &'a [u8],
+    /// Whether it may replace what others made.
+    pub force: bool,
+}
+
+/// What a command reads: the flag or argument that names it, and its place.
+pub type Input<'a> = (&'static str, &'a Path);
+
+impl Output<'_> {
+    /// Refuses a place that is taken. Standard output (`-`), terminals and pipes are no places.
+    pub fn check(&self, inputs: &[Input<'_>]) -> Result<(), ExitError> {
+        let Self { flag, path, mark, force } = *self;
+        let shown = path.display();
+        if path == Path::new("-") {
+            return Ok(());
+        }
+        let there = path.metadata().ok();
+        if there.as_ref().is_some_and(|there| !there.is_file() && !there.is_dir()) {
+            return Ok(());
+        }
+        if let Some(there) = &there {
+            let input = inputs.iter().find(|(_, input)| is(input, there));
+            if let Some((name, _)) = input {
+                let message = format!("{flag} {shown}: is what {name} reads; name another file");
+                return Err(ExitError::new(ExitCode::Usage, message));
+            }
+            if there.is_dir() {
+                return Err(refused(format!("{flag} {shown}: is a directory; name a file")));
+            }
+        }
+        if force {
+            // What was read is not lost even then: a run that a picture is drawn of, say.
+            let read_from =
+                inputs.iter().find(|(_, input)| input.is_dir() && is_below(path, input));
+            return match (there, read_from) {
+                (Some(there), Some((_, input))) if !made_by(path, &there, mark) => {
+                    let message = format!("belongs to {}, which is read", input.display());
+                    Err(refused(format!("{flag} {shown}: {message}; name another file")))
+                }
+                _ => Ok(()),
+            };
+        }
+        if let Some((owner, kind)) = owner(path) {
+            return Err(refused(format!(
+                "{flag} {shown}: lies in {}, which is {kind}; name another place, or use --force",
+                owner.display()
+            )));
+        }
+        match there {
+            Some(there) if !made_by(path, &there, mark) => Err(refused(format!(
+                "{flag} {shown}: is there already{}; --force writes over it",
+                if mark.is_empty() { "" } else { " and was not made by this command" }
+            ))),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Refuses a place for a new directory inside a run or a checkpoint.
+pub fn check_outside(flag: &str, path: &Path) -> Result<(), ExitError> {
+    let Some((owner, kind)) = owner(path) else { return Ok(()) };
+    Err(refused(format!(
+        "{flag} {}: lies in {}, which is {kind}; name another place",
+        path.display(),
+        owner.display()
+    )))
+}
+
+/// Refuses a directory that holds anything else than what `ours` names, or that is a run or a checkpoint or lies
+/// in one. `force` allows other things beside what a command makes.
+pub fn check_directory(
+    flag: &str,
+    path: &Path,
+    ours: impl Fn(&str) -> bool,
+    force: bool,
+) -> Result<(), ExitError> {
+    let shown = path.display();
+    if let Some(kind) = kind(path) {
+        return Err(refused(format!("{flag} {shown}: is {kind}; name another directory")));
+    }
+    check_outside(flag, path)?;
+    if path.exists() && !path.is_dir() {
+        return Err(refused(format!("{flag} {shown}: is no directory; name another one")));
+    }
+    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+    let mut others: Vec<String> =
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    others.retain(|name| !ours(name) && !is_temporary(name));
+    others.sort();
+    match others.first() {
+        Some(other) if !force => Err(refused(format!(
+            "{flag} {shown}: holds {other:?}, which this command does not make; name another \
+             directory, or use --force"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Whether a name is that of a file that a kill left before it took its place.
+fn is_temporary(name: &str) -> bool {
+    name.starts_with('.') && Path::new(name).extension().is_some_and(|ending| ending == "tmp")
+}
+
+fn refused(message: String) -> ExitError {
+    ExitError::new(ExitCode::RunDirectory, message)
+}
+
+/// Whether `path` leads to the very file; `-` to what standard input is read from.
+fn is(path: &Path, file: &Metadata) -> bool {
+    if path == Path::new("-") {
+        let input = rustix::fs::fstat(std::io::stdin());
+        return input.is_ok_and(|input| (input.st_dev, input.st_ino) == (file.dev(), file.ino()));
+    }
+    path.metadata().is_ok_and(|other| (other.dev(), other.ino()) == (file.dev(), file.ino()))
+}
+
+/// Whether two names are of one file, which may be still to be made.
+pub fn is_same_place(one: &Path, other: &Path) -> bool {
+    if let Ok(there) = one.metadata() {
+        return is(other, &there);
+    }
+    let whole = |path: &Path| {
+        let parent = path.parent()?;
+        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+        Some(parent.canonicalize().ok()?.join(path.file_name()?))
+    };
+    one == other || (whole(one).is_some() && whole(one) == whole(other))
+}
+
+/// Whether a file may be replaced by another of its kind.
+fn made_by(path: &Path, there: &Metadata, mark: &[u8]) -> bool {
+    let mut begin = vec![0; mark.len()];
+    let mut read = || File::open(path)?.read_exact(&mut begin);
+    there.len() == 0 || (!mark.is_empty() && read().is_ok() && begin == mark)
+}
+
+/// What a directory is, if it is one whose files belong together.
+fn kind(dir: &Path) -> Option<&'static str> {
+    let run = RunDir::new(dir);
+    if dir.join(MANIFEST).is_file() && run.robot().is_file() {
+        return Some("a checkpoint");
+    }
+    (run.config().is_file() && run.robot().is_file()).then_some("a run directory")
+}
+
+/// The run or the checkpoint in which a path lies, or would.
+fn owner(path: &Path) -> Option<(PathBuf, &'static str)> {
+    let parent = path.parent()?;
+    let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+    // Also above places that are still to be made.
+    let there = parent.ancestors().find_map(|above| above.canonicalize().ok())?;
+    there.ancestors().find_map(|above| Some((above.to_owned(), kind(above)?)))
+}
+
+fn is_below(path: &Path, dir: &Path) -> bool {
+    let whole = |path: &Path| path.canonicalize();
+    matches!((whole(path), whole(dir)), (Ok(path), Ok(dir)) if path.starts_with(&dir))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MARK: &[u8] = b"<svg";
+
+    /// A directory with a file of somebody's, a picture, and a run.
+    fn place() -> tempfile::TempDir {
+        let place = tempfile::tempdir().expect("tempdir");
+        let run = RunDir::new(place.path().join("run"));
+        std::fs::create_dir(run.path()).expect("made");
+        for (path, text) in [
+            (place.path().join("in.csv"), "1,2\n"),
+            (place.path().join("old.svg"), "<svg></svg>"),
+            (place.path().join("empty"), ""),
+            (run.config(), "[run]"),
+            (run.robot(), "name = \"x\""),
+            (run.curve(), "<svg></svg>"),
+        ] {
+            std::fs::write(path, text).expect("written");
+        }
+        place
+    }
+
+    fn check(path: &Path, force: bool, inputs: &[Input<'_>]) -> Result<(), (ExitCode, String)> {
+        let output = Output { flag: "--out", path, mark: MARK, force };
+        output.check(inputs).map_err(|error| (error.code, error.message))
+    }
+
+    #[test]
+    fn what_was_read_is_never_written_over_under_any_name() {
+        let place = place();
+        let at = |name: &str| place.path().join(name);
+        std::fs::hard_link(at("in.csv"), at("hard")).expect("linked");
+        std::os::unix::fs::symlink(at("in.csv"), at("soft")).expect("linked");
+        let read = at("in.csv");
+        for name in ["in.csv", "hard", "soft", "run/../in.csv"] {
+            for force in [false, true] {
+                let (code, message) =
+                    check(&at(name), force, &[("--actions", &read)]).expect_err("it would be lost");
+                assert_eq!(code, ExitCode::Usage);
+                assert!(message.contains("is what --actions reads"), "{message}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_place_has_many_names() {
+        let place = place();
+        let at = |name: &str| place.path().join(name);
+        std::os::unix::fs::symlink(at("in.csv"), at("soft")).expect("linked");
+        for (one, other) in
+            [("new", "./new"), ("new", "run/../new"), ("in.csv", "soft"), ("none/x", "none/x")]
+        {
+            assert!(is_same_place(&at(one), &at(other)), "{one} and {other}");
+        }
+        for (one, other) in [("new", "other"), ("in.csv", "empty"), ("new", "run/new")] {
+            assert!(!is_same_place(&at(one), &at(other)), "{one} and {other}");
+        }
+    }
+
+    #[test]
+    fn what_others_made_is_replaced_by_force_only() {
+        let place = place();
+        let at = |name: &str| place.path().join(name);
+        for free in ["new.svg", "old.svg", "empty"] {
+            assert_eq!(check(&at(free), false, &[]), Ok(()), "{free}");
+        }
+        let (code, message) = check(&at("in.csv"), false, &[]).expect_err("not a picture");
+        assert_eq!(code, ExitCode::RunDirectory);
+        assert!(message.contains("not made by this command; --force"), "{message}");
+        assert_eq!(check(&at("in.csv"), true, &[]), Ok(()));
+        assert!(check(place.path(), true, &[]).is_err(), "a directory is no file");
+        for special in ["-", "/dev/null"] {
+            assert_eq!(check(Path::new(special), false, &[]), Ok(()), "{special}");
+        }
+    }
+
+    #[test]
+    fn a_run_is_left_as_it_is() {
+        let place = place();
+        let at = |name: &str| place.path().join(name);
+        for inside in ["run/curve.svg", "run/new.svg", "run/none/new.svg"] {
+            let (_, message) = check(&at(inside), false, &[]).expect_err("in a run");
+            assert!(message.contains("which is a run directory"), "{message}");
+            assert_eq!(check(&at(inside), true, &[]), Ok(()), "{inside}");
+        }
+        let run = at("run");
+        let (_, message) =
+            check(&at("run/config.toml"), true, &[("RUN_DIR", &run)]).expect_err("it was read");
+        assert!(message.contains("which is read"), "{message}");
+        assert!(check_outside("--run-dir", &at("run/another")).is_err());
+        assert!(check_outside("--run-dir", &at("another")).is_ok());
+    }
+
+    #[test]
+    fn a_directory_with_other_things_is_taken_by_force_only() {
+        let place = place();
+        let ours = |name: &str| name == "report.html";
+        let check = |dir: &Path, force| check_directory("--out", dir, ours, force);
+        let message = check(place.path(), false).expect_err("not ours").message;
+        assert!(message.contains("holds \"empty\"") && message.contains("--force"), "{message}");
+        assert!(check(place.path(), true).is_ok());
+        for force in [false, true] {
+            let message = check(&place.path().join("run"), force).expect_err("a run").message;
+            assert!(message.contains("is a run directory"), "{message}");
+        }
+        let own = place.path().join("own");
+        assert!(check(&own, false).is_ok(), "it is still to be made");
+        std::fs::create_dir(&own).expect("made");
+        std::fs::write(own.join("report.html"), "x").expect("written");
+        std::fs::write(own.join(".noise.json.7.tmp"), "x").expect("written");
+        assert!(check(&own, false).is_ok());
+        assert!(check(&place.path().join("in.csv"), true).is_err(), "no directory");
+    }
+}

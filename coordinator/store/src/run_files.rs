@@ -1,0 +1,58 @@
+//! The files in which a run keeps its configuration and its robot, read back.
+
+use std::path::Path;
+
+use proto::config::Config;
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use simulator::robot::Robot;
+
+use crate::regular;
+
+/// The run directory at `path`, if it is one.
+pub fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
+    let run_dir = RunDir::new(path);
+    let config = run_dir.config();
+    if config.is_file() {
+        return Ok(run_dir);
+    }
+    if let Err(error) = regular::check(&config) {
+        let message = format!("{}: cannot be read: {error}", config.display());
+        return Err(ExitError::new(ExitCode::RunDirectory, message));
+    }
+    let message = format!(
+        "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
+        path.display()
+    );
+    Err(ExitError::new(ExitCode::RunDirectory, message))
+}
+
+/// A text file of a run directory.
+pub fn read_text(path: &Path) -> Result<String, ExitError> {
+    regular::read_text(path, regular::TEXT).map_err(|error| {
+        let message = format!("{}: cannot be read: {error}", path.display());
+        ExitError::new(ExitCode::RunDirectory, message)
+    })
+}
+
+/// The resolved configuration of a run. One that is none is damage: the run itself wrote it.
+pub fn read_config(run_dir: &RunDir) -> anyhow::Result<Config> {
+    let path = run_dir.config();
+    let text = read_text(&path)?;
+    let config = Config::from_resolved_toml(&text, &path.display().to_string());
+    Ok(config.map_err(|error| damaged(&error))?)
+}
+
+/// The robot of a run, and its text.
+pub fn read_robot(run_dir: &RunDir) -> anyhow::Result<(Robot, String)> {
+    let path = run_dir.robot();
+    let text = read_text(&path)?;
+    let robot = Robot::from_toml(&text, &path).map_err(|error| damaged(&error))?;
+    Ok((robot, text))
+}
+
+/// A file that a run has written is not as it was.
+fn damaged(error: &dyn std::fmt::Display) -> ExitError {
+    let message = format!("{error}; put the file back from a copy: every checkpoint holds one");
+    ExitError::new(ExitCode::RunDirectory, message)
+}

@@ -1,0 +1,123 @@
+//! The ports of a learner, and what comes and goes through them.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use channels::{
+    ArrayReceiver, ArraySample, ArraySender, BellListener, ChannelSizes, Channels, Domain,
+    MessageReceiver, MessageSender, PieceSender, Role, WHILE_THE_PARENT_LIVES,
+};
+use proto::config::Config;
+use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
+use proto::message::{HEARTBEAT, Order, Progress};
+
+use crate::LearnerError;
+use crate::ingest::{Inbox, Receipt};
+
+/// How long a piece of a snapshot waits for room before it is tried again later.
+const PIECE_DEADLINE: Duration = Duration::from_millis(1);
+
+/// Ports and what has come in through them. iceoryx2's ports stay on one thread.
+pub(super) struct Ports {
+    pub(super) inbox: Inbox<ArraySample<BlockHeader>>,
+    /// Snapshots on their way, oldest first.
+    pub(super) outbox: VecDeque<Outgoing>,
+    /// Memory of a snapshot that has been sent, for the next one.
+    pub(super) spare: Vec<u8>,
+    heartbeat: Instant,
+    pub(super) wants_snapshot: bool,
+    pub(super) wants_stop: bool,
+    pub(super) orders: MessageReceiver<Order>,
+    pub(super) blocks: ArrayReceiver<BlockHeader>,
+    pub(super) policy: ArraySender<PolicyHeader>,
+    pub(super) progress: MessageSender<Progress>,
+    pub(super) snapshot: PieceSender,
+    pub(super) bell: BellListener,
+    // Dropped last: ports must not outlive their services.
+    _channels: Channels,
+}
+
+/// A snapshot of which the pieces before `header.offset` have been sent.
+pub(super) struct Outgoing {
+    pub(super) header: SnapshotHeader,
+    pub(super) bytes: Vec<u8>,
+}
+
+impl Ports {
+    pub(super) fn open(
+        domain: &str,
+        config: &Config,
+        dimensions: &Dimensions,
+        iteration: u64,
+    ) -> Result<Self, LearnerError> {
+        let domain = Domain::parse(domain)?;
+        let channels = Channels::open(&domain, ChannelSizes::new(config, dimensions))?;
+        Ok(Self {
+            inbox: Inbox::new(config, dimensions, iteration),
+            outbox: VecDeque::new(),
+            spare: Vec::new(),
+            heartbeat: Instant::now(),
+            wants_snapshot: false,
+            wants_stop: false,
+            orders: channels.order_receiver()?,
+            blocks: channels.block_receiver()?,
+            policy: channels.policy_sender()?,
+            progress: channels.progress_sender(WHILE_THE_PARENT_LIVES)?,
+            snapshot: channels.snapshot_sender(PIECE_DEADLINE)?,
+            bell: channels.listener(Role::Learner)?,
+            _channels: channels,
+        })
+    }
+
+    /// Takes in whatever has arrived.
+    pub(super) fn pump(&mut self) -> Result<(), LearnerError> {
+        self.policy.update_connections();
+        while let Some(order) = self.orders.try_receive()? {
+            match order {
+                Order::Snapshot => self.wants_snapshot = true,
+                Order::Stop => self.wants_stop = true,
+                _ => {}
+            }
+        }
+        while let Some(block) = self.blocks.try_receive()? {
+            let BlockHeader { iteration, shard, .. } = *block.header();
+            let duplicate = self.inbox.receive(block)? == Receipt::Duplicate;
+            self.progress.send(&Progress::BlockReceived { iteration, shard, duplicate })?;
+        }
+        self.send_piece()
+    }
+
+    /// Says once in a while that the process is alive.
+    pub(super) fn beat(&mut self) -> Result<(), LearnerError> {
+        if self.heartbeat.elapsed() >= HEARTBEAT {
+            self.heartbeat = Instant::now();
+            self.progress.send(&Progress::Heartbeat)?;
+        }
+        Ok(())
+    }
+
+    /// Sends the next piece of the oldest snapshot, if there is room for it.
+    fn send_piece(&mut self) -> Result<(), LearnerError> {
+        let Some(Outgoing { header, bytes }) = self.outbox.front_mut() else { return Ok(()) };
+        header.offset = self.snapshot.send(*header, bytes)?;
+        if header.offset >= bytes.len() as u64
+            && let Some(sent) = self.outbox.pop_front()
+        {
+            self.spare = sent.bytes;
+        }
+        Ok(())
+    }
+
+    /// Publishes a policy that `write` fills in, in shared memory.
+    pub(super) fn publish(
+        &self,
+        version: u64,
+        write: impl FnOnce(&mut [f32]),
+    ) -> Result<(), LearnerError> {
+        let mut sample = self.policy.loan()?;
+        write(sample.payload_mut());
+        *sample.header_mut() = PolicyHeader { version };
+        self.policy.send(sample)?;
+        Ok(())
+    }
+}

@@ -1,0 +1,44 @@
+//! The update: what a learner makes of an iteration's samples.
+//!
+//! Yu et al. 2022, algorithm 1, with separate networks for every agent (or some that several share, or
+//! one that acts for all), in this order:
+//!
+//! 1. inputs are normalised as the policy that acted saw them, and gathered sample by sample;
+//! 2. critics predict values; advantages by [`gae`](crate::gae) on denormalised values;
+//! 3. each epoch first updates the value normaliser with the returns, then splits a permutation of
+//!    the samples into mini-batches; each is one Adam step for actors, then one for critics;
+//! 4. input normalisers take in the iteration's samples.
+//!
+//! **Threads.** Actors with networks of their own have nothing in common, so on a CPU each is a group
+//! of its own, whose parameters, moments and gradients stay in a core's cache for the whole update;
+//! threads take one group after another. What an actor learns does not depend on who computes it, nor
+//! on the number of threads, up to one a group. The actors of a shared network are one group; within a
+//! group all actors go through each operation together, and libtorch spreads the operations over the
+//! threads that have no group of their own. On a GPU all networks are one group. For one number of threads the result is always the same to the
+//! bit.
+//!
+//! **Agents and actors.** Blocks are written by agent; networks belong to actors (see
+//! [`proto::layout`]), which mostly are the same. Centralised PPO has one actor for all agents: it sees
+//! their observations one after the other, its action is all of theirs, the density of which is the
+//! product of theirs, and it is paid the sum of their rewards. That is settled where samples are
+//! gathered; nothing after it knows of agents.
+//!
+//! **Copies.** The first operation that reads a block is the normalisation (of observations) or the
+//! packing of what the loss needs into one row a sample; blocks are not copied before.
+//!
+//! Letters: `A` actors of a group, `G` agents of an actor, `T` steps, `E` environments of all shards,
+//! `M = T·E` samples, `O` what an actor sees, `S` critic state, `U` actions of an actor, `B` samples of a
+//! chunk.
+
+mod epochs;
+mod group;
+mod options;
+mod samples;
+mod trace;
+mod update;
+
+pub use trace::MappoTrace;
+pub use update::Mappo;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,223 @@
+//! The update with its buffers: groups of actors, which threads take one after another.
+
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use proto::config::Config;
+use proto::layout::{BlockLayout, Dimensions};
+
+use super::MappoTrace;
+use super::group::{Group, GroupUpdate, IterationInputs};
+use super::options::Options;
+use crate::LearnerError;
+use crate::actors::Actors;
+use crate::descent::{NetworkPart, NetworkPasses, learning_rates};
+use crate::input_norm::InputNorm;
+use crate::report::{UpdateReport, interleaved};
+use crate::state::{NetworkState, TrainingState};
+
+/// Samples that go through the networks at once on a CPU. Activations of so many fit in the cache; of
+/// fewer, the gradients of weights are summed more often.
+const CHUNK_ROWS: i64 = 1600;
+
+/// The update with its buffers.
+#[derive(Debug)]
+pub struct Mappo {
+    pub(super) config: Config,
+    dimensions: Dimensions,
+    pub(super) layout: BlockLayout,
+    options: Options,
+    groups: Vec<Group>,
+    /// How many groups are computed at once, and with how many of libtorch's threads each.
+    threads: [usize; 2],
+    work: Arc<AtomicU64>,
+}
+
+impl Mappo {
+    /// Buffers and options for `config`; `state` says precision and device.
+    pub fn new(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
+        let n_groups = if state.device().is_cuda() { 1 } else { state.actor.spec.n_networks };
+        Self::in_groups(config, dimensions, state, n_groups)
+    }
+
+    /// As [`Mappo::new`], with all actors in one group, so that an update can be traced.
+    pub fn in_one_group(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
+        Self::in_groups(config, dimensions, state, 1)
+    }
+
+    fn in_groups(
+        config: &Config,
+        dimensions: &Dimensions,
+        state: &TrainingState,
+        n_groups: usize,
+    ) -> Self {
+        let device = state.device();
+        let kind = state.arithmetic.kind();
+        let threads = config.run.learner_threads;
+        let at_once = threads.min(n_groups);
+        let groups = (0..n_groups)
+            .map(|first| {
+                let len = dimensions.n_actors / n_groups;
+                let actors = Actors { first, step: n_groups, len };
+                let passes =
+                    |network: &NetworkState| NetworkPasses::new(config, network, len, kind, device);
+                Group {
+                    actor: passes(&state.actor),
+                    critic: passes(&state.critic),
+                    chunk_rows: if device.is_cuda() { i64::MAX } else { CHUNK_ROWS },
+                    actors,
+                    device,
+                    kind,
+                }
+            })
+            .collect();
+        Self {
+            config: config.clone(),
+            dimensions: *dimensions,
+            layout: BlockLayout::new(dimensions),
+            options: Options::new(config),
+            groups,
+            threads: [at_once, threads / at_once],
+            work: Arc::default(),
+        }
+    }
+
+    /// A counter that grows with every mini-batch, to be watched from another thread: while an
+    /// update is under way and it stands still, nothing is computed.
+    pub fn work(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.work)
+    }
+
+    /// Trains `state` on the blocks of one iteration, ordered by shard.
+    ///
+    /// # Errors
+    /// If a gradient is not finite; `state` is then worthless and must not be published.
+    pub fn update(
+        &mut self,
+        state: &mut TrainingState,
+        shards: &[&[f32]],
+    ) -> Result<UpdateReport, LearnerError> {
+        self.update_traced(state, shards, None)
+    }
+
+    /// [`Self::update`] that also records what it computed, if asked to. Only with one group.
+    pub fn update_traced(
+        &mut self,
+        state: &mut TrainingState,
+        shards: &[&[f32]],
+        trace: Option<&mut MappoTrace>,
+    ) -> Result<UpdateReport, LearnerError> {
+        assert!(trace.is_none() || self.groups.len() == 1, "one group can be traced");
+        state.begin_update(&self.dimensions, shards);
+        let (actor_lr, critic_lr) = learning_rates(&self.config, state.env_steps);
+        let inputs = IterationInputs {
+            shards,
+            layout: &self.layout,
+            dimensions: &self.dimensions,
+            options: &self.options,
+            work: &self.work,
+            iteration: state.iteration,
+            actor_lr: match &state.actor_rate {
+                Some(rate) => rate.iter().map(|rate| rate * actor_lr).collect(),
+                None => vec![actor_lr; self.dimensions.n_actors],
+            },
+            critic_lr,
+            observation_norm: state.observation_norm.as_ref().map(InputNorm::mean_and_inverse_std),
+            state_norm: state.state_norm.as_ref().map(InputNorm::mean_and_inverse_std),
+        };
+        let outcomes = run_groups(&mut self.groups, state, &inputs, self.threads, trace);
+        let actor_lr = inputs.actor_lr.iter().sum::<f64>() / inputs.actor_lr.len() as f64;
+        let mut report = UpdateReport { actor_lr, critic_lr, ..UpdateReport::default() };
+        let (mut steps, mut parts) = ((Vec::new(), Vec::new()), Vec::new());
+        let mut last_kl = Vec::new();
+        for outcome in outcomes {
+            let GroupUpdate { actor_steps, critic_steps, last_kl: kl, report: part } = outcome?;
+            steps.0.push(actor_steps);
+            steps.1.push(critic_steps);
+            last_kl.push(kl);
+            parts.push(part);
+        }
+        report.interleave(parts);
+        state.actor.adam.steps = interleaved(&steps.0);
+        state.critic.adam.steps = interleaved(&steps.1);
+        if let Some(rate) = &mut state.actor_rate {
+            for (rate, kl) in rate.iter_mut().zip(interleaved(&last_kl)) {
+                *rate = steered(*rate, kl, self.options.target_kl);
+            }
+        }
+        state.end_update(&self.dimensions, shards, self.config.steps_per_iteration());
+        Ok(report)
+    }
+}
+
+/// Runs all groups, `at_once` of them at a time, the caller's thread being one that does; outcomes are
+/// in the groups' order.
+fn run_groups(
+    groups: &mut [Group],
+    state: &TrainingState,
+    inputs: &IterationInputs<'_>,
+    [at_once, threads]: [usize; 2],
+    trace: Option<&mut MappoTrace>,
+) -> Vec<Result<GroupUpdate, LearnerError>> {
+    let mut outcomes: Vec<_> = groups.iter().map(|_| None).collect();
+    let waiting: Vec<_> = groups
+        .iter_mut()
+        .zip(&mut outcomes)
+        .map(|(group, outcome)| {
+            let actors = group.actors;
+            let learned = (
+                NetworkPart::part(&state.actor, &actors),
+                NetworkPart::part(&state.critic, &actors),
+            );
+            let norm = state.value_norm.part(&actors);
+            (group, learned, norm, outcome)
+        })
+        .collect();
+    let waiting = Mutex::new(waiting.into_iter());
+    let work = |mut trace: Option<&mut MappoTrace>| {
+        tch::set_num_threads(threads as i32);
+        loop {
+            let next = waiting.lock().unwrap_or_else(PoisonError::into_inner).next();
+            let Some((group, (mut actor, mut critic), norm, outcome)) = next else { break };
+            let trace = trace.as_deref_mut();
+            let result =
+                tch::no_grad(|| group.update(inputs, &mut actor, &mut critic, norm, trace));
+            *outcome = Some((result, group.actors, actor, critic));
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 1..at_once {
+            scope.spawn(|| work(None));
+        }
+        work(trace);
+    });
+    let put_back = |outcome: Option<_>| {
+        let (result, actors, actor, critic): (_, _, NetworkPart, NetworkPart) =
+            outcome.expect("every group was computed");
+        actor.put_back(&state.actor, &actors);
+        critic.put_back(&state.critic, &actors);
+        result
+    };
+    outcomes.into_iter().map(put_back).collect()
+}
+
+/// An actor's share of the scheduled learning rate after an iteration in which it moved by `kl`.
+///
+/// The factors are those of the adaptive penalty of Schulman et al. 2017, section 4, turned on the learning
+/// rate as Rudin et al. 2021 do ("Learning to walk in minutes using massively parallel deep reinforcement
+/// learning", appendix).
+pub(super) fn steered(rate: f64, kl: f64, target: f64) -> f64 {
+    let steered = if kl > 2.0 * target {
+        rate / RATE_FACTOR
+    } else if kl < target / 2.0 {
+        rate * RATE_FACTOR
+    } else {
+        rate
+    };
+    steered.clamp(LOWEST_RATE, 1.0)
+}
+
+/// Change of a steered learning rate from one iteration to the next.
+const RATE_FACTOR: f64 = 1.5;
+/// The smallest share of the scheduled learning rate.
+const LOWEST_RATE: f64 = 1e-3;

@@ -1,0 +1,394 @@
+//! ReLU or ELU of hidden layers, LayerNorm if there is one, and the head, in one pass over each sample, forward and backward, on a CPU.
+//!
+//! libtorch does the matrix products; what stands between them would be a dozen of its operations, each a pass over activations that
+//! do not fit into the first caches. Here a sample's features are read once and written once, in f32 in between. `torch.rs` holds the
+//! same passes in libtorch's operations, for other activations and devices and as the twin that tests this one.
+//!
+//! The arithmetic is plain Rust ([`crate::features`]). Sums run in sixteen interleaved chains and an order that only the shapes fix.
+//!
+//! Letters as in [`super`]: `A` agents, `B` samples, `H` features, `U` outputs of the head. All arrays are row-major.
+
+use crate::features::{Features, Loop, mul_add, run_for};
+use crate::layer_norm::LAYER_NORM_EPSILON;
+use crate::number::Number;
+
+/// Interleaved chains of a sum.
+const CHAINS: usize = 16;
+
+/// What a hidden layer makes of its product, `[A, B, H]` each, and reciprocal deviations `[A, B]`.
+#[derive(Debug)]
+pub(crate) struct Forward<'a, T> {
+    /// Products without bias.
+    pub(crate) product: &'a [T],
+    /// `[A, H]`.
+    pub(crate) bias: &'a [f32],
+    /// Activations, standardised if there is a LayerNorm.
+    pub(crate) hidden: &'a mut [T],
+    /// Reciprocal deviations, with LayerNorm.
+    pub(crate) inverse_std: Option<&'a mut [f32]>,
+    /// The head, after the last layer.
+    pub(crate) head: Option<HeadForward<'a>>,
+}
+
+/// The head's outputs.
+#[derive(Debug)]
+pub(crate) struct HeadForward<'a> {
+    /// `[A, U, H]`.
+    pub(crate) weight: &'a [f32],
+    /// `[A, U]`.
+    pub(crate) bias: &'a [f32],
+    /// `[A, U, B]`.
+    pub(crate) output: &'a mut [f32],
+}
+
+/// The way back through a hidden layer.
+#[derive(Debug)]
+pub(crate) struct Backward<'a, T> {
+    /// Products of the way forward, `[A, B, H]`.
+    pub(crate) product: &'a [T],
+    /// `[A, H]`.
+    pub(crate) bias: &'a [f32],
+    /// What the way forward made of them, `[A, B, H]`.
+    pub(crate) hidden: &'a [T],
+    /// Reciprocal deviations, `[A, B]`, with LayerNorm.
+    pub(crate) inverse_std: Option<&'a [f32]>,
+    /// In: gradient by `hidden`, unless `head` gives it; out: gradient by the products. `[A, B, H]`.
+    pub(crate) gradient: &'a mut [T],
+    /// Gains the gradient by the bias, `[A, H]`.
+    pub(crate) bias_gradient: &'a mut [f32],
+    /// The head, of the last layer.
+    pub(crate) head: Option<HeadBackward<'a>>,
+}
+
+/// The way back through the head.
+#[derive(Debug)]
+pub(crate) struct HeadBackward<'a> {
+    /// `[A, U, H]`.
+    pub(crate) weight: &'a [f32],
+    /// Gradient by the outputs, `[A, U, B]`.
+    pub(crate) output_gradient: &'a [f32],
+    /// Gains the gradient by the weights, `[A, U, H]`.
+    pub(crate) weight_gradient: &'a mut [f32],
+    /// Gains the gradient by the bias, `[A, U]`.
+    pub(crate) bias_gradient: &'a mut [f32],
+}
+
+/// Sizes of the arrays.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sizes {
+    pub(crate) agents: usize,
+    pub(crate) samples: usize,
+    pub(crate) features: usize,
+    pub(crate) outputs: usize,
+}
+
+/// What a hidden unit makes of its input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Unit {
+    /// max(x, 0).
+    Relu,
+    /// x above zero, eˣ − 1 below [Clevert, Unterthiner and Hochreiter 2016].
+    Elu,
+}
+
+/// [`Unit`] as the passes are compiled for it.
+trait Nonlinearity {
+    fn of<const FMA: bool>(self, x: f32) -> f32;
+    /// The gradient by x from that by what became of it.
+    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32;
+}
+
+#[derive(Clone, Copy)]
+struct Relu;
+
+impl Nonlinearity for Relu {
+    #[inline(always)]
+    fn of<const FMA: bool>(self, x: f32) -> f32 {
+        if x > 0.0 { x } else { 0.0 }
+    }
+    #[inline(always)]
+    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32 {
+        if x > 0.0 { d } else { 0.0 }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Elu;
+
+impl Nonlinearity for Elu {
+    #[inline(always)]
+    fn of<const FMA: bool>(self, x: f32) -> f32 {
+        let below = exp_of_negative::<FMA>(x) - 1.0;
+        if x > 0.0 { x } else { below }
+    }
+    #[inline(always)]
+    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32 {
+        let below = d * exp_of_negative::<FMA>(x);
+        if x > 0.0 { d } else { below }
+    }
+}
+
+/// eˣ for x ≤ 0, within 2⁻²³; 1 above. NaN gives NaN.
+///
+/// x = n ln 2 + r with |r| ≤ ½ ln 2, and the Taylor series of eʳ to r⁷, whose rest is below 2⁻²⁷.
+#[inline(always)]
+fn exp_of_negative<const FMA: bool>(x: f32) -> f32 {
+    /// 1.5 · 2²³: sums with it have no digits behind the point.
+    const ROUND: f32 = 12_582_912.0;
+    // ln 2 in two parts, the first of so few digits that n times it is exact.
+    const LN_2_HIGH: f32 = 0.693_359_4;
+    const LN_2_LOW: f32 = -2.121_944_4e-4;
+    // Below, eˣ is no normal number.
+    let x = if x > 0.0 { 0.0 } else { x };
+    let x = if x < -87.0 { -87.0 } else { x };
+    let n = mul_add::<FMA>(x, std::f32::consts::LOG2_E, ROUND) - ROUND;
+    let r = mul_add::<FMA>(n, -LN_2_LOW, mul_add::<FMA>(n, -LN_2_HIGH, x));
+    let mut sum = 1.0 / 5040.0;
+    for coefficient in [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+        sum = mul_add::<FMA>(sum, r, coefficient);
+    }
+    // 2ⁿ, −126 ≤ n ≤ 0, by its exponent; whole numbers below 2²³ stand in the lower bits of a sum with ROUND.
+    let exponent = (n + ROUND).to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127);
+    sum * f32::from_bits(exponent << 23)
+}
+
+/// Scratch memory of the passes: one sample's features, twice.
+#[derive(Debug)]
+pub(crate) struct RowPasses {
+    features: Features,
+    unit: Unit,
+    rows: [Vec<f32>; 2],
+}
+
+impl RowPasses {
+    /// Scratch memory, and the features of this processor.
+    pub(crate) fn new(unit: Unit) -> Self {
+        Self { features: Features::detect(), unit, rows: [Vec::new(), Vec::new()] }
+    }
+
+    /// ĥ = standardise(unit(product + bias)), or without standardising, and the head's outputs if there is a head.
+    pub(crate) fn forward<T: Number>(&mut self, sizes: Sizes, arrays: Forward<'_, T>) {
+        let rows = self.rows.each_mut().map(|row| {
+            row.resize(sizes.features, 0.0);
+            row.as_mut_slice()
+        });
+        match self.unit {
+            Unit::Relu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu }),
+            Unit::Elu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu }),
+        }
+    }
+
+    /// The gradient by the products from that by ĥ (or by the head's outputs); adds the gradients by bias and head.
+    pub(crate) fn backward<T: Number>(&mut self, sizes: Sizes, arrays: Backward<'_, T>) {
+        let rows = self.rows.each_mut().map(|row| {
+            row.resize(sizes.features, 0.0);
+            row.as_mut_slice()
+        });
+        match self.unit {
+            Unit::Relu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu }),
+            Unit::Elu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu }),
+        }
+    }
+}
+
+/// The arguments of a pass.
+struct RowKernel<'r, A, N> {
+    sizes: Sizes,
+    arrays: A,
+    rows: [&'r mut [f32]; 2],
+    unit: N,
+}
+
+impl<T: Number, N: Nonlinearity + Copy> Loop for RowKernel<'_, Forward<'_, T>, N> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        forward_rows::<T, N, FMA>(self.sizes, self.arrays, self.rows, self.unit);
+    }
+}
+
+impl<T: Number, N: Nonlinearity + Copy> Loop for RowKernel<'_, Backward<'_, T>, N> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        backward_rows::<T, N, FMA>(self.sizes, self.arrays, self.rows, self.unit);
+    }
+}
+
+/// The sum of chains, halved until one is left.
+#[inline(always)]
+fn total(mut chains: [f32; CHAINS]) -> f32 {
+    let mut n = CHAINS;
+    while n > 1 {
+        n /= 2;
+        for i in 0..n {
+            chains[i] += chains[i + n];
+        }
+    }
+    chains[0]
+}
+
+/// Σ f over a row, in interleaved chains.
+macro_rules! sum {
+    ($($x:ident in $row:expr),+ => $term:expr) => {{
+        let mut sums = [0.0; CHAINS];
+        sum!(@loop sums, $($x in $row),+ => $term);
+        total(sums)
+    }};
+    (@loop $sums:ident, $x:ident in $row:expr => $term:expr) => {
+        let (chunks, rest) = $row.as_chunks::<CHAINS>();
+        for $x in chunks {
+            for i in 0..CHAINS {
+                let $x = $x[i];
+                $sums[i] = $term($sums[i]);
+            }
+        }
+        for (i, &$x) in rest.iter().enumerate() {
+            $sums[i] = $term($sums[i]);
+        }
+    };
+    (@loop $sums:ident, $x:ident in $row:expr, $y:ident in $other:expr => $term:expr) => {
+        let ((chunks, rest), (others, other_rest)) =
+            ($row.as_chunks::<CHAINS>(), $other.as_chunks::<CHAINS>());
+        for ($x, $y) in chunks.iter().zip(others) {
+            for i in 0..CHAINS {
+                let ($x, $y) = ($x[i], $y[i]);
+                $sums[i] = $term($sums[i]);
+            }
+        }
+        for (i, (&$x, &$y)) in rest.iter().zip(other_rest).enumerate() {
+            $sums[i] = $term($sums[i]);
+        }
+    };
+}
+
+#[inline(always)]
+fn forward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
+    sizes: Sizes,
+    arrays: Forward<'_, T>,
+    rows: [&mut [f32]; 2],
+    unit: N,
+) {
+    let Sizes { agents, samples, features: h, outputs } = sizes;
+    let Forward { product, bias, hidden, mut inverse_std, mut head } = arrays;
+    let (product, hidden) = (&product[..agents * samples * h], &mut hidden[..agents * samples * h]);
+    let [row, _] = rows;
+    let row = &mut row[..h];
+    let per_feature = 1.0 / h as f32;
+    for agent in 0..agents {
+        let bias = &bias[agent * h..][..h];
+        for sample in 0..samples {
+            let at = (agent * samples + sample) * h;
+            let (product, hidden) = (&product[at..][..h], &mut hidden[at..][..h]);
+            for i in 0..h {
+                row[i] = unit.of::<FMA>(product[i].widen() + bias[i]);
+            }
+            if let Some(inverse_std) = &mut inverse_std {
+                let mean = sum!(x in row => |sum| sum + x) * per_feature;
+                for x in &mut *row {
+                    *x -= mean;
+                }
+                let variance = sum!(x in row => |sum| mul_add::<FMA>(x, x, sum)) * per_feature;
+                let inverse = 1.0 / (variance + LAYER_NORM_EPSILON as f32).sqrt();
+                inverse_std[agent * samples + sample] = inverse;
+                for x in &mut *row {
+                    *x *= inverse;
+                }
+            }
+            for i in 0..h {
+                hidden[i] = T::round(row[i]);
+            }
+            if let Some(head) = &mut head {
+                for i in 0..h {
+                    row[i] = hidden[i].widen();
+                }
+                for u in 0..outputs {
+                    let weight = &head.weight[(agent * outputs + u) * h..][..h];
+                    head.output[(agent * outputs + u) * samples + sample] = sum!(x in row, w in weight => |sum| mul_add::<FMA>(x, w, sum))
+                        + head.bias[agent * outputs + u];
+                }
+            }
+        }
+    }
+}
+
+/// With LayerNorm (d − mean(d) − ĥ · mean(d ⊙ ĥ)) / σ, else d, back through the units.
+#[inline(always)]
+fn backward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
+    sizes: Sizes,
+    arrays: Backward<'_, T>,
+    rows: [&mut [f32]; 2],
+    unit: N,
+) {
+    let Sizes { agents, samples, features: h, outputs } = sizes;
+    let Backward { product, bias, hidden, inverse_std, gradient, bias_gradient, mut head } = arrays;
+    let [row, wide] = rows;
+    let (row, wide) = (&mut row[..h], &mut wide[..h]);
+    let per_feature = 1.0 / h as f32;
+    for agent in 0..agents {
+        let bias = &bias[agent * h..][..h];
+        let bias_gradient = &mut bias_gradient[agent * h..][..h];
+        for sample in 0..samples {
+            let at = (agent * samples + sample) * h;
+            let (product, hidden) = (&product[at..][..h], &hidden[at..][..h]);
+            let gradient = &mut gradient[at..][..h];
+            for i in 0..h {
+                wide[i] = hidden[i].widen();
+            }
+            if let Some(head) = &mut head {
+                row.fill(0.0);
+                for u in 0..outputs {
+                    let d = head.output_gradient[(agent * outputs + u) * samples + sample];
+                    let weight = &head.weight[(agent * outputs + u) * h..][..h];
+                    let weight_gradient =
+                        &mut head.weight_gradient[(agent * outputs + u) * h..][..h];
+                    head.bias_gradient[agent * outputs + u] += d;
+                    for i in 0..h {
+                        row[i] = mul_add::<FMA>(d, weight[i], row[i]);
+                    }
+                    for i in 0..h {
+                        weight_gradient[i] = mul_add::<FMA>(d, wide[i], weight_gradient[i]);
+                    }
+                }
+            } else {
+                for i in 0..h {
+                    row[i] = gradient[i].widen();
+                }
+            }
+            if let Some(inverse_std) = inverse_std {
+                let mean = sum!(d in row => |sum| sum + d) * per_feature;
+                let along =
+                    sum!(d in row, x in wide => |sum| mul_add::<FMA>(d, x, sum)) * per_feature;
+                let inverse = inverse_std[agent * samples + sample];
+                for i in 0..h {
+                    row[i] = (row[i] - mul_add::<FMA>(wide[i], along, mean)) * inverse;
+                }
+            }
+            for i in 0..h {
+                row[i] = unit.back::<FMA>(product[i].widen() + bias[i], row[i]);
+                bias_gradient[i] += row[i];
+            }
+            for i in 0..h {
+                gradient[i] = T::round(row[i]);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exponential_is_that_of_the_standard_library() {
+        for i in 0..87_000 {
+            let x = -(i as f32) * 1e-3;
+            let exact = f64::from(x).exp();
+            for found in [exp_of_negative::<true>(x), exp_of_negative::<false>(x)] {
+                let error = (f64::from(found) / exact - 1.0).abs();
+                assert!(error < 2.0 * f64::from(f32::EPSILON), "{x}: {found}, {exact}");
+            }
+        }
+        assert_eq!(exp_of_negative::<true>(3.0), 1.0);
+        assert!(exp_of_negative::<true>(-1e9) < 1e-37);
+        assert!(exp_of_negative::<true>(f32::NAN).is_nan());
+    }
+}

@@ -1,0 +1,192 @@
+//! The passes on a CPU with ReLU or ELU: libtorch multiplies, and what stands between two products is one loop over the samples in plain Rust.
+
+use proto::config::Activation;
+use tch::{Device, Kind, Tensor};
+
+use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes, Unit};
+use super::passes::Passes;
+use super::stack::Stack;
+use crate::memory::{Element, are_apart, numbers, numbers_mut};
+use crate::number::{Bf16, Number};
+
+/// One loop over the samples a layer.
+#[derive(Debug)]
+pub(super) struct PlainPasses {
+    rows: RowPasses,
+    /// `[A, H]` of each hidden layer, folded.
+    bias: Vec<Tensor>,
+}
+
+impl PlainPasses {
+    /// For the layers of `stack`, if they are of those that it can do.
+    pub(super) fn new(stack: &Stack) -> Option<Self> {
+        let unit = match stack.activation {
+            Activation::Relu => Unit::Relu,
+            Activation::Elu => Unit::Elu,
+            Activation::Tanh => return None,
+        };
+        let options = (Kind::Float, stack.device);
+        let bias = |&units: &i64| Tensor::zeros([stack.n_agents, units], options);
+        (stack.device == Device::Cpu).then(|| Self {
+            rows: RowPasses::new(unit),
+            bias: stack.spec.hidden.iter().map(bias).collect(),
+        })
+    }
+
+    /// [`Passes::forward`] with activations of `T`.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
+    fn forward_in<T: Number + Element>(&mut self, stack: &mut Stack, x: &Tensor) -> Tensor {
+        let (a, rows, layers) = (stack.n_agents, x.size()[1], stack.spec.hidden.len());
+        let float = (Kind::Float, stack.device);
+        let mut output = Tensor::zeros([a, stack.spec.output, rows], float);
+        let mut input = x.shallow_clone();
+        for layer in 0..layers {
+            let width = stack.spec.hidden[layer];
+            let product = stack.chunk(&stack.buffers.active[layer], rows, width);
+            let mut hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
+            let _ = input.bmm_out(&product, &stack.weight[layer]);
+            let mut inverse_std = stack.spec.layer_norm.then(|| Tensor::zeros([a, rows], float));
+            let sizes = sizes(stack, layer, rows);
+            // SAFETY: every tensor here was made of zeros by this type, its stack or this call and has a
+            // storage of its own: `active` and `standard` of this layer are two buffers. No handle of them
+            // has left it, and libtorch does nothing until the pass has ended.
+            let arrays = unsafe {
+                Forward {
+                    product: numbers(&product),
+                    bias: numbers(&self.bias[layer]),
+                    hidden: numbers_mut(&mut hidden),
+                    inverse_std: inverse_std.as_mut().map(|tensor| numbers_mut(tensor)),
+                    head: (layer + 1 == layers).then(|| HeadForward {
+                        weight: numbers(&stack.head),
+                        bias: numbers(&stack.head_bias),
+                        output: numbers_mut(&mut output),
+                    }),
+                }
+            };
+            self.rows.forward::<T>(sizes, arrays);
+            stack.buffers.inverse_std.extend(inverse_std);
+            input = hidden;
+        }
+        output
+    }
+
+    /// [`Passes::backward`] with activations of `T`.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
+    fn backward_in<T: Number + Element>(
+        &mut self,
+        stack: &Stack,
+        x: &Tensor,
+        d_output: &Tensor,
+        gradient: Option<&Tensor>,
+    ) {
+        let (a, rows, layers) = (stack.n_agents, x.size()[1], stack.spec.hidden.len());
+        let float = (Kind::Float, stack.device);
+        let add = |name: &str, part: &Tensor, gradient: &Tensor| {
+            let _ = stack.spec.view(name, gradient).g_add_(part);
+        };
+        let d_output = d_output.contiguous();
+        for layer in (0..layers).rev() {
+            let width = stack.spec.hidden[layer];
+            let mut d = stack.gradient_chunk(layers - 1 - layer, rows, width);
+            let product = stack.chunk(&stack.buffers.active[layer], rows, width);
+            let hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
+            let mut d_bias = Tensor::zeros([a, width], float);
+            let mut d_head = Tensor::zeros([a, stack.spec.output, width], float);
+            let mut d_head_bias = Tensor::zeros([a, stack.spec.output], float);
+            let is_last = layer + 1 == layers;
+            assert!(
+                are_apart(&[&d, &d_output]),
+                "the loss's gradient lies in a buffer of the passes"
+            );
+            let sizes = sizes(stack, layer, rows);
+            // SAFETY: `d_output` is filled by the caller and apart from what is written. Every other
+            // tensor here was made of zeros by this type, its stack or this call and has a storage of its
+            // own: `active`, `standard` and `gradient` are three buffers. No handle of what is written has
+            // left it, and libtorch does nothing until the pass has ended.
+            let arrays = unsafe {
+                Backward {
+                    product: numbers(&product),
+                    bias: numbers(&self.bias[layer]),
+                    hidden: numbers(&hidden),
+                    inverse_std: stack.buffers.inverse_std.get(layer).map(|tensor| numbers(tensor)),
+                    gradient: numbers_mut(&mut d),
+                    bias_gradient: numbers_mut(&mut d_bias),
+                    head: is_last.then(|| HeadBackward {
+                        weight: numbers(&stack.head),
+                        output_gradient: numbers(&d_output),
+                        weight_gradient: numbers_mut(&mut d_head),
+                        bias_gradient: numbers_mut(&mut d_head_bias),
+                    }),
+                }
+            };
+            self.rows.backward::<T>(sizes, arrays);
+            if let Some(gradient) = gradient {
+                if is_last {
+                    add("head.weight", &d_head.transpose(1, 2), gradient);
+                    add("head.bias", &d_head_bias, gradient);
+                }
+                let input = if layer == 0 {
+                    x.shallow_clone()
+                } else {
+                    stack.chunk(
+                        &stack.buffers.standard[layer - 1],
+                        rows,
+                        stack.spec.hidden[layer - 1],
+                    )
+                };
+                let part = &stack.buffers.weight_gradient[layer];
+                let _ = input.transpose(1, 2).bmm_out(part, &d);
+                let (weight_name, bias_name) = stack.names(layer);
+                add(&weight_name, part, gradient);
+                add(&bias_name, &d_bias, gradient);
+            }
+            if layer > 0 {
+                let below =
+                    stack.gradient_chunk(layers - layer, rows, stack.spec.hidden[layer - 1]);
+                let _ = d.bmm_out(&below, &stack.weight[layer].transpose(1, 2));
+            }
+        }
+    }
+}
+
+impl Passes for PlainPasses {
+    fn load_bias(&mut self, layer: usize, bias: &Tensor) {
+        self.bias[layer].copy_(&bias.squeeze_dim(1));
+    }
+
+    fn load_head(&mut self, _: &Tensor) {}
+
+    fn reserve(&mut self, stack: &mut Stack, rows: i64) {
+        stack.reserve(rows, true);
+    }
+
+    fn forward(&mut self, stack: &mut Stack, x: &Tensor) -> Tensor {
+        match stack.kind {
+            Kind::BFloat16 => self.forward_in::<Bf16>(stack, x),
+            _ => self.forward_in::<f32>(stack, x),
+        }
+    }
+
+    fn backward(
+        &mut self,
+        stack: &Stack,
+        x: &Tensor,
+        d_output: &Tensor,
+        gradient: Option<&Tensor>,
+    ) {
+        match stack.kind {
+            Kind::BFloat16 => self.backward_in::<Bf16>(stack, x, d_output, gradient),
+            _ => self.backward_in::<f32>(stack, x, d_output, gradient),
+        }
+    }
+}
+
+/// Sizes of hidden layer `layer`'s arrays.
+fn sizes(stack: &Stack, layer: usize, rows: i64) -> Sizes {
+    Sizes {
+        agents: stack.n_agents as usize,
+        samples: rows as usize,
+        features: stack.spec.hidden[layer] as usize,
+        outputs: stack.spec.output as usize,
+    }
+}

@@ -1,0 +1,129 @@
+//! The folded layers of stacked networks, and the buffers that both implementations of the passes fill.
+
+use proto::config::Activation;
+use tch::{Device, Kind, Tensor};
+
+use crate::network::NetworkSpec;
+
+/// Weights in the products' precision, and buffers.
+#[derive(Debug)]
+pub(super) struct Stack {
+    pub(super) spec: NetworkSpec,
+    pub(super) activation: Activation,
+    pub(super) kind: Kind,
+    pub(super) n_agents: i64,
+    pub(super) device: Device,
+    /// `[A, in, H]` of each hidden layer, folded, in `kind`.
+    pub(super) weight: Vec<Tensor>,
+    /// `[A, U, H]`: the head, transposed, folded.
+    pub(super) head: Tensor,
+    /// `[A, U, 1]`.
+    pub(super) head_bias: Tensor,
+    pub(super) buffers: Buffers,
+}
+
+/// Flat memory for the largest chunk; chunks view its beginning.
+#[derive(Debug, Default)]
+pub(super) struct Buffers {
+    pub(super) rows: i64,
+    /// After the activation, of each layer; before it where the passes are plain Rust.
+    pub(super) active: Vec<Tensor>,
+    /// After the standardisation, of each layer; with libtorch's operations empty without LayerNorm.
+    pub(super) standard: Vec<Tensor>,
+    /// Reciprocal deviations `[A, B, 1]` of the last pass.
+    pub(super) inverse_std: Vec<Tensor>,
+    /// Gradients, alternating.
+    gradient: [Option<Tensor>; 2],
+    /// Weight gradients of each layer in `kind`.
+    pub(super) weight_gradient: Vec<Tensor>,
+}
+
+impl Stack {
+    /// Layers for `n_agents` of the networks `spec`, with products in `kind`.
+    pub(super) fn new(
+        spec: &NetworkSpec,
+        activation: Activation,
+        n_agents: usize,
+        kind: Kind,
+        device: Device,
+    ) -> Self {
+        let a = n_agents as i64;
+        let zeros = |shape: &[i64], kind| Tensor::zeros(shape, (kind, device));
+        let mut weight = Vec::new();
+        let mut width = spec.input;
+        for &units in &spec.hidden {
+            weight.push(zeros(&[a, width, units], kind));
+            width = units;
+        }
+        let weight_gradient = weight.iter().map(Tensor::zeros_like).collect();
+        Self {
+            spec: spec.clone(),
+            activation,
+            kind,
+            n_agents: a,
+            device,
+            weight,
+            head: zeros(&[a, spec.output, width], Kind::Float),
+            head_bias: zeros(&[a, spec.output, 1], Kind::Float),
+            buffers: Buffers { weight_gradient, ..Buffers::default() },
+        }
+    }
+
+    /// Flat memory for `rows` samples of `width` features.
+    pub(super) fn flat(&self, rows: i64, width: i64, kind: Kind) -> Tensor {
+        Tensor::zeros([self.n_agents * rows * width], (kind, self.device))
+    }
+
+    /// Units of the widest hidden layer.
+    pub(super) fn widest(&self) -> i64 {
+        self.spec.hidden.iter().copied().max().unwrap_or(1)
+    }
+
+    /// Gets buffers for `rows` samples; those after the standardisation only where `standard` asks for them.
+    pub(super) fn reserve(&mut self, rows: i64, standard: bool) {
+        let layers = |stack: &Self| {
+            let hidden = stack.spec.hidden.iter();
+            hidden.map(|&h| stack.flat(rows, h, stack.kind)).collect::<Vec<_>>()
+        };
+        self.buffers.active = layers(self);
+        if standard {
+            self.buffers.standard = layers(self);
+        }
+        let gradient = || Some(self.flat(rows, self.widest(), self.kind));
+        self.buffers.gradient = [gradient(), gradient()];
+        self.buffers.rows = rows;
+    }
+
+    /// The gain and shift that precede hidden layer `layer` (or the head, for the last index).
+    pub(super) fn preceding(&self, layer: usize, flat: &Tensor) -> Option<(Tensor, Tensor)> {
+        let names = match layer {
+            0 if self.spec.input_layer_norm => ("input.gain".to_owned(), "input.bias".to_owned()),
+            0 => return None,
+            _ if self.spec.layer_norm => {
+                (format!("hidden.{}.gain", layer - 1), format!("hidden.{}.shift", layer - 1))
+            }
+            _ => return None,
+        };
+        Some((self.spec.view(&names.0, flat), self.spec.view(&names.1, flat)))
+    }
+
+    /// Names of the weight and bias of hidden layer `layer`, or of the head for the last index.
+    pub(super) fn names(&self, layer: usize) -> (String, String) {
+        if layer == self.spec.hidden.len() {
+            ("head.weight".to_owned(), "head.bias".to_owned())
+        } else {
+            (format!("hidden.{layer}.weight"), format!("hidden.{layer}.bias"))
+        }
+    }
+
+    /// `[A, B, width]` at the beginning of a flat buffer.
+    pub(super) fn chunk(&self, flat: &Tensor, rows: i64, width: i64) -> Tensor {
+        flat.narrow(0, 0, self.n_agents * rows * width).view([self.n_agents, rows, width])
+    }
+
+    /// One of the two buffers between which the gradient by activations alternates.
+    pub(super) fn gradient_chunk(&self, index: usize, rows: i64, width: i64) -> Tensor {
+        let flat = self.buffers.gradient[index % 2].as_ref().expect("reserved by forward");
+        self.chunk(flat, rows, width)
+    }
+}

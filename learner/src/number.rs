@@ -1,0 +1,38 @@
+//! Numbers as activations are kept: f32 and bfloat16.
+
+/// A number as activations are kept.
+pub(crate) trait Number: Copy {
+    /// Widened exactly.
+    fn widen(self) -> f32;
+    /// Rounded to nearest, ties to even.
+    fn round(x: f32) -> Self;
+}
+
+impl Number for f32 {
+    #[inline(always)]
+    fn widen(self) -> f32 {
+        self
+    }
+    #[inline(always)]
+    fn round(x: f32) -> Self {
+        x
+    }
+}
+
+/// bfloat16: the upper half of an f32.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(transparent)]
+pub(crate) struct Bf16(pub(crate) u16);
+
+impl Number for Bf16 {
+    #[inline(always)]
+    fn widen(self) -> f32 {
+        f32::from_bits(u32::from(self.0) << 16)
+    }
+    #[inline(always)]
+    fn round(x: f32) -> Self {
+        let bits = x.to_bits();
+        // Half of the last place, less one if that is even; NaN stays NaN, because libtorch's has its upper bits set.
+        Self((bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16) as u16)
+    }
+}

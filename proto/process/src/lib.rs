@@ -1,0 +1,11 @@
+//! What every process of a run does first, and the clocks by which it measures.
+//!
+//! * [`child`]: a child dies with its parent, and may stay on one processor;
+//! * [`input`]: what a child reads, regular files of limited length;
+//! * [`logging`]: where the logs of a child go;
+//! * [`clock`]: clocks that all processes of a machine share, and processor time.
+
+pub mod child;
+pub mod clock;
+pub mod input;
+pub mod logging;

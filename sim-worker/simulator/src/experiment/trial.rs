@@ -1,0 +1,145 @@
+//! What is played: players, phases, goals, and what happens.
+
+use proto::layout::{AGENTS_PER_ARM, Dimensions};
+use proto::rng::Purpose;
+
+use super::{Intervention, SensorNoise};
+use crate::env::step_options;
+use crate::policy::Policy;
+use crate::robot::Robot;
+use crate::rollout::World;
+use crate::scalar::Backend;
+use crate::step::StepOptions;
+use crate::task::goal::GoalAddress;
+
+/// A policy with the world it was trained in, which says what it sees and what its actions mean.
+#[derive(Debug, Clone, Copy)]
+pub struct Player<'a> {
+    /// Its world.
+    pub world: &'a World,
+    /// Its networks.
+    pub policy: &'a Policy,
+    /// Factor from a clipped action to a joint velocity command (rad/s); in training that of the task.
+    pub action_scale: f64,
+}
+
+impl<'a> Player<'a> {
+    /// A policy as it was trained.
+    pub fn new(world: &'a World, policy: &'a Policy) -> Self {
+        Self { world, policy, action_scale: world.task.action_scale }
+    }
+}
+
+/// Who moves the arms from a control step on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Phase {
+    /// The first control step.
+    pub from: usize,
+    /// For each arm the index of its player; without one the arm's actions are zero, so that the servos hold it.
+    pub arms: Vec<Option<usize>>,
+}
+
+impl Phase {
+    /// Whether `player` moves the joints of `agent`.
+    pub(super) fn moves(&self, player: usize, agent: usize) -> bool {
+        self.arms[agent / AGENTS_PER_ARM] == Some(player)
+    }
+
+    /// The player's actors that move anything, an actor of all agents also if it moves but one arm.
+    pub(super) fn actors(
+        &self,
+        player: usize,
+        dimensions: &Dimensions,
+    ) -> impl Iterator<Item = usize> {
+        let agents_per_actor = dimensions.agents_per_actor();
+        (0..dimensions.n_actors).filter(move |actor| {
+            let first = actor * agents_per_actor;
+            (first..first + agents_per_actor).any(|agent| self.moves(player, agent))
+        })
+    }
+}
+
+/// Goals that are given instead of drawn.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FixedGoals {
+    /// Target of each hand, position in the world (m) and Euler angles (rad); arms beyond the end have none.
+    pub hands: Vec<Option<[f64; 6]>>,
+    /// Target attitude of the base, Euler angles (rad).
+    pub base: Option<[f64; 3]>,
+}
+
+/// Episodes to be played.
+#[derive(Debug, Clone)]
+pub struct Trial<'a> {
+    /// The robot that is simulated: that of the players, but for masses.
+    pub robot: &'a Robot,
+    /// How it is integrated.
+    pub options: StepOptions,
+    /// Who takes part, at least one.
+    pub players: Vec<Player<'a>>,
+    /// Who moves what, in the order of their first steps, which begin at zero.
+    pub phases: Vec<Phase>,
+    /// Address of the first episode's goals: every player's task draws those that it has; what none has stays at home.
+    pub goals: GoalAddress,
+    /// Goals that are the same in every episode.
+    pub fixed: FixedGoals,
+    /// What happens.
+    pub interventions: Vec<Intervention>,
+    /// What the sensors add.
+    pub sensors: SensorNoise,
+    /// Control steps between an action and its execution.
+    pub delay: usize,
+    /// E: episodes.
+    pub episodes: usize,
+    /// Control steps of an episode.
+    pub steps: usize,
+    /// What computes; all give the same bits.
+    pub backend: Backend,
+}
+
+impl<'a> Trial<'a> {
+    /// All arms moved by `player`, in its own world, towards held-out goals; nothing happens.
+    pub fn new(player: Player<'a>, seed: u64, episodes: usize, steps: usize) -> Self {
+        let world = player.world;
+        Self {
+            robot: &world.robot,
+            options: step_options(&world.config),
+            players: vec![player],
+            phases: vec![Phase { from: 0, arms: vec![Some(0); world.dimensions.n_arms] }],
+            goals: GoalAddress { seed, purpose: Purpose::EvaluationGoal, iteration: 0, env: 0 },
+            fixed: FixedGoals::default(),
+            interventions: Vec::new(),
+            sensors: SensorNoise::NONE,
+            delay: 0,
+            episodes,
+            steps,
+            backend: Backend::detect(),
+        }
+    }
+
+    /// Arms of the robot.
+    pub fn n_arms(&self) -> usize {
+        self.robot.n_arms
+    }
+
+    /// The phase that `step` lies in.
+    pub(super) fn phase(&self, step: usize) -> &Phase {
+        let next = self.phases.partition_point(|phase| phase.from <= step);
+        &self.phases[next - 1]
+    }
+
+    /// Asserts what whoever makes a trial must see to.
+    pub(super) fn check(&self) {
+        let n_arms = self.n_arms();
+        assert_eq!(self.phases.first().map(|phase| phase.from), Some(0), "a phase from step 0 on");
+        for phase in &self.phases {
+            assert_eq!(phase.arms.len(), n_arms, "one player or none an arm");
+            let known = |player: &usize| *player < self.players.len();
+            assert!(phase.arms.iter().flatten().all(known), "players of {phase:?}");
+        }
+        for Player { world, policy, .. } in &self.players {
+            assert_eq!(world.dimensions.n_arms, n_arms, "players know the robot");
+            assert_eq!(policy.n_actors(), world.dimensions.n_actors, "the policy is of its world");
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! The constants of a robot in the scalar and the layout of the hot path.
+
+use nalgebra::Matrix3;
+
+use super::collision::{CollisionModel, ContactKind};
+use crate::robot::{JOINTS_PER_ARM, RigidBody, Robot, is_rotation};
+use crate::scalar::Real;
+use crate::spatial::{Mat3, Vec3};
+
+/// Twist of a Denavit–Hartenberg row: right angles only permute coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Twist {
+    /// 0°.
+    None,
+    /// +90°.
+    Quarter,
+    /// −90°.
+    MinusQuarter,
+    /// Any other angle.
+    General,
+}
+
+/// Which parts of a link's step to the next frame there are: the sparsity of its Denavit–Hartenberg row.
+///
+/// Functions of the hot path take it beside the link. Where [`for_sparsity`](crate::dynamics::for_sparsity) makes it a constant, what is not there costs nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Sparsity {
+    pub(crate) twist: Twist,
+    /// Whether the shift along x and along z is other than zero.
+    pub(crate) has_a: bool,
+    pub(crate) has_d: bool,
+}
+
+/// Spatial inertia of a rigid body about its frame's origin [Featherstone 2008, eq. 2.63].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct RigidInertia<S> {
+    /// Mass (kg).
+    pub(crate) mass: S,
+    /// Mass times centre of mass (kg m).
+    pub(crate) h: Vec3<S>,
+    /// Inertia about the origin: xx, yy, zz, xy, xz, yz (kg m²).
+    pub(crate) inertia: [S; 6],
+}
+
+impl<S: Real> RigidInertia<S> {
+    fn new(body: &RigidBody) -> Self {
+        let i = body.inertia_at_origin();
+        Self {
+            mass: S::splat(body.mass),
+            h: (body.com * body.mass).map(S::splat).into(),
+            inertia: [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| S::splat(i[at])),
+        }
+    }
+}
+
+/// A moving link: its joint's servo, its inertia, and the step to the next link frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LinkModel<S> {
+    pub(crate) sparsity: Sparsity,
+    /// Cosine and sine of the twist.
+    pub(crate) twist_cos_sin: (S, S),
+    /// Shift along x and z (m).
+    pub(crate) a: S,
+    pub(crate) d: S,
+    pub(crate) body: RigidInertia<S>,
+    pub(crate) armature: S,
+    pub(crate) gain: S,
+    pub(crate) max_rate: S,
+    pub(crate) max_torque: S,
+}
+
+/// A rotation by right angles: (R v)ᵢ = signᵢ · v at placeᵢ.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SignedPermutation<S> {
+    pub(crate) place: [usize; 3],
+    pub(crate) sign: [S; 3],
+}
+
+/// Pose of an arm's frame 0 in the base frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ArmModel<S> {
+    pub(crate) position: Vec3<S>,
+    pub(crate) rotation: Mat3<S>,
+    /// The same rotation where it is one by right angles, as on every face of a cube.
+    pub(crate) permutation: Option<SignedPermutation<S>>,
+}
+
+/// A joint interval in which a pair touches (see [`AngleContact`](crate::robot::AngleContact)).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct AngleContactModel<S> {
+    pub(crate) joint: usize,
+    pub(crate) centre: S,
+    pub(crate) half: S,
+    pub(crate) narrowing: S,
+    pub(crate) narrowing_joint: usize,
+    pub(crate) push: bool,
+    pub(crate) kind: ContactKind,
+}
+
+/// A robot's constants in scalar `S`, shared by everything that simulates it; scratch memory is a
+/// [`Workspace`](crate::workspace::Workspace).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model<S: Real> {
+    pub(crate) n_arms: usize,
+    /// Inertia of the base with all that is welded to it, base frame.
+    pub(crate) base: RigidInertia<S>,
+    /// The same six for every arm.
+    pub(crate) links: Vec<LinkModel<S>>,
+    pub(crate) arms: Vec<ArmModel<S>>,
+    pub(crate) angle_contacts: Vec<AngleContactModel<S>>,
+    /// Pose of the hand in the last link frame.
+    pub(crate) tool_position: Vec3<S>,
+    pub(crate) tool_rotation: Mat3<S>,
+    pub(crate) collision: CollisionModel<S>,
+}
+
+fn splat_matrix<S: Real>(m: &Matrix3<f64>) -> Mat3<S> {
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| S::splat(m[(i, j)])))
+}
+
+fn signed_permutation<S: Real>(m: &Matrix3<f64>) -> Option<SignedPermutation<S>> {
+    let mut p = SignedPermutation { place: [0; 3], sign: [S::zero(); 3] };
+    for i in 0..3 {
+        p.place[i] = (0..3).find(|&j| m[(i, j)].abs() == 1.0)?;
+        p.sign[i] = S::splat(m[(i, p.place[i])]);
+    }
+    Some(p)
+}
+
+impl<S: Real> Model<S> {
+    /// The constants of `robot`.
+    pub fn new(robot: &Robot) -> Self {
+        let links = robot.links.iter().map(|link| {
+            let t = &link.twist;
+            LinkModel {
+                sparsity: Sparsity {
+                    twist: match (t[(1, 1)], t[(2, 1)]) {
+                        (1.0, 0.0) => Twist::None,
+                        (0.0, 1.0) => Twist::Quarter,
+                        (0.0, -1.0) => Twist::MinusQuarter,
+                        _ => Twist::General,
+                    },
+                    has_a: link.shift.x != 0.0,
+                    has_d: link.shift.z != 0.0,
+                },
+                twist_cos_sin: (S::splat(t[(1, 1)]), S::splat(t[(2, 1)])),
+                a: S::splat(link.shift.x),
+                d: S::splat(link.shift.z),
+                body: RigidInertia::new(&link.body),
+                armature: S::splat(link.armature),
+                gain: S::splat(link.gain),
+                max_rate: S::splat(link.max_rate),
+                max_torque: S::splat(link.max_torque),
+            }
+        });
+        let arms = robot.arms.iter().map(|arm| {
+            assert!(is_rotation(&arm.rotation), "mount rotation {}", arm.rotation);
+            ArmModel {
+                position: arm.position.map(S::splat).into(),
+                rotation: splat_matrix(&arm.rotation),
+                permutation: signed_permutation(&arm.rotation),
+            }
+        });
+        let angle_contacts = robot.angle_contacts.iter().map(|contact| AngleContactModel {
+            joint: contact.joint,
+            centre: S::splat(contact.centre),
+            half: S::splat(contact.half),
+            narrowing: S::splat(contact.narrowing),
+            narrowing_joint: contact.narrowing_joint,
+            push: contact.push,
+            kind: ContactKind::told_by_angle(contact.pair),
+        });
+        Self {
+            n_arms: robot.n_arms,
+            base: RigidInertia::new(&robot.base),
+            links: links.collect(),
+            arms: arms.collect(),
+            angle_contacts: angle_contacts.collect(),
+            tool_position: robot.tool_position.map(S::splat).into(),
+            tool_rotation: splat_matrix(&robot.tool_rotation),
+            collision: CollisionModel::new(robot),
+        }
+    }
+
+    /// Number of arms.
+    pub fn n_arms(&self) -> usize {
+        self.n_arms
+    }
+
+    /// Number of joints, all arms.
+    pub fn n_joints(&self) -> usize {
+        self.n_arms * JOINTS_PER_ARM
+    }
+}

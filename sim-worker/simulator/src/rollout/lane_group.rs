@@ -1,0 +1,60 @@
+//! The environments of one lane group: where they are, where they shall go, and what they were told.
+
+use proto::config::Start;
+
+use super::extremes::Extremes;
+use super::start::scatter;
+use crate::env::Physics;
+use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::scalar::Real;
+use crate::state::State;
+use crate::task::goal::GoalAddress;
+use crate::task::{Errors, Goals, Readings, Task};
+
+/// One lane group.
+pub(super) struct LaneGroup<S: Real> {
+    pub(super) state: State<S>,
+    pub(super) readings: Readings<S>,
+    pub(super) goals: Goals<S>,
+    pub(super) errors: Errors<S>,
+    /// Clipped actions of the step and of the one before, one a joint.
+    pub(super) action: Vec<S>,
+    pub(super) last_action: Vec<S>,
+    pub(super) command: Vec<S>,
+    pub(super) extremes: Extremes<S>,
+}
+
+impl<S: Real> LaneGroup<S> {
+    /// The group whose first lane is local environment `first` of `n_envs`, with goals drawn and robots where episodes begin.
+    ///
+    /// Lanes beyond the last environment repeat it. `goals` is the address of the first environment's.
+    #[inline(always)]
+    pub(super) fn new(
+        (robot, task): (&Robot, &Task),
+        begin: &Start,
+        physics: &mut Physics<S>,
+        goals: GoalAddress,
+        (first, n_envs): (usize, usize),
+    ) -> Self {
+        let mut drawn = task.goals.at_home();
+        let env_of = |lane: usize| goals.env + (first + lane).min(n_envs - 1) as u32;
+        for lane in 0..S::LANES {
+            let address = GoalAddress { env: env_of(lane), ..goals };
+            task.goals.draw(task.name, address, lane, &mut drawn);
+        }
+        let mut state = State::home(robot);
+        let mut readings = Readings::new(robot.n_arms);
+        scatter(begin, robot, physics, &mut readings, (goals, env_of), &mut state);
+        let joints = vec![S::zero(); robot.n_arms * JOINTS_PER_ARM];
+        Self {
+            state,
+            readings,
+            goals: drawn,
+            errors: Errors::new(robot.n_arms),
+            action: joints.clone(),
+            last_action: joints.clone(),
+            command: joints,
+            extremes: Extremes::new(robot.n_arms),
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! Several `f32` side by side, in back ends of the same bits ([`Backend`]), and the choice among them ([`dispatch`]).
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod dispatch;
+mod lone;
+mod operators;
+mod portable;
+
+pub use dispatch::{Backend, dispatch, dispatch_for, dispatch_on};
+pub(super) use lone::run_scalar;

@@ -1,0 +1,129 @@
+//! What acts on the robot from outside, and what fails in it.
+//!
+//! It is an option of the step, not a second dynamics. Forces from outside, torques and limp servos are applied
+//! in functions of their own, called only where there are any, so what training runs is the code and the bits
+//! that it would be without. The projection onto the invariants gets the impulse, and pairs that may touch do not
+//! sleep, because commands no longer bound speeds.
+
+use crate::collision;
+use crate::dynamics::kinematics::poses_of_arm;
+use crate::model::Model;
+use crate::robot::JOINTS_PER_ARM;
+use crate::scalar::{Kernel, Mask, Real};
+use crate::spatial::{Mat3, Vec3, Vec6, add, cross_add, mat_t_vec, mat_vec};
+use crate::workspace::Workspace;
+
+/// Forces from outside, torques at the joints, and servos without power, over a control period.
+///
+/// Training knows none of it: [`step`](super::step) runs the same code without.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Disturbance<S> {
+    /// Force on each hand, at the origin of its tool frame, world axes (N); length `n_arms`.
+    pub hand_force: Vec<Vec3<S>>,
+    /// Torque on the base, world axes (N m).
+    pub base_torque: Vec3<S>,
+    /// Torque added to that of each servo (N m), arm-major; length `n_joints`.
+    pub joint_torque: Vec<S>,
+    /// Part of its torque that each servo gives, arm-major: one, or zero where the joint is limp. The drive's inertia stays; length `n_joints`.
+    pub servo: Vec<S>,
+}
+
+impl<S: Real> Disturbance<S> {
+    /// No disturbance of a robot with `n_arms` arms.
+    pub fn none(n_arms: usize) -> Self {
+        let zero = S::zero();
+        Self {
+            hand_force: vec![[zero; 3]; n_arms],
+            base_torque: [zero; 3],
+            joint_torque: vec![zero; n_arms * JOINTS_PER_ARM],
+            servo: vec![S::one(); n_arms * JOINTS_PER_ARM],
+        }
+    }
+
+    /// Asserts that it is one of this robot.
+    pub(super) fn check(&self, model: &Model<S>) {
+        assert_eq!(self.hand_force.len(), model.n_arms(), "one force an arm");
+        let joints = (self.joint_torque.len(), self.servo.len());
+        assert_eq!(joints, (model.n_joints(), model.n_joints()), "one torque and servo a joint");
+    }
+}
+
+/// Weakens the servos' torques and adds those from outside: changes `tau` of `ws.links`.
+#[inline(always)]
+pub(super) fn disturb_joints<S: Real>(ws: &mut Workspace<S>, disturbance: &Disturbance<S>) {
+    S::compiled(Joints { ws, disturbance });
+}
+
+/// Puts the forces from outside on base and links, on top of the contacts', and leaves their wrench on the whole robot in `ws.outside`.
+///
+/// `r_wb` is the base's attitude, `travelled` its way since the period's start, world axes (m). Reads the links' `sin` and `cos`; fills `poses` of arms
+/// whose hands are pushed at.
+#[inline(always)]
+pub(super) fn disturb_bodies<S: Real>(
+    model: &Model<S>,
+    ws: &mut Workspace<S>,
+    disturbance: &Disturbance<S>,
+    r_wb: &Mat3<S>,
+    travelled: Vec3<S>,
+) {
+    S::compiled(Bodies { model, ws, disturbance, r_wb, travelled });
+}
+
+// In functions of their own, so that the code around them is the same with and without them.
+
+struct Joints<'a, S: Real> {
+    ws: &'a mut Workspace<S>,
+    disturbance: &'a Disturbance<S>,
+}
+
+impl<S: Real> Kernel<S> for Joints<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { ws, disturbance } = self;
+        for i in 0..ws.links.len() {
+            let tau = &mut ws.links[i].tau;
+            *tau = disturbance.servo[i].mul_add(*tau, disturbance.joint_torque[i]);
+        }
+    }
+}
+
+struct Bodies<'a, S: Real> {
+    model: &'a Model<S>,
+    ws: &'a mut Workspace<S>,
+    disturbance: &'a Disturbance<S>,
+    r_wb: &'a Mat3<S>,
+    travelled: Vec3<S>,
+}
+
+impl<S: Real> Kernel<S> for Bodies<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { model, ws, disturbance, r_wb, travelled } = self;
+        let torque = disturbance.base_torque;
+        ws.base_f_ext.ang = add(ws.base_f_ext.ang, mat_t_vec(r_wb, torque));
+        let mut outside = Vec6 { ang: torque, lin: [S::zero(); 3] };
+        for arm in 0..model.n_arms {
+            let force = disturbance.hand_force[arm];
+            let largest = force[0].abs().max(force[1].abs()).max(force[2].abs());
+            if !largest.gt(S::zero()).any() {
+                continue;
+            }
+            poses_of_arm(model, ws, arm);
+            let last = arm * JOINTS_PER_ARM + JOINTS_PER_ARM - 1;
+            let pose = ws.poses[last];
+            let point = add(pose.o, mat_vec(&pose.r, model.tool_position));
+            collision::push_link(ws, last, point, mat_t_vec(r_wb, force));
+            let from_start = add(travelled, mat_vec(r_wb, point));
+            outside.ang = cross_add(from_start, force, outside.ang);
+            outside.lin = add(outside.lin, force);
+        }
+        ws.outside = outside;
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,52 @@
+//! A task on a robot, as goals, observations and rewards read it.
+
+use proto::config::{CriticState, JointAngles, Observation, Reward, TaskName};
+
+use super::frame::ArmFrame;
+use super::{GoalRanges, Home};
+
+/// A task on a robot: everything that is the same in every environment and step.
+#[derive(Debug, Clone)]
+pub struct Task {
+    /// Which task.
+    pub name: TaskName,
+    /// What agents see.
+    pub observation: Observation,
+    /// How agents see joint angles.
+    pub joint_angles: JointAngles,
+    /// What critics see.
+    pub critic_state: CriticState,
+    /// Weights of the rewards.
+    pub reward: Reward,
+    /// Factor from a clipped action to a joint velocity command (rad/s).
+    pub action_scale: f64,
+    /// Where goals are drawn from, and home, which they are relative to.
+    pub goals: GoalRanges,
+    /// Limits of the actions, one a joint, arm-major (rad/s).
+    pub action_limit: Vec<f64>,
+    /// One an arm.
+    pub(super) frames: Vec<ArmFrame>,
+}
+
+impl Task {
+    /// The task of `config` on a robot with this home pose.
+    pub fn new(config: &proto::config::Config, home: Home) -> Self {
+        let task = &config.task;
+        Self {
+            name: task.name,
+            observation: task.observation,
+            joint_angles: task.joint_angles,
+            critic_state: config.network.critic_state,
+            action_scale: task.action_scale,
+            action_limit: home.arms.iter().flat_map(|arm| arm.command_limit).collect(),
+            frames: home.arms.iter().map(ArmFrame::new).collect(),
+            reward: task.reward,
+            goals: GoalRanges::new(task.goal_box, task.base_goal_range, home),
+        }
+    }
+
+    /// Arms of the robot.
+    pub fn n_arms(&self) -> usize {
+        self.goals.home.arms.len()
+    }
+}
