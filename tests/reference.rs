@@ -353,8 +353,11 @@ fn bounds(key: &str, beyond: &str) -> Result<Option<String>> {
     let layers = Layers::new(Preset::Tuned, Some(TaskName::Trajectory));
     match layers.set(&format!("{key}={beyond}"))?.resolve() {
         Err(ConfigError::Invalid { key: refused, cure, .. }) if key.starts_with(refused) => {
-            let ends =
-                cure.strip_prefix("choose a value from ").and_then(|ends| ends.split_once(" to "));
+            // `choose a value from 1 to 16`, or of a list `give 1 to 16 widths, such as …`.
+            let ends = ["choose a value from ", "give "]
+                .into_iter()
+                .find_map(|words| cure.strip_prefix(words)?.split_once(" to "))
+                .map(|(low, high)| (low, high.split(' ').next().unwrap_or(high)));
             let (low, high) = ends.with_context(|| format!("{key}: no range in `{cure}`"))?;
             let [low, high] = [low.parse::<f64>()?, high.parse::<f64>()?].map(plain);
             Ok(Some(format!("{low} to {high}")))

@@ -234,7 +234,7 @@ fn what_is_interrupted_ends_with_130() {
         (&["eval", &trajectory, "--episodes=100000"][..], None),
         (&["experiment", "precision", "--policies", shipped, "--episodes=100000"], None),
         (&["simulate", "--robot=paper", "--actions=-", "--out=-"], None),
-        (&["rollout", dir, "--address=7/0/0"], Some(full)),
+        (&["rollout", dir, "--address=7/2/0"], Some(full)),
     ] {
         let mut command = Command::new(program("octopus"));
         // Actions that never come.
@@ -314,7 +314,7 @@ fn what_is_printed_fits_in_80_columns() {
     for line in doctor.lines().filter(|line| !line.contains(learner)) {
         assert!(line.chars().count() <= 80, "{line}\nis too long in\n{doctor}");
     }
-    let mut other = Run::train(&["--iterations=6", "--seed=8"]);
+    let mut other = Run::train(&["--iterations=6", "--set=run.seed=8"]);
     other.succeed();
     let other_path = other.path();
     let other = other_path.to_str().expect("UTF-8");

@@ -561,7 +561,9 @@ fn uploads_wait_for_a_held_lock_and_reads_do_not() {
             assert!(head.starts_with("http/1.1 200"), "{path}: {head}");
         }
         // Until the first of them has lost its patience.
-        while !uploads.iter().any(|upload| upload.is_finished()) && Instant::now() < patience {
+        while !uploads.iter().any(std::thread::ScopedJoinHandle::is_finished)
+            && Instant::now() < patience
+        {
             std::thread::sleep(Duration::from_millis(5));
         }
         drop(lock);

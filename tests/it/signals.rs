@@ -205,7 +205,6 @@ fn a_coordinator_that_stood_still_for_longer_than_its_deadlines_goes_on_with_its
 /// The queue of what workers say holds half a minute of it: after that their first word was lost, nobody gave
 /// them orders, and no deadline found that out.
 #[test]
-#[ignore = "stands still for 40 s"]
 fn a_coordinator_stopped_while_workers_come_up_uses_them_afterwards() {
     let flags = ["--workers=2", "--iterations=40"];
     let mut calm = Run::train(&flags);

@@ -215,7 +215,7 @@ impl Bench {
 
     /// Says what is measured now; an error after Ctrl-C.
     fn begin(&self, stage: &str) -> Result<(), ExitError> {
-        self.stages.begin(format!("measuring {stage}"));
+        self.stages.begin(&format!("measuring {stage}"));
         self.go_on()
     }
 

@@ -54,6 +54,9 @@ impl Record {
         let mut config: toml::Table = read_text(&run_dir.config())?
             .parse()
             .map_err(|error| damaged(&run_dir.config(), &format!("not valid TOML: {error}")))?;
+        if !config.contains_key("run") {
+            return Err(damaged(&run_dir.config(), "holds no configuration of a run"));
+        }
         let provenance: Value = serde_json::from_str(&read_text(&run_dir.provenance())?)
             .map_err(|error| damaged(&run_dir.provenance(), &format!("not valid JSON: {error}")))?;
         let sessions = provenance["sessions"]

@@ -255,13 +255,13 @@ fn newest_until(run: &Record, last: u64) -> anyhow::Result<Option<Checkpoint>> {
             // The state before the first iteration is that of a start.
             Ok(there) if !there.manifest.has_state() || there.manifest.iteration == 0 => {}
             Ok(there) if there.manifest.iteration > last => {}
-            Ok(there) => match foreign(run, &there) {
-                Some(reason) => reasons.push(reason),
-                None => {
+            Ok(there) => {
+                let Some(reason) = foreign(run, &there) else {
                     found = Some(there);
                     break;
-                }
-            },
+                };
+                reasons.push(reason);
+            }
             // Removed since it was listed.
             Err(_) if !dir.exists() => {}
             Err(error) => reasons.push(error.to_string()),

@@ -136,10 +136,10 @@ impl Stages {
     }
 
     /// The next stage begins.
-    pub fn begin(&self, stage: String) {
+    pub fn begin(&self, stage: &str) {
         match &self.bar {
-            Some(bar) => bar.set_message(printable(&stage).into_owned()),
-            None => write_line(&stage),
+            Some(bar) => bar.set_message(printable(stage).into_owned()),
+            None => write_line(stage),
         }
     }
 
@@ -359,7 +359,7 @@ mod tests {
         let mut large = line(99_998);
         large.return_mean = -98_765.4;
         large.env_steps_per_s = 123_456.0;
-        (large.errors.position, large.errors.orientation) = (9.999, 3.141);
+        (large.errors.position, large.errors.orientation) = (9.999, 3.111);
         progress.iteration(&large, 10.0);
         let rows = screen.rows();
         assert_eq!(rows.len(), 1, "{rows:?}");
