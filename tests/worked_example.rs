@@ -68,7 +68,7 @@ pub struct Example {
     pub hands: Vec<Pose>,
     /// Where they shall go.
     pub goals: Vec<Pose>,
-    /// What each agent sees, [agent][number].
+    /// What each agent sees, by agent and place.
     pub observations: Vec<Vec<f64>>,
     /// What the policy says, clipped, joint after joint.
     pub actions: Vec<f64>,

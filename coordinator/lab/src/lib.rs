@@ -4,7 +4,7 @@
 //! * [`experiments`]: the paper's experiments, one file each; [`reproduce`] does all of them and makes a page;
 //! * [`figures`]: learning curves of runs, and the panels that everything is drawn in;
 //! * [`verification`]: whether two runs, or a run and its repetition, are the same to the bit;
-//! * [`bench`]: how fast a machine simulates, learns and transports;
+//! * [`mod@bench`]: how fast a machine simulates, learns and transports;
 //! * [`statistics`], [`trained`], [`threads`]: what these share.
 
 pub mod bench;

@@ -1,6 +1,6 @@
 //! A live run as others see it: what it is doing, and what it can be asked to do.
 //!
-//! The loop of a run ([`run::session`]) owns every process and channel and answers to nobody's
+//! The loop of a run (`session` of the crate `run`) owns every process and channel and answers to nobody's
 //! thread but its own. Between it and the HTTP service stands a [`LiveRun`]: the loop writes a
 //! [`LiveStatus`] into it a few times a second and takes [`Command`]s out of it on every turn.
 

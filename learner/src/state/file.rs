@@ -32,7 +32,7 @@ impl TrainingState {
         builder.finish()
     }
 
-    /// The state as the bytes of a safetensors file. [`image::Image`] makes the same faster.
+    /// The state as the bytes of a safetensors file. [`Image`](super::image::Image) makes the same faster.
     pub fn to_safetensors(&self) -> Vec<u8> {
         let view = |dtype, shape: &[usize], data| {
             TensorView::new(dtype, shape.to_vec(), data).expect("an entry's bytes fit its shape")

@@ -5,7 +5,7 @@
 //!
 //! | name | type, shape |
 //! |---|---|
-//! | `actor.<parameter>`, `critic.<parameter>` | f32 `[P, …]`, the names of [`NetworkSpec`] |
+//! | `actor.<parameter>`, `critic.<parameter>` | f32 `[P, …]`, the names of [`NetworkSpec`](crate::network::NetworkSpec) |
 //! | `actor.adam.m.<parameter>`, `….v.<parameter>`, likewise `critic` | f32 `[P, …]` |
 //! | `actor.adam.steps`, `critic.adam.steps` | i64 `[P]` |
 //! | `actor.rate` | f64 `[P]`: share of the scheduled learning rate; only with `optimizer.target_kl` |
@@ -24,7 +24,7 @@
 //! For readers who want the policies alone, the file repeats them as `policy.<name>`, exactly as
 //! workers got them (`proto::layout::ActorLayout`); a restore does not need these.
 //!
-//! The [`Digest`] is that of all other names in alphabetical order, each with its array's little-endian
+//! The [`Digest`](proto::Digest) is that of all other names in alphabetical order, each with its array's little-endian
 //! bytes, so anyone can recompute it from the file.
 
 mod arrays;

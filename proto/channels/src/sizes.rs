@@ -92,7 +92,7 @@ impl ChannelSizes {
 
     /// Shared memory that `workers` workers, the learner and the coordinator reserve, by channel
     /// (bytes). Each sender has as many slots as all receivers can queue and hold, plus its history and
-    /// the ones it fills; of policies see [`Self::policy_slots`], of orders [`Self::order_slots`].
+    /// the ones it fills; of policies see `policy_slots`, of orders `order_slots`.
     pub fn shared_memory(&self, workers: usize) -> [(&'static str, u64); 4] {
         let bytes = |slots: usize, len: usize| (slots * (len + 256)) as u64;
         let blocks = bytes(self.block_buffer + self.block_borrowed + 1, 4 * self.block_len);

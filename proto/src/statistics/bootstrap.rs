@@ -10,7 +10,7 @@ const OUTSIDE: f64 = 0.025;
 /// Resamples, where there are too many to take all.
 const DRAWN: usize = 2_000;
 
-/// Samples of `n` runs, each drawn `n` times with replacement: all of them up to four runs, else [`DRAWN`], always the same.
+/// Samples of `n` runs, each drawn `n` times with replacement: all of them up to four runs, else 2,000, always the same.
 #[derive(Debug, Clone)]
 pub struct Resamples(Vec<Vec<usize>>);
 

@@ -126,7 +126,7 @@ fn check_rows<R: Row>(rows: &[R]) -> Result<(), String> {
     Ok(())
 }
 
-/// The curves of run directories and of files that [`write`] made, each training once; and what is to be said of those
+/// The curves of run directories and of files that [`write()`] made, each training once; and what is to be said of those
 /// that were given twice.
 pub fn read_all(paths: &[PathBuf]) -> anyhow::Result<(Vec<Recorded>, Vec<String>)> {
     let mut curves: Vec<Recorded> = Vec::new();
@@ -161,7 +161,7 @@ pub fn read_all(paths: &[PathBuf]) -> anyhow::Result<(Vec<Recorded>, Vec<String>
     Ok((curves, notes))
 }
 
-/// The curve of a run directory, or the curves of a file that [`write`] made.
+/// The curve of a run directory, or the curves of a file that [`write()`] made.
 pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<Recorded>> {
     if !path.is_file() {
         return Ok(vec![Recorded::of_run(path)?]);

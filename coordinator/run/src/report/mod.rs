@@ -2,7 +2,7 @@
 //!
 //! One [`Reporter`] turns every iteration into one [`Line`], and the line into
 //!
-//! * a JSON object in `metrics.jsonl` ([`jsonl`]), the record that everything else is made from;
+//! * a JSON object in `metrics.jsonl` ([`store::jsonl`]), the record that everything else is made from;
 //! * a row of `metrics.csv` ([`csv`]), the same numbers as a table;
 //! * TensorBoard scalars in `events/` ([`tensorboard`]), over env-steps;
 //! * the bar or the plain lines on the terminal ([`progress`]);
@@ -68,7 +68,7 @@
 //!
 //! Before a checkpoint is committed the lines of its iterations are made durable ([`Durability`]),
 //! so that they do not end before it after a power cut; a resume takes none that they do not reach
-//! ([`recorded`]). A thread of its own writes them ([`recorder`]): the run goes on while a disk stands still.
+//! ([`store::recorded`]). A thread of its own writes them (`recorder.rs`): the run goes on while a disk stands still.
 
 pub mod csv;
 pub mod curve;
@@ -136,7 +136,7 @@ pub struct Reporter {
 impl Reporter {
     /// Opens the metrics files of `run_dir`. A run that continues at iteration `resume_from` keeps
     /// the lines before it; what the others were is promised of those to come, unless the run had
-    /// another [budget](budgets) then. With `quiet` nothing is shown but notes.
+    /// another [budget](store::budgets) then. With `quiet` nothing is shown but notes.
     pub fn create(
         run_dir: &RunDir,
         config: &Config,

@@ -19,7 +19,7 @@ const BUILTIN: [(&str, &str); 2] = [
 pub struct Robot {
     /// Name.
     pub name: String,
-    /// Number of arms, 1…[`MAX_ARMS`].
+    /// Number of arms, 1…[`MAX_ARMS`](super::MAX_ARMS).
     pub n_arms: usize,
     /// Base with mounts and pedestals welded on, in the base frame.
     pub base: RigidBody,
