@@ -27,6 +27,7 @@ pub mod status;
 pub mod train;
 pub mod verify;
 
+mod conclusion;
 pub mod limits;
 pub mod logs;
 

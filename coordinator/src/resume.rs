@@ -10,6 +10,8 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::preflight::{self, Remedy};
 use run::report::promised::Promised;
+use run::start::directory::record;
+use run::start::session::{Ended, Start, run_session};
 use run::supervisor::Programs;
 use run::{base, errors, precision, report};
 use store::budgets::{self, Budgets};
@@ -19,7 +21,8 @@ use store::lock::RunLock;
 use store::provenance::Provenance;
 use store::recorded::Recorded;
 
-use crate::train::{self, Counter, Ended, Start};
+use crate::conclusion::{conclude, print_json, recorded_evaluation};
+use crate::train;
 use crate::training_options::{Ending, HttpArgs, Limits};
 use crate::values::workers;
 
@@ -63,10 +66,10 @@ pub(crate) const REMEDY: Remedy = Remedy {
 /// Resumes, evaluates and says where everything is.
 pub fn run(args: &ResumeArgs) -> anyhow::Result<()> {
     match resume(args)? {
-        Resumed::Trained(ended) => ended.conclude(args.ending),
+        Resumed::Trained(ended) => conclude(&ended, args.ending),
         Resumed::Done(ended) if args.ending.json => {
-            let evaluation = ended.recorded_evaluation().filter(|_| !args.ending.no_eval);
-            ended.print_json(evaluation.as_ref())
+            let evaluation = recorded_evaluation(&ended).filter(|_| !args.ending.no_eval);
+            print_json(&ended, evaluation.as_ref())
         }
         Resumed::Done(_) => Ok(()),
     }
@@ -134,7 +137,7 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
 
     let programs = Programs::find()?;
     preflight::check_machine(&config, &robot, &run_dir, &programs.learner, &REMEDY)?;
-    let counter = Counter::open(&args.http, &run_dir)?;
+    let service = args.http.open(&run_dir)?;
     let provenance = Provenance::gather();
     if budgets.last().is_none() {
         // A run from before they were written down.
@@ -153,15 +156,15 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
     if config != recorded {
         files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     }
-    train::record(&run_dir, &provenance, &overrides)?;
+    record(&run_dir, &provenance, &overrides)?;
     std::fs::create_dir_all(run_dir.logs()).map_err(|error| {
         ExitError::new(
             ExitCode::RunDirectory,
             format!("{}: cannot be created: {error}", run_dir.logs().display()),
         )
     })?;
-    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, counter };
-    train::run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
+    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, service };
+    run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
 }
 
 /// The configuration with a precision that is decided. A run of an earlier version has `auto` in its `config.toml`: its

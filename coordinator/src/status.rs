@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use clap::Args;
 use output::grouped;
-
 use proto::run_dir::RunDir;
 use run::errors;
 use run::preflight::mib;
 use run::report::Diverged;
 use run::report::divergence::{CURE, Divergence};
+use run::start::directory::RUNS;
 use serde::Serialize;
 use serde_json::Value;
 use service::client::Client;
@@ -21,7 +21,6 @@ use store::checkpoint::{CheckpointStore, Name};
 use store::jsonl;
 use store::lock::RunLock;
 
-use crate::train::RUNS;
 use crate::values::duration;
 
 const STATUS_EXAMPLES: &str = "\

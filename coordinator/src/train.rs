@@ -1,36 +1,28 @@
 //! `octopus train`: from a command line to an evaluated policy.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
 
-use anyhow::Context as _;
 use channels::Domain;
 use clap::Args;
-use lab::evaluation::{self, Summary};
-use output::grouped;
 use proto::config::{AlgorithmName, Config, Layers, Preset, TaskName};
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use run::preflight::{self, Remedy};
-use run::report::divergence::{CURE, Divergence};
-use run::report::{Diverged, Reporter};
-use run::session::{self, Outcome, SessionSpec, StoppedBy};
-use run::signals::StopRequests;
+use run::start::directory::{RUNS, check_vacant, claim, create, default_name, record};
+use run::start::service::RunService;
+use run::start::session::{Ended, Start, run_session};
 use run::supervisor::Programs;
 use run::{errors, precision};
-use serde_json::json;
-use service::http::{OwnToken, Service, ServiceSpec, TOKEN_FILE, Token};
-use service::live::LiveRun;
+use service::http::Token;
 use simulator::env::step_options;
-use simulator::evaluate::EvaluationOptions;
 use simulator::robot::Robot;
-use store::checkpoint::{Checkpoint, CheckpointStore};
 use store::lock::RunLock;
-use store::provenance::{self, Provenance};
+use store::provenance::Provenance;
 use store::{files, outputs, regular};
 
+use crate::conclusion::conclude;
 use crate::names::Named;
-use crate::training_options::{Ending, HttpArgs, Limits, Listen};
+use crate::training_options::{Ending, HttpArgs, Limits};
 use crate::values::{assignment, whole, workers};
 
 const TRAIN_EXAMPLES: &str = "\
@@ -108,12 +100,9 @@ pub struct TrainArgs {
     pub parent: Option<i32>,
 }
 
-/// Where runs land without `--run-dir`.
-pub(super) const RUNS: &str = "runs";
-
 /// Trains, evaluates and says where everything is.
 pub fn run(args: &TrainArgs) -> anyhow::Result<()> {
-    if args.dry_run { show(args) } else { train(args)?.conclude(args.ending) }
+    if args.dry_run { show(args) } else { conclude(&train(args)?, args.ending) }
 }
 
 /// What would be trained, if it can be.
@@ -156,7 +145,7 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
         process::child::die_with_parent(args.parent)?;
     }
     let Plan { config, robot, programs } = plan(args)?;
-    let (run_dir, counter) = open(args, &config)?;
+    let (run_dir, service) = open(args, &config)?;
 
     create(&run_dir)?;
     let domain = Domain::fresh();
@@ -166,7 +155,7 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     record(&run_dir, &provenance, &[])?;
     let (resume, dir) = (None, run_dir.clone());
-    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, counter };
+    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, service };
     run_session(start, lock, args.ending.quiet)
         .map_err(|error| errors::name_what_goes_on(error, &dir))
 }
@@ -178,16 +167,16 @@ pub(crate) const REMEDY: Remedy = Remedy {
     flags: &["--workers", "--envs"],
 };
 
-/// The run directory and the counter that belongs to it. A directory of our own choice is made here, so
-/// that no other run chooses it, and is gone again if there is no counter.
-fn open(args: &TrainArgs, config: &Config) -> anyhow::Result<(RunDir, Counter)> {
+/// The run directory and the service that belongs to it. A directory of our own choice is made here, so
+/// that no other run chooses it, and is gone again if there is no service.
+fn open(args: &TrainArgs, config: &Config) -> anyhow::Result<(RunDir, RunService)> {
     let chosen = args.run_dir.is_none();
     let run_dir = match &args.run_dir {
         Some(path) => RunDir::new(path),
         None => claim(Path::new(RUNS), &default_name(config))?,
     };
-    match Counter::open(&args.http, &run_dir) {
-        Ok(counter) => Ok((run_dir, counter)),
+    match args.http.open(&run_dir) {
+        Ok(service) => Ok((run_dir, service)),
         Err(error) => {
             if chosen {
                 // The error above is the one to report; an empty directory is no harm.
@@ -196,235 +185,6 @@ fn open(args: &TrainArgs, config: &Config) -> anyhow::Result<(RunDir, Counter)> 
             Err(error)
         }
     }
-}
-
-/// What a session starts from, of a new run or of an old one.
-pub(super) struct Start {
-    pub(super) run_dir: RunDir,
-    pub(super) config: Config,
-    pub(super) robot: Robot,
-    pub(super) resume: Option<Checkpoint>,
-    pub(super) programs: Programs,
-    pub(super) domain: Domain,
-    pub(super) provenance: Provenance,
-    pub(super) counter: Counter,
-}
-
-/// Where others see the run and ask it for something: its HTTP service, if it is to have one.
-///
-/// Opened before a run writes any file, so that an address or a token that is wrong leaves nothing.
-pub(super) struct Counter {
-    live: LiveRun,
-    desk: Option<Desk>,
-}
-
-/// A service, and the token of its own.
-struct Desk {
-    service: Service,
-    token: OwnToken,
-}
-
-impl Counter {
-    /// Begins to listen.
-    pub(super) fn open(args: &HttpArgs, run_dir: &RunDir) -> anyhow::Result<Self> {
-        let live = LiveRun::new();
-        let Listen::At(address) = args.listen else { return Ok(Self { live, desk: None }) };
-        let token = Token::find(args.token_file.as_deref())?;
-        let own = OwnToken::prepare(run_dir.path().join(TOKEN_FILE))?;
-        let store = CheckpointStore::new(run_dir.checkpoints());
-        let spec = ServiceSpec::new(store, own.token());
-        let spec = ServiceSpec { address, token, live: Some(live.clone()), ..spec };
-        Ok(Self { live, desk: Some(Desk { service: Service::start(spec)?, token: own }) })
-    }
-}
-
-/// A session that has ended.
-pub(super) struct Ended {
-    run_dir: RunDir,
-    outcome: Outcome,
-    stop: StopRequests,
-}
-
-/// Runs a session to its end.
-pub(super) fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Result<Ended> {
-    let Start { run_dir, config, robot, resume, programs, domain, provenance, counter } = start;
-    let stop = StopRequests::new();
-    stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
-    let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
-    let mut reporter = Reporter::create(&run_dir, &config, resume_from, quiet)?;
-    if !quiet {
-        reporter.note(&introduction(&config, &run_dir, resume_from));
-    }
-    if let Some(note) = idle_workers(&config) {
-        reporter.note(&note);
-    }
-    let Counter { live, mut desk } = counter;
-    if let Some(Desk { service, token }) = &mut desk {
-        // Whoever reads the address finds the token.
-        token.keep()?;
-        lock.announce(&service.address().to_string())
-            .with_context(|| format!("{}: cannot be written", run_dir.lock().display()))?;
-    }
-    let spec = SessionSpec {
-        run_dir: run_dir.clone(),
-        config,
-        robot,
-        resume,
-        programs,
-        provenance: serde_json::to_value(provenance).context("provenance has no JSON form")?,
-        domain,
-        stop: stop.clone(),
-        until: None,
-        live,
-    };
-    let result = session::run(&spec, &mut reporter);
-    if let Some(Desk { service, .. }) = desk {
-        service.stop();
-    }
-    // Also after a failure: what was measured until then is worth keeping.
-    let finished = reporter.finish();
-    let outcome = result?;
-    finished?;
-    Ok(Ended { run_dir, outcome, stop })
-}
-
-/// What a second request to stop says if something in this process does not end.
-pub(super) const ABANDONED: &str = "stopped at once; what was being written is abandoned; `octopus resume` goes on from the last \
-     checkpoint, if there is one";
-
-fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
-    let task = config.task.name.as_str();
-    let planned = config.planned_iterations();
-    let what = match resume_from {
-        Some(iteration) => format!("{task}: iterations {iteration} to {planned}"),
-        None => format!("{task}: {}", output::counted(planned, "iteration")),
-    };
-    let workers = config.run.workers;
-    format!(
-        "{what} of {} env-steps, {workers} worker{}, in {}",
-        grouped(config.steps_per_iteration()),
-        if workers == 1 { "" } else { "s" },
-        run_dir.path().display()
-    )
-}
-
-impl Ended {
-    /// Of a run that was at its end already, with its last checkpoint.
-    pub(super) fn before(run_dir: RunDir, last: &Checkpoint) -> Self {
-        let outcome = Outcome {
-            iterations: last.manifest.iteration,
-            env_steps: last.manifest.env_steps,
-            stopped_by: StoppedBy::Budget,
-            checkpoint: last.dir.clone(),
-        };
-        Self { run_dir, outcome, stop: StopRequests::new() }
-    }
-
-    /// Whether anybody asked it to stop, also where it was about to end anyway.
-    pub(super) fn was_interrupted(&self) -> bool {
-        self.stop.count() > 0
-    }
-
-    /// The evaluation of its last checkpoint that lies in the run directory, if there is one.
-    pub(super) fn recorded_evaluation(&self) -> Option<Summary> {
-        let bytes = regular::read(&evaluation_path(&self.run_dir), regular::RECORD).ok()?;
-        let summary: Summary = serde_json::from_slice(&bytes).ok()?;
-        (summary.iteration == self.outcome.iterations).then_some(summary)
-    }
-
-    /// The learning curve, if it was drawn.
-    fn curve(&self) -> Option<PathBuf> {
-        Some(self.run_dir.curve()).filter(|curve| curve.is_file())
-    }
-
-    /// Where the training has diverged, unless it has recovered.
-    fn divergence(&self) -> anyhow::Result<Option<Diverged>> {
-        Ok(Divergence::recorded(&self.run_dir)?.found().cloned())
-    }
-
-    /// How it ended, in a word or two.
-    fn stopped_by(&self) -> &'static str {
-        match self.outcome.stopped_by {
-            StoppedBy::Budget => "budget",
-            StoppedBy::TimeLimit => "time limit",
-            StoppedBy::Signal => "signal",
-        }
-    }
-
-    /// Prints the result as JSON.
-    pub(super) fn print_json(&self, evaluation: Option<&Summary>) -> anyhow::Result<()> {
-        output::json(&json!({
-            "run_dir": self.run_dir.path(),
-            "iterations": self.outcome.iterations,
-            "env_steps": self.outcome.env_steps,
-            "stopped_by": self.stopped_by(),
-            "checkpoint": self.outcome.checkpoint,
-            "curve": self.curve(),
-            "divergence": self.divergence()?,
-            "evaluation": evaluation,
-        }))
-    }
-
-    /// Evaluates the final policy and prints what a person wants to know next.
-    pub(super) fn conclude(self, ending: Ending) -> anyhow::Result<()> {
-        let Self { run_dir, outcome, stop } = &self;
-        let evaluation = if ending.no_eval || outcome.stopped_by == StoppedBy::Signal {
-            None
-        } else {
-            let checkpoint =
-                CheckpointStore::new(run_dir.checkpoints()).load(&outcome.checkpoint)?;
-            let summary = evaluate(checkpoint, stop)?;
-            let text =
-                serde_json::to_vec_pretty(&summary).context("the evaluation has no JSON form")?;
-            files::replace(&evaluation_path(run_dir), &text)?;
-            Some(summary)
-        };
-        if ending.json {
-            return self.print_json(evaluation.as_ref());
-        }
-        output::line(&format!(
-            "{}, {} env-steps, ended by the {}",
-            output::counted(outcome.iterations, "iteration"),
-            grouped(outcome.env_steps),
-            self.stopped_by()
-        ))?;
-        if let Some(diverged) = self.divergence()? {
-            output::line(&format!("warning: {diverged}; {CURE}"))?;
-        }
-        if let Some(evaluation) = &evaluation {
-            output::line(&format!("\n{}\n", evaluation.table(output::columns(), ending.agents)))?;
-            output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
-        }
-        if let Some(curve) = self.curve() {
-            output::line(&format!("curve       {}", curve.display()))?;
-        }
-        output::line(&format!("checkpoint  {}", outcome.checkpoint.display()))?;
-        if outcome.stopped_by != StoppedBy::Budget {
-            output::line(&format!("go on with  octopus resume {}", run_dir.path().display()))?;
-        }
-        Ok(())
-    }
-}
-
-/// Evaluates with the default options; Ctrl-C, which is only counted until here, ends it.
-fn evaluate(checkpoint: Checkpoint, stop: &StopRequests) -> anyhow::Result<Summary> {
-    let asked = stop.count();
-    let dir = checkpoint.dir.clone();
-    let evaluation =
-        std::thread::spawn(move || evaluation::evaluate(checkpoint, &EvaluationOptions::default()));
-    while !evaluation.is_finished() {
-        if stop.count() > asked {
-            let message =
-                format!("evaluation stopped; `octopus eval {}` repeats it", dir.display());
-            return Err(ExitError::new(ExitCode::Interrupted, message).into());
-        }
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    evaluation.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-}
-
-fn evaluation_path(run_dir: &RunDir) -> PathBuf {
-    run_dir.path().join("evaluation.json")
 }
 
 /// The configuration that the command line asks for. An error about a key that a flag has set
@@ -530,106 +290,12 @@ fn sets(args: &TrainArgs, key: &str) -> bool {
     args.sets.iter().any(|set| set.split('=').next().is_some_and(|name| name.trim() == key))
 }
 
-/// Says so if there are more workers than an iteration has shards.
-fn idle_workers(config: &Config) -> Option<String> {
-    let (workers, shards) = (config.run.workers, config.env.n_shards);
-    (workers > shards).then(|| {
-        format!(
-            "note: an iteration has {}, so that {} of the {workers} workers will be idle; \
-             --envs N --set env.n_shards={workers} makes work for all, and another training",
-            output::counted(shards as u64, "shard"),
-            workers - shards
-        )
-    })
-}
-
 /// Refuses a token file that is none, also where no service would ask for the token.
 pub(super) fn check_token_file(args: &HttpArgs) -> Result<(), ExitError> {
     match &args.token_file {
         Some(path) => Token::find(Some(path)).map(drop),
         None => Ok(()),
     }
-}
-
-/// Refuses a run directory with anything in it.
-fn check_vacant(path: &Path) -> Result<(), ExitError> {
-    let shown = path.display();
-    let refuse = |message: String| Err(ExitError::new(ExitCode::RunDirectory, message));
-    match std::fs::read_dir(path).map(|mut entries| entries.next().is_none()) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        Err(error) => {
-            refuse(format!("{shown}: cannot be a run directory: {error}; choose another --run-dir"))
-        }
-        Ok(true) => Ok(()),
-        Ok(false) if RunDir::new(path).config().is_file() => refuse(format!(
-            "{shown}: holds a run already; go on with it by `octopus resume {shown}`, or choose \
-             another --run-dir"
-        )),
-        Ok(false) => refuse(format!("{shown}: is not empty; choose another --run-dir")),
-    }
-}
-
-/// Makes the directory and its folders.
-fn create(run_dir: &RunDir) -> Result<(), ExitError> {
-    for path in [run_dir.path().to_owned(), run_dir.logs(), run_dir.checkpoints()] {
-        std::fs::create_dir_all(&path).map_err(|error| {
-            ExitError::new(
-                ExitCode::RunDirectory,
-                format!("{}: cannot be created: {error}; choose another --run-dir", path.display()),
-            )
-        })?;
-    }
-    Ok(())
-}
-
-/// `<task>-<UTC time>`.
-fn default_name(config: &Config) -> String {
-    let time = provenance::utc(SystemTime::now()).compact();
-    format!("{}-{time}", config.task.name.as_str())
-}
-
-/// Makes the directory `name` in `parent`, with a number if another run has that name: making it is what
-/// tells who was first, of runs that start in the same second.
-fn claim(parent: &Path, name: &str) -> Result<RunDir, ExitError> {
-    let fail = |path: &Path, error: std::io::Error| {
-        let shown = path.display();
-        let message =
-            format!("{shown}: cannot be created: {error}; choose another place by --run-dir");
-        ExitError::new(ExitCode::RunDirectory, message)
-    };
-    std::fs::create_dir_all(parent).map_err(|error| fail(parent, error))?;
-    let mut path = parent.join(name);
-    let mut n = 1;
-    loop {
-        match std::fs::create_dir(&path) {
-            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
-                n += 1;
-                path = parent.join(format!("{name}-{n}"));
-            }
-            made => return made.map(|()| RunDir::new(&path)).map_err(|error| fail(&path, error)),
-        }
-    }
-}
-
-/// Adds a session to `provenance.json`.
-pub(super) fn record(
-    run_dir: &RunDir,
-    provenance: &Provenance,
-    overrides: &[String],
-) -> anyhow::Result<()> {
-    let path = run_dir.provenance();
-    let mut sessions: Vec<serde_json::Value> = regular::read(&path, regular::RECORD)
-        .ok()
-        .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
-        .and_then(|document| document["sessions"].as_array().cloned())
-        .unwrap_or_default();
-    let mut session = serde_json::to_value(provenance).context("provenance has no JSON form")?;
-    session["overrides"] = json!(overrides);
-    sessions.push(session);
-    let text = serde_json::to_vec_pretty(&json!({ "sessions": sessions }))
-        .context("provenance has no JSON form")?;
-    files::replace(&path, &text)?;
-    Ok(())
 }
 
 #[cfg(test)]
@@ -670,28 +336,6 @@ mod tests {
         }
         let error = parse("octopus train --envs 10 --set env.n_shards=3").expect_err("impossible");
         assert!(error.to_string().contains("env.n_shards"), "{error}");
-    }
-
-    #[test]
-    fn more_workers_than_shards_are_said_to_be_idle() {
-        let five = parse("octopus train --workers 5 --set env.n_shards=4").expect("valid");
-        let note = idle_workers(&five).expect("one is idle");
-        assert!(note.contains("4 shards, so that 1 of the 5 workers"), "{note}");
-        let four = parse("octopus train --workers 4 --set env.n_shards=4").expect("valid");
-        assert_eq!(idle_workers(&four), None);
-    }
-
-    #[test]
-    fn runs_that_start_in_the_same_second_get_directories_of_their_own() {
-        let dir = tempfile::tempdir().expect("tempdir");
-        let parent = dir.path().join("runs");
-        let names: std::collections::BTreeSet<_> = std::thread::scope(|scope| {
-            let starts: Vec<_> = (0..8).map(|_| scope.spawn(|| claim(&parent, "x"))).collect();
-            let claimed = starts.into_iter().map(|start| start.join().expect("no panic"));
-            claimed.map(|run_dir| run_dir.expect("writable").path().to_owned()).collect()
-        });
-        let expected = ["x", "x-2", "x-3", "x-4", "x-5", "x-6", "x-7", "x-8"];
-        assert_eq!(names, expected.map(|name| parent.join(name)).into());
     }
 
     #[test]

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
+use proto::run_dir::RunDir;
+use run::start::service::RunService;
 
 use crate::values::{duration, listen, positive};
 
@@ -61,4 +63,15 @@ pub struct Ending {
     /// Print the result as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+impl HttpArgs {
+    /// Opens the service that they ask for.
+    pub(crate) fn open(&self, run_dir: &RunDir) -> anyhow::Result<RunService> {
+        let address = match self.listen {
+            Listen::Off => None,
+            Listen::At(address) => Some(address),
+        };
+        RunService::open(address, self.token_file.as_deref(), run_dir)
+    }
 }

@@ -1,6 +1,7 @@
 //! A training run, from its checks to its last checkpoint.
 //!
 //! * [`session`]: the loop of a run; read it first;
+//! * [`start`]: its directory, its HTTP service, and the session from its first word to its last;
 //! * [`scheduler`], [`supervisor`]: who rolls out what; processes;
 //! * [`base`]: which checkpoint a run goes on from;
 //! * [`committer`], [`selection`]: the thread that writes checkpoints; which one is the best;
@@ -25,4 +26,5 @@ pub mod session;
 pub mod shakedown;
 pub mod shield;
 pub mod signals;
+pub mod start;
 pub mod supervisor;

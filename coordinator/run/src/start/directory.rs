@@ -1,0 +1,114 @@
+//! Where a run lands, and that no two take the same place.
+
+use std::path::Path;
+use std::time::SystemTime;
+
+use anyhow::Context as _;
+use proto::config::Config;
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use serde_json::json;
+use store::provenance::{self, Provenance};
+use store::{files, regular};
+
+/// Where runs land without `--run-dir`.
+pub const RUNS: &str = "runs";
+
+/// Refuses a run directory with anything in it.
+pub fn check_vacant(path: &Path) -> Result<(), ExitError> {
+    let shown = path.display();
+    let refuse = |message: String| Err(ExitError::new(ExitCode::RunDirectory, message));
+    match std::fs::read_dir(path).map(|mut entries| entries.next().is_none()) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(error) => {
+            refuse(format!("{shown}: cannot be a run directory: {error}; choose another --run-dir"))
+        }
+        Ok(true) => Ok(()),
+        Ok(false) if RunDir::new(path).config().is_file() => refuse(format!(
+            "{shown}: holds a run already; go on with it by `octopus resume {shown}`, or choose \
+             another --run-dir"
+        )),
+        Ok(false) => refuse(format!("{shown}: is not empty; choose another --run-dir")),
+    }
+}
+
+/// Makes the directory and its folders.
+pub fn create(run_dir: &RunDir) -> Result<(), ExitError> {
+    for path in [run_dir.path().to_owned(), run_dir.logs(), run_dir.checkpoints()] {
+        std::fs::create_dir_all(&path).map_err(|error| {
+            ExitError::new(
+                ExitCode::RunDirectory,
+                format!("{}: cannot be created: {error}; choose another --run-dir", path.display()),
+            )
+        })?;
+    }
+    Ok(())
+}
+
+/// `<task>-<UTC time>`.
+pub fn default_name(config: &Config) -> String {
+    let time = provenance::utc(SystemTime::now()).compact();
+    format!("{}-{time}", config.task.name.as_str())
+}
+
+/// Makes the directory `name` in `parent`, with a number if another run has that name: making it is what
+/// tells who was first, of runs that start in the same second.
+pub fn claim(parent: &Path, name: &str) -> Result<RunDir, ExitError> {
+    let fail = |path: &Path, error: std::io::Error| {
+        let shown = path.display();
+        let message =
+            format!("{shown}: cannot be created: {error}; choose another place by --run-dir");
+        ExitError::new(ExitCode::RunDirectory, message)
+    };
+    std::fs::create_dir_all(parent).map_err(|error| fail(parent, error))?;
+    let mut path = parent.join(name);
+    let mut n = 1;
+    loop {
+        match std::fs::create_dir(&path) {
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
+                n += 1;
+                path = parent.join(format!("{name}-{n}"));
+            }
+            made => return made.map(|()| RunDir::new(&path)).map_err(|error| fail(&path, error)),
+        }
+    }
+}
+
+/// Adds a session to `provenance.json`.
+pub fn record(
+    run_dir: &RunDir,
+    provenance: &Provenance,
+    overrides: &[String],
+) -> anyhow::Result<()> {
+    let path = run_dir.provenance();
+    let mut sessions: Vec<serde_json::Value> = regular::read(&path, regular::RECORD)
+        .ok()
+        .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
+        .and_then(|document| document["sessions"].as_array().cloned())
+        .unwrap_or_default();
+    let mut session = serde_json::to_value(provenance).context("provenance has no JSON form")?;
+    session["overrides"] = json!(overrides);
+    sessions.push(session);
+    let text = serde_json::to_vec_pretty(&json!({ "sessions": sessions }))
+        .context("provenance has no JSON form")?;
+    files::replace(&path, &text)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_that_start_in_the_same_second_get_directories_of_their_own() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let parent = dir.path().join("runs");
+        let names: std::collections::BTreeSet<_> = std::thread::scope(|scope| {
+            let starts: Vec<_> = (0..8).map(|_| scope.spawn(|| claim(&parent, "x"))).collect();
+            let claimed = starts.into_iter().map(|start| start.join().expect("no panic"));
+            claimed.map(|run_dir| run_dir.expect("writable").path().to_owned()).collect()
+        });
+        let expected = ["x", "x-2", "x-3", "x-4", "x-5", "x-6", "x-7", "x-8"];
+        assert_eq!(names, expected.map(|name| parent.join(name)).into());
+    }
+}

@@ -1,0 +1,163 @@
+//! A session of a run, from its first word to its last.
+
+use anyhow::Context as _;
+use channels::Domain;
+use output::grouped;
+use proto::config::Config;
+use proto::run_dir::RunDir;
+use simulator::robot::Robot;
+use store::checkpoint::Checkpoint;
+use store::lock::RunLock;
+use store::provenance::Provenance;
+
+use super::service::{Listening, RunService};
+use crate::report::Reporter;
+use crate::session::{self, Outcome, SessionSpec, StoppedBy};
+use crate::signals::StopRequests;
+use crate::supervisor::Programs;
+
+/// What a session starts from, of a new run or of an old one.
+#[derive(Debug)]
+pub struct Start {
+    /// Where results land; it exists, and is locked.
+    pub run_dir: RunDir,
+    /// The resolved configuration.
+    pub config: Config,
+    /// The robot.
+    pub robot: Robot,
+    /// Where to go on from.
+    pub resume: Option<Checkpoint>,
+    /// The children's programs.
+    pub programs: Programs,
+    /// The name of the run's shared memory.
+    pub domain: Domain,
+    /// Which program and machine this is.
+    pub provenance: Provenance,
+    /// The run's HTTP service.
+    pub service: RunService,
+}
+
+/// A session that has ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// Its directory.
+    pub run_dir: RunDir,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Who asked it to stop.
+    pub stop: StopRequests,
+}
+
+/// Runs a session to its end.
+pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Result<Ended> {
+    let Start { run_dir, config, robot, resume, programs, domain, provenance, service } = start;
+    let stop = StopRequests::new();
+    stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
+    let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
+    let mut reporter = Reporter::create(&run_dir, &config, resume_from, quiet)?;
+    if !quiet {
+        reporter.note(&introduction(&config, &run_dir, resume_from));
+    }
+    if let Some(note) = idle_workers(&config) {
+        reporter.note(&note);
+    }
+    let RunService { live, mut listening } = service;
+    if let Some(Listening { service, token }) = &mut listening {
+        // Whoever reads the address finds the token.
+        token.keep()?;
+        lock.announce(&service.address().to_string())
+            .with_context(|| format!("{}: cannot be written", run_dir.lock().display()))?;
+    }
+    let spec = SessionSpec {
+        run_dir: run_dir.clone(),
+        config,
+        robot,
+        resume,
+        programs,
+        provenance: serde_json::to_value(provenance).context("provenance has no JSON form")?,
+        domain,
+        stop: stop.clone(),
+        until: None,
+        live,
+    };
+    let result = session::run(&spec, &mut reporter);
+    if let Some(Listening { service, .. }) = listening {
+        service.stop();
+    }
+    // Also after a failure: what was measured until then is worth keeping.
+    let finished = reporter.finish();
+    let outcome = result?;
+    finished?;
+    Ok(Ended { run_dir, outcome, stop })
+}
+
+/// What a second request to stop says if something in this process does not end.
+pub const ABANDONED: &str = "stopped at once; what was being written is abandoned; `octopus resume` goes on from the last \
+     checkpoint, if there is one";
+
+fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> String {
+    let task = config.task.name.as_str();
+    let planned = config.planned_iterations();
+    let what = match resume_from {
+        Some(iteration) => format!("{task}: iterations {iteration} to {planned}"),
+        None => format!("{task}: {}", output::counted(planned, "iteration")),
+    };
+    let workers = config.run.workers;
+    format!(
+        "{what} of {} env-steps, {workers} worker{}, in {}",
+        grouped(config.steps_per_iteration()),
+        if workers == 1 { "" } else { "s" },
+        run_dir.path().display()
+    )
+}
+
+impl Ended {
+    /// Of a run that was at its end already, with its last checkpoint.
+    pub fn before(run_dir: RunDir, last: &Checkpoint) -> Self {
+        let outcome = Outcome {
+            iterations: last.manifest.iteration,
+            env_steps: last.manifest.env_steps,
+            stopped_by: StoppedBy::Budget,
+            checkpoint: last.dir.clone(),
+        };
+        Self { run_dir, outcome, stop: StopRequests::new() }
+    }
+
+    /// Whether anybody asked it to stop, also where it was about to end anyway.
+    pub fn was_interrupted(&self) -> bool {
+        self.stop.count() > 0
+    }
+}
+
+/// Says so if there are more workers than an iteration has shards.
+fn idle_workers(config: &Config) -> Option<String> {
+    let (workers, shards) = (config.run.workers, config.env.n_shards);
+    (workers > shards).then(|| {
+        format!(
+            "note: an iteration has {}, so that {} of the {workers} workers will be idle; \
+             --envs N --set env.n_shards={workers} makes work for all, and another training",
+            output::counted(shards as u64, "shard"),
+            workers - shards
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+
+    use super::*;
+
+    #[test]
+    fn more_workers_than_shards_are_said_to_be_idle() {
+        let note = |workers: &str| {
+            let sets = [workers, "env.n_shards=4"];
+            let layers =
+                sets.iter().try_fold(Layers::new(Preset::Tuned, None), |l, set| l.set(set));
+            idle_workers(&layers.and_then(|layers| layers.resolve()).expect("valid"))
+        };
+        let five = note("run.workers=5").expect("one is idle");
+        assert!(five.contains("4 shards, so that 1 of the 5 workers"), "{five}");
+        assert_eq!(note("run.workers=4"), None);
+    }
+}
