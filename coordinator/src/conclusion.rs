@@ -16,13 +16,14 @@ use run::start::session::Ended;
 use serde_json::json;
 use simulator::evaluate::EvaluationOptions;
 use store::checkpoint::{Checkpoint, CheckpointStore};
-use store::{files, regular};
+use store::{files, regular_files};
 
 use crate::training_options::Ending;
 
 /// The evaluation of its last checkpoint that lies in the run directory, if there is one.
 pub(crate) fn recorded_evaluation(ended: &Ended) -> Option<Summary> {
-    let bytes = regular::read(&evaluation_path(&ended.run_dir), regular::RECORD).ok()?;
+    let bytes =
+        regular_files::read(&evaluation_path(&ended.run_dir), regular_files::RECORD).ok()?;
     let summary: Summary = serde_json::from_slice(&bytes).ok()?;
     (summary.iteration == ended.outcome.iterations).then_some(summary)
 }

@@ -13,7 +13,7 @@ use run::report::promised::Promised;
 use run::start::directory::record;
 use run::start::session::{Ended, Start, run_session};
 use run::supervisor::Programs;
-use run::{base, errors, precision, report};
+use run::{errors, precision, report, resume_point};
 use store::budgets::{self, Budgets};
 use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST, Name};
 use store::files;
@@ -219,7 +219,7 @@ fn find_start(
     let recorded = Recorded::read(run_dir)?;
     let mut promised = Promised::read(run_dir)?;
     promised.agree(&recorded)?;
-    let search = base::find(&store, run_dir, &BTreeMap::new())?;
+    let search = resume_point::find(&store, run_dir, &BTreeMap::new())?;
     // What the metrics have lost is known all the same, if it is the run's.
     let mut unreached =
         search.passed_over.iter().filter(|passed| passed.unreached && !passed.imported);

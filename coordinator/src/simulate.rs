@@ -9,7 +9,7 @@ use simulator::robot::Robot;
 use simulator::simulate::{self, Precision, SimulationRow};
 use simulator::step::{Integrator, StepOptions};
 use store::outputs::Output;
-use store::{files, regular};
+use store::{files, regular_files};
 
 use crate::names::Named;
 use crate::values::{Switch, seconds};
@@ -132,9 +132,9 @@ fn read_actions(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError> {
         if path == Path::new("-") { "standard input".into() } else { path.to_string_lossy() };
     let bad = |what: String| ExitError::new(ExitCode::BadInput, format!("{shown}: {what}"));
     let read = if path == Path::new("-") {
-        regular::drain(std::io::stdin().lock(), MAX_ACTIONS)
+        regular_files::drain(std::io::stdin().lock(), MAX_ACTIONS)
     } else {
-        regular::read(path, MAX_ACTIONS)
+        regular_files::read(path, MAX_ACTIONS)
     };
     let bytes = read.map_err(|error| bad(format!("cannot be read: {error}")))?;
     let mut reader = csv::ReaderBuilder::new()

@@ -18,7 +18,7 @@ use simulator::env::step_options;
 use simulator::robot::Robot;
 use store::lock::RunLock;
 use store::provenance::Provenance;
-use store::{files, outputs, regular};
+use store::{files, outputs, regular_files};
 
 use crate::conclusion::conclude;
 use crate::names::Named;
@@ -250,7 +250,7 @@ fn flags(args: &TrainArgs) -> Vec<Flag> {
 fn resolve(args: &TrainArgs) -> Result<Config, ConfigError> {
     let mut layers = Layers::new(args.preset.0, args.task.map(|task| task.0));
     if let Some(path) = &args.config {
-        let text = regular::read_text(path, regular::TEXT)
+        let text = regular_files::read_text(path, regular_files::TEXT)
             .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
         layers = layers.text(&text, &path.display().to_string())?;
     }

@@ -11,7 +11,7 @@
 //! * Forward and backward passes ([`mlp`]), losses ([`loss`]) and Adam ([`adam`]) are written by
 //!   hand, into buffers that live across updates; nothing is recorded for differentiation. Tests
 //!   compare them with libtorch's own differentiation and with an implementation in JAX and Optax.
-//! * Blocks are viewed where workers wrote them ([`ingest`]); the first operation on them is already a
+//! * Blocks are viewed where workers wrote them ([`inbox`]); the first operation on them is already a
 //!   computation.
 //! * What `octopus bench` measures of the learner is measured here ([`mod@bench`]).
 //! * Nothing depends on arrival order, on the clock, or on a generator with a state. The same
@@ -47,11 +47,10 @@ mod actors;
 pub mod adam;
 mod algorithm;
 pub mod bench;
-mod descent;
 mod error;
 mod features;
 pub mod gae;
-pub mod ingest;
+pub mod inbox;
 pub mod input_norm;
 mod layer_norm;
 pub mod learner;
@@ -62,6 +61,7 @@ mod memory;
 pub mod mlp;
 pub mod network;
 mod number;
+mod optimizer_step;
 pub mod precision;
 pub mod report;
 pub mod state;

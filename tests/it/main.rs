@@ -16,7 +16,7 @@ mod golden;
 mod guide;
 mod http;
 mod mujoco;
-mod others;
+mod other_users;
 mod precision;
 mod reproduce;
 mod run_directory;

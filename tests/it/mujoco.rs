@@ -11,7 +11,7 @@ use std::process::Command;
 use proto::statistics::{mean, percentile};
 use serde_json::{Value, json};
 use simulator::collision::count_contacts;
-use simulator::dynamics::twin::inertia_matrix;
+use simulator::dynamics::reference_dynamics::inertia_matrix;
 use simulator::dynamics::{Hand, forward_dynamics, hands};
 use simulator::model::Model;
 use simulator::robot::{MjcfOptions, Robot, mjcf::mjcf};

@@ -13,7 +13,7 @@ use store::checkpoint::{
 
 /// What the thread is told to do, one after the other.
 #[derive(Debug)]
-enum Job {
+enum CommitRequest {
     Commit(Waiting),
     Score(u64, Score),
     /// Nothing; the answer says that everything before is done.
@@ -82,7 +82,7 @@ pub enum Committed {
 /// with a score: a disk that is slower than the training costs checkpoints, not memory.
 #[derive(Debug)]
 pub struct Committer {
-    jobs: Option<Sender<Job>>,
+    jobs: Option<Sender<CommitRequest>>,
     /// What the thread has done; nothing once it has dealt with a snapshot.
     inbox: Receiver<Option<Committed>>,
     thread: Option<JoinHandle<()>>,
@@ -110,7 +110,7 @@ impl Committer {
                 Writer { milestone_at: None, store, config, robot_toml, provenance, outbox };
             for job in orders {
                 match job {
-                    Job::Commit(waiting) => {
+                    CommitRequest::Commit(waiting) => {
                         match record() {
                             Ok(()) => writer.commit(waiting),
                             Err(error) => {
@@ -121,8 +121,8 @@ impl Committer {
                         // Nobody listens only while the run is being given up.
                         let _ = writer.outbox.send(None);
                     }
-                    Job::Score(iteration, score) => writer.score(iteration, score),
-                    Job::Report(done) => {
+                    CommitRequest::Score(iteration, score) => writer.score(iteration, score),
+                    CommitRequest::Report(done) => {
                         // Whoever asked may have gone.
                         let _ = done.send(());
                     }
@@ -159,7 +159,7 @@ impl Committer {
     pub fn score(&mut self, iteration: u64, score: Score) {
         match &mut self.waiting {
             Some(waiting) if waiting.snapshot.iteration == iteration => waiting.score = Some(score),
-            _ => self.send(Job::Score(iteration, score)),
+            _ => self.send(CommitRequest::Score(iteration, score)),
         }
     }
 
@@ -178,7 +178,7 @@ impl Committer {
     pub fn settle(&mut self) {
         loop {
             let (done, wait) = channel();
-            self.send(Job::Report(done));
+            self.send(CommitRequest::Report(done));
             let reported = wait.recv();
             self.collect();
             if !self.is_busy() || reported.is_err() {
@@ -218,11 +218,11 @@ impl Committer {
         };
         if let Some(next) = first {
             self.writing = true;
-            self.send(Job::Commit(next));
+            self.send(CommitRequest::Commit(next));
         }
     }
 
-    fn send(&self, job: Job) {
+    fn send(&self, job: CommitRequest) {
         if let Some(jobs) = &self.jobs {
             // A thread that has panicked shows when it is joined.
             let _ = jobs.send(job);

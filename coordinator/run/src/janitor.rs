@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use channels::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::{environment, shield};
+use crate::{environment, signal_isolation};
 
 /// The coordinator's side.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ impl Janitor {
             // Ctrl-C on the terminal is not for the janitor.
             .process_group(0);
         // Nor is what ends all others.
-        let mut process = shield::spawn(&mut command)?;
+        let mut process = signal_isolation::spawn(&mut command)?;
         let pipe = process.stdin.take();
         Ok(Self { process, pipe })
     }

@@ -3,15 +3,14 @@
 //! * [`session`]: the loop of a run; read it first;
 //! * [`start`]: its directory, its HTTP service, and the session from its first word to its last;
 //! * [`scheduler`], [`supervisor`]: who rolls out what; processes;
-//! * [`base`]: which checkpoint a run goes on from;
+//! * [`resume_point`]: which checkpoint a run goes on from;
 //! * [`committer`], [`selection`]: the thread that writes checkpoints; which one is the best;
 //! * [`report`]: metrics, TensorBoard events, progress;
 //! * [`preflight`], [`precision`], [`shakedown`]: what is checked and decided before a run begins;
-//! * [`signals`], [`shield`], [`environment`], [`janitor`]: Ctrl-C once and twice; what children inherit;
+//! * [`signals`], [`signal_isolation`], [`environment`], [`janitor`]: Ctrl-C once and twice; what children inherit;
 //!   cleaning up after a kill;
 //! * [`robots`]: robots as commands name them; [`errors`]: words and exit codes of errors.
 
-pub mod base;
 pub mod committer;
 pub mod environment;
 pub mod errors;
@@ -19,12 +18,13 @@ pub mod janitor;
 pub mod precision;
 pub mod preflight;
 pub mod report;
+pub mod resume_point;
 pub mod robots;
 pub mod scheduler;
 pub mod selection;
 pub mod session;
 pub mod shakedown;
-pub mod shield;
+pub mod signal_isolation;
 pub mod signals;
 pub mod start;
 pub mod supervisor;

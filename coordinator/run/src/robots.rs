@@ -5,7 +5,7 @@ use std::path::Path;
 use proto::{ExitCode, ExitError};
 use simulator::robot::Robot;
 use simulator::step::StepOptions;
-use store::regular;
+use store::regular_files;
 
 use crate::shakedown::shakedown;
 
@@ -15,7 +15,7 @@ pub fn load_robot(name: &str) -> anyhow::Result<Robot> {
         return Ok(robot);
     }
     let path = Path::new(name);
-    let text = regular::read_text(path, regular::TEXT).map_err(|error| {
+    let text = regular_files::read_text(path, regular_files::TEXT).map_err(|error| {
         let builtin = Robot::builtin_names().collect::<Vec<_>>().join(", ");
         let message = format!(
             "robot {name}: {error}; give a TOML file, or one of the built-in robots: {builtin}"

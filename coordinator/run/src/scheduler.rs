@@ -45,7 +45,7 @@ struct Worker {
 
 /// What a worker that is no more has left undone.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Estate {
+pub struct UnfinishedWork {
     /// The block that it was busy with.
     pub at_hand: Option<ShardAddress>,
     /// All blocks that it had not delivered, that one included.
@@ -102,9 +102,9 @@ impl Scheduler {
     }
 
     /// A worker is no more; its orders are open again.
-    pub fn worker_gone(&mut self, worker: WorkerId) -> Estate {
-        let Some(gone) = self.workers.remove(&worker) else { return Estate::default() };
-        let mut estate = Estate::default();
+    pub fn worker_gone(&mut self, worker: WorkerId) -> UnfinishedWork {
+        let Some(gone) = self.workers.remove(&worker) else { return UnfinishedWork::default() };
+        let mut estate = UnfinishedWork::default();
         for (place, task) in gone.queue.into_iter().enumerate() {
             if let Task::Rollout(address) = task
                 && self.is_wanted(address)
@@ -253,7 +253,7 @@ impl Scheduler {
     }
 
     /// Nobody could be heard for so long: what is overdue by the clock is so only so much later.
-    pub fn forgive(&mut self, late: Duration) {
+    pub fn postpone_deadlines(&mut self, late: Duration) {
         for worker in self.workers.values_mut() {
             worker.since += late;
         }
@@ -405,7 +405,7 @@ mod tests {
         scheduler.worker_ready(0, 0, now);
         scheduler.assign(now);
         scheduler.block_received((0, 0), now);
-        let estate = Estate { at_hand: Some((0, 1)), undelivered: vec![(0, 1)] };
+        let estate = UnfinishedWork { at_hand: Some((0, 1)), undelivered: vec![(0, 1)] };
         assert_eq!(scheduler.worker_gone(0), estate);
         scheduler.worker_ready(0, 1, now);
         let orders = scheduler.assign(now);
@@ -432,7 +432,7 @@ mod tests {
         scheduler.worker_ready(0, 0, now);
         scheduler.assign(now);
         let stopped = Duration::from_secs(110);
-        scheduler.forgive(stopped);
+        scheduler.postpone_deadlines(stopped);
         assert_eq!(scheduler.repeat_overdue(now + stopped + SECOND, 2 * SECOND), []);
         assert_eq!(scheduler.repeat_overdue(now + stopped + 2 * SECOND, 2 * SECOND).len(), 1);
     }

@@ -11,15 +11,15 @@
 
 pub mod failures;
 
-mod attention;
-mod books;
+mod accounting;
 mod control;
+mod events;
 mod headroom;
-mod hearing;
 mod mail;
 mod monitor;
 mod recovery;
 mod snapshots;
+mod stall_allowance;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -35,15 +35,15 @@ use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use service::live::LiveRun;
 use simulator::robot::Robot;
-use store::checkpoint::{Checkpoint, CheckpointStore, Patience};
+use store::checkpoint::{Checkpoint, CheckpointStore, LockTimeout};
 
-use self::attention::{Attention, STANDSTILL};
-use self::books::Books;
+use self::accounting::StepAccounts;
 use self::failures::Failures;
-use self::headroom::Headroom;
-use self::mail::Mail;
+use self::headroom::ReservedMemory;
+use self::mail::OrderQueue;
 use self::monitor::Monitor;
 use self::snapshots::Snapshots;
+use self::stall_allowance::{LoopClock, STANDSTILL};
 use crate::report::Reporter;
 use crate::scheduler::Scheduler;
 use crate::signals::StopRequests;
@@ -88,7 +88,7 @@ pub enum StoppedBy {
 
 /// How a run ended.
 #[derive(Debug, Clone)]
-pub struct Outcome {
+pub struct RunResult {
     /// Iterations trained on, over all sessions of the run.
     pub iterations: u64,
     /// Env-steps trained on, over all sessions of the run.
@@ -110,7 +110,7 @@ const EXIT_DEADLINE: Duration = Duration::from_secs(5);
 
 /// Runs until the budget, the time limit, a signal or an error ends it. Whatever happens, no
 /// process and no shared memory is left when this returns.
-pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<Outcome, ExitError> {
+pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<RunResult, ExitError> {
     let dimensions = Dimensions::new(&spec.config, spec.robot.n_arms);
     let sizes = ChannelSizes::new(&spec.config, &dimensions);
     let mut supervisor = Supervisor::new(
@@ -140,16 +140,16 @@ struct Session<'a> {
     spec: &'a SessionSpec,
     store: CheckpointStore,
     channels: Channels,
-    headroom: Headroom,
+    headroom: ReservedMemory,
     bell: BellListener,
-    orders: Mail,
+    orders: OrderQueue,
     progress: MessageReceiver<Progress>,
     status: MessageReceiver<Status>,
     pieces: PieceReceiver,
-    attention: Attention,
+    attention: LoopClock,
     snapshots: Snapshots,
     failures: Failures,
-    books: Books,
+    books: StepAccounts,
     monitor: Monitor,
     /// Present while the learner is ready.
     scheduler: Option<Scheduler>,
@@ -190,16 +190,16 @@ impl<'a> Session<'a> {
         let channels = Channels::create(&spec.domain, sizes)?;
         let stop = spec.stop.clone();
         let store = CheckpointStore::new(spec.run_dir.checkpoints())
-            .with_patience(Patience::new(LOCK_TIME).unless(move || stop.count() > 1));
+            .with_patience(LockTimeout::new(LOCK_TIME).unless(move || stop.count() > 1));
         let best = store.best().ok().flatten();
         let mut monitor = Monitor::new();
         monitor.best = best
             .and_then(|entry| Some((entry.name.to_string(), entry.labels.score.as_ref()?.value)));
         let now = Instant::now();
         let mut session = Self {
-            headroom: Headroom::take(&spec.domain),
+            headroom: ReservedMemory::take(&spec.domain),
             bell: channels.listener(Role::Coordinator)?,
-            orders: Mail::new(channels.order_sender()?),
+            orders: OrderQueue::new(channels.order_sender()?),
             progress: channels.progress_receiver()?,
             status: channels.status_receiver()?,
             pieces: channels.snapshot_receiver()?,
@@ -213,9 +213,9 @@ impl<'a> Session<'a> {
                     move || durability.wait()
                 },
             ),
-            attention: Attention::new(now),
+            attention: LoopClock::new(now),
             failures: Failures::new(&spec.run_dir, config, dimensions, channels.policy_receiver()?),
-            books: Books::default(),
+            books: StepAccounts::default(),
             monitor,
             store,
             channels,
@@ -262,7 +262,7 @@ impl<'a> Session<'a> {
         &mut self,
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
-    ) -> Result<Outcome, ExitError> {
+    ) -> Result<RunResult, ExitError> {
         loop {
             self.bell.wait(TICK);
             self.look_at_the_clock(supervisor);
@@ -273,7 +273,7 @@ impl<'a> Session<'a> {
             {
                 self.orders.send(Order::Stop)?;
                 supervisor.wait_for_all(EXIT_DEADLINE);
-                return Ok(Outcome {
+                return Ok(RunResult {
                     iterations: self.reported,
                     env_steps: self.reported * self.spec.config.steps_per_iteration(),
                     stopped_by: self.stopped_by.unwrap_or(StoppedBy::Budget),
@@ -304,9 +304,9 @@ impl<'a> Session<'a> {
             *deadline += late;
         }
         if let Some(scheduler) = &mut self.scheduler {
-            scheduler.forgive(late);
+            scheduler.postpone_deadlines(late);
         }
-        supervisor.forgive(late);
+        supervisor.postpone_deadlines(late);
     }
 
     /// Looks at everything once.
@@ -325,11 +325,11 @@ impl<'a> Session<'a> {
         // Before the deaths: what a process said before it died still counts.
         self.hear_workers(supervisor, reporter)?;
         self.hear_learner(supervisor, reporter)?;
-        self.leave_base(supervisor, reporter)?;
+        self.leave_resume_point(supervisor, reporter)?;
         self.collect_pieces(supervisor, reporter)?;
         self.hear_committer(reporter)?;
-        self.bury(supervisor, reporter)?;
-        self.obey(supervisor, reporter)?;
+        self.replace_the_dead(supervisor, reporter)?;
+        self.do_what_is_asked(supervisor, reporter)?;
         self.send_orders(supervisor)?;
         self.check_deadlines(supervisor, reporter);
         if self.monitor.is_due() {

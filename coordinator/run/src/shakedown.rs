@@ -5,7 +5,7 @@
 mod touches;
 
 use proto::{ExitCode, ExitError};
-use simulator::dynamics::twin;
+use simulator::dynamics::reference_dynamics;
 use simulator::robot::{JOINTS_PER_ARM, Robot};
 use simulator::simulate::{Precision, SimulationRow, simulate};
 use simulator::step::{Integrator, StepOptions};
@@ -177,7 +177,8 @@ fn strays(
 
 /// Whether it is moved by nothing.
 fn gains_momentum(robot: &Robot, rows: &[SimulationRow]) -> Option<(String, &'static str)> {
-    let momenta: Vec<_> = rows.iter().map(|row| twin::momentum(robot, &row.state)).collect();
+    let momenta: Vec<_> =
+        rows.iter().map(|row| reference_dynamics::momentum(robot, &row.state)).collect();
     let linear = momenta.iter().map(|m| m.linear_scale).fold(0.0, f64::max);
     let angular = momenta.iter().map(|m| m.angular_scale).fold(0.0, f64::max);
     for (row, momentum) in rows.iter().zip(&momenta) {

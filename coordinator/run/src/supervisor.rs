@@ -16,12 +16,12 @@ use proto::message::WorkerId;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use rustix::process::Signal;
-use store::regular::{self, Links};
+use store::regular_files::{self, Links};
 
 use crate::environment;
 use crate::janitor::Janitor;
 use crate::preflight;
-use crate::shield;
+use crate::signal_isolation;
 
 /// Where the programs of a run are.
 #[derive(Debug, Clone)]
@@ -345,10 +345,11 @@ impl Supervisor {
         };
         let mut options = File::options();
         options.create(true).append(true);
-        let file = regular::open_with(&path, &mut options, Links::Follow).map_err(|error| {
-            let message = format!("{}: cannot be written: {error}", path.display());
-            ExitError::new(ExitCode::RunDirectory, message)
-        })?;
+        let file =
+            regular_files::open_with(&path, &mut options, Links::Follow).map_err(|error| {
+                let message = format!("{}: cannot be written: {error}", path.display());
+                ExitError::new(ExitCode::RunDirectory, message)
+            })?;
         let copy = file.try_clone().map_err(|error| fail("cannot share the log file", &error))?;
         command
             .arg("--run-dir")
@@ -360,7 +361,7 @@ impl Supervisor {
             .stderr(file)
             // Ctrl-C on the terminal is for the coordinator, who tells the others.
             .process_group(0);
-        let child = shield::spawn(&mut command).map_err(|error| {
+        let child = signal_isolation::spawn(&mut command).map_err(|error| {
             fail(&format!("cannot start {}", command.get_program().display()), &error)
         })?;
         self.janitor.watch(child.id());
@@ -458,7 +459,7 @@ impl Supervisor {
     }
 
     /// Nobody could be heard for so long: what is to happen by the clock happens so much later.
-    pub fn forgive(&mut self, late: Duration) {
+    pub fn postpone_deadlines(&mut self, late: Duration) {
         for slot in self.workers.values_mut() {
             match &mut slot.state {
                 WorkerState::Running { started, .. } => *started += late,
@@ -597,7 +598,7 @@ impl Supervisor {
 
 /// The last lines of a child's log, to be shown with its death.
 pub fn log_tail(path: &Path, lines: usize) -> String {
-    let text = regular::read(path, regular::RECORD).unwrap_or_default();
+    let text = regular_files::read(path, regular_files::RECORD).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
     let tail: Vec<_> = text.lines().rev().take(lines).collect();
     tail.into_iter().rev().collect::<Vec<_>>().join("\n")

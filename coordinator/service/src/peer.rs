@@ -1,7 +1,7 @@
 //! Whether the service that a lock file names is one of this user's own, before a token goes there.
 //!
 //! The lock file says which process listens where. It is believed only if nobody else can have
-//! written it ([`store::own`]); but the process may have been killed, and another user's may listen at
+//! written it ([`store::owned_files`]); but the process may have been killed, and another user's may listen at
 //! its address since. So the kernel is asked whose process that is, and whose socket.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -9,14 +9,14 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::PathBuf;
 
 use store::lock::Holder;
-use store::{own, regular};
+use store::{owned_files, regular_files};
 
 /// State of a socket that listens, in the kernel's tables.
 const LISTEN: &str = "0A";
 
 /// Where the service of `holder` is reached, if it is a process of this user that listens there.
 pub fn address(holder: &Holder, announced: &str) -> Result<SocketAddr, String> {
-    let user = own::user();
+    let user = owned_files::user();
     let listening: SocketAddr = announced.parse().map_err(|_| {
         format!("`{}` is no address, such as 127.0.0.1:8270", announced.escape_debug())
     })?;
@@ -27,7 +27,7 @@ pub fn address(holder: &Holder, announced: &str) -> Result<SocketAddr, String> {
         return Err(format!("process {pid} belongs to user {owner}, not to you (user {user})"));
     }
     let table = if listening.is_ipv4() { "/proc/net/tcp" } else { "/proc/net/tcp6" };
-    let text = regular::read_text(table.as_ref(), regular::RECORD)
+    let text = regular_files::read_text(table.as_ref(), regular_files::RECORD)
         .map_err(|error| format!("{table}: cannot be read: {error}"))?;
     match listeners(&text, listening).as_slice() {
         [] => Err(format!("nobody listens at {listening}")),

@@ -1,12 +1,12 @@
 //! `octopus checkpoints`: the checkpoint service on the command line.
 
-mod commit;
 mod compose;
 mod inspect;
 mod keep;
 mod label;
 mod listing;
 pub mod options;
+mod request_commit;
 mod transfer;
 
 use std::path::Path;
@@ -32,7 +32,7 @@ pub fn run(args: &CheckpointsArgs) -> anyhow::Result<()> {
         CheckpointsCommand::Prune(args) => keep::prune(args),
         CheckpointsCommand::Rebuild(args) => keep::rebuild(args),
         CheckpointsCommand::Delete(args) => keep::delete(args),
-        CheckpointsCommand::Commit(args) => commit::commit(args),
+        CheckpointsCommand::Commit(args) => request_commit::commit(args),
         CheckpointsCommand::Import(args) => transfer::import(args),
         CheckpointsCommand::Export(args) => transfer::export(args),
         CheckpointsCommand::Compose(args) => compose::compose(args),

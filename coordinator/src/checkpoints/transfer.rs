@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{CheckpointError, CheckpointStore, Name};
 use store::outputs::Output;
-use store::{files, regular};
+use store::{files, regular_files};
 
 use super::{refused, report, store_to_fill};
 use crate::checkpoints::options::{ExportArgs, ImportArgs};
@@ -21,7 +21,7 @@ pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let imported = if args.archive == Path::new("-") {
         store.import(std::io::stdin().lock(), name)
     } else {
-        let file = regular::open(&args.archive).map_err(|error| {
+        let file = regular_files::open(&args.archive).map_err(|error| {
             let message = format!("{}: cannot be read: {error}", args.archive.display());
             ExitError::new(ExitCode::BadInput, message)
         })?;

@@ -13,7 +13,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 
-use crate::{files, regular};
+use crate::{files, regular_files};
 
 /// Name of the file.
 const BUDGETS: &str = "budgets.json";
@@ -57,7 +57,7 @@ impl Budgets {
                 ),
             )
         };
-        let content: Content = match regular::read(&path, regular::TEXT) {
+        let content: Content = match regular_files::read(&path, regular_files::TEXT) {
             Ok(bytes) => serde_json::from_slice(&bytes)
                 .map_err(|error| refuse(format!("cannot be understood: {error}")))?,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Content::default(),

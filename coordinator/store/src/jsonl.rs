@@ -9,7 +9,7 @@ use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::{files, regular};
+use crate::{files, regular_files};
 
 /// The open file.
 #[derive(Debug)]
@@ -56,7 +56,7 @@ impl JsonLines {
 /// All whole lines of a file, with their parsed form; none if there is no file. Reading ends at
 /// the first line that is no JSON, which is where a crash or a power cut spoiled the file.
 pub fn read(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
-    let bytes = match regular::read(path, regular::RECORD) {
+    let bytes = match regular_files::read(path, regular_files::RECORD) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => {

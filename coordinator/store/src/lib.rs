@@ -6,7 +6,7 @@
 //! * [`run_files`]: the configuration and the robot of a run, read back;
 //! * [`provenance`]: which program and machine made something;
 //! * [`files`]: files that are whole or absent; [`outputs`]: what a command may write over;
-//! * [`regular`], [`own`]: files that others may have put there, read with care.
+//! * [`regular_files`], [`owned_files`]: files that others may have put there, read with care.
 
 pub mod budgets;
 pub mod checkpoint;
@@ -14,8 +14,8 @@ pub mod files;
 pub mod jsonl;
 pub mod lock;
 pub mod outputs;
-pub mod own;
+pub mod owned_files;
 pub mod provenance;
 pub mod recorded;
-pub mod regular;
+pub mod regular_files;
 pub mod run_files;

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use rustix::fs::{FlockOperation, flock};
 use serde::{Deserialize, Serialize};
 
-use crate::own::{self, Others};
-use crate::regular::{self, Links};
+use crate::owned_files::{self, Others};
+use crate::regular_files::{self, Links};
 
 /// What the lock file says about the run that holds it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -91,9 +91,14 @@ impl RunLock {
         let io = |source: std::io::Error| LockError::Io { path: path.to_owned(), source };
         let patience = Instant::now() + GLANCE;
         let file = loop {
-            let mut file = regular::open_with(
+            let mut file = regular_files::open_with(
                 path,
-                File::options().read(true).write(true).create(true).truncate(false).mode(own::MODE),
+                File::options()
+                    .read(true)
+                    .write(true)
+                    .create(true)
+                    .truncate(false)
+                    .mode(owned_files::MODE),
                 Links::Refuse,
             )
             .map_err(io)?;
@@ -103,13 +108,13 @@ impl RunLock {
                     return Err(LockError::Held { path: path.to_owned(), pid });
                 }
                 std::thread::sleep(Duration::from_millis(5));
-            } else if !regular::is_at(&file, path) {
+            } else if !regular_files::is_at(&file, path) {
                 // Somebody has put another one there, or is about to.
-            } else if own::check(&file, Others::MayNothing).is_ok() {
+            } else if owned_files::check(&file, Others::MayNothing).is_ok() {
                 break file;
-            } else if file.metadata().is_ok_and(|there| there.uid() == own::user()) {
+            } else if file.metadata().is_ok_and(|there| there.uid() == owned_files::user()) {
                 // Of a version that did not take care.
-                let rights = std::fs::Permissions::from_mode(own::MODE);
+                let rights = std::fs::Permissions::from_mode(owned_files::MODE);
                 file.set_permissions(rights).map_err(io)?;
             } else {
                 // Nobody holds another user's file, so one of our own can take its place.
@@ -144,7 +149,7 @@ impl RunLock {
     /// Who holds the lock at `path`, if anybody does, and if only this user can have written it.
     pub fn own_holder(path: &Path) -> Result<Option<Holder>, LockError> {
         let Some(mut file) = look(path)? else { return Ok(None) };
-        own::check(&file, Others::MayRead)
+        owned_files::check(&file, Others::MayRead)
             .map_err(|source| LockError::Foreign { path: path.to_owned(), source })?;
         Ok(read(&mut file))
     }
@@ -152,7 +157,7 @@ impl RunLock {
 
 /// The lock file at `path` if it is held.
 fn look(path: &Path) -> Result<Option<File>, LockError> {
-    match regular::open_with(path, File::options().read(true), Links::Refuse) {
+    match regular_files::open_with(path, File::options().read(true), Links::Refuse) {
         Ok(file) => {
             let free = flock(&file, FlockOperation::NonBlockingLockShared).is_ok();
             Ok((!free).then_some(file))
@@ -170,7 +175,7 @@ impl Drop for RunLock {
 
 fn read(file: &mut File) -> Option<Holder> {
     file.rewind().ok()?;
-    serde_json::from_slice(&regular::drain(file, MAX_LEN).ok()?).ok()
+    serde_json::from_slice(&regular_files::drain(file, MAX_LEN).ok()?).ok()
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use simulator::robot::Robot;
 
-use crate::regular;
+use crate::regular_files;
 
 /// The run directory at `path`, if it is one.
 pub fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
@@ -16,7 +16,7 @@ pub fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
     if config.is_file() {
         return Ok(run_dir);
     }
-    if let Err(error) = regular::check(&config) {
+    if let Err(error) = regular_files::check(&config) {
         let message = format!("{}: cannot be read: {error}", config.display());
         return Err(ExitError::new(ExitCode::RunDirectory, message));
     }
@@ -29,7 +29,7 @@ pub fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
 
 /// A text file of a run directory.
 pub fn read_text(path: &Path) -> Result<String, ExitError> {
-    regular::read_text(path, regular::TEXT).map_err(|error| {
+    regular_files::read_text(path, regular_files::TEXT).map_err(|error| {
         let message = format!("{}: cannot be read: {error}", path.display());
         ExitError::new(ExitCode::RunDirectory, message)
     })

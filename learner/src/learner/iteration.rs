@@ -8,7 +8,7 @@ use proto::message::{IterationReport, Losses, Progress, Timing};
 
 use super::process::{Learner, Trainer};
 use crate::LearnerError;
-use crate::ingest::errors;
+use crate::inbox::errors;
 use crate::report::UpdateReport;
 
 /// How often it looks whether training is done.

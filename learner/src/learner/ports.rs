@@ -12,7 +12,7 @@ use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
 use proto::message::{HEARTBEAT, Order, Progress};
 
 use crate::LearnerError;
-use crate::ingest::{Inbox, Receipt};
+use crate::inbox::{Inbox, Receipt};
 
 /// How long a piece of a snapshot waits for room before it is tried again later.
 const PIECE_DEADLINE: Duration = Duration::from_millis(1);

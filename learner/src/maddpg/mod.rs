@@ -45,8 +45,8 @@ use tch::{Device, Kind, Tensor};
 
 use crate::LearnerError;
 use crate::actors::Actors;
-use crate::descent::{Descent, NetworkPart, NetworkPasses, check, learning_rates};
 use crate::input_norm::{InputNorm, Normalisation};
+use crate::optimizer_step::{Descent, NetworkPart, NetworkPasses, check, learning_rates};
 use crate::report::{Sums, UpdateReport, add};
 use crate::state::replay::Batch;
 use crate::state::{NetworkState, OffPolicy, TrainingState};

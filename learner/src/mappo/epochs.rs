@@ -11,8 +11,8 @@ use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
 use super::samples::{Samples, actor_input, chunks, columns, moments, shared_input};
 use crate::LearnerError;
-use crate::descent::{NetworkPart, NetworkPasses, check};
 use crate::loss::ActorSamples;
+use crate::optimizer_step::{NetworkPart, NetworkPasses, check};
 use crate::report::{Sums, UpdateReport, add};
 use crate::value_norm::ValueNorm;
 

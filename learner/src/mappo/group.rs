@@ -9,7 +9,7 @@ use tch::{Device, Kind};
 
 use super::options::Options;
 use crate::actors::Actors;
-use crate::descent::NetworkPasses;
+use crate::optimizer_step::NetworkPasses;
 use crate::report::UpdateReport;
 
 /// Actors that are computed together.

@@ -2,10 +2,10 @@
 
 use proto::config::{Config, CriticState};
 
-use crate::descent::Descent;
 use crate::gae::Gae;
 use crate::input_norm::Normalisation;
 use crate::loss::{ActorLoss, CriticLoss};
+use crate::optimizer_step::Descent;
 
 /// The algorithm's options, from a configuration.
 #[derive(Debug, Clone)]

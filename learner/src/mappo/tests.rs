@@ -7,8 +7,8 @@ use tch::{Device, Kind, Tensor};
 
 use super::update::steered;
 use super::*;
-use crate::descent::learning_rates;
 use crate::mlp::Compute;
+use crate::optimizer_step::learning_rates;
 use crate::precision::Arithmetic;
 use crate::report::UpdateReport;
 use crate::state::{NetworkState, TrainingState};

@@ -11,8 +11,8 @@ use super::group::{Group, GroupUpdate, IterationInputs};
 use super::options::Options;
 use crate::LearnerError;
 use crate::actors::Actors;
-use crate::descent::{NetworkPart, NetworkPasses, learning_rates};
 use crate::input_norm::InputNorm;
+use crate::optimizer_step::{NetworkPart, NetworkPasses, learning_rates};
 use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
 

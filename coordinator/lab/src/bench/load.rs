@@ -6,7 +6,7 @@ use super::Bench;
 
 /// Processor time since the machine started, of which the kernel keeps books (in its own ticks).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Books {
+struct ProcessorTimes {
     /// Somebody worked, guests of this machine included.
     busy: f64,
     /// The host gave the time to other machines.
@@ -17,7 +17,7 @@ struct Books {
     own: f64,
 }
 
-impl Books {
+impl ProcessorTimes {
     fn read() -> Self {
         let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
         Self::parse(&text("/proc/stat"), &text("/proc/self/stat"))
@@ -54,19 +54,19 @@ fn load_average() -> f64 {
 /// A time that is watched.
 #[derive(Debug)]
 pub(super) struct Watch {
-    books: Books,
+    books: ProcessorTimes,
     load_average: f64,
 }
 
 impl Watch {
     /// From now on.
     pub(super) fn begin() -> Self {
-        Self { books: Books::read(), load_average: load_average() }
+        Self { books: ProcessorTimes::read(), load_average: load_average() }
     }
 
     /// What went on since then.
     pub(super) fn so_far(&self) -> Load {
-        let (others_share, stolen_share) = shares(self.books, Books::read());
+        let (others_share, stolen_share) = shares(self.books, ProcessorTimes::read());
         Load {
             processors: Bench::processors(),
             others_share,
@@ -77,7 +77,7 @@ impl Watch {
 }
 
 /// Shares of all processors' time that other programs and other machines had.
-fn shares(before: Books, after: Books) -> (f64, f64) {
+fn shares(before: ProcessorTimes, after: ProcessorTimes) -> (f64, f64) {
     let [busy, stolen, idle, own] = [
         after.busy - before.busy,
         after.stolen - before.stolen,
@@ -125,10 +125,10 @@ mod tests {
         // Name with blanks and a bracket; 14th to 17th field: 10, 20, 300, 40.
         let process = "7 (a) b) S 1 1 1 0 -1 4 1 1 1 1 10 20 300 40 20 0 1 0 5";
         let machine = "cpu  100 0 50 1000 7 3 2 20 0 0\ncpu0 1 1 1 1\n";
-        let books = Books::parse(machine, process);
-        assert_eq!(books, Books { busy: 155.0, stolen: 20.0, idle: 1007.0, own: 370.0 });
+        let books = ProcessorTimes::parse(machine, process);
+        assert_eq!(books, ProcessorTimes { busy: 155.0, stolen: 20.0, idle: 1007.0, own: 370.0 });
         // A thousand ticks: 400 of ours, 200 of others, 100 stolen.
-        let later = Books { busy: 755.0, stolen: 120.0, idle: 1307.0, own: 770.0 };
+        let later = ProcessorTimes { busy: 755.0, stolen: 120.0, idle: 1307.0, own: 770.0 };
         assert_eq!(shares(books, later), (0.2, 0.1));
         assert_eq!(shares(books, books), (0.0, 0.0));
     }

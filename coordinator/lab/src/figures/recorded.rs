@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use store::jsonl;
 use store::run_files::{read_config, run_directory};
-use store::{files, regular};
+use store::{files, regular_files};
 
 use super::families::learn_alike;
 
@@ -66,7 +66,8 @@ impl Recorded {
         let held_out = evaluations::read(&run_dir.evaluations())?;
         let last = jsonl::read(&metrics)?.pop().map(|(_, line)| line);
         let digest = last.and_then(|line| Some(line["digest"].as_str()?.to_owned()));
-        let provenance = regular::read(&run_dir.provenance(), regular::RECORD).unwrap_or_default();
+        let provenance =
+            regular_files::read(&run_dir.provenance(), regular_files::RECORD).unwrap_or_default();
         let provenance: Value = serde_json::from_slice(&provenance).unwrap_or_default();
         let session = provenance["sessions"].as_array().and_then(|sessions| sessions.last());
         let said = |key: &str| Some(session?[key].as_str()?.to_owned());
@@ -173,7 +174,7 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<Vec<Recorded>> {
         );
         ExitError::new(ExitCode::BadInput, message)
     };
-    let bytes = regular::read(path, MOST_BYTES).map_err(|error| refuse(error.to_string()))?;
+    let bytes = regular_files::read(path, MOST_BYTES).map_err(|error| refuse(error.to_string()))?;
     Ok(parse(&bytes).map_err(refuse)?)
 }
 

@@ -17,7 +17,7 @@ use proto::{ExitCode, ExitError};
 use run::report::progress::Parts;
 use serde::Serialize;
 use store::provenance::Provenance;
-use store::{files, outputs, regular};
+use store::{files, outputs, regular_files};
 
 pub use self::claims::{Claim, Tally, table};
 use crate::experiments::command_line::typed;
@@ -181,7 +181,7 @@ fn is_ours(name: &str) -> bool {
 /// Refuses to write over a page that is none of ours.
 fn check_page(path: &Path) -> Result<(), ExitError> {
     let mark = format!("content=\"{GENERATOR}\"");
-    match regular::read(path, regular::RECORD) {
+    match regular_files::read(path, regular_files::RECORD) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
         Ok(there) if String::from_utf8_lossy(&there).contains(&mark) => Ok(()),
         Ok(_) => Err(refused(path, "is there already and was not made by this command")),
@@ -241,7 +241,7 @@ fn find<E: Experiment>(
     lab: &Lab,
     settings: E::Settings,
 ) -> Result<Option<ReportOf<E>>, ExitError> {
-    let bytes = match regular::read(path, regular::RECORD) {
+    let bytes = match regular_files::read(path, regular_files::RECORD) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(refused(path, &format!("cannot be read: {error}"))),

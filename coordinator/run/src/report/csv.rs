@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
-use store::{files, regular};
+use store::{files, regular_files};
 
 use super::Line;
 
@@ -22,7 +22,7 @@ impl CsvTable {
     /// Opens the file for appending after the rows of iterations before `keep`; the rest is cut
     /// off.
     pub fn open(path: &Path, keep: u64) -> anyhow::Result<Self> {
-        let old = match regular::read(path, regular::RECORD) {
+        let old = match regular_files::read(path, regular_files::RECORD) {
             // What a power cut has spoiled is no row and ends the kept ones.
             Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),

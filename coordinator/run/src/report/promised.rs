@@ -13,7 +13,7 @@ use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 use store::recorded::Recorded;
-use store::{files, regular};
+use store::{files, regular_files};
 
 /// A line of the file.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
@@ -66,7 +66,7 @@ impl Promised {
                 ),
             )
         };
-        let text = match regular::read_text(&path, regular::RECORD) {
+        let text = match regular_files::read_text(&path, regular_files::RECORD) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => return Err(refuse(format!("cannot be read: {error}"))),

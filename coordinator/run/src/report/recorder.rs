@@ -54,7 +54,7 @@ impl Files {
 
 type Work = Box<dyn FnOnce(&mut Files) -> anyhow::Result<()> + Send>;
 
-enum Job {
+enum RecordRequest {
     Line(Box<Line>),
     Evaluation(Box<Evaluated>, f64),
     /// The last promise is kept; its file may go, once the digests are safe in the lines again.
@@ -67,7 +67,7 @@ enum Job {
 /// The loop's side. Dropping it waits until everything is written.
 #[derive(Debug)]
 pub(super) struct Recorder {
-    jobs: SyncSender<Job>,
+    jobs: SyncSender<RecordRequest>,
     failure: Arc<OnceLock<String>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -87,17 +87,17 @@ impl Recorder {
 
     /// Records an iteration.
     pub(super) fn line(&self, line: Line) -> anyhow::Result<()> {
-        self.hand_over(Job::Line(Box::new(line)))
+        self.hand_over(RecordRequest::Line(Box::new(line)))
     }
 
     /// Records an evaluation.
     pub(super) fn evaluation(&self, evaluated: Evaluated, wall_s: f64) -> anyhow::Result<()> {
-        self.hand_over(Job::Evaluation(Box::new(evaluated), wall_s))
+        self.hand_over(RecordRequest::Evaluation(Box::new(evaluated), wall_s))
     }
 
     /// Removes the file of promises that are all kept.
     pub(super) fn kept(&self, promised: Promised) -> anyhow::Result<()> {
-        self.hand_over(Job::Kept(promised))
+        self.hand_over(RecordRequest::Kept(promised))
     }
 
     /// Does something with the files after all that was handed over before, and waits for it.
@@ -113,7 +113,7 @@ impl Recorder {
         Durability(self.jobs.clone())
     }
 
-    fn hand_over(&self, job: Job) -> anyhow::Result<()> {
+    fn hand_over(&self, job: RecordRequest) -> anyhow::Result<()> {
         if let Some(failure) = self.failure.get() {
             return Err(anyhow!("{failure}"));
         }
@@ -124,7 +124,7 @@ impl Recorder {
 impl Drop for Recorder {
     fn drop(&mut self) {
         // A thread that has panicked shows when it is joined.
-        let _ = self.jobs.send(Job::End);
+        let _ = self.jobs.send(RecordRequest::End);
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
         {
@@ -135,7 +135,7 @@ impl Drop for Recorder {
 
 /// Waits, on any thread, until all lines that were handed over before are durable.
 #[derive(Debug, Clone)]
-pub struct Durability(SyncSender<Job>);
+pub struct Durability(SyncSender<RecordRequest>);
 
 impl Durability {
     /// See the type.
@@ -155,14 +155,14 @@ impl Durability {
             let _ = wait.recv();
             Ok(())
         });
-        self.0.send(Job::Do(work, done)).expect("the thread lives");
+        self.0.send(RecordRequest::Do(work, done)).expect("the thread lives");
         end
     }
 }
 
-fn wait_for(jobs: &SyncSender<Job>, work: Work) -> anyhow::Result<()> {
+fn wait_for(jobs: &SyncSender<RecordRequest>, work: Work) -> anyhow::Result<()> {
     let (done, wait) = channel();
-    jobs.send(Job::Do(work, done)).map_err(|_| gone())?;
+    jobs.send(RecordRequest::Do(work, done)).map_err(|_| gone())?;
     wait.recv().map_err(|_| gone())?
 }
 
@@ -170,12 +170,12 @@ fn gone() -> anyhow::Error {
     anyhow!("the thread that writes the metrics has ended")
 }
 
-fn work(mut files: Files, jobs: &Receiver<Job>, failure: &OnceLock<String>) {
+fn work(mut files: Files, jobs: &Receiver<RecordRequest>, failure: &OnceLock<String>) {
     for job in jobs {
         let failed = || failure.get().map_or(Ok(()), |failure| Err(anyhow!("{failure}")));
         let result = match job {
-            Job::End => return,
-            Job::Do(work, done) => {
+            RecordRequest::End => return,
+            RecordRequest::Do(work, done) => {
                 let result = failed().and_then(|()| work(&mut files));
                 if let Err(error) = &result {
                     // Before anybody knows of it, so that nothing is handed over any more then.
@@ -186,9 +186,11 @@ fn work(mut files: Files, jobs: &Receiver<Job>, failure: &OnceLock<String>) {
                 continue;
             }
             _ if failure.get().is_some() => continue,
-            Job::Line(line) => files.append(&line),
-            Job::Evaluation(evaluated, wall_s) => files.append_evaluation(&evaluated, wall_s),
-            Job::Kept(mut promised) => files.lines.sync().and_then(|()| promised.clear()),
+            RecordRequest::Line(line) => files.append(&line),
+            RecordRequest::Evaluation(evaluated, wall_s) => {
+                files.append_evaluation(&evaluated, wall_s)
+            }
+            RecordRequest::Kept(mut promised) => files.lines.sync().and_then(|()| promised.clear()),
         };
         if let Err(error) = result {
             let _ = failure.set(format!("{error:#}"));
@@ -196,7 +198,7 @@ fn work(mut files: Files, jobs: &Receiver<Job>, failure: &OnceLock<String>) {
     }
 }
 
-impl std::fmt::Debug for Job {
+impl std::fmt::Debug for RecordRequest {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Line(_) => "Line",

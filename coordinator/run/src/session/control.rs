@@ -13,7 +13,7 @@ use crate::supervisor::Supervisor;
 
 impl Session<'_> {
     /// Does what others ask for.
-    pub(super) fn obey(
+    pub(super) fn do_what_is_asked(
         &mut self,
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,

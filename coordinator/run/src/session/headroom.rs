@@ -19,12 +19,12 @@ const PAUSE: Duration = Duration::from_secs(10);
 
 /// The room, while it is held.
 #[derive(Debug)]
-pub(super) struct Headroom {
+pub(super) struct ReservedMemory {
     path: PathBuf,
     released: Option<Instant>,
 }
 
-impl Headroom {
+impl ReservedMemory {
     /// Takes it, in a domain whose directory is there.
     pub(super) fn take(domain: &Domain) -> Self {
         let headroom = Self { path: domain.root().join("headroom"), released: None };

@@ -36,14 +36,14 @@ impl Addressee {
 
 /// See the module.
 #[derive(Debug)]
-pub(super) struct Mail {
+pub(super) struct OrderQueue {
     sender: OrderSender,
     ports: BTreeMap<Addressee, PortId>,
     missed: VecDeque<Order>,
     tried: Instant,
 }
 
-impl Mail {
+impl OrderQueue {
     pub(super) fn new(sender: OrderSender) -> Self {
         let (ports, missed) = (BTreeMap::new(), VecDeque::new());
         Self { sender, ports, missed, tried: Instant::now() }
@@ -124,12 +124,12 @@ mod tests {
             block_borrowed: 4,
         };
         let channels = Channels::create(&domain.0, sizes).expect("create");
-        let mut mail = Mail::new(channels.order_sender().expect("sender"));
+        let mut mail = OrderQueue::new(channels.order_sender().expect("sender"));
         let [quick, busy] = [(); 2].map(|()| channels.order_receiver().expect("receiver"));
         assert!(mail.introduce(Addressee::Worker(0), quick.port()));
         assert!(!mail.introduce(Addressee::Worker(0), quick.port()), "known");
         mail.introduce(Addressee::Worker(1), busy.port());
-        let retry = |mail: &mut Mail, wanted: bool| {
+        let retry = |mail: &mut OrderQueue, wanted: bool| {
             std::thread::sleep(PAUSE);
             mail.retry(|_| wanted).expect("sends")
         };

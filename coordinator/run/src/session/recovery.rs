@@ -21,8 +21,8 @@ use proto::{ExitCode, ExitError};
 use store::checkpoint::Checkpoint;
 
 use super::Session;
-use crate::base;
 use crate::report::Reporter;
+use crate::resume_point;
 use crate::supervisor::{Cause, Death, Supervisor, log_tail};
 
 /// How long a learner or worker may take at least until it is ready, however short the deadline is
@@ -35,7 +35,7 @@ const MAX_LEARNER_KILLS: u32 = 50;
 
 impl Session<'_> {
     /// Reaps the dead, opens their shards again and starts successors.
-    pub(super) fn bury(
+    pub(super) fn replace_the_dead(
         &mut self,
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
@@ -115,7 +115,7 @@ impl Session<'_> {
         {
             let reason = format!("the learner refuses it: {}", log_tail(&log, 1));
             self.refused.insert(dir.clone(), reason);
-            return self.leave_base(supervisor, reporter);
+            return self.leave_resume_point(supervisor, reporter);
         }
         self.learner_deaths.count(cause);
         // One that cannot even come up will not come up the next time.
@@ -141,7 +141,7 @@ impl Session<'_> {
 
     /// Leaves the checkpoint that the learner was started from for the one before, if it is none to
     /// start from.
-    pub(super) fn leave_base(
+    pub(super) fn leave_resume_point(
         &mut self,
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
@@ -156,7 +156,7 @@ impl Session<'_> {
     /// The checkpoint to go on from, and what is to be said about those that are none.
     fn find_base(&self) -> Result<(Option<Checkpoint>, Vec<String>), ExitError> {
         let run_dir = &self.spec.run_dir;
-        base::find(&self.store, run_dir, &self.refused)?.settle(run_dir)
+        resume_point::find(&self.store, run_dir, &self.refused)?.settle(run_dir)
     }
 
     /// Where a repetition of some iterations began: its checkpoint lies in the directory of another run, and it

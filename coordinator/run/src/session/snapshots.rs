@@ -28,7 +28,7 @@ pub(super) type Asker = oneshot::Sender<Result<String, String>>;
 
 /// What is wanted beside the plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Wish {
+enum RequestedCheckpoint {
     None,
     /// A checkpoint after at least so many iterations; the learner has not been told.
     Untold(u64),
@@ -61,7 +61,7 @@ pub(super) struct Snapshots {
     selection: Selection,
     committer: Committer,
     store: CheckpointStore,
-    wish: Wish,
+    wish: RequestedCheckpoint,
     /// What is wanted beyond the wish that the learner has been told: a checkpoint after at least so
     /// many iterations.
     next_wish: Option<u64>,
@@ -95,7 +95,7 @@ impl Snapshots {
                 record,
             ),
             store,
-            wish: Wish::None,
+            wish: RequestedCheckpoint::None,
             next_wish: None,
             askers: Vec::new(),
             committed: None,
@@ -118,7 +118,11 @@ impl Snapshots {
 
     /// Training goes on from `iteration`, and whoever still waits for a checkpoint gets a new one.
     pub(super) fn go_on_from(&mut self, iteration: u64) {
-        self.wish = if self.askers.is_empty() { Wish::None } else { Wish::Untold(iteration) };
+        self.wish = if self.askers.is_empty() {
+            RequestedCheckpoint::None
+        } else {
+            RequestedCheckpoint::Untold(iteration)
+        };
         self.next_wish = None;
         for (asked, _) in &mut self.askers {
             *asked = iteration.min(*asked);
@@ -129,12 +133,14 @@ impl Snapshots {
     /// many want is one snapshot.
     pub(super) fn ask(&mut self, iterations: u64) {
         match self.wish {
-            Wish::None => self.wish = Wish::Untold(iterations),
-            Wish::Untold(wanted) => self.wish = Wish::Untold(wanted.max(iterations)),
-            Wish::Told(wanted) if iterations > wanted => {
+            RequestedCheckpoint::None => self.wish = RequestedCheckpoint::Untold(iterations),
+            RequestedCheckpoint::Untold(wanted) => {
+                self.wish = RequestedCheckpoint::Untold(wanted.max(iterations))
+            }
+            RequestedCheckpoint::Told(wanted) if iterations > wanted => {
                 self.next_wish = self.next_wish.max(Some(iterations));
             }
-            Wish::Told(_) => {}
+            RequestedCheckpoint::Told(_) => {}
         }
     }
 
@@ -142,7 +148,7 @@ impl Snapshots {
     pub(super) fn ask_for(&mut self, iterations: u64, asker: Asker) {
         if let Some((newest, _)) = &self.committed
             && *newest == iterations
-            && self.wish == Wish::None
+            && self.wish == RequestedCheckpoint::None
         {
             // Who asked may have gone.
             let _ = asker.send(Ok(Name::of_iteration(*newest).to_string()));
@@ -159,7 +165,7 @@ impl Snapshots {
 
     /// Whether the learner was asked for a snapshot that has not come yet.
     pub(super) fn is_awaited(&self) -> bool {
-        matches!(self.wish, Wish::Told(_))
+        matches!(self.wish, RequestedCheckpoint::Told(_))
     }
 
     /// Lets the committer be, whatever it waits for: the run ends at once.
@@ -169,8 +175,8 @@ impl Snapshots {
 
     /// Whether the learner must be asked for a snapshot now; true once for every wish.
     pub(super) fn must_tell_learner(&mut self) -> bool {
-        let Wish::Untold(iterations) = self.wish else { return false };
-        self.wish = Wish::Told(iterations);
+        let RequestedCheckpoint::Untold(iterations) = self.wish else { return false };
+        self.wish = RequestedCheckpoint::Told(iterations);
         true
     }
 
@@ -178,7 +184,7 @@ impl Snapshots {
     pub(super) fn iteration_done(&mut self, iterations: u64) {
         let every = self.run.checkpoint_every_s;
         if every > 0.0
-            && self.wish == Wish::None
+            && self.wish == RequestedCheckpoint::None
             && !self.committer.is_busy()
             && self.handed_over.0.elapsed() > Duration::from_secs_f64(every)
         {
@@ -199,13 +205,15 @@ impl Snapshots {
 
     /// Whether a snapshot is to be committed whatever its policy is worth.
     pub(super) fn commits(&self, snapshot: &Snapshot) -> bool {
-        self.is_wished(snapshot.iteration) || self.run.plans_checkpoint(snapshot.iteration)
+        self.is_requested(snapshot.iteration) || self.run.plans_checkpoint(snapshot.iteration)
     }
 
-    fn is_wished(&self, iteration: u64) -> bool {
+    fn is_requested(&self, iteration: u64) -> bool {
         match self.wish {
-            Wish::None => false,
-            Wish::Untold(wanted) | Wish::Told(wanted) => iteration >= wanted,
+            RequestedCheckpoint::None => false,
+            RequestedCheckpoint::Untold(wanted) | RequestedCheckpoint::Told(wanted) => {
+                iteration >= wanted
+            }
         }
     }
 
@@ -213,9 +221,9 @@ impl Snapshots {
     pub(super) fn arrived(&mut self, snapshot: Snapshot, phase: Phase) -> Evaluation {
         let iteration = snapshot.iteration;
         let commits = self.commits(&snapshot);
-        if self.is_wished(iteration) {
+        if self.is_requested(iteration) {
             let next = self.next_wish.take().filter(|&next| next > iteration);
-            self.wish = next.map_or(Wish::None, Wish::Untold);
+            self.wish = next.map_or(RequestedCheckpoint::None, RequestedCheckpoint::Untold);
         }
         let snapshot = Arc::new(snapshot);
         if commits {
@@ -298,7 +306,7 @@ impl Snapshots {
     pub(super) fn settled_at(&self, iterations: u64) -> Option<&Path> {
         let (newest, dir) = self.committed.as_ref()?;
         let done = *newest == iterations
-            && self.wish == Wish::None
+            && self.wish == RequestedCheckpoint::None
             && self.selection.is_idle()
             && !self.committer.is_busy();
         done.then_some(dir.as_path())

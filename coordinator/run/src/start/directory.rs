@@ -9,7 +9,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde_json::json;
 use store::provenance::{self, Provenance};
-use store::{files, regular};
+use store::{files, regular_files};
 
 /// Where runs land without `--run-dir`.
 pub const RUNS: &str = "runs";
@@ -81,7 +81,7 @@ pub fn record(
     overrides: &[String],
 ) -> anyhow::Result<()> {
     let path = run_dir.provenance();
-    let mut sessions: Vec<serde_json::Value> = regular::read(&path, regular::RECORD)
+    let mut sessions: Vec<serde_json::Value> = regular_files::read(&path, regular_files::RECORD)
         .ok()
         .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
         .and_then(|document| document["sessions"].as_array().cloned())

@@ -12,7 +12,7 @@ use store::provenance::Provenance;
 
 use super::service::{Listening, RunService};
 use crate::report::Reporter;
-use crate::session::{self, Outcome, SessionSpec, StoppedBy};
+use crate::session::{self, RunResult, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
 use crate::supervisor::Programs;
 
@@ -43,7 +43,7 @@ pub struct Ended {
     /// Its directory.
     pub run_dir: RunDir,
     /// How it ended.
-    pub outcome: Outcome,
+    pub outcome: RunResult,
     /// Who asked it to stop.
     pub stop: StopRequests,
 }
@@ -114,7 +114,7 @@ fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> 
 impl Ended {
     /// Of a run that was at its end already, with its last checkpoint.
     pub fn before(run_dir: RunDir, last: &Checkpoint) -> Self {
-        let outcome = Outcome {
+        let outcome = RunResult {
             iterations: last.manifest.iteration,
             env_steps: last.manifest.env_steps,
             stopped_by: StoppedBy::Budget,

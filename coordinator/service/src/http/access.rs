@@ -15,10 +15,10 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
 use proto::{ExitCode, ExitError};
 
+use super::connection_slots::ConnectionSlot;
 use super::context::{Context, Shared};
-use super::intake::Intake;
 use super::problem::Problem;
-use super::seats::Seat;
+use super::request_body::RequestBody;
 use super::token::{TOKEN_VARIABLE, Token};
 
 /// Paths that need no token. What stands there tells strangers nothing and changes nothing: a sign
@@ -46,7 +46,7 @@ pub(super) async fn layer(State(context): State<Shared>, request: Request, next:
             return Ok(());
         }
         check_token(&context, &request)?;
-        if let Some(seat) = request.extensions().get::<Seat>() {
+        if let Some(seat) = request.extensions().get::<ConnectionSlot>() {
             seat.prove();
         }
         Ok(())
@@ -55,7 +55,7 @@ pub(super) async fn layer(State(context): State<Shared>, request: Request, next:
         Ok(()) => next.run(request).await,
         Err(problem) => {
             tracing::debug!(reason = problem.message, "request refused");
-            Intake::new(request, 0, &context.limits).discard().await;
+            RequestBody::new(request, 0, &context.limits).discard().await;
             // Who may not ask does not keep his place, either.
             problem.with(CONNECTION, HeaderValue::from_static("close")).into_response()
         }

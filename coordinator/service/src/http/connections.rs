@@ -17,10 +17,10 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 
+use super::connection_slots::{ConnectionSlot, ConnectionSlots};
 use super::context::Shared;
 use super::limits::Limits;
-use super::pace::PacedWrites;
-use super::seats::{Seat, Seats};
+use super::minimum_rate::PacedWrites;
 
 /// How long to wait when the system has no descriptor left for a connection.
 const EXHAUSTED: Duration = Duration::from_millis(100);
@@ -33,7 +33,7 @@ pub(super) async fn serve(
     mut stop: oneshot::Receiver<()>,
 ) {
     let graceful = GracefulShutdown::new();
-    let seats = Seats::new(&context.limits);
+    let seats = ConnectionSlots::new(&context.limits);
     let mut connections = JoinSet::new();
     loop {
         // Only who is there needs a place. Meanwhile others wait in the system's queue, where they
@@ -90,7 +90,7 @@ pub(super) async fn serve(
 #[derive(Debug)]
 struct Seated {
     router: TowerToHyperService<Router>,
-    seat: Seat,
+    seat: ConnectionSlot,
 }
 
 type Request = hyper::Request<Incoming>;

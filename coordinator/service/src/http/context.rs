@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use axum::http::StatusCode;
-use store::checkpoint::{Checked, CheckpointError, CheckpointStore, Patience};
+use store::checkpoint::{Checked, CheckpointError, CheckpointStore, LockTimeout};
 use tokio::sync::{Mutex, Semaphore};
 
 use super::limits::Limits;
 use super::problem::Problem;
 use super::requests::Requests;
-use super::room;
 use super::token::Token;
+use super::upload_space;
 use crate::live::LiveRun;
 
 /// The state that handlers are given.
@@ -46,7 +46,7 @@ impl Context {
         limits: Limits,
     ) -> Self {
         Self {
-            store: store.with_patience(Patience::new(limits.lock_time)),
+            store: store.with_patience(LockTimeout::new(limits.lock_time)),
             live,
             tokens,
             checked: Arc::default(),
@@ -117,7 +117,7 @@ impl Context {
         let beside = limits.live_upload_states.saturating_mul(state);
         let limit = beside.max(limits.live_upload_bytes).min(limits.upload_bytes);
         let taken = foreign.iter().fold(0, |sum: u64, entry| sum.saturating_add(entry.bytes));
-        room::check_total(taken, limits.live_uploads.saturating_mul(limit))?;
+        upload_space::check_total(taken, limits.live_uploads.saturating_mul(limit))?;
         Ok(limit)
     }
 

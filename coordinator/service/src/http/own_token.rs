@@ -7,7 +7,7 @@ use std::io::{ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 
 use proto::{ExitCode, ExitError};
-use store::own::{self, Others};
+use store::owned_files::{self, Others};
 
 use super::token::Token;
 
@@ -44,12 +44,11 @@ impl OwnToken {
     /// Puts it into its file, whose directory must exist, if it is not there.
     pub fn keep(&mut self) -> Result<(), ExitError> {
         if !self.kept {
-            own::replace(&self.path, format!("{}\n", self.token.text()).as_bytes()).map_err(
-                |error| {
+            owned_files::replace(&self.path, format!("{}\n", self.token.text()).as_bytes())
+                .map_err(|error| {
                     let message = format!("{}: cannot be written: {error}", self.path.display());
                     ExitError::new(ExitCode::RunDirectory, message)
-                },
-            )?;
+                })?;
             self.kept = true;
         }
         Ok(())
@@ -67,7 +66,7 @@ impl OwnToken {
 
     /// Reads the token in the file at `path`.
     pub fn read(path: &Path) -> Result<Token, std::io::Error> {
-        let text = own::read_text(path, Others::MayNothing)?;
+        let text = owned_files::read_text(path, Others::MayNothing)?;
         Token::parse(&text, &path.display().to_string())
             .map_err(|error| std::io::Error::new(ErrorKind::InvalidData, error.message))
     }

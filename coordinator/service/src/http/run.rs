@@ -9,8 +9,8 @@ use tokio::sync::oneshot;
 use utoipa::ToSchema;
 
 use super::context::{Context, Shared};
-use super::intake::Intake;
 use super::problem::{ErrorBody, Problem};
+use super::request_body::RequestBody;
 use crate::live::{Command, LiveStatus};
 
 /// How many workers a run shall have.
@@ -64,7 +64,7 @@ pub(super) async fn scale(
 ) -> Result<Json<ScaleAnswer>, Problem> {
     let live = context.live()?;
     let limits = &context.limits;
-    let wish: ScaleRequest = Intake::new(request, limits.json_bytes, limits).json().await?;
+    let wish: ScaleRequest = RequestBody::new(request, limits.json_bytes, limits).json().await?;
     let workers = wish.workers;
     let most = live.status().max_workers;
     // A run that has not begun to speak has no limit yet, and refuses itself.

@@ -5,7 +5,7 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
 use proto::{ExitCode, ExitError};
-use store::regular;
+use store::regular_files;
 use subtle::ConstantTimeEq as _;
 
 /// The environment variable that holds the token.
@@ -42,7 +42,7 @@ impl Token {
 
     /// Reads a token from a file.
     pub fn from_file(path: &Path) -> Result<Self, ExitError> {
-        let text = regular::read_text(path, regular::TEXT).map_err(|error| {
+        let text = regular_files::read_text(path, regular_files::TEXT).map_err(|error| {
             let message = format!("{}: the token cannot be read: {error}", path.display());
             ExitError::new(ExitCode::BadInput, message)
         })?;

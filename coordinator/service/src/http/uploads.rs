@@ -15,16 +15,16 @@ use axum::response::IntoResponse as _;
 use axum::response::Response;
 use rustix::fs::{Mode, OFlags};
 use store::checkpoint::{CheckpointError, Entry, Name, UPLOAD};
-use store::own;
+use store::owned_files;
 use tokio::io::AsyncWriteExt as _;
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::context::{Context, Shared, blocking};
 use super::document::Bytes;
-use super::intake::Intake;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
-use super::room;
+use super::request_body::RequestBody;
+use super::upload_space;
 
 /// Buffer between the file and the reader of archives (bytes).
 const BUFFER: usize = 1 << 20;
@@ -55,7 +55,7 @@ pub(super) async fn upload(
     request: Request,
 ) -> Result<Response, Problem> {
     let limit = context.upload_limit().await?;
-    let mut intake = Intake::new(request, limit, &context.limits);
+    let mut intake = RequestBody::new(request, limit, &context.limits);
     let (name, file, place) = match receive(&context, &name, &mut intake).await {
         Ok(received) => received,
         Err(problem) => {
@@ -82,7 +82,7 @@ pub(super) async fn upload(
 async fn receive(
     context: &Context,
     name: &str,
-    intake: &mut Intake,
+    intake: &mut RequestBody,
 ) -> Result<(Name, File, OwnedSemaphorePermit), Problem> {
     let name: Name = name.parse().map_err(CheckpointError::from)?;
     let wanted = name.clone();
@@ -119,7 +119,7 @@ async fn receive(
 /// Refuses the upload if it needs more bytes than may be taken from the disk.
 async fn check_room(context: &Context, needed: u64) -> Result<(), Problem> {
     let (root, reserve) = (context.store.root().to_owned(), context.limits.disk_reserve);
-    blocking(move || room::check(&root, needed, reserve)).await?
+    blocking(move || upload_space::check(&root, needed, reserve)).await?
 }
 
 /// What is damaged here is what the client sent.
@@ -150,7 +150,7 @@ fn nameless(root: &Path) -> std::io::Result<File> {
 /// A new file that loses its name at once; a process that is killed in between leaves it to a sweep.
 fn named(path: &Path) -> std::io::Result<File> {
     let mut options = File::options();
-    options.read(true).write(true).create_new(true).mode(own::MODE);
+    options.read(true).write(true).create_new(true).mode(owned_files::MODE);
     let file = options.open(path)?;
     match std::fs::remove_file(path) {
         // A sweep was faster.

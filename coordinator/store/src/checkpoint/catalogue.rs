@@ -18,7 +18,7 @@ use rusqlite::{Connection, params};
 use super::CheckpointError;
 use super::entry::Entry;
 use super::name::Name;
-use crate::own;
+use crate::owned_files;
 
 /// Name of the database.
 pub const CATALOGUE: &str = "catalogue.sqlite";
@@ -157,7 +157,7 @@ fn rows(entries: &[Entry]) -> Vec<Row> {
 /// Makes the database, or what there is of it, its user's alone: whoever may open it may lock it, too. The files
 /// that SQLite puts beside it get its rights.
 fn keep_private(path: &Path) -> Result<(), Reason> {
-    let made = fs::File::options().write(true).create_new(true).mode(own::MODE).open(path);
+    let made = fs::File::options().write(true).create_new(true).mode(owned_files::MODE).open(path);
     match made {
         Ok(_) => return Ok(()),
         Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
@@ -166,8 +166,8 @@ fn keep_private(path: &Path) -> Result<(), Reason> {
     for part in parts(path) {
         // Not opened: SQLite's own locks on a file end when this process closes it anywhere.
         let Ok(there) = part.symlink_metadata() else { continue };
-        if there.is_file() && there.uid() == own::user() && there.mode() & 0o077 != 0 {
-            fs::set_permissions(&part, Permissions::from_mode(own::MODE))
+        if there.is_file() && there.uid() == owned_files::user() && there.mode() & 0o077 != 0 {
+            fs::set_permissions(&part, Permissions::from_mode(owned_files::MODE))
                 .map_err(|error| error.to_string())?;
         }
     }

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::CheckpointError;
-use super::patience::Patience;
+use super::lock_timeout::LockTimeout;
 use crate::files;
 
 /// Bytes that one write takes.
@@ -30,7 +30,7 @@ pub(super) type Observer = Arc<dyn Fn(Step<'_>) -> io::Result<()> + Send + Sync>
 pub(super) struct Disk {
     observer: Option<Observer>,
     /// How long the store's lock is waited for.
-    pub(super) patience: Patience,
+    pub(super) patience: LockTimeout,
 }
 
 impl std::fmt::Debug for Disk {

@@ -16,8 +16,8 @@ use super::CheckpointError;
 use super::disk::Disk;
 use super::labels::Labels;
 use super::opening::is_directory;
-use crate::own;
-use crate::regular::{self, Links};
+use crate::owned_files;
+use crate::regular_files::{self, Links};
 
 /// Name of the file that is locked.
 const LOCK: &str = ".lock";
@@ -62,7 +62,7 @@ impl Guard {
         loop {
             let file = open(&path).map_err(CheckpointError::io(&path, "lock"))?;
             match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-                Ok(()) if regular::is_at(&file, &path) => return Ok(Self { _file: file }),
+                Ok(()) if regular_files::is_at(&file, &path) => return Ok(Self { _file: file }),
                 // The lock of a store that was not to be is removed; the next one is another file.
                 Ok(()) => {}
                 Err(Errno::WOULDBLOCK) => {
@@ -82,7 +82,7 @@ impl Guard {
         let path = root.join(LOCK);
         let file = open(&path).ok()?;
         flock(&file, FlockOperation::NonBlockingLockExclusive).ok()?;
-        regular::is_at(&file, &path).then_some(Self { _file: file })
+        regular_files::is_at(&file, &path).then_some(Self { _file: file })
     }
 
     /// Whether anybody has ever changed the store in `root`.
@@ -94,11 +94,11 @@ impl Guard {
 /// Opens the lock file, or makes it. Nobody else may open it: that is all that it takes to lock it.
 fn open(path: &Path) -> std::io::Result<File> {
     let mut options = File::options();
-    options.write(true).create(true).truncate(false).mode(own::MODE);
-    let file = regular::open_with(path, &mut options, Links::Refuse)?;
+    options.write(true).create(true).truncate(false).mode(owned_files::MODE);
+    let file = regular_files::open_with(path, &mut options, Links::Refuse)?;
     let there = file.metadata()?;
-    if there.mode() & 0o077 != 0 && there.uid() == own::user() {
-        file.set_permissions(Permissions::from_mode(own::MODE))?;
+    if there.mode() & 0o077 != 0 && there.uid() == owned_files::user() {
+        file.set_permissions(Permissions::from_mode(owned_files::MODE))?;
     }
     Ok(file)
 }

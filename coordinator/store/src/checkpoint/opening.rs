@@ -7,7 +7,7 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
 use super::{CheckpointError, LABELS};
-use crate::regular::{self, Links};
+use crate::regular_files::{self, Links};
 
 /// Whether `path` itself is a directory, and not a link to one.
 pub(super) fn is_directory(path: &Path) -> bool {
@@ -16,13 +16,13 @@ pub(super) fn is_directory(path: &Path) -> bool {
 
 /// Opens a file of a checkpoint for reading.
 pub(super) fn file(path: &Path) -> Result<File, CheckpointError> {
-    regular::open_with(path, File::options().read(true), Links::Refuse)
+    regular_files::open_with(path, File::options().read(true), Links::Refuse)
         .map_err(|error| refusal(path, error))
 }
 
 /// Reads a file of a checkpoint of `limit` bytes at most.
 pub(super) fn bytes(path: &Path, limit: u64) -> Result<Vec<u8>, CheckpointError> {
-    regular::drain(file(path)?, limit).map_err(|error| refusal(path, error))
+    regular_files::drain(file(path)?, limit).map_err(|error| refusal(path, error))
 }
 
 /// What is no regular file, or too long, is damage; that it cannot be read is none.

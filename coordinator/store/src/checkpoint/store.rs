@@ -12,10 +12,10 @@ use super::entry::{Entry, Survey, directories};
 use super::guard::{Guard, REPLACED, Scratch, unique};
 use super::labelling::{BEST, LATEST};
 use super::labels::{Labels, Score};
+use super::lock_timeout::LockTimeout;
 use super::manifest::{FileEntry, Manifest};
 use super::name::Name;
 use super::opening::{Stamp, is_directory};
-use super::patience::Patience;
 use super::read::{self, Checkpoint};
 use super::{
     CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE, Snapshot, catalogue, tensors,
@@ -83,7 +83,7 @@ impl CheckpointStore {
 
     /// The same store, for somebody who waits for its lock as long as `patience` says.
     #[must_use]
-    pub fn with_patience(mut self, patience: Patience) -> Self {
+    pub fn with_patience(mut self, patience: LockTimeout) -> Self {
         self.disk.patience = patience;
         self
     }

@@ -1,7 +1,7 @@
 //! Finding the contacts of a substep.
 
+use super::contact_forces::{arm_response, arms, couple, gap_and_rate, hold, take_off_forces};
 use super::distance::{Proximity, bound_bound, bound_box, rounded_box, rounded_rounded};
-use super::push::{arm_response, arms, couple, gap_and_rate, hold, take_off_forces};
 use crate::dynamics::kinematics::{point_in_link, point_velocity};
 use crate::model::{Bound, Core, FixedBody, Model, Pair, Partner, Rounded};
 use crate::robot::JOINTS_PER_ARM;

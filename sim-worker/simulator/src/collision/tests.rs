@@ -2,7 +2,7 @@
 
 use super::distance::{rounded_box, rounded_rounded};
 use super::*;
-use crate::dynamics::twin::momentum;
+use crate::dynamics::reference_dynamics::momentum;
 use crate::model::{ContactKind, Core, FixedBox, Model, Rounded};
 use crate::robot::Robot;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};

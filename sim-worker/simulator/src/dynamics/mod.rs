@@ -1,7 +1,7 @@
 //! Equations of motion of the robot: forward dynamics, kinematics, servos, invariants.
 //!
 //! * [`forward_dynamics`] is the articulated-body algorithm; [`hands`] the forward kinematics.
-//! * [`twin`] holds the textbook forms in `f64` with nalgebra (inverse dynamics, inertia matrix, momentum, energy), against which the
+//! * [`reference_dynamics`] holds the textbook forms in `f64` with nalgebra (inverse dynamics, inertia matrix, momentum, energy), against which the
 //!   tests hold the fast ones.
 //!
 //! There is no gravity. Generalised velocity: base linear velocity (world axes), base angular velocity (base axes), joint rates.
@@ -14,8 +14,8 @@ pub(crate) mod articulated;
 mod fk;
 pub(crate) mod invariants;
 pub(crate) mod kinematics;
+pub mod reference_dynamics;
 pub(crate) mod servo;
-pub mod twin;
 
 pub use aba::{Acceleration, forward_dynamics};
 pub(crate) use fk::kinematics as kinematics_of;

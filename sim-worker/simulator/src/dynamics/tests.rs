@@ -2,7 +2,7 @@
 
 use nalgebra::DVector;
 
-use super::twin::{inertia_matrix, kinetic_energy, momentum, rnea};
+use super::reference_dynamics::{inertia_matrix, kinetic_energy, momentum, rnea};
 use super::*;
 use crate::model::Model;
 use crate::robot::Robot;
@@ -98,7 +98,7 @@ fn the_inertia_matrix_is_symmetric_positive_definite_and_agrees_with_rnea() {
                 joints: a.qd.clone(),
             };
             let f = rnea(&robot, &state, &acceleration);
-            let g = &m * twin::generalised_velocity(&a);
+            let g = &m * reference_dynamics::generalised_velocity(&a);
             assert!((f - &g).amax() < 1e-12 * g.amax().max(1.0) * 10.0);
         }
     }

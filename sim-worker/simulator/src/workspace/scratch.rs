@@ -1,6 +1,6 @@
 //! Scratch memory of the dynamics, named.
 
-use super::contacts::ContactSet;
+use super::contact_set::ContactSet;
 use crate::model::Model;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;

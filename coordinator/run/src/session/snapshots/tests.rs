@@ -78,7 +78,7 @@ fn a_wish_of_a_time_without_a_learner_is_kept_until_there_is_one() {
     fixture.arrives(3);
     fixture.settle();
     assert_eq!(answer.try_recv().expect("answered"), Ok("iteration-00000003".to_owned()));
-    assert_eq!(fixture.snapshots.wish, Wish::None);
+    assert_eq!(fixture.snapshots.wish, RequestedCheckpoint::None);
 }
 
 #[test]

@@ -175,7 +175,7 @@ fn a_lock_that_is_held_is_waited_for_only_so_long() {
     let lock = std::fs::File::open(&path).expect("own");
     flock(&lock, FlockOperation::LockExclusive).expect("free");
 
-    let short = store.clone().with_patience(Patience::new(Duration::from_millis(30)));
+    let short = store.clone().with_patience(LockTimeout::new(Duration::from_millis(30)));
     let error = short.pin(&nth(1), true).expect_err("held");
     assert!(matches!(error, CheckpointError::Locked { .. }), "{error:?}");
     let said = error.to_string();
@@ -184,7 +184,7 @@ fn a_lock_that_is_held_is_waited_for_only_so_long() {
 
     let stop = Arc::new(AtomicBool::new(false));
     let asked = Arc::clone(&stop);
-    let patience = Patience::new(Duration::from_hours(1));
+    let patience = LockTimeout::new(Duration::from_hours(1));
     let long = store.clone().with_patience(patience.unless(move || asked.load(Ordering::Relaxed)));
     std::thread::scope(|scope| {
         let waiting = scope.spawn(|| long.pin(&nth(1), true));

@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use super::*;
+use crate::dynamics::reference_dynamics::{Momentum, kinetic_energy, momentum};
 use crate::dynamics::tests::Noise;
-use crate::dynamics::twin::{Momentum, kinetic_energy, momentum};
 use crate::robot::Robot;
 use crate::scalar::{LANES, LaneFn, dispatch};
 use crate::state::State;

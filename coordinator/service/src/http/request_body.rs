@@ -12,29 +12,29 @@ use axum::http::{HeaderMap, StatusCode};
 use serde::de::DeserializeOwned;
 
 use super::limits::Limits;
-use super::pace::Pace;
+use super::minimum_rate::MinimumRate;
 use super::problem::Problem;
 
-/// Bytes that are read and dropped before a refusal, see [`Intake::discard`].
+/// Bytes that are read and dropped before a refusal, see [`RequestBody::discard`].
 const DISCARDED: u64 = 4 << 20;
 /// Time for them.
 const DISCARD_TIME: Duration = Duration::from_secs(1);
 
 /// A body on its way in.
 #[derive(Debug)]
-pub(super) struct Intake {
+pub(super) struct RequestBody {
     headers: HeaderMap,
     body: Body,
-    pace: Pace,
+    pace: MinimumRate,
     limit: u64,
     taken: u64,
 }
 
-impl Intake {
+impl RequestBody {
     /// The body of a request, of `limit` bytes at most.
     pub(super) fn new(request: Request, limit: u64, limits: &Limits) -> Self {
         let (parts, body) = request.into_parts();
-        Self { headers: parts.headers, body, pace: Pace::new(limits), limit, taken: 0 }
+        Self { headers: parts.headers, body, pace: MinimumRate::new(limits), limit, taken: 0 }
     }
 
     /// The length that the client announced.

@@ -16,7 +16,7 @@ const REMEMBERED: usize = 1024;
 
 /// What a file was when it was compared with its entry in the manifest.
 #[derive(Debug)]
-struct Outcome {
+struct CheckResult {
     stamp: Stamp,
     entry: FileEntry,
     /// What was wrong with it.
@@ -28,7 +28,7 @@ struct Outcome {
 #[derive(Debug, Default)]
 pub struct Checked {
     /// A lock for each file, so that two who ask for one at the same time hash it once.
-    files: Mutex<BTreeMap<PathBuf, Arc<Mutex<Option<Outcome>>>>>,
+    files: Mutex<BTreeMap<PathBuf, Arc<Mutex<Option<CheckResult>>>>>,
 }
 
 impl Checked {
@@ -49,7 +49,7 @@ impl Checked {
                 Err(error) => return Err(error),
             };
             file.rewind().map_err(CheckpointError::io(path, "read"))?;
-            *known = Some(Outcome { stamp, entry: entry.clone(), damage });
+            *known = Some(CheckResult { stamp, entry: entry.clone(), damage });
         }
         match known.as_ref().and_then(|known| known.damage.as_ref()) {
             None => Ok(file),
@@ -66,7 +66,7 @@ impl Checked {
             .try_for_each(|(name, entry)| self.open(&dir.join(name), entry).map(drop))
     }
 
-    fn slot(&self, path: &Path) -> Arc<Mutex<Option<Outcome>>> {
+    fn slot(&self, path: &Path) -> Arc<Mutex<Option<CheckResult>>> {
         let mut files = lock(&self.files);
         if files.len() >= REMEMBERED && !files.contains_key(path) {
             files.retain(|path, _| path.exists());

@@ -13,11 +13,11 @@ pub(super) const STANDSTILL: Duration = Duration::from_secs(2);
 
 /// When the loop looked at the clock last.
 #[derive(Debug)]
-pub(super) struct Attention {
+pub(super) struct LoopClock {
     now: Instant,
 }
 
-impl Attention {
+impl LoopClock {
     pub(super) fn new(now: Instant) -> Self {
         Self { now }
     }
@@ -43,7 +43,7 @@ mod tests {
     #[test]
     fn a_turn_that_took_long_moves_the_deadlines_and_others_do_not() {
         let begun = Instant::now();
-        let mut attention = Attention::new(begun);
+        let mut attention = LoopClock::new(begun);
         let tick = Duration::from_millis(20);
         assert_eq!(attention.turn(begun + tick), Duration::ZERO);
         let stopped = Duration::from_secs(110);

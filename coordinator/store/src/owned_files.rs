@@ -6,7 +6,7 @@ use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
 use std::path::Path;
 
-use crate::regular::{self, Links};
+use crate::regular_files::{self, Links};
 
 /// Rights of such a file.
 pub const MODE: u32 = 0o600;
@@ -49,7 +49,7 @@ pub fn check(file: &File, others: Others) -> io::Result<()> {
 
 /// Reads the text of a file that must be this user's own.
 pub fn read_text(path: &Path, others: Others) -> io::Result<String> {
-    let file = regular::open_with(path, File::options().read(true), Links::Refuse)?;
+    let file = regular_files::open_with(path, File::options().read(true), Links::Refuse)?;
     check(&file, others)?;
     let mut text = String::new();
     file.take(MAX_LEN).read_to_string(&mut text)?;

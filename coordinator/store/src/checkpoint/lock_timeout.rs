@@ -8,17 +8,17 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Patience of who has not said how long he waits: a person before a command.
+/// LockTimeout of who has not said how long he waits: a person before a command.
 const DEFAULT: Duration = Duration::from_secs(10);
 
 /// How long somebody waits.
 #[derive(Clone)]
-pub struct Patience {
+pub struct LockTimeout {
     time: Duration,
     stop: Option<Arc<dyn Fn() -> bool + Send + Sync>>,
 }
 
-impl Patience {
+impl LockTimeout {
     /// So long.
     pub fn new(time: Duration) -> Self {
         Self { time, stop: None }
@@ -36,15 +36,18 @@ impl Patience {
     }
 }
 
-impl Default for Patience {
+impl Default for LockTimeout {
     fn default() -> Self {
         Self::new(DEFAULT)
     }
 }
 
-impl fmt::Debug for Patience {
+impl fmt::Debug for LockTimeout {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { time, stop } = self;
-        f.debug_struct("Patience").field("time", time).field("stoppable", &stop.is_some()).finish()
+        f.debug_struct("LockTimeout")
+            .field("time", time)
+            .field("stoppable", &stop.is_some())
+            .finish()
     }
 }

@@ -8,7 +8,7 @@ use service::live::Totals;
 
 /// Env-steps by iteration, as far as the coordinator has heard of them.
 #[derive(Debug, Default)]
-pub(super) struct Books {
+pub(super) struct StepAccounts {
     /// Env-steps that workers said they produced.
     produced: BTreeMap<u64, u64>,
     /// Env-steps that died with workers.
@@ -17,7 +17,7 @@ pub(super) struct Books {
     pub(super) totals: Totals,
 }
 
-impl Books {
+impl StepAccounts {
     /// A worker says that it has sent a block.
     pub(super) fn produced(&mut self, iteration: u64, env_steps: u64) {
         *self.produced.entry(iteration).or_default() += env_steps;

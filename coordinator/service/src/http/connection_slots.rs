@@ -15,7 +15,7 @@ use super::limits::Limits;
 
 /// A connection's place. Clones are the same place.
 #[derive(Debug, Clone)]
-pub(super) struct Seat(Arc<Place>);
+pub(super) struct ConnectionSlot(Arc<Place>);
 
 #[derive(Debug)]
 struct Place {
@@ -25,7 +25,7 @@ struct Place {
     leave: Notify,
 }
 
-impl Seat {
+impl ConnectionSlot {
     /// The client has shown the token.
     pub(super) fn prove(&self) {
         self.0.proven.store(true, Ordering::Relaxed);
@@ -39,7 +39,7 @@ impl Seat {
 
 /// All places.
 #[derive(Debug)]
-pub(super) struct Seats {
+pub(super) struct ConnectionSlots {
     most: usize,
     time: Duration,
     taken: Mutex<Taken>,
@@ -49,20 +49,20 @@ pub(super) struct Seats {
 #[derive(Debug, Default)]
 struct Taken {
     /// By the order in which they came.
-    seats: BTreeMap<u64, Seat>,
+    seats: BTreeMap<u64, ConnectionSlot>,
     count: u64,
 }
 
 /// A place that is free again when this is dropped.
 #[derive(Debug)]
 pub(super) struct Held {
-    seats: Arc<Seats>,
+    seats: Arc<ConnectionSlots>,
     number: u64,
-    seat: Seat,
+    seat: ConnectionSlot,
 }
 
 impl Held {
-    pub(super) fn seat(&self) -> &Seat {
+    pub(super) fn seat(&self) -> &ConnectionSlot {
         &self.seat
     }
 }
@@ -74,7 +74,7 @@ impl Drop for Held {
     }
 }
 
-impl Seats {
+impl ConnectionSlots {
     pub(super) fn new(limits: &Limits) -> Arc<Self> {
         Arc::new(Self {
             most: limits.connections,
@@ -101,7 +101,7 @@ impl Seats {
     fn try_take(self: &Arc<Self>) -> Result<Held, Duration> {
         let mut taken = self.taken();
         if taken.seats.len() >= self.most {
-            let unproven = |seat: &&Seat| !seat.0.proven.load(Ordering::Relaxed);
+            let unproven = |seat: &&ConnectionSlot| !seat.0.proven.load(Ordering::Relaxed);
             let oldest = taken.seats.values().next();
             let left =
                 oldest.map_or(self.time, |seat| self.time.saturating_sub(seat.0.since.elapsed()));
@@ -119,7 +119,7 @@ impl Seats {
         }
         let place =
             Place { since: Instant::now(), proven: AtomicBool::new(false), leave: Notify::new() };
-        let (number, seat) = (taken.count, Seat(Arc::new(place)));
+        let (number, seat) = (taken.count, ConnectionSlot(Arc::new(place)));
         taken.count += 1;
         taken.seats.insert(number, seat.clone());
         Ok(Held { seats: Arc::clone(self), number, seat })
@@ -134,8 +134,8 @@ impl Seats {
 mod tests {
     use super::*;
 
-    fn seats(connections: usize, time: Duration) -> Arc<Seats> {
-        Seats::new(&Limits { connections, connection_time: time, ..Limits::default() })
+    fn seats(connections: usize, time: Duration) -> Arc<ConnectionSlots> {
+        ConnectionSlots::new(&Limits { connections, connection_time: time, ..Limits::default() })
     }
 
     /// Whether somebody has been told to leave this place.

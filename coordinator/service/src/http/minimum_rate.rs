@@ -13,7 +13,7 @@ use super::limits::Limits;
 /// How long a client has made us wait since it last moved enough bytes. Time that we take
 /// ourselves, say for the disk, does not count.
 #[derive(Debug)]
-pub(super) struct Pace {
+pub(super) struct MinimumRate {
     time: Duration,
     bytes: u64,
     waited: Duration,
@@ -21,7 +21,7 @@ pub(super) struct Pace {
     waiting: Option<(Instant, Pin<Box<Sleep>>)>,
 }
 
-impl Pace {
+impl MinimumRate {
     pub(super) fn new(limits: &Limits) -> Self {
         Self {
             time: limits.pace_time,
@@ -65,12 +65,12 @@ impl Pace {
 #[derive(Debug)]
 pub(super) struct PacedWrites<C> {
     connection: C,
-    pace: Pace,
+    pace: MinimumRate,
 }
 
 impl<C> PacedWrites<C> {
     pub(super) fn new(connection: C, limits: &Limits) -> Self {
-        Self { connection, pace: Pace::new(limits) }
+        Self { connection, pace: MinimumRate::new(limits) }
     }
 
     fn judge<T>(
