@@ -23,13 +23,14 @@ use proto::config::{Config, Precision, Run};
 use proto::run_dir::RunDir;
 use tar::{Archive, Builder, EntryType, Header};
 
+use super::commit::{Arrival, Clash};
 use super::disk::{CHUNK, Disk};
 use super::entry::Entry;
 use super::guard::Scratch;
 use super::manifest::{FileEntry, MAX_MANIFEST, Manifest};
 use super::name::Name;
 use super::read::{self, MAX_TEXT, small_files};
-use super::store::{Arrival, CheckpointStore, Clash};
+use super::store::CheckpointStore;
 use super::{CONFIG, CheckpointError, MANIFEST, ROBOT, opening, verify};
 use crate::budgets;
 use crate::recorded::Recorded;

@@ -8,11 +8,12 @@ use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use simulator::robot::Robot;
 
+use super::commit::{Arrival, Clash};
 use super::entry::Entry;
 use super::manifest::{Manifest, Origin};
 use super::name::Name;
 use super::read::Checkpoint;
-use super::store::{Arrival, CheckpointStore, Clash, now};
+use super::store::{CheckpointStore, now};
 use super::{CONFIG, CheckpointError, FORMAT, POLICY, ROBOT, tensors};
 
 /// Arms that come from one checkpoint.

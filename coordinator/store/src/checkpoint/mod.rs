@@ -28,6 +28,7 @@
 //! | `checked` | which files were found whole |
 //! | `archive` | a checkpoint as one file |
 //! | `state_layout` | what a training state must hold |
+//! | `commit` | a snapshot becomes a checkpoint, whole or not at all |
 //! | `verify`, `compare` | the thorough check; two checkpoints side by side |
 //! | `compose` | one policy set from several checkpoints |
 //! | `selector` | how users name a checkpoint |
@@ -35,6 +36,7 @@
 mod archive;
 mod assembly;
 mod catalogue;
+mod commit;
 mod compare;
 mod compose;
 mod disk;
@@ -61,6 +63,7 @@ mod verify;
 pub use archive::MAX_CONTENT;
 pub use assembly::{Assembly, Snapshot};
 pub use catalogue::CATALOGUE;
+pub use commit::Placement;
 pub use compare::{Difference, KeyDifference, TensorDifference, compare, flatten};
 pub use compose::{Composition, Part};
 pub use entry::{DamagedEntry, Entry, Kind, Survey};
@@ -77,7 +80,7 @@ pub use read::{Checkpoint, read_policy};
 pub use retention::Retention;
 pub use selector::{Selector, runs_in, store_at, store_to_be};
 pub use state_layout::{STATE_FORMAT, StateLayout, StateTensor};
-pub use store::{CheckpointStore, Placement};
+pub use store::CheckpointStore;
 pub use tensors::shapes;
 pub use verify::Verification;
 
