@@ -6,7 +6,7 @@ use proto::message::{IterationReport, Order, PortId, Progress, Status, WorkerId}
 use proto::{ExitCode, ExitError};
 use store::checkpoint::Name;
 
-use super::mail::Addressee;
+use super::order_queue::Addressee;
 use super::snapshots::{Evaluation, Phase};
 use super::{Session, StoppedBy};
 use crate::committer::Committed;

@@ -5,9 +5,9 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::os::unix::process::CommandExt as _;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use channels::Domain;
@@ -15,44 +15,19 @@ use proto::config::Run;
 use proto::message::WorkerId;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use rustix::process::Signal;
 use store::regular_files::{self, Links};
 
-use crate::environment;
+use self::deaths::{MAX_CRASHES, MAX_KILLS};
 use crate::janitor::Janitor;
-use crate::preflight;
-use crate::signal_isolation;
+use crate::{environment, signal_isolation};
 
-/// Where the programs of a run are.
-#[derive(Debug, Clone)]
-pub struct Programs {
-    /// `learner`.
-    pub learner: PathBuf,
-    /// `sim-worker`.
-    pub sim_worker: PathBuf,
-}
+mod cause;
+mod deaths;
+mod programs;
 
-impl Programs {
-    /// Looks beside this program, then along `PATH`.
-    pub fn find() -> Result<Self, ExitError> {
-        Ok(Self { learner: find("learner")?, sim_worker: find("sim-worker")? })
-    }
-}
-
-fn find(name: &str) -> Result<PathBuf, ExitError> {
-    let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(name)));
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    beside
-        .into_iter()
-        .chain(std::env::split_paths(&path).map(|dir| dir.join(name)))
-        .find(|candidate| candidate.is_file())
-        .ok_or_else(|| {
-            ExitError::new(
-                ExitCode::Environment,
-                format!("program `{name}` is neither beside octopus nor on PATH; run `make build`"),
-            )
-        })
-}
+pub use self::cause::{Cause, child_exit_code, log_tail};
+pub use self::deaths::{Death, Deaths};
+pub use self::programs::Programs;
 
 /// What there is of a worker.
 #[derive(Debug)]
@@ -71,128 +46,6 @@ struct WorkerSlot {
     incarnation: u32,
     /// Deaths in a row without a delivered block.
     deaths: Deaths,
-}
-
-/// Why a process is no more.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cause {
-    /// It ended by itself: an exit code, or a signal that a program earns, such as SIGSEGV.
-    Crash(ExitStatus),
-    /// SIGBUS where shared memory is full: it touched a page that there was no room for.
-    SharedMemoryFull,
-    /// It was silent for too long and was killed for it.
-    Hang,
-    /// Somebody outside sent a signal: SIGKILL, also from the kernel when memory is short, SIGTERM,
-    /// SIGINT or SIGHUP. Says nothing about what the process was doing.
-    Killed(ExitStatus),
-}
-
-impl Cause {
-    fn of(status: ExitStatus, hung: bool) -> Self {
-        const SIGNALS: [Signal; 4] = [Signal::KILL, Signal::TERM, Signal::INT, Signal::HUP];
-        let sent = |number| SIGNALS.iter().any(|signal| signal.as_raw() == number);
-        match status.signal() {
-            _ if hung => Self::Hang,
-            Some(number)
-                if number == Signal::BUS.as_raw() && preflight::shared_memory_is_full() =>
-            {
-                Self::SharedMemoryFull
-            }
-            Some(number) if sent(number) => Self::Killed(status),
-            _ => Self::Crash(status),
-        }
-    }
-
-    /// What the coordinator ends with if this ends the run: what the child [`child_exit_code`], or that it failed.
-    pub fn exit_code(self) -> ExitCode {
-        match self {
-            Self::Crash(status) => child_exit_code(status),
-            Self::SharedMemoryFull => ExitCode::Environment,
-            Self::Hang | Self::Killed(_) => ExitCode::Child,
-        }
-    }
-
-    /// Whether it says something about the block at hand: not who was killed from outside, nor who died
-    /// for want of something that the machine lacks.
-    pub fn blames_its_work(self) -> bool {
-        !matches!(self, Self::Killed(_)) && self.exit_code() == ExitCode::Child
-    }
-}
-
-/// What a child said with its exit code, where that is about the machine or the files; else that a
-/// child failed.
-pub fn child_exit_code(status: ExitStatus) -> ExitCode {
-    [ExitCode::BadInput, ExitCode::Environment, ExitCode::RunDirectory]
-        .into_iter()
-        .find(|code| status.code() == Some(*code as i32))
-        .unwrap_or(ExitCode::Child)
-}
-
-impl std::fmt::Display for Cause {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Hang => write!(f, "hung"),
-            Self::SharedMemoryFull => write!(
-                f,
-                "signal {}: shared memory is full; {}",
-                Signal::BUS.as_raw(),
-                preflight::MAKE_ROOM
-            ),
-            Self::Crash(status) | Self::Killed(status) => match (status.code(), status.signal()) {
-                (Some(code), _) => write!(f, "exit code {code}"),
-                (None, Some(signal)) => write!(f, "signal {signal}"),
-                (None, None) => write!(f, "unknown cause"),
-            },
-        }
-    }
-}
-
-/// Deaths of a process and its successors in a row, with nothing achieved in between. Those by a
-/// signal from outside say less about the program than crashes do, so each kind has its own count.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Deaths {
-    crashes: u32,
-    kills: u32,
-}
-
-impl Deaths {
-    /// One more.
-    pub fn count(&mut self, cause: Cause) {
-        match cause {
-            Cause::Killed(_) => self.kills += 1,
-            Cause::Crash(_) | Cause::SharedMemoryFull | Cause::Hang => self.crashes += 1,
-        }
-    }
-
-    /// These and one more, of a process that had lived for `lived`.
-    fn and(self, cause: Cause, lived: Duration) -> Self {
-        // Who hangs lives on for as long as silence is borne, which may be longer, and has done nothing.
-        let settled = lived > SETTLED && cause != Cause::Hang;
-        let mut deaths = if settled { Self::default() } else { self };
-        deaths.count(cause);
-        deaths
-    }
-
-    /// All of them.
-    pub fn total(self) -> u32 {
-        self.crashes + self.kills
-    }
-
-    /// Whether there are as many crashes or as many kills as end a run.
-    pub fn are_too_many(self, crashes: u32, kills: u32) -> bool {
-        self.crashes >= crashes || self.kills >= kills
-    }
-}
-
-/// A child that has ended.
-#[derive(Debug)]
-pub enum Death {
-    /// The learner.
-    Learner(Cause),
-    /// A worker; its slot will start a successor.
-    Worker(WorkerId, Cause),
-    /// A worker that had been asked to.
-    Left(WorkerId),
 }
 
 /// A process of the run, for its status.
@@ -232,12 +85,6 @@ pub struct Supervisor {
     restarts: u64,
 }
 
-/// Crashes of one worker in a row, without a block in between, after which the run is given up.
-const MAX_CRASHES: u32 = 5;
-/// The same for deaths by a signal from outside, which say less.
-const MAX_KILLS: u32 = 50;
-/// Who has lived for this long did not die of what killed its predecessors.
-const SETTLED: Duration = Duration::from_mins(1);
 /// First back-off; doubles with every failure in a row.
 const BACK_OFF: Duration = Duration::from_millis(50);
 /// How long a worker that was asked to go may take for the block at hand.
@@ -596,16 +443,13 @@ impl Supervisor {
     }
 }
 
-/// The last lines of a child's log, to be shown with its death.
-pub fn log_tail(path: &Path, lines: usize) -> String {
-    let text = regular_files::read(path, regular_files::RECORD).unwrap_or_default();
-    let text = String::from_utf8_lossy(&text);
-    let tail: Vec<_> = text.lines().rev().take(lines).collect();
-    tail.into_iter().rev().collect::<Vec<_>>().join("\n")
-}
-
 #[cfg(test)]
 mod tests {
+    use std::os::unix::process::ExitStatusExt as _;
+    use std::process::ExitStatus;
+
+    use rustix::process::Signal;
+
     use super::*;
 
     fn deaths(cause: Cause, lived: Duration, times: u32) -> Deaths {

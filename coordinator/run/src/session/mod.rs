@@ -14,10 +14,10 @@ pub mod failures;
 mod accounting;
 mod control;
 mod events;
-mod headroom;
-mod mail;
 mod monitor;
+mod order_queue;
 mod recovery;
+mod reserved_memory;
 mod snapshots;
 mod stall_allowance;
 
@@ -39,9 +39,9 @@ use store::checkpoint::{Checkpoint, CheckpointStore, LockTimeout};
 
 use self::accounting::StepAccounts;
 use self::failures::Failures;
-use self::headroom::ReservedMemory;
-use self::mail::OrderQueue;
 use self::monitor::Monitor;
+use self::order_queue::OrderQueue;
+use self::reserved_memory::ReservedMemory;
 use self::snapshots::Snapshots;
 use self::stall_allowance::{LoopClock, STANDSTILL};
 use crate::report::Reporter;

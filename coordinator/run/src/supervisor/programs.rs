@@ -1,0 +1,36 @@
+//! Where the programs of a run are.
+
+use std::path::PathBuf;
+
+use proto::{ExitCode, ExitError};
+
+/// Where the programs of a run are.
+#[derive(Debug, Clone)]
+pub struct Programs {
+    /// `learner`.
+    pub learner: PathBuf,
+    /// `sim-worker`.
+    pub sim_worker: PathBuf,
+}
+
+impl Programs {
+    /// Looks beside this program, then along `PATH`.
+    pub fn find() -> Result<Self, ExitError> {
+        Ok(Self { learner: find("learner")?, sim_worker: find("sim-worker")? })
+    }
+}
+
+fn find(name: &str) -> Result<PathBuf, ExitError> {
+    let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(name)));
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    beside
+        .into_iter()
+        .chain(std::env::split_paths(&path).map(|dir| dir.join(name)))
+        .find(|candidate| candidate.is_file())
+        .ok_or_else(|| {
+            ExitError::new(
+                ExitCode::Environment,
+                format!("program `{name}` is neither beside octopus nor on PATH; run `make build`"),
+            )
+        })
+}
