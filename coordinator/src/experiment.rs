@@ -9,7 +9,7 @@ use lab::experiments::{
     Experiment, arm_failure, base_mass, disturbance, noise, perform, precision, reassembly,
 };
 
-use crate::values::{amount, amounts, whole};
+use crate::values::{Amounts, amount, amounts, whole};
 
 const GROUP_EXAMPLES: &str = "\
 Examples:
@@ -243,10 +243,6 @@ pub struct NoiseArgs {
     #[arg(long, value_name = "F,F,…", default_value = "0.5,0.75,1,1.5,2,3", allow_hyphen_values = true, value_parser = amounts)]
     pub arm_masses: Amounts,
 }
-
-/// Several numbers, zero or more each.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Amounts(pub Vec<f64>);
 
 /// Reads which arm fails.
 fn failing(text: &str) -> Result<Failing, String> {

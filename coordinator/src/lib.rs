@@ -30,17 +30,13 @@ pub mod verify;
 mod conclusion;
 pub mod limits;
 pub mod logs;
+mod not_the_same;
 
 use anyhow::Context as _;
 use run::signals;
 
 use crate::cli::Command;
-
-/// Two things that were compared are not the same. No failure but the answer, which standard output
-/// holds: the program ends with exit code 1 and says no more.
-#[derive(Debug, thiserror::Error)]
-#[error("not the same")]
-pub struct NotTheSame;
+pub use crate::not_the_same::NotTheSame;
 
 /// Does what the command line says.
 pub fn run(command: Command) -> anyhow::Result<()> {

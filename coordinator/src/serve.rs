@@ -13,7 +13,7 @@ use serde_json::json;
 use service::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
 use store::checkpoint::CheckpointStore;
 
-use crate::checkpoints::store_to_fill;
+use crate::checkpoints::common::store_to_fill;
 use crate::values::{address, positive};
 
 const SERVE_EXAMPLES: &str = "\

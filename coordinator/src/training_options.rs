@@ -7,7 +7,7 @@ use clap::Args;
 use proto::run_dir::RunDir;
 use run::start::service::RunService;
 
-use crate::values::{duration, listen, positive};
+use crate::values::{Listen, duration, listen, positive};
 
 /// When to stop; at most one of them.
 #[derive(Debug, Clone, Default, Args)]
@@ -33,15 +33,6 @@ pub struct HttpArgs {
     /// A file with a token that clients may show beside the run's own; needed beyond this machine.
     #[arg(long, value_name = "FILE", help_heading = "Service")]
     pub token_file: Option<PathBuf>,
-}
-
-/// Where to listen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Listen {
-    /// Nowhere.
-    Off,
-    /// There.
-    At(std::net::SocketAddr),
 }
 
 /// What happens around a training.

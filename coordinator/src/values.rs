@@ -7,9 +7,6 @@ use std::time::Duration;
 use clap::ValueEnum;
 use output::grouped;
 
-use crate::experiment::Amounts;
-use crate::training_options::Listen;
-
 /// Most workers that a configuration may have.
 const MAX_WORKERS: u64 = 256;
 
@@ -158,6 +155,19 @@ pub enum Switch {
     On,
     /// Off.
     Off,
+}
+
+/// Several numbers, zero or more each.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Amounts(pub Vec<f64>);
+
+/// Where to listen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Listen {
+    /// Nowhere.
+    Off,
+    /// There.
+    At(std::net::SocketAddr),
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{ArgGroup, Args};
 use lab::verification::{Record, compare, replay};
 
-use crate::NotTheSame;
+use crate::not_the_same::NotTheSame;
 use crate::values::whole;
 
 /// Both forms of the command, also shown when neither is complete.

@@ -14,16 +14,12 @@
 //! Letters: `A` agents, `P` actors, `T` steps, `N` environments of a shard, `O` observation, `S` critic
 //! state, `U` actions of an agent (3), `K` episode metrics. All arrays are row-major.
 
+pub use crate::agents::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
 
 use crate::config::{AlgorithmName, Config, CriticState, InputNorm, Observation, TaskName};
-
-/// Joints that one agent moves.
-pub const JOINTS_PER_AGENT: usize = 3;
-/// Agents of one arm: shoulder joints, wrist joints.
-pub const AGENTS_PER_ARM: usize = 2;
 
 /// The sizes of a run's arrays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

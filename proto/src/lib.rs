@@ -15,6 +15,7 @@
 //! The crate `channels` carries these things between processes, the crate `process` holds what each process
 //! does first. Read [`message`] next: it tells the story of an iteration.
 
+pub mod agents;
 pub mod config;
 mod digest;
 mod error;

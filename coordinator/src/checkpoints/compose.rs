@@ -5,7 +5,7 @@ use proto::{ExitCode, ExitError};
 use store::checkpoint::{Composition, Name, Part};
 use store::provenance::Provenance;
 
-use super::{refused, report, store_to_fill};
+use super::common::{refused, report, store_to_fill};
 use crate::checkpoints::options::{ComposeArgs, given_twice};
 
 /// Builds one policy set from the arms of several checkpoints.

@@ -4,8 +4,8 @@ use output::{counted, size};
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{Difference, Selector, Verification, compare, store_at};
 
-use crate::NotTheSame;
 use crate::checkpoints::options::{DiffArgs, VerifyArgs};
+use crate::not_the_same::NotTheSame;
 
 /// Checks checkpoints thoroughly.
 pub(super) fn verify(args: &VerifyArgs) -> anyhow::Result<()> {

@@ -3,7 +3,7 @@
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{BEST, CheckpointError, store_at};
 
-use super::{refused, report};
+use super::common::{refused, report};
 use crate::checkpoints::options::{PinArgs, TagArgs, UntagArgs};
 
 /// Pins a checkpoint or lets it go.

@@ -11,7 +11,7 @@ use store::checkpoint::{CheckpointError, CheckpointStore, Name};
 use store::outputs::Output;
 use store::{files, regular_files};
 
-use super::{refused, report, store_to_fill};
+use super::common::{refused, report, store_to_fill};
 use crate::checkpoints::options::{ExportArgs, ImportArgs};
 
 /// Unpacks an archive into a store.

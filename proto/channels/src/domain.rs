@@ -9,11 +9,10 @@ use std::path::{Path, PathBuf};
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FileName, Path as IpcPath, SemanticString};
 
-use crate::ChannelError;
+use crate::error::ChannelError;
+use crate::place::SHARED_MEMORY;
 use crate::segment::MARGIN;
 
-/// Where shared memory lives.
-pub const SHARED_MEMORY: &str = "/dev/shm";
 /// Mode of a directory that only its owner can look into.
 const PRIVATE: u32 = 0o700;
 

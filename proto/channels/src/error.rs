@@ -8,7 +8,7 @@ use iceoryx2::port::SendError;
 use proto::layout::layout_hash;
 use proto::{ExitCode, ExitError, mib};
 
-use crate::SHARED_MEMORY;
+use crate::place::SHARED_MEMORY;
 use crate::segment;
 
 /// What can go wrong between the processes of a run.

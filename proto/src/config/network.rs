@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::layout::AGENTS_PER_ARM;
+use crate::agents::AGENTS_PER_ARM;
 
 /// The non-linearity of hidden layers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -2,7 +2,7 @@
 //! jackknife", 1979), which Agarwal et al., "Deep reinforcement learning at the edge of the statistical
 //! precipice", 2021, recommend for runs that differ in their seeds.
 
-use super::mean;
+use super::summary::mean;
 use crate::rng::{Address, Purpose};
 
 /// Share of the resamples on either side of the interval.

@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
 use store::{files, regular_files};
 
-use super::Line;
+use super::line::Line;
 
 /// The open file.
 #[derive(Debug)]

@@ -20,7 +20,7 @@ use serde_json::Value;
 use service::live::Diverged;
 use store::jsonl;
 
-use super::Line;
+use super::line::Line;
 
 /// What helps a training that diverges.
 pub const CURE: &str =

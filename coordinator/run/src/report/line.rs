@@ -7,7 +7,7 @@ use proto::message::{Accounting, Errors, IterationReport, Timing};
 use proto::{Digest, message};
 use serde::Serialize;
 
-use super::Live;
+use super::live::Live;
 
 /// A line of `metrics.jsonl`; the keys are explained in [the module](super).
 #[derive(Debug, Clone, PartialEq, Serialize)]

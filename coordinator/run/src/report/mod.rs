@@ -76,6 +76,7 @@ pub mod divergence;
 mod eta;
 pub mod evaluations;
 mod line;
+mod live;
 mod margin;
 pub mod points;
 pub mod progress;
@@ -88,6 +89,7 @@ use anyhow::Context as _;
 pub use eta::Eta;
 pub use evaluations::Evaluated;
 pub use line::{Cell, Line};
+pub use live::Live;
 use output::printable::printable;
 use proto::config::Config;
 use proto::message::IterationReport;
@@ -105,19 +107,6 @@ use self::progress::Progress;
 use self::promised::Promised;
 use self::recorder::{Files, Recorder};
 use self::tensorboard::EventWriter;
-
-/// What only the coordinator knows about the iteration that has just ended.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Live {
-    /// Time since this session of the run began (s); the reporter adds that of earlier ones.
-    pub wall_s: f64,
-    /// Env-steps trained on a second, of late.
-    pub env_steps_per_s: f64,
-    /// Workers wanted; as many live, but for those that are being replaced.
-    pub workers: usize,
-    /// Workers and learners replaced so far.
-    pub restarts: u64,
-}
 
 /// Writes the metrics of a run and shows its progress.
 #[derive(Debug)]

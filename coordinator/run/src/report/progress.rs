@@ -9,7 +9,9 @@ use output::grouped;
 use output::printable::printable;
 use proto::config::{Config, TaskName};
 
-use super::{Eta, Line, eta, margin};
+use super::eta::Eta;
+use super::line::Line;
+use super::{eta, margin};
 
 /// The bar on the terminal, if there is one, so that log lines can step around it.
 static SHOWN: Mutex<Option<WeakProgressBar>> = Mutex::new(None);

@@ -21,7 +21,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 
-use super::{Evaluated, Line};
+use super::evaluations::Evaluated;
+use super::line::Line;
 use crate::selection::{MeanErrors, Means};
 
 /// An open event file.

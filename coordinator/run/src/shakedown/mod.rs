@@ -2,8 +2,10 @@
 //! trained. An arm that stands inside the base touches for ever; a mass that drowns all others, or a servo faster than the
 //! integrator, ends a training after a while with a number that is none, far from its cause.
 
+mod fault;
 mod touches;
 
+use self::fault::Fault;
 use proto::{ExitCode, ExitError};
 use simulator::dynamics::reference_dynamics;
 use simulator::robot::{JOINTS_PER_ARM, Robot};
@@ -29,14 +31,6 @@ const STABLE: f64 = 2.0;
 const DROWNS: f64 = 1e7;
 /// Largest radius of gyration of a part of a robot (m).
 const WIDEST: f64 = 100.0;
-
-/// What is wrong with a robot.
-#[derive(Debug, PartialEq)]
-struct Fault {
-    found: String,
-    expected: &'static str,
-    cure: String,
-}
 
 /// Refuses a robot that touches itself at home, or whose simulation does not do there what it should: stay finite, move the
 /// joints that are commanded, keep its momentum, and agree with one in double precision and finer substeps.

@@ -9,7 +9,7 @@ use simulator::robot::{ArmBody, JOINTS_PER_ARM, Robot};
 use simulator::state::State;
 use simulator::workspace::Workspace;
 
-use super::Fault;
+use super::fault::Fault;
 
 /// The first two bodies that touch at home, and what to change.
 pub(super) fn touches_at_home(robot: &Robot) -> Option<Fault> {

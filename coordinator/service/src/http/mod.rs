@@ -32,6 +32,7 @@ mod checkpoints;
 mod connection_slots;
 mod connections;
 mod context;
+mod counting;
 mod document;
 mod exposition;
 mod files;

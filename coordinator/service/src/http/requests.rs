@@ -3,14 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
-
-use axum::extract::{MatchedPath, Request, State};
-use axum::http::Method;
-use axum::middleware::Next;
-use axum::response::Response;
-
-use super::context::Shared;
+use std::time::Duration;
 
 /// Upper bounds of the latency classes (s).
 pub(super) const BOUNDS: [f64; 12] =
@@ -26,7 +19,7 @@ pub(super) struct Histogram {
 }
 
 impl Histogram {
-    fn observe(&mut self, time: Duration) {
+    pub(super) fn observe(&mut self, time: Duration) {
         let seconds = time.as_secs_f64();
         self.classes[BOUNDS.partition_point(|&bound| bound < seconds)] += 1;
         self.sum += seconds;
@@ -76,37 +69,7 @@ impl Requests {
         self.board().clone()
     }
 
-    fn board(&self) -> MutexGuard<'_, Counts> {
+    pub(super) fn board(&self) -> MutexGuard<'_, Counts> {
         self.counts.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// The layer around every route. Neither headers nor bodies reach the log.
-pub(super) async fn layer(State(context): State<Shared>, request: Request, next: Next) -> Response {
-    let method = name(request.method());
-    let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str);
-    let route = route.to_owned();
-    let path = request.uri().path().to_owned();
-    let start = Instant::now();
-    let response = next.run(request).await;
-    let (time, status) = (start.elapsed(), response.status().as_u16());
-    tracing::debug!(method, path, status, ms = time.as_secs_f64() * 1e3, "request");
-    let mut board = context.requests.board();
-    board.latencies.entry(route.clone()).or_default().observe(time);
-    *board.requests.entry((method, route, status)).or_default() += 1;
-    drop(board);
-    response
-}
-
-/// A client may invent methods; those are one.
-fn name(method: &Method) -> &'static str {
-    match method.as_str() {
-        "GET" => "GET",
-        "HEAD" => "HEAD",
-        "POST" => "POST",
-        "PUT" => "PUT",
-        "DELETE" => "DELETE",
-        "OPTIONS" => "OPTIONS",
-        _ => "other",
     }
 }

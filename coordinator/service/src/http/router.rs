@@ -14,8 +14,9 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::context::Shared;
+use super::counting;
 use super::problem::Problem;
-use super::{access, archives, checkpoints, document, files, metrics, requests, run, uploads};
+use super::{access, archives, checkpoints, document, files, metrics, run, uploads};
 
 /// All routes and the document that describes them.
 fn routes() -> OpenApiRouter<Shared> {
@@ -39,7 +40,7 @@ pub(super) fn router(context: Shared) -> Router {
         .fallback(no_route)
         .method_not_allowed_fallback(no_method)
         .layer(from_fn_with_state(context.clone(), access::layer))
-        .layer(from_fn_with_state(context.clone(), requests::layer))
+        .layer(from_fn_with_state(context.clone(), counting::layer))
         .layer(from_fn(caution))
         .with_state(context)
 }

@@ -26,12 +26,13 @@ use tar::{Archive, Builder, EntryType, Header};
 use super::commit::{Arrival, Clash};
 use super::disk::{CHUNK, Disk};
 use super::entry::Entry;
+use super::file_names::{CONFIG, MANIFEST, ROBOT};
 use super::guard::Scratch;
 use super::manifest::{FileEntry, MAX_MANIFEST, Manifest};
 use super::name::Name;
 use super::read::{self, MAX_TEXT, small_files};
 use super::store::CheckpointStore;
-use super::{CONFIG, CheckpointError, MANIFEST, ROBOT, opening, verify};
+use super::{CheckpointError, opening, verify};
 use crate::budgets;
 use crate::recorded::Recorded;
 

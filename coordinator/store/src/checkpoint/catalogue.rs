@@ -15,8 +15,8 @@ use std::time::Duration;
 
 use rusqlite::{Connection, params};
 
-use super::CheckpointError;
 use super::entry::Entry;
+use super::error::CheckpointError;
 use super::name::Name;
 use crate::owned_files;
 

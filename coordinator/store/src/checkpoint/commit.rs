@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use proto::Digest;
 use proto::config::Config;
 
+use super::file_names::{CONFIG, FORMAT, MANIFEST, POLICY, ROBOT, STATE};
 use super::guard::{Guard, REPLACED, Scratch, unique};
 use super::labels::{Labels, Score};
 use super::manifest::{FileEntry, Manifest};
@@ -16,7 +17,7 @@ use super::name::Name;
 use super::opening::Stamp;
 use super::read;
 use super::store::{CheckpointStore, now};
-use super::{CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE, Snapshot, tensors};
+use super::{CheckpointError, Snapshot, tensors};
 
 /// What to do with another checkpoint that has the name already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -8,9 +8,10 @@ use safetensors::tensor::TensorView;
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::file_names::{POLICY, STATE};
 use super::read::Checkpoint;
 use super::verify::numbers;
-use super::{CheckpointError, POLICY, STATE, opening};
+use super::{CheckpointError, opening};
 
 /// A configuration key with two values.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]

@@ -10,11 +10,12 @@ use simulator::robot::Robot;
 
 use super::commit::{Arrival, Clash};
 use super::entry::Entry;
+use super::file_names::{CONFIG, FORMAT, POLICY, ROBOT};
 use super::manifest::{Manifest, Origin};
 use super::name::Name;
 use super::read::Checkpoint;
 use super::store::{CheckpointStore, now};
-use super::{CONFIG, CheckpointError, FORMAT, POLICY, ROBOT, tensors};
+use super::{CheckpointError, tensors};
 
 /// Arms that come from one checkpoint.
 #[derive(Debug, Clone)]

@@ -6,7 +6,7 @@ use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, PermissionsExt as 
 use std::path::Path;
 use std::sync::Arc;
 
-use super::CheckpointError;
+use super::error::CheckpointError;
 use super::lock_timeout::LockTimeout;
 use crate::files;
 

@@ -6,10 +6,11 @@ use proto::Digest;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::CheckpointError;
+use super::file_names::MANIFEST;
 use super::labels::Labels;
 use super::manifest::{Manifest, Origin};
 use super::name::Name;
-use super::{CheckpointError, MANIFEST};
 
 /// What a checkpoint is good for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

@@ -12,8 +12,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
-use super::CheckpointError;
 use super::disk::Disk;
+use super::error::CheckpointError;
 use super::labels::Labels;
 use super::opening::is_directory;
 use crate::owned_files;

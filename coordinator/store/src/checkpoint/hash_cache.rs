@@ -6,7 +6,7 @@ use std::io::Seek as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::CheckpointError;
+use super::error::CheckpointError;
 use super::manifest::{FileEntry, Manifest};
 use super::opening::{self, Stamp};
 use super::read::check_open;

@@ -1,17 +1,13 @@
 //! Pins, tags, scores and milestones.
 
-use super::CheckpointError;
 use super::entry::{Entry, Survey};
+use super::error::CheckpointError;
 use super::guard::Guard;
 use super::labels::{Labels, MAX_TAGS, Score};
 use super::manifest::Manifest;
 use super::name::Name;
+use super::reserved::{BEST, LATEST};
 use super::store::CheckpointStore;
-
-/// The tag of the run's own checkpoint with the lowest score. Only scores move it.
-pub const BEST: &str = "best";
-/// What selects the newest checkpoint; no tag, because it always moves.
-pub const LATEST: &str = "latest";
 
 impl CheckpointStore {
     /// Pins a checkpoint, so that nothing removes it, or lets it go.

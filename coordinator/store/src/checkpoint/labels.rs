@@ -9,13 +9,12 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::CheckpointError;
 use super::disk::Disk;
+use super::error::CheckpointError;
+use super::file_names::LABELS;
 use super::name::Name;
 use super::opening;
 
-/// Name of the file; beside the manifest, and not listed in it, because it changes.
-pub const LABELS: &str = "labels.json";
 /// Most tags of a checkpoint.
 pub const MAX_TAGS: usize = 32;
 /// Longest file that is read (bytes).

@@ -9,7 +9,8 @@ use proto::Digest;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{CONFIG, CheckpointError, FORMAT, MANIFEST, POLICY, ROBOT, STATE, opening};
+use super::file_names::{CONFIG, FORMAT, MANIFEST, POLICY, ROBOT, STATE};
+use super::{CheckpointError, opening};
 
 /// Longest manifest that is read (bytes).
 pub(super) const MAX_MANIFEST: u64 = 1 << 20;

@@ -42,6 +42,7 @@ mod compose;
 mod disk;
 mod entry;
 mod error;
+mod file_names;
 pub mod fixtures;
 mod guard;
 mod hash_cache;
@@ -53,6 +54,7 @@ mod name;
 mod opening;
 mod ownership;
 mod read;
+mod reserved;
 mod retention;
 mod selector;
 mod state_layout;
@@ -68,34 +70,22 @@ pub use compare::{Difference, KeyDifference, TensorDifference, compare, flatten}
 pub use compose::{Composition, Part};
 pub use entry::{DamagedEntry, Entry, Kind, Survey};
 pub use error::{CheckpointError, newest};
+pub use file_names::{CONFIG, FORMAT, LABELS, MANIFEST, POLICY, ROBOT, STATE};
 pub use guard::UPLOAD;
 pub use hash_cache::Checked;
-pub use labelling::{BEST, LATEST};
-pub use labels::{LABELS, Labels, MAX_TAGS, Score};
+pub use labels::{Labels, MAX_TAGS, Score};
 pub use lock_timeout::LockTimeout;
 pub use manifest::{FileEntry, Manifest, Origin};
 pub use name::{ITERATION, Name, NameError};
 pub use ownership::Ownership;
 pub use read::{Checkpoint, read_policy};
+pub use reserved::{BEST, LATEST};
 pub use retention::Retention;
 pub use selector::{Selector, runs_in, store_at, store_to_be};
 pub use state_layout::{STATE_FORMAT, StateLayout, StateTensor};
 pub use store::CheckpointStore;
 pub use tensors::shapes;
 pub use verify::Verification;
-
-/// The format that this version writes.
-pub const FORMAT: u32 = 1;
-/// Name of the file that makes a directory a checkpoint.
-pub const MANIFEST: &str = "manifest.json";
-/// Name of the training state.
-pub const STATE: &str = "state.safetensors";
-/// Name of the actors.
-pub const POLICY: &str = "policy.safetensors";
-/// Name of the resolved configuration.
-pub const CONFIG: &str = "config.toml";
-/// Name of the robot's description.
-pub const ROBOT: &str = "robot.toml";
 
 #[cfg(test)]
 mod tests;

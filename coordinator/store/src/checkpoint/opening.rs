@@ -6,7 +6,8 @@ use std::io::ErrorKind;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
-use super::{CheckpointError, LABELS};
+use super::CheckpointError;
+use super::file_names::LABELS;
 use crate::regular_files::{self, Links};
 
 /// Whether `path` itself is a directory, and not a link to one.

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use proto::Digest;
 
-use super::CheckpointError;
+use super::error::CheckpointError;
 use super::labels::Labels;
 use super::manifest::Manifest;
 use super::store::CheckpointStore;

@@ -8,9 +8,10 @@ use proto::config::{Config, Precision};
 use proto::layout::{ActorLayout, Dimensions};
 use safetensors::{Dtype, SafeTensors};
 
+use super::file_names::{CONFIG, POLICY, ROBOT, STATE};
 use super::manifest::{FileEntry, Manifest};
 use super::tensors::{MAX_HEADER, TensorFile};
-use super::{CONFIG, CheckpointError, POLICY, ROBOT, STATE, opening};
+use super::{CheckpointError, opening};
 
 /// Longest configuration or robot that is read (bytes).
 pub(super) const MAX_TEXT: u64 = 1 << 20;

@@ -3,13 +3,13 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::CheckpointError;
 use super::entry::{Entry, Kind, Survey};
+use super::error::CheckpointError;
 use super::guard::{Guard, REMOVED, sweep, unique};
-use super::labelling::BEST;
 use super::labels::Labels;
 use super::name::Name;
 use super::read::{self, looks_whole};
+use super::reserved::BEST;
 use super::store::CheckpointStore;
 use crate::lock::RunLock;
 

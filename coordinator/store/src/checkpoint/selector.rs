@@ -19,11 +19,12 @@ use std::str::FromStr;
 
 use proto::run_dir::RunDir;
 
-use super::labelling::{BEST, LATEST};
+use super::CheckpointError;
+use super::file_names::MANIFEST;
 use super::name::Name;
 use super::read::Checkpoint;
+use super::reserved::{BEST, LATEST};
 use super::store::CheckpointStore;
-use super::{CheckpointError, MANIFEST};
 use crate::lock::RunLock;
 
 /// What a user wrote to name a checkpoint.

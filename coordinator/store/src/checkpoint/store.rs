@@ -6,12 +6,12 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::disk::Disk;
 use super::entry::{Entry, Survey, directories};
 use super::guard::Guard;
-use super::labelling::{BEST, LATEST};
 use super::lock_timeout::LockTimeout;
 use super::manifest::Manifest;
 use super::name::Name;
 use super::opening::is_directory;
 use super::read::{self, Checkpoint};
+use super::reserved::{BEST, LATEST};
 use super::{CheckpointError, catalogue};
 
 /// The checkpoints of a run, or any directory of checkpoints.

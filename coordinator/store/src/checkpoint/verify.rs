@@ -12,13 +12,14 @@ use serde::Serialize;
 use simulator::robot::Robot;
 use utoipa::ToSchema;
 
+use super::CheckpointError;
+use super::file_names::{POLICY, ROBOT, STATE};
 use super::manifest::Manifest;
 use super::name::Name;
 use super::read::{self, small_files};
 use super::state_layout::{INVERSE_STD, MEAN, Numbers, STATE_FORMAT, StateLayout, is_moment};
 use super::store::CheckpointStore;
 use super::tensors::{POLICY_PREFIX, TensorFile};
-use super::{CheckpointError, POLICY, ROBOT, STATE};
 
 /// What a learner adds to the variance of an input before it takes the root.
 const VARIANCE_FLOOR: f64 = 1e-6;

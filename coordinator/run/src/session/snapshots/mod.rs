@@ -135,7 +135,7 @@ impl Snapshots {
         match self.wish {
             RequestedCheckpoint::None => self.wish = RequestedCheckpoint::Untold(iterations),
             RequestedCheckpoint::Untold(wanted) => {
-                self.wish = RequestedCheckpoint::Untold(wanted.max(iterations))
+                self.wish = RequestedCheckpoint::Untold(wanted.max(iterations));
             }
             RequestedCheckpoint::Told(wanted) if iterations > wanted => {
                 self.next_wish = self.next_wish.max(Some(iterations));

@@ -1,0 +1,4 @@
+//! Where shared memory lives.
+
+/// Where shared memory lives.
+pub const SHARED_MEMORY: &str = "/dev/shm";
