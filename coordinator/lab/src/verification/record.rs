@@ -55,7 +55,7 @@ impl Record {
             .parse()
             .map_err(|error| damaged(&run_dir.config(), &format!("not valid TOML: {error}")))?;
         if !config.contains_key("run") {
-            return Err(damaged(&run_dir.config(), "holds no configuration of a run"));
+            return Err(damaged(&run_dir.config(), "key `run` is missing"));
         }
         let provenance: Value = serde_json::from_str(&read_text(&run_dir.provenance())?)
             .map_err(|error| damaged(&run_dir.provenance(), &format!("not valid JSON: {error}")))?;
