@@ -2,8 +2,8 @@
 
 #![no_main]
 
-use libfuzzer_sys::fuzz_target;
 use channels::ChannelSizes;
+use libfuzzer_sys::fuzz_target;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 

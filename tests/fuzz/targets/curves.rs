@@ -6,8 +6,8 @@ use lab::figures::families::{Over, families};
 use lab::figures::learning::learning;
 use lab::figures::recorded::{parse, to_json};
 use libfuzzer_sys::fuzz_target;
-use run::report::points::Point;
 use run::report::evaluations::HeldOut;
+use run::report::points::Point;
 use run::report::row::Row as _;
 use serde_json::{Value, json};
 

@@ -37,10 +37,8 @@ fn address() -> SocketAddr {
 const TOKEN: &str = "fuzz-fuzz-fuzz-fuzz";
 
 fn request(line: &str, rest: &str) -> Vec<u8> {
-    format!(
-        "{line} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {TOKEN}\r\n{rest}\r\n"
-    )
-    .into_bytes()
+    format!("{line} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {TOKEN}\r\n{rest}\r\n")
+        .into_bytes()
 }
 
 fn seeds() -> Vec<Vec<u8>> {
