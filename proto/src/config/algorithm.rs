@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Maddpg;
+use super::maddpg::Maddpg;
 
 /// The learning algorithm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

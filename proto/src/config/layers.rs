@@ -7,39 +7,13 @@ use std::collections::BTreeMap;
 
 use toml::{Table, Value};
 
-use super::typed::{found, typed, wanted};
-use super::{AlgorithmName, Config, TaskName};
+use super::algorithm::AlgorithmName;
+use super::preset::Preset;
+use super::resolved::Config;
+use super::tables::{found, hint, parse, wanted};
+use super::task::TaskName;
+use super::typed::typed;
 use crate::ConfigError;
-
-/// The built-in configurations, in `deploy/presets`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Preset {
-    /// The paper's robot, tasks and measures with whatever learns them fastest.
-    Tuned,
-    /// The paper's text; where it is silent, the released code.
-    Paper,
-    /// The authors' released code.
-    Release,
-}
-
-impl Preset {
-    fn text(self) -> &'static str {
-        match self {
-            Self::Tuned => include_str!("../../../deploy/presets/tuned.toml"),
-            Self::Paper => include_str!("../../../deploy/presets/paper.toml"),
-            Self::Release => include_str!("../../../deploy/presets/release.toml"),
-        }
-    }
-
-    /// The name as it is written on the command line.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Tuned => "tuned",
-            Self::Paper => "paper",
-            Self::Release => "release",
-        }
-    }
-}
 
 /// A configuration in the making. Later layers win.
 #[derive(Debug, Clone)]
@@ -94,9 +68,8 @@ impl Layers {
 
     /// Merges all layers and checks the result.
     pub fn resolve(&self) -> Result<Config, ConfigError> {
-        let origin = format!("preset {}", self.preset.as_str());
-        let mut base = parse(self.preset.text(), &origin)?;
-        let conditional = base.remove("for");
+        let origin = self.preset.origin();
+        let (mut base, conditional) = self.preset.tables()?;
         let task = self.chosen_task(&base)?;
         set_task(&mut base, &task);
         let chosen = [task.as_str(), self.chosen_algorithm(&base)];
@@ -193,13 +166,6 @@ fn set_task(base: &mut Table, task: &str) {
     }
 }
 
-pub(super) fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
-    text.parse::<Table>().map_err(|error| ConfigError::Syntax {
-        origin: origin.to_owned(),
-        message: error.to_string().trim_end().to_owned(),
-    })
-}
-
 /// Overrides `base` by `overlay`; `base` holds every key that exists, with a value of its type. `origins` gets to know
 /// whose value a key has.
 fn merge<'a>(
@@ -257,34 +223,4 @@ fn taken(slot: &Value, value: &Value) -> Option<Value> {
             .map(Value::Array),
         (slot, value) => slot.same_type(value).then(|| value.clone()),
     }
-}
-
-/// The nearest existing name, or all of them.
-pub(super) fn hint(name: &str, group: &Table) -> String {
-    let near = group
-        .keys()
-        .map(|key| (edit_distance(name, key), key))
-        .filter(|(distance, _)| *distance <= 2.max(name.len() / 3))
-        .min();
-    if let Some((_, key)) = near {
-        return format!("; did you mean `{key}`?");
-    }
-    let keys: Vec<_> = group.keys().map(String::as_str).collect();
-    format!("; known here: {}", keys.join(", "))
-}
-
-/// Levenshtein's distance, for hints only.
-fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let substitute = diagonal + usize::from(x != *y);
-            diagonal = row[j + 1];
-            row[j + 1] = substitute.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }

@@ -26,6 +26,30 @@ fn every_preset_resolves_for_both_tasks_and_survives_its_own_text() {
     }
 }
 
+/// A layer is checked against its preset, and a refused table is compared with one: a key that is not there would be
+/// unknown, though a configuration has it.
+#[test]
+fn every_preset_holds_every_key_that_exists() {
+    fn keys(table: &toml::Table, prefix: &str, into: &mut BTreeSet<String>) {
+        for (name, value) in table {
+            let key = format!("{prefix}{name}");
+            if let toml::Value::Table(group) = value {
+                keys(group, &format!("{key}."), into);
+            }
+            into.insert(key);
+        }
+    }
+    for preset in [Preset::Tuned, Preset::Paper, Preset::Release] {
+        let config = Layers::new(preset, None).resolve().expect("presets are valid");
+        let resolved = toml::Table::try_from(&config).expect("a configuration has a TOML form");
+        let (written, _) = preset.tables().expect("presets are TOML");
+        let [mut exist, mut held] = [BTreeSet::new(), BTreeSet::new()];
+        keys(&resolved, "", &mut exist);
+        keys(&written, "", &mut held);
+        assert_eq!(held, exist, "{}", preset.as_str());
+    }
+}
+
 #[test]
 fn a_task_brings_its_own_changes_and_a_flag_overrides_them() {
     let scale = |task, assignments: &[&str]| {

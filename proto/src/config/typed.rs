@@ -5,9 +5,19 @@
 
 use toml::{Table, Value};
 
-use super::layers::hint;
-use super::{Config, Layers, Preset};
+use super::preset::Preset;
+use super::resolved::Config;
+use super::tables::{found, hint, parse, wanted};
 use crate::ConfigError;
+
+impl Config {
+    /// Reads a resolved configuration, as `config.toml` of a run directory holds it.
+    pub fn from_resolved_toml(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        let config = typed(parse(text, origin)?, |_| origin.to_owned())?;
+        config.validate()?;
+        Ok(config)
+    }
+}
 
 /// The configuration that `table` holds. `origin_of` says where a dotted key's value came from.
 pub(super) fn typed(
@@ -16,10 +26,7 @@ pub(super) fn typed(
 ) -> Result<Config, ConfigError> {
     let kept = table.clone();
     Value::Table(table).try_into().map_err(|error: toml::de::Error| {
-        let complete = Layers::new(Preset::Tuned, None)
-            .resolve()
-            .map(|config| Table::try_from(&config).expect("a typed configuration has a TOML form"));
-        let found = complete.and_then(|complete| {
+        let found = Preset::Tuned.tables().and_then(|(complete, _)| {
             let mut path = Vec::new();
             check(&kept, &complete, &complete, &mut path, &origin_of)
         });
@@ -28,42 +35,6 @@ pub(super) fn typed(
             .err()
             .unwrap_or_else(|| ConfigError::Syntax { origin: origin_of(""), message: said() })
     })
-}
-
-/// What a key wants whose value is like `example`.
-pub(super) fn wanted(example: &Value) -> String {
-    let kind = match example {
-        Value::Integer(_) => "a whole number",
-        Value::Float(_) => "a number",
-        Value::Boolean(_) => return "true or false".to_owned(),
-        Value::String(_) => "a string",
-        Value::Array(_) => "a list of whole numbers",
-        Value::Table(_) => return "a table".to_owned(),
-        Value::Datetime(_) => "a time",
-    };
-    let limit = match example {
-        Value::Integer(_) | Value::Array(_) => ", none below 0, such as ",
-        _ => " such as ",
-    };
-    let example = match example {
-        Value::Array(values) if values.is_empty() => "[256, 256]".to_owned(),
-        other => other.to_string(),
-    };
-    format!("{kind}{limit}{example}").replace("number, none", "number, not")
-}
-
-/// A value with what it is.
-pub(super) fn found(value: &Value) -> String {
-    let kind = match value {
-        Value::Integer(_) => "the whole number",
-        Value::Float(_) => "the number",
-        Value::Boolean(_) => return value.to_string(),
-        Value::String(_) => "the string",
-        Value::Array(_) => "the list",
-        Value::Table(_) => "the table",
-        Value::Datetime(_) => "the time",
-    };
-    format!("{kind} {value}")
 }
 
 /// Looks in `table`, the group of this `path`, for what a configuration cannot have. `group` is the same group of

@@ -2,7 +2,11 @@
 
 use std::time::Duration;
 
-use super::{AlgorithmName, Config, CriticState, Maddpg, ParameterSharing, Reward, RewardWeights};
+use super::algorithm::AlgorithmName;
+use super::maddpg::Maddpg;
+use super::network::{CriticState, ParameterSharing};
+use super::resolved::Config;
+use super::task::{Reward, RewardWeights};
 use crate::ConfigError;
 use crate::message::HEARTBEAT;
 

@@ -1,0 +1,79 @@
+//! TOML's tables as people write them: read from text, and in words for messages.
+
+use toml::{Table, Value};
+
+use crate::ConfigError;
+
+/// The table that `text` from `origin` holds.
+pub(super) fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
+    text.parse::<Table>().map_err(|error| ConfigError::Syntax {
+        origin: origin.to_owned(),
+        message: error.to_string().trim_end().to_owned(),
+    })
+}
+
+/// What a key wants whose value is like `example`.
+pub(super) fn wanted(example: &Value) -> String {
+    let kind = match example {
+        Value::Integer(_) => "a whole number",
+        Value::Float(_) => "a number",
+        Value::Boolean(_) => return "true or false".to_owned(),
+        Value::String(_) => "a string",
+        Value::Array(_) => "a list of whole numbers",
+        Value::Table(_) => return "a table".to_owned(),
+        Value::Datetime(_) => "a time",
+    };
+    let limit = match example {
+        Value::Integer(_) | Value::Array(_) => ", none below 0, such as ",
+        _ => " such as ",
+    };
+    let example = match example {
+        Value::Array(values) if values.is_empty() => "[256, 256]".to_owned(),
+        other => other.to_string(),
+    };
+    format!("{kind}{limit}{example}").replace("number, none", "number, not")
+}
+
+/// A value with what it is.
+pub(super) fn found(value: &Value) -> String {
+    let kind = match value {
+        Value::Integer(_) => "the whole number",
+        Value::Float(_) => "the number",
+        Value::Boolean(_) => return value.to_string(),
+        Value::String(_) => "the string",
+        Value::Array(_) => "the list",
+        Value::Table(_) => "the table",
+        Value::Datetime(_) => "the time",
+    };
+    format!("{kind} {value}")
+}
+
+/// The nearest existing name, or all of them.
+pub(super) fn hint(name: &str, group: &Table) -> String {
+    let near = group
+        .keys()
+        .map(|key| (edit_distance(name, key), key))
+        .filter(|(distance, _)| *distance <= 2.max(name.len() / 3))
+        .min();
+    if let Some((_, key)) = near {
+        return format!("; did you mean `{key}`?");
+    }
+    let keys: Vec<_> = group.keys().map(String::as_str).collect();
+    format!("; known here: {}", keys.join(", "))
+}
+
+/// Levenshtein's distance, for hints only.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, y) in b.iter().enumerate() {
+            let substitute = diagonal + usize::from(x != *y);
+            diagonal = row[j + 1];
+            row[j + 1] = substitute.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
