@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
 use run::supervisor::{child_exit_code, log_tail};
 
-use super::Bench;
+use super::context::Bench;
 
 /// How often a program is asked whether it has ended: seldom enough to cost nothing.
 const PATIENCE: Duration = Duration::from_millis(10);

@@ -9,8 +9,9 @@ use simulator::robot::description::RobotDescription;
 use simulator::robot::{MAX_ARMS, Robot};
 use simulator::step::StepOptions;
 
+use super::context::Bench;
 use super::figures::number;
-use super::{Bench, learner, physics, rollout, train};
+use super::{learner, physics, rollout, train};
 
 /// A quantity over another.
 #[derive(Debug, Clone)]

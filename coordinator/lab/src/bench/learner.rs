@@ -7,10 +7,13 @@ use proto::config::Config;
 use run::environment;
 use serde_json::Value;
 
+use super::child;
+use super::context::Bench;
 use super::figures::{Figure, Figures};
+use super::peer::Peers;
 use super::processor::Processor;
 use super::rollout::OTHERS;
-use super::{Bench, child};
+use crate::threads::Threads;
 
 /// The fastest of all updates: what the floor of a training reckons with.
 pub(super) const BEST: &str = "learner.best_env_steps_per_s";
@@ -18,10 +21,14 @@ pub(super) const BEST: &str = "learner.best_env_steps_per_s";
 const TURNS: usize = 3;
 
 /// Figures `learner.*`.
-pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()> {
+pub(super) fn measure(
+    bench: &Bench,
+    peers: Option<&Peers>,
+    figures: &mut Figures,
+) -> anyhow::Result<()> {
     bench.begin("learner")?;
     let chosen = update(bench, &bench.whole(&[])?, true)?;
-    let peer = match &bench.peers {
+    let peer = match peers {
         Some(peers) => Some(peers.torch(bench)?.learner),
         None => None,
     };
@@ -60,7 +67,8 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
 fn product(bench: &Bench, name: &str, update: &Update) -> Figure {
     let product = update.product_gflop_per_s.unwrap_or_default();
     let key = format!("learner.{name}.product_gflop_per_s");
-    let limit = Processor::here().peak(update.precision == "bf16") * Bench::processors() as f64;
+    let limit =
+        Processor::here().peak(update.precision == "bf16") * Threads::available().count() as f64;
     // The table knows processors, and no GPU.
     let limit = (bench.config.run.device == "cpu").then_some(1e-9 * limit);
     Figure::rate(key, "GFLOP/s", product).limit(limit)

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::Bench;
+use crate::threads::Threads;
 
 /// Processor time since the machine started, of which the kernel keeps books (in its own ticks).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -68,7 +68,7 @@ impl Watch {
     pub(super) fn so_far(&self) -> Load {
         let (others_share, stolen_share) = shares(self.books, ProcessorTimes::read());
         Load {
-            processors: Bench::processors(),
+            processors: Threads::available().count(),
             others_share,
             stolen_share,
             average: [self.load_average, load_average()],

@@ -13,7 +13,8 @@ use serde_json::{Value, json};
 use simulator::robot::MjcfOptions;
 use simulator::robot::mjcf::mjcf;
 
-use super::{Bench, child};
+use super::child;
+use super::context::Bench;
 
 const MUJOCO: &str = include_str!("../../../../tests/peers/mujoco_physics.py");
 const TORCH: &str = include_str!("../../../../tests/peers/torch_learner.py");

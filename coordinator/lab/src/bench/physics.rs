@@ -7,21 +7,27 @@ use simulator::random_motion::{operations_per_step, random_motion};
 use simulator::robot::Robot;
 use simulator::step::StepOptions;
 
+use super::arithmetic;
+use super::context::Bench;
 use super::figures::{Figure, Figures};
+use super::peer::Peers;
 use super::processor::Processor;
-use super::{Bench, arithmetic};
 
 /// Turns that a measurement is split into, between those of the peer.
 const TURNS: usize = 3;
 
 /// Figures `physics.*`.
-pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()> {
+pub(super) fn measure(
+    bench: &Bench,
+    peers: Option<&Peers>,
+    figures: &mut Figures,
+) -> anyhow::Result<()> {
     bench.begin("physics")?;
     let options = step_options(&bench.config);
     let with = StepOptions { contacts: true, ..options };
     let without = StepOptions { contacts: false, ..options };
     let turn = bench.seconds / TURNS as f64;
-    let (mut rates, mut free, mut peers) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut rates, mut free, mut peer_rates) = (Vec::new(), Vec::new(), Vec::new());
     let mut touching = 0.0;
     // Ours and the peer's by turns: a machine that is busy for a while is so for both.
     for _ in 0..TURNS {
@@ -29,11 +35,11 @@ pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()
         rates.push(rate);
         touching = pairs;
         free.push(self::rate(bench, &bench.robot, without, turn)?.0);
-        if let Some(all) = &bench.peers {
-            peers.push(all.mujoco(bench, turn)?);
+        if let Some(peers) = peers {
+            peer_rates.push(peers.mujoco(bench, turn)?);
         }
     }
-    let peer = bench.peers.as_ref().map(|all| all.remember_mujoco(median(peers)));
+    let peer = peers.map(|peers| peers.remember_mujoco(median(peer_rates)));
     let peak = arithmetic::peak(bench.seconds / 10.0);
     let flops = operations_per_step(&bench.robot, &with);
     let unit = "env-steps/s";

@@ -4,9 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use drawing::{Axis, Item, Layout, Panel, render};
+use proto::ExitError;
+use proto::config::Config;
 use store::files;
+use store::outputs::Output;
 
-use super::growth::{Curve, Series};
+use super::growth::{Curve, NAMES, Series};
 
 /// Size of a picture (px).
 const SIZE: (u32, u32) = (640, 400);
@@ -24,8 +27,18 @@ pub(super) fn draw_all(dir: &Path, curves: &[Curve]) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Refuses a place where something else than such a picture is, or what `config` names.
+pub(super) fn check_all(dir: &Path, force: bool, config: &Config) -> Result<(), ExitError> {
+    for name in NAMES {
+        let path = path(dir, name);
+        let read = ("--set robot.description", Path::new(&config.robot.description));
+        Output { flag: "--pictures", path: &path, mark: b"<svg", force }.check(&[read])?;
+    }
+    Ok(())
+}
+
 /// Where the picture of a curve goes.
-pub(super) fn path(dir: &Path, name: &str) -> PathBuf {
+fn path(dir: &Path, name: &str) -> PathBuf {
     dir.join(format!("{name}.svg"))
 }
 

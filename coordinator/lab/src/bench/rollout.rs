@@ -12,19 +12,25 @@ use simulator::robot::Robot;
 use simulator::rollout::Stage;
 use simulator::rollout::{RolloutSpec, World, rollout};
 
+use super::arithmetic;
+use super::context::Bench;
 use super::figures::{Figure, Figures};
+use super::peer::Peers;
 use super::processor::Processor;
-use super::{Bench, arithmetic};
 
 /// Hidden layers that are always measured beside those of the configuration.
 pub(super) const OTHERS: [(&str, &str); 2] =
     [("2x256", "network.hidden=[256,256]"), ("2x128", "network.hidden=[128,128]")];
 
 /// Figures `rollout.*`.
-pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()> {
+pub(super) fn measure(
+    bench: &Bench,
+    peers: Option<&Peers>,
+    figures: &mut Figures,
+) -> anyhow::Result<()> {
     bench.begin("rollout")?;
     let rates = rates(bench, &bench.config, &bench.robot, bench.seconds)?;
-    let peer = match &bench.peers {
+    let peer = match peers {
         None => None,
         Some(peers) => {
             let torch = peers.torch(bench)?;

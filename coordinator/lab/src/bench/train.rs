@@ -15,10 +15,12 @@ use run::supervisor::{child_exit_code, log_tail};
 use rustix::process::{Pid, Signal, kill_process};
 use store::jsonl;
 
-use super::Bench;
 use super::child::Running;
+use super::context::Bench;
 use super::figures::{Figure, Figures};
 use super::learner::BEST;
+use super::peer::Peers;
+use crate::threads::Threads;
 
 /// Iterations that count, at least; the first one does not.
 const ITERATIONS: usize = 3;
@@ -28,20 +30,24 @@ const LOOK: Duration = Duration::from_millis(20);
 const PATIENCE: Duration = Duration::from_mins(1);
 
 /// Figures `train.*` and `memory.*`.
-pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()> {
+pub(super) fn measure(
+    bench: &Bench,
+    peers: Option<&Peers>,
+    figures: &mut Figures,
+) -> anyhow::Result<()> {
     let workers = bench.config.run.workers;
     bench.begin("train")?;
     let measured = training(bench, workers)?;
-    let cores = workers.min(Bench::processors()) as f64;
+    let cores = workers.min(Threads::available().count()) as f64;
     let parts = |rollout: f64, rest: f64| 1.0 / (1.0 / (cores * rollout) + rest);
     let floor = figures
         .value("rollout.env_steps_per_s_per_core")
         .zip(figures.value(BEST))
         .and_then(|(rollout, learner)| {
-            let processors = Bench::processors() as f64;
+            let processors = Threads::available().count() as f64;
             floor(&bench.config, processors, 1.0 / (cores * rollout), 1.0 / learner)
         });
-    let peer = match &bench.peers {
+    let peer = match peers {
         None => None,
         Some(peers) => {
             let torch = peers.torch(bench)?;

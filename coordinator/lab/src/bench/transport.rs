@@ -9,8 +9,9 @@ use run::janitor::Janitor;
 use run::preflight::{self, Verdict};
 use serde_json::Value;
 
+use super::context::Bench;
 use super::figures::{Figure, Figures};
-use super::{Bench, child, learner};
+use super::{child, learner};
 
 /// Blocks of a measurement, unless its time is over before.
 const BLOCKS: &str = "2000";

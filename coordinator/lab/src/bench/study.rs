@@ -1,0 +1,48 @@
+//! What is asked of a measurement.
+
+use std::path::PathBuf;
+
+use proto::config::Preset;
+
+/// What `octopus train` trains unless told otherwise.
+pub const TRAINED: Preset = Preset::Tuned;
+
+/// What is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Subject {
+    /// Everything but growth.
+    All,
+    /// The simulator alone.
+    Physics,
+    /// Whole rollouts.
+    Rollout,
+    /// Updates.
+    Learner,
+    /// A block from a worker to the learner.
+    Transport,
+    /// A whole training.
+    Train,
+    /// How the figures change with sizes.
+    Growth,
+}
+
+/// What is asked of a measurement.
+#[derive(Debug, Clone)]
+pub struct Study {
+    /// What is measured.
+    pub subject: Subject,
+    /// The configuration to start from.
+    pub preset: Preset,
+    /// Keys that are changed, `key=value`.
+    pub sets: Vec<String>,
+    /// Workers of a training.
+    pub workers: u64,
+    /// How long each figure is measured (s).
+    pub seconds: f64,
+    /// The Python that has the peers, if these are measured, too.
+    pub peers: Option<PathBuf>,
+    /// Where pictures of growth go.
+    pub pictures: Option<PathBuf>,
+    /// Whether pictures may replace what others made.
+    pub force: bool,
+}
