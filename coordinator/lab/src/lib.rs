@@ -1,6 +1,6 @@
 //! What is found out about policies, runs and machines.
 //!
-//! * [`evaluation`]: how well a policy does on goals it never saw; [`verdict`] compares with the paper;
+//! * [`evaluation`]: how well a policy does on goals it never saw, and beside the paper's;
 //! * [`experiments`]: the paper's experiments, one file each; [`reproduce`] does all of them and makes a page;
 //! * [`figures`]: learning curves of runs, and the panels that everything is drawn in;
 //! * [`verification`]: whether two runs, or a run and its repetition, are the same to the bit;
@@ -15,5 +15,4 @@ pub mod reproduce;
 pub mod statistics;
 pub mod threads;
 pub mod trained;
-pub mod verdict;
 pub mod verification;

@@ -2,7 +2,7 @@
 
 use proto::config::TaskName;
 
-use crate::evaluation::ErrorSummary;
+use super::errors::ErrorSummary;
 use crate::statistics::{Spread, milli, papers};
 
 /// The mean errors of an evaluation beside those that the paper reports.

@@ -1,0 +1,91 @@
+//! How well a policy does on goals it never saw.
+
+mod errors;
+mod reach;
+mod success;
+mod summary;
+mod table;
+mod verdict;
+
+use run::report::progress::Parts;
+use simulator::evaluate::{self, EvaluationOptions};
+use simulator::experiment::CHUNK;
+use store::checkpoint::Checkpoint;
+
+pub use self::errors::ErrorSummary;
+pub use self::reach::{GoalSubset, Reach, Reachable, WithinReach};
+pub use self::success::Success;
+pub use self::summary::{ContactRates, Summary};
+pub use self::verdict::Verdict;
+use crate::threads::Threads;
+use crate::trained::Trained;
+
+/// Evaluates a checkpoint, and shows how far it has come.
+pub fn evaluate(checkpoint: Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
+    let trained = Trained::new(checkpoint, None)?;
+    let threads = Threads::available();
+    let progress = Parts::new();
+    let chunks = options.episodes.div_ceil(CHUNK);
+    progress.begin("evaluation", (chunks * options.steps) as u64);
+    let on_step = || progress.advance();
+    let evaluation =
+        evaluate::evaluate(&trained.world, &trained.policy, options, &threads, &on_step)?;
+    let reach = Reach::of(&trained.world, &evaluation, options, threads, &progress)?;
+    Ok(Summary::new(&trained, options.seed, evaluation, reach))
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::TaskName;
+    use simulator::evaluate::{ContactSteps, Course, EpisodeResult, HandCourse};
+    use simulator::experiment::Pose;
+
+    use super::errors::agents;
+    use super::success::success;
+    use super::*;
+    use crate::statistics::ErrorOf;
+
+    #[test]
+    fn a_goal_counts_when_both_errors_are_small_at_the_end() {
+        let course = |last: f32| Course { min: 0.0, last, tail: last };
+        let hand = |position, orientation| HandCourse {
+            position: course(position),
+            orientation: course(orientation),
+        };
+        let episode = |hands| EpisodeResult {
+            hands,
+            base: course(0.035),
+            contact_steps: 0,
+            contact_pairs: 0,
+            contact_steps_by_kind: ContactSteps::default(),
+            end: Pose {
+                base_position: [0.0; 3],
+                base_quaternion: [1.0, 0.0, 0.0, 0.0],
+                joints: vec![],
+            },
+        };
+        let episodes = [
+            episode(vec![hand(0.01, 0.01), hand(0.03, 0.01)]),
+            episode(vec![hand(0.01, 0.2), hand(0.01, 0.01)]),
+        ];
+        let loose = success(TaskName::Trajectory, &episodes);
+        assert_eq!((loose[0].goals, loose[0].episodes), (0.75, 0.5));
+        assert_eq!((loose[1].goals, loose[1].episodes), (0.5, 0.0));
+        let base = success(TaskName::Reorientation, &episodes);
+        assert_eq!((base[0].goals, base[1].goals), (1.0, 0.0));
+        let subset = GoalSubset::of(&episodes, &[vec![true, false], vec![false, true]]);
+        assert_eq!((subset.goals, subset.of), (2, 4));
+        assert_eq!((subset.success[1].goals, subset.success[1].episodes), (1.0, 1.0));
+        assert!((subset.overall[0].tail.mean - 0.01).abs() < 1e-9);
+        // Of the second episode no goal was chosen: it neither reaches nor misses any.
+        let subset = GoalSubset::of(&episodes, &[vec![false, true], vec![false, false]]);
+        assert_eq!((subset.success[0].goals, subset.success[0].episodes), (1.0, 1.0));
+        assert_eq!((subset.success[1].goals, subset.success[1].episodes), (0.0, 0.0));
+        let none = GoalSubset::of(&episodes, &[vec![false; 2], vec![false; 2]]);
+        assert!(none.success.iter().all(|share| share.goals.is_nan() && share.episodes.is_nan()));
+        assert!(none.overall[0].tail.mean.is_nan());
+        let agents = agents(TaskName::Trajectory, &episodes);
+        assert_eq!(agents.len(), 4);
+        assert_eq!((agents[1].error, agents[1].agent), (ErrorOf::Orientation, Some(1)));
+    }
+}
