@@ -1,4 +1,7 @@
 //! Sixteen `f32` in plain Rust.
+//!
+//! On x86-64 without fused multiply-add each operation is a function that is called, not code that is inlined: sixteen calls of a
+//! library's `fmaf` cost far more than one call around them, and inlined they were most of what compiling the simulator took.
 
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -13,7 +16,8 @@ use crate::scalar::{LANES, Mask, Real, elementary};
 pub(crate) struct F32x16Portable([f32; LANES]);
 
 impl F32x16Portable {
-    #[inline(always)]
+    #[cfg_attr(all(target_arch = "x86_64", not(target_feature = "fma")), inline(never))]
+    #[cfg_attr(not(all(target_arch = "x86_64", not(target_feature = "fma"))), inline(always))]
     fn map(self, f: impl Fn(f32) -> f32) -> Self {
         let mut r = self;
         for x in &mut r.0 {
@@ -21,7 +25,8 @@ impl F32x16Portable {
         }
         r
     }
-    #[inline(always)]
+    #[cfg_attr(all(target_arch = "x86_64", not(target_feature = "fma")), inline(never))]
+    #[cfg_attr(not(all(target_arch = "x86_64", not(target_feature = "fma"))), inline(always))]
     fn zip(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
         let mut r = self;
         for i in 0..LANES {
@@ -29,7 +34,8 @@ impl F32x16Portable {
         }
         r
     }
-    #[inline(always)]
+    #[cfg_attr(all(target_arch = "x86_64", not(target_feature = "fma")), inline(never))]
+    #[cfg_attr(not(all(target_arch = "x86_64", not(target_feature = "fma"))), inline(always))]
     fn compare(self, other: Self, f: impl Fn(f32, f32) -> bool) -> Mask16 {
         let mut m = 0;
         for i in 0..LANES {
@@ -93,7 +99,8 @@ impl Real for F32x16Portable {
     fn set_lane(&mut self, i: usize, x: f64) {
         self.0[i] = x as f32;
     }
-    #[inline(always)]
+    #[cfg_attr(all(target_arch = "x86_64", not(target_feature = "fma")), inline(never))]
+    #[cfg_attr(not(all(target_arch = "x86_64", not(target_feature = "fma"))), inline(always))]
     fn mul_add(self, a: Self, b: Self) -> Self {
         let mut r = self;
         for i in 0..LANES {
@@ -137,7 +144,8 @@ impl Real for F32x16Portable {
     fn le(self, other: Self) -> Mask16 {
         self.compare(other, |a, b| a <= b)
     }
-    #[inline(always)]
+    #[cfg_attr(all(target_arch = "x86_64", not(target_feature = "fma")), inline(never))]
+    #[cfg_attr(not(all(target_arch = "x86_64", not(target_feature = "fma"))), inline(always))]
     fn select(m: Mask16, a: Self, b: Self) -> Self {
         let mut r = b;
         for i in 0..LANES {
