@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use lab::experiments::common::Common;
-use lab::experiments::lab::Lab;
 use lab::experiments::{
     Experiment, arm_failure, base_mass, disturbance, noise, perform, precision, reassembly,
 };
@@ -308,7 +307,7 @@ fn study(args: &CommonArgs) -> Common {
 }
 
 fn print<E: Experiment>(experiment: &E, json: bool) -> anyhow::Result<()> {
-    let lab = Lab::new(experiment)?;
+    let lab = experiment.lab()?;
     let report = perform(experiment, &lab)?;
     lab.end();
     if json {

@@ -23,8 +23,8 @@ use {
 };
 
 use super::common::Common;
+use super::name::Name;
 use super::report::{Protocol, Report, RobotIdentity};
-use super::{Experiment, Name};
 use crate::evaluation::Reach;
 use crate::threads::Threads;
 use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
@@ -66,9 +66,9 @@ fn flag(task: TaskName) -> &'static str {
 }
 
 impl Lab {
-    /// Opens what an experiment's command line names.
-    pub fn new<E: Experiment>(experiment: &E) -> anyhow::Result<Self> {
-        let (args, needs) = (experiment.common(), E::NEEDS);
+    /// Opens what the command line of an experiment names that needs such policies, and by itself does so many
+    /// episodes of a setting.
+    pub(super) fn new(args: &Common, needs: Needs, episodes: u32) -> anyhow::Result<Self> {
         let usage = |message: String| ExitError::new(ExitCode::Usage, message);
         let tasks: &[TaskName] = match needs {
             Needs::Any | Needs::Both => &[TaskName::Trajectory, TaskName::Reorientation],
@@ -119,7 +119,7 @@ impl Lab {
         Ok(Self {
             policies,
             robot,
-            episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
+            episodes: args.episodes.unwrap_or(episodes) as usize,
             steps: args.steps as usize,
             seed: args.seed,
             threads: Threads::available(),
@@ -127,9 +127,9 @@ impl Lab {
         })
     }
 
-    /// A lab of an experiment on the paper's robot, with policies whose actions are zero.
+    /// A lab on the paper's robot, with policies whose actions are zero.
     #[cfg(test)]
-    pub(crate) fn resting<E: Experiment>(experiment: &E) -> Self {
+    pub(super) fn resting(args: &Common, needs: Needs, episodes: u32) -> Self {
         use proto::config::{Layers, Preset};
 
         let robot = Robot::builtin("paper").expect("built in");
@@ -153,16 +153,15 @@ impl Lab {
             let robot_toml = robot.to_toml();
             Trained { checkpoint: Checkpoint { dir, manifest, config, robot_toml }, world, policy }
         };
-        let tasks = match E::NEEDS {
+        let tasks = match needs {
             Needs::Any | Needs::Both => vec![TaskName::Trajectory, TaskName::Reorientation],
             Needs::Reorientation => vec![TaskName::Reorientation],
         };
         let policies = tasks.into_iter().map(policy).collect();
-        let args = experiment.common();
         Self {
             policies,
             robot,
-            episodes: args.episodes.unwrap_or(E::EPISODES) as usize,
+            episodes: args.episodes.unwrap_or(episodes) as usize,
             steps: args.steps as usize,
             seed: args.seed,
             threads: Threads::new(1),

@@ -9,7 +9,7 @@ use simulator::experiment::Recording;
 use simulator::robot::Robot;
 use store::provenance::Provenance;
 
-use super::Name;
+use super::name::Name;
 use crate::statistics::{ErrorOf, Spread, Unit};
 use crate::trained::PolicyIdentity;
 

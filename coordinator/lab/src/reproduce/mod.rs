@@ -45,6 +45,8 @@ const GENERATOR: &str = "octopus reproduce";
 pub const RUNS: &str = "runs";
 /// Where the best policies do.
 pub const POLICIES: &str = "policies";
+/// The file beside them that says that they are.
+pub const MARK: &str = ".octopus-reproduce";
 
 /// What is asked of a reproduction.
 #[derive(Debug, Clone)]
@@ -174,7 +176,7 @@ pub fn default_policies() -> Result<PathBuf, ExitError> {
 
 /// Whether a file or directory of this name in the directory is made here.
 fn is_ours(name: &str) -> bool {
-    let made = [PAGE, RUNS, POLICIES].contains(&name);
+    let made = [PAGE, RUNS, POLICIES, MARK].contains(&name);
     made || Name::ALL.iter().any(|experiment| name == format!("{experiment}.json"))
 }
 
@@ -206,7 +208,7 @@ struct PlannedExperiment<E: Experiment> {
 impl<E: Experiment> PlannedExperiment<E> {
     /// Opens policies and checks settings; looks for a report that was made of the same.
     fn new(experiment: E, out: &Path) -> anyhow::Result<Self> {
-        let lab = Lab::new(&experiment)?;
+        let lab = experiment.lab()?;
         let settings = experiment.settings(&lab)?;
         let path = out.join(format!("{}.json", E::NAME));
         let found = find::<E>(&path, &lab, settings)?;
@@ -358,7 +360,7 @@ mod tests {
     }
 
     fn made<E: Experiment>(experiment: &E) -> ReportOf<E> {
-        perform(experiment, &Lab::resting(experiment)).expect("a report")
+        perform(experiment, &experiment.resting_lab()).expect("a report")
     }
 
     /// What a robot that never moves by itself leads to.
@@ -441,7 +443,7 @@ mod tests {
         let path = dir.path().join("precision.json");
         let find = |seed: u64| {
             let experiment = precision::Study { common: Common { seed, ..small() }, agents: false };
-            let lab = Lab::resting(&experiment);
+            let lab = experiment.resting_lab();
             let settings = experiment.settings(&lab).expect("settings");
             super::find::<precision::Study>(&path, &lab, settings)
         };
