@@ -75,7 +75,9 @@ test: setup venv ## everything that must hold: format, lints, documentation, tes
 	$(call step,'tests',$(CARGO) test $(LOCKED) --workspace $(FEATURES))
 
 # Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run, then
-# damaged files, foreign environments, requests to a live run, attempts of another user at one.
+# damaged files, foreign environments, requests to a live run, attempts of another user at one, and a disk or a
+# coordinator that stands still for one to two minutes a time. The last needs root and loop devices: without them
+# it fails at the end, STANDSTILLS=0 leaves it out.
 KILLS ?= 200
 RESTARTS ?= 1000
 LEARNER_RESTARTS ?= 50
@@ -83,6 +85,7 @@ DAMAGES ?= 100
 ENVIRONMENTS ?= 100
 REQUESTS ?= 5000
 INTRUSIONS ?= 500
+STANDSTILLS ?= 7
 SEED ?= 1
 
 .PHONY: chaos
@@ -90,7 +93,8 @@ chaos: setup ## attack runs at random and compare bits (SEED=1 KILLS=200 REQUEST
 	@$(CARGO) build $(LOCKED) --workspace --bins --examples $(FEATURES)
 	@$(TARGET)/debug/examples/chaos --seed $(SEED) --kills $(KILLS) \
 		--worker-restarts $(RESTARTS) --learner-restarts $(LEARNER_RESTARTS) --damages $(DAMAGES) \
-		--environments $(ENVIRONMENTS) --requests $(REQUESTS) --intrusions $(INTRUSIONS)
+		--environments $(ENVIRONMENTS) --requests $(REQUESTS) --intrusions $(INTRUSIONS) \
+		--standstills $(STANDSTILLS)
 
 # Any value records what is found instead of checking it.
 RECORD ?=

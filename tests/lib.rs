@@ -119,7 +119,12 @@ impl Default for Run {
 impl Run {
     /// An empty directory, nothing started.
     pub fn new() -> Self {
-        let dir = tempfile::tempdir().expect("a temporary directory");
+        Self::below(&std::env::temp_dir())
+    }
+
+    /// The same in a directory made inside `place`, on whatever disk that is.
+    pub fn below(place: &Path) -> Self {
+        let dir = tempfile::tempdir_in(place).expect("a temporary directory");
         Self { dir, process: None, log_filter: None, variables: Vec::new(), launcher: Vec::new() }
     }
 

@@ -3,8 +3,9 @@
 //!
 //! [`plan`] draws what happens from a seed, [`Chaos::run`] lets it happen, and [`restarts`] kills
 //! workers of one live run a thousand times. [`damage`] harms the files of a dead one, [`environment`] starts
-//! runs from foreign shells, [`http`] and [`others`] attack a live run from outside. Nothing here depends on luck to pass: the moments
-//! fall differently on every machine, the bits must not.
+//! runs from foreign shells, [`http`] and [`others`] attack a live run from outside, and [`standstills`] freezes
+//! its disk. Nothing here depends on luck to pass: the moments fall differently on every machine, the bits must
+//! not.
 
 pub mod damage;
 pub mod dice;
@@ -15,6 +16,7 @@ pub mod observe;
 pub mod others;
 pub mod plan;
 pub mod restarts;
+pub mod standstills;
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -3,12 +3,12 @@
 use std::io::Write as _;
 use std::time::Instant;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use clap::Parser as _;
 use run::signals::StopRequests;
 use serde_json::json;
 use tests::chaos::plan::Plan;
-use tests::chaos::{Chaos, calm, damage, environment, http, others, restarts};
+use tests::chaos::{Chaos, calm, damage, environment, http, others, restarts, standstills};
 
 /// Kills, hangs, stops and scales runs at random, damages their files, starts them from foreign
 /// environments, and attacks them from outside, and checks that it changes no bit and leaves nothing. Progress goes to standard error, a summary as JSON to standard output.
@@ -36,6 +36,10 @@ struct Arguments {
     /// Attempts of another user at a live run, after that; needs root.
     #[arg(long, default_value_t = 500)]
     intrusions: usize,
+    /// Standstills of a live run's disk or coordinator, each of one to two minutes, after that; needs root and
+    /// loop devices.
+    #[arg(long, default_value_t = 7)]
+    standstills: usize,
     /// What the plans are drawn from.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -91,6 +95,10 @@ fn main() -> anyhow::Result<()> {
         0 => None,
         times => Some(others::run(times, seed, &stop, &mut narrate)?.to_json()),
     };
+    let standstills = match arguments.standstills {
+        0 => None,
+        times => Some(standstills::run(times, &stop, &mut narrate)?),
+    };
     let summary = json!({
         "seed": arguments.seed,
         "runs": runs,
@@ -99,8 +107,13 @@ fn main() -> anyhow::Result<()> {
         "environments": environments,
         "requests": requests,
         "intrusions": intrusions,
+        "standstills": standstills.as_ref().map(standstills::Report::to_json),
         "seconds": begun.elapsed().as_secs_f64(),
     });
     writeln!(std::io::stdout(), "{}", serde_json::to_string_pretty(&summary)?)?;
+    // What was asked for and could not be tried has not passed.
+    if let Some(reason) = standstills.and_then(|report| report.not_tried) {
+        bail!("standstills were not tried ({reason}); --standstills 0 leaves them out");
+    }
     Ok(())
 }
