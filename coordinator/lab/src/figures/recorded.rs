@@ -14,7 +14,7 @@ use store::jsonl;
 use store::run_files::{read_config, run_directory};
 use store::{files, regular_files};
 
-use super::families::learn_alike;
+use super::alike::learn_alike;
 
 /// Points that a file keeps of a curve, at most.
 const POINTS: usize = 130;

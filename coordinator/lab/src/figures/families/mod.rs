@@ -11,6 +11,7 @@ use run::report::row::Row;
 use run::selection::{MeanErrors, Means};
 use serde::Serialize;
 
+use super::alike::learn_alike;
 use super::recorded::Recorded;
 
 /// Points of a curve.
@@ -124,14 +125,6 @@ pub fn families(curves: &[Recorded], over: Over) -> Vec<Family> {
     let configs: Vec<&Config> = kinds.iter().map(|kind| &kind.config).collect();
     let names = names::of(&configs);
     kinds.into_iter().zip(names).map(|(kind, name)| Family::new(kind, name, over)).collect()
-}
-
-/// Whether two configurations differ in what does not change what is learned, at most.
-pub(super) fn learn_alike(one: &Config, other: &Config) -> bool {
-    // The budget does: the learning rate falls over it.
-    one.run.continues(&other.run)
-        && one.run.env_steps == other.run.env_steps
-        && *one == Config { run: one.run.clone(), ..other.clone() }
 }
 
 impl Family {
@@ -268,17 +261,6 @@ mod tests {
         let of = |errors: f64| [0.025 * errors, 0.04 * errors, 0.0];
         let ([a, b, c], [d, e, f]) = (of(tail), of(min));
         HeldOut::from_numbers([env_steps, 6.0 * env_steps, a, b, c, d, e, f])
-    }
-
-    #[test]
-    fn seeds_and_housekeeping_alone_make_no_other_family() {
-        let plain = config("run.seed=1");
-        for alike in ["run.keep_every=7", "run.checkpoint_every=3", "run.evaluate_every=1"] {
-            assert!(learn_alike(&config(alike), &plain), "{alike}");
-        }
-        for other in ["run.env_steps=9_000_000", "run.overlap=1", "algorithm.gamma=0.5"] {
-            assert!(!learn_alike(&config(other), &plain), "{other}");
-        }
     }
 
     fn family(held_out: &[Vec<HeldOut>; 2], over: Over) -> Family {
