@@ -23,9 +23,10 @@ use store::files;
 use store::provenance::Provenance;
 use tempfile::TempDir;
 
+use super::comparison::Comparison;
 use super::differences::{self, ProvenanceDifference};
 use super::record::{self, Iteration, Record, damaged};
-use super::{Comparison, iterations, promise, provenance_table};
+use super::wording::{iterations, promise, provenance_table};
 
 /// What helps where the system's temporary files have too little room; no flag makes a repetition smaller.
 pub const REMEDY: Remedy =
