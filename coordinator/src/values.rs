@@ -5,6 +5,7 @@ use std::net::ToSocketAddrs as _;
 use std::time::Duration;
 
 use clap::ValueEnum;
+use jiff::{Span, SpanRelativeTo};
 use output::grouped;
 
 /// Most workers that a configuration may have.
@@ -114,35 +115,19 @@ pub(crate) fn measuring_time(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| wanted.to_owned())
 }
 
-/// A time with units; a bare number is in seconds.
+/// A time with units, as [`jiff::Span`] reads it; a bare number is in seconds.
 pub(crate) fn duration(text: &str) -> Result<Duration, String> {
     let wrong = || "wants a time such as 90s, 10m or 1h30m".to_owned();
-    if let Ok(seconds) = text.parse::<u32>() {
-        return nonzero(f64::from(seconds));
-    }
-    let mut seconds = 0.0;
-    let mut rest = text;
-    while !rest.is_empty() {
-        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').ok_or_else(wrong)?;
-        let number: f64 = rest[..end].parse().map_err(|_| wrong())?;
-        let unit_end =
-            rest[end..].find(|c: char| c.is_ascii_digit()).map_or(rest.len(), |len| end + len);
-        seconds += number
-            * match &rest[end..unit_end] {
-                "s" => 1.0,
-                "m" | "min" => 60.0,
-                "h" => 3600.0,
-                "d" => 86400.0,
-                _ => return Err(wrong()),
-            };
-        rest = &rest[unit_end..];
-    }
-    nonzero(seconds)
-}
-
-fn nonzero(seconds: f64) -> Result<Duration, String> {
-    if (1e-3..1e9).contains(&seconds) {
-        Ok(Duration::from_secs_f64(seconds))
+    let time = match text.parse::<u32>() {
+        Ok(seconds) => Duration::from_secs(seconds.into()),
+        Err(_) => text
+            .parse::<Span>()
+            .and_then(|span| span.to_duration(SpanRelativeTo::days_are_24_hours()))
+            .and_then(Duration::try_from)
+            .map_err(|_| wrong())?,
+    };
+    if (1e-3..1e9).contains(&time.as_secs_f64()) {
+        Ok(time)
     } else {
         Err("wants more than nothing and less than 30 years".to_owned())
     }
@@ -181,7 +166,8 @@ mod tests {
         assert_eq!(seconds("1h30m"), Ok(5400.0));
         assert_eq!(seconds("1.5s"), Ok(1.5));
         assert_eq!(seconds("90"), Ok(90.0));
-        for wrong in ["", "m", "10x", "0", "-3s", "1e400s", "10m5"] {
+        assert_eq!(seconds("2d 30 min"), Ok(174_600.0));
+        for wrong in ["", "m", "10x", "0", "-3s", "3s ago", "1e400s", "10m5", "1y", "9999999d"] {
             assert!(duration(wrong).is_err(), "{wrong}");
         }
         assert_eq!(positive("2e6"), Ok(2_000_000));

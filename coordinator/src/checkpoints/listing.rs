@@ -8,7 +8,7 @@ use serde::Serialize;
 use store::checkpoint::{
     Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, runs_in, shapes, store_at,
 };
-use store::provenance::utc;
+use store::provenance::Utc;
 
 use crate::checkpoints::options::{ListArgs, ShowArgs};
 
@@ -138,7 +138,7 @@ fn summary(shown: &Shown) -> String {
 /// The summary first, then what is known of it, then its files; its tensors if they are wanted.
 fn describe(shown: &Shown, columns: usize, with_tensors: bool) -> String {
     let Shown { entry, manifest, tensors, problems } = shown;
-    let committed = utc(UNIX_EPOCH + std::time::Duration::from_secs(entry.created_unix_s));
+    let committed = Utc::from_unix(entry.created_unix_s);
     let mut lines = vec![
         format!("{:12}{}", "summary", summary(shown)),
         format!("{:12}{}", "checkpoint", entry.dir.display()),

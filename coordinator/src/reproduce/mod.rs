@@ -1,14 +1,13 @@
 //! `octopus reproduce`: all of the paper's experiments, and a page that shows them.
 
 use std::path::PathBuf;
-use std::time::SystemTime;
 
 use clap::Args;
 use lab::reproduce::{
     Study, Tally, check_place, curves_beside, default_policies, reproduce, table,
 };
 use proto::config::AlgorithmName;
-use store::provenance::utc;
+use store::provenance::Utc;
 
 use crate::names::Named;
 use crate::values::{assignment, whole};
@@ -83,7 +82,7 @@ mod training;
 
 /// Does what is missing, draws, and says which claims hold.
 pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
-    let now = utc(SystemTime::now()).compact();
+    let now = Utc::now().compact();
     let out = args.out.clone().unwrap_or_else(|| format!("reproduction-{now}").into());
     check_place(&out, args.force)?;
     let (policies, curves) = if args.train {

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::sync::OnceLock;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 /// What was true when a session of a run began; `provenance.json` holds one for each session, and
@@ -59,7 +60,7 @@ impl Provenance {
             commit: COMMIT.get().copied().unwrap_or("unknown").into(),
             build: if cfg!(debug_assertions) { "debug" } else { "release" }.into(),
             command: std::env::args().collect(),
-            started: utc(SystemTime::now()).to_string(),
+            started: Utc::now().to_string(),
             host: names.nodename().to_string_lossy().into_owned(),
             system: format!(
                 "{} {}",
@@ -100,65 +101,55 @@ pub fn memory() -> u64 {
     limit.trim().parse().map_or(machine, |limit: u64| machine.min(limit))
 }
 
-/// A moment in UTC, in parts.
+/// A moment in UTC, to the second.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Utc {
-    date: (i64, u64, u64),
-    time: (u64, u64, u64),
-}
+pub struct Utc(Timestamp);
 
 impl Utc {
+    /// This moment. A clock before 1970 counts as 1970.
+    pub fn now() -> Self {
+        Self::from_unix(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs())
+    }
+
+    /// The moment so many seconds after 1970 began; what is beyond the year 9999 is its end.
+    pub fn from_unix(seconds: u64) -> Self {
+        let moment = i64::try_from(seconds).ok().map(Timestamp::from_second);
+        Self(moment.and_then(Result::ok).unwrap_or(Timestamp::MAX))
+    }
+
     /// As a part of a file name: `20260101-120000`.
     pub fn compact(&self) -> String {
-        let ((year, month, day), (hour, minute, second)) = (self.date, self.time);
-        format!("{year:04}{month:02}{day:02}-{hour:02}{minute:02}{second:02}")
+        self.0.strftime("%Y%m%d-%H%M%S").to_string()
     }
 }
 
 impl std::fmt::Display for Utc {
     /// As RFC 3339 writes it.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let ((year, month, day), (hour, minute, second)) = (self.date, self.time);
-        write!(f, "{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
-    }
-}
-
-/// The moment in parts. A clock before 1970 counts as 1970.
-pub fn utc(moment: SystemTime) -> Utc {
-    let seconds = moment.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-    let (days, second_of_day) = (seconds / 86400, seconds % 86400);
-    // Years begin in March here, so that the leap day is the last of its year; 719468 days lie
-    // between 0000-03-01 and 1970-01-01, and 146097 days make 400 years.
-    let days = days + 719_468;
-    let (era, day_of_era) = (days / 146_097, days % 146_097);
-    let year_of_era =
-        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
-    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
-    let year = (era * 400 + year_of_era + u64::from(month <= 2)) as i64;
-    Utc {
-        date: (year, month, day),
-        time: (second_of_day / 3600, second_of_day / 60 % 60, second_of_day % 60),
+        self.0.strftime("%Y-%m-%dT%H:%M:%SZ").fmt(f)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
 
     #[test]
     fn dates_around_leap_days() {
         // `date -u -d @…` says so.
-        let text = |seconds| utc(UNIX_EPOCH + Duration::from_secs(seconds)).to_string();
+        let text = |seconds| Utc::from_unix(seconds).to_string();
         assert_eq!(text(0), "1970-01-01T00:00:00Z");
         assert_eq!(text(951_782_400), "2000-02-29T00:00:00Z");
         assert_eq!(text(1_709_251_199), "2024-02-29T23:59:59Z");
         assert_eq!(text(4_107_542_400), "2100-03-01T00:00:00Z");
-        let compact = utc(UNIX_EPOCH + Duration::from_secs(1_767_268_801)).compact();
-        assert_eq!(compact, "20260101-120001");
+        assert_eq!(Utc::from_unix(1_767_268_801).compact(), "20260101-120001");
+    }
+
+    /// Seconds come from manifests, which others may have written.
+    #[test]
+    fn no_count_of_seconds_is_too_large() {
+        for seconds in [u64::MAX, i64::MAX as u64, 1 << 40] {
+            assert!(Utc::from_unix(seconds).to_string().starts_with("9999-12-"), "{seconds}");
+        }
     }
 }

@@ -1,11 +1,9 @@
 //! The page: claims, figures, and where every number comes from. It stands alone: no script, nothing fetched.
 
-use std::time::SystemTime;
-
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use output::grouped;
 use simulator::robot::Robot;
-use store::provenance::{Provenance, utc};
+use store::provenance::{Provenance, Utc};
 
 use super::claims::{Claim, Tally, verdict};
 use super::{GENERATOR, Reports, drawing, figures};
@@ -103,7 +101,7 @@ fn head(content: &Content<'_>) -> Markup {
             p { strong { "Quick: " } "few episodes and coarse settings. Leave " code { "--quick" } " out for the protocol's numbers." }
         }
         dl {
-            dt { "made" } dd { (utc(SystemTime::now())) }
+            dt { "made" } dd { (Utc::now()) }
             dt { "program" } dd { (version) ", commit " code { (commit) } ", " (build) " build" }
             dt { "machine" } dd { (processor) ", " (output::counted(*processors as u64, "processor")) ", " (system) }
             dt { "robot" } dd { (report.robot.name) ", " code { (report.robot.blake3) } }

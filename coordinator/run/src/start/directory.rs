@@ -1,14 +1,13 @@
 //! Where a run lands, and that no two take the same place.
 
 use std::path::Path;
-use std::time::SystemTime;
 
 use anyhow::Context as _;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde_json::json;
-use store::provenance::{self, Provenance};
+use store::provenance::{Provenance, Utc};
 use store::{files, regular_files};
 
 /// Where runs land without `--run-dir`.
@@ -47,7 +46,7 @@ pub fn create(run_dir: &RunDir) -> Result<(), ExitError> {
 
 /// `<task>-<UTC time>`.
 pub fn default_name(config: &Config) -> String {
-    let time = provenance::utc(SystemTime::now()).compact();
+    let time = Utc::now().compact();
     format!("{}-{time}", config.task.name.as_str())
 }
 
