@@ -1,6 +1,7 @@
 //! Tables that fit: cells of words are wrapped, and columns for which there is no room follow below.
 
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, Width, presets};
+use unicode_width::UnicodeWidthStr as _;
 
 /// Columns of a terminal that does not say how wide it is, of a file, and of a page.
 pub const COLUMNS: usize = 80;
@@ -47,7 +48,7 @@ pub fn table_within<const N: usize>(
 }
 
 fn width(text: &str) -> usize {
-    text.lines().map(|line| line.chars().count()).max().unwrap_or(0)
+    text.lines().map(str::width).max().unwrap_or(0)
 }
 
 /// How many characters columns take beside each other.
@@ -128,6 +129,13 @@ mod tests {
     fn a_table_that_fits_is_as_wide_as_its_cells() {
         let text = table_within(80, ["error", "min"], rows(&[["position", "1.5"], ["x", "12.5"]]));
         assert_eq!(text, "error      min\nposition   1.5\nx         12.5");
+    }
+
+    /// Such characters take two columns of a terminal each.
+    #[test]
+    fn wide_characters_have_room() {
+        let text = table_within(80, ["run", "state"], rows(&[["実行/軌道", "running"]]));
+        assert_eq!(text, "run          state\n実行/軌道  running");
     }
 
     #[test]

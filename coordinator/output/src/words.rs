@@ -1,16 +1,10 @@
 //! Numbers, sizes and times as a person reads them.
 
+use indicatif::HumanCount;
+
 /// A count with its thousands set apart: `1,664,000`.
 pub fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut text = String::with_capacity(digits.len() * 4 / 3);
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
+    HumanCount(count).to_string()
 }
 
 /// A count and what is counted: `1 worker`, `1,200 workers`.
@@ -41,6 +35,12 @@ pub fn age(seconds: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn thousands_are_set_apart() {
+        let counts = [0, 999, 1000, 1_664_000, u64::MAX].map(grouped);
+        assert_eq!(counts, ["0", "999", "1,000", "1,664,000", "18,446,744,073,709,551,615"]);
+    }
 
     #[test]
     fn sizes_and_ages_have_their_largest_unit() {

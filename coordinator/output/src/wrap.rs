@@ -1,5 +1,7 @@
 //! Sentences that fit.
 
+use unicode_width::UnicodeWidthStr as _;
+
 /// A text in lines of at most `columns` characters, of which all but the first begin with `indent` spaces. The first
 /// is part of a line that has `begun` characters already. A word that is longer than a line, as a path may be, stays
 /// whole.
@@ -13,7 +15,7 @@ pub fn wrap_within(columns: usize, begun: usize, indent: usize, text: &str) -> S
             column = indent;
         }
         for (word_index, word) in line.split(' ').enumerate() {
-            let len = word.chars().count();
+            let len = word.width();
             if word_index > 0 && column + 1 + len > columns {
                 wrapped.push('\n');
                 wrapped.push_str(&" ".repeat(indent));
