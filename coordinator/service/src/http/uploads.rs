@@ -1,21 +1,17 @@
 //! Uploads of checkpoints as tar archives.
 
 use std::fs::File;
+use std::io::BufReader;
 use std::io::Seek as _;
-use std::io::{BufReader, ErrorKind};
-use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::StatusCode;
 use axum::response::IntoResponse as _;
 use axum::response::Response;
-use rustix::fs::{Mode, OFlags};
 use store::checkpoint::{CheckpointError, Entry, Name, UPLOAD};
-use store::owned_files;
 use tokio::io::AsyncWriteExt as _;
 use tokio::sync::OwnedSemaphorePermit;
 
@@ -133,28 +129,9 @@ fn refusal(error: CheckpointError) -> Problem {
     }
 }
 
-/// A new file without a name on the disk of `root`: however this ends, also by `kill -9`, the
-/// system frees it.
+/// A new file on the disk of `root` that loses its name at once: however this ends, the system frees
+/// it. A process that is killed in between leaves it, empty, to a sweep of the store.
 fn nameless(root: &Path) -> std::io::Result<File> {
-    static COUNTER: AtomicU64 = AtomicU64::new(0);
     std::fs::create_dir_all(root)?;
-    let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
-    if let Ok(file) = rustix::fs::open(root, flags, Mode::RUSR | Mode::WUSR) {
-        return Ok(file.into());
-    }
-    // Not every file system has such files: a name for a moment, then.
-    let count = COUNTER.fetch_add(1, Ordering::Relaxed);
-    named(&root.join(format!("{UPLOAD}{}-{count}", std::process::id())))
-}
-
-/// A new file that loses its name at once; a process that is killed in between leaves it to a sweep.
-fn named(path: &Path) -> std::io::Result<File> {
-    let mut options = File::options();
-    options.read(true).write(true).create_new(true).mode(owned_files::MODE);
-    let file = options.open(path)?;
-    match std::fs::remove_file(path) {
-        // A sweep was faster.
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
-        _ => Ok(file),
-    }
+    Ok(tempfile::Builder::new().prefix(UPLOAD).tempfile_in(root)?.into_file())
 }

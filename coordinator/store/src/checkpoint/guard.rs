@@ -31,7 +31,7 @@ pub(super) const REMOVED: &str = ".removed-";
 pub(super) const REPLACED: &str = ".replaced-";
 /// How long such a one is kept.
 const REPLACED_TIME: Duration = Duration::from_hours(7 * 24);
-/// Prefix of an archive that is being taken in where files without a name cannot be made.
+/// Prefix of an archive that is being taken in, for the moment in which it has a name.
 pub const UPLOAD: &str = ".upload-";
 /// Prefix of labels that are being written.
 const STUMP: &str = ".labels.json.";
