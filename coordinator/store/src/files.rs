@@ -1,4 +1,7 @@
 //! Durable writing of small files: a reader finds the old content or the new, never a part.
+//!
+//! Temporary files have names of our own, not of the crate `tempfile`: they say what is written and by which process,
+//! so that what a killed one has left is known for that and removed.
 
 use std::fs::{File, Metadata};
 use std::io::Write as _;

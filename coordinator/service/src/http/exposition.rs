@@ -1,4 +1,7 @@
 //! The text format of Prometheus, version 0.0.4.
+//!
+//! Crates that write it want to own the numbers, as counters that the program turns. Here they are read off a status
+//! that exists anyway, once a request.
 
 use std::fmt::Write as _;
 

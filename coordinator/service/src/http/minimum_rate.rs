@@ -1,4 +1,7 @@
 //! Cuts clients off that trickle: a deadline for progress, not for the whole.
+//!
+//! The timeouts of `tower-http` and `tokio-io-timeout` begin anew with every byte, so a client that moves one a minute
+//! would keep its place for ever. A client here has to move many within a time.
 
 use std::io;
 use std::pin::Pin;

@@ -1,4 +1,8 @@
 //! Which part of a file an answer carries: conditions and byte ranges (RFC 9110, 13 and 14).
+//!
+//! Read here, because the crates for it do not do what the RFC says. Of a suffix that is longer than the file, which is
+//! the whole file, `http-range-header` 0.4 makes an error and `headers` 0.4 nothing, and likewise of a last byte with
+//! more digits than a u64 has. Neither tells what is no range, and ignored, from one outside the file, which is refused.
 
 use std::ops::Range;
 
