@@ -6,7 +6,7 @@
 use proto::config::TaskName;
 use serde::Serialize;
 
-use super::Reports;
+use super::reports::Reports;
 use crate::evaluation::Summary;
 use crate::experiments::Name;
 use crate::experiments::arm_failure::Failure;
@@ -329,7 +329,7 @@ mod tests {
 
     #[test]
     fn claims_of_measured_numbers() {
-        let reports = super::super::tests::reports();
+        let reports = super::super::reports::tests::reports();
         let claims = claims(reports);
         let names: Vec<_> = claims.iter().map(|claim| claim.what).collect();
         assert_eq!(names.len(), 11, "{names:?}");

@@ -201,7 +201,7 @@ mod tests {
 
     #[test]
     fn a_sequence_ends_with_the_last_step_and_stays_within() {
-        let reports = super::super::tests::reports();
+        let reports = super::super::reports::tests::reports();
         let robot = Robot::builtin("paper").expect("built in");
         let stages = &reports.reassembly.protocol.settings.stages;
         let text = sequence(&robot, &reports.reassembly.results[2], &stages[1]).into_string();

@@ -3,8 +3,8 @@
 use drawing::{Axis, Item, Layout, Panel, Quantiles, line, render};
 use proto::config::TaskName;
 
-use super::Reports;
 use super::claims::{MASS_SHARE, MASS_THRESHOLD};
+use super::reports::Reports;
 use crate::experiments::disturbance::{Disturbance, Disturbed};
 use crate::experiments::noise::Quantity;
 use crate::experiments::report::{ErrorOfMany, Figure, Goals};
@@ -371,7 +371,7 @@ mod tests {
 
     #[test]
     fn every_figure_of_an_untrained_robot() {
-        let reports = super::super::tests::reports();
+        let reports = super::super::reports::tests::reports();
         let axes = disturbed_axes(reports).expect("drawn").expect("a robot of four arms");
         for (figure, words) in [
             (precision(reports), &["position error (mm)", "last 20 steps", "agent"][..]),

@@ -6,7 +6,8 @@ use simulator::robot::Robot;
 use store::provenance::{Provenance, Utc};
 
 use super::claims::{Claim, Tally, verdict};
-use super::{GENERATOR, Reports, drawing, figures};
+use super::reports::Reports;
+use super::{drawing, figures};
 use crate::experiments::report::{Goals, Report};
 use crate::experiments::{Experiment, Name, ReportOf};
 use crate::experiments::{arm_failure, base_mass, disturbance, noise, precision, reassembly};
@@ -14,6 +15,9 @@ use crate::figures::families::{Family, Over, families};
 use crate::figures::learning::learning as learning_curves;
 use crate::figures::recorded::Recorded;
 use crate::trained::PolicyIdentity;
+
+/// Stands in every page of ours, and so in none of others.
+pub(super) const GENERATOR: &str = "octopus reproduce";
 
 /// What the page shows.
 pub(super) struct Content<'a> {

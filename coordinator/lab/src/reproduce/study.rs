@@ -1,0 +1,88 @@
+//! What is asked of a reproduction, and what that asks of each experiment.
+
+use std::path::PathBuf;
+
+use crate::experiments::common::Common;
+use crate::experiments::{base_mass, noise};
+
+/// Episodes of a setting with `--quick`.
+const QUICK_EPISODES: u32 = 10;
+/// Coarser settings with `--quick`.
+const QUICK_MASSES: [f64; 5] = [100.0, 200.0, 400.0, 700.0, 1000.0];
+
+/// What is asked of a reproduction.
+#[derive(Debug, Clone)]
+pub struct Study {
+    /// A directory that holds `trajectory` and `reorientation`.
+    pub policies: PathBuf,
+    /// Runs, or files of learning curves, whose curves the page shows.
+    pub curves: Vec<PathBuf>,
+    /// Where everything goes.
+    pub out: PathBuf,
+    /// Fewer episodes and fewer settings.
+    pub quick: bool,
+    /// Episodes of a setting; as many as each experiment has by itself if none are given.
+    pub episodes: Option<u32>,
+    /// Control steps of an episode.
+    pub steps: u32,
+    /// Seed of goals and noise.
+    pub seed: u64,
+}
+
+impl Study {
+    /// What all its experiments share.
+    pub(super) fn common(&self) -> Common {
+        Common {
+            policies: Some(self.policies.clone()),
+            episodes: self.episodes.or(self.quick.then_some(QUICK_EPISODES)),
+            steps: self.steps,
+            seed: self.seed,
+            ..Common::default()
+        }
+    }
+
+    /// The masses of the base that are tried.
+    pub(super) fn base_mass(&self) -> base_mass::Study {
+        let study = base_mass::Study { common: self.common(), ..base_mass::Study::default() };
+        if self.quick { base_mass::Study { masses: QUICK_MASSES.into(), ..study } } else { study }
+    }
+
+    /// The strengths of noise, torques, delay and mass that are.
+    pub(super) fn noise(&self) -> noise::Study {
+        let study = noise::Study { common: self.common(), ..noise::Study::default() };
+        if !self.quick {
+            return study;
+        }
+        noise::Study {
+            sensors: vec![0.0, 5.0, 20.0, 50.0],
+            torques: vec![0.0, 5.0, 20.0],
+            arm_masses: vec![0.5, 1.0, 2.0, 3.0],
+            ..study
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiments::Experiment as _;
+    use crate::experiments::command_line::typed;
+
+    #[test]
+    fn the_page_names_commands_that_can_be_typed() {
+        let study = Study {
+            policies: "of mine/it's".into(),
+            curves: Vec::new(),
+            out: "x".into(),
+            quick: true,
+            episodes: None,
+            steps: 200,
+            seed: 3,
+        };
+        assert_eq!(
+            typed(&study.base_mass().command()),
+            "octopus experiment base-mass '--policies=of mine/it'\\''s' --episodes=10 --steps=200 \
+             --seed=3 --masses=100,200,400,700,1000 --thresholds=0.01,0.02,0.03,0.05,0.1"
+        );
+    }
+}
