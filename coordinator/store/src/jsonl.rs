@@ -64,12 +64,13 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<(String, Value)>> {
             return Err(ExitError::new(ExitCode::RunDirectory, message).into());
         }
     };
-    let parsed = bytes
+    Ok(parse(&bytes).map(|(line, value)| (line.to_owned(), value)).collect())
+}
+
+/// The whole lines that `bytes` begin with, up to the first that is no JSON.
+pub(crate) fn parse(bytes: &[u8]) -> impl Iterator<Item = (&str, Value)> {
+    bytes
         .split_inclusive(|&byte| byte == b'\n')
         .filter_map(|line| line.strip_suffix(b"\n"))
-        .map_while(|line| {
-            Some((str::from_utf8(line).ok()?.to_owned(), serde_json::from_slice(line).ok()?))
-        })
-        .collect();
-    Ok(parsed)
+        .map_while(|line| Some((str::from_utf8(line).ok()?, serde_json::from_slice(line).ok()?)))
 }

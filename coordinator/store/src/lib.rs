@@ -19,3 +19,4 @@ pub mod provenance;
 pub mod recorded;
 pub mod regular_files;
 pub mod run_files;
+mod stamp;

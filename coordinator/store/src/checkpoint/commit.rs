@@ -14,10 +14,10 @@ use super::guard::{Guard, REPLACED, Scratch, unique};
 use super::labels::{Labels, Score};
 use super::manifest::{FileEntry, Manifest};
 use super::name::Name;
-use super::opening::Stamp;
 use super::read;
 use super::store::{CheckpointStore, now};
 use super::{CheckpointError, Snapshot, tensors};
+use crate::stamp::Stamp;
 
 /// What to do with another checkpoint that has the name already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

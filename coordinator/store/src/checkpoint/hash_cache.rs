@@ -8,8 +8,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::error::CheckpointError;
 use super::manifest::{FileEntry, Manifest};
-use super::opening::{self, Stamp};
+use super::opening;
+use super::ownership::Ownership;
 use super::read::check_open;
+use super::store::CheckpointStore;
+use crate::recorded::Followed;
+use crate::stamp::Stamp;
 
 /// Files beyond which those are forgotten that are gone.
 const REMEMBERED: usize = 1024;
@@ -29,6 +33,8 @@ struct CheckResult {
 pub struct Checked {
     /// A lock for each file, so that two who ask for one at the same time hash it once.
     files: Mutex<BTreeMap<PathBuf, Arc<Mutex<Option<CheckResult>>>>>,
+    /// What the run of the store has recorded, which is read once, too.
+    recorded: Followed,
 }
 
 impl Checked {
@@ -64,6 +70,11 @@ impl Checked {
             .files
             .iter()
             .try_for_each(|(name, entry)| self.open(&dir.join(name), entry).map(drop))
+    }
+
+    /// What tells the own checkpoints of the run that `store` belongs to from others.
+    pub fn ownership(&self, store: &CheckpointStore) -> Ownership {
+        Ownership::new(store, |run| self.recorded.read(run))
     }
 
     fn slot(&self, path: &Path) -> Arc<Mutex<Option<CheckResult>>> {

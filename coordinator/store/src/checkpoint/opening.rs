@@ -1,14 +1,14 @@
 //! Opening what lies in a store. Nothing is followed out of it: a link in it is no checkpoint and no
 //! file of one.
 
-use std::fs::{File, Metadata};
+use std::fs::File;
 use std::io::ErrorKind;
-use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
 use super::CheckpointError;
 use super::file_names::LABELS;
 use crate::regular_files::{self, Links};
+use crate::stamp::Stamp;
 
 /// Whether `path` itself is a directory, and not a link to one.
 pub(super) fn is_directory(path: &Path) -> bool {
@@ -41,28 +41,7 @@ pub(super) fn text(path: &Path, limit: u64) -> Result<String, CheckpointError> {
     String::from_utf8(bytes(path, limit)?).map_err(|_| CheckpointError::damaged(path, "not UTF-8"))
 }
 
-/// What changes when somebody writes to a file or puts another in its place.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Stamp {
-    device: u64,
-    inode: u64,
-    len: u64,
-    modified: (i64, i64),
-    changed: (i64, i64),
-}
-
 impl Stamp {
-    /// The stamp of one file.
-    pub(super) fn of(there: &Metadata) -> Self {
-        Self {
-            device: there.dev(),
-            inode: there.ino(),
-            len: there.len(),
-            modified: (there.mtime(), there.mtime_nsec()),
-            changed: (there.ctime(), there.ctime_nsec()),
-        }
-    }
-
     /// The stamps of everything in a directory but what users say about it; of what is no directory,
     /// its own.
     pub(super) fn of_dir(path: &Path) -> Vec<(std::ffi::OsString, Self)> {
@@ -77,8 +56,7 @@ impl Stamp {
             .collect();
         stamps.sort();
         // Another directory of the same files, which may be none.
-        let place = Self { len: 0, modified: (0, 0), changed: (0, 0), ..Self::of(&itself) };
-        stamps.push((std::ffi::OsString::new(), place));
+        stamps.push((std::ffi::OsString::new(), Self::of_place(&itself)));
         stamps
     }
 }

@@ -5,8 +5,10 @@
 //! `base` of the crate `run`).
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use proto::Digest;
+use proto::run_dir::RunDir;
+use proto::{Digest, ExitError};
 
 use super::error::CheckpointError;
 use super::labels::Labels;
@@ -20,14 +22,22 @@ pub struct Ownership {
     /// Whether the store belongs to a run; in any other all are alike.
     of_a_run: bool,
     /// What the run has come to; none where that cannot be read, or is lost.
-    recorded: Option<Recorded>,
+    recorded: Option<Arc<Recorded>>,
 }
 
 impl Ownership {
     /// Of the run that the store belongs to, if it belongs to one.
     pub fn of(store: &CheckpointStore) -> Self {
+        Self::new(store, |run| Recorded::read(run).map(Arc::new))
+    }
+
+    /// The same, with what `read` says that the run has recorded.
+    pub(super) fn new(
+        store: &CheckpointStore,
+        read: impl Fn(&RunDir) -> Result<Arc<Recorded>, ExitError>,
+    ) -> Self {
         let run = store.run();
-        let recorded = run.as_ref().and_then(|run| Recorded::read(run).ok());
+        let recorded = run.as_ref().and_then(|run| read(run).ok());
         let recorded = recorded.filter(|recorded| recorded.iterations() > 0);
         Self { of_a_run: run.is_some(), recorded }
     }
