@@ -12,6 +12,7 @@ use store::checkpoint::{
 use utoipa::ToSchema;
 
 use super::context::Shared;
+use super::document::Refusals;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
 
@@ -75,12 +76,10 @@ pub(super) async fn show(
 #[utoipa::path(delete, path = "/v1/checkpoints/{name}", tag = "checkpoints",
     params(("name" = String, Path, description = "Name")),
     responses(
+        Refusals,
         (status = 204, description = "Removed"),
-        (status = 400, description = "Not a name", body = ErrorBody),
-        (status = 404, description = "No such checkpoint", body = ErrorBody),
         (status = 409, description = "It is pinned, it is the newest whole one of its run, or this \
             is not its own name", body = ErrorBody),
-        (status = 503, description = "Others change the store; try again", body = ErrorBody),
     )
 )]
 pub(super) async fn delete(
@@ -94,13 +93,7 @@ pub(super) async fn delete(
 /// Keeps a checkpoint until it is unpinned.
 #[utoipa::path(put, path = "/v1/checkpoints/{name}/pin", tag = "checkpoints",
     params(("name" = String, Path, description = "Name")),
-    responses(
-        (status = 200, description = "As it is now", body = Entry),
-        (status = 400, description = "Not a name", body = ErrorBody),
-        (status = 404, description = "No such checkpoint", body = ErrorBody),
-        (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
-        (status = 503, description = "Others change the store; try again", body = ErrorBody),
-    )
+    responses(Refusals, (status = 200, description = "As it is now", body = Entry))
 )]
 pub(super) async fn pin(
     State(context): State<Shared>,
@@ -112,13 +105,7 @@ pub(super) async fn pin(
 /// Lets a checkpoint go.
 #[utoipa::path(delete, path = "/v1/checkpoints/{name}/pin", tag = "checkpoints",
     params(("name" = String, Path, description = "Name")),
-    responses(
-        (status = 200, description = "As it is now", body = Entry),
-        (status = 400, description = "Not a name", body = ErrorBody),
-        (status = 404, description = "No such checkpoint", body = ErrorBody),
-        (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
-        (status = 503, description = "Others change the store; try again", body = ErrorBody),
-    )
+    responses(Refusals, (status = 200, description = "As it is now", body = Entry))
 )]
 pub(super) async fn unpin(
     State(context): State<Shared>,
@@ -134,11 +121,8 @@ pub(super) async fn unpin(
         ("tag" = String, Path, description = "Tag"),
     ),
     responses(
+        Refusals,
         (status = 200, description = "As it is now", body = Entry),
-        (status = 400, description = "Not a name or tag", body = ErrorBody),
-        (status = 404, description = "No such checkpoint", body = ErrorBody),
-        (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
-        (status = 503, description = "Others change the store; try again", body = ErrorBody),
         (status = 422, description = "A tag that cannot be given", body = ErrorBody),
     )
 )]
@@ -156,11 +140,9 @@ pub(super) async fn tag(
         ("tag" = String, Path, description = "Tag"),
     ),
     responses(
+        Refusals,
         (status = 200, description = "As it is now", body = Entry),
-        (status = 400, description = "Not a name or tag", body = ErrorBody),
         (status = 404, description = "No such checkpoint, or it has no such tag", body = ErrorBody),
-        (status = 409, description = "Not the checkpoint's own name", body = ErrorBody),
-        (status = 503, description = "Others change the store; try again", body = ErrorBody),
         (status = 422, description = "A tag that moves by itself", body = ErrorBody),
     )
 )]

@@ -1,5 +1,7 @@
 //! What `/openapi.json` says beside the routes: its head, and what every route may answer.
 
+use std::collections::BTreeMap;
+
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::schema::{KnownFormat, SchemaFormat, Type};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
@@ -7,7 +9,7 @@ use utoipa::openapi::{
     ContentBuilder, ObjectBuilder, OpenApi as Document, Ref, RefOr, Response, ResponseBuilder,
     Schema,
 };
-use utoipa::{Modify, OpenApi, PartialSchema, ToSchema};
+use utoipa::{IntoResponses, Modify, OpenApi, PartialSchema, ToSchema};
 
 const DESCRIPTION: &str = "\
 Checkpoints of multi-arm space robots' training, and the run that makes them if the service stands \
@@ -72,6 +74,22 @@ impl PartialSchema for Bytes {
 }
 
 impl ToSchema for Bytes {}
+
+/// What every change of a checkpoint may answer instead of what was wanted.
+#[derive(Debug)]
+pub(super) struct Refusals;
+
+impl IntoResponses for Refusals {
+    fn responses() -> BTreeMap<String, RefOr<Response>> {
+        let refusals = [
+            ("400", "Not a name, or not a tag"),
+            ("404", "No such checkpoint"),
+            ("409", "Not the checkpoint's own name"),
+            ("503", "Others change the store; try again"),
+        ];
+        refusals.map(|(status, why)| (status.to_owned(), RefOr::T(problem(why)))).into()
+    }
+}
 
 /// Adds to every route what the layers around it may answer.
 pub(super) fn complete(document: &mut Document) {
