@@ -8,6 +8,7 @@ use lab::evaluation::{self, Summary};
 use output::grouped;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
+use run::errors;
 use run::report::Diverged;
 use run::report::divergence::{CURE, Divergence};
 use run::session::StoppedBy;
@@ -68,14 +69,13 @@ pub(crate) fn conclude(ended: &Ended, ending: Ending) -> anyhow::Result<()> {
         None
     } else {
         let checkpoint = CheckpointStore::new(run_dir.checkpoints()).load(&outcome.checkpoint)?;
-        let summary = evaluate(checkpoint, stop)?;
-        let text =
-            serde_json::to_vec_pretty(&summary).context("the evaluation has no JSON form")?;
-        files::replace(&evaluation_path(run_dir), &text)?;
-        Some(summary)
+        Some(evaluate(checkpoint, stop)?)
     };
+    // What was found is shown, also where it cannot be kept.
+    let kept = evaluation.as_ref().map_or(Ok(()), |evaluation| keep(run_dir, evaluation));
     if ending.json {
-        return print_json(ended, evaluation.as_ref());
+        print_json(ended, evaluation.as_ref())?;
+        return kept;
     }
     output::line(&format!(
         "{}, {} env-steps, ended by the {}",
@@ -88,7 +88,9 @@ pub(crate) fn conclude(ended: &Ended, ending: Ending) -> anyhow::Result<()> {
     }
     if let Some(evaluation) = &evaluation {
         output::line(&format!("\n{}\n", evaluation.table(output::columns(), ending.agents)))?;
-        output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
+        if kept.is_ok() {
+            output::line(&format!("evaluation  {}", evaluation_path(run_dir).display()))?;
+        }
     }
     if let Some(curve) = curve(ended) {
         output::line(&format!("curve       {}", curve.display()))?;
@@ -97,7 +99,18 @@ pub(crate) fn conclude(ended: &Ended, ending: Ending) -> anyhow::Result<()> {
     if outcome.stopped_by != StoppedBy::Budget {
         output::line(&format!("go on with  octopus resume {}", run_dir.path().display()))?;
     }
-    Ok(())
+    kept
+}
+
+/// Writes what an evaluation found into the run directory.
+fn keep(run_dir: &RunDir, evaluation: &Summary) -> anyhow::Result<()> {
+    let path = evaluation_path(run_dir);
+    let text = serde_json::to_vec_pretty(evaluation).context("the evaluation has no JSON form")?;
+    files::replace(&path, &text).map_err(|error| {
+        let (run, path) = (run_dir.path().display(), path.display());
+        let then = format!("`octopus eval {run} --json > {path}` evaluates it again");
+        errors::name_what_follows_room(error.into(), &then)
+    })
 }
 
 /// Evaluates with the default options; Ctrl-C, which is only counted until here, ends it.

@@ -166,6 +166,42 @@ fn a_disk_that_is_full_when_a_run_is_resumed_names_what_goes_on() {
     assert_eq!(said.matches("make room").count(), 1, "{said}");
 }
 
+/// The training is whole then, and what was found is not lost.
+#[test]
+fn a_disk_that_is_full_when_the_evaluation_is_written_names_what_evaluates_again() {
+    if !getuid().is_root() {
+        eprintln!("not root, so that no other disk can be mounted: not tried");
+        return;
+    }
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let disk = dir.path().join("disk");
+    std::fs::create_dir(&disk).expect("a directory");
+    // A run lets its lock go when its session is over; then come the episodes.
+    let script = "disk=$1 octopus=$2; shift 2
+        mount -t tmpfs -o size=256M,nr_inodes=200 tmpfs \"$disk\" || exit 90
+        (until [ -s \"$disk/run/run.lock\" ]; do kill -0 $$ || exit; sleep 0.01; done
+         while [ -s \"$disk/run/run.lock\" ]; do kill -0 $$ || exit; sleep 0.01; done
+         i=0; while : > \"$disk/$i\"; do i=$((i + 1)); done) >/dev/null 2>&1 &
+        exec \"$octopus\" train trajectory --run-dir \"$disk/run\" --iterations=5 \"$@\"";
+    let output = Command::new("unshare")
+        .args(["--mount", "bash", "-c", script, "bash"])
+        .args([disk.as_path(), &program("octopus")])
+        .args(SMALL)
+        .args(["--workers=1", "--quiet"])
+        .stdin(Stdio::null())
+        .output()
+        .expect("util-linux is there");
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(5), "{said}");
+    let run = disk.join("run");
+    let cure =
+        format!("make room, then `octopus eval {0} --json > {0}/evaluation.json`", run.display());
+    assert!(said.contains("No space left on device") && said.contains(&cure), "{said}");
+    let shown = String::from_utf8_lossy(&output.stdout);
+    assert!(shown.contains("orientation") && shown.contains("\ncheckpoint  "), "{shown}");
+    assert!(!shown.contains("\nevaluation  "), "it is not there: {shown}");
+}
+
 #[test]
 fn a_shell_that_ignores_the_death_of_children_harms_no_run() {
     let dir = tempfile::tempdir().expect("a temporary directory");

@@ -39,6 +39,12 @@ pub fn exit_code(error: &anyhow::Error) -> ExitCode {
 
 /// Adds to an error of a run that there was no room what makes the run go on. All that is committed is whole.
 pub fn name_what_goes_on(error: anyhow::Error, run_dir: &RunDir) -> anyhow::Error {
+    let shown = run_dir.path().display();
+    name_what_follows_room(error, &format!("`octopus resume {shown}` goes on"))
+}
+
+/// Adds to an error that there was no room what does the rest when there is.
+pub fn name_what_follows_room(error: anyhow::Error, then: &str) -> anyhow::Error {
     let told = told(&error);
     // Errors of runs are words already; the system's own are in them as they are everywhere.
     let full = [Errno::NOSPC, Errno::DQUOT, Errno::FBIG]
@@ -48,8 +54,7 @@ pub fn name_what_goes_on(error: anyhow::Error, run_dir: &RunDir) -> anyhow::Erro
     if !full {
         return error;
     }
-    let shown = run_dir.path().display();
-    let message = format!("{told}; make room, then `octopus resume {shown}` goes on");
+    let message = format!("{told}; make room, then {then}");
     let code = match exit_code(&error) {
         // The system's own error, of a file of the run.
         ExitCode::Failure => ExitCode::RunDirectory,
