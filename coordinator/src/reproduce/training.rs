@@ -7,10 +7,9 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use clap::Parser as _;
-use clap::ValueEnum as _;
+use clap::{Args, Parser, ValueEnum as _};
 use lab::experiments::command_line::typed;
-use lab::reproduce::{POLICIES, RUNS, refused};
+use lab::reproduce::{MARK, POLICIES, RUNS, refused};
 use proto::config::Run as RunGroup;
 use proto::config::{AlgorithmName, Config, Precision, TaskName};
 use proto::run_dir::RunDir;
@@ -23,14 +22,26 @@ use store::checkpoint::{
 use store::provenance::Provenance;
 use store::recorded::Recorded;
 use store::run_files::read_config;
+use store::{files, outputs, regular_files};
 
-use crate::cli::{Cli, Command};
+use super::options::ReproduceArgs;
 use crate::names::Named;
-use crate::reproduce::ReproduceArgs;
 use crate::{resume, train};
 
 /// Tasks that are trained.
 const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
+
+/// What the mark of a directory says in which this command trains.
+const MARKED: &str =
+    "Runs and policies beside this file are those of `octopus reproduce --train`.\n";
+
+/// Refuses a directory that has runs or policies which were not made here.
+pub(super) fn check_place(out: &Path, force: bool) -> Result<(), ExitError> {
+    let mark = regular_files::read_text(&out.join(MARK), regular_files::TEXT);
+    let is_marked = mark.is_ok_and(|text| text == MARKED);
+    let ours = |name: &str| is_marked || ![RUNS, POLICIES].contains(&name);
+    outputs::check_directory("--out", out, ours, force)
+}
 
 /// Trains what is missing below `out`, and takes the best policies of it. Returns where they lie, and all runs.
 pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf, Vec<PathBuf>)> {
@@ -38,6 +49,11 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
     for run in &runs {
         run.check(args)?;
     }
+    std::fs::create_dir_all(out).map_err(|error| {
+        let message = format!("{}: cannot be created: {error}", out.display());
+        ExitError::new(ExitCode::RunDirectory, message)
+    })?;
+    files::replace(&out.join(MARK), MARKED.as_bytes())?;
     for (index, run) in runs.iter().enumerate() {
         if !run.is_finished()? {
             output::note(&format!("run {} of {}: {}", index + 1, runs.len(), run.dir.display()));
@@ -104,15 +120,11 @@ impl Run {
     /// Begins it or goes on with it, until it is finished.
     fn go_on(&self, args: &ReproduceArgs, out: &Path) -> anyhow::Result<()> {
         let dir = self.dir.display().to_string();
-        let words: Vec<String> = if RunDir::new(&self.dir).config().is_file() {
-            ["octopus", "resume", &dir, "--no-eval", "--listen=off"].map(str::to_owned).into()
+        let ended = if RunDir::new(&self.dir).config().is_file() {
+            let words = ["octopus resume", &dir, "--no-eval", "--listen=off"];
+            resume::resume(&options(words.map(str::to_owned))?)?.into_inner()
         } else {
-            self.words(args)
-        };
-        let ended = match Cli::try_parse_from(&words)?.command {
-            Command::Train(args) => train::train(&args)?,
-            Command::Resume(args) => resume::resume(&args)?.into_inner(),
-            other => unreachable!("{words:?} was read as {other:?}"),
+            train::train(&options(self.words(args))?)?
         };
         // Ctrl-C in the last iteration, too, is meant for the trainings that would follow.
         if !ended.was_interrupted() && self.is_finished()? {
@@ -127,7 +139,7 @@ impl Run {
         let dir = self.dir.display().to_string();
         let (algorithm, seed) = (name(self.algorithm), self.seed.to_string());
         let line =
-            ["octopus", "train", self.task.as_str(), "--algorithm", &algorithm, "--seed", &seed];
+            ["octopus train", self.task.as_str(), "--algorithm", &algorithm, "--seed", &seed];
         let rest = ["--run-dir", &dir, "--no-eval", "--listen=off"];
         let sets = args.sets.iter().map(|set| format!("--set={set}"));
         line.iter().chain(&rest).map(ToString::to_string).chain(sets).collect()
@@ -141,11 +153,7 @@ impl Run {
             return Ok(());
         }
         let found = read_config(&run_dir)?;
-        let words = self.words(args);
-        let mut wanted = match Cli::try_parse_from(&words)?.command {
-            Command::Train(args) => train::configure(&args)?,
-            other => unreachable!("{words:?} was read as {other:?}"),
-        };
+        let mut wanted = train::configure(&options(self.words(args))?)?;
         if [wanted.run.precision, found.run.precision].contains(&Precision::Auto) {
             // Decided when the run began, by the processor.
             wanted.run.precision = found.run.precision;
@@ -240,9 +248,23 @@ fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()
     Ok(())
 }
 
+/// A command line of one command.
+#[derive(Debug, Parser)]
+struct Line<A: Args> {
+    #[command(flatten)]
+    options: A,
+}
+
+/// The options that a command line has. Its first word is the whole command.
+fn options<A: Args>(words: impl IntoIterator<Item = String>) -> Result<A, clap::Error> {
+    Line::try_parse_from(words).map(|line| line.options)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::{Cli, Command};
+    use crate::train::TrainArgs;
 
     fn parse(words: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> ReproduceArgs {
         let Command::Reproduce(args) = Cli::try_parse_from(words).expect("valid").command else {
@@ -259,11 +281,7 @@ mod tests {
             |sets: &str| parse(format!("octopus reproduce --train --seeds=1{sets}").split(' '));
         let run = |args: &ReproduceArgs| planned(args, out.path()).remove(0);
         let asked = args(" --set run.env_steps=6400 --set run.workers=3");
-        let Command::Train(train) =
-            Cli::try_parse_from(run(&asked).words(&asked)).expect("valid").command
-        else {
-            panic!("another command")
-        };
+        let train: TrainArgs = options(run(&asked).words(&asked)).expect("valid");
         let config = train::configure(&train).expect("valid");
         let run_dir = RunDir::new(run(&asked).dir);
         assert!(run(&asked).check(&asked).is_ok(), "it is still to be made");
@@ -286,6 +304,24 @@ mod tests {
             let error = run(&other).check(&other).expect_err("another").to_string();
             assert!(error.contains("mappo-trajectory-1: is a run already"), "{error}");
             assert!(error.contains(key) && error.contains("another --out"), "{error}");
+        }
+    }
+
+    #[test]
+    fn runs_and_policies_are_its_own_where_it_has_put_its_mark() {
+        let out = tempfile::tempdir().expect("tempdir");
+        let check = |force| check_place(out.path(), force);
+        check(false).expect("empty");
+        for name in [RUNS, POLICIES] {
+            std::fs::create_dir(out.path().join(name)).expect("made");
+            let error = check(false).expect_err("somebody else's").to_string();
+            assert!(error.contains(&format!("holds {name:?}")), "{error}");
+            check(true).expect("wanted");
+            std::fs::write(out.path().join(MARK), MARKED).expect("written");
+            check(false).expect("its own");
+            std::fs::write(out.path().join(MARK), "another text").expect("written");
+            assert!(check(false).is_err());
+            std::fs::remove_dir(out.path().join(name)).expect("empty");
         }
     }
 

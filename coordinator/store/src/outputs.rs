@@ -112,7 +112,7 @@ pub fn check_directory(
     others.sort();
     match others.first() {
         Some(other) if !force => Err(refused(format!(
-            "{flag} {shown}: holds {other:?}, which this command does not make; name another \
+            "{flag} {shown}: holds {other:?}, which this command did not make; name another \
              directory, or use --force"
         ))),
         _ => Ok(()),
