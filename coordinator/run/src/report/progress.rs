@@ -81,7 +81,7 @@ impl Progress {
                 if shown_at.is_none_or(|at| at.elapsed() >= PLAIN_INTERVAL) {
                     *shown_at = Some(Instant::now());
                     self.last = None;
-                    write_line(&format!("{text}  {}", eta::shown(estimate)));
+                    output::note(&format!("{text}  {}", eta::shown(estimate)));
                 } else {
                     self.last = Some(text);
                 }
@@ -94,7 +94,7 @@ impl Progress {
     pub fn note(&mut self, line: &str) {
         match &self.form {
             Form::Bar(bar) => bar.println(printable(line)),
-            Form::Plain { .. } | Form::Nothing => write_line(line),
+            Form::Plain { .. } | Form::Nothing => output::note(line),
         }
     }
 
@@ -109,7 +109,7 @@ impl Progress {
             }
             Form::Plain { .. } => {
                 if let Some(text) = self.last.take() {
-                    write_line(&text);
+                    output::note(&text);
                 }
             }
             Form::Nothing => {}
@@ -141,7 +141,7 @@ impl Stages {
     pub fn begin(&self, stage: &str) {
         match &self.bar {
             Some(bar) => bar.set_message(printable(stage).into_owned()),
-            None => write_line(stage),
+            None => output::note(stage),
         }
     }
 
@@ -268,7 +268,7 @@ impl Parts {
                 bar.reset_eta();
                 bar.set_message(printable(part).into_owned());
             }
-            None => write_line(part),
+            None => output::note(part),
         }
     }
 
@@ -298,11 +298,6 @@ impl Drop for Parts {
     fn drop(&mut self) {
         self.end();
     }
-}
-
-/// Standard error may be closed; a run goes on without its spectators.
-fn write_line(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{}", printable(line));
 }
 
 /// Standard error for logs: a line that is written while a bar is shown appears above it.
