@@ -1,6 +1,8 @@
 //! What can be measured.
 
-use proto::ExitError;
+use std::io::Write as _;
+
+use proto::{ExitCode, ExitError};
 
 use super::{transport, update};
 
@@ -16,7 +18,6 @@ pub enum Measurement {
 }
 
 /// Measures and prints.
-#[expect(clippy::print_stdout, reason = "the figures are the program's output")]
 pub fn run(measurement: &Measurement) -> Result<(), ExitError> {
     let figures = match measurement {
         Measurement::Update(arguments) => update::measure(arguments)?,
@@ -24,6 +25,8 @@ pub fn run(measurement: &Measurement) -> Result<(), ExitError> {
         // Its standard output belongs to the receiver.
         Measurement::Send(arguments) => return transport::send(arguments),
     };
-    println!("{figures}");
-    Ok(())
+    writeln!(std::io::stdout(), "{figures}").map_err(|error| {
+        let message = format!("standard output cannot be written: {error}");
+        ExitError::new(ExitCode::Failure, message)
+    })
 }
