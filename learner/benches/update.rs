@@ -3,6 +3,7 @@
 //! `cargo bench -p learner`
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use learner::Update as _;
 use learner::mappo::Mappo;
 use learner::precision::Arithmetic;
 use learner::state::TrainingState;

@@ -11,6 +11,7 @@ use crate::maddpg::Maddpg;
 use crate::mappo::Mappo;
 use crate::report::UpdateReport;
 use crate::state::TrainingState;
+use crate::update::Update as _;
 
 /// What makes an update of an iteration's samples.
 #[derive(Debug)]
@@ -32,8 +33,7 @@ impl Algorithm {
         }
     }
 
-    /// A counter that grows while an update is under way, to be watched from another thread: while it
-    /// stands still, nothing is computed.
+    /// See [`Update::work`].
     pub fn work(&self) -> Arc<AtomicU64> {
         match self {
             Self::Ppo(mappo) => mappo.work(),
@@ -41,10 +41,7 @@ impl Algorithm {
         }
     }
 
-    /// Trains `state` on the blocks of one iteration, ordered by shard.
-    ///
-    /// # Errors
-    /// If a gradient is not finite; `state` is then worthless and must not be published.
+    /// See [`Update::update`].
     pub fn update(
         &mut self,
         state: &mut TrainingState,

@@ -18,7 +18,7 @@
 //!   samples give the same bits, and a restored state goes on as if it had never stopped.
 //!
 //! ```
-//! use learner::{mappo::Mappo, precision::Arithmetic, state::TrainingState, synthetic};
+//! use learner::{Update as _, mappo::Mappo, precision::Arithmetic, state::TrainingState, synthetic};
 //! use proto::{config::{Layers, Preset}, layout::Dimensions};
 //!
 //! let config = Layers::new(Preset::Tuned, None)
@@ -66,10 +66,12 @@ pub mod precision;
 pub mod report;
 pub mod state;
 pub mod synthetic;
+mod update;
 pub mod value_norm;
 
 pub use algorithm::Algorithm;
 pub use error::LearnerError;
+pub use update::Update;
 
 /// Held by tests that compare bits: an update sets the number of libtorch's threads, which belongs to the whole
 /// process, and sums of one network depend on it.

@@ -7,6 +7,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use learner::Update as _;
 use learner::maddpg::{Maddpg, MaddpgTrace};
 use learner::mappo::{Mappo, MappoTrace};
 use learner::network::NetworkSpec;

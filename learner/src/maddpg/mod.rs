@@ -50,6 +50,7 @@ use crate::optimizer_step::{Descent, NetworkPart, NetworkPasses, check, learning
 use crate::report::{Sums, UpdateReport, add};
 use crate::state::replay::Batch;
 use crate::state::{NetworkState, OffPolicy, TrainingState};
+use crate::update::Update;
 
 /// What an update computed on its way; kept only on request, for tests.
 #[derive(Debug, Default)]
@@ -128,26 +129,16 @@ impl Maddpg {
             work: Arc::default(),
         }
     }
+}
 
-    /// A counter that grows with every update; see [`Mappo::work`](crate::mappo::Mappo::work).
-    pub fn work(&self) -> Arc<AtomicU64> {
+impl Update for Maddpg {
+    type Trace = MaddpgTrace;
+
+    fn work(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.work)
     }
 
-    /// Takes in the blocks of one iteration, ordered by shard, and trains `state`.
-    ///
-    /// # Errors
-    /// If a gradient is not finite; `state` is then worthless and must not be published.
-    pub fn update(
-        &mut self,
-        state: &mut TrainingState,
-        shards: &[&[f32]],
-    ) -> Result<UpdateReport, LearnerError> {
-        self.update_traced(state, shards, None)
-    }
-
-    /// [`Self::update`] that also records what it computed, if asked to.
-    pub fn update_traced(
+    fn update_traced(
         &mut self,
         state: &mut TrainingState,
         shards: &[&[f32]],
@@ -225,7 +216,9 @@ impl Maddpg {
             ..sums.means()
         })
     }
+}
 
+impl Maddpg {
     fn moments(&self, state: &TrainingState) -> Moments {
         let rows = |norm: &Option<InputNorm>| {
             norm.as_ref().map(|norm| {

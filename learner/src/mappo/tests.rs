@@ -13,6 +13,7 @@ use crate::precision::Arithmetic;
 use crate::report::UpdateReport;
 use crate::state::{NetworkState, TrainingState};
 use crate::synthetic::blocks;
+use crate::update::Update as _;
 
 /// A small run: 2 shards of 4 environments, 5 steps.
 fn config(assignments: &[&str]) -> Config {

@@ -15,6 +15,7 @@ use crate::input_norm::InputNorm;
 use crate::optimizer_step::{NetworkPart, NetworkPasses, learning_rates};
 use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
+use crate::update::Update;
 
 /// Samples that go through the networks at once on a CPU. Activations of so many fit in the cache; of
 /// fewer, the gradients of weights are summed more often.
@@ -81,27 +82,17 @@ impl Mappo {
             work: Arc::default(),
         }
     }
+}
 
-    /// A counter that grows with every mini-batch, to be watched from another thread: while an
-    /// update is under way and it stands still, nothing is computed.
-    pub fn work(&self) -> Arc<AtomicU64> {
+impl Update for Mappo {
+    type Trace = MappoTrace;
+
+    fn work(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.work)
     }
 
-    /// Trains `state` on the blocks of one iteration, ordered by shard.
-    ///
-    /// # Errors
-    /// If a gradient is not finite; `state` is then worthless and must not be published.
-    pub fn update(
-        &mut self,
-        state: &mut TrainingState,
-        shards: &[&[f32]],
-    ) -> Result<UpdateReport, LearnerError> {
-        self.update_traced(state, shards, None)
-    }
-
-    /// [`Self::update`] that also records what it computed, if asked to. Only with one group.
-    pub fn update_traced(
+    /// Only with one group something can be recorded.
+    fn update_traced(
         &mut self,
         state: &mut TrainingState,
         shards: &[&[f32]],
