@@ -9,10 +9,11 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail, ensure};
 use proto::rng::philox4x32_10;
 use run::signals::StopRequests;
-use serde_json::{Value, json};
+use serde_json::Value;
 use tempfile::TempDir;
 
 use super::PATIENCE;
+use super::verdict::{Report, Verdict};
 use crate::{Owned, Run, program};
 
 /// Iterations of the run that is damaged.
@@ -107,15 +108,6 @@ pub struct Patient {
     calm: Vec<String>,
 }
 
-/// How a resume after a damage ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
-    /// With the bits of a run that was left alone.
-    Survived,
-    /// With a message that names the file.
-    Refused,
-}
-
 impl Patient {
     /// Trains it: 12 of 20 iterations are recorded and 14 were, the newest checkpoint is after ten.
     pub fn new() -> Result<Self> {
@@ -206,22 +198,6 @@ impl Patient {
     }
 }
 
-/// What came of many damages.
-#[derive(Debug, Default)]
-pub struct Report {
-    /// Resumes that ended with the bits of a calm run.
-    pub survived: usize,
-    /// Resumes that were refused with a message that names the file.
-    pub refused: usize,
-}
-
-impl Report {
-    /// As one JSON object.
-    pub fn to_json(&self) -> Value {
-        json!({ "survived": self.survived, "refused": self.refused })
-    }
-}
-
 /// Damages a run `times` times, each time a fresh copy, as `seed` says.
 pub fn run(
     times: usize,
@@ -240,10 +216,7 @@ pub fn run(
         let damage = Damage::drawn(kind, place);
         let verdict = patient.try_with(file, damage)?;
         narrate(&format!("{} {damage}: {verdict:?}", file.display()));
-        match verdict {
-            Verdict::Survived => report.survived += 1,
-            Verdict::Refused => report.refused += 1,
-        }
+        report.count(verdict);
     }
     Ok(report)
 }

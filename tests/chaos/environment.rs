@@ -3,11 +3,11 @@
 
 use anyhow::{Context as _, Result, bail, ensure};
 use run::signals::StopRequests;
-use serde_json::{Value, json};
 
 use super::Watch;
 use super::dice::Dice;
 use super::observe::{domain_of, iterations};
+use super::verdict::{Report, Verdict};
 use crate::{Run, assert_nothing_left};
 
 /// Variables that a library of ours, the system's own or a shell may read.
@@ -131,22 +131,6 @@ impl Environment {
     }
 }
 
-/// What came of many environments.
-#[derive(Debug, Default)]
-pub struct Report {
-    /// Runs that ended with the bits of a calm run.
-    pub survived: usize,
-    /// Runs that were refused with a message that names the variable or limit.
-    pub refused: usize,
-}
-
-impl Report {
-    /// As one JSON object.
-    pub fn to_json(&self) -> Value {
-        json!({ "survived": self.survived, "refused": self.refused })
-    }
-}
-
 /// Trains `times` times from environments that `seed` says.
 pub fn run(
     times: usize,
@@ -161,17 +145,16 @@ pub fn run(
     let mut report = Report::default();
     for time in 0..times {
         let environment = Environment::drawn(&mut Dice::of(seed, time as u32));
-        let survived = survives(&environment, &expected, stop)
+        let verdict = try_in(&environment, &expected, stop)
             .with_context(|| format!("environment {} of seed {seed}: {environment:?}", time + 1))?;
-        *if survived { &mut report.survived } else { &mut report.refused } += 1;
-        let verdict = if survived { "the same bits" } else { "refused" };
-        narrate(&format!("{:3}/{times} {environment:?}: {verdict}", time + 1));
+        report.count(verdict);
+        narrate(&format!("{:3}/{times} {environment:?}: {verdict:?}", time + 1));
     }
     Ok(report)
 }
 
-/// Whether a run ends with the bits that are expected; if not, it was refused in words.
-fn survives(environment: &Environment, expected: &[String], stop: &StopRequests) -> Result<bool> {
+/// How a run ends: with the bits that are expected, or refused in words.
+fn try_in(environment: &Environment, expected: &[String], stop: &StopRequests) -> Result<Verdict> {
     let mut run = Run::with_variables(&environment.variables);
     if let Some(limit) = environment.limit {
         run.start_behind(&["bash", "-c", &format!("{limit} && exec \"$@\""), "bash"]);
@@ -196,12 +179,12 @@ fn survives(environment: &Environment, expected: &[String], stop: &StopRequests)
         Some(0) => {
             ensure!(run.digests() == expected, "other bits");
             ensure!(domain.is_some(), "its domain was never seen, so it was not checked");
-            Ok(true)
+            Ok(Verdict::Survived)
         }
         // A usage, a value or the machine; the message says of which variable or limit.
         Some(2..=4) => {
             ensure!(environment.is_named(&said), "nothing of it is named:\n{said}");
-            Ok(false)
+            Ok(Verdict::Refused)
         }
         code => bail!("it ended with {code:?}:\n{said}"),
     }

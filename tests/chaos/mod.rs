@@ -17,6 +17,7 @@ pub mod others;
 pub mod plan;
 pub mod restarts;
 pub mod standstills;
+pub mod verdict;
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
