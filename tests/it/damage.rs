@@ -9,7 +9,8 @@ use std::process::Output;
 use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::Value;
-use tests::chaos::damage::{self, Damage, Patient, Verdict};
+use tests::chaos::damage::{self, Damage, Patient};
+use tests::chaos::verdict::Verdict;
 use tests::{Run, assert_nothing_left, kill, octopus, stderr};
 
 fn text(path: &Path) -> &str {
@@ -182,9 +183,9 @@ fn a_foreign_checkpoint_beyond_the_metrics_promises_nothing() {
     }
 }
 
-/// Whoever may upload gives a live run no base of his own.
-#[test]
-fn an_uploaded_checkpoint_of_another_course_is_refused_and_no_base_of_a_live_run() {
+/// Gives a live run without a checkpoint one of another run, kills its learner, and expects that it goes on from its
+/// own beginning; returns what it said.
+fn goes_on_from_its_own(give: impl FnOnce(&Run, &Run)) -> String {
     let mut other = Run::train(&["--workers=2", "--overlap=0", "--iterations=7"]);
     other.succeed();
     let iterations = "--iterations=300";
@@ -194,14 +195,7 @@ fn an_uploaded_checkpoint_of_another_course_is_refused_and_no_base_of_a_live_run
         Run::train(&["--workers=2", "--overlap=0", iterations, "--set=run.checkpoint_every=0"]);
     run.wait_for_iterations(9);
     let domain = run.domain();
-    let place = tempfile::tempdir().expect("tempdir");
-    let archive = place.path().join("a.tar");
-    let from = format!("{}:7", other.path().display());
-    let exported = octopus(&["checkpoints", "export", &from, "--out", text(&archive)]);
-    assert!(exported.status.success(), "{}", stderr(&exported));
-    let answer = put(&run, "iteration-00000007", &std::fs::read(&archive).expect("readable"));
-    assert!(answer.starts_with("HTTP/1.1 422"), "{answer}");
-    assert!(answer.contains("of another course than this run"), "{answer}");
+    give(&run, &other);
     for learner in run.children("learner") {
         kill(learner, Signal::KILL);
     }
@@ -209,6 +203,22 @@ fn an_uploaded_checkpoint_of_another_course_is_refused_and_no_base_of_a_live_run
     assert!(run.log().contains("going on from iteration 0"), "{}", run.log());
     assert_eq!(run.digests(), calm.digests());
     assert_nothing_left(&domain);
+    run.log()
+}
+
+/// Whoever may upload gives a live run no base of his own.
+#[test]
+fn an_uploaded_checkpoint_of_another_course_is_refused_and_no_base_of_a_live_run() {
+    goes_on_from_its_own(|run, other| {
+        let place = tempfile::tempdir().expect("tempdir");
+        let archive = place.path().join("a.tar");
+        let from = format!("{}:7", other.path().display());
+        let exported = octopus(&["checkpoints", "export", &from, "--out", text(&archive)]);
+        assert!(exported.status.success(), "{}", stderr(&exported));
+        let answer = put(run, "iteration-00000007", &std::fs::read(&archive).expect("readable"));
+        assert!(answer.starts_with("HTTP/1.1 422"), "{answer}");
+        assert!(answer.contains("of another course than this run"), "{answer}");
+    });
 }
 
 /// Uploads an archive to the service beside a run; its answer.
@@ -233,26 +243,12 @@ fn put(run: &Run, name: &str, archive: &[u8]) -> String {
 
 #[test]
 fn a_checkpoint_of_another_course_is_no_base_of_a_live_run() {
-    let mut other = Run::train(&["--workers=2", "--overlap=0", "--iterations=7"]);
-    other.succeed();
-    let iterations = "--iterations=300";
-    let mut calm = Run::train(&["--workers=2", "--overlap=0", iterations]);
-    calm.succeed();
-    let mut run =
-        Run::train(&["--workers=2", "--overlap=0", iterations, "--set=run.checkpoint_every=0"]);
-    run.wait_for_iterations(9);
-    let domain = run.domain();
-    damage::copy_dir(&checkpoint(&other.path(), 7), &checkpoint(&run.path(), 7)).expect("copies");
-    let labels = checkpoint(&run.path(), 7).join("labels.json");
-    std::fs::write(labels, r#"{"imported":true}"#).expect("writable");
-    for learner in run.children("learner") {
-        kill(learner, Signal::KILL);
-    }
-    run.succeed();
-    assert!(run.log().contains("going on from iteration 0"), "{}", run.log());
-    assert!(run.log().contains("it was imported"), "{}", run.log());
-    assert_eq!(run.digests(), calm.digests());
-    assert_nothing_left(&domain);
+    let said = goes_on_from_its_own(|run, other| {
+        let place = checkpoint(&run.path(), 7);
+        damage::copy_dir(&checkpoint(&other.path(), 7), &place).expect("copies");
+        std::fs::write(place.join("labels.json"), r#"{"imported":true}"#).expect("writable");
+    });
+    assert!(said.contains("it was imported"), "{said}");
 }
 
 /// Such a state once ended every resume, each of which promised that the next would go on.
