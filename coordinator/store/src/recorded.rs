@@ -122,7 +122,7 @@ impl Followed {
         let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let before = known.take().filter(|known| known.recorded.path == path);
         let now = match regular_files::open(&path) {
-            Ok(file) => look(file, path, before)?,
+            Ok(file) => look(file, &path, before)?,
             Err(error) if error.kind() == ErrorKind::NotFound => {
                 return Ok(Arc::new(Recorded { path, digests: Vec::new() }));
             }
@@ -133,8 +133,8 @@ impl Followed {
 }
 
 /// Reads what of `file` is not known from `before`.
-fn look(mut file: File, path: PathBuf, before: Option<Known>) -> Result<Known, ExitError> {
-    let fail = |error: std::io::Error| unreadable(&path, &error);
+fn look(mut file: File, path: &Path, before: Option<Known>) -> Result<Known, ExitError> {
+    let fail = |error: std::io::Error| unreadable(path, &error);
     let stamp = Stamp::of(&file.metadata().map_err(fail)?);
     let (mut recorded, read) = match before {
         Some(known) if known.stamp == stamp => return Ok(known),
@@ -148,7 +148,7 @@ fn look(mut file: File, path: PathBuf, before: Option<Known>) -> Result<Known, E
     let limit = regular_files::RECORD.saturating_sub(read);
     let bytes = regular_files::drain(&file, limit).map_err(fail)?;
     let lines = Arc::make_mut(&mut recorded);
-    lines.path.clone_from(&path);
+    path.clone_into(&mut lines.path);
     let read = read + lines.take(&bytes)? as u64;
     let end = end(&mut file, read).map_err(fail)?;
     Ok(Known { stamp, recorded, read, end })

@@ -52,7 +52,7 @@ pub(super) fn found(value: &Value) -> String {
 pub(super) fn hint(name: &str, group: &Table) -> String {
     let near = group
         .keys()
-        .map(|key| (edit_distance(name, key), key))
+        .map(|key| (strsim::levenshtein(name, key), key))
         .filter(|(distance, _)| *distance <= 2.max(name.len() / 3))
         .min();
     if let Some((_, key)) = near {
@@ -60,20 +60,4 @@ pub(super) fn hint(name: &str, group: &Table) -> String {
     }
     let keys: Vec<_> = group.keys().map(String::as_str).collect();
     format!("; known here: {}", keys.join(", "))
-}
-
-/// Levenshtein's distance, for hints only.
-fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let substitute = diagonal + usize::from(x != *y);
-            diagonal = row[j + 1];
-            row[j + 1] = substitute.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }
