@@ -36,6 +36,7 @@ fn entries(domain: &str) -> Vec<(PathBuf, Metadata)> {
 }
 
 /// Whether nothing of `domain` can be reached by another user.
+#[expect(clippy::print_stderr, reason = "a test says what it does not try")]
 fn assert_is_private(domain: &str) {
     let entries = entries(domain);
     let [(root, metadata)] = &entries[..] else { panic!("more than a directory: {entries:?}") };
@@ -118,6 +119,7 @@ struct Confined {
 
 impl Confined {
     /// Starts `octopus train` with the small flags and `more`. None if this user cannot.
+    #[expect(clippy::print_stderr, reason = "a test says what it does not try")]
     fn train(mib: usize, more: &[&str]) -> Option<Self> {
         if !getuid().is_root() {
             eprintln!("not root, so that no other /dev/shm can be mounted: not tried");
