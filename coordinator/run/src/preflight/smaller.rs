@@ -4,7 +4,7 @@ use channels::ChannelSizes;
 use proto::config::Config;
 use proto::layout::{AGENTS_PER_ARM, Dimensions};
 
-/// Files that a process of a run opens beside those for its workers, as [`descriptors`](super::descriptors) counts.
+/// Files that a process of a run opens beside those for its workers, as [`descriptors`](super::limits::descriptors) counts.
 const FILES: u64 = 128 + 2 * FILES_OF_A_WORKER;
 const FILES_OF_A_WORKER: u64 = 32;
 

@@ -1,0 +1,167 @@
+//! What the `learner` program finds: libtorch, and devices that it can compute on.
+
+use std::io::Read as _;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use super::check::Check;
+use crate::environment;
+
+/// Whether the learner starts: it links libtorch, so the loader finds out what is missing.
+pub fn libtorch(learner: &Path) -> Check {
+    const NAME: &str = "libtorch";
+    const CURE: &str = "`make setup && make build` fetches libtorch and builds against it; with a \
+                        libtorch of your own, set LIBTORCH to it while building";
+    match answer(learner, &["--version"]) {
+        Ok(version) => {
+            let version = version.lines().collect::<Vec<_>>().join(", ");
+            Check::good(NAME, format!("{version} ({})", learner.display()))
+        }
+        Err(found) => Check::failure(NAME, found, CURE),
+    }
+}
+
+/// Whether the learner can compute on the device called `name`.
+pub fn device(learner: &Path, name: &str) -> Check {
+    const NAME: &str = "device";
+    // Every learner can.
+    if name == "cpu" {
+        return Check::good(NAME, name);
+    }
+    let reason = match answer(learner, &["probe", name]) {
+        Ok(nothing) if nothing.trim().is_empty() => return Check::good(NAME, name),
+        Ok(reason) | Err(reason) => reason,
+    };
+    // The learner says what helps after a semicolon, as all errors do.
+    let (found, cure) =
+        reason.trim().rsplit_once("; ").unwrap_or((reason.trim(), "run.device=cpu does without"));
+    Check::failure(NAME, found, cure)
+}
+
+/// Whether there are GPUs, and whether the learner can compute on them; `driver` is where NVIDIA's kernel module tells of
+/// its devices.
+pub fn gpu(learner: Option<&Path>, driver: &Path) -> Check {
+    const NAME: &str = "GPU";
+    let models = gpus(driver);
+    let shown = match models.as_slice() {
+        [] => "no CUDA device".to_owned(),
+        all => all.join(", "),
+    };
+    let reason = match learner.map(|learner| answer(learner, &["probe", "cuda:0"])) {
+        None => "there is no learner to ask".to_owned(),
+        Some(Ok(nothing)) if nothing.trim().is_empty() => {
+            // Where the driver's files are hidden, libtorch's word counts.
+            let shown = if models.is_empty() { "a CUDA device" } else { &shown };
+            let found =
+                format!("{shown}; the learner uses it with --device cuda:0, else the processor");
+            return Check::good(NAME, found);
+        }
+        Some(Ok(reason) | Err(reason)) => reason.trim().to_owned(),
+    };
+    if models.is_empty() {
+        return Check::good(NAME, format!("{shown}; the learner uses the processor"));
+    }
+    let (why, cure) =
+        reason.rsplit_once("; ").unwrap_or((&reason, "`make setup DEVICE=cuda && make build`"));
+    Check::warning(NAME, format!("{shown}; the learner uses the processor: {why}"), cure)
+}
+
+/// Models of the GPUs that NVIDIA's kernel module knows.
+fn gpus(driver: &Path) -> Vec<String> {
+    let mut models: Vec<String> = std::fs::read_dir(driver.join("gpus"))
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter_map(|entry| std::fs::read_to_string(entry.path().join("information")).ok())
+        .map(|text| {
+            let model = text.lines().find_map(|line| line.strip_prefix("Model:"));
+            model.map_or("a GPU", str::trim).to_owned()
+        })
+        .collect();
+    models.sort();
+    models
+}
+
+/// What the learner prints if it is started with `args`, or why it prints nothing.
+fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
+    const PATIENCE: Duration = Duration::from_mins(1);
+    let mut command = Command::new(learner);
+    environment::clean(&mut command);
+    let mut child = command
+        .args(args)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .map_err(|error| format!("{} does not start: {error}", learner.display()))?;
+    let deadline = Instant::now() + PATIENCE;
+    let status = loop {
+        match child.try_wait() {
+            Ok(Some(status)) => break status,
+            Ok(None) if Instant::now() < deadline => {
+                std::thread::sleep(Duration::from_millis(2));
+            }
+            _ => {
+                // It is killed so that it does not outlive this check.
+                let _ = child.kill();
+                let _ = child.wait();
+                return Err(format!(
+                    "{} {} does not answer within {} s",
+                    learner.display(),
+                    args.join(" "),
+                    PATIENCE.as_secs()
+                ));
+            }
+        }
+    };
+    let (mut output, mut complaint) = (String::new(), String::new());
+    if let Some(mut stdout) = child.stdout.take() {
+        let _ = stdout.read_to_string(&mut output);
+    }
+    if let Some(mut stderr) = child.stderr.take() {
+        let _ = stderr.read_to_string(&mut complaint);
+    }
+    if status.success() {
+        return Ok(output);
+    }
+    let last = complaint.lines().last().unwrap_or("no message");
+    Err(format!("{} {} fails: {last}", learner.display(), args.join(" ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check::Verdict;
+    use super::*;
+
+    #[test]
+    fn a_learner_that_is_missing_or_fails_is_reported_with_its_words() {
+        let missing = libtorch(Path::new("/nonexistent/learner"));
+        assert_eq!(missing.verdict, Verdict::Failure);
+        assert!(missing.sentence().contains("make setup"), "{}", missing.sentence());
+        let failing = libtorch(Path::new("/bin/false"));
+        assert_eq!(failing.verdict, Verdict::Failure);
+    }
+
+    #[test]
+    fn gpus_are_named_with_what_the_learner_makes_of_them() {
+        let dir = tempfile::tempdir().expect("a directory");
+        let (usable, complains) = (Path::new("/bin/true"), Path::new("/bin/echo"));
+        let none = gpu(Some(complains), dir.path());
+        assert_eq!(none.verdict, Verdict::Good);
+        assert_eq!(none.found, "no CUDA device; the learner uses the processor");
+        let place = dir.path().join("gpus/0000:01:00.0");
+        std::fs::create_dir_all(&place).expect("writable");
+        let text = "Model: \t\t NVIDIA H100\nIRQ:   5\n";
+        std::fs::write(place.join("information"), text).expect("writable");
+        let good = gpu(Some(usable), dir.path());
+        assert_eq!(good.verdict, Verdict::Good);
+        assert!(good.found.starts_with("NVIDIA H100; ") && good.found.contains("--device cuda:0"));
+        for learner in [Some(complains), None] {
+            let check = gpu(learner, dir.path());
+            assert_eq!(check.verdict, Verdict::Warning, "{check:?}");
+            assert!(check.found.starts_with("NVIDIA H100; the learner uses the processor: "));
+            assert!(check.cure.is_some_and(|cure| cure.contains("DEVICE=cuda")));
+        }
+    }
+}
