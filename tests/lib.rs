@@ -13,6 +13,7 @@ use tempfile::TempDir;
 pub mod chaos;
 pub mod golden;
 pub mod guide;
+pub mod imports;
 pub mod reference;
 pub mod worked_example;
 

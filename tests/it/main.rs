@@ -15,6 +15,7 @@ mod files;
 mod golden;
 mod guide;
 mod http;
+mod imports;
 mod mujoco;
 mod other_users;
 mod precision;
