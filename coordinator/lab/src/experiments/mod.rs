@@ -1,6 +1,6 @@
 //! The paper's experiments, one file each.
 //!
-//! A `Study` is what is asked of an [`Experiment`]. [`perform`] makes a [`Report`] of it, which is what `octopus experiment` prints
+//! A `Study` is what is asked of an [`Experiment`]. [`perform`] makes a [`Report`](report::Report) of it, which is what `octopus experiment` prints
 //! and what `octopus reproduce` writes and draws.
 
 pub mod arm_failure;
