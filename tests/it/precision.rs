@@ -48,7 +48,8 @@ fn a_run_says_which_arithmetic_it_began_with_and_never_auto() {
 #[test]
 fn a_run_that_is_killed_before_its_first_checkpoint_goes_on_with_its_arithmetic() {
     // Also with the one that this processor would not choose.
-    for wanted in ["f32", "bf16"] {
+    for wanted in ["auto", "f32", "bf16"] {
+        let expected = if wanted == "auto" { by_the_processor() } else { wanted.to_owned() };
         let flags = ["--workers=1", "--iterations=40", "--set=run.checkpoint_every=0"];
         let precise = format!("--set=run.precision={wanted}");
         let flags: Vec<&str> = flags.into_iter().chain([precise.as_str()]).collect();
@@ -60,10 +61,12 @@ fn a_run_that_is_killed_before_its_first_checkpoint_goes_on_with_its_arithmetic(
         run.signal(Signal::KILL);
         assert_eq!(run.wait(), None);
         assert_nothing_left(&domain);
+        let config = run.path().join("config.toml");
+        assert_eq!(precision(&config), expected, "it stands there from the beginning");
         run.resume(&[]);
         run.succeed();
         assert_eq!(run.digests(), calm.digests(), "{wanted}");
-        assert_eq!(precision(&run.path().join("config.toml")), wanted);
+        assert_eq!(precision(&config), expected);
     }
 }
 
