@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
-use tempfile::TempDir;
+use tempfile::{NamedTempFile, TempDir};
 
 pub mod chaos;
 pub mod golden;
@@ -68,6 +68,9 @@ pub const SMALL: &[&str] = &[
     "--set=run.evaluate_every=0",
 ];
 
+/// What becomes a program that hears of a closed terminal, also where the tests were started with `nohup`.
+pub const HEARS_HANG_UPS: &[&str] = &["env", "--default-signal=HUP"];
+
 /// A process that a failed test does not leave behind.
 #[derive(Debug)]
 pub struct Owned(Child);
@@ -105,6 +108,7 @@ impl Drop for Owned {
 #[derive(Debug)]
 pub struct Run {
     dir: TempDir,
+    log: NamedTempFile,
     process: Option<Child>,
     log_filter: Option<&'static str>,
     variables: Vec<(&'static str, String)>,
@@ -123,10 +127,16 @@ impl Run {
         Self::below(&std::env::temp_dir())
     }
 
-    /// The same in a directory made inside `place`, on whatever disk that is.
+    /// The same in a directory made inside `place`, on whatever disk that is. What it says goes elsewhere.
     pub fn below(place: &Path) -> Self {
-        let dir = tempfile::tempdir_in(place).expect("a temporary directory");
-        Self { dir, process: None, log_filter: None, variables: Vec::new(), launcher: Vec::new() }
+        Self {
+            dir: tempfile::tempdir_in(place).expect("a temporary directory"),
+            log: NamedTempFile::new().expect("a temporary file"),
+            process: None,
+            log_filter: None,
+            variables: Vec::new(),
+            launcher: Vec::new(),
+        }
     }
 
     /// An empty directory whose workers will log every block that they send.
@@ -193,13 +203,11 @@ impl Run {
     }
 
     fn start(&mut self, args: &[&str]) {
-        let log = std::fs::File::options()
-            .create(true)
-            .append(true)
-            .open(self.dir.path().join("octopus.log"))
-            .expect("the log can be written");
-        let words = self.launcher.iter().map(OsString::from);
-        let mut words = words.chain([program("octopus").into_os_string()]);
+        let log = std::fs::File::options().append(true).open(self.log.path());
+        let log = log.expect("the log can be written");
+        let launchers =
+            HEARS_HANG_UPS.iter().copied().chain(self.launcher.iter().map(String::as_str));
+        let mut words = launchers.map(OsString::from).chain([program("octopus").into_os_string()]);
         let mut command = Command::new(words.next().expect("the program at least"));
         command.args(words).args(args);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
@@ -212,7 +220,7 @@ impl Run {
 
     /// What the run wrote to standard error.
     pub fn log(&self) -> String {
-        std::fs::read_to_string(self.dir.path().join("octopus.log")).unwrap_or_default()
+        std::fs::read_to_string(self.log.path()).unwrap_or_default()
     }
 
     /// Process id of the coordinator.

@@ -22,7 +22,7 @@ use super::restarts::wait_for;
 use super::{PATIENCE, TICK, check_lines};
 use crate::{Run, assert_nothing_left};
 
-/// Flags of every run here: deadlines as they are by default, checkpoints often enough to be caught.
+/// Flags of every run here: checkpoints often enough to be caught.
 const FLAGS: &[&str] = &[
     "--workers=2",
     "--overlap=1",
@@ -30,20 +30,22 @@ const FLAGS: &[&str] = &[
     "--quiet",
     "--set=run.checkpoint_every=25",
 ];
-/// What is tried, in turn: 75 s is beyond the deadline of an order (60 s), 110 s beyond every one that there is.
+/// What is tried, in turn.
 const ACTS: &[Act] = &[
-    Act { what: Standstill::Training, lasts: Duration::from_secs(110) },
-    Act { what: Standstill::Commit, lasts: Duration::from_secs(110) },
-    Act { what: Standstill::Coordinator, lasts: Duration::from_secs(110) },
-    Act { what: Standstill::StoppedTwice, lasts: Duration::from_secs(20) },
-    Act { what: Standstill::Training, lasts: Duration::from_secs(75) },
-    Act { what: Standstill::Commit, lasts: Duration::from_secs(75) },
-    Act { what: Standstill::Coordinator, lasts: Duration::from_secs(75) },
+    Act { what: Standstill::Training, beyond: Beyond::All },
+    Act { what: Standstill::Commit, beyond: Beyond::All },
+    Act { what: Standstill::Coordinator, beyond: Beyond::All },
+    Act { what: Standstill::StoppedTwice, beyond: Beyond::All },
+    Act { what: Standstill::Training, beyond: Beyond::Orders },
+    Act { what: Standstill::Commit, beyond: Beyond::Orders },
+    Act { what: Standstill::Coordinator, beyond: Beyond::Orders },
 ];
 /// Size of the file system (bytes); its file is sparse.
 const SIZE: u64 = 1 << 30;
 /// Between a first and a second request to stop.
 const BETWEEN_REQUESTS: Duration = Duration::from_secs(5);
+/// Time in which what waited for the disk is written.
+const CATCH_UP: Duration = Duration::from_secs(5);
 
 /// What stands still, and when.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -58,10 +60,44 @@ enum Standstill {
     StoppedTwice,
 }
 
+/// Which deadlines a standstill lasts beyond.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Beyond {
+    /// That of orders and of silence.
+    Orders,
+    /// Every one.
+    All,
+}
+
 #[derive(Debug, Clone, Copy)]
 struct Act {
     what: Standstill,
-    lasts: Duration,
+    beyond: Beyond,
+}
+
+/// How long a standstill is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Dose {
+    /// Seconds, of a run whose orders and processes have three.
+    Short,
+    /// One to two minutes, of a run with the deadlines that it has by default: a minute for most.
+    Long,
+}
+
+impl Dose {
+    fn lasts(self, beyond: Beyond) -> Duration {
+        Duration::from_secs(match (self, beyond) {
+            (Self::Short, Beyond::Orders) => 6,
+            (Self::Short, Beyond::All) => 9,
+            (Self::Long, Beyond::Orders) => 75,
+            (Self::Long, Beyond::All) => 110,
+        })
+    }
+
+    fn flags(self) -> Vec<&'static str> {
+        let deadline = (self == Self::Short).then_some("--set=run.order_deadline_s=3");
+        FLAGS.iter().copied().chain(deadline).collect()
+    }
 }
 
 impl Standstill {
@@ -81,9 +117,13 @@ impl fmt::Display for Act {
             Standstill::Training => "the disk",
             Standstill::Commit => "the disk during a commit",
             Standstill::Coordinator => "the coordinator",
-            Standstill::StoppedTwice => "the disk, and two requests to stop,",
+            Standstill::StoppedTwice => "the disk, and two requests to stop",
         };
-        write!(f, "{what} for {} s", self.lasts.as_secs())
+        let beyond = match self.beyond {
+            Beyond::Orders => "the deadline of orders",
+            Beyond::All => "every deadline",
+        };
+        write!(f, "{what} beyond {beyond}")
     }
 }
 
@@ -107,7 +147,12 @@ impl Report {
 
 /// Lets the disk or the coordinator of one run stand still `times` times; then stops the run and compares it
 /// with one that was left alone.
-pub fn run(times: usize, stop: &StopRequests, narrate: &mut dyn FnMut(&str)) -> Result<Report> {
+pub fn run(
+    times: usize,
+    dose: Dose,
+    stop: &StopRequests,
+    narrate: &mut dyn FnMut(&str),
+) -> Result<Report> {
     let mut report = Report::default();
     let mut disk = match Disk::mount() {
         Ok(disk) => disk,
@@ -119,17 +164,18 @@ pub fn run(times: usize, stop: &StopRequests, narrate: &mut dyn FnMut(&str)) -> 
         }
     };
     let mut run = Run::below(&disk.path());
-    run.start_training(FLAGS);
+    let flags = dose.flags();
+    run.start_training(&flags);
     for (time, act) in ACTS.iter().cycle().take(times).enumerate() {
         let so_far = iterations(&run);
-        wait_for(&mut run, stop, |run| iterations(run) >= so_far + 50)?;
-        inflict(act, &mut run, &mut disk, stop)
+        wait_for(&mut run, stop, |run| iterations(run) >= so_far + 30)?;
+        inflict(act, dose.lasts(act.beyond), &mut run, &mut disk, stop)
             .with_context(|| format!("{act}; log:\n{}", run.log()))?;
         *report.acts.entry(act.what.name()).or_default() += 1;
         narrate(&format!("{:3}/{times} {act}: survived", time + 1));
     }
     let so_far = iterations(&run);
-    wait_for(&mut run, stop, |run| iterations(run) >= so_far + 50)?;
+    wait_for(&mut run, stop, |run| iterations(run) >= so_far + 30)?;
     let domain = domain_of(&run, run.pid()).context("a live run has a domain")?;
     run.signal(Signal::INT);
     run.succeed();
@@ -139,7 +185,7 @@ pub fn run(times: usize, stop: &StopRequests, narrate: &mut dyn FnMut(&str)) -> 
     let digests = run.digests();
     report.iterations = digests.len();
     narrate(&format!("comparing {} iterations with a calm run", digests.len()));
-    let mut calm = Run::train(FLAGS);
+    let mut calm = Run::train(&flags);
     wait_for(&mut calm, stop, |calm| iterations(calm) >= digests.len())?;
     calm.signal(Signal::INT);
     calm.succeed();
@@ -149,13 +195,19 @@ pub fn run(times: usize, stop: &StopRequests, narrate: &mut dyn FnMut(&str)) -> 
 }
 
 /// Lets something stand still, and looks at what comes of it.
-fn inflict(act: &Act, run: &mut Run, disk: &mut Disk, stop: &StopRequests) -> Result<()> {
+fn inflict(
+    act: &Act,
+    lasts: Duration,
+    run: &mut Run,
+    disk: &mut Disk,
+    stop: &StopRequests,
+) -> Result<()> {
     let before = processes(run);
     ensure!(before.len() == 3, "a learner and two workers: {before:?}");
     match act.what {
         Standstill::Coordinator => {
             run.signal(Signal::STOP);
-            let slept = sleep(act.lasts, stop);
+            let slept = sleep(lasts, stop);
             run.signal(Signal::CONT);
             slept?;
         }
@@ -165,15 +217,15 @@ fn inflict(act: &Act, run: &mut Run, disk: &mut Disk, stop: &StopRequests) -> Re
             } else {
                 disk.freeze()?
             };
-            sleep(act.lasts, stop)?;
+            sleep(lasts, stop)?;
             ensure!(run.ended().is_none(), "it ended while the disk stood still");
             still.thaw()?;
         }
-        Standstill::StoppedTwice => return stop_twice(act.lasts, run, disk, stop),
+        Standstill::StoppedTwice => return stop_twice(run, disk, stop),
     }
+    sleep(CATCH_UP, stop)?;
     let so_far = iterations(run);
-    // More than may have waited to be written.
-    wait_for(run, stop, |run| iterations(run) > so_far + 1500)?;
+    wait_for(run, stop, |run| iterations(run) > so_far + 20)?;
     let after = processes(run);
     ensure!(after == before, "other processes than before: {before:?}, {after:?}");
     let last = run.metrics().pop().context("lines")?;
@@ -199,7 +251,7 @@ fn freeze_during_commit(run: &mut Run, disk: &mut Disk, stop: &StopRequests) -> 
 
 /// Asks the run twice to stop while its disk stands still, and resumes it. A thread that waits for a frozen file
 /// system cannot be ended, by nobody and no signal; all others are, and so are the children.
-fn stop_twice(lasts: Duration, run: &mut Run, disk: &mut Disk, stop: &StopRequests) -> Result<()> {
+fn stop_twice(run: &mut Run, disk: &mut Disk, stop: &StopRequests) -> Result<()> {
     let pid = run.pid();
     let domain = domain_of(run, pid).context("a live run has a domain")?;
     let still = disk.freeze()?;
@@ -213,7 +265,6 @@ fn stop_twice(lasts: Duration, run: &mut Run, disk: &mut Disk, stop: &StopReques
         ensure!(begun.elapsed() < PATIENCE, "asked twice, and still there");
         sleep(TICK, stop)?;
     }
-    sleep(lasts.saturating_sub(begun.elapsed()), stop)?;
     still.thaw()?;
     let code = run.wait();
     ensure!(code == Some(130), "it ended with {code:?}");

@@ -8,6 +8,7 @@ use clap::Parser as _;
 use run::signals::StopRequests;
 use serde_json::json;
 use tests::chaos::plan::Plan;
+use tests::chaos::standstills::Dose;
 use tests::chaos::{Chaos, calm, damage, environment, http, others, restarts, standstills};
 
 /// Kills, hangs, stops and scales runs at random, damages their files, starts them from foreign
@@ -97,7 +98,7 @@ fn main() -> anyhow::Result<()> {
     };
     let standstills = match arguments.standstills {
         0 => None,
-        times => Some(standstills::run(times, &stop, &mut narrate)?),
+        times => Some(standstills::run(times, Dose::Long, &stop, &mut narrate)?),
     };
     let summary = json!({
         "seed": arguments.seed,

@@ -2,7 +2,8 @@
 
 use run::signals::StopRequests;
 use tests::chaos::plan::Plan;
-use tests::chaos::{Chaos, calm, environment, http, others, restarts};
+use tests::chaos::standstills::Dose;
+use tests::chaos::{Chaos, calm, environment, http, others, restarts, standstills};
 
 /// Puts a run through a plan with every act that there is.
 fn survives(seed: u64, overlap: usize) {
@@ -57,5 +58,15 @@ fn another_user_gets_nothing_from_a_live_run_and_changes_nothing() {
         eprintln!("{story}");
     } else {
         assert_eq!(report.refused, 25);
+    }
+}
+
+#[test]
+fn a_disk_that_stands_still_costs_a_run_nothing() {
+    let report = standstills::run(4, Dose::Short, &StopRequests::new(), &mut |_| ());
+    let report = report.expect("survives");
+    match report.not_tried {
+        Some(reason) => eprintln!("not tried: {reason}"),
+        None => assert_eq!(report.acts.values().sum::<usize>(), 4),
     }
 }

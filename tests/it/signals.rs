@@ -10,7 +10,9 @@ use rustix::pipe::fcntl_setpipe_size;
 use rustix::process::Signal;
 use serde_json::Value;
 use tests::chaos::observe::everybody;
-use tests::{Owned, Run, SMALL, assert_nothing_left, kill, octopus, program, stderr};
+use tests::{
+    HEARS_HANG_UPS, Owned, Run, SMALL, assert_nothing_left, kill, octopus, program, stderr,
+};
 
 /// Flags of a run that is not over before it is disturbed.
 const LONG: &[&str] = &["--workers=2", "--iterations=100000", "--set=run.checkpoint_every=0"];
@@ -66,7 +68,8 @@ fn a_closed_terminal_ends_a_run_in_order() {
     let mut run = Run::new();
     let dir = format!("--run-dir={}", run.path().display());
     let (reader, writer) = std::io::pipe().expect("a pipe");
-    let mut command = Command::new(program("octopus"));
+    let mut command = Command::new(HEARS_HANG_UPS[0]);
+    command.args(&HEARS_HANG_UPS[1..]).arg(program("octopus"));
     command.args(["train", "trajectory", &dir]).args(SMALL).args(LONG).stdin(Stdio::null());
     command.stdout(writer.try_clone().expect("a pipe")).stderr(writer);
     let mut process = Owned::spawn(&mut command);
