@@ -116,7 +116,9 @@ pub(super) fn measure(
     let episodes = || 0..recording.episodes();
     let (first, steps) = (case.steps.start, recording.steps());
     if let Some(within_reach) = &within_reach {
-        errors.iter_mut().for_each(|error| error.look_within_reach(within_reach));
+        for error in &mut errors {
+            error.look_within_reach(within_reach);
+        }
     }
     let turns = |episode| {
         let [from, to] = [case.steps.end - 1, steps - 1]
