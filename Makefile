@@ -52,6 +52,7 @@ venv-benches: ## install the Python packages of the benchmarks' peers (once)
 
 .PHONY: build
 build: setup ## build the programs: octopus, learner, sim-worker
+	@test -e $(TARGET)/release/octopus || echo 'compiling everything, once: 6 to 10 minutes on two cores'
 	$(CARGO) build --release --bins -p coordinator -p learner -p sim-worker $(FEATURES)
 
 .PHONY: train
