@@ -114,7 +114,7 @@ pub struct Reward {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Start {
-    /// Share of the episodes that begin at rest away from home.
+    /// Share of the episodes that begin away from home, at rest unless `turning` is above 0.
     pub share: f64,
     /// There, joint angles are off home by up to this (rad), small offsets being more frequent.
     pub joints: f64,
@@ -123,6 +123,10 @@ pub struct Start {
     /// There, share of the arms that stand anywhere: every joint angle uniform in ±π of home.
     #[serde(default)]
     pub anywhere: f64,
+    /// There, the robot turns as one body by up to this about each axis (rad/s), small rates being more
+    /// frequent, and its centre of mass rests: as after a push that was taken back.
+    #[serde(default)]
+    pub turning: f64,
 }
 
 /// Group `task`.

@@ -25,6 +25,7 @@ impl Config {
         within("task.start.joints", task.start.joints, 0.0, 3.0)?;
         within("task.start.attitude", task.start.attitude, 0.0, 1.5)?;
         within("task.start.anywhere", task.start.anywhere, 0.0, 1.0)?;
+        within("task.start.turning", task.start.turning, 0.0, 1.0)?;
         within("task.reward.epsilon", task.reward.epsilon, 1e-30, 1.0)?;
         within("task.reward.team_spirit", task.reward.team_spirit, 0.0, 1.0)?;
         let Reward { position, orientation, base, .. } = &task.reward;

@@ -127,6 +127,17 @@ fn momentum<S: Real>(body: &RigidInertia<S>, v: Vec6<S>) -> Vec6<S> {
 }
 
 impl<S: Real> Invariants<S> {
+    /// Centre of mass from the fixed point, world axes (m).
+    #[cfg(test)]
+    pub(crate) fn centre_of_mass(&self) -> Vec3<S> {
+        self.com
+    }
+
+    /// Velocity of the centre of mass, world axes (m/s).
+    pub(crate) fn velocity(&self) -> Vec3<S> {
+        scale(self.locked.c[0].recip(), self.linear)
+    }
+
     /// What they are after a time (s) in which a constant force and some moment have acted from outside, with this impulse: world axes, about the fixed point
     /// (N m s, N s).
     ///

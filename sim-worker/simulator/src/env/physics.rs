@@ -3,11 +3,14 @@
 use proto::config::{Config, Integrator};
 
 use crate::collision::{Touching, touching};
+use crate::dynamics::invariants::{BaseMotion, Invariants, invariants};
 use crate::dynamics::{Hand, hands};
 use crate::model::Model;
 use crate::robot::Robot;
 use crate::scalar::Real;
-use crate::spatial::{euler_xyz, quaternion_to_rotation};
+#[cfg(test)]
+use crate::spatial::Vec3;
+use crate::spatial::{euler_xyz, quaternion_to_rotation, sub};
 use crate::state::State;
 use crate::step::{self, Disturbance, StepOptions, step, step_disturbed};
 use crate::task::Readings;
@@ -50,6 +53,28 @@ impl<S: Real> Physics<S> {
     ) {
         let Self { model, workspace, options, .. } = self;
         step_disturbed(model, workspace, state, command, options, disturbance);
+    }
+
+    /// Centre of mass of the robot, world axes (m).
+    #[cfg(test)]
+    pub(crate) fn centre_of_mass(&mut self, state: &State<S>) -> Vec3<S> {
+        self.invariants(state).centre_of_mass()
+    }
+
+    fn invariants(&mut self, state: &State<S>) -> Invariants<S> {
+        let base = BaseMotion {
+            position: state.base_position,
+            quaternion: state.base_quaternion,
+            linear: state.base_linear_velocity,
+            angular: state.base_angular_velocity,
+        };
+        invariants(&self.model, &mut self.workspace, &base, &state.q, &state.qd)
+    }
+
+    /// Moves the robot along so that its centre of mass rests; everything turns as before.
+    pub(crate) fn rest_centre_of_mass(&mut self, state: &mut State<S>) {
+        let drift = self.invariants(state).velocity();
+        state.base_linear_velocity = sub(state.base_linear_velocity, drift);
     }
 
     /// Reads off everything that tasks use, but for the last action; returns what touches.

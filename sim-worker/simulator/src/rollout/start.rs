@@ -5,7 +5,7 @@
 //! optimal approximate reinforcement learning", section 4, there called restart distribution.)
 //!
 //! Half of the reaching episodes of preset `tuned` begin away from home: joints scattered, base turned, a fifth
-//! of the arms at any angles at all, at rest, nothing touching. What gains is an arm that has to reach after it
+//! of the arms at any angles at all, at rest (unless `task.start.turning` says otherwise), nothing touching. What gains is an arm that has to reach after it
 //! has held the base, or after a push. Only arms that touch something are drawn again: an arm at any angles often
 //! does, and with the whole robot drawn again most of them were lost.
 
@@ -55,7 +55,7 @@ pub(super) fn scatter<S: Real>(
         away.map(|lane| (lane, vec![true; robot.n_arms])).collect();
     for draw in 0..MOST_DRAWS {
         if open.is_empty() {
-            return;
+            break;
         }
         for (lane, arms) in &open {
             let lane = *lane;
@@ -80,6 +80,11 @@ pub(super) fn scatter<S: Real>(
                         + if anywhere { PI * (2.0 * u - 1.0) } else { offset(start.joints, u) };
                 }
             }
+            if draw == 0 && start.turning > 0.0 {
+                let [x, y, z, _] = uniforms(lane, draw, 2 + 2 * robot.n_arms as u32)
+                    .map(|u| offset(start.turning, u));
+                pose.base_angular_velocity = [x, y, z];
+            }
             state.set_lane(lane, &pose);
         }
         let touching = physics.read(state, readings);
@@ -93,15 +98,19 @@ pub(super) fn scatter<S: Real>(
     for (lane, _) in open {
         state.set_lane(lane, &home);
     }
+    if start.turning > 0.0 {
+        physics.rest_centre_of_mass(state);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::spatial::quaternion_to_rotation;
+    use crate::spatial::{quaternion_to_rotation, sub};
     use crate::step::StepOptions;
 
-    const START: Start = Start { share: 0.5, joints: 1.0, attitude: 0.4, anywhere: 0.0 };
+    const START: Start =
+        Start { share: 0.5, joints: 1.0, attitude: 0.4, anywhere: 0.0, turning: 0.0 };
 
     /// Starts of 400 environments, one a lane.
     fn starts(start: Start) -> Vec<State<f64>> {
@@ -153,7 +162,7 @@ mod tests {
     fn a_share_of_the_arms_stands_anywhere() {
         let robot = Robot::builtin("paper").expect("built in");
         let home = State::<f64>::home(&robot);
-        let start = Start { share: 1.0, joints: 0.1, attitude: 0.0, anywhere: 0.25 };
+        let start = Start { share: 1.0, joints: 0.1, attitude: 0.0, anywhere: 0.25, turning: 0.0 };
         let mut far = 0;
         let mut largest = [0.0_f64; JOINTS_PER_ARM];
         for state in starts(start) {
@@ -175,6 +184,34 @@ mod tests {
         for (largest, least) in largest.into_iter().zip([3.0, 1.7, 2.7, 1.7, 3.0, 3.0]) {
             assert!(largest > least && largest <= PI, "{largest}");
         }
+    }
+
+    #[test]
+    fn those_away_from_home_turn_about_a_centre_of_mass_that_rests() {
+        let robot = Robot::builtin("paper").expect("built in");
+        let options = StepOptions { contacts: false, ..StepOptions::default() };
+        let mut physics = Physics::with_options(&robot, options);
+        let mut readings = Readings::new(robot.n_arms);
+        let turning = Start { turning: 0.02, ..START };
+        let mut fastest = 0.0_f64;
+        for (mut state, still) in starts(turning).into_iter().zip(starts(START)) {
+            assert_eq!((&state.q, state.base_quaternion), (&still.q, still.base_quaternion));
+            let rates = state.base_angular_velocity;
+            fastest = rates.into_iter().fold(fastest, |fastest, rate| fastest.max(rate.abs()));
+            if still == State::home(&robot) {
+                assert_eq!(state, still, "who begins at home is at rest");
+                continue;
+            }
+            // Free flight: after eight steps with all joints held the centre of mass is where it was.
+            let centre = physics.centre_of_mass(&state);
+            for _ in 0..8 {
+                physics.step(&mut state, &[0.0; 24]);
+            }
+            physics.read(&state, &mut readings);
+            let moved = sub(physics.centre_of_mass(&state), centre);
+            assert!(moved.iter().all(|x| x.abs() < 1e-9), "{moved:?} m");
+        }
+        assert!(fastest > 0.018 && fastest <= turning.turning, "{fastest} rad/s");
     }
 
     #[test]
