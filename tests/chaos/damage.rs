@@ -228,12 +228,17 @@ pub fn resume(dir: &Path) -> Result<Output> {
     command.arg("resume").arg(dir).args(["--no-eval", "--listen=off"]);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(std::fs::File::create(&log)?);
     let mut process = Owned::spawn(&mut command);
-    let begun = Instant::now();
+    // What hangs is seen by what no longer changes: a busy machine may take its time.
+    let (mut recorded, mut since) = (0, Instant::now());
     let status = loop {
         if let Some(status) = process.ended() {
             break status;
         }
-        ensure!(begun.elapsed() < PATIENCE, "it hangs:\n{}", std::fs::read_to_string(&log)?);
+        let metrics = std::fs::metadata(dir.join("metrics.jsonl")).map_or(0, |file| file.len());
+        if metrics != recorded {
+            (recorded, since) = (metrics, Instant::now());
+        }
+        ensure!(since.elapsed() < PATIENCE, "it hangs:\n{}", std::fs::read_to_string(&log)?);
         std::thread::sleep(super::TICK);
     };
     Ok(Output { status, stdout: Vec::new(), stderr: std::fs::read(&log)? })
