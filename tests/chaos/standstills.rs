@@ -166,7 +166,7 @@ pub fn run(
     let mut run = Run::below(&disk.path());
     let flags = dose.flags();
     run.start_training(&flags);
-    for (time, act) in ACTS.iter().cycle().take(times).enumerate() {
+    for (time, act) in ACTS.iter().copied().cycle().take(times).enumerate() {
         let so_far = iterations(&run);
         wait_for(&mut run, stop, |run| iterations(run) >= so_far + 30)?;
         inflict(act, dose.lasts(act.beyond), &mut run, &mut disk, stop)
@@ -196,7 +196,7 @@ pub fn run(
 
 /// Lets something stand still, and looks at what comes of it.
 fn inflict(
-    act: &Act,
+    act: Act,
     lasts: Duration,
     run: &mut Run,
     disk: &mut Disk,
