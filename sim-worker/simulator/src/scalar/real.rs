@@ -3,6 +3,8 @@
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
+#[cfg(any(test, target_arch = "wasm32"))]
+use super::bf16::Sums;
 use super::bf16::{Fused, PairProducts, WeightPair};
 
 /// Lanes of the lane types; where there are few environments, [`dispatch_for`](super::dispatch_for) has one of eight.
@@ -199,6 +201,19 @@ impl<S: Real, K: PairKernel<S>> Kernel<S> for WithoutNative<K> {
     #[inline(always)]
     fn run(self) -> K::Output {
         self.0.run(Fused)
+    }
+}
+
+/// A kernel on a processor without fused multiply-add.
+#[cfg(any(test, target_arch = "wasm32"))]
+pub(super) struct BySums<K>(pub(super) K);
+
+#[cfg(any(test, target_arch = "wasm32"))]
+impl<S: Real, K: PairKernel<S>> Kernel<S> for BySums<K> {
+    type Output = K::Output;
+    #[inline(always)]
+    fn run(self) -> K::Output {
+        self.0.run(Sums)
     }
 }
 
