@@ -108,7 +108,7 @@ impl Placed {
             })
         };
         let segments: Vec<Segment> = self.segments.iter().filter(near).copied().collect();
-        (!segments.is_empty()).then(|| Self { segments, ..*self })
+        (!segments.is_empty()).then_some(Self { segments, ..*self })
     }
 
     /// What the pixel around `at` gets; of several segments the one that covers most.

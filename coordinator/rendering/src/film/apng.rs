@@ -48,7 +48,7 @@ impl Apng {
             encoder.set_animated(pictures, 0)?;
             encoder.write_header()
         };
-        let writer = new().map_err(|error: EncodingError| Format::Apng.error(error))?;
+        let writer = new().map_err(|error: EncodingError| Format::Apng.error(&error))?;
         Ok(Self { writer, bytes, shown: None })
     }
 
@@ -71,13 +71,13 @@ impl Apng {
             }
             writer.write_image_data(&patch.rgba())
         };
-        write().map_err(|error: EncodingError| Format::Apng.error(error))?;
+        write().map_err(|error: EncodingError| Format::Apng.error(&error))?;
         self.shown = Some(image.clone());
         Ok(())
     }
 
     pub(super) fn finish(self) -> Result<Vec<u8>, FilmError> {
-        self.writer.finish().map_err(|error| Format::Apng.error(error))?;
+        self.writer.finish().map_err(|error| Format::Apng.error(&error))?;
         Ok(self.bytes.0.take())
     }
 }

@@ -33,7 +33,7 @@ impl Gif {
             encoder.set_repeat(Repeat::Infinite)?;
             Ok(encoder)
         };
-        let encoder = new().map_err(|error: gif::EncodingError| Format::Gif.error(error))?;
+        let encoder = new().map_err(|error: gif::EncodingError| Format::Gif.error(&error))?;
         Ok(Self { encoder, palette, shown: None })
     }
 
@@ -59,10 +59,10 @@ impl Gif {
             buffer: Cow::Owned(buffer),
             ..Frame::default()
         };
-        self.encoder.write_frame(&frame).map_err(|error| Format::Gif.error(error))
+        self.encoder.write_frame(&frame).map_err(|error| Format::Gif.error(&error))
     }
 
     pub(super) fn finish(self) -> Result<Vec<u8>, FilmError> {
-        self.encoder.into_inner().map_err(|error| Format::Gif.error(error))
+        self.encoder.into_inner().map_err(|error| Format::Gif.error(&error))
     }
 }

@@ -8,6 +8,8 @@ mod palette;
 mod patch;
 mod webp;
 
+use std::fmt;
+
 use thiserror::Error;
 
 use crate::Image;
@@ -63,7 +65,7 @@ impl Format {
         }
     }
 
-    fn error(self, reason: impl ToString) -> FilmError {
+    fn error(self, reason: &dyn fmt::Display) -> FilmError {
         FilmError { format: self.name(), reason: reason.to_string() }
     }
 }
@@ -93,7 +95,7 @@ impl Film {
     ) -> Result<Self, FilmError> {
         let fit = size.map(|side| u16::try_from(side).ok().filter(|side| *side > 0));
         let [Some(width), Some(height)] = fit else {
-            return Err(format.error(format!("{} × {} pixels", size[0], size[1])));
+            return Err(format.error(&format!("{} × {} pixels", size[0], size[1])));
         };
         let writer = match format {
             Format::Gif => Writer::Gif(gif::Gif::new([width, height], examples)?),

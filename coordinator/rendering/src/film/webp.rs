@@ -59,7 +59,7 @@ impl WebP {
         let (width, height) = (patch.width as u32, patch.height as u32);
         WebPEncoder::new(&mut picture)
             .encode(&patch.rgba(), width, height, ColorType::Rgba8)
-            .map_err(|error| Format::WebP.error(error))?;
+            .map_err(|error| Format::WebP.error(&error))?;
         let mut frame = Vec::with_capacity(picture.len() + 16);
         for number in [patch.left / 2, patch.top / 2, patch.width - 1, patch.height - 1] {
             frame.extend(three(number as u64));
@@ -74,7 +74,7 @@ impl WebP {
 
     pub(super) fn finish(self) -> Result<Vec<u8>, FilmError> {
         let length = u32::try_from(self.chunks.len() + 4)
-            .map_err(|_| Format::WebP.error("it is larger than 4 GiB"))?;
+            .map_err(|_| Format::WebP.error(&"it is larger than 4 GiB"))?;
         let mut file = Vec::with_capacity(self.chunks.len() + HEADER);
         file.extend(b"RIFF");
         file.extend(length.to_le_bytes());
