@@ -19,6 +19,11 @@ impl Threads {
     pub fn new(n: usize) -> Self {
         Self(n.max(1))
     }
+
+    /// How many.
+    pub fn count(&self) -> usize {
+        self.0
+    }
 }
 
 impl Executor for Threads {
