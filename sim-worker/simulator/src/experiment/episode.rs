@@ -485,3 +485,6 @@ impl Kernel<f32> for OneStep<'_> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -17,7 +17,7 @@ use crate::robot::Robot;
 use crate::rollout::{RolloutSpec, World, rollout};
 
 /// A world with a small network, whose exploration is too small to change a bit.
-fn world(task: TaskName, robot: &Robot) -> World {
+pub(super) fn world(task: TaskName, robot: &Robot) -> World {
     let mut config = Layers::new(Preset::Tuned, Some(task)).resolve().expect("valid");
     config.network.hidden = vec![16];
     config.env.n_envs = 18;
@@ -28,11 +28,11 @@ fn world(task: TaskName, robot: &Robot) -> World {
     World::new(&config, robot)
 }
 
-fn paper() -> Robot {
+pub(super) fn paper() -> Robot {
     Robot::builtin("paper").expect("built in")
 }
 
-fn policy(world: &World) -> Policy {
+pub(super) fn policy(world: &World) -> Policy {
     let mut flat = parameters(&world.config, &world.dimensions, 8);
     let layout = proto::layout::ActorLayout::new(&world.config, &world.dimensions);
     let log_std = layout.tensors.iter().find(|tensor| tensor.name == "log_std").expect("exists");

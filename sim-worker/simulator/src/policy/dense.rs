@@ -33,7 +33,7 @@ struct Single;
 impl<S: Real> Accumulate<S, S, f32> for Single {
     #[inline(always)]
     fn add(self, sum: S, x: S, w: f32) -> S {
-        S::splat(f64::from(w)).mul_add(x, sum)
+        S::splat(f64::from(w)).mul_add_inlined(x, sum)
     }
 }
 

@@ -133,6 +133,7 @@ pub(super) use pairs_side_by_side;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scalar::real::BySums;
     use crate::scalar::{Backend, LaneFn, PairKernel, Real, dispatch_for, dispatch_on};
 
     #[test]
@@ -216,5 +217,7 @@ mod tests {
         let lone: Vec<u32> = f32::compiled_for_pairs(Products);
         let first_lanes: Vec<u32> = portable.iter().copied().step_by(16).collect();
         assert_eq!(lone, first_lanes);
+        // What WebAssembly does.
+        assert_eq!(f32::compiled(BySums(Products)), first_lanes);
     }
 }

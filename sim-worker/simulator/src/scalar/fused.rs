@@ -7,8 +7,16 @@
 //! rounded sums: proved algorithms using rounding to odd].
 
 /// `x · y + z` with one rounding, as [`f32::mul_add`] has it.
-#[inline(always)]
+///
+/// A call, because the dynamics have thousands in one function, and browsers take seconds to compile what that would become.
+#[inline(never)]
 pub(super) fn mul_add(x: f32, y: f32, z: f32) -> f32 {
+    inlined(x, y, z)
+}
+
+/// [`mul_add`] in place, for loops.
+#[inline(always)]
+pub(super) fn inlined(x: f32, y: f32, z: f32) -> f32 {
     // Half of the last digit that an f32 keeps of an f64.
     const TIE: u64 = 1 << 28;
     let product = f64::from(x) * f64::from(y);

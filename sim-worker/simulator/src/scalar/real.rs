@@ -73,6 +73,11 @@ pub trait Real:
 
     /// `self · a + b` with one rounding.
     fn mul_add(self, a: Self, b: Self) -> Self;
+    /// [`Real::mul_add`] for inner loops that do little else: inlined also where it is long.
+    #[inline(always)]
+    fn mul_add_inlined(self, a: Self, b: Self) -> Self {
+        self.mul_add(a, b)
+    }
     /// `b − self · a` with one rounding.
     fn neg_mul_add(self, a: Self, b: Self) -> Self;
     /// Square root, correctly rounded.

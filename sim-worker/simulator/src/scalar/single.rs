@@ -92,6 +92,11 @@ impl Real for f32 {
     fn mul_add(self, a: Self, b: Self) -> Self {
         fused(self, a, b)
     }
+    #[cfg(target_arch = "wasm32")]
+    #[inline(always)]
+    fn mul_add_inlined(self, a: Self, b: Self) -> Self {
+        super::fused::inlined(self, a, b)
+    }
     #[inline(always)]
     fn neg_mul_add(self, a: Self, b: Self) -> Self {
         fused(-self, a, b)
