@@ -109,7 +109,8 @@ struct Times {
 impl Times {
     fn new(episode_s: f64, look: &Look) -> Result<Self, ExitError> {
         let lasts = episode_s / look.speed;
-        let pictures = (lasts * f64::from(look.fps)).ceil() as u64 + 1;
+        // What is whole but for rounding is whole.
+        let pictures = (lasts * f64::from(look.fps) - 1e-6).ceil().max(1.0) as u64 + 1;
         if pictures > MOST {
             let message = format!(
                 "the film would have {} pictures, and {} at most; a larger --speed, a smaller \
@@ -124,6 +125,9 @@ impl Times {
 
     /// The share of the episode that has passed in a picture.
     fn passed(self, picture: u64) -> f64 {
+        if picture + 1 == self.pictures {
+            return 1.0;
+        }
         (picture as f64 / f64::from(self.fps) / self.lasts).min(1.0)
     }
 

@@ -236,7 +236,7 @@ impl<'a> Stage<'a> {
 
     /// The errors that the last control step left, those of hands in the mean.
     fn errors(&self, steps: f64) -> String {
-        let Some(step) = (steps.floor() as usize).checked_sub(1) else { return String::new() };
+        let Some(step) = ((steps + 1e-9) as usize).checked_sub(1) else { return String::new() };
         let errors = &self.episode.errors[step.min(self.episode.errors.len() - 1)];
         let mean = |of: &[f32]| 1e3 * of.iter().sum::<f32>() / of.len().max(1) as f32;
         let number = |value: f32| {

@@ -26,6 +26,9 @@ fn the_first_and_the_last_picture_are_those_of_home_and_of_the_end() {
     // The whole takes its ten seconds, one picture more, and the pauses.
     assert_eq!(times.until(100), 10_100 + FIRST + LAST);
     assert!((1..=100).all(|picture| times.until(picture) - times.until(picture - 1) >= 100));
+    // 12 control steps of 0.4 s are a little more than 4.8 s, and no picture more.
+    let times = Times::new(12.0 * 0.4, &Look { speed: 4.0, ..look() }).expect("short");
+    assert_eq!((times.pictures, times.passed(12)), (13, 1.0));
     // An episode that is no whole number of pictures ends with its end, too.
     let times = Times::new(80.3, &look()).expect("short");
     assert_eq!((times.pictures, times.passed(times.pictures - 1)), (102, 1.0));
