@@ -155,7 +155,7 @@ mod tests {
         let pose =
             Pose { base_position: [0.0, 0.0, 4.0], base_quaternion: [1.0, 0.0, 0.0, 0.0], joints };
         let posed = Posed::new(&robot, &pose);
-        assert_eq!(places(&posed, &[0; 4]), []);
+        assert!(places(&posed, &[0; 4]).is_empty());
         let found = places(&posed, &[0, 0, 2, 0]);
         assert_eq!(found.len(), 2);
         for place in found {
