@@ -86,13 +86,18 @@ bench: build venv-benches ## measure this machine and the peers, with ARGS="..."
 test: setup venv page ## everything that must hold: format, lints, documentation, tests
 	$(call step,'format',$(CARGO) fmt --all --check && $(CARGO) fmt --manifest-path tests/fuzz/Cargo.toml --check)
 	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets $(FEATURES) -- -D warnings)
-	$(call step,'the simulator for browsers',{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } && RUSTFLAGS='-D warnings' $(CARGO) check $(LOCKED) -p simulator --target wasm32-unknown-unknown)
+	$(call step,'the simulator for browsers',{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } && RUSTFLAGS='-D warnings' $(CARGO) check $(LOCKED) -p simulator -p browser --target wasm32-unknown-unknown)
 	$(call step,'fuzz targets',$(CARGO) clippy $(LOCKED) --manifest-path tests/fuzz/Cargo.toml --target-dir $(TARGET)/fuzz/check --bins -- -D warnings)
 	$(call step,'documentation',RUSTDOCFLAGS='-D warnings' $(CARGO) doc $(LOCKED) --workspace --no-deps $(FEATURES))
 	# With the tests in one call: features of dependencies are united over what is built together, and
 	# sim-worker, which takes minutes, would be built twice otherwise.
 	$(call step,'programs',$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES))
 	$(call step,'tests',$(CARGO) test $(LOCKED) --workspace $(FEATURES))
+
+.PHONY: web-test
+web-test: setup venv page ## try the page in Chromium
+	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
+	$(CARGO) test $(LOCKED) -p tests --test it $(FEATURES) -- page:: --nocapture
 
 # Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run, then
 # damaged files, foreign environments, requests to a live run, attempts of another user at one.
