@@ -118,6 +118,12 @@ export class RobotRoom {
         await this.open([name], start, (files) => this.timeline.begin(files, start));
     }
 
+    /** Plays a policy from the beginning. */
+    async play(name: string): Promise<void> {
+        await this.begin(name);
+        this.timeline.play(true);
+    }
+
     async replay(recording: Recording): Promise<void> {
         const names = recording.policies.length > 0 ? recording.policies.map(({ name }) => name) : [this.current || (this.best() ?? "")];
         await this.open(names, recording.script.start, (files) => this.timeline.replay(files, recording.script));
@@ -291,13 +297,18 @@ export class RobotRoom {
         );
     }
 
+    /** The fragment of a link that plays this again. */
+    fragment(): Promise<string> {
+        return toFragment(this.recording());
+    }
+
     private nextEpisode(): void {
         this.episode.value = String((Number(this.episode.value) || 0) + 1);
         void this.again();
     }
 
     private async copyLink(): Promise<void> {
-        const link = `${location.href.split("#")[0] ?? ""}#${await toFragment(this.recording())}`;
+        const link = `${location.href.split("#")[0] ?? ""}#${await this.fragment()}`;
         try {
             await navigator.clipboard.writeText(link);
             notice("The link is in the clipboard");

@@ -37,6 +37,11 @@ export class Goals {
         return this.handles.dragging || this.handles.axis !== null;
     }
 
+    /** The handle under the pointer, `X`, `YZ` and so on. */
+    get axis(): string | null {
+        return this.handles.axis;
+    }
+
     get mode(): Handle {
         return this.handles.mode as Handle;
     }

@@ -91,6 +91,8 @@ export class Timeline {
     tick(seconds: number): void {
         if (this.frames.length === 0) return;
         if (this.playing) {
+            // Who pushes in the past makes another future.
+            if (this.lasting?.() !== undefined && this.cursor < this.head - 1) this.cutAt(Math.ceil(this.cursor));
             const target = this.cursor + (seconds * this.speed) / this.period;
             this.cursor = Math.min(target, this.head);
             this.wanted = Math.min(Math.ceil(target + 0.5), LONGEST);
@@ -119,6 +121,7 @@ export class Timeline {
     step(): void {
         this.play(false);
         const next = Math.floor(this.cursor) + 1;
+        if (this.lasting?.() !== undefined && next <= this.head) this.cutAt(next - 1);
         if (next <= this.head) {
             this.cursor = next;
             this.onFrames();
