@@ -26,6 +26,7 @@ export class RunRoom {
     private wait = LOOK;
     private live: LiveStatus | undefined;
     private wanted = 0;
+    private isBesideARun = true;
     private deaths = 0;
 
     constructor(
@@ -73,10 +74,11 @@ export class RunRoom {
 
     private async ask(): Promise<void> {
         try {
-            this.live = await json<LiveStatus>("v1/status");
+            if (this.isBesideARun) this.live = await json<LiveStatus>("v1/status");
         } catch (error) {
             if (!(error instanceof Refusal) || error.status !== 404) throw error;
-            this.live = undefined;
+            // A service that stands beside no run never will.
+            this.isBesideARun = false;
         }
         const grown = await this.metrics.look();
         await this.checkpoints.look(this.live !== undefined);
