@@ -72,6 +72,15 @@ impl Arrays {
         })
     }
 
+    /// The numbers of one.
+    #[cfg(test)]
+    pub(crate) fn get(&self, name: &str) -> &[f32] {
+        let before = self.parts.iter().take_while(|(other, _)| *other != name);
+        let at = before.map(|(_, len)| len).sum();
+        let (_, len) = self.parts.iter().find(|(other, _)| *other == name).expect("an array");
+        &self.values[at..at + len]
+    }
+
     /// Fills all with an episode as it stands.
     pub(crate) fn fill(&mut self, episode: &Episode) {
         let mut out = Writer(&mut self.values);

@@ -42,10 +42,24 @@ struct Body<'a> {
 #[derive(Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Shape<'a> {
-    Capsule { from: [f64; 3], to: [f64; 3], radius: f64 },
-    Disc { centre: [f64; 3], axis: [f64; 3], radius: f64, half_height: f64 },
+    Capsule {
+        from: [f64; 3],
+        to: [f64; 3],
+        radius: f64,
+    },
+    Disc {
+        centre: [f64; 3],
+        axis: [f64; 3],
+        radius: f64,
+        half_height: f64,
+    },
     /// `rotation` is that of the box to the body's frame, row-major.
-    Box { name: &'a str, half: [f64; 3], centre: [f64; 3], rotation: [f64; 9] },
+    Box {
+        name: &'a str,
+        half: [f64; 3],
+        centre: [f64; 3],
+        rotation: [f64; 9],
+    },
 }
 
 #[derive(Serialize)]
@@ -59,9 +73,8 @@ struct Place {
 /// The description of an episode's robot and of its arrays.
 pub(crate) fn json(episode: &Episode, arrays: &Arrays) -> Result<String, String> {
     let robot = episode.robot();
-    let task = |member: &std::sync::Arc<simulator::experiment::Member>| {
-        member.world.task.name.as_str()
-    };
+    let task =
+        |member: &std::sync::Arc<simulator::experiment::Member>| member.world.task.name.as_str();
     let places = arrays.places().map(|(name, at, len)| (name, Place { at, len }));
     let n_joints = robot.n_joints();
     let description = Description {
@@ -89,7 +102,8 @@ fn bodies(robot: &Robot) -> Vec<Body<'_>> {
         rotation: std::array::from_fn(|i| b.rotation[(i / 3, i % 3)]),
     });
     let pedestals = robot.arms.iter().flat_map(|arm| &arm.pedestal_shapes).map(shape);
-    let mut bodies = vec![Body { name: "base", arm: None, shapes: boxes.chain(pedestals).collect() }];
+    let mut bodies =
+        vec![Body { name: "base", arm: None, shapes: boxes.chain(pedestals).collect() }];
     for arm in 0..robot.n_arms {
         bodies.extend(robot.links.iter().map(|link| Body {
             name: &link.name,

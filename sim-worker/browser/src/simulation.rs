@@ -51,7 +51,10 @@ impl Simulation {
             }
             Some(playing) => {
                 let n_arms = playing.episode.robot().n_arms;
-                return Err(format!("the policy moves {} arms, the robot has {n_arms}", own.n_arms));
+                return Err(format!(
+                    "the policy moves {} arms, the robot has {n_arms}",
+                    own.n_arms
+                ));
             }
             None => own,
         };

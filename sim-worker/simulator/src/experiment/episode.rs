@@ -11,7 +11,7 @@ use proto::rng::Purpose;
 use super::event::{
     Control, Event, EventError, GoalPurpose, LONGEST_DELAY, Script, Start, finite, within,
 };
-use super::stepper::{Envs, Group, Stepper, draw_goals};
+use super::stepper::{Chunk, Group, Stepper, draw_goals};
 use super::{Effect, FixedGoals, Player, SensorNoise};
 use crate::collision::Touching;
 use crate::dynamics::Hand;
@@ -400,14 +400,14 @@ fn players(members: &[Arc<Member>]) -> Vec<Player<'_>> {
     members.iter().map(|member| member.player()).collect()
 }
 
-fn addresses(start: &Start) -> (Envs, GoalAddress) {
+fn addresses(start: &Start) -> (Chunk, GoalAddress) {
     let Start { seed, purpose, iteration, episode, .. } = *start;
     let purpose = match purpose {
         GoalPurpose::Evaluation => Purpose::EvaluationGoal,
         GoalPurpose::Training => Purpose::Goal,
     };
     let goals = GoalAddress { seed, purpose, iteration, env: episode };
-    (Envs { seed, first: episode, n_envs: 1 }, goals)
+    (Chunk { seed, first: episode, n_envs: 1 }, goals)
 }
 
 fn set_state(state: &mut State<f32>, numbers: &[f64]) -> Result<(), EventError> {
@@ -472,7 +472,7 @@ impl Kernel<f32> for OneStep<'_> {
         course.effects.retain(|happening| happening.until > step);
         let effects = course.effects.iter().map(|happening| &happening.effect).chain(&limp);
         stepper.think(&players, &arms, &course.sensors, step)?;
-        stepper.advance(&players, &arms, effects, step)?;
+        stepper.advance(&players, &arms, &effects, step)?;
         course.step += 1;
         let Stepper { physics, groups, disturbance, .. } = stepper;
         let Group { state, command, .. } = &groups[0];

@@ -156,7 +156,7 @@ pub(super) fn within(what: &'static str, found: usize, limit: usize) -> Result<(
 
 /// Refuses what is no number.
 pub(super) fn finite(what: &'static str, values: &[f64]) -> Result<(), EventError> {
-    let wrong = values.iter().find(|value| !(value.abs() <= 1e6));
+    let wrong = values.iter().find(|value| value.is_nan() || value.abs() > 1e6);
     wrong.map_or(Ok(()), |&found| {
         Err(EventError::Value { what, found, expected: "a number within a million" })
     })

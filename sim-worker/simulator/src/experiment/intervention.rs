@@ -5,7 +5,7 @@ use std::ops::Range;
 use proto::rng::{Address, Purpose};
 use serde::{Deserialize, Serialize};
 
-use super::stepper::Envs;
+use super::stepper::Chunk;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::step::{Disturbance, Wrench};
@@ -65,7 +65,7 @@ pub enum Effect {
 /// Episodes in the lanes of a group; lanes beyond the last episode repeat it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lanes {
-    pub(super) envs: Envs,
+    pub(super) envs: Chunk,
     /// The group's first episode among them.
     pub(super) group: usize,
 }
@@ -74,7 +74,7 @@ impl Lanes {
     /// Fills `out` with standard normal numbers, each lane with its episode's own.
     #[inline(always)]
     pub(super) fn normals<S: Real>(self, purpose: Purpose, step: usize, out: &mut [S]) {
-        let Envs { seed, first, n_envs } = self.envs;
+        let Chunk { seed, first, n_envs } = self.envs;
         for lane in 0..S::LANES {
             let env = first + (self.group + lane).min(n_envs - 1) as u32;
             for (index, four) in out.chunks_mut(4).enumerate() {

@@ -22,7 +22,7 @@ use crate::task::{Errors, Goals, Readings};
 
 /// Which episodes stand in the lanes.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Envs {
+pub(super) struct Chunk {
     /// Seed of everything random in them.
     pub(super) seed: u64,
     /// Global index of the first.
@@ -88,7 +88,7 @@ impl<S: Real> PlayerScratch<S> {
 /// Players are lent to every part, because who plays may change between two steps. The robot's limits of joints and its home are the same for
 /// every player.
 pub(super) struct Stepper<S: Real> {
-    pub(super) envs: Envs,
+    pub(super) envs: Chunk,
     pub(super) physics: Physics<S>,
     pub(super) groups: Vec<Group<S>>,
     scratches: Vec<PlayerScratch<S>>,
@@ -107,7 +107,7 @@ impl<S: Real> Stepper<S> {
     pub(super) fn new(
         (robot, options): (&Robot, StepOptions),
         players: &[Player<'_>],
-        envs: Envs,
+        envs: Chunk,
         (goals, fixed): (GoalAddress, &FixedGoals),
         delay: usize,
     ) -> Self {
@@ -172,7 +172,7 @@ impl<S: Real> Stepper<S> {
         step: usize,
     ) -> Result<(), EpisodeError> {
         let Self { envs, groups, scratches, limits, drawn, .. } = self;
-        let Envs { first, .. } = *envs;
+        let Chunk { first, .. } = *envs;
         let n_groups = groups.len();
         for (index, group) in groups.iter_mut().enumerate() {
             let (seen, errors) = if sensors.any() {
@@ -243,11 +243,11 @@ impl<S: Real> Stepper<S> {
         &mut self,
         players: &[Player<'_>],
         arms: &[Option<usize>],
-        effects: impl Iterator<Item = &'e Effect> + Clone,
+        effects: &(impl Iterator<Item = &'e Effect> + Clone),
         step: usize,
     ) -> Result<(), EpisodeError> {
         let Self { envs, physics, groups, drawn, disturbance, undisturbed, before, .. } = self;
-        let Envs { first, n_envs, .. } = *envs;
+        let Chunk { first, n_envs, .. } = *envs;
         for (index, group) in groups.iter_mut().enumerate() {
             let local = index * S::LANES;
             let n_joints = group.action.len();
@@ -288,7 +288,7 @@ impl<S: Real> Stepper<S> {
 pub(super) fn draw_goals<S: Real>(
     players: &[Player<'_>],
     (address, fixed): (GoalAddress, &FixedGoals),
-    envs: Envs,
+    envs: Chunk,
     local: usize,
 ) -> Goals<S> {
     let mut goals = players[0].world.task.goals.at_home();

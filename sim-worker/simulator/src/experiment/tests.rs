@@ -229,14 +229,14 @@ fn fixed_goals_are_what_errors_are_against() {
 #[test]
 fn sensors_err_as_told() {
     use super::intervention::Lanes;
-    use super::stepper::Envs;
+    use super::stepper::Chunk;
     use crate::task::Readings;
     let noise = SensorNoise { position: 0.1, angle: 0.01, velocity: 10.0, rate: 1.0 };
     let (mut squares, mut n) = ([0.0_f64; 4], 0.0);
     let mut drawn = vec![0.0; SensorNoise::draws(4)];
     for step in 0..200 {
         let mut readings = Readings::<f64>::new(4);
-        let envs = Envs { seed: 1, first: 7, n_envs: 1 };
+        let envs = Chunk { seed: 1, first: 7, n_envs: 1 };
         let lanes = Lanes { envs, group: 0 };
         noise.add_to(lanes, step, &mut drawn, &mut readings);
         let of = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64;

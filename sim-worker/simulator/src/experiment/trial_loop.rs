@@ -2,7 +2,7 @@
 
 use super::Trial;
 use super::recording::record;
-use super::stepper::{Envs, Stepper};
+use super::stepper::{Chunk, Stepper};
 use crate::env::EpisodeError;
 use crate::scalar::{LaneFn, Real};
 use crate::task::goal::GoalAddress;
@@ -24,7 +24,7 @@ impl LaneFn for Play<'_, '_> {
         let Self { trial, first, n_envs, series, on_step } = self;
         let Trial { players, interventions, steps, .. } = trial;
         let steps = *steps;
-        let envs = Envs { seed: trial.goals.seed, first, n_envs };
+        let envs = Chunk { seed: trial.goals.seed, first, n_envs };
         let goals = GoalAddress { env: trial.goals.env + first, ..trial.goals };
         let mut stepper = Stepper::<S>::new(
             (trial.robot, trial.options),
@@ -47,7 +47,7 @@ impl LaneFn for Play<'_, '_> {
             stepper.think(players, arms, &trial.sensors, step)?;
             let happening = interventions.iter().filter(|happens| happens.steps.contains(&step));
             let effects = happening.map(|happens| &happens.effect);
-            stepper.advance(players, arms, effects, step)?;
+            stepper.advance(players, arms, &effects, step)?;
             on_step();
         }
         Ok(())
