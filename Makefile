@@ -39,7 +39,11 @@ help: ## list the commands
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
 
 .PHONY: setup
-setup: ## fetch libtorch (once; DEVICE=cpu or DEVICE=cuda overrides the detection)
+setup: libtorch ## fetch libtorch, and what the page is built with (once; DEVICE=cpu or DEVICE=cuda overrides the detection)
+	@$(PYTHON) deploy/setup.py page || $(PAGELESS)
+
+.PHONY: libtorch
+libtorch:
 	@$(PYTHON) deploy/setup.py $(if $(filter-out auto,$(DEVICE)),--device $(DEVICE))
 
 .PHONY: venv
@@ -50,9 +54,25 @@ venv: ## install the Python packages of the cross-checks (once)
 venv-benches: ## install the Python packages of the benchmarks' peers (once)
 	@$(PYTHON) deploy/setup.py benches
 
+# The page in a browser: types, then one script, one style and the simulator as a WebAssembly module, compressed.
+# The service's build script puts them into the program.
+NODE = $(abspath .node/bin/node)
+MODULE = $(abspath $(TARGET))/wasm32-unknown-unknown/web/browser.wasm
+# What needs the page less than the training goes on without it.
+PAGELESS = { echo 'make: no page: all else works, `make page` tries again and says what is wrong' >&2; }
+
+.PHONY: page
+page: ## build the page that runs show in a browser (part of make build)
+	@$(PYTHON) deploy/setup.py page
+	@cd coordinator/web && $(NODE) node_modules/typescript/bin/tsc --noEmit -p .
+	@{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } 2>/dev/null
+	$(CARGO) build $(LOCKED) --profile web -p browser --target wasm32-unknown-unknown
+	@cd coordinator/web && $(NODE) build.mjs $(MODULE)
+
 .PHONY: build
-build: setup ## build the programs: octopus, learner, sim-worker
+build: libtorch ## build the programs: octopus, learner, sim-worker
 	@test -e $(TARGET)/release/octopus || echo 'compiling everything, once: 6 to 10 minutes on two cores'
+	@$(MAKE) page || $(PAGELESS)
 	$(CARGO) build --release --bins -p coordinator -p learner -p sim-worker $(FEATURES)
 
 .PHONY: train
@@ -64,16 +84,21 @@ bench: build venv-benches ## measure this machine and the peers, with ARGS="..."
 	$(TARGET)/release/octopus bench --peer $(ARGS)
 
 .PHONY: test
-test: setup venv ## everything that must hold: format, lints, documentation, tests
+test: setup venv page ## everything that must hold: format, lints, documentation, tests
 	$(call step,'format',$(CARGO) fmt --all --check && $(CARGO) fmt --manifest-path tests/fuzz/Cargo.toml --check)
 	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets $(FEATURES) -- -D warnings)
-	$(call step,'the simulator for browsers',{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } && RUSTFLAGS='-D warnings' $(CARGO) check $(LOCKED) -p simulator --target wasm32-unknown-unknown)
+	$(call step,'the simulator for browsers',{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } && RUSTFLAGS='-D warnings' $(CARGO) check $(LOCKED) -p simulator -p browser --target wasm32-unknown-unknown)
 	$(call step,'fuzz targets',$(CARGO) clippy $(LOCKED) --manifest-path tests/fuzz/Cargo.toml --target-dir $(TARGET)/fuzz/check --bins -- -D warnings)
 	$(call step,'documentation',RUSTDOCFLAGS='-D warnings' $(CARGO) doc $(LOCKED) --workspace --no-deps $(FEATURES))
 	# With the tests in one call: features of dependencies are united over what is built together, and
 	# sim-worker, which takes minutes, would be built twice otherwise.
 	$(call step,'programs',$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES))
 	$(call step,'tests',$(CARGO) test $(LOCKED) --workspace $(FEATURES))
+
+.PHONY: web-test
+web-test: setup venv page ## try the page in Chromium
+	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
+	$(CARGO) test $(LOCKED) -p tests --test it $(FEATURES) -- page:: --nocapture
 
 # Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run, then
 # damaged files, foreign environments, requests to a live run, attempts of another user at one, and a disk or a
@@ -147,7 +172,8 @@ miri: ## run portable lanes and byte views in an interpreter that knows the rule
 .PHONY: clean
 clean: ## remove what was built; set-up and runs are kept
 	$(CARGO) clean
+	rm -f coordinator/web/dist/*
 
 .PHONY: distclean
 distclean: clean ## remove what was built and what was set up; runs are kept
-	rm -rf .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .cache
+	rm -rf .node .node.tmp coordinator/web/node_modules .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .cache

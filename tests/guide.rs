@@ -227,7 +227,10 @@ set -euo pipefail
 small=({} --set=run.env_steps=256 --set=run.evaluate_every=1 --set=run.evaluation_episodes=1 --set=run.evaluation_steps=20)
 arguments=()
 for argument; do
-  if [ "${{arguments[*]: -1}}" = --episodes ]; then argument=2; fi
+  case "${{arguments[*]: -1}}" in
+    --episodes) argument=2 ;;
+    --size) argument=48x48 ;;
+  esac
   arguments+=("$argument")
 done
 set -- "${{arguments[@]}}"

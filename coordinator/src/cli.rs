@@ -3,8 +3,8 @@
 use clap::{Parser, Subcommand};
 
 use crate::{
-    bench, checkpoints, clean, doctor, eval, experiment, janitor, mjcf, plot, reproduce, resume,
-    rollout, scale, serve, simulate, status, train, verify,
+    bench, checkpoints, clean, doctor, eval, experiment, film, janitor, mjcf, plot, reproduce,
+    resume, rollout, scale, serve, simulate, status, train, verify,
 };
 
 /// Exit codes, as `octopus --help` lists them.
@@ -50,6 +50,8 @@ pub enum Command {
     Reproduce(reproduce::ReproduceArgs),
     /// Draw learning curves of runs side by side.
     Plot(plot::PlotArgs),
+    /// Make a moving picture of an episode.
+    Film(film::FilmArgs),
     /// Integrate given joint commands, open loop.
     Simulate(simulate::SimulateArgs),
     /// Write a robot as a MuJoCo model file.

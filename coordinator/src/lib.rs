@@ -14,6 +14,7 @@ pub mod clean;
 pub mod doctor;
 pub mod eval;
 pub mod experiment;
+pub mod film;
 pub mod janitor;
 pub mod mjcf;
 pub mod plot;
@@ -42,9 +43,11 @@ pub use crate::not_the_same::NotTheSame;
 pub fn run(command: Command) -> anyhow::Result<()> {
     // Others have something to end first, or nothing to be stopped in.
     let stoppable = match &command {
-        Command::Eval(_) | Command::Experiment(_) | Command::Simulate(_) | Command::Rollout(_) => {
-            true
-        }
+        Command::Eval(_)
+        | Command::Experiment(_)
+        | Command::Film(_)
+        | Command::Simulate(_)
+        | Command::Rollout(_) => true,
         Command::Reproduce(args) => !args.train,
         _ => false,
     };
@@ -58,6 +61,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Experiment(args) => experiment::run(&args),
         Command::Reproduce(args) => reproduce::run(&args),
         Command::Plot(args) => plot::run(&args),
+        Command::Film(args) => film::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Doctor(args) => doctor::run(args),

@@ -12,6 +12,7 @@ mod exactness;
 mod experiment;
 mod failures;
 mod files;
+mod film;
 mod golden;
 mod guide;
 mod http;

@@ -32,6 +32,11 @@ pub(crate) fn nth(place: usize) -> RGBColor {
 }
 
 impl Color {
+    /// Red, green and blue in sRGB.
+    pub const fn bytes(self) -> [u8; 3] {
+        [self.0, self.1, self.2]
+    }
+
     pub(crate) const fn rgb(self) -> RGBColor {
         RGBColor(self.0, self.1, self.2)
     }

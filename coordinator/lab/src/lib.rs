@@ -2,6 +2,7 @@
 //!
 //! * [`evaluation`]: how well a policy does on goals it never saw, and beside the paper's;
 //! * [`experiments`]: the paper's experiments, one file each; [`reproduce`] does all of them and makes a page;
+//! * [`film`]: episodes as moving pictures;
 //! * [`figures`]: learning curves of runs, and the panels that everything is drawn in;
 //! * [`verification`]: whether two runs, or a run and its repetition, are the same to the bit;
 //! * [`mod@bench`]: how fast a machine simulates, learns and transports;
@@ -11,6 +12,7 @@ pub mod bench;
 pub mod evaluation;
 pub mod experiments;
 pub mod figures;
+pub mod film;
 pub mod reproduce;
 pub mod statistics;
 pub mod threads;

@@ -5,6 +5,7 @@
 //! ([`crate::peer`]). The service is on this machine, so deadlines are short and no proxy is asked.
 
 use std::io::ErrorKind;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
@@ -110,30 +111,18 @@ impl Client {
     /// the one in the run directory, or else that of the environment. Whatever the lock file says,
     /// the token goes to no process but one of this user.
     pub fn of_run(run_dir: &Path, token: Option<Token>) -> Result<Self, ExitError> {
-        let refuse = |what: String| ExitError::new(ExitCode::RunDirectory, what);
-        let place = run_dir.display();
-        let lock = RunDir::new(run_dir).lock();
-        let holder = RunLock::own_holder(&lock)
-            .map_err(|error: LockError| refuse(error.to_string()))?
-            .ok_or_else(|| {
-                refuse(format!(
-                    "{place}: no run is going on in this directory; `octopus status` lists the runs"
-                ))
-            })?;
-        let announced = holder.http.as_deref().ok_or_else(|| {
-            refuse(format!(
-                "{place}: the run has no HTTP service, or not yet: it is still starting, or was \
-                 started without one"
-            ))
-        })?;
-        let address = peer::address(&holder, announced).map_err(|reason| {
-            refuse(format!("{}: {reason}; the token is not sent there", lock.display()))
-        })?;
-        let token = match token {
-            Some(token) => Some(token),
-            None => own_token(run_dir)?,
-        };
+        let (address, token) = service_of(run_dir, token)?;
         Ok(Self::new(&address.to_string()).with_token(token))
+    }
+
+    /// The address of the page of the run that goes on in `run_dir`, with the token that [`Self::of_run`] would show.
+    pub fn page_of_run(run_dir: &Path, token: Option<Token>) -> Result<String, ExitError> {
+        let (address, token) = service_of(run_dir, token)?;
+        let address = address.to_string();
+        Ok(token.map_or_else(
+            || format!("http://{address}/"),
+            |token| token.page_address(&address, None),
+        ))
     }
 
     /// What the run is doing.
@@ -175,6 +164,38 @@ impl Client {
         let request = self.agent.configure_request(request.body(body)?);
         self.agent.run(request.timeout_global(Some(time)).build())
     }
+}
+
+/// Where the service of a run is and what to show it; whatever the lock file says, a token goes to no process but
+/// one of this user.
+fn service_of(
+    run_dir: &Path,
+    token: Option<Token>,
+) -> Result<(SocketAddr, Option<Token>), ExitError> {
+    let refuse = |what: String| ExitError::new(ExitCode::RunDirectory, what);
+    let place = run_dir.display();
+    let lock = RunDir::new(run_dir).lock();
+    let holder = RunLock::own_holder(&lock)
+        .map_err(|error: LockError| refuse(error.to_string()))?
+        .ok_or_else(|| {
+            refuse(format!(
+                "{place}: no run is going on in this directory; `octopus status` lists the runs"
+            ))
+        })?;
+    let announced = holder.http.as_deref().ok_or_else(|| {
+        refuse(format!(
+            "{place}: the run has no HTTP service, or not yet: it is still starting, or was \
+                 started without one"
+        ))
+    })?;
+    let address = peer::address(&holder, announced).map_err(|reason| {
+        refuse(format!("{}: {reason}; the token is not sent there", lock.display()))
+    })?;
+    let token = match token {
+        Some(token) => Some(token),
+        None => own_token(run_dir)?,
+    };
+    Ok((address, token))
 }
 
 /// The token that the run in `run_dir` has made for itself; without one, that of the environment.

@@ -2,9 +2,11 @@
 //!
 //! * [`live`]: a live run as others see it, and what it can be asked to do;
 //! * [`http`]: the service;
+//! * [`page`]: what the service shows in a browser;
 //! * [`client`]: who asks it, and [`peer`], whom a client believes.
 
 pub mod client;
 pub mod http;
 pub mod live;
+pub mod page;
 pub mod peer;

@@ -17,13 +17,16 @@ use proto::{ExitCode, ExitError};
 
 use super::connection_slots::ConnectionSlot;
 use super::context::{Context, Shared};
+use super::page;
 use super::problem::Problem;
 use super::request_body::RequestBody;
 use super::token::{TOKEN_VARIABLE, Token};
 
-/// Paths that need no token. What stands there tells strangers nothing and changes nothing: a sign
-/// of life for load balancers; a page that is to ask its user for the token would stand here, too.
-const PUBLIC: [&str; 1] = ["/health"];
+/// Whether a path needs no token. What stands there tells strangers nothing and changes nothing: a sign
+/// of life for load balancers, and the page, which asks its user for the token.
+pub(super) fn is_public(path: &str) -> bool {
+    path == "/health" || page::is_of_page(path)
+}
 
 /// Refuses to listen beyond this machine unless somebody has chosen a token for that.
 pub(super) fn check_address(address: SocketAddr, token: Option<&Token>) -> Result<(), ExitError> {
@@ -42,10 +45,14 @@ pub(super) fn check_address(address: SocketAddr, token: Option<&Token>) -> Resul
 /// The layer around every route.
 pub(super) async fn layer(State(context): State<Shared>, request: Request, next: Next) -> Response {
     let admitted = check_host(&request).and_then(|()| {
-        if PUBLIC.contains(&request.uri().path()) {
+        if is_public(request.uri().path()) {
             return Ok(());
         }
         check_token(&context, &request)?;
+        if context.read_only && !request.method().is_safe() {
+            let message = "this service changes nothing: it was started to be looked at only";
+            return Err(Problem::new(StatusCode::FORBIDDEN, message));
+        }
         if let Some(seat) = request.extensions().get::<ConnectionSlot>() {
             seat.prove();
         }

@@ -24,6 +24,8 @@ pub(super) struct Context {
     /// Whoever shows one of them may do everything.
     tokens: Vec<Token>,
     pub(super) limits: Limits,
+    /// Whether nothing may be changed.
+    pub(super) read_only: bool,
     /// Which files were found whole.
     pub(super) checked: Arc<Checked>,
     /// Counts requests.
@@ -44,6 +46,7 @@ impl Context {
         live: Option<LiveRun>,
         tokens: Vec<Token>,
         limits: Limits,
+        read_only: bool,
     ) -> Self {
         Self {
             store: store.with_patience(LockTimeout::new(limits.lock_time)),
@@ -56,6 +59,7 @@ impl Context {
             archives: Arc::new(Semaphore::new(limits.archives)),
             import: Mutex::new(()),
             limits,
+            read_only,
         }
     }
 

@@ -11,6 +11,8 @@ use utoipa::openapi::{
 };
 use utoipa::{IntoResponses, Modify, OpenApi, PartialSchema, ToSchema};
 
+use super::access;
+
 const DESCRIPTION: &str = "\
 Checkpoints of multi-arm space robots' training, and the run that makes them if the service stands \
 beside one (`octopus train`); `octopus serve` serves a directory of checkpoints alone, and then the \
@@ -94,9 +96,13 @@ impl IntoResponses for Refusals {
 /// Adds to every route what the layers around it may answer.
 pub(super) fn complete(document: &mut Document) {
     for (path, item) in &mut document.paths.paths {
+        for operation in [&mut item.put, &mut item.post, &mut item.delete].into_iter().flatten() {
+            let read_only = "The service was started to be looked at only";
+            answer(operation, "403", problem(read_only));
+        }
         let operations = [&mut item.get, &mut item.put, &mut item.post, &mut item.delete];
         for operation in operations.into_iter().flatten() {
-            if path != "/health" {
+            if path != "/page/{file}" && !access::is_public(path) {
                 let needed = "The request does not show the token";
                 answer(operation, "401", problem(needed));
             }

@@ -1,6 +1,8 @@
 //! The checkpoint service over HTTP, beside a live run or alone.
 //!
 //! ```text
+//! GET    /                                     the page, for people
+//! GET    /page/{file}                          a file of the page
 //! GET    /health                               alive
 //! GET    /metrics                              Prometheus
 //! GET    /openapi.json                         this list, for programs
@@ -13,6 +15,8 @@
 //! GET    /v1/checkpoints/{name}/files/{file}   download one file, or a range of its bytes
 //! PUT    /v1/checkpoints/{name}/pin            keep one for ever; DELETE lets go of it
 //! PUT    /v1/checkpoints/{name}/tags/{tag}     give one a name; DELETE takes it away
+//! GET    /v1/metrics                           lines of the metrics, as they grow
+//! GET    /v1/evaluations                       lines of the evaluations, likewise
 //! GET    /v1/status                            what the live run is doing
 //! PUT    /v1/workers                           change the live run's number of workers
 //! ```
@@ -40,9 +44,11 @@ mod limits;
 mod metrics;
 mod minimum_rate;
 mod own_token;
+mod page;
 mod params;
 mod problem;
 mod ranges;
+mod recorded;
 mod request_body;
 mod requests;
 mod router;

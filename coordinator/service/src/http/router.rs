@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use axum::extract::Request;
+use axum::extract::{Request, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{from_fn, from_fn_with_state};
@@ -16,11 +16,13 @@ use utoipa_axum::routes;
 use super::context::Shared;
 use super::counting;
 use super::problem::Problem;
-use super::{access, archives, checkpoints, document, files, metrics, run, uploads};
+use super::{access, archives, checkpoints, document, files, metrics, page, recorded, run, uploads};
 
 /// All routes and the document that describes them.
 fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::with_openapi(document::head())
+        .routes(routes!(page::home))
+        .routes(routes!(page::file))
         .routes(routes!(health))
         .routes(routes!(metrics::metrics))
         .routes(routes!(openapi))
@@ -30,6 +32,8 @@ fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(files::download))
         .routes(routes!(checkpoints::pin, checkpoints::unpin))
         .routes(routes!(checkpoints::tag, checkpoints::untag))
+        .routes(routes!(recorded::metrics))
+        .routes(routes!(recorded::evaluations))
         .routes(routes!(run::status))
         .routes(routes!(run::scale))
 }
@@ -52,14 +56,20 @@ pub(super) struct Health {
     status: String,
     /// Version of the program.
     version: String,
+    /// Whether it refuses to change anything.
+    read_only: bool,
 }
 
 /// Says that the service is alive. Needs no token.
 #[utoipa::path(get, path = "/health", tag = "service", security(()), responses(
     (status = 200, description = "Alive", body = Health),
 ))]
-async fn health() -> Json<Health> {
-    Json(Health { status: "ok".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() })
+async fn health(State(context): State<Shared>) -> Json<Health> {
+    Json(Health {
+        status: "ok".to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        read_only: context.read_only,
+    })
 }
 
 /// This document.

@@ -36,6 +36,8 @@ pub struct ServiceSpec {
     pub live: Option<LiveRun>,
     /// Bounds.
     pub limits: Limits,
+    /// Whether to change nothing, whoever asks.
+    pub read_only: bool,
 }
 
 impl ServiceSpec {
@@ -48,6 +50,7 @@ impl ServiceSpec {
             store,
             live: None,
             limits: Limits::default(),
+            read_only: false,
         }
     }
 }
@@ -88,6 +91,7 @@ impl Service {
             spec.live,
             spec.token.into_iter().chain([spec.own]).collect(),
             spec.limits,
+            spec.read_only,
         ));
         let thread = std::thread::Builder::new()
             .name("http".to_owned())

@@ -1,6 +1,6 @@
 //! The secret that a client of the service must know.
 
-use std::fmt;
+use std::fmt::{self, Write as _};
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
@@ -75,6 +75,22 @@ impl Token {
             Some(path) => Self::from_file(path).map(Some),
             None => Self::from_environment(),
         }
+    }
+
+    /// The page of the service that listens at `address` and knows this token, perhaps with a policy that it shows
+    /// first. The token stands where no browser sends it: in the fragment.
+    pub fn page_address(&self, address: &str, policy: Option<&str>) -> String {
+        let mut fragment = String::from("token=");
+        for byte in self.0.bytes() {
+            if byte.is_ascii_alphanumeric() {
+                fragment.push(byte.into());
+            } else {
+                let _ = write!(fragment, "%{byte:02X}");
+            }
+        }
+        // Names of checkpoints need no escaping.
+        let policy = policy.map_or_else(String::new, |name| format!("policy={name}&"));
+        format!("http://{address}/#{policy}{fragment}")
     }
 
     /// Whether `offered` is the token. How long this takes says nothing about where they differ,

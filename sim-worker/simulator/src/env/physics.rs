@@ -4,13 +4,14 @@ use proto::config::{Config, Integrator};
 
 use crate::collision::{Touching, touching};
 use crate::dynamics::invariants::{BaseMotion, Invariants, invariants};
+use crate::dynamics::servo::servo;
 use crate::dynamics::{Hand, hands};
-use crate::model::Model;
+use crate::model::{Model, Partner};
 use crate::robot::Robot;
 use crate::scalar::Real;
-#[cfg(test)]
-use crate::spatial::Vec3;
-use crate::spatial::{euler_xyz, quaternion_to_rotation, sub};
+use crate::spatial::{
+    Mat3, Vec3, add, euler_xyz, mat_mat, mat_vec, quaternion_to_rotation, scale, sub,
+};
 use crate::state::State;
 use crate::step::{self, Disturbance, StepOptions, step, step_disturbed};
 use crate::task::Readings;
@@ -96,6 +97,60 @@ impl<S: Real> Physics<S> {
         }
         touching(&self.model, &mut self.workspace, state)
     }
+
+    /// Hands of all arms when the robot was last read.
+    pub(crate) fn hands(&self) -> &[Hand<S>] {
+        &self.hands
+    }
+}
+
+impl Physics<f32> {
+    /// Axes in the world and origin (m) of a link's frame, or of the base's, of a robot that was read in this state.
+    pub(crate) fn body(&self, state: &State<f32>, link: Option<usize>) -> (Mat3<f32>, Vec3<f32>) {
+        let r_wb = quaternion_to_rotation(&state.base_quaternion);
+        let Some(link) = link else { return (r_wb, state.base_position) };
+        let pose = &self.workspace.poses[link];
+        (mat_mat(&r_wb, &pose.r), add(state.base_position, mat_vec(&r_wb, pose.o)))
+    }
+
+    /// The servos' torques (N m) for `command` (rad/s) at rates `qd` (rad/s); all arm-major.
+    pub(crate) fn torques(&mut self, command: &[f32], qd: &[f32], torques: &mut [f32]) {
+        servo(&self.model, &mut self.workspace, command, qd);
+        for (torque, link) in torques.iter_mut().zip(&self.workspace.links) {
+            *torque = link.tau;
+        }
+    }
+
+    /// The contacts that pushed in the last evaluation of the last step, which led to `state`.
+    pub(crate) fn pushes(&self, state: &State<f32>, pushes: &mut Vec<Push<f32>>) {
+        pushes.clear();
+        let r_wb = quaternion_to_rotation(&state.base_quaternion);
+        for contact in self.workspace.contacts.contacts.iter().filter(|c| c.force > 0.0) {
+            let pair = &self.model.collision.pairs[contact.pair];
+            pushes.push(Push {
+                point: add(state.base_position, mat_vec(&r_wb, contact.point)),
+                force: mat_vec(&r_wb, scale(contact.force, contact.normal)),
+                on: pair.a,
+                by: match pair.b {
+                    Partner::Link(link) => Some(link),
+                    Partner::Fixed(_) => None,
+                },
+            });
+        }
+    }
+}
+
+/// A contact that pushes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Push<S> {
+    /// Where, in the world (m).
+    pub point: Vec3<S>,
+    /// Force on the first body, world axes (N).
+    pub force: Vec3<S>,
+    /// The first body: a link, arm-major.
+    pub on: usize,
+    /// The second: a link, or the base with what is welded to it.
+    pub by: Option<usize>,
 }
 
 /// The integration that a configuration describes.

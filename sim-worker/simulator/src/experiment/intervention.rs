@@ -3,10 +3,12 @@
 use std::ops::Range;
 
 use proto::rng::{Address, Purpose};
+use serde::{Deserialize, Serialize};
 
+use super::stepper::Chunk;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
-use crate::step::Disturbance;
+use crate::step::{Disturbance, Wrench};
 
 /// Something that happens in every episode, from a control step on.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,7 +20,8 @@ pub struct Intervention {
 }
 
 /// What happens.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Effect {
     /// Actions are replaced, after clipping and before scaling.
     Action {
@@ -46,28 +49,37 @@ pub enum Effect {
         /// The arm.
         arm: usize,
     },
+    /// A force and a torque act on a body.
+    Wrench {
+        /// The body: 0 is the base, 1 + l is link l, arm-major.
+        body: usize,
+        /// Where the force pulls, fixed to the body: base frame or link frame (m).
+        point: [f64; 3],
+        /// World axes (N).
+        force: [f64; 3],
+        /// World axes (N m).
+        torque: [f64; 3],
+    },
 }
 
 /// Episodes in the lanes of a group; lanes beyond the last episode repeat it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lanes {
-    pub(super) seed: u64,
-    /// Global index of the chunk's first episode, and the group's first in the chunk.
-    pub(super) first: u32,
+    pub(super) envs: Chunk,
+    /// The group's first episode among them.
     pub(super) group: usize,
-    /// Episodes of the chunk.
-    pub(super) n_envs: usize,
 }
 
 impl Lanes {
     /// Fills `out` with standard normal numbers, each lane with its episode's own.
     #[inline(always)]
     pub(super) fn normals<S: Real>(self, purpose: Purpose, step: usize, out: &mut [S]) {
+        let Chunk { seed, first, n_envs } = self.envs;
         for lane in 0..S::LANES {
-            let env = self.first + (self.group + lane).min(self.n_envs - 1) as u32;
+            let env = first + (self.group + lane).min(n_envs - 1) as u32;
             for (index, four) in out.chunks_mut(4).enumerate() {
                 let address = Address {
-                    seed: self.seed,
+                    seed,
                     purpose,
                     iteration: 0,
                     env,
@@ -82,11 +94,11 @@ impl Lanes {
     }
 }
 
-impl Intervention {
+impl Effect {
     /// Replaces actions.
     #[inline(always)]
     pub(super) fn replace<S: Real>(&self, action: &mut [S]) {
-        if let Effect::Action { joints, value } = &self.effect {
+        if let Self::Action { joints, value } = self {
             action[joints.clone()].fill(S::splat(*value));
         }
     }
@@ -100,27 +112,35 @@ impl Intervention {
         drawn: &mut [S],
         disturbance: &mut Disturbance<S>,
     ) -> bool {
-        match &self.effect {
-            Effect::Action { .. } => return false,
-            Effect::HandForce { arm, force } => {
+        match self {
+            Self::Action { .. } => return false,
+            Self::HandForce { arm, force } => {
                 for (slot, component) in disturbance.hand_force[*arm].iter_mut().zip(force) {
                     *slot += S::splat(*component);
                 }
             }
-            Effect::BaseTorque(torque) => {
+            Self::BaseTorque(torque) => {
                 for (slot, component) in disturbance.base_torque.iter_mut().zip(torque) {
                     *slot += S::splat(*component);
                 }
             }
-            Effect::JointTorque { std } => {
+            Self::JointTorque { std } => {
                 lanes.normals(Purpose::JointDisturbance, step, drawn);
                 for (slot, normal) in disturbance.joint_torque.iter_mut().zip(drawn) {
                     *slot = normal.mul_add(S::splat(*std), *slot);
                 }
             }
-            Effect::Limp { arm } => {
+            Self::Limp { arm } => {
                 let first = arm * JOINTS_PER_ARM;
                 disturbance.servo[first..first + JOINTS_PER_ARM].fill(S::zero());
+            }
+            Self::Wrench { body, point, force, torque } => {
+                disturbance.wrenches.push(Wrench {
+                    link: body.checked_sub(1),
+                    point: point.map(S::splat),
+                    force: force.map(S::splat),
+                    torque: torque.map(S::splat),
+                });
             }
         }
         true

@@ -6,19 +6,28 @@
 //!
 //! Everything random is addressed by seed, episode and step, so a recording depends neither on threads nor on how episodes lie in lanes.
 //!
+//! An [`Episode`] is the same for one environment, a step at a time, for whoever takes hold of it.
+//!
 //! **Why a loop of its own.** The loop of training ([`crate::rollout`]) explores, pays and writes blocks; this
 //! one has several policies, interventions, noise and a record. One loop for both would carry the branches of
 //! each through the other. A test holds them together: without exploration and interventions both give the same
 //! bits.
 
+mod episode;
+mod event;
 mod intervention;
 mod noise;
 mod play;
 mod recording;
 mod skeleton;
+mod stepper;
 mod trial;
 mod trial_loop;
 
+pub use episode::{Episode, Member, ScriptError, Snapshot};
+pub use event::{
+    Control, Event, EventError, GoalPurpose, LONGEST_DELAY, Script, Start, TimedEvent,
+};
 pub use intervention::{Effect, Intervention};
 pub use noise::SensorNoise;
 pub(crate) use play::play_some;

@@ -1,7 +1,7 @@
 //! Sensors that err.
 
 use proto::rng::Purpose;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::intervention::Lanes;
 use crate::scalar::Real;
@@ -13,7 +13,8 @@ use crate::task::Readings;
 /// Standard deviations of what sensors add to everything that policies see, drawn anew in each control step, independent and normal.
 ///
 /// Hands are seen by sensors of their own: their errors do not follow from those of the joints.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct SensorNoise {
     /// Of positions of base and hands, each axis (m).
     pub position: f64,

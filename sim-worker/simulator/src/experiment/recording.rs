@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::stepper::Group;
+use crate::collision::Touching;
 use crate::model::ContactKind;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
-use crate::state::State;
-use crate::task::Errors;
 
 /// Control steps that the mean over an episode's tail takes.
 pub const TAIL_STEPS: usize = 20;
@@ -140,16 +140,16 @@ pub(crate) fn norm([x, y, z]: [f32; 3]) -> f32 {
     x.mul_add(x, y.mul_add(y, z * z)).sqrt()
 }
 
-/// Writes what `step` led to in the lanes of a group; `group` is its first episode in `series`, which holds `n_envs`.
+/// Writes what `step` led to in the lanes of a group that was read; `group` is its first episode in `series`, which holds `n_envs`.
 #[inline(always)]
 pub(super) fn record<S: Real>(
     series: &mut [f32],
     (group, n_envs): (usize, usize),
     (step, steps): (usize, usize),
-    errors: &Errors<S>,
-    state: &State<S>,
-    contacts: &[S; ContactKind::COUNT],
+    read: &Group<S>,
 ) {
+    let Group { state, errors, touching, .. } = read;
+    let Some(Touching { by_kind: contacts, .. }) = touching else { return };
     let n_arms = errors.hands.len();
     let width = width(n_arms);
     for lane in 0..S::LANES.min(n_envs - group) {

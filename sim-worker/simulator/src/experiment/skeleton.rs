@@ -1,6 +1,6 @@
 //! A robot as points in the world, for drawings.
 
-use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use super::Pose;
 use crate::robot::{JOINTS_PER_ARM, Robot};
@@ -38,7 +38,8 @@ impl Skeleton {
             let foot = arm.mount.centre - arm.mount.rotation.column(2) * arm.mount.half.z;
             let mut points = vec![(origin + base * foot).into(), o.into()];
             for (index, (link, &q)) in robot.links.iter().zip(joints).enumerate() {
-                r *= Rotation3::from_axis_angle(&Vector3::z_axis(), f64::from(q)).matrix();
+                let (sin, cos) = libm::sincos(f64::from(q));
+                r *= Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
                 if index + 1 == JOINTS_PER_ARM {
                     points.push((o + r * robot.tool_position).into());
                 } else {

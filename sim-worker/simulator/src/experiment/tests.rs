@@ -17,7 +17,7 @@ use crate::robot::Robot;
 use crate::rollout::{RolloutSpec, World, rollout};
 
 /// A world with a small network, whose exploration is too small to change a bit.
-fn world(task: TaskName, robot: &Robot) -> World {
+pub(super) fn world(task: TaskName, robot: &Robot) -> World {
     let mut config = Layers::new(Preset::Tuned, Some(task)).resolve().expect("valid");
     config.network.hidden = vec![16];
     config.env.n_envs = 18;
@@ -28,11 +28,11 @@ fn world(task: TaskName, robot: &Robot) -> World {
     World::new(&config, robot)
 }
 
-fn paper() -> Robot {
+pub(super) fn paper() -> Robot {
     Robot::builtin("paper").expect("built in")
 }
 
-fn policy(world: &World) -> Policy {
+pub(super) fn policy(world: &World) -> Policy {
     let mut flat = parameters(&world.config, &world.dimensions, 8);
     let layout = proto::layout::ActorLayout::new(&world.config, &world.dimensions);
     let log_std = layout.tensors.iter().find(|tensor| tensor.name == "log_std").expect("exists");
@@ -229,13 +229,15 @@ fn fixed_goals_are_what_errors_are_against() {
 #[test]
 fn sensors_err_as_told() {
     use super::intervention::Lanes;
+    use super::stepper::Chunk;
     use crate::task::Readings;
     let noise = SensorNoise { position: 0.1, angle: 0.01, velocity: 10.0, rate: 1.0 };
     let (mut squares, mut n) = ([0.0_f64; 4], 0.0);
     let mut drawn = vec![0.0; SensorNoise::draws(4)];
     for step in 0..200 {
         let mut readings = Readings::<f64>::new(4);
-        let lanes = Lanes { seed: 1, first: 7, group: 0, n_envs: 1 };
+        let envs = Chunk { seed: 1, first: 7, n_envs: 1 };
+        let lanes = Lanes { envs, group: 0 };
         noise.add_to(lanes, step, &mut drawn, &mut readings);
         let of = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64;
         for hand in &readings.hands {

@@ -39,24 +39,22 @@ pub struct Phase {
     pub arms: Vec<Option<usize>>,
 }
 
-impl Phase {
-    /// Whether `player` moves the joints of `agent`.
-    pub(super) fn moves(&self, player: usize, agent: usize) -> bool {
-        self.arms[agent / AGENTS_PER_ARM] == Some(player)
-    }
+/// Whether `player` moves the joints of `agent`; `arms` is that of a [`Phase`].
+pub(super) fn moves(arms: &[Option<usize>], player: usize, agent: usize) -> bool {
+    arms[agent / AGENTS_PER_ARM] == Some(player)
+}
 
-    /// The player's actors that move anything, an actor of all agents also if it moves but one arm.
-    pub(super) fn actors(
-        &self,
-        player: usize,
-        dimensions: &Dimensions,
-    ) -> impl Iterator<Item = usize> {
-        let agents_per_actor = dimensions.agents_per_actor();
-        (0..dimensions.n_actors).filter(move |actor| {
-            let first = actor * agents_per_actor;
-            (first..first + agents_per_actor).any(|agent| self.moves(player, agent))
-        })
-    }
+/// The player's actors that move anything, an actor of all agents also if it moves but one arm.
+pub(super) fn actors(
+    arms: &[Option<usize>],
+    player: usize,
+    dimensions: &Dimensions,
+) -> impl Iterator<Item = usize> {
+    let agents_per_actor = dimensions.agents_per_actor();
+    (0..dimensions.n_actors).filter(move |actor| {
+        let first = actor * agents_per_actor;
+        (first..first + agents_per_actor).any(|agent| moves(arms, player, agent))
+    })
 }
 
 /// Goals that are given instead of drawn.

@@ -1,6 +1,6 @@
 //! Convex shapes as a core and a radius around it, and where they stand.
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use crate::robot::Shape;
 use crate::scalar::Real;
@@ -122,14 +122,12 @@ impl Bound<f64> {
         let longest = pairs.max_by(|a, b| a.norm().total_cmp(&b.norm()))?;
         let axis = longest.try_normalize(1e-9).unwrap_or_else(Vector3::z);
         // In axes whose x is the capsule's: a box around the centres, and its middle line.
-        let turn = Rotation3::rotation_between(&axis, &Vector3::x()).unwrap_or_else(|| {
-            Rotation3::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI)
-        });
+        let turn = turn_to_x(&axis);
         let centres: Vec<Vector3<f64>> = balls.iter().map(|(c, _)| turn * c).collect();
         let low = centres.iter().copied().reduce(|a, b| a.inf(&b))?;
         let high = centres.iter().copied().reduce(|a, b| a.sup(&b))?;
         let middle = (low + high) / 2.0;
-        let end = |x: f64| (turn.inverse() * Vector3::new(x, middle.y, middle.z)).into();
+        let end = |x: f64| (turn.transpose() * Vector3::new(x, middle.y, middle.z)).into();
         let radius = centres
             .iter()
             .zip(&balls)
@@ -143,6 +141,18 @@ impl Bound<f64> {
         let (from, to) = (Vector3::from(self.from), Vector3::from(self.to));
         ((from + to) / 2.0, (to - from).norm() / 2.0 + self.radius)
     }
+}
+
+/// The shortest rotation that takes the unit vector `axis` to x [Rodrigues' formula], without an angle: the same bits everywhere.
+fn turn_to_x(axis: &Vector3<f64>) -> Matrix3<f64> {
+    let cos = axis.x;
+    if cos < -1.0 + 1e-6 {
+        // All but a half turn: first half a turn about z, then the small rest.
+        let half = Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0));
+        return turn_to_x(&(half * axis)) * half;
+    }
+    let cross = axis.cross(&Vector3::x()).cross_matrix();
+    Matrix3::identity() + cross + cross * cross / (1.0 + cos)
 }
 
 impl<S: Real> Bound<S> {
@@ -182,5 +192,23 @@ impl<S: Real> Bound<S> {
     #[inline(always)]
     pub(crate) fn middle(&self) -> Vec3<S> {
         scale(S::splat(0.5), add(self.from, self.to))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_axis_turns_to_x() {
+        let mut axes = vec![Vector3::x(), -Vector3::x(), Vector3::y(), -Vector3::z()];
+        axes.extend([1e-3, -1e-4, 1e-9].map(|y| Vector3::new(-1.0, y, 0.5 * y).normalize()));
+        axes.extend([0.3, -0.9].map(|x| Vector3::new(x, 0.5, -0.7).normalize()));
+        for axis in axes {
+            let turn = turn_to_x(&axis);
+            assert!((turn * axis - Vector3::x()).norm() < 1e-9, "{axis}");
+            assert!((turn * turn.transpose() - Matrix3::identity()).norm() < 1e-9, "{axis}");
+            assert!((turn.determinant() - 1.0).abs() < 1e-9, "{axis}");
+        }
     }
 }

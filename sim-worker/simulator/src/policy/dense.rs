@@ -1,6 +1,6 @@
 //! One fully connected layer on lanes: packed weights and the register-tiled product.
 
-use crate::scalar::{PairKernel, PairProducts, Real, WeightPair, bf16_bias};
+use crate::scalar::{Fused, Mask, PairKernel, PairProducts, Real, WeightPair, bf16_bias};
 
 /// Units of a panel: what one pass over the inputs accumulates in registers.
 ///
@@ -33,7 +33,7 @@ struct Single;
 impl<S: Real> Accumulate<S, S, f32> for Single {
     #[inline(always)]
     fn add(self, sum: S, x: S, w: f32) -> S {
-        S::splat(f64::from(w)).mul_add(x, sum)
+        S::splat(f64::from(w)).mul_add_inlined(x, sum)
     }
 }
 
@@ -120,7 +120,20 @@ impl<S: Real> PairKernel<S> for PairProduct<'_, S> {
     fn run<P: PairProducts>(self, products: P) {
         let Self { dense, x, out, groups, stride } = self;
         dense.tiles(x, out, groups, stride, Pairs(products));
+        if products.rounded_apart() && !all_finite(out) {
+            // A product may have overflowed that fused would not have. A sum that did stays so.
+            dense.tiles(x, out, groups, stride, Pairs(Fused));
+        }
     }
+}
+
+#[inline(always)]
+fn all_finite<S: Real>(x: &[S]) -> bool {
+    let mut finite = S::Mask::splat(true);
+    for value in x {
+        finite = finite & value.abs().le(S::splat(f64::from(f32::MAX)));
+    }
+    finite.all()
 }
 
 impl<W: Copy> Dense<W> {

@@ -16,6 +16,7 @@
 //! compositions use it.
 
 mod dense;
+pub mod file;
 mod inference;
 mod initial;
 mod pack;

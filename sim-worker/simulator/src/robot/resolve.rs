@@ -391,6 +391,7 @@ fn sin_cos_deg(deg: f64) -> (f64, f64) {
     if turns == turns.round() && turns.abs() < 1e9 {
         [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)][(turns as i64).rem_euclid(4) as usize]
     } else {
-        deg.to_radians().sin_cos()
+        // Not the C library's: the same bits everywhere.
+        libm::sincos(deg.to_radians())
     }
 }

@@ -31,7 +31,7 @@ impl WeightPair {
 
 /// The nearest bfloat16, ties to even; zero where that is below [`SMALLEST`].
 #[inline(always)]
-pub(super) fn round(x: f32) -> f32 {
+pub(crate) fn round(x: f32) -> f32 {
     let bits = x.to_bits();
     let nearest = bits.wrapping_add(0x7fff + (bits >> 16 & 1)) & 0xffff_0000;
     if x.abs() < SMALLEST { 0.0 } else { f32::from_bits(nearest) }
@@ -46,16 +46,42 @@ pub(crate) fn bias(x: f32) -> f32 {
 pub trait PairProducts: Copy {
     /// The proof that the processor has an instruction for them, if that is to be used.
     fn native(self) -> Option<Native>;
+
+    /// Whether products are rounded before they are added.
+    ///
+    /// A product of two bfloat16 has sixteen digits, so it is exact in an `f32` and the sum is that of a fused multiply-add, unless the product overflows:
+    /// whoever computes so must compute again what is not finite in the end.
+    #[inline(always)]
+    fn rounded_apart(self) -> bool {
+        false
+    }
 }
 
 /// By two fused multiply-adds.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fused;
+pub(crate) struct Fused;
 
 impl PairProducts for Fused {
     #[inline(always)]
     fn native(self) -> Option<Native> {
         None
+    }
+}
+
+/// By multiplications and additions.
+#[cfg(any(test, target_arch = "wasm32"))]
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sums;
+
+#[cfg(any(test, target_arch = "wasm32"))]
+impl PairProducts for Sums {
+    #[inline(always)]
+    fn native(self) -> Option<Native> {
+        None
+    }
+    #[inline(always)]
+    fn rounded_apart(self) -> bool {
+        true
     }
 }
 
@@ -92,9 +118,12 @@ macro_rules! pairs_side_by_side {
             self,
             x: [Self; 2],
             w: crate::scalar::WeightPair,
-            _: P,
+            by: P,
         ) -> Self {
             let [first, second] = w.widened().map(|w| Self::splat(f64::from(w)));
+            if by.rounded_apart() {
+                return x[0] * first + (x[1] * second + self);
+            }
             x[0].mul_add(first, x[1].mul_add(second, self))
         }
     };
@@ -104,6 +133,7 @@ pub(super) use pairs_side_by_side;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scalar::real::BySums;
     use crate::scalar::{Backend, LaneFn, PairKernel, Real, dispatch_for, dispatch_on};
 
     #[test]
@@ -187,5 +217,7 @@ mod tests {
         let lone: Vec<u32> = f32::compiled_for_pairs(Products);
         let first_lanes: Vec<u32> = portable.iter().copied().step_by(16).collect();
         assert_eq!(lone, first_lanes);
+        // What WebAssembly does.
+        assert_eq!(f32::compiled(BySums(Products)), first_lanes);
     }
 }

@@ -34,11 +34,13 @@ pub mod elementary;
 mod bf16;
 pub(crate) mod counted;
 mod double;
+#[cfg(any(test, target_arch = "wasm32"))]
+mod fused;
 mod lanes;
 mod real;
 mod single;
 
-pub(crate) use bf16::bias as bf16_bias;
+pub(crate) use bf16::{Fused, bias as bf16_bias, round as bf16_round};
 pub use bf16::{PairProducts, WeightPair};
 pub use lanes::{Backend, dispatch, dispatch_for, dispatch_on};
 pub use real::{Kernel, LANES, LaneFn, Mask, PairKernel, Real, is_finite};

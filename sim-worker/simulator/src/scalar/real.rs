@@ -3,6 +3,8 @@
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
+#[cfg(any(test, target_arch = "wasm32"))]
+use super::bf16::Sums;
 use super::bf16::{Fused, PairProducts, WeightPair};
 
 /// Lanes of the lane types; where there are few environments, [`dispatch_for`](super::dispatch_for) has one of eight.
@@ -71,6 +73,11 @@ pub trait Real:
 
     /// `self · a + b` with one rounding.
     fn mul_add(self, a: Self, b: Self) -> Self;
+    /// [`Real::mul_add`] for inner loops that do little else: inlined also where it is long.
+    #[inline(always)]
+    fn mul_add_inlined(self, a: Self, b: Self) -> Self {
+        self.mul_add(a, b)
+    }
     /// `b − self · a` with one rounding.
     fn neg_mul_add(self, a: Self, b: Self) -> Self;
     /// Square root, correctly rounded.
@@ -199,6 +206,19 @@ impl<S: Real, K: PairKernel<S>> Kernel<S> for WithoutNative<K> {
     #[inline(always)]
     fn run(self) -> K::Output {
         self.0.run(Fused)
+    }
+}
+
+/// A kernel on a processor without fused multiply-add.
+#[cfg(any(test, target_arch = "wasm32"))]
+pub(super) struct BySums<K>(pub(super) K);
+
+#[cfg(any(test, target_arch = "wasm32"))]
+impl<S: Real, K: PairKernel<S>> Kernel<S> for BySums<K> {
+    type Output = K::Output;
+    #[inline(always)]
+    fn run(self) -> K::Output {
+        self.0.run(Sums)
     }
 }
 

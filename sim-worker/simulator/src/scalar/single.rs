@@ -1,7 +1,18 @@
 //! Lone `f32`: the same bits as one lane of the lane types.
 
 use super::bf16::{self, pairs_side_by_side};
+#[cfg(target_arch = "wasm32")]
+use super::fused::mul_add as fused;
 use super::{Kernel, Real, elementary, lanes};
+#[cfg(target_arch = "wasm32")]
+use super::{PairKernel, real::BySums};
+
+/// `x · y + z` with one rounding.
+#[cfg(not(target_arch = "wasm32"))]
+#[inline(always)]
+fn fused(x: f32, y: f32, z: f32) -> f32 {
+    x.mul_add(y, z)
+}
 
 /// `a < b ? a : b`, as the processors' vector minimum.
 #[inline(always)]
@@ -79,11 +90,16 @@ impl Real for f32 {
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
-        f32::mul_add(self, a, b)
+        fused(self, a, b)
+    }
+    #[cfg(target_arch = "wasm32")]
+    #[inline(always)]
+    fn mul_add_inlined(self, a: Self, b: Self) -> Self {
+        super::fused::inlined(self, a, b)
     }
     #[inline(always)]
     fn neg_mul_add(self, a: Self, b: Self) -> Self {
-        f32::mul_add(-self, a, b)
+        fused(-self, a, b)
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
@@ -136,6 +152,11 @@ impl Real for f32 {
     #[inline(always)]
     fn compiled<K: Kernel<Self>>(kernel: K) -> K::Output {
         lanes::run_scalar(kernel)
+    }
+    #[cfg(target_arch = "wasm32")]
+    #[inline(always)]
+    fn compiled_for_pairs<K: PairKernel<Self>>(kernel: K) -> K::Output {
+        Self::compiled(BySums(kernel))
     }
     single_precision_functions!();
 }

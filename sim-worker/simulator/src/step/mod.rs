@@ -10,5 +10,5 @@ mod flat_state;
 mod options;
 
 pub use control_period::{step, step_disturbed};
-pub use disturbance::Disturbance;
+pub use disturbance::{Disturbance, Wrench};
 pub use options::{Integrator, StepOptions};

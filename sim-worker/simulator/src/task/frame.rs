@@ -24,7 +24,7 @@ pub(super) struct ArmFrame {
 impl ArmFrame {
     /// The frame of `arm`.
     pub(super) fn new(arm: &HomeArm) -> Self {
-        let side = 1.0_f64.copysign(arm.q[0].cos());
+        let side = 1.0_f64.copysign(libm::cos(arm.q[0]));
         let [x, y, z] = arm.mount;
         // At home the base's axes are the world's.
         Self { axes: [x.map(|c| side * c), y.map(|c| side * c), z] }

@@ -4,6 +4,7 @@ mod access;
 mod checkpoints;
 mod files;
 mod fuzz;
+mod page;
 mod run;
 mod service;
 mod uploads;
@@ -77,7 +78,15 @@ impl Bench {
             commit(&store, iteration);
         }
         let tokens = [TOKEN, OTHER_TOKEN].map(|token| Token::parse(token, "test").expect("valid"));
-        let context = Context::new(store.clone(), live, tokens.into(), limits);
+        let context = Context::new(store.clone(), live, tokens.into(), limits, false);
+        Self { dir, store, router: router(Arc::new(context)) }
+    }
+
+    /// Likewise, but nothing may be changed.
+    fn read_only(iterations: &[u64]) -> Self {
+        let Self { dir, store, .. } = Self::new(iterations);
+        let token = Token::parse(TOKEN, "test").expect("valid");
+        let context = Context::new(store.clone(), None, vec![token], Limits::default(), true);
         Self { dir, store, router: router(Arc::new(context)) }
     }
 

@@ -12,6 +12,7 @@
     )
 )]
 
+#[cfg(not(target_arch = "wasm32"))]
 use super::portable::F32x16Portable;
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512};
@@ -26,7 +27,7 @@ pub enum Backend {
     Avx512,
     /// Two 256-bit registers (AVX2, FMA).
     Avx2,
-    /// Plain Rust.
+    /// Plain Rust; in WebAssembly one lone number.
     Portable,
 }
 
@@ -78,6 +79,10 @@ pub fn dispatch_on<F: LaneFn>(backend: Backend, f: F) -> F::Output {
         // SAFETY: the processor features were asserted above.
         #[cfg(target_arch = "x86_64")]
         Backend::Avx2 => unsafe { avx2::call(f) },
+        // Lanes would be a loop of lone numbers there.
+        #[cfg(target_arch = "wasm32")]
+        _ => f.call::<f32>(),
+        #[cfg(not(target_arch = "wasm32"))]
         _ => f.call::<F32x16Portable>(),
     }
 }

@@ -26,6 +26,21 @@ pub struct Disturbance<S> {
     pub joint_torque: Vec<S>,
     /// Part of its torque that each servo gives, arm-major: one, or zero where the joint is limp. The drive's inertia stays; length `n_joints`.
     pub servo: Vec<S>,
+    /// Wrenches on any bodies, as many as there are.
+    pub wrenches: Vec<Wrench<S>>,
+}
+
+/// A force and a torque on one body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wrench<S> {
+    /// The link, arm-major; none is the base.
+    pub link: Option<usize>,
+    /// Where the force pulls, fixed to the body: link frame, or base frame (m).
+    pub point: Vec3<S>,
+    /// World axes (N).
+    pub force: Vec3<S>,
+    /// World axes (N m).
+    pub torque: Vec3<S>,
 }
 
 impl<S: Real> Disturbance<S> {
@@ -37,6 +52,7 @@ impl<S: Real> Disturbance<S> {
             base_torque: [zero; 3],
             joint_torque: vec![zero; n_arms * JOINTS_PER_ARM],
             servo: vec![S::one(); n_arms * JOINTS_PER_ARM],
+            wrenches: Vec::new(),
         }
     }
 
@@ -45,6 +61,8 @@ impl<S: Real> Disturbance<S> {
         assert_eq!(self.hand_force.len(), model.n_arms(), "one force an arm");
         let joints = (self.joint_torque.len(), self.servo.len());
         assert_eq!(joints, (model.n_joints(), model.n_joints()), "one torque and servo a joint");
+        let mut links = self.wrenches.iter().filter_map(|wrench| wrench.link);
+        assert!(links.all(|link| link < model.n_joints()), "links of the robot");
     }
 }
 
@@ -120,6 +138,30 @@ impl<S: Real> Kernel<S> for Bodies<'_, S> {
             let from_start = add(travelled, mat_vec(r_wb, point));
             outside.ang = cross_add(from_start, force, outside.ang);
             outside.lin = add(outside.lin, force);
+        }
+        for wrench in &disturbance.wrenches {
+            let force = mat_t_vec(r_wb, wrench.force);
+            let torque = mat_t_vec(r_wb, wrench.torque);
+            let point = match wrench.link {
+                None => {
+                    let ext = &mut ws.base_f_ext;
+                    ext.ang = cross_add(wrench.point, force, add(ext.ang, torque));
+                    ext.lin = add(ext.lin, force);
+                    wrench.point
+                }
+                Some(link) => {
+                    poses_of_arm(model, ws, link / JOINTS_PER_ARM);
+                    let pose = ws.poses[link];
+                    let point = add(pose.o, mat_vec(&pose.r, wrench.point));
+                    collision::push_link(ws, link, point, force);
+                    let ext = &mut ws.links[link].f_ext;
+                    ext.ang = add(ext.ang, mat_t_vec(&pose.r, torque));
+                    point
+                }
+            };
+            let from_start = add(travelled, mat_vec(r_wb, point));
+            outside.ang = cross_add(from_start, wrench.force, add(outside.ang, wrench.torque));
+            outside.lin = add(outside.lin, wrench.force);
         }
         ws.outside = outside;
     }

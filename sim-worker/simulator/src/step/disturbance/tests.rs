@@ -97,6 +97,75 @@ fn a_forces_angular_impulse_is_that_of_the_converged_solution() {
     assert!((ours - converged).norm() < 1e-3, "{}", ours - converged);
 }
 
+/// A wrench is what the forces at hands and the torque on the base are, on any body and at any point.
+#[test]
+fn a_wrench_at_a_hand_is_a_pull_there_and_one_on_the_base_turns_it() {
+    let robot = paper();
+    let state = moving(&robot, 3);
+    let tool: [f64; 3] = robot.tool_position.into();
+    let at_hand = |arm: usize| {
+        let link = Some(arm * JOINTS_PER_ARM + JOINTS_PER_ARM - 1);
+        Wrench { link, point: tool, force: pull().hand_force[arm], torque: [0.0; 3] }
+    };
+    let torque = [15.0, -20.0, 10.0];
+    let on_base = Wrench { link: None, point: [0.0; 3], force: [0.0; 3], torque };
+    let ours =
+        Disturbance { wrenches: vec![at_hand(1), at_hand(3), on_base], ..Disturbance::none(4) };
+    let theirs = Disturbance { base_torque: torque, ..pull() };
+    let [ours, theirs] = [ours, theirs].map(|d| struck(&robot, &state, &d, &training()));
+    assert!((ours.qd[8] - state.qd[8]).abs() > 1e-3, "it does something");
+    let numbers = |state: &State<f64>| {
+        let base = [state.base_linear_velocity, state.base_angular_velocity].concat();
+        [&base, &state.q, &state.qd].into_iter().flatten().copied().collect::<Vec<f64>>()
+    };
+    for (a, b) in numbers(&ours).into_iter().zip(numbers(&theirs)) {
+        assert!((a - b).abs() < 1e-11, "{a} {b}");
+    }
+}
+
+/// F t and, for a couple, τ t, whatever body they act on.
+#[test]
+fn a_wrench_on_any_body_leaves_its_impulse() {
+    let robot = paper();
+    let state = moving(&robot, 3);
+    for link in [None, Some(0), Some(8), Some(23)] {
+        let force = Vector3::new(12.0, -9.0, 20.0);
+        let torque = Vector3::new(-4.0, 6.0, 3.0);
+        let acts = |force: Vector3<f64>, torque: Vector3<f64>| {
+            let point = [0.1, -0.05, 0.02];
+            let wrench = Wrench { link, point, force: force.into(), torque: torque.into() };
+            let disturbance = Disturbance { wrenches: vec![wrench], ..Disturbance::none(4) };
+            let after = struck(&robot, &state, &disturbance, &training());
+            (momentum(&robot, &state), momentum(&robot, &after))
+        };
+        let (before, after) = acts(force, Vector3::zeros());
+        let gained = after.linear - before.linear;
+        assert!((gained - force * 0.4).norm() < 1e-10, "{link:?}: {gained}");
+        let (before, after) = acts(Vector3::zeros(), torque);
+        let gained = after.angular - before.angular;
+        assert!((gained - torque * 0.4).norm() < 1e-10, "{link:?}: {gained}");
+        assert!((after.linear - before.linear).norm() < 1e-10, "{link:?}");
+    }
+}
+
+/// ∫ r × F dt of a push at the edge of the base, and at an elbow.
+#[test]
+fn a_pushs_angular_impulse_is_that_of_the_converged_solution() {
+    let robot = paper();
+    let state = moving(&robot, 3);
+    for (link, point) in [(None, [0.4, 0.4, -0.4]), (Some(7), [0.2, 0.0, 0.1])] {
+        let wrench = Wrench { link, point, force: [30.0, -24.0, 32.0], torque: [0.0; 3] };
+        let disturbance = Disturbance { wrenches: vec![wrench], ..Disturbance::none(4) };
+        let before = momentum(&robot, &state).angular;
+        let [ours, converged] = [0.016, 0.00016].map(|substep| {
+            let options = StepOptions { substep, ..training() };
+            momentum(&robot, &struck(&robot, &state, &disturbance, &options)).angular
+        });
+        assert!((converged - before).norm() > 3.0, "{}", converged - before);
+        assert!((ours - converged).norm() < 1e-3, "{}", ours - converged);
+    }
+}
+
 /// With all servos limp nothing but the given torque works.
 #[test]
 fn limp_joints_keep_their_energy_and_torques_do_their_work() {

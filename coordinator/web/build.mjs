@@ -1,0 +1,68 @@
+// Makes of the page's sources what the program carries, in dist/: each file compressed, and the frame of the one file that holds all.
+//
+//     node build.mjs simulator.wasm
+
+import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+import { gzipSync } from "node:zlib";
+import { build } from "esbuild";
+
+const here = dirname(fileURLToPath(import.meta.url));
+const dist = join(here, "dist");
+const [module] = process.argv.slice(2);
+if (module === undefined) throw new Error("usage: node build.mjs simulator.wasm");
+
+const common = {
+    absWorkingDir: here,
+    bundle: true,
+    minify: true,
+    write: false,
+    target: "es2022",
+    format: "iife",
+    legalComments: "inline",
+    logLevel: "warning",
+};
+const [page, worker, boot, style] = await Promise.all([
+    build({ ...common, entryPoints: ["src/main.ts"] }),
+    build({ ...common, entryPoints: ["src/simulation/worker.ts"] }),
+    build({ ...common, entryPoints: ["src/single.ts"] }),
+    build({ ...common, entryPoints: ["src/style.css"] }),
+]);
+const text = (result) => result.outputFiles[0].text;
+
+const files = {
+    "index.html": readFileSync(join(here, "src/index.html")),
+    "page.css": Buffer.from(text(style)),
+    "page.js": Buffer.from(text(page)),
+    "worker.js": Buffer.from(text(worker)),
+    "simulator.wasm": readFileSync(module),
+};
+mkdirSync(dist, { recursive: true });
+let sum = 0;
+for (const [name, bytes] of Object.entries(files)) {
+    const compressed = gzipSync(bytes, { level: 9 });
+    sum += compressed.length;
+    put(`${name}.gz`, compressed);
+    console.log(`${name.padEnd(16)} ${kb(bytes.length)}, compressed ${kb(compressed.length)}`);
+}
+const frame = readFileSync(join(here, "src/single.html"), "utf8");
+// A function, so that `$` in the scripts means itself.
+const filled = frame.replace("/* style */", () => text(style)).replace("/* boot */", () => text(boot));
+put("single.html", Buffer.from(filled));
+console.log(`${"in all".padEnd(16)} compressed ${kb(sum)}`);
+
+/** Writes a file if it is another one than before, so that cargo builds nothing anew for the same page. */
+function put(name, bytes) {
+    const path = join(dist, name);
+    try {
+        if (readFileSync(path).equals(bytes)) return;
+    } catch {
+        // Not there yet.
+    }
+    writeFileSync(path, bytes);
+}
+
+function kb(bytes) {
+    return `${(bytes / 1000).toFixed(1).padStart(8)} kB`;
+}

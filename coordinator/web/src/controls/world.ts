@@ -1,0 +1,42 @@
+// What is other than in training: mass of the base, delay of commands.
+
+import { h } from "../page/dom";
+import type { Description } from "../simulation/types";
+
+/** A slider with its name and its value in words. */
+export function slider(
+    name: string,
+    [min, max, step]: [number, number, number],
+    value: number,
+    words: (value: number) => string,
+    changed: (value: number) => void,
+): { element: HTMLElement; set(value: number): void } {
+    const output = h("output", {}, words(value));
+    const input = h("input", { type: "range", min: String(min), max: String(max), step: String(step), value: String(value) });
+    input.oninput = () => (output.textContent = words(Number(input.value)));
+    input.onchange = () => changed(Number(input.value));
+    const element = h("label", { class: "slider" }, h("span", {}, name), output, input);
+    return {
+        element,
+        set(value) {
+            input.value = String(value);
+            output.textContent = words(value);
+        },
+    };
+}
+
+export class World {
+    readonly element = h("div", { class: "world" });
+
+    constructor(private readonly change: { mass(kilograms: number): void; delay(steps: number): void }) {}
+
+    begin({ base_mass, control_period }: Description): void {
+        const kilograms = (mass: number): string => `${mass.toFixed(0)} kg`;
+        const milliseconds = (steps: number): string => (steps === 0 ? "none" : `${(1000 * steps * control_period).toFixed(0)} ms`);
+        const most = Math.ceil((2.5 * base_mass) / 100) * 100;
+        this.element.replaceChildren(
+            slider("Mass of the base", [Math.round(base_mass / 8), most, 10], base_mass, kilograms, (mass) => this.change.mass(mass)).element,
+            slider("Delay of commands", [0, 5, 1], 0, milliseconds, (steps) => this.change.delay(steps)).element,
+        );
+    }
+}

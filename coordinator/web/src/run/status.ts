@@ -1,0 +1,60 @@
+// A live run as the service tells it.
+
+export interface Process {
+    role: "coordinator" | "learner" | "worker";
+    worker: number | null;
+    pid: number | null;
+    state: string;
+    restarts: number;
+    resident_bytes: number;
+    cpu_s: number;
+    shards: string[];
+    env_steps: number;
+}
+
+export interface LiveStatus {
+    run_dir: string;
+    state: string;
+    task: string;
+    iterations: number;
+    planned_iterations: number;
+    env_steps: number;
+    env_steps_per_s: number;
+    wall_s: number;
+    eta_s: number | null;
+    workers: number;
+    max_workers: number;
+    processes: Process[];
+    worker_restarts: number;
+    learner_restarts: number;
+    accounting: { produced: number; received: number; trained: number; duplicate: number; lost: number };
+    resident_bytes: number;
+    shared_memory_bytes: number;
+    checkpoint: string | null;
+    divergence: { iteration: number; reason: string } | null;
+}
+
+export interface Metrics {
+    iteration: number;
+    env_steps: number;
+    env_steps_per_s: number;
+    return_mean: number;
+    policy_loss: number;
+    value_loss: number;
+    errors: { position: number; orientation: number; base: number };
+}
+
+/** Seconds as people say them. */
+export function duration(seconds: number): string {
+    if (seconds < 90) return `${seconds.toFixed(0)} s`;
+    if (seconds < 5400) return `${(seconds / 60).toFixed(0)} min`;
+    return `${(seconds / 3600).toFixed(1)} h`;
+}
+
+export function bytes(count: number): string {
+    return count < 1e9 ? `${(count / 1e6).toFixed(0)} MB` : `${(count / 1e9).toFixed(1)} GB`;
+}
+
+export function grouped(count: number): string {
+    return Math.round(count).toLocaleString("en").replaceAll(",", " ");
+}

@@ -1,0 +1,206 @@
+// An episode in time: what has been simulated, where in it the page stands, and what its user did.
+
+import type { Simulation } from "./simulation";
+import type { Description, Event, Frame, PolicyFiles, Script, Start } from "./types";
+
+/** Steps after which an episode pauses: an hour of the robot's time. */
+const LONGEST = 9000;
+/** Control steps that are taken at most before the page looks again. */
+const AT_ONCE = 4;
+
+/** Something that lasts while a pointer is down: it is asked anew before each control step. */
+export type Lasting = () => Event | undefined;
+
+export class Timeline {
+    description!: Description;
+    frames: Frame[] = [];
+    events: { step: number; event: Event }[] = [];
+    start: Start = {};
+    /** Where the page stands, in control steps; between two of them while it plays. */
+    cursor = 0;
+    playing = false;
+    /** Seconds of the robot's time in one of ours. */
+    speed = 4;
+    /** Milliseconds that a control step took of late. */
+    stepMs = 0;
+    lasting: Lasting | undefined;
+    onFrames: () => void = () => undefined;
+    /** What was simulated from this control step on is another one now. */
+    onCut: (step: number) => void = () => undefined;
+    onError: (error: Error) => void = () => undefined;
+
+    private pending = new Map<string, Event>();
+    private wanted = 0;
+    private busy = false;
+    /** Counts episodes, so that an answer for an earlier one is dropped. */
+    private episode = 0;
+
+    constructor(private readonly simulation: Simulation) {}
+
+    /** The newest control step. */
+    get head(): number {
+        return this.frames.length - 1;
+    }
+
+    get period(): number {
+        return this.description.control_period;
+    }
+
+    async begin(policies: PolicyFiles[], start: Start): Promise<void> {
+        const episode = ++this.episode;
+        const { description, frame } = await this.simulation.begin(policies, start);
+        if (episode !== this.episode) return;
+        this.description = description;
+        this.start = start;
+        this.frames = [frame];
+        this.events = [];
+        this.pending.clear();
+        this.cursor = 0;
+        this.wanted = 0;
+        this.busy = false;
+        this.onCut(0);
+        this.onFrames();
+    }
+
+    /** Loads one more policy for the episode that plays; returns its slot. */
+    add(files: PolicyFiles): Promise<number> {
+        return this.simulation.policy(files);
+    }
+
+    /** Plays a script from its beginning to its end; policies must be loaded as it was recorded. */
+    async replay(policies: PolicyFiles[], script: Script): Promise<void> {
+        await this.begin(policies, script.start);
+        const episode = this.episode;
+        this.busy = true;
+        for (let step = 0; step <= script.steps; step++) {
+            const events = script.events.filter((event) => event.step === step).map(({ event }) => event);
+            const { frames } = await this.simulation.advance(step, events, step < script.steps ? 1 : 0);
+            if (episode !== this.episode) return;
+            this.keep(step, events, frames);
+        }
+        this.busy = false;
+        this.onFrames();
+    }
+
+    /** What plays the same again. */
+    script(): Script {
+        return { start: this.start, steps: this.head, events: this.events };
+    }
+
+    /** Moves time on by `seconds` of ours. */
+    tick(seconds: number): void {
+        if (this.frames.length === 0) return;
+        if (this.playing) {
+            // Who pushes in the past makes another future.
+            if (this.lasting?.() !== undefined && this.cursor < this.head - 1) this.cutAt(Math.ceil(this.cursor));
+            const target = this.cursor + (seconds * this.speed) / this.period;
+            this.cursor = Math.min(target, this.head);
+            this.wanted = Math.min(Math.ceil(target + 0.5), LONGEST);
+            if (this.head >= LONGEST && this.cursor >= this.head) this.playing = false;
+        }
+        this.work();
+    }
+
+    /** Lets something happen where the page stands; a later one of the same key takes the place of an earlier one. */
+    happen(key: string, event: Event): void {
+        if (this.cursor < this.head - 1 || (!this.playing && this.cursor < this.head)) this.cutAt(Math.ceil(this.cursor));
+        this.pending.set(key, event);
+        this.work();
+    }
+
+    play(on: boolean): void {
+        this.playing = on;
+        if (!on) {
+            this.wanted = 0;
+            this.cursor = Math.min(Math.round(this.cursor), this.head);
+        }
+        this.onFrames();
+    }
+
+    /** One control step forward. */
+    step(): void {
+        this.play(false);
+        const next = Math.floor(this.cursor) + 1;
+        if (this.lasting?.() !== undefined && next <= this.head) this.cutAt(next - 1);
+        if (next <= this.head) {
+            this.cursor = next;
+            this.onFrames();
+        } else if (next <= LONGEST) {
+            this.wanted = next;
+            this.work();
+        }
+    }
+
+    back(): void {
+        this.seek(Math.ceil(this.cursor) - 1);
+    }
+
+    seek(step: number): void {
+        this.play(false);
+        this.cursor = Math.max(0, Math.min(step, this.head));
+        this.onFrames();
+    }
+
+    /** Forgets what was simulated after a control step, so that it is simulated anew. */
+    cutAt(step: number): void {
+        this.frames.length = step + 1;
+        this.events = this.events.filter((event) => event.step <= step);
+        this.cursor = Math.min(this.cursor, step);
+    }
+
+    private work(): void {
+        const ahead = Math.min(this.wanted - this.head, AT_ONCE);
+        if (this.busy || (ahead <= 0 && this.pending.size === 0)) return;
+        const events = [...this.pending.values()];
+        this.pending.clear();
+        let steps = Math.max(ahead, 0);
+        const lasting = steps > 0 ? this.lasting?.() : undefined;
+        if (lasting !== undefined) {
+            events.push(lasting);
+            steps = 1;
+        }
+        const from = this.head;
+        const episode = this.episode;
+        this.busy = true;
+        void this.simulation.advance(from, events, steps).then(
+            ({ frames, stepMs }) => {
+                if (episode !== this.episode) return;
+                this.busy = false;
+                // What was cut off meanwhile is not wanted any more.
+                if (from > this.head) return;
+                if (stepMs > 0) this.stepMs = this.stepMs === 0 ? stepMs : 0.9 * this.stepMs + 0.1 * stepMs;
+                this.keep(from, events, frames);
+                if (!this.playing) this.cursor = Math.max(this.cursor, Math.min(this.wanted, this.head));
+                this.onFrames();
+            },
+            (error: Error) => {
+                if (episode !== this.episode) return;
+                this.busy = false;
+                this.play(false);
+                this.onError(error);
+            },
+        );
+    }
+
+    private keep(from: number, events: Event[], frames: Frame[]): void {
+        this.onCut(from);
+        this.frames.length = from;
+        this.frames.push(...frames);
+        for (const event of events) this.record(from, event);
+    }
+
+    /** Of several goals for one hand before the same step the last one counts; the script needs no other. */
+    private record(step: number, event: Event): void {
+        const key = keyOf(event);
+        if (key !== undefined) this.events = this.events.filter((other) => other.step !== step || keyOf(other.event) !== key);
+        this.events.push({ step, event });
+    }
+}
+
+/** What an event sets, if a later event that sets the same makes it void. */
+function keyOf(event: Event): string | undefined {
+    if (event === "clear_effects" || "effect" in event) return undefined;
+    if ("hand_goal" in event) return `hand ${event.hand_goal.arm}`;
+    if ("arm" in event) return `arm ${event.arm.arm}`;
+    return Object.keys(event)[0];
+}

@@ -1,0 +1,81 @@
+// What the simulator says and is told, as its module defines it.
+
+export type Vec3 = [number, number, number];
+export type Pose = [number, number, number, number, number, number];
+
+/** What moves an arm: the policy of a slot, its servos, or nothing. */
+export type Control = { policy: number } | "hold" | "limp";
+
+export type Effect =
+    | { wrench: { body: number; point: Vec3; force: Vec3; torque: Vec3 } }
+    | { hand_force: { arm: number; force: Vec3 } }
+    | { base_torque: Vec3 }
+    | { joint_torque: { std: number } };
+
+/** Something that happens before a control step. */
+export type Event =
+    | { hand_goal: { arm: number; pose: Pose } }
+    | { base_goal: { attitude: Vec3 } }
+    | { arm: { arm: number; control: Control } }
+    | { effect: { effect: Effect; steps?: number | null } }
+    | "clear_effects"
+    | { base_mass: { mass: number } }
+    | { delay: { steps: number } };
+
+/** How an episode begins. */
+export interface Start {
+    seed?: number;
+    purpose?: "evaluation" | "training";
+    iteration?: number;
+    episode?: number;
+    state?: number[];
+}
+
+/** An episode that plays again. */
+export interface Script {
+    start: Start;
+    steps: number;
+    events: { step: number; event: Event }[];
+}
+
+export type Shape =
+    | { capsule: { from: Vec3; to: Vec3; radius: number } }
+    | { disc: { centre: Vec3; axis: Vec3; radius: number; half_height: number } }
+    | { box: { name: string; half: Vec3; centre: Vec3; rotation: number[] } };
+
+export interface Body {
+    name: string;
+    arm: number | null;
+    shapes: Shape[];
+}
+
+export const ARRAYS = [
+    "state", "bodies", "hands", "hand_goals", "base_goal", "hand_errors", "base_errors", "position_error",
+    "orientation_error", "base_error", "actions", "commands", "torques", "touching", "contacts", "counters",
+] as const;
+export type ArrayName = (typeof ARRAYS)[number];
+
+/** The robot and where the simulator keeps its numbers. */
+export interface Description {
+    robot: string;
+    task: string[];
+    n_arms: number;
+    n_joints: number;
+    control_period: number;
+    max_rates: number[];
+    max_torques: number[];
+    base_mass: number;
+    arms: string[];
+    bodies: Body[];
+    arrays: Record<ArrayName, { at: number; len: number }>;
+}
+
+/** Every number of a moment, in the order of `ARRAYS`. */
+export type Frame = Record<ArrayName, Float32Array>;
+
+/** The three files of a policy. */
+export interface PolicyFiles {
+    config: Uint8Array;
+    robot: Uint8Array;
+    tensors: Uint8Array;
+}

@@ -1,0 +1,145 @@
+//! What a page is told, and what it is refused.
+
+use std::fs;
+
+use simulator::robot::JOINTS_PER_ARM;
+
+use super::*;
+
+/// The files of a policy that comes with the program, one after the other.
+fn files(task: &str) -> (Vec<u8>, usize, usize) {
+    let directory = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/policies").join(task);
+    let read = |name: &str| fs::read(directory.join(name)).expect("a policy");
+    let [config, robot] = ["config.toml", "robot.toml"].map(read);
+    let lengths = (config.len(), robot.len());
+    ([config, robot, read("policy.safetensors")].concat(), lengths.0, lengths.1)
+}
+
+fn loaded() -> Simulation {
+    let mut simulation = Simulation::default();
+    let (input, config, robot) = files("trajectory");
+    assert_eq!(simulation.policy(None, &input, config, robot), Ok(0));
+    simulation
+}
+
+fn array(simulation: &mut Simulation, name: &str) -> Vec<f32> {
+    let arrays = &simulation.playing().expect("loaded").arrays;
+    arrays.get(name).to_vec()
+}
+
+#[test]
+fn the_arrays_tell_one_and_the_same_robot() {
+    let mut simulation = loaded();
+    simulation.reset(br#"{"seed": 4, "episode": 2}"#).expect("a start");
+    for _ in 0..3 {
+        simulation.step().expect("a step");
+    }
+    let [state, bodies, hands, goals, errors, counters, commands, torques] = [
+        "state",
+        "bodies",
+        "hands",
+        "hand_goals",
+        "hand_errors",
+        "counters",
+        "commands",
+        "torques",
+    ]
+    .map(|name| array(&mut simulation, name));
+    assert_eq!(bodies[12..15], state[..3], "the base's frame is where the base is");
+    let robot = simulation.playing().expect("loaded").episode.robot().clone();
+    for arm in 0..robot.n_arms {
+        let hand = &hands[16 * arm..16 * (arm + 1)];
+        for i in 0..3 {
+            let error = goals[6 * arm + i] - hand[12 + i];
+            assert!((error - errors[6 * arm + i]).abs() < 1e-6, "arm {arm}: {error}");
+            // The hand is the last body's tool.
+            let body = 16 * (JOINTS_PER_ARM * (arm + 1));
+            let tool = robot.tool_position;
+            let there = (0..3).map(|k| f64::from(bodies[body + 4 * k + i]) * tool[k]).sum::<f64>();
+            let there = f64::from(bodies[body + 12 + i]) + there;
+            assert!((there - f64::from(hand[12 + i])).abs() < 1e-5, "arm {arm}: {there}");
+        }
+    }
+    assert_eq!(counters[1..], [3.0, 0.0, 0.0]);
+    assert!(commands.iter().any(|rate| rate.abs() > 1e-2), "the arms move");
+    assert!(torques.iter().any(|torque| torque.abs() > 1e-3), "something moves them");
+}
+
+#[test]
+fn the_description_names_every_shape_and_array() {
+    let mut simulation = loaded();
+    let text = simulation.describe().expect("a description");
+    let description: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!((&description["n_arms"], &description["n_joints"]), (&4.into(), &24.into()));
+    let bodies = description["bodies"].as_array().expect("bodies");
+    assert_eq!(bodies.len(), 25);
+    assert_eq!(bodies[7]["arm"], 1);
+    let base = bodies[0]["shapes"].as_array().expect("shapes");
+    assert_eq!(base[0]["box"]["half"].as_array().map(Vec::len), Some(3));
+    assert!(base.iter().any(|shape| shape.get("box").is_none()), "pedestals are part of the base");
+    let arrays = description["arrays"].as_object().expect("arrays");
+    let total: u64 = arrays.values().map(|place| place["len"].as_u64().expect("a length")).sum();
+    let first = arrays.values().map(|place| place["at"].as_u64().expect("an address"));
+    let (first, last) = (first.clone().min().expect("some"), first.max().expect("some"));
+    let last_len = arrays.values().find(|place| place["at"] == last).expect("it")["len"].as_u64();
+    assert_eq!(last + 4 * last_len.expect("a length"), first + 4 * total, "one after the other");
+}
+
+#[test]
+fn what_goes_wrong_is_said_in_words_and_changes_nothing() {
+    let mut empty = Simulation::default();
+    for error in [empty.step(), empty.restore(0), empty.reset(b"{}"), empty.describe().map(drop)] {
+        assert_eq!(error, Err("no policy is loaded yet".to_owned()));
+    }
+    let (input, config, robot) = files("trajectory");
+    let refused = |at: usize, config: usize, robot: usize, word: &str| {
+        let slot = None;
+        let error = Simulation::default().policy(slot, &input[..at], config, robot);
+        let error = error.expect_err("refused");
+        assert!(error.contains(word), "{error}");
+    };
+    refused(config, config, robot, "shorter");
+    refused(input.len(), usize::MAX, robot, "shorter");
+    refused(input.len(), config - 1, robot + 1, "robot.toml");
+    refused(input.len() - 1, config, robot, "safetensors");
+
+    let mut simulation = loaded();
+    simulation.step().expect("a step");
+    let before = array(&mut simulation, "state");
+    for (json, word) in [
+        ("{", "the event"),
+        (r#"{"arm": {"arm": 0, "control": {"policy": 7}}}"#, "policy 7"),
+        (r#"{"dance": {}}"#, "dance"),
+        (r#"{"delay": {"steps": 1, "more": 2}}"#, "more"),
+    ] {
+        let error = simulation.event(json.as_bytes()).expect_err("refused");
+        assert!(error.contains(word), "{error}");
+    }
+    assert!(simulation.reset(b"[1]").is_err());
+    assert_eq!(simulation.restore(0), Err("snapshot 0 of 0".to_owned()));
+    assert_eq!(array(&mut simulation, "state"), before);
+}
+
+#[test]
+fn a_page_goes_back_in_time_and_on_again() {
+    let mut simulation = loaded();
+    let mut states = Vec::new();
+    for step in 0..4 {
+        assert_eq!(simulation.snapshot(), Ok(step));
+        states.push(array(&mut simulation, "state"));
+        simulation.step().expect("a step");
+    }
+    simulation.restore(1).expect("it is kept");
+    assert_eq!(array(&mut simulation, "state"), states[1]);
+    simulation.forget(2);
+    simulation.step().expect("a step");
+    assert_eq!(simulation.snapshot(), Ok(2));
+    assert_eq!(array(&mut simulation, "state"), states[2]);
+    // Another policy beside the first, which moves an arm of its own.
+    let (input, config, robot) = files("reorientation");
+    assert_eq!(simulation.policy(None, &input, config, robot), Ok(1));
+    let event = br#"{"arm": {"arm": 3, "control": {"policy": 1}}}"#;
+    simulation.event(event).expect("another policy");
+    simulation.step().expect("a step");
+    assert_ne!(array(&mut simulation, "state"), states[3]);
+}

@@ -1,0 +1,191 @@
+//! What someone may do to an episode while it plays, as values that can be written down and played again.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Effect, SensorNoise};
+use crate::robot::{JOINTS_PER_ARM, RobotError};
+
+/// Most control steps between an action and its execution: ten seconds.
+pub const LONGEST_DELAY: usize = 25;
+
+/// How an episode begins.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Start {
+    /// Seed of the goals and of all noise.
+    pub seed: u64,
+    /// Which goals.
+    pub purpose: GoalPurpose,
+    /// Iteration of the goals of a training; 0 in an evaluation.
+    pub iteration: u32,
+    /// Index of the episode.
+    pub episode: u32,
+    /// Where the robot begins, at home without: base position (m), quaternion (w, x, y, z), linear velocity (m/s, world), angular velocity (rad/s, base axes),
+    /// joint angles (rad), joint rates (rad/s).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub state: Option<Vec<f64>>,
+}
+
+/// Whose goals an episode has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GoalPurpose {
+    /// Those of evaluations, which no training draws.
+    #[default]
+    Evaluation,
+    /// Those of training episodes.
+    Training,
+}
+
+/// What moves an arm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Control {
+    /// The policy of this index.
+    Policy(usize),
+    /// Nobody: commands are zero and the servos hold.
+    Hold,
+    /// Nobody, and the servos give no torque.
+    Limp,
+}
+
+/// Something that someone does to an episode; it holds from the next control step on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Event {
+    /// Another goal of a hand.
+    HandGoal {
+        /// The arm.
+        arm: usize,
+        /// Position in the world (m) and Euler angles (rad).
+        pose: [f64; 6],
+    },
+    /// Another goal of the base.
+    BaseGoal {
+        /// Euler angles (rad).
+        attitude: [f64; 3],
+    },
+    /// Something else moves an arm.
+    Arm {
+        /// The arm.
+        arm: usize,
+        /// What moves it.
+        control: Control,
+    },
+    /// Something happens in the coming steps.
+    Effect {
+        /// What happens.
+        effect: Effect,
+        /// In how many control steps; until further notice without.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        steps: Option<usize>,
+    },
+    /// No effect goes on.
+    ClearEffects,
+    /// Another mass of the base's first box.
+    BaseMass {
+        /// The mass (kg).
+        mass: f64,
+    },
+    /// Another delay of the commands. What waits still arrives; where the delay grows, the last of it holds until something new arrives.
+    Delay {
+        /// Control steps between an action and its execution, up to [`LONGEST_DELAY`].
+        steps: usize,
+    },
+    /// Sensors err otherwise.
+    Sensors(SensorNoise),
+}
+
+/// An event and the control step before which it comes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TimedEvent {
+    /// The control step, from 0 on.
+    pub step: usize,
+    /// What happens.
+    pub event: Event,
+}
+
+/// An episode with all that was done to it, which plays the same again.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Script {
+    /// How it begins.
+    #[serde(default)]
+    pub start: Start,
+    /// Control steps.
+    pub steps: usize,
+    /// What happens, in order.
+    #[serde(default)]
+    pub events: Vec<TimedEvent>,
+}
+
+/// Why something cannot be done to an episode.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EventError {
+    /// An index or a length beyond what there is.
+    #[error("{what} {found}: there are {limit}")]
+    Beyond {
+        /// What is counted.
+        what: &'static str,
+        /// What was asked for.
+        found: usize,
+        /// How many there are.
+        limit: usize,
+    },
+    /// A number that is none, or of no sense.
+    #[error("{what} is {found}; {expected} is wanted")]
+    Value {
+        /// Which number.
+        what: &'static str,
+        /// What it is.
+        found: f64,
+        /// What would do.
+        expected: &'static str,
+    },
+    /// A robot that cannot be.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+}
+
+/// Refuses an index beyond `limit`.
+pub(super) fn within(what: &'static str, found: usize, limit: usize) -> Result<(), EventError> {
+    if found < limit { Ok(()) } else { Err(EventError::Beyond { what, found, limit }) }
+}
+
+/// Refuses what is no number.
+pub(super) fn finite(what: &'static str, values: &[f64]) -> Result<(), EventError> {
+    let wrong = values.iter().find(|value| value.is_nan() || value.abs() > 1e6);
+    wrong.map_or(Ok(()), |&found| {
+        Err(EventError::Value { what, found, expected: "a number within a million" })
+    })
+}
+
+impl Effect {
+    /// Refuses what a robot with `n_arms` arms has not.
+    pub(super) fn check(&self, n_arms: usize) -> Result<(), EventError> {
+        let n_joints = n_arms * JOINTS_PER_ARM;
+        match self {
+            Self::Action { joints, value } => {
+                within("joint", joints.start, n_joints + 1)?;
+                within("joint", joints.end, n_joints + 1)?;
+                within("the first joint", joints.start, joints.end + 1)?;
+                finite("the action", &[*value])
+            }
+            Self::HandForce { arm, force } => {
+                within("arm", *arm, n_arms)?;
+                finite("the force", force)
+            }
+            Self::BaseTorque(torque) => finite("the torque", torque),
+            Self::JointTorque { std } => finite("the deviation", &[*std]),
+            Self::Limp { arm } => within("arm", *arm, n_arms),
+            Self::Wrench { body, point, force, torque } => {
+                within("body", *body, n_joints + 1)?;
+                finite("the point", point)?;
+                finite("the force", force)?;
+                finite("the torque", torque)
+            }
+        }
+    }
+}

@@ -1,0 +1,258 @@
+"""The page in a real browser.
+
+    page.py CHROMIUM file FILE.html                     the one file, without a network
+    page.py CHROMIUM served ADDRESS                     the page of a service, at the address that holds its token
+    page.py CHROMIUM pictures ADDRESS FOLDER            pictures of it
+
+Prints what was found as JSON; exit status 1 and a sentence where something is not as it should be.
+"""
+
+import json
+import sys
+import time
+from contextlib import contextmanager
+
+from playwright.sync_api import sync_playwright
+
+DRAWING = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+WAIT = 240_000  # ms; a machine may be busy
+
+
+def check(holds, sentence):
+    if not holds:
+        raise SystemExit(sentence)
+
+
+class Page:
+    """A tab, its complaints, and what the page knows."""
+
+    def __init__(self, context, address):
+        self.tab = context.new_page()
+        self.tab.set_default_timeout(WAIT)
+        self.errors = []
+        # That a service stands beside no run the page hears from it by a 404, which browsers write down.
+        self.tab.on("console", lambda m: self.errors.append(m.text) if m.type == "error" and "404" not in m.text else None)
+        self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.tab.goto(address)
+
+    def ready(self):
+        self.tab.wait_for_selector("body[data-ready]")
+        return int(self.tab.evaluate("document.body.dataset.ready"))
+
+    def room(self, expression):
+        return self.tab.evaluate("(() => { const room = spaceoctopus, timeline = room.timeline; return (%s); })()" % expression)
+
+    def wait(self, expression):
+        # Playwright's own way evaluates text in the page, which the page forbids.
+        end = time.monotonic() + WAIT / 1000
+        while not self.room(expression):
+            check(time.monotonic() < end, "never came: %s; the console: %s" % (expression, self.errors))
+            time.sleep(0.05)
+
+    def press(self, key):
+        self.tab.keyboard.press(key)
+
+    def state(self, step):
+        """Bits of all numbers of the robot's state."""
+        return self.room("[...new Uint32Array(timeline.frames[%d].state.slice().buffer)]" % step)
+
+    def on_screen(self, position):
+        """Where a point of the world is drawn."""
+        return self.room(
+            """(() => { const canvas = room.view.stage.renderer.domElement.getBoundingClientRect();
+            const p = room.view.stage.orbit.target.clone().set(%s).project(room.view.stage.camera);
+            return [canvas.left + (p.x + 1) / 2 * canvas.width, canvas.top + (1 - p.y) / 2 * canvas.height]; })()"""
+            % ", ".join(str(x) for x in position)
+        )
+
+    def quiet(self):
+        check(not self.errors, "the console has errors: %s" % self.errors)
+
+
+@contextmanager
+def browser(chromium):
+    with sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=chromium, args=DRAWING)
+        try:
+            yield opened
+        finally:
+            opened.close()
+
+
+def drawn(page):
+    """How many pixels of the scene are not background, and how many colours there are."""
+    return page.room(
+        """(() => { room.view.draw(0); const gl = room.view.stage.renderer.getContext();
+        const [w, h] = [gl.drawingBufferWidth, gl.drawingBufferHeight], bytes = new Uint8Array(4 * w * h);
+        gl.readPixels(0, 0, w, h, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+        const corner = String(bytes.slice(4 * (w * h - 1) , 4 * (w * h - 1) + 3)), seen = new Set(); let other = 0;
+        for (let i = 0; i < bytes.length; i += 4) { const c = String(bytes.slice(i, i + 3)); seen.add(c); if (c !== corner) other++; }
+        return { share: other / (w * h), colours: seen.size }; })()"""
+    )
+
+
+def episode(page):
+    """Play, pause, step and back; what is seen twice is the same to the bit."""
+    page.wait("timeline.head >= 6")
+    page.press("Space")
+    page.wait("!timeline.playing")
+    at = page.room("timeline.cursor")
+    check(at == int(at), "a pause is between two control steps: %s" % at)
+    at = int(at)
+    page.press("ArrowRight")
+    page.wait("timeline.cursor === %d" % (at + 1))
+    first = [page.state(step) for step in range(at + 2)]
+    page.press("ArrowLeft")
+    page.press("ArrowLeft")
+    page.wait("timeline.cursor === %d" % (at - 1))
+    check(page.state(at - 1) == first[at - 1], "a step back shows other numbers")
+    # Forgotten, and simulated anew from what is kept of the step before.
+    page.room("timeline.cutAt(%d)" % (at - 1))
+    check(page.room("timeline.head") == at - 1, "what was cut off is still there")
+    page.press("ArrowRight")
+    page.wait("timeline.cursor === %d" % at)
+    page.press("ArrowRight")
+    page.wait("timeline.cursor === %d" % (at + 1))
+    check([page.state(step) for step in range(at + 2)] == first, "the same steps give other numbers")
+
+
+def drag_goal(page):
+    """A goal that is dragged is where the hand goes."""
+    page.press("1")
+    page.wait("room.view.goals.selected === 0")
+    goal = page.room("[...timeline.frames[timeline.head].hand_goals.slice(0, 3)]")
+    mouse = page.tab.mouse
+    # The handle that points up is somewhere above the goal; how long it is depends on the view.
+    for tenths in range(1, 30):
+        x, y = page.on_screen([goal[0], goal[1], goal[2] + 0.01 * tenths])
+        mouse.move(x, y)
+        if page.room("room.view.goals.axis") == "Z":
+            break
+    check(page.room("room.view.goals.axis") == "Z", "the goal has no handle that points up")
+    mouse.down()
+    for part in range(1, 6):
+        mouse.move(x, y - 4 * part)
+    mouse.up()
+    page.wait("timeline.events.some(({ event }) => event.hand_goal !== undefined)")
+    page.wait("Math.hypot(...[0, 1, 2].map((i) => timeline.frames[timeline.head].hand_goals[i] - [%s][i])) > 0.02" % ", ".join(map(str, goal)))
+    page.press("Escape")
+    mouse.move(5, 5)
+    page.room("timeline.speed = 16")
+    begin = page.room("timeline.head")
+    page.press("Space")
+    page.wait("timeline.head >= %d" % (begin + 100))
+    page.press("Space")
+    page.wait("!timeline.playing")
+    error = page.room("timeline.frames[%d].position_error[0]" % (begin + 100))
+    check(error < 0.010, "the hand is %.1f mm from the goal that was dragged" % (1000 * error))
+    return error
+
+
+def push_base(page):
+    """A body that is pulled moves, and the arrow says how strongly."""
+    box = page.tab.locator(".scene canvas").bounding_box()
+    x, y = page.on_screen(page.room("[...timeline.frames[Math.floor(timeline.cursor)].bodies.slice(12, 15)]"))
+    check(box["x"] < x < box["x"] + box["width"], "the base is not on the screen")
+    mouse = page.tab.mouse
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + 40, y + 5)
+    mouse.move(x + 90, y + 10)
+    page.tab.wait_for_selector(".force", state="visible")
+    words = page.tab.inner_text(".force")
+    page.press("ArrowRight")
+    page.wait("timeline.events.some(({ event }) => event.effect !== undefined)")
+    mouse.up()
+    page.tab.wait_for_selector(".force", state="hidden")
+    newtons = page.room("Math.hypot(...timeline.events.find(({ event }) => event.effect !== undefined).event.effect.effect.wrench.force)")
+    check(words == "%.0f N" % newtons, "the arrow says %s, the force is %s N" % (words, newtons))
+    return newtons
+
+
+def play_again(context, page, address):
+    """What was done becomes a link that plays the same again."""
+    steps = page.room("timeline.head")
+    fragment = page.tab.evaluate("spaceoctopus.fragment()")
+    again = Page(context, "%s#%s" % (address.split("#")[0], fragment))
+    again.ready()
+    again.wait("timeline.head >= %d" % steps)
+    for step in range(steps + 1):
+        check(again.state(step) == page.state(step), "the link gives other numbers in control step %d" % step)
+    again.quiet()
+    again.tab.close()
+    return steps
+
+
+def play(context, address):
+    page = Page(context, address)
+    found = {"ready_ms": page.ready()}
+    picture = drawn(page)
+    check(picture["share"] > 0.05 and picture["colours"] > 200, "the robot is not drawn: %s" % picture)
+    found["picture"] = picture
+    episode(page)
+    # In this order: what was pushed drifts away for ever, and takes the hands along.
+    found["goal_error_m"] = drag_goal(page)
+    found["newtons"] = push_base(page)
+    found["replayed_steps"] = play_again(context, page, address)
+    found["frames_per_s"] = page.tab.evaluate("Number(document.querySelector('.robot-room').dataset.framesPerSecond)")
+    found["step_ms"] = page.tab.evaluate("Number(document.querySelector('.robot-room').dataset.stepMs)")
+    page.quiet()
+    return found
+
+
+def one_file(chromium, path):
+    with browser(chromium) as opened:
+        context = opened.new_context(viewport={"width": 900, "height": 640})
+        context.set_offline(True)
+        asked = []
+        context.on("request", lambda request: asked.append(request.url))
+        found = play(context, "file://" + path)
+        outside = [url for url in asked if not url.startswith(("file:", "blob:", "data:"))]
+        check(not outside, "the file asks for %s" % outside)
+        narrow = opened.new_context(viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
+        phone = Page(narrow, "file://" + path)
+        phone.ready()
+        width = phone.tab.evaluate("document.documentElement.scrollWidth")
+        check(width <= 390, "the page is %d pixels wide on a phone of 390" % width)
+        phone.quiet()
+        return found
+
+
+def served(chromium, address):
+    with browser(chromium) as opened:
+        context = opened.new_context(viewport={"width": 900, "height": 640})
+        found = play(context, address)
+        page = Page(context, address)
+        page.ready()
+        check("token" not in page.tab.url, "the token stays in the address bar: %s" % page.tab.url)
+        page.quiet()
+
+        stranger = opened.new_context().new_page()
+        stranger.goto(address.split("#")[0])
+        stranger.wait_for_selector(".sign-in", timeout=WAIT)
+        stranger.fill(".sign-in input", "0123456789abcdef0123")
+        stranger.click(".sign-in button")
+        stranger.wait_for_selector("text=does not know this token", timeout=WAIT)
+        return found
+
+
+def pictures(chromium, address, folder):
+    sizes = {"light": (1440, 900, "light"), "dark": (1440, 900, "dark"), "phone": (390, 844, "light")}
+    with browser(chromium) as opened:
+        for name, (width, height, scheme) in sizes.items():
+            page = Page(opened.new_context(viewport={"width": width, "height": height}, color_scheme=scheme), address)
+            page.ready()
+            page.wait("timeline.head >= 30")
+            time.sleep(1)
+            page.tab.screenshot(path="%s/%s.png" % (folder, name))
+    return {}
+
+
+def main():
+    chromium, what, *rest = sys.argv[1:]
+    run = {"file": one_file, "served": served, "pictures": pictures}[what]
+    print(json.dumps(run(chromium, *rest)))
+
+
+if __name__ == "__main__":
+    main()
