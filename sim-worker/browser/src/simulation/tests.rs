@@ -100,7 +100,7 @@ fn what_goes_wrong_is_said_in_words_and_changes_nothing() {
     };
     refused(config, config, robot, "shorter");
     refused(input.len(), usize::MAX, robot, "shorter");
-    refused(input.len(), config - 1, robot + 1, "robot.toml");
+    refused(input.len(), 10, robot, "config.toml");
     refused(input.len() - 1, config, robot, "safetensors");
 
     let mut simulation = loaded();
