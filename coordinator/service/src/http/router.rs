@@ -16,7 +16,9 @@ use utoipa_axum::routes;
 use super::context::Shared;
 use super::counting;
 use super::problem::Problem;
-use super::{access, archives, checkpoints, document, files, metrics, page, recorded, run, uploads};
+use super::{
+    access, archives, checkpoints, document, files, metrics, page, recorded, run, uploads,
+};
 
 /// All routes and the document that describes them.
 fn routes() -> OpenApiRouter<Shared> {
