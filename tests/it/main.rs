@@ -18,6 +18,7 @@ mod guide;
 mod http;
 mod mujoco;
 mod other_users;
+mod page;
 mod precision;
 mod reproduce;
 mod run_directory;
