@@ -4,7 +4,7 @@ use clap::{Parser, Subcommand};
 
 use crate::{
     bench, checkpoints, clean, doctor, eval, experiment, film, janitor, mjcf, plot, reproduce,
-    resume, rollout, scale, serve, simulate, status, train, verify,
+    resume, rollout, scale, serve, simulate, status, train, verify, view,
 };
 
 /// Exit codes, as `octopus --help` lists them.
@@ -72,6 +72,8 @@ pub enum Command {
     Checkpoints(checkpoints::options::CheckpointsArgs),
     /// Serve the checkpoints of a directory over HTTP.
     Serve(serve::ServeArgs),
+    /// Show a run or a policy in a browser.
+    View(view::ViewArgs),
     /// Remove what killed runs of this user left in shared memory.
     Clean(clean::CleanArgs),
     /// Removes what a killed coordinator leaves; started by every run beside it.

@@ -27,6 +27,7 @@ pub mod simulate;
 pub mod status;
 pub mod train;
 pub mod verify;
+pub mod view;
 
 mod conclusion;
 pub mod limits;
@@ -72,6 +73,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Verify(args) => verify::run(&args),
         Command::Checkpoints(args) => checkpoints::run(&args),
         Command::Serve(args) => serve::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Clean(args) => clean::run(args),
         Command::Janitor(args) => janitor::run(&args),
     }

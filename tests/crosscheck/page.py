@@ -173,7 +173,9 @@ def play_again(context, page, address):
     """What was done becomes a link that plays the same again."""
     steps = page.room("timeline.head")
     fragment = page.tab.evaluate("spaceoctopus.fragment()")
-    again = Page(context, "%s#%s" % (address.split("#")[0], fragment))
+    # Another tab has no token of its own.
+    token = [part for part in address.partition("#")[2].split("&") if part.startswith("token=")]
+    again = Page(context, "%s#%s" % (address.split("#")[0], "&".join([fragment, *token])))
     again.ready()
     again.wait("timeline.head >= %d" % steps)
     for step in range(steps + 1):

@@ -19,6 +19,7 @@ mod http;
 mod imports;
 mod mujoco;
 mod other_users;
+mod page;
 mod precision;
 mod reproduce;
 mod run_directory;

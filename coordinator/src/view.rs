@@ -1,0 +1,235 @@
+//! `octopus view`: the robot in a browser.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use clap::Args;
+use lab::trained::open_checkpoint;
+use output::note;
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use run::signals::StopRequests;
+use run::start::directory::RUNS;
+use serde_json::json;
+use service::client::Client;
+use service::http::{OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
+use service::page::{self, Enclosed};
+use simulator::policy::file::compact;
+use store::checkpoint::{CONFIG, Checkpoint, POLICY, ROBOT, Selector};
+use store::lock::RunLock;
+use store::outputs::{Input, Output};
+use store::owned_files;
+
+use crate::values::address;
+
+const VIEW_EXAMPLES: &str = "\
+Examples:
+  octopus view
+  octopus view runs/trajectory-20260101-120000
+  octopus view deploy/policies/trajectory --open
+  octopus view runs/trajectory-20260101-120000:best --out robot.html
+
+Prints an address for a browser of this machine; of a run that goes on it is that of the run itself, and shows it. The \
+address holds the token of the service: whoever has it may do what you may. Anything else is served, for looking only, \
+until Ctrl-C. With --out the page, the simulator and the policy become one file that needs neither server nor network.";
+
+/// Options of `octopus view`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = VIEW_EXAMPLES)]
+pub struct ViewArgs {
+    /// A run, a checkpoint such as RUN:best, or the directory of a policy [default: the newest run in runs/].
+    pub what: Option<PathBuf>,
+    /// Open it in the browser.
+    #[arg(long, conflicts_with = "out")]
+    pub open: bool,
+    /// Write one file that shows it without a server.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Overwrite the file if it exists.
+    #[arg(long, requires = "out")]
+    pub force: bool,
+    /// Another policy for the arms to choose from, in the file; may be repeated.
+    #[arg(long, value_name = "CHECKPOINT", requires = "out")]
+    pub with: Vec<PathBuf>,
+    /// Where to listen; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS:PORT", allow_hyphen_values = true, default_value = "127.0.0.1:0", value_parser = address)]
+    pub listen: SocketAddr,
+    /// A file with a token that clients may show beside the service's own; needed beyond this machine.
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+    /// Print the address as JSON.
+    #[arg(long, conflicts_with = "out")]
+    pub json: bool,
+}
+
+/// What the one file begins with.
+const MARK: &[u8] = b"<!doctype html>\n<!-- made by octopus view -->";
+/// How often to look whether the user wants to stop.
+const TICK: Duration = Duration::from_millis(50);
+/// How long a browser has to read the file by which it is opened.
+const OPENING: Duration = Duration::from_secs(10);
+
+/// Shows it.
+pub fn run(args: &ViewArgs) -> anyhow::Result<()> {
+    if !page::is_built() {
+        return Err(ExitError::new(ExitCode::Environment, page::MISSING).into());
+    }
+    let what = match &args.what {
+        Some(what) => what.clone(),
+        None => newest_run()?,
+    };
+    if let Some(out) = &args.out {
+        return write(args, &what, out);
+    }
+    let token = Token::find(args.token_file.as_deref())?;
+    let live = RunLock::own_holder(&RunDir::new(&what).lock());
+    if matches!(live, Ok(Some(ref holder)) if holder.http.is_some()) {
+        let address = Client::page_of_run(&what, token)?;
+        tell(args, &address)?;
+        if args.open {
+            let opened = Opened::begin(&address)?;
+            std::thread::sleep(OPENING);
+            drop(opened);
+        }
+        return Ok(());
+    }
+    serve(args, &what, token)
+}
+
+/// Serves what lies on the disk until Ctrl-C; nothing of it can be changed.
+fn serve(args: &ViewArgs, what: &Path, token: Option<Token>) -> anyhow::Result<()> {
+    let selector = Selector::from_path(what).map_err(|message| {
+        ExitError::new(ExitCode::Usage, format!("{}: {message}", what.display()))
+    })?;
+    let (store, name) = selector.locate()?;
+    let stop = StopRequests::new();
+    stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
+    // Its own, for as long as it serves.
+    let own = OwnToken::prepare(store.root().join(STORE_TOKEN_FILE))?.token();
+    let service = Service::start(ServiceSpec {
+        address: args.listen,
+        token,
+        read_only: true,
+        ..ServiceSpec::new(store, own.clone())
+    })?;
+    let address = own.page_address(&service.address().to_string(), Some(name.as_str()));
+    tell(args, &address)?;
+    let opened = args.open.then(|| Opened::begin(&address)).transpose()?;
+    while stop.count() == 0 {
+        if !service.is_running() {
+            let message = "the HTTP service has ended by itself; RUST_LOG=debug shows more";
+            return Err(ExitError::new(ExitCode::Failure, message).into());
+        }
+        std::thread::sleep(TICK);
+    }
+    drop(opened);
+    service.stop();
+    Ok(())
+}
+
+fn tell(args: &ViewArgs, address: &str) -> anyhow::Result<()> {
+    if args.json {
+        output::json_line(&json!({ "address": address }))
+    } else {
+        output::line(address)
+    }
+}
+
+/// Writes the one file.
+fn write(args: &ViewArgs, what: &Path, out: &Path) -> anyhow::Result<()> {
+    let mut inputs = vec![what.to_owned()];
+    inputs.extend(args.with.iter().cloned());
+    let read: Vec<Input<'_>> = inputs.iter().map(|path| ("CHECKPOINT", path.as_path())).collect();
+    Output { flag: "--out", path: out, mark: MARK, force: args.force }.check(&read)?;
+    let mut enclosed: Vec<Enclosed> = Vec::new();
+    for path in &inputs {
+        let checkpoint = open_checkpoint(path)?;
+        let name = name_for(&checkpoint, &enclosed);
+        enclosed.extend(files(&checkpoint, &name)?);
+    }
+    let text = page::single(&enclosed).context("the page has no frame")?;
+    std::fs::write(out, text).map_err(|error| {
+        ExitError::new(
+            ExitCode::RunDirectory,
+            format!("{}: cannot be written: {error}", out.display()),
+        )
+    })?;
+    output::line(&out.display().to_string())
+}
+
+/// A checkpoint's own name, told apart from those before it.
+fn name_for(checkpoint: &Checkpoint, enclosed: &[Enclosed]) -> String {
+    let own = checkpoint.dir.file_name().map_or("policy".into(), |name| name.to_string_lossy());
+    let taken = |name: &str| enclosed.iter().any(|file| file.policy == name);
+    (1..)
+        .map(|count| if count == 1 { own.to_string() } else { format!("{own}-{count}") })
+        .find(|name| !taken(name))
+        .expect("there are more numbers than policies")
+}
+
+/// What the simulator needs of a checkpoint; its networks as small as they become without another bit of an action.
+fn files(checkpoint: &Checkpoint, name: &str) -> anyhow::Result<[Enclosed; 3]> {
+    let trained = lab::trained::Trained::new(checkpoint.clone(), None)?;
+    let dimensions = &trained.world.dimensions;
+    let tensors = compact(&checkpoint.config, dimensions, &checkpoint.actors(dimensions.n_arms)?);
+    let config = std::fs::read(checkpoint.dir.join(CONFIG))
+        .with_context(|| format!("{}: cannot be read", checkpoint.dir.join(CONFIG).display()))?;
+    let file = |file, bytes| Enclosed { policy: name.to_owned(), file, bytes };
+    Ok([
+        file(CONFIG, config),
+        file(ROBOT, checkpoint.robot_toml.clone().into_bytes()),
+        file(POLICY, tensors),
+    ])
+}
+
+/// The run in `runs/` that was changed last.
+fn newest_run() -> anyhow::Result<PathBuf> {
+    let entries = std::fs::read_dir(RUNS).into_iter().flatten().flatten();
+    let runs = entries.filter(|entry| RunDir::new(entry.path()).config().is_file());
+    let dated = runs.filter_map(|entry| {
+        let lock = RunDir::new(entry.path()).lock();
+        Some((lock.metadata().and_then(|there| there.modified()).ok()?, entry.path()))
+    });
+    dated.max().map(|(_, path)| path).ok_or_else(|| {
+        let message =
+            format!("{RUNS}/ holds no run; name one, a checkpoint, or the directory of a policy");
+        ExitError::new(ExitCode::Usage, message).into()
+    })
+}
+
+/// A file that leads a browser to the address. On the command line of the browser every user of this machine could
+/// read the token.
+struct Opened(PathBuf);
+
+impl Opened {
+    fn begin(address: &str) -> anyhow::Result<Self> {
+        let dir =
+            std::env::var_os("XDG_RUNTIME_DIR").map_or_else(std::env::temp_dir, PathBuf::from);
+        let path = dir.join(format!("octopus-view-{}.html", std::process::id()));
+        let text = format!(
+            "<!doctype html><meta charset=\"utf-8\"><meta http-equiv=\"refresh\" content=\"0; url={address}\">"
+        );
+        owned_files::replace(&path, text.as_bytes())
+            .with_context(|| format!("{}: cannot be written", path.display()))?;
+        let opened = Self(path);
+        let child = Command::new("xdg-open")
+            .arg(&opened.0)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn();
+        if let Err(error) = child {
+            note(&format!("note: xdg-open cannot be started: {error}; open the address yourself"));
+        }
+        Ok(opened)
+    }
+}
+
+impl Drop for Opened {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
