@@ -112,7 +112,8 @@ impl Source {
                     if top && word == "mod" =>
                 {
                     let name = name.to_string();
-                    let (path, inner) = ([at, &[name.clone()]].concat(), folder.join(&name));
+                    let (path, inner) =
+                        ([at, std::slice::from_ref(&name)].concat(), folder.join(&name));
                     if let TokenTree::Group(body) = body {
                         let file = self.module(at).file.clone();
                         self.0.insert(path.clone(), Module { file, ..Module::default() });
@@ -211,7 +212,7 @@ impl Source {
         let mut at = at.to_vec();
         for (index, word) in path.iter().enumerate() {
             let here = &self.0[&at];
-            let inner = [&at[..], &[word.clone()]].concat();
+            let inner = [&at[..], std::slice::from_ref(word)].concat();
             let is_last = index + 1 == path.len();
             // A function may have the name of a module.
             let named = here.items.contains(word) || here.uses.contains_key(word);
@@ -227,7 +228,11 @@ impl Source {
                         return self.place(&at, &[from, rest].concat(), deep);
                     }
                     let of_glob = |from: &Words| {
-                        let of = self.place(&at, &[&from[..], &[word.clone()]].concat(), deep)?;
+                        let of = self.place(
+                            &at,
+                            &[&from[..], std::slice::from_ref(word)].concat(),
+                            deep,
+                        )?;
                         of.items.contains(word).then_some(of)
                     };
                     // A first word that is not known names another crate, or something of this module's own.

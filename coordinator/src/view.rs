@@ -164,10 +164,10 @@ fn write(args: &ViewArgs, what: &Path, out: &Path) -> anyhow::Result<()> {
 fn name_for(checkpoint: &Checkpoint, enclosed: &[Enclosed]) -> String {
     let own = checkpoint.dir.file_name().map_or("policy".into(), |name| name.to_string_lossy());
     let taken = |name: &str| enclosed.iter().any(|file| file.policy == name);
-    (1..)
-        .map(|count| if count == 1 { own.to_string() } else { format!("{own}-{count}") })
-        .find(|name| !taken(name))
-        .expect("there are more numbers than policies")
+    // One of these many names is free.
+    let later = (2..=enclosed.len() + 1).map(|count| format!("{own}-{count}"));
+    let mut names = std::iter::once(own.to_string()).chain(later);
+    names.find(|name| !taken(name)).expect("there are more names than policies")
 }
 
 /// What the simulator needs of a checkpoint; its networks as small as they become without another bit of an action.

@@ -9,6 +9,7 @@ use serde_json::Value;
 use tests::{kill, octopus, program, python, stderr};
 
 /// The browser, if both it and the page are there.
+#[expect(clippy::print_stderr, reason = "a test says what it does not try")]
 fn chromium() -> Option<PathBuf> {
     let found = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
     let chosen = std::env::var_os("CHROMIUM").map(PathBuf::from);

@@ -119,6 +119,7 @@ fn natively(files: &[Files], script: &Script) -> (Vec<u32>, f64) {
 }
 
 /// Plays a script on both sides and compares; `what` is for messages.
+#[expect(clippy::print_stderr, reason = "a test says what it does not try, and what a step takes")]
 fn compare(what: &str, files: &[Files], script: &Script) {
     let (Some(module), Some(node)) = (module(), node()) else {
         eprintln!("{what}: not compared, there is no module or no Node");

@@ -160,11 +160,11 @@ pub fn make(
     let examples: Vec<u64> = if format == Format::Gif { examples.collect() } else { Vec::new() };
     let begun = format!("drawing {} pictures", output::grouped(times.pictures));
     progress.begin(&begun, times.pictures + examples.len() as u64);
-    let examples = drawn(&threads, &examples, &draw, &|| progress.advance());
+    let examples = drawn(threads, &examples, &draw, &|| progress.advance());
     let mut film = Film::new(format, look.size, times.pictures as u32, &examples)?;
     let pictures: Vec<u64> = (0..times.pictures).collect();
     for some in pictures.chunks(AHEAD * threads.count()) {
-        let images = drawn(&threads, some, &draw, &|| progress.advance());
+        let images = drawn(threads, some, &draw, &|| progress.advance());
         for (picture, image) in some.iter().zip(&images) {
             film.add(image, times.until(*picture))?;
         }
@@ -195,7 +195,7 @@ pub fn make(
 
 /// Pictures, drawn side by side.
 fn drawn(
-    threads: &Threads,
+    threads: Threads,
     pictures: &[u64],
     draw: &(dyn Fn(u64) -> Image + Sync),
     on_picture: &(dyn Fn() + Sync),

@@ -44,7 +44,7 @@ mod tests {
     fn pose(x: f32) -> Pose {
         let (sin, cos) = (0.1 * x).sin_cos();
         // Written with the other sign every time: that is the same attitude.
-        let sign = if x as usize % 2 == 0 { 1.0 } else { -1.0 };
+        let sign = if (x as usize).is_multiple_of(2) { 1.0 } else { -1.0 };
         Pose {
             base_position: [x, x * x, 4.0],
             base_quaternion: [sign * cos, 0.0, sign * sin, 0.0],

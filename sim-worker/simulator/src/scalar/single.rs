@@ -69,6 +69,7 @@ macro_rules! single_precision_functions {
         }
     };
 }
+#[cfg(not(target_arch = "wasm32"))]
 pub(super) use single_precision_functions;
 
 impl Real for f32 {

@@ -6,7 +6,9 @@ mod avx2;
 mod avx512;
 mod dispatch;
 mod lone;
+#[cfg(not(target_arch = "wasm32"))]
 mod operators;
+#[cfg(not(target_arch = "wasm32"))]
 mod portable;
 
 pub use dispatch::{Backend, dispatch, dispatch_for, dispatch_on};
