@@ -33,7 +33,7 @@ impl Algorithm {
         }
     }
 
-    /// See [`Update::work`].
+    /// See [`crate::update::Update::work`].
     pub fn work(&self) -> Arc<AtomicU64> {
         match self {
             Self::Ppo(mappo) => mappo.work(),
@@ -41,7 +41,7 @@ impl Algorithm {
         }
     }
 
-    /// See [`Update::update`].
+    /// See [`crate::update::Update::update`].
     pub fn update(
         &mut self,
         state: &mut TrainingState,
