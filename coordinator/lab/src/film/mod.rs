@@ -1,8 +1,8 @@
 //! Episodes as moving pictures: the robot as it collides, in light, with the goals that it goes to.
 //!
 //! [`make`] plays an episode, poses the robot for every picture and has [`rendering`] draw it. One file a step of that: what is played
-//! ([`episode`](mod@episode)), how the robot moves between control steps ([`motion`](mod@motion)), which solids it is ([`bodies`](mod@bodies)), where
-//! it touches ([`contacts`](mod@contacts)), and what stands in a picture ([`stage`](mod@stage)).
+//! (`episode`), how the robot moves between control steps (`motion`), which solids it is (`bodies`), where
+//! it touches (`contacts`), and what stands in a picture (`stage`).
 
 mod bodies;
 mod contacts;
