@@ -267,7 +267,9 @@ mod tests {
             let [red, _, blue] = at(&image, &camera, &(back * offset));
             assert_eq!((red, blue) == (255, 0), seen, "{offset} {behind}: {red} {blue}");
             let outside = at(&image, &camera, &(back * offset + right * 0.8));
-            assert_eq!(outside, [255, 0, 0], "{offset} {behind}");
+            // At its edge a pixel is not of the line alone.
+            let [red, green, blue] = outside;
+            assert!(red > 240 && green < 80 && blue < 80, "{offset} {behind}: {outside:?}");
         }
     }
 

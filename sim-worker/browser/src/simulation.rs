@@ -137,6 +137,10 @@ fn utf8<'a>(bytes: &'a [u8], what: &str) -> Result<&'a str, String> {
 }
 
 fn parsed<T: DeserializeOwned>(json: &[u8], what: &str) -> Result<T, String> {
+    // A list would be taken for the fields in their order.
+    if json.trim_ascii_start().first() == Some(&b'[') {
+        return Err(format!("{what}: a list, where an object or a word is expected"));
+    }
     serde_json::from_slice(json).map_err(|error| format!("{what}: {error}"))
 }
 

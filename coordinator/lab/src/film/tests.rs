@@ -38,7 +38,7 @@ fn the_first_and_the_last_picture_are_those_of_home_and_of_the_end() {
 fn a_film_without_end_is_refused() {
     let error = Times::new(1e6, &look()).expect_err("too long");
     assert_eq!(error.code, ExitCode::Usage);
-    assert!(error.message.contains("125,001 pictures") && error.message.contains("--speed"));
+    assert!(error.message.contains("1,250,001 pictures") && error.message.contains("--speed"));
 }
 
 #[test]
@@ -74,6 +74,7 @@ fn the_robot_is_drawn_where_it_stands() {
     let (episode, look) = (episode(&robot), Look { caption: false, ..look() });
     let stage = Stage::new(&robot, &episode, &look);
     let ground = stage.picture(0.0).pixel(0, 0);
+    let mut middles = Vec::new();
     for (passed, pose) in [(0.0, 0), (1.0, 2)] {
         let image = stage.picture(passed);
         let at = |point: &Vector| {
@@ -95,12 +96,30 @@ fn the_robot_is_drawn_where_it_stands() {
         let top = posed.base.origin + Vector::new(-0.2, 0.25, 0.4363);
         let [red, green, blue] = at(&top);
         assert!(blue > red && red > 20 && blue < 240, "the cube's: {red} {green} {blue}");
-        // Where the robot was or will be, and is not.
-        let other = Posed::new(&robot, &episode.poses[2 - pose]);
-        let hand = |posed: &Posed| posed.hands[usize::from(pose != 0)].origin;
-        assert_eq!(at(&(hand(&other))), ground, "where hand 0 will be, or hand 1 was");
         assert!(matches!(posed.parts[1].kind, Kind::Foot { arm: 0 }));
+        // The middle of all its pixels, and where the cube's middle is projected to.
+        let (mut sum, mut count) = ([0.0; 2], 0.0);
+        for y in 0..image.height {
+            for x in 0..image.width {
+                if image.pixel(x, y) != ground {
+                    sum = [sum[0] + x as f64, sum[1] + y as f64];
+                    count += 1.0;
+                }
+            }
+        }
+        middles.push((sum.map(|sum| sum / count), stage.camera().project(&posed.base.origin).0));
     }
+    // From the first picture to the last all of it goes where the cube goes.
+    let [(from, cube_from), (to, cube_to)] = middles[..] else { unreachable!("two pictures") };
+    for axis in 0..2 {
+        let (gone, cube_gone) = (to[axis] - from[axis], cube_to[axis] - cube_from[axis]);
+        assert!(
+            (gone - cube_gone).abs() < 0.2 * cube_gone.abs() + 3.0,
+            "{gone} {cube_gone} pixels"
+        );
+    }
+    let far = f64::hypot(to[0] - from[0], to[1] - from[1]);
+    assert!(far > 20.0, "{far} pixels");
 }
 
 /// The bodies between whom a contact is drawn are marked, in a colour that nothing else has.

@@ -146,7 +146,7 @@ async fn a_damaged_manifest_is_said_to_be_damaged() {
 async fn what_is_no_route_or_method_is_said_in_json() {
     let bench = Bench::new(&[]);
     for path in
-        ["/", "/v1", "/v2/checkpoints", "/v1/checkpoints/a/b", "/v1/checkpoints/a/files/b/c"]
+        ["/page", "/v1", "/v2/checkpoints", "/v1/checkpoints/a/b", "/v1/checkpoints/a/files/b/c"]
     {
         let answer = bench.ask(&format!("GET {path}")).await;
         assert_eq!(answer.status, StatusCode::NOT_FOUND, "{path}");
