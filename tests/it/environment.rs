@@ -187,7 +187,7 @@ fn a_disk_that_is_full_when_the_evaluation_is_written_names_what_evaluates_again
         .args(["--mount", "bash", "-c", script, "bash"])
         .args([disk.as_path(), &program("octopus")])
         .args(SMALL)
-        .args(["--workers=1", "--quiet"])
+        .args(["--workers=1", "--quiet", "--eval"])
         .stdin(Stdio::null())
         .output()
         .expect("util-linux is there");
