@@ -305,6 +305,7 @@ fn unit(name: &str, value: &Value, meaning: &str) -> &'static str {
         return "–";
     }
     let said = [
+        ("(rad/s)", "rad/s"),
         ("(rad)", "rad"),
         ("(s)", "s"),
         ("(m)", "m"),

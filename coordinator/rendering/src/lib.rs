@@ -19,6 +19,7 @@ mod overlay;
 mod render;
 mod scene;
 mod solid;
+mod vector;
 
 pub use camera::{Camera, View};
 pub use color::Color;
@@ -29,6 +30,4 @@ pub use overlay::Overlay;
 pub use render::render;
 pub use scene::{Body, Scene};
 pub use solid::Solid;
-
-/// A point or a direction (m, world).
-pub type Vector = nalgebra::Vector3<f64>;
+pub use vector::Vector;

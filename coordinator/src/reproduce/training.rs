@@ -49,6 +49,7 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
     for run in &runs {
         run.check(args)?;
     }
+    let is_new = !out.exists();
     std::fs::create_dir_all(out).map_err(|error| {
         let message = format!("{}: cannot be created: {error}", out.display());
         ExitError::new(ExitCode::RunDirectory, message)
@@ -57,7 +58,13 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
     for (index, run) in runs.iter().enumerate() {
         if !run.is_finished()? {
             output::note(&format!("run {} of {}: {}", index + 1, runs.len(), run.dir.display()));
-            run.go_on(args, out)?;
+            let ended = run.go_on(args, out);
+            // What was refused before anything began leaves nothing.
+            if is_new && ended.is_err() && !out.join(RUNS).exists() {
+                std::fs::remove_file(out.join(MARK))?;
+                std::fs::remove_dir(out)?;
+            }
+            ended?;
         }
     }
     // The trainings ended at Ctrl-C by themselves; what follows is whole or not there at any time.

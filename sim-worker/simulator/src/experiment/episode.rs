@@ -8,10 +8,11 @@ use std::sync::Arc;
 
 use proto::rng::Purpose;
 
+use super::chunk::Chunk;
 use super::event::{
     Control, Event, EventError, GoalPurpose, LONGEST_DELAY, Script, Start, finite, within,
 };
-use super::stepper::{Chunk, Group, Stepper, draw_goals};
+use super::stepper::{Group, Stepper, draw_goals};
 use super::{Effect, FixedGoals, Player, SensorNoise};
 use crate::collision::Touching;
 use crate::dynamics::Hand;

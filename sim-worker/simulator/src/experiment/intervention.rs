@@ -5,7 +5,7 @@ use std::ops::Range;
 use proto::rng::{Address, Purpose};
 use serde::{Deserialize, Serialize};
 
-use super::stepper::Chunk;
+use super::chunk::Chunk;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::step::{Disturbance, Wrench};

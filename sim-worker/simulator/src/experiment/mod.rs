@@ -13,6 +13,7 @@
 //! each through the other. A test holds them together: without exploration and interventions both give the same
 //! bits.
 
+mod chunk;
 mod episode;
 mod event;
 mod intervention;

@@ -5,6 +5,7 @@
 
 use proto::layout::JOINTS_PER_AGENT;
 
+use super::chunk::Chunk;
 use super::intervention::Lanes;
 use super::trial::{actors, moves};
 use super::{Effect, FixedGoals, Player, SensorNoise};
@@ -19,17 +20,6 @@ use crate::step::{Disturbance, StepOptions};
 use crate::task::goal::GoalAddress;
 use crate::task::observation::observe;
 use crate::task::{Errors, Goals, Readings};
-
-/// Which episodes stand in the lanes.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Chunk {
-    /// Seed of everything random in them.
-    pub(super) seed: u64,
-    /// Global index of the first.
-    pub(super) first: u32,
-    /// How many.
-    pub(super) n_envs: usize,
-}
 
 /// One lane group.
 #[derive(Clone)]

@@ -228,8 +228,8 @@ fn fixed_goals_are_what_errors_are_against() {
 /// The numbers that sensors add have the standard deviations asked for, and are new in each step.
 #[test]
 fn sensors_err_as_told() {
+    use super::chunk::Chunk;
     use super::intervention::Lanes;
-    use super::stepper::Chunk;
     use crate::task::Readings;
     let noise = SensorNoise { position: 0.1, angle: 0.01, velocity: 10.0, rate: 1.0 };
     let (mut squares, mut n) = ([0.0_f64; 4], 0.0);

@@ -1,8 +1,9 @@
 //! The loop that plays a trial's episodes, environments in lanes.
 
 use super::Trial;
+use super::chunk::Chunk;
 use super::recording::record;
-use super::stepper::{Chunk, Stepper};
+use super::stepper::Stepper;
 use crate::env::EpisodeError;
 use crate::scalar::{LaneFn, Real};
 use crate::task::goal::GoalAddress;
