@@ -36,6 +36,11 @@ pub fn asset(name: &str) -> Option<&'static Asset> {
     ASSETS.iter().find(|asset| asset.name == name)
 }
 
+/// Whether the page is what an address asks for by this path.
+pub(crate) fn is_at(path: &str) -> bool {
+    path == "/" || path.strip_prefix("/page/").is_some_and(|name| asset(name).is_some())
+}
+
 /// Whether the page is there.
 pub fn is_built() -> bool {
     !ASSETS.is_empty()

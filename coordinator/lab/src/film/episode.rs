@@ -1,11 +1,12 @@
 //! An episode that is played to be shown.
 
 use proto::config::TaskName;
+use proto::{ExitCode, ExitError};
 use simulator::experiment::{FixedGoals, Pose, Recording, Trial, play};
 use simulator::model::ContactKind;
+use simulator::robot::Robot;
 use simulator::task::goal::GoalAddress;
 
-use super::check_arm;
 use crate::threads::Threads;
 use crate::trained::Trained;
 
@@ -130,4 +131,13 @@ impl Episode {
     pub(super) fn steps_with_contact(&self) -> usize {
         self.contacts.iter().filter(|kinds| kinds.iter().any(|pairs| *pairs > 0)).count()
     }
+}
+
+/// Refuses an arm (counted from 1) that the robot does not have.
+pub(super) fn check_arm(robot: &Robot, arm: usize) -> Result<(), ExitError> {
+    if (1..=robot.n_arms).contains(&arm) {
+        return Ok(());
+    }
+    let message = format!("there is no arm {arm}: the robot `{}` has {}", robot.name, robot.n_arms);
+    Err(ExitError::new(ExitCode::BadInput, message))
 }

@@ -7,6 +7,7 @@
 mod bodies;
 mod contacts;
 mod episode;
+mod look;
 mod motion;
 mod stage;
 
@@ -14,14 +15,14 @@ use std::sync::Mutex;
 
 use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
-use rendering::{Film, Format, Image, View};
+use rendering::{Film, Format, Image};
 use run::report::progress::Parts;
 use serde::Serialize;
 use simulator::executor::Executor as _;
-use simulator::robot::Robot;
 
 use self::episode::Episode;
 pub use self::episode::{EpisodeSettings, HandGoal};
+pub use self::look::Look;
 use self::stage::Stage;
 use crate::threads::Threads;
 use crate::trained::{PolicyIdentity, Trained};
@@ -38,25 +39,6 @@ const AHEAD: usize = 4;
 
 /// Pictures by which the colours are chosen where there are few.
 const EXAMPLES: u64 = 6;
-
-/// How a film looks.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Look {
-    /// Columns and rows (px).
-    pub size: [usize; 2],
-    /// Pictures a second.
-    pub fps: u32,
-    /// Seconds of the episode in a second of the film.
-    pub speed: f64,
-    /// From where it is seen (rad).
-    pub view: View,
-    /// How far the camera goes around the robot while the film lasts (rad).
-    pub orbit: f64,
-    /// How much larger everything is than if all of it just fits.
-    pub zoom: f64,
-    /// Whether time and errors are written below.
-    pub caption: bool,
-}
 
 /// What was made.
 #[derive(Debug, Serialize)]
@@ -210,15 +192,6 @@ fn drawn(
         slot.into_inner().expect("nobody panicked with it").expect("every task ran")
     };
     images.into_iter().map(image).collect()
-}
-
-/// Refuses an arm (counted from 1) that the robot does not have.
-fn check_arm(robot: &Robot, arm: usize) -> Result<(), ExitError> {
-    if (1..=robot.n_arms).contains(&arm) {
-        return Ok(());
-    }
-    let message = format!("there is no arm {arm}: the robot `{}` has {}", robot.name, robot.n_arms);
-    Err(ExitError::new(ExitCode::BadInput, message))
 }
 
 #[cfg(test)]

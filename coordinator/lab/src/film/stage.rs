@@ -7,10 +7,10 @@ use simulator::experiment::Pose;
 use simulator::robot::{JOINTS_PER_ARM, Robot};
 use simulator::spatial::euler_xyz_to_rotation;
 
-use super::Look;
 use super::bodies::{Frame, Kind, Posed};
 use super::contacts;
 use super::episode::Episode;
+use super::look::Look;
 use super::motion::pose_at;
 
 /// What is behind the robot: nearly white, so that it stands as well on a dark page as on a light one.

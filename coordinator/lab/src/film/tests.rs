@@ -1,8 +1,9 @@
-use rendering::Vector;
+use rendering::{Vector, View};
 use simulator::experiment::Pose;
+use simulator::robot::Robot;
 
 use super::bodies::{Kind, Posed};
-use super::episode::MomentErrors;
+use super::episode::{MomentErrors, check_arm};
 use super::*;
 
 fn look() -> Look {

@@ -6,8 +6,8 @@ use std::rc::Rc;
 
 use png::{BitDepth, BlendOp, ColorType, Compression, DisposeOp, Encoder, EncodingError};
 
+use super::format::{FilmError, Format};
 use super::patch::Patch;
-use super::{FilmError, Format};
 use crate::Image;
 
 /// Bytes that are still there when who writes them is gone.

@@ -4,9 +4,9 @@ use std::borrow::Cow;
 
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 
+use super::format::{FilmError, Format};
 use super::palette::{COLORS, Palette};
 use super::patch::Patch;
-use super::{FilmError, Format};
 use crate::Image;
 
 /// Index of what stays.

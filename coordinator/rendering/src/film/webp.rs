@@ -4,8 +4,8 @@
 
 use image_webp::{ColorType, WebPEncoder};
 
+use super::format::{FilmError, Format};
 use super::patch::Patch;
-use super::{FilmError, Format};
 use crate::Image;
 
 /// Flags of the whole: some pixels cover nothing, and there are several pictures.

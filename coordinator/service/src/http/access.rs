@@ -17,15 +17,15 @@ use proto::{ExitCode, ExitError};
 
 use super::connection_slots::ConnectionSlot;
 use super::context::{Context, Shared};
-use super::page;
 use super::problem::Problem;
 use super::request_body::RequestBody;
 use super::token::{TOKEN_VARIABLE, Token};
+use crate::page;
 
 /// Whether a path needs no token. What stands there tells strangers nothing and changes nothing: a sign
 /// of life for load balancers, and the page, which asks its user for the token.
 pub(super) fn is_public(path: &str) -> bool {
-    path == "/health" || page::is_of_page(path)
+    path == "/health" || page::is_at(path)
 }
 
 /// Refuses to listen beyond this machine unless somebody has chosen a token for that.

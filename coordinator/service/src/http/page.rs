@@ -22,11 +22,6 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
                       img-src 'self' data: blob:; connect-src 'self'; worker-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Whether a path is the page's.
-pub(super) fn is_of_page(path: &str) -> bool {
-    path == "/" || path.strip_prefix("/page/").is_some_and(|name| page::asset(name).is_some())
-}
-
 /// The page, for people. Needs no token, but asks its user for one.
 #[utoipa::path(get, path = "/", tag = "service", security(()), responses(
     (status = 200, description = "The page", body = String, content_type = "text/html"),
