@@ -137,12 +137,15 @@ fn who_reports_waits_for_a_coordinator_that_stands_still() {
     let channels = Channels::create(&domain.0, SIZES).expect("create");
     let receiver = channels.progress_receiver().expect("receiver");
     let last = Progress::BlockReceived { iteration: 9, shard: 9, duplicate: false };
+    let first_heard = std::sync::Barrier::new(2);
     std::thread::scope(|scope| {
         let learner = scope.spawn(|| {
             let learner = Channels::open(&domain.0, SIZES).expect("open");
             let sender = learner.progress_sender(WHILE_THE_PARENT_LIVES).expect("sender");
+            sender.send(&Progress::Heartbeat).expect("waits");
+            first_heard.wait();
             // Twice as many as there is room for.
-            for _ in 0..128 {
+            for _ in 1..128 {
                 sender.send(&Progress::Heartbeat).expect("waits");
             }
             sender.send(&last).expect("waits");
@@ -154,6 +157,7 @@ fn who_reports_waits_for_a_coordinator_that_stands_still() {
         while heard.is_empty() {
             heard.extend(receiver.try_receive().expect("receive"));
         }
+        first_heard.wait();
         std::thread::sleep(3 * DEADLINE);
         assert!(!learner.is_finished(), "there is no room");
         while heard.last() != Some(&last) {
