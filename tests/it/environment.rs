@@ -1,5 +1,6 @@
 //! What a shell leaves to a run: variables, limits, and what a killed run left on the disk.
 
+use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use rustix::process::{Signal, getuid};
@@ -136,29 +137,37 @@ fn a_file_that_may_not_become_large_enough_is_named() {
     assert!(!out.exists(), "half a file is none");
 }
 
+/// Runs shell commands beside a disk of their own, `$disk`, that holds 200 files; `$octopus` is the program, `"$@"`
+/// a small run's flags and `more`. `None` where nobody may mount one.
+fn beside_a_small_disk(disk: &Path, commands: &str, more: &[&str]) -> Option<Output> {
+    if !getuid().is_root() {
+        return None;
+    }
+    std::fs::create_dir(disk).expect("a directory");
+    let script = format!(
+        "disk=$1 octopus=$2; shift 2
+        mount -t tmpfs -o size=256M,nr_inodes=200 tmpfs \"$disk\" || exit 90
+        {commands}"
+    );
+    let mut command = Command::new("unshare");
+    command.args(["--mount", "bash", "-c", &script, "bash"]).args([disk, &program("octopus")]);
+    command.args(SMALL).args(["--workers=1", "--quiet"]).args(more).stdin(Stdio::null());
+    Some(command.output().expect("util-linux is there"))
+}
+
 /// No file can be made any more, though bytes are free, so that no check before finds it out.
 #[test]
 fn a_disk_that_is_full_when_a_run_is_resumed_names_what_goes_on() {
-    if !getuid().is_root() {
-        eprintln!("not root, so that no other disk can be mounted: not tried");
-        return;
-    }
     let dir = tempfile::tempdir().expect("a temporary directory");
     let disk = dir.path().join("disk");
-    std::fs::create_dir(&disk).expect("a directory");
-    let script = "disk=$1 octopus=$2; shift 2
-        mount -t tmpfs -o size=256M,nr_inodes=200 tmpfs \"$disk\" || exit 90
+    let commands = "
         \"$octopus\" train trajectory --run-dir \"$disk/run\" --iterations=5 \"$@\" >&2 || exit 91
         i=0; while : > \"$disk/$i\"; do i=$((i + 1)); done 2>/dev/null
         exec \"$octopus\" resume \"$disk/run\" --iterations=10 --no-eval --quiet";
-    let output = Command::new("unshare")
-        .args(["--mount", "bash", "-c", script, "bash"])
-        .args([disk.as_path(), &program("octopus")])
-        .args(SMALL)
-        .args(["--workers=1", "--quiet"])
-        .stdin(Stdio::null())
-        .output()
-        .expect("util-linux is there");
+    let Some(output) = beside_a_small_disk(&disk, commands, &[]) else {
+        eprintln!("not root, so that no other disk can be mounted: not tried");
+        return;
+    };
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(5), "{said}");
     let cure = format!("make room, then `octopus resume {}` goes on", disk.join("run").display());
@@ -169,28 +178,18 @@ fn a_disk_that_is_full_when_a_run_is_resumed_names_what_goes_on() {
 /// The training is whole then, and what was found is not lost.
 #[test]
 fn a_disk_that_is_full_when_the_evaluation_is_written_names_what_evaluates_again() {
-    if !getuid().is_root() {
-        eprintln!("not root, so that no other disk can be mounted: not tried");
-        return;
-    }
     let dir = tempfile::tempdir().expect("a temporary directory");
     let disk = dir.path().join("disk");
-    std::fs::create_dir(&disk).expect("a directory");
-    // A run lets its lock go when its session is over; then come the episodes.
-    let script = "disk=$1 octopus=$2; shift 2
-        mount -t tmpfs -o size=256M,nr_inodes=200 tmpfs \"$disk\" || exit 90
+    // A run lets its lock go when its iterations are over; then come the episodes.
+    let commands = "
         (until [ -s \"$disk/run/run.lock\" ]; do kill -0 $$ || exit; sleep 0.01; done
          while [ -s \"$disk/run/run.lock\" ]; do kill -0 $$ || exit; sleep 0.01; done
          i=0; while : > \"$disk/$i\"; do i=$((i + 1)); done) >/dev/null 2>&1 &
         exec \"$octopus\" train trajectory --run-dir \"$disk/run\" --iterations=5 \"$@\"";
-    let output = Command::new("unshare")
-        .args(["--mount", "bash", "-c", script, "bash"])
-        .args([disk.as_path(), &program("octopus")])
-        .args(SMALL)
-        .args(["--workers=1", "--quiet", "--eval"])
-        .stdin(Stdio::null())
-        .output()
-        .expect("util-linux is there");
+    let Some(output) = beside_a_small_disk(&disk, commands, &["--eval"]) else {
+        eprintln!("not root, so that no other disk can be mounted: not tried");
+        return;
+    };
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(5), "{said}");
     let run = disk.join("run");
