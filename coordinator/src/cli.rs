@@ -3,8 +3,8 @@
 use clap::{Parser, Subcommand};
 
 use crate::{
-    bench, checkpoints, clean, doctor, eval, experiment, film, janitor, mjcf, plot, reproduce,
-    resume, rollout, scale, serve, simulate, status, train, verify, view,
+    bench, checkpoints, clean, doctor, eval, experiment, film, janitor, mjcf, plan, plot,
+    reproduce, resume, rollout, scale, serve, simulate, status, train, verify, view,
 };
 
 /// Exit codes, as `octopus --help` lists them.
@@ -52,6 +52,8 @@ pub enum Command {
     Plot(plot::PlotArgs),
     /// Make a moving picture of an episode.
     Film(film::FilmArgs),
+    /// Find a motion that brings hands to poses.
+    Plan(plan::PlanArgs),
     /// Integrate given joint commands, open loop.
     Simulate(simulate::SimulateArgs),
     /// Write a robot as a MuJoCo model file.

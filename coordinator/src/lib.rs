@@ -17,6 +17,7 @@ pub mod experiment;
 pub mod film;
 pub mod janitor;
 pub mod mjcf;
+pub mod plan;
 pub mod plot;
 pub mod reproduce;
 pub mod resume;
@@ -33,6 +34,7 @@ mod conclusion;
 pub mod limits;
 pub mod logs;
 mod not_the_same;
+mod trajectories;
 
 use anyhow::Context as _;
 use run::signals;
@@ -47,6 +49,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Eval(_)
         | Command::Experiment(_)
         | Command::Film(_)
+        | Command::Plan(_)
         | Command::Simulate(_)
         | Command::Rollout(_) => true,
         Command::Reproduce(args) => !args.train,
@@ -63,6 +66,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Reproduce(args) => reproduce::run(&args),
         Command::Plot(args) => plot::run(&args),
         Command::Film(args) => film::run(&args),
+        Command::Plan(args) => plan::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Doctor(args) => doctor::run(args),
