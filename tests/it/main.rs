@@ -21,6 +21,7 @@ mod mujoco;
 mod other_users;
 mod page;
 mod precision;
+mod python;
 mod reproduce;
 mod run_directory;
 mod shared_memory;
