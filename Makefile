@@ -54,6 +54,16 @@ venv: ## install the Python packages of the cross-checks (once)
 venv-benches: ## install the Python packages of the benchmarks' peers (once)
 	@$(PYTHON) deploy/setup.py benches
 
+.PHONY: venv-wheel
+venv-wheel:
+	@$(PYTHON) deploy/setup.py wheel
+
+# For any Python from 3.10 on; it needs neither libtorch nor our programs.
+.PHONY: wheel
+wheel: venv-wheel ## build the simulator for Python: a wheel in target/wheels
+	.venv-wheel/bin/maturin build --release $(LOCKED) --manifest-path sim-worker/python/Cargo.toml --target-dir $(TARGET) --out $(TARGET)/wheels
+	@echo 'install it: pip install $(TARGET)/wheels/spaceoctopus-*.whl'
+
 # The page in a browser: types, then one script, one style and the simulator as a WebAssembly module, compressed.
 # The service's build script puts them into the program.
 NODE = $(abspath .node/bin/node)
@@ -84,7 +94,7 @@ bench: build venv-benches ## measure this machine and the peers, with ARGS="..."
 	$(TARGET)/release/octopus bench --peer $(ARGS)
 
 .PHONY: test
-test: setup venv page ## everything that must hold: format, lints, documentation, tests
+test: setup venv venv-wheel page ## everything that must hold: format, lints, documentation, tests
 	$(call step,'format',$(CARGO) fmt --all --check && $(CARGO) fmt --manifest-path tests/fuzz/Cargo.toml --check)
 	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets $(FEATURES) -- -D warnings)
 	$(call step,'the simulator for browsers',{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } && RUSTFLAGS='-D warnings' $(CARGO) check $(LOCKED) -p simulator -p browser --target wasm32-unknown-unknown)
@@ -176,4 +186,4 @@ clean: ## remove what was built; set-up and runs are kept
 
 .PHONY: distclean
 distclean: clean ## remove what was built and what was set up; runs are kept
-	rm -rf .node .node.tmp coordinator/web/node_modules .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .cache
+	rm -rf .node .node.tmp coordinator/web/node_modules .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .venv-wheel .cache

@@ -5,6 +5,7 @@
     deploy/setup.py page [--dry-run]                        Node in .node/, the page's libraries in coordinator/web/node_modules/
     deploy/setup.py venv [--dry-run]                        the tests' Python in .venv-tests/
     deploy/setup.py benches [--dry-run]                     the benchmarks' Python in .venv-benches/
+    deploy/setup.py wheel [--dry-run]                       what builds the wheel for Python in .venv-wheel/
 
 Nothing outside the repository is changed. A second run finds its stamp and does nothing.
 
@@ -41,7 +42,7 @@ USAGE, ENVIRONMENT, DOWNLOAD = 2, 3, 4
 ATTEMPTS = 3
 PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 LAYOUT = 1  # of .libtorch; a change here sets it up anew
-VENV_PYTHONS = ((3, 10), (3, 14))  # the oldest and the newest for which both requirements.txt hold wheels
+VENV_PYTHONS = ((3, 10), (3, 14))  # the oldest and the newest for which every requirements.txt holds wheels
 RUST = (1, 95)  # rust-version in Cargo.toml
 MIN_GLIBC = (2, 28)  # the wheels are manylinux_2_28
 
@@ -695,6 +696,15 @@ PACKAGES = {
         space=2.5e9,
         download=0.58e9,
         without_cuda=True,
+    ),
+    "wheel": Packages(
+        folder=ROOT / ".venv-wheel",
+        requirements=ROOT / "sim-worker" / "python" / "requirements.txt",
+        name="the wheel's builder",
+        users="the wheel",
+        space=0.1e9,
+        download=0.01e9,
+        without_cuda=False,
     ),
 }
 

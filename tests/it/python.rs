@@ -1,9 +1,7 @@
 //! The module for Python, as its wheel installs it: against blocks of workers, `octopus` itself, the checkers of PettingZoo and
 //! Gymnasium, and what a person may do wrong.
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
-use std::sync::OnceLock;
+use std::process::Command;
 
 use proto::config::{Layers, Preset, TaskName};
 use proto::layout::{BlockLayout, Dimensions};
@@ -11,68 +9,12 @@ use serde_json::{Value, json};
 use simulator::policy::initial_parameters;
 use simulator::robot::Robot;
 use simulator::rollout::{RolloutSpec, World, rollout};
-use tempfile::TempDir;
 use tests::guide::repository;
-
-/// A virtual environment that holds the wheel, and beside it what the tests' Python has.
-fn environment() -> &'static Path {
-    static ENVIRONMENT: OnceLock<TempDir> = OnceLock::new();
-    ENVIRONMENT.get_or_init(|| {
-        let dir = tempfile::tempdir().expect("a directory");
-        let root = repository();
-        let maturin = root.join(".venv-wheel/bin/maturin");
-        assert!(maturin.is_file(), "{} is missing: run `make test`", maturin.display());
-        // As the other programs were built, into the same place: little is left to do.
-        let target = tests::program("octopus");
-        let target = target.parent().and_then(Path::parent).expect("target/<profile>/octopus");
-        let mut build = Command::new(maturin);
-        build.args(["build", "--quiet", "--locked", "--profile"]);
-        build.arg(if cfg!(debug_assertions) { "dev" } else { "release" });
-        build.arg("--manifest-path").arg(root.join("sim-worker/python/Cargo.toml"));
-        build.arg("--target-dir").arg(target).arg("--out").arg(dir.path().join("wheels"));
-        succeeds(build.current_dir(root));
-        let wheels = std::fs::read_dir(dir.path().join("wheels")).expect("wheels");
-        let wheels: Vec<_> = wheels.map(|entry| entry.expect("a wheel").path()).collect();
-        let [wheel] = wheels.as_slice() else { panic!("one wheel, not {wheels:?}") };
-        let name = wheel.file_name().unwrap_or_default().to_string_lossy();
-        assert!(name.contains("-cp310-abi3-"), "one wheel for every Python from 3.10 on: {name}");
-
-        let venv = dir.path().join("venv");
-        succeeds(Command::new(tests::python()).args(["-m", "venv", "--without-pip"]).arg(&venv));
-        let python = venv.join("bin/python");
-        let mut install = Command::new(tests::python());
-        install.args(["-m", "pip", "--python"]).arg(&python);
-        install.args(["install", "--quiet", "--no-index", "--no-deps", "--no-compile"]).arg(wheel);
-        succeeds(&mut install);
-        // Nothing is fetched: NumPy and the checkers are those of the tests' Python.
-        let place = "import sysconfig; print(sysconfig.get_path('purelib'))";
-        let of = |python: &Path| {
-            let said = succeeds(Command::new(python).args(["-c", place])).stdout;
-            String::from_utf8(said).expect("a path").trim().to_owned()
-        };
-        let beside = Path::new(&of(&python)).join("tests.pth");
-        std::fs::write(beside, of(&tests::python())).expect("written");
-        dir
-    });
-    static PYTHON: OnceLock<PathBuf> = OnceLock::new();
-    PYTHON.get_or_init(|| ENVIRONMENT.get().expect("made above").path().join("venv/bin/python"))
-}
-
-/// Runs a command to its end, which must be a good one.
-fn succeeds(command: &mut Command) -> Output {
-    let output = command.stdin(Stdio::null()).output().expect("it can be started");
-    assert!(
-        output.status.success(),
-        "{command:?}\n{}{}",
-        String::from_utf8_lossy(&output.stdout),
-        tests::stderr(&output)
-    );
-    output
-}
+use tests::wheel::{self, succeeds};
 
 /// Python with the wheel, and with nothing of this process's surroundings.
 fn python() -> Command {
-    let mut command = Command::new(environment());
+    let mut command = Command::new(wheel::python());
     command.env_remove("PYTHONPATH").arg("-I");
     command
 }
@@ -93,7 +35,11 @@ fn the_wheel_needs_neither_libtorch_nor_pythons_own_library() {
     let needed = String::from_utf8_lossy(&needed.stdout).into_owned();
     let libraries = needed.lines().filter(|line| line.contains("(NEEDED)"));
     let foreign: Vec<&str> = libraries
-        .filter(|line| !["libc.", "libm.", "libgcc_s.", "libpthread.", "ld-linux"].iter().any(|name| line.contains(name)))
+        .filter(|line| {
+            !["libc.", "libm.", "libgcc_s.", "libpthread.", "ld-linux"]
+                .iter()
+                .any(|name| line.contains(name))
+        })
         .collect();
     assert!(foreign.is_empty(), "{foreign:?}");
 }
@@ -178,7 +124,15 @@ fn commands_in_open_loop_lead_where_octopus_simulate_does() {
     let [from, to] = [&actions, &out].map(|path| path.to_str().expect("a path"));
     for precision in ["f32", "f64"] {
         let output = tests::octopus(&[
-            "simulate", "--robot=release", "--force", "--precision", precision, "--actions", from, "--out", to,
+            "simulate",
+            "--robot=release",
+            "--force",
+            "--precision",
+            precision,
+            "--actions",
+            from,
+            "--out",
+            to,
         ]);
         assert!(output.status.success(), "{}", tests::stderr(&output));
         succeeds(script("python_simulate.py").args([from, to, precision]));
@@ -193,7 +147,14 @@ fn what_a_person_may_do_wrong_is_told_and_nothing_is_lost() {
 /// The words are those of the command line.
 #[test]
 fn configurations_are_refused_in_the_words_of_octopus_train() {
-    for set in ["algorithm.gama=0.9", "env.n_envs=-1", "network.hidden=oops", "task.name=walk", "nonsense", "env.substep=0.3"] {
+    for set in [
+        "algorithm.gama=0.9",
+        "env.n_envs=-1",
+        "network.hidden=oops",
+        "task.name=walk",
+        "nonsense",
+        "env.substep=0.3",
+    ] {
         let train = tests::octopus(&["train", "--dry-run", "--set", set]);
         let said = tests::stderr(&train);
         let code = "import spaceoctopus, sys\ntry: spaceoctopus.Config(set=[sys.argv[1]])\nexcept ValueError as error: print(error)";
@@ -203,7 +164,8 @@ fn configurations_are_refused_in_the_words_of_octopus_train() {
         assert!(!ours.trim().is_empty(), "--set {set} is refused");
         // An assignment without `=` is refused by the command line's reader, with the same reason.
         let ours = flat(&ours);
-        let reason = ours.rsplit_once("--set nonsense: ").map_or(ours.as_str(), |(_, reason)| reason);
+        let reason =
+            ours.rsplit_once("--set nonsense: ").map_or(ours.as_str(), |(_, reason)| reason);
         assert!(flat(&said).contains(reason), "--set {set}\noctopus: {said}\nspaceoctopus: {ours}");
     }
 }
@@ -212,8 +174,8 @@ fn configurations_are_refused_in_the_words_of_octopus_train() {
 fn stubs_say_what_the_module_has() {
     let mut command = python();
     command.args(["-m", "mypy.stubtest", "--ignore-disjoint-bases", "spaceoctopus._native"]);
-    succeeds(command.current_dir(environment().parent().expect("a directory")));
     let dir = tempfile::tempdir().expect("a directory");
+    succeeds(command.current_dir(dir.path()));
     let example = dir.path().join("example.py");
     std::fs::copy(tests::crosscheck("python_typed.py"), &example).expect("copied");
     let mut command = python();

@@ -53,10 +53,9 @@ class ParallelEnv(pettingzoo.ParallelEnv):
 
     def reset(self, seed=None, options=None):
         """Begins an episode; returns observations and infos by agent."""
-        options = dict(options or {})
-        begin = {"iteration": options.pop("iteration", None), "first": options.pop("env", None), "goals": options.pop("goals", None)}
-        if options:
-            raise ValueError("options %s are not known: env, iteration and goals are" % ", ".join(map(repr, options)))
+        # Others' options are passed to all environments of a program, so what is not known is left alone.
+        options = options or {}
+        begin = {"iteration": options.get("iteration"), "first": options.get("env"), "goals": options.get("goals")}
         self._batch.reset(seed, **begin)
         self.agents = list(self._names)
         return self._observations(), {name: {} for name in self._names}
