@@ -5,6 +5,7 @@
     deploy/setup.py page [--dry-run]                        Node in .node/, the page's libraries in coordinator/web/node_modules/
     deploy/setup.py venv [--dry-run]                        the tests' Python in .venv-tests/
     deploy/setup.py benches [--dry-run]                     the benchmarks' Python in .venv-benches/
+    deploy/setup.py trainers [--dry-run]                    a trainer of somebody else's in .venv-trainers/
     deploy/setup.py wheel [--dry-run]                       what builds the wheel for Python in .venv-wheel/
 
 Nothing outside the repository is changed. A second run finds its stamp and does nothing.
@@ -672,6 +673,7 @@ class Packages(NamedTuple):
     space: float  # bytes needed at the peak
     download: float  # bytes
     without_cuda: bool  # torch is among them, CUDA is not
+    sources: tuple = ()  # those that are no wheels
 
     @property
     def source(self):
@@ -696,6 +698,16 @@ PACKAGES = {
         space=2.5e9,
         download=0.58e9,
         without_cuda=True,
+    ),
+    "trainers": Packages(
+        folder=ROOT / ".venv-trainers",
+        requirements=ROOT / "tests" / "peers" / "trainers" / "requirements.txt",
+        name="the trainer's Python",
+        users="the trainer",
+        space=3.0e9,
+        download=0.62e9,
+        without_cuda=True,
+        sources=("benchmarl", "antlr4-python3-runtime"),
     ),
     "wheel": Packages(
         folder=ROOT / ".venv-wheel",
@@ -770,7 +782,7 @@ def install(packages):
     command = [str(packages.folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
     command.append("--no-cache-dir")
     # The file lists the whole closure. Resolving it again would fail: hashes and extras (etils[epath]) do not mix.
-    command += ["--only-binary=:all:", "--require-hashes", "--no-deps", "-r", str(packages.requirements)]
+    command += ["--only-binary=:all:"] + ["--no-binary=%s" % name for name in packages.sources] + ["--require-hashes", "--no-deps", "-r", str(packages.requirements)]
     for attempt in range(ATTEMPTS):
         remove(temporary)
         temporary.mkdir()

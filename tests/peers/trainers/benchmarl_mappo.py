@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
 """MAPPO as BenchMARL and TorchRL have it, on our simulator: does somebody else's trainer learn here, and how fast?
 
-    python -m venv .venv-trainers
-    .venv-trainers/bin/pip install -r tests/peers/trainers/requirements.txt target/wheels/spaceoctopus-*.whl
+    make wheel && deploy/setup.py trainers
+    .venv-trainers/bin/pip install --no-deps target/wheels/spaceoctopus-*.whl
     .venv-trainers/bin/python tests/peers/trainers/benchmarl_mappo.py --out theirs.jsonl
 
 The trainer is theirs: collection, GAE, clipped loss, Adam, networks. Ours is the environment, a `torchrl.envs.EnvBase` around
 `spaceoctopus.Batch`. What is learned with is that of preset `tuned` where BenchMARL has a place for it: environments, episode length,
-discount, GAE, clipping, epochs, mini-batches, rates, hidden layers, no shared parameters, critics that see all agents' observations.
+discount, GAE, clipping, epochs, mini-batches, rates, hidden layers, actors that are shared by role, a critic an agent.
 It has none for: the running normalisation of inputs, the squared-error clipping of values, schedules, and noise whose mean is squashed
 (its actions are squashed themselves, within ±1).
 
-Writes one JSON object a line, an iteration each: env_steps, seconds (wall time, since the training began), collect_s, train_s, return
+Writes one JSON object a line, an iteration each: env_steps, seconds (wall time, since the training began), processor_s, collect_s, train_s, return
 (undiscounted, of an episode, mean over agents and environments), position_error (m) and orientation_error (rad) after its last step.
 """
 
@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 try:
+    import numpy as np
     import spaceoctopus
     import torch
     from benchmarl.algorithms import MappoConfig
@@ -35,49 +36,55 @@ except ImportError as error:
     print(f"benchmarl_mappo: {error}: install tests/peers/trainers/requirements.txt and the wheel", file=sys.stderr)
     sys.exit(3)
 
-GROUP = "agents"
+# Agents that share a network, as they do in preset `tuned`: those that move the same joints of different arms.
+GROUPS = {"shoulders": slice(0, None, 2), "wrists": slice(1, None, 2)}
 
 
 class Environments(EnvBase):
-    """A batch of environments, all agents in one group, as TorchRL steps them."""
+    """A batch of environments as TorchRL steps them."""
 
     def __init__(self, n_envs, config, seed, device="cpu"):
         super().__init__(device=device, batch_size=[n_envs])
         self.batch = spaceoctopus.Batch(n_envs, config, threads=1)
         self.seed_of_run, self.begun = seed, False
         n, agents, seen = self.batch.observation.shape
-        self.agents = [f"agent_{index}" for index in range(agents)]
-        self.group_map = {GROUP: self.agents}
+        names = [f"agent_{index}" for index in range(agents)]
+        self.group_map = {group: names[part] for group, part in GROUPS.items()}
+        many = agents // len(GROUPS)
 
-        def of_group(**specs):
-            return Composite({GROUP: Composite(specs, shape=[n, agents])}, shape=[n])
+        def of_groups(**specs):
+            groups = {group: Composite({name: spec.clone() for name, spec in specs.items()}, shape=[n, many]) for group in GROUPS}
+            return Composite(groups, shape=[n])
 
         flag = {"shape": [n, 1], "dtype": torch.bool}
-        self.observation_spec = of_group(observation=Unbounded([n, agents, seen]))
-        self.action_spec = of_group(action=Bounded(-1.0, 1.0, [n, agents, 3]))
-        self.reward_spec = of_group(reward=Unbounded([n, agents, 1]))
+        self.observation_spec = of_groups(observation=Unbounded([n, many, seen]))
+        self.action_spec = of_groups(action=Bounded(-1.0, 1.0, [n, many, 3]))
+        self.reward_spec = of_groups(reward=Unbounded([n, many, 1]))
         self.done_spec = Composite({name: Unbounded(**flag) for name in ("done", "terminated", "truncated")}, shape=[n])
 
-    def _seen(self):
-        # Copies: the next step fills the same memory.
-        return {GROUP: TensorDict({"observation": torch.from_numpy(self.batch.observation.copy())}, [*self.batch.observation.shape[:2]])}
-
-    def _flags(self):
+    def _shown(self, **more):
         over = torch.from_numpy(self.batch.truncated.copy())[:, None]
-        return {"done": over, "truncated": over.clone(), "terminated": torch.zeros_like(over)}
+        shown = {"done": over, "truncated": over.clone(), "terminated": torch.zeros_like(over)}
+        for group, part in GROUPS.items():
+            # Copies: the next step fills the same memory.
+            arrays = {name: torch.from_numpy(array[:, part].copy()) for name, array in more.items()}
+            arrays["observation"] = torch.from_numpy(self.batch.observation[:, part].copy())
+            shown[group] = TensorDict(arrays, arrays["observation"].shape[:2])
+        return TensorDict(shown, self.batch_size)
 
     def _reset(self, tensordict=None, **_):
         self.batch.reset(None if self.begun else self.seed_of_run)
         self.begun = True
-        return TensorDict({**self._seen(), **self._flags()}, self.batch_size)
+        return self._shown()
 
     def _step(self, tensordict):
-        self.batch.step(tensordict[GROUP, "action"].numpy())
-        result = TensorDict({**self._seen(), **self._flags()}, self.batch_size)
-        result[GROUP, "reward"] = torch.from_numpy(self.batch.reward.copy())[..., None]
+        actions = np.empty((*self.batch.observation.shape[:2], 3), np.float32)
+        for group, part in GROUPS.items():
+            actions[:, part] = tensordict[group, "action"].numpy()
+        self.batch.step(actions)
         if self.batch.truncated[0]:
             ERRORS[:] = [float(self.batch.position_error.mean()), float(self.batch.orientation_error.mean())]
-        return result
+        return self._shown(reward=self.batch.reward[..., None])
 
     def _set_seed(self, seed):
         self.seed_of_run, self.begun = seed, False
@@ -134,20 +141,20 @@ class Record(Callback):
     def __init__(self, path):
         super().__init__()
         self.file, self.env_steps, self.begun = open(path, "w"), 0, time.perf_counter()
-        self.collected = self.begun
+        self.processor, self.collected = time.process_time(), self.begun
         self.trained = self.begun
 
     def on_batch_collected(self, batch):
         self.collected = time.perf_counter()
         self.env_steps += batch.numel()
-        paid = batch["next", GROUP, "reward"].sum()
-        episodes = batch["next", "done"].sum()
-        agents = batch["next", GROUP, "reward"].shape[-2]
-        self.line = {"return": float(paid / episodes / agents), "position_error": ERRORS[0], "orientation_error": ERRORS[1]}
+        paid = torch.stack([batch["next", group, "reward"].mean(-2).sum() for group in GROUPS]).mean()
+        self.line = {"return": float(paid / batch["next", "done"].sum()), "position_error": ERRORS[0], "orientation_error": ERRORS[1]}
 
     def on_train_end(self, training, group):
+        if group != list(GROUPS)[-1]:
+            return
         now = time.perf_counter()
-        line = {"env_steps": self.env_steps, "seconds": now - self.begun}
+        line = {"env_steps": self.env_steps, "seconds": now - self.begun, "processor_s": time.process_time() - self.processor}
         line.update(collect_s=self.collected - self.trained, train_s=now - self.collected, **self.line)
         self.trained = now
         print(json.dumps(line), file=self.file, flush=True)
@@ -171,7 +178,7 @@ def main():
     config = spaceoctopus.Config(task=options.task)
     frames = options.envs * config.episode_steps
     settings = ExperimentConfig.get_from_yaml()
-    settings.share_policy_params = False
+    settings.share_policy_params = True
     settings.gamma, settings.lr = 0.95, options.lr
     settings.on_policy_n_envs_per_worker = options.envs
     settings.on_policy_collected_frames_per_batch = frames

@@ -7,6 +7,8 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__ = ["Batch", "Config", "Policy", "Robot", "__version__", "simulate"]
+
 __version__: str
 
 _Path = str | PathLike[str]
