@@ -27,28 +27,29 @@ except ImportError as error:
 
 SUBSTEP, SUBSTEPS = 0.001, 400
 MAX_RATE = 0.8  # rad/s
-ROUNDS = 8  # different actions
 
 
 def rate(n_envs, seconds, step):
     """Env-steps per second of processor time of `step`, which steps all environments."""
-    step(0)
+    step()
     steps, processor, wall = 0, time.process_time(), time.perf_counter()
     while steps == 0 or time.perf_counter() - wall < seconds:
-        step(steps)
+        step()
         steps += 1
     return steps * n_envs / (time.process_time() - processor)
 
 
 def batch(n_envs, options):
     environments = spaceoctopus.Batch(n_envs, options.config, robot=options.robot, threads=1)
-    noise = np.random.default_rng(1).standard_normal((ROUNDS, n_envs, environments.n_agents, 3)).astype(np.float32)
+    # Other noise in every step of an episode: the same again and again would drift, and robots that fold up touch themselves.
+    shape = (environments.episode_steps, n_envs, environments.n_agents, 3)
+    noise = np.random.default_rng(1).standard_normal(shape, np.float32)
     environments.reset(1)
 
-    def step(index):
+    def step():
         if environments.truncated[0]:
             environments.reset()
-        environments.step(noise[index % ROUNDS])
+        environments.step(noise[environments.steps])
 
     return rate(n_envs, options.seconds, step)
 
@@ -66,7 +67,7 @@ def rollout(n_envs, options):
     result = np.empty((n_envs, SUBSTEPS, len(home)))
     with mujoco.rollout.Rollout(nthread=0) as runner:
 
-        def step(_):
+        def step():
             command = random.uniform(-MAX_RATE, MAX_RATE, (n_envs, 1, model.nu))
             control = np.broadcast_to(command, (n_envs, SUBSTEPS, model.nu))
             runner.rollout(model, data, states, np.ascontiguousarray(control), state=result)

@@ -71,9 +71,23 @@ impl Config {
         self.inner.run.seed
     }
 
+    /// What a run's `config.toml` says.
+    #[staticmethod]
+    fn from_toml(text: &str) -> PyResult<Self> {
+        guarded(|| {
+            let inner = config::Config::from_resolved_toml(text, "config.toml").map_err(value)?;
+            Ok(Self { inner })
+        })
+    }
+
     /// Everything, as a run's `config.toml` has it.
     fn to_toml(&self) -> String {
         self.inner.to_toml()
+    }
+
+    /// For `pickle` and `copy`.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+        Ok((py.get_type::<Self>().getattr("from_toml")?, (self.to_toml(),)))
     }
 
     fn __repr__(&self) -> String {

@@ -71,6 +71,15 @@ impl Robot {
         self.inner.total_mass()
     }
 
+    /// The robot that the text of a robot file describes.
+    #[staticmethod]
+    fn from_toml(text: &str) -> PyResult<Self> {
+        guarded(|| {
+            let inner = robot::Robot::from_toml(text, "robot.toml".as_ref()).map_err(value)?;
+            Ok(Self { inner })
+        })
+    }
+
     /// The description, as a robot file has it.
     fn to_toml(&self) -> String {
         self.inner.to_toml()
@@ -80,6 +89,11 @@ impl Robot {
     #[pyo3(signature = (*, contacts = true))]
     fn to_mjcf(&self, contacts: bool) -> String {
         mjcf(&self.inner, MjcfOptions { contacts })
+    }
+
+    /// For `pickle` and `copy`.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+        Ok((py.get_type::<Self>().getattr("from_toml")?, (self.to_toml(),)))
     }
 
     fn __repr__(&self) -> String {

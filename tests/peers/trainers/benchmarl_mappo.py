@@ -116,7 +116,7 @@ class Space(TaskClass):
         return env.group_map
 
     def observation_spec(self, env):
-        return env.observation_spec.clone()
+        return env.full_observation_spec_unbatched.clone()
 
     def info_spec(self, env):
         return None
@@ -128,7 +128,7 @@ class Space(TaskClass):
         return None
 
     def action_spec(self, env):
-        return env.full_action_spec
+        return env.full_action_spec_unbatched
 
     @staticmethod
     def env_name():
@@ -140,7 +140,9 @@ class Record(Callback):
 
     def __init__(self, path):
         super().__init__()
-        self.file, self.env_steps, self.begun = open(path, "w"), 0, time.perf_counter()
+        # By its name: BenchMARL pickles its callbacks.
+        self.path, self.env_steps, self.begun = path.absolute(), 0, time.perf_counter()
+        self.path.write_text("")
         self.processor, self.collected = time.process_time(), self.begun
         self.trained = self.begun
 
@@ -157,7 +159,8 @@ class Record(Callback):
         line = {"env_steps": self.env_steps, "seconds": now - self.begun, "processor_s": time.process_time() - self.processor}
         line.update(collect_s=self.collected - self.trained, train_s=now - self.collected, **self.line)
         self.trained = now
-        print(json.dumps(line), file=self.file, flush=True)
+        with open(self.path, "a") as file:
+            print(json.dumps(line), file=file)
 
 
 def parse():

@@ -41,6 +41,9 @@ class Config:
     @property
     def seed(self) -> int:
         """Seed of every random number."""
+    @staticmethod
+    def from_toml(text: str) -> Config:
+        """What a run's ``config.toml`` says."""
     def to_toml(self) -> str:
         """Everything, as a run's ``config.toml`` has it."""
     def __eq__(self, other: object, /) -> bool: ...
@@ -71,6 +74,9 @@ class Robot:
     @property
     def total_mass(self) -> float:
         """Mass of everything (kg)."""
+    @staticmethod
+    def from_toml(text: str) -> Robot:
+        """The robot that the text of a robot file describes."""
     def to_toml(self) -> str:
         """The description, as a robot file has it."""
     def to_mjcf(self, *, contacts: bool = True) -> str:
