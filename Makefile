@@ -64,6 +64,11 @@ wheel: venv-wheel ## build the simulator for Python: a wheel in target/wheels
 	.venv-wheel/bin/maturin build --release $(LOCKED) --manifest-path sim-worker/python/Cargo.toml --target-dir $(TARGET) --out $(TARGET)/wheels
 	@echo 'install it: pip install $(TARGET)/wheels/spaceoctopus-*.whl'
 
+.PHONY: wheel-test
+wheel-test: wheel venv ## try the wheel itself; make test tries what was built beside the tests
+	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
+	SPACEOCTOPUS_WHEEL="$$(ls -t $(abspath $(TARGET))/wheels/spaceoctopus-*.whl | head -1)" $(CARGO) test $(LOCKED) -p tests --test it $(FEATURES) -- python
+
 # The page in a browser: types, then one script, one style and the simulator as a WebAssembly module, compressed.
 # The service's build script puts them into the program.
 NODE = $(abspath .node/bin/node)
@@ -94,7 +99,7 @@ bench: build venv-benches ## measure this machine and the peers, with ARGS="..."
 	$(TARGET)/release/octopus bench --peer $(ARGS)
 
 .PHONY: test
-test: setup venv venv-wheel page ## everything that must hold: format, lints, documentation, tests
+test: setup venv page ## everything that must hold: format, lints, documentation, tests
 	$(call step,'format',$(CARGO) fmt --all --check && $(CARGO) fmt --manifest-path tests/fuzz/Cargo.toml --check)
 	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets $(FEATURES) -- -D warnings)
 	$(call step,'the simulator for browsers',{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } && RUSTFLAGS='-D warnings' $(CARGO) check $(LOCKED) -p simulator -p browser --target wasm32-unknown-unknown)

@@ -31,7 +31,6 @@ MAX_RATE = 0.8  # rad/s
 
 def rate(n_envs, seconds, step):
     """Env-steps per second of processor time of `step`, which steps all environments."""
-    step()
     steps, processor, wall = 0, time.process_time(), time.perf_counter()
     while steps == 0 or time.perf_counter() - wall < seconds:
         step()
@@ -51,6 +50,7 @@ def batch(n_envs, options):
             environments.reset()
         environments.step(noise[environments.steps])
 
+    step()
     return rate(n_envs, options.seconds, step)
 
 

@@ -6,10 +6,10 @@
 //! them in place, so nothing is copied and nothing here is unsafe.
 //!
 //! **Threads** live for one call, so that nothing is left to a process that forks. They hold no lock of Python's meanwhile. The caller's
-//! own thread takes part, and looks for signals between two chunks of work ([`threads`]).
+//! own thread takes part, and looks for signals between two chunks of work (`threads`).
 //!
 //! **Errors.** What is wrong with what was given is a `ValueError` or `TypeError` with the words of the command line; what is wrong with
-//! when it was called a `RuntimeError`. No panic crosses the border ([`errors::guarded`]).
+//! when it was called a `RuntimeError`. No panic crosses the border (`errors::guarded`).
 #![expect(
     clippy::needless_pass_by_value,
     reason = "arguments of functions that Python calls are values"

@@ -20,7 +20,8 @@ pub(super) fn measure(
     let peers = peers.context("a Python is always given")?;
     let unit = "env-steps/s";
     bench.begin("rollout")?;
-    let native = rollout::rates(bench, &bench.config, &bench.robot, bench.seconds)?.without_policy();
+    let native =
+        rollout::rates(bench, &bench.config, &bench.robot, bench.seconds)?.without_policy();
     bench.begin("Python")?;
     let measured = peers.batches(bench, &ENVS)?;
     let rate = |of: &Value, n: usize| {
