@@ -170,6 +170,7 @@ def parse():
     parser.add_argument("--envs", type=int, default=16)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lr", type=float, default=5e-4)
+    parser.add_argument("--normal", action="store_true", help="noise is normal and unbounded, as ours is, instead of squashed within ±1")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True, help="where the lines go")
     return parser.parse_args()
@@ -190,7 +191,7 @@ def main():
     settings.evaluation, settings.render, settings.loggers, settings.create_json = False, False, [], False
     settings.save_folder = options.out.parent
     algorithm = MappoConfig.get_from_yaml()
-    algorithm.lmbda, algorithm.share_param_critic = 0.95, False
+    algorithm.lmbda, algorithm.share_param_critic, algorithm.use_tanh_normal = 0.95, False, not options.normal
     networks = []
     for cells in ([256, 256, 256], [128, 128]):
         network = MlpConfig.get_from_yaml()
