@@ -15,6 +15,7 @@ pub mod golden;
 pub mod guide;
 pub mod imports;
 pub mod reference;
+pub mod wheel;
 pub mod worked_example;
 
 /// Path of a built program: programs lie beside the directory of the test executables.

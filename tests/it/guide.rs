@@ -33,6 +33,7 @@ commands_run! {
     checkpoints_run: "deploy/guide/src/checkpoints.md",
     exactness_runs: "deploy/guide/src/exactness.md",
     failures_run: "deploy/guide/src/failures.md",
+    python_runs: "deploy/guide/src/python.md",
     speed_runs: "deploy/guide/src/speed.md",
 }
 

@@ -23,6 +23,7 @@ mod other_users;
 mod page;
 mod plan;
 mod precision;
+mod python;
 mod reproduce;
 mod run_directory;
 mod shared_memory;

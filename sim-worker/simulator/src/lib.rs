@@ -18,6 +18,7 @@
 //! * [`policy`]: the actors, evaluated without libtorch;
 //! * [`mod@env`]: the robot with its sensors, as loops over episodes use it;
 //! * [`mod@rollout`]: whole episodes that explore, for training, as pure functions of their addresses;
+//! * [`stepping`]: the environments of a rollout, stepped by who acts outside;
 //! * [`experiment`], [`evaluate`]: whole episodes with deterministic actions, in which things may happen;
 //! * [`reach`]: which goals can be reached at all;
 //! * [`plan`]: a motion that brings hands to poses, found by trying in the simulator;
@@ -63,6 +64,8 @@ pub mod policy;
 pub mod env;
 
 pub mod rollout;
+
+pub mod stepping;
 
 pub mod experiment;
 
