@@ -3,8 +3,8 @@
 use clap::{Parser, Subcommand};
 
 use crate::{
-    bench, checkpoints, clean, doctor, eval, experiment, film, janitor, mjcf, plot, reproduce,
-    resume, rollout, scale, serve, simulate, status, train, verify, view,
+    bench, checkpoints, clean, doctor, eval, experiment, export, film, janitor, mjcf, plot,
+    reproduce, resume, rollout, scale, serve, simulate, status, train, verify, view,
 };
 
 /// Exit codes, as `octopus --help` lists them.
@@ -54,6 +54,8 @@ pub enum Command {
     Film(film::FilmArgs),
     /// Integrate given joint commands, open loop.
     Simulate(simulate::SimulateArgs),
+    /// Put a policy on a robot: write it as ONNX and as C.
+    Export(export::ExportArgs),
     /// Write a robot as a MuJoCo model file.
     Mjcf(mjcf::MjcfArgs),
     /// Check whether this machine can run a training, and say what cures what cannot.

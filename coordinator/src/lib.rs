@@ -14,6 +14,7 @@ pub mod clean;
 pub mod doctor;
 pub mod eval;
 pub mod experiment;
+pub mod export;
 pub mod film;
 pub mod janitor;
 pub mod mjcf;
@@ -46,6 +47,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
     let stoppable = match &command {
         Command::Eval(_)
         | Command::Experiment(_)
+        | Command::Export(_)
         | Command::Film(_)
         | Command::Simulate(_)
         | Command::Rollout(_) => true,
@@ -60,6 +62,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Resume(args) => resume::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Experiment(args) => experiment::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Reproduce(args) => reproduce::run(&args),
         Command::Plot(args) => plot::run(&args),
         Command::Film(args) => film::run(&args),
