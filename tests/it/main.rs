@@ -10,6 +10,7 @@ mod damage;
 mod environment;
 mod exactness;
 mod experiment;
+mod export;
 mod failures;
 mod files;
 mod film;
