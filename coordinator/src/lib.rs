@@ -19,6 +19,7 @@ pub mod film;
 pub mod janitor;
 pub mod mjcf;
 pub mod plot;
+pub mod record;
 pub mod reproduce;
 pub mod resume;
 pub mod rollout;
@@ -27,6 +28,7 @@ pub mod serve;
 pub mod simulate;
 pub mod status;
 pub mod train;
+pub mod urdf;
 pub mod verify;
 pub mod view;
 
@@ -49,6 +51,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         | Command::Experiment(_)
         | Command::Export(_)
         | Command::Film(_)
+        | Command::Record(_)
         | Command::Simulate(_)
         | Command::Rollout(_) => true,
         Command::Reproduce(args) => !args.train,
@@ -66,8 +69,10 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Reproduce(args) => reproduce::run(&args),
         Command::Plot(args) => plot::run(&args),
         Command::Film(args) => film::run(&args),
+        Command::Record(args) => record::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
+        Command::Urdf(args) => urdf::run(&args),
         Command::Doctor(args) => doctor::run(args),
         Command::Bench(args) => bench::run(&args),
         Command::Status(args) => status::run(&args),

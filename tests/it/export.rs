@@ -261,7 +261,7 @@ fn a_checkpoint_that_is_no_whole_policy_is_refused_in_words() {
                 entry["blake3"] = blake3::hash(two_arms.as_bytes()).to_hex().to_string().into();
                 std::fs::write(path, manifest.to_string()).expect("written");
             },
-            "the configuration wants F32 [4, 48, 256]",
+            "the configuration wants F32 [4, 48]",
         ),
     ];
     for (name, change, said) in changes {

@@ -22,6 +22,7 @@ mod mujoco;
 mod other_users;
 mod page;
 mod precision;
+mod record;
 mod reproduce;
 mod run_directory;
 mod shared_memory;

@@ -1,4 +1,7 @@
-//! A trained policy for programs of others: one directory that needs nothing of ours.
+//! What programs of others take from here: a policy as one directory that needs nothing of ours ([`files`]), a recorded episode
+//! ([`Recording`]), a robot ([`urdf`]).
+//!
+//! The directory of a policy:
 //!
 //! | file | what |
 //! |---|---|
@@ -17,10 +20,14 @@ mod c;
 mod contract;
 mod networks;
 mod onnx;
+mod recording;
 mod source;
+mod urdf;
 mod vectors;
 
+pub use recording::Recording;
 pub use source::{HeldOut, HeldOutError, Origin, Source};
+pub use urdf::urdf;
 
 use networks::Networks;
 
@@ -28,9 +35,12 @@ use networks::Networks;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
-    /// An episode for the vectors cannot be played.
-    #[error("no vectors to check with: {0}")]
+    /// An episode, for vectors or a recording, cannot be played.
+    #[error("an episode cannot be played: {0}")]
     Episode(String),
+    /// A recording cannot be put together.
+    #[error("no recording: {0}")]
+    Recording(String),
     /// More actors than a row number has room for.
     #[error("{0} actors are more than the 255 that the C code has room for")]
     Actors(usize),

@@ -2,8 +2,6 @@
 
 mod tables;
 
-use std::fmt::Write as _;
-
 use proto::config::{Activation, InputNorm, JointAngles, Observation, TaskName};
 
 use crate::networks::Networks;
@@ -112,6 +110,5 @@ fn switches(source: &Source<'_>, networks: &Networks) -> String {
     ] {
         define(&mut out, name, &value);
     }
-    let _ = write!(out, "");
     out
 }
