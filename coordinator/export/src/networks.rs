@@ -97,3 +97,43 @@ impl Networks {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+    use simulator::policy::initial_parameters;
+    use simulator::robot::Robot;
+
+    use super::*;
+
+    #[test]
+    fn rows_that_actors_share_are_stored_once_and_rounded_where_inference_rounds() {
+        let mut config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+        config.network.hidden = vec![8, 6];
+        let robot = Robot::builtin("paper").expect("built in");
+        let world = World::new(&config, &robot);
+        let mut parameters = initial_parameters(&config, &world.dimensions, 1);
+        let layout = ActorLayout::new(&config, &world.dimensions);
+        // Shoulders share the second layer, and so do wrists.
+        let spec = layout.get("hidden.1.weight").expect("exists");
+        let length = spec.len() / 8;
+        for actor in 2..8 {
+            let from = spec.offset + actor % 2 * length;
+            parameters.copy_within(from..from + length, spec.offset + actor * length);
+        }
+        let networks = Networks::new(&world, &parameters);
+        let [first, second, head] = networks.layers.as_slice() else { panic!("three layers") };
+        assert_eq!((first.weight.rows.len(), first.weight.half), (8, false));
+        assert_eq!(second.weight.row_of, [0, 1, 0, 1, 0, 1, 0, 1]);
+        assert_eq!((second.weight.rows.len(), second.sizes()), (2, [8, 6]));
+        assert!(second.weight.half && !head.weight.half);
+        let lower = second.weight.rows.iter().flatten().map(|x| x.to_bits() & 0xffff);
+        assert_eq!(lower.max(), Some(0));
+        for (x, rounded) in parameters[spec.range()].iter().zip(&second.weight.rows[0]) {
+            assert!((x - rounded).abs() <= x.abs() / 256.0, "{x} {rounded}");
+        }
+        // All biases begin with zero.
+        assert_eq!(head.bias.rows, [[0.0; 3]]);
+        assert_eq!(networks.input.map(|input| input.map(|of| of.rows.len())), Some([1, 1]));
+    }
+}
