@@ -26,11 +26,11 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
 #[utoipa::path(get, path = "/", tag = "service", security(()), responses(
     (status = 200, description = "The page", body = String, content_type = "text/html"),
     (status = 304, description = "The client has it"),
-    (status = 501, description = "The program was built without it", body = ErrorBody),
+    (status = 404, description = "The program was built without it", body = ErrorBody),
 ))]
 pub(super) async fn home(method: Method, headers: HeaderMap) -> Result<Response, Problem> {
     let asset = page::asset("index.html")
-        .ok_or_else(|| Problem::new(StatusCode::NOT_IMPLEMENTED, page::MISSING))?;
+        .ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, page::MISSING))?;
     Ok(send(asset, &method, &headers))
 }
 
