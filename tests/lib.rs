@@ -11,6 +11,7 @@ use serde_json::Value;
 use tempfile::{NamedTempFile, TempDir};
 
 pub mod chaos;
+pub mod controllers;
 pub mod golden;
 pub mod guide;
 pub mod imports;
@@ -95,6 +96,12 @@ impl Owned {
     /// How it ended, if it has.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         self.0.try_wait().expect("own child")
+    }
+}
+
+impl From<Child> for Owned {
+    fn from(child: Child) -> Self {
+        Self(child)
     }
 }
 
