@@ -25,10 +25,12 @@ pub(super) struct Listening {
 }
 
 impl RunService {
-    /// Begins to listen at `address`, if one is given; a token of the user's own stands in `token_file`.
+    /// Begins to listen at `address`, if one is given; a token of the user's own stands in `token_file`. With
+    /// `read_only` nobody may change anything, whatever he shows.
     pub fn open(
         address: Option<SocketAddr>,
         token_file: Option<&Path>,
+        read_only: bool,
         run_dir: &RunDir,
     ) -> anyhow::Result<Self> {
         let live = LiveRun::new();
@@ -37,7 +39,7 @@ impl RunService {
         let own = OwnToken::prepare(run_dir.path().join(TOKEN_FILE))?;
         let store = CheckpointStore::new(run_dir.checkpoints());
         let spec = ServiceSpec::new(store, own.token());
-        let spec = ServiceSpec { address, token, live: Some(live.clone()), ..spec };
+        let spec = ServiceSpec { address, token, live: Some(live.clone()), read_only, ..spec };
         Ok(Self { live, listening: Some(Listening { service: Service::start(spec)?, token: own }) })
     }
 }
