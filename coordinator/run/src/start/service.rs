@@ -38,8 +38,19 @@ impl RunService {
         let token = Token::find(token_file)?;
         let own = OwnToken::prepare(run_dir.path().join(TOKEN_FILE))?;
         let store = CheckpointStore::new(run_dir.checkpoints());
-        let spec = ServiceSpec::new(store, own.token());
-        let spec = ServiceSpec { address, token, live: Some(live.clone()), read_only, ..spec };
-        Ok(Self { live, listening: Some(Listening { service: Service::start(spec)?, token: own }) })
+        let start = |address| {
+            let spec = ServiceSpec::new(store.clone(), own.token());
+            let (token, live) = (token.clone(), Some(live.clone()));
+            Service::start(ServiceSpec { address, token, live, read_only, ..spec })
+        };
+        // Where nobody has chosen one, the port is the run's own if it is free.
+        let service = match address.port() {
+            0 => {
+                start(SocketAddr::new(address.ip(), own.token().port())).or_else(|_| start(address))
+            }
+            _ => start(address),
+        };
+        let service = service?;
+        Ok(Self { live, listening: Some(Listening { service, token: own }) })
     }
 }

@@ -68,7 +68,7 @@ pub(super) struct Health {
     version: String,
     /// Whether it refuses to change anything.
     read_only: bool,
-    /// What it serves: `run` (a live one), `store` or `runs`.
+    /// What it serves: a `run`, live or not, a `store` of checkpoints, or all `runs` of a directory.
     serves: String,
 }
 
@@ -81,7 +81,7 @@ async fn health(State(context): State<Shared>) -> Json<Health> {
         status: "ok".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         read_only: context.read_only,
-        serves: match (&context.runs, &context.live) {
+        serves: match (&context.runs, recorded::run_of(&context)) {
             (Some(_), _) => "runs",
             (None, Some(_)) => "run",
             (None, None) => "store",

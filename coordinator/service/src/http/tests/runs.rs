@@ -53,7 +53,7 @@ async fn each_run_has_a_service_of_its_own_below_its_name() {
     assert_eq!(&lines.body[..], b"{\"iteration\":1}\n");
     let file = bench.ask("GET /runs/one/v1/checkpoints/latest/files/robot.toml").await;
     assert_eq!(file.status, StatusCode::OK);
-    assert_eq!(bench.ask("GET /runs/one/health").await.json()["serves"], "store");
+    assert_eq!(bench.ask("GET /runs/one/health").await.json()["serves"], "run");
 }
 
 #[tokio::test]
