@@ -93,6 +93,11 @@ impl Owned {
         self.0.stdin.take()
     }
 
+    /// Waits for its end; says whether it was a good one.
+    pub fn succeeded(&mut self) -> bool {
+        self.0.wait().expect("own child").success()
+    }
+
     /// How it ended, if it has.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         self.0.try_wait().expect("own child")
