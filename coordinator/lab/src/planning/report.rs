@@ -44,7 +44,8 @@ pub struct Report {
 #[derive(Debug, Serialize)]
 pub struct Hand {
     /// Counted from 1.
-    pub hand: usize,
+    #[serde(rename = "hand")]
+    pub number: usize,
     /// The pose: position in the world (m), Euler angles (rad).
     pub goal: [f64; 6],
     /// Distance that is left (m).
@@ -59,7 +60,7 @@ impl Report {
         let Answer { plan, inspection, seconds } = answer;
         let most = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
         let hand = |miss: &simulator::plan::Miss| Hand {
-            hand: miss.arm + 1,
+            number: miss.arm + 1,
             goal: question.hands[miss.arm].expect("what is missed was asked for"),
             position_m: miss.position,
             orientation_rad: miss.orientation,
@@ -93,7 +94,7 @@ impl Report {
         for hand in &self.hands {
             let left =
                 format!("{} mm, {} mrad", milli(hand.position_m), milli(hand.orientation_rad));
-            rows.push([format!("hand {}, from its pose", hand.hand), left]);
+            rows.push([format!("hand {}, from its pose", hand.number), left]);
         }
         let seconds = |s: f64| format!("{s:.1} s");
         let arrived = self.arrived_s.map_or_else(|| "not".to_owned(), seconds);

@@ -42,6 +42,13 @@ pub(super) struct Played {
     pub(super) arrived: Option<usize>,
 }
 
+impl Played {
+    /// Whether it is near enough in the end, and no control step ended in a contact.
+    pub(super) fn arrives(&self) -> bool {
+        self.arrived.is_some() && self.touched == 0
+    }
+}
+
 /// Candidates to be played.
 pub(super) struct Attempt<'a> {
     pub(super) search: &'a Search<'a>,
@@ -79,7 +86,7 @@ fn play<S: Real>(search: &Search<'_>, candidates: &[Candidate]) -> Vec<Played> {
         state.set_lane(lane, &question.start);
     }
     let mut command = vec![S::zero(); robot.n_joints()];
-    let mut lanes: Vec<Lane> = candidates.iter().map(|courses| Lane::new(courses)).collect();
+    let mut lanes: Vec<Lane> = candidates.iter().map(Lane::new).collect();
     let driver = Driver::new(search);
     for number in 0..STEPS {
         for (lane, of) in lanes.iter_mut().enumerate().filter(|(_, of)| !of.ended) {

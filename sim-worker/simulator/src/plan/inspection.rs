@@ -61,7 +61,7 @@ pub fn inspect(
     let most = |[a, b]: [f64; 2], [x, y]: [f64; 2]| [a.max(x), b.max(y)];
     let base = states.iter().map(|state| away(state)).fold([0.0; 2], most);
     let base_end = away(states[states.len() - 1]);
-    Inspection { clearance, torques, rates, base, base_end, rows }
+    Inspection { rows, clearance, torques, rates, base, base_end }
 }
 
 struct Clearances<'a> {

@@ -82,7 +82,7 @@ pub fn plan(
     let proposed = proposals.iter().map(|commands| search.judge(commands)).enumerate();
     for (index, played) in proposed {
         best.tried += 1;
-        if search.arrives(&played) && !search.is_pushed(&played.commands) {
+        if played.arrives() && !search.is_pushed(&played.commands) {
             let plan = search.plan(played, best.tried, None);
             return Plan { proposal: Some(index), ..plan };
         }
@@ -110,7 +110,7 @@ pub fn plan(
         // Stable, so that of two that take as long the earlier candidate is taken.
         played.sort_by_key(|played| played.arrived.unwrap_or(usize::MAX));
         for played in played {
-            if search.arrives(&played) && !search.is_pushed(&played.commands) {
+            if played.arrives() && !search.is_pushed(&played.commands) {
                 return search.plan(played, best.tried, None);
             }
             best.consider(played, None);
@@ -150,10 +150,6 @@ impl Best {
 
 /// What decides between candidates.
 impl Search<'_> {
-    fn arrives(&self, played: &Played) -> bool {
-        played.arrived.is_some() && played.touched == 0
-    }
-
     /// What given commands lead to.
     fn judge(&self, commands: &[Vec<f32>]) -> Played {
         let wide = widen(commands);
@@ -164,7 +160,7 @@ impl Search<'_> {
             rows.iter().map(|row| self.worst(&self.misses(&row.state))).collect();
         let last = misses.last().copied();
         let miss = last.unwrap_or_else(|| self.worst(&self.misses(&self.question.start)));
-        let outside = misses.iter().rposition(|&miss| !(miss <= 1.0));
+        let outside = misses.iter().rposition(|&miss| miss.is_nan() || miss > 1.0);
         let arrived = (miss <= 1.0).then(|| outside.map_or(0, |last| last + 1));
         Played { commands: commands.to_vec(), miss, touched, arrived }
     }
@@ -182,7 +178,7 @@ impl Search<'_> {
         pushed.iter().zip(&free).any(|(a, b)| {
             let pairs = a.state.q.iter().zip(&b.state.q);
             let places = a.state.base_position.iter().zip(&b.state.base_position);
-            pairs.chain(places).any(|(x, y)| !((x - y).abs() <= UNTOUCHED))
+            pairs.chain(places).any(|(x, y)| (x - y).is_nan() || (x - y).abs() > UNTOUCHED)
         })
     }
 
