@@ -214,6 +214,9 @@ fn an_export_is_whole_or_absent_and_leaves_what_is_there() {
     assert_eq!(left.len(), 1, "{left:?}");
 }
 
+/// What is changed, by what, and what is said of it.
+type Change<'a> = (&'a str, &'a dyn Fn(&Path), &'a str);
+
 /// A checkpoint of another version, without a policy, damaged, or with a robot that its policy does not fit.
 #[test]
 fn a_checkpoint_that_is_no_whole_policy_is_refused_in_words() {
@@ -221,7 +224,7 @@ fn a_checkpoint_that_is_no_whole_policy_is_refused_in_words() {
     let shipped = repository().join("deploy/policies/trajectory");
     let two_arms = repository().join("sim-worker/simulator/robots/two-arm.toml");
     let two_arms = std::fs::read_to_string(two_arms).expect("it is there");
-    let changes: [(&str, &dyn Fn(&Path), &str); 4] = [
+    let changes: [Change<'_>; 4] = [
         (
             "version",
             &|dir| {

@@ -1,23 +1,11 @@
 //! `contract.toml`: what every number of a controller is, and what the controller is not for.
 
-use proto::config::{Config, Inference, Observation, TaskName};
+use proto::config::{Inference, Observation, TaskName};
 use serde::Serialize;
 use simulator::robot::JOINTS_PER_ARM;
 
 use crate::source::{HeldOut, Origin, Source};
-use crate::vectors::Vectors;
-
-/// Difference of commands (rad/s) that another order of sums may make.
-///
-/// In single precision that is some thousand roundings of 6e-8 of numbers near one. Where activations are rounded to
-/// bfloat16, one that lies between two of them may go the other way and is off by 1/256 of itself: single units, whose weights are
-/// some hundredths.
-pub(crate) fn tolerance(config: &Config) -> f64 {
-    match config.network.inference {
-        Inference::F32 => 2e-4,
-        Inference::Bf16 => 2e-3,
-    }
-}
+use crate::vectors::{Case, Vectors};
 
 /// One input or output.
 #[derive(Debug, Serialize)]
@@ -157,7 +145,7 @@ pub(crate) fn contract(source: &Source<'_>, vectors: &Vectors) -> String {
         exactness: Exactness {
             c: "the same bits as our workers, wherever single precision is IEEE 754 and fmaf is correctly rounded",
             onnx: "within onnx_tolerance_rad_s of the commands in vectors.json",
-            onnx_tolerance_rad_s: tolerance(config),
+            onnx_tolerance_rad_s: source.onnx_tolerance(),
             why: match config.network.inference {
                 Inference::F32 => {
                     "A runtime sums in another order than we do, and its sines and exponentials round otherwise."
@@ -254,7 +242,7 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
     let world = source.world;
     let joints = world.robot.n_joints();
     let seen = |name: &str| {
-        let all = vectors.cases.iter().flat_map(|case| case.state());
+        let all = vectors.cases.iter().flat_map(Case::state);
         let values = all.filter(|(of, _)| *of == name).flat_map(|(_, values)| values.iter());
         let ends = values
             .fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], &x| [low.min(x), high.max(x)]);

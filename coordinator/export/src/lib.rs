@@ -18,6 +18,7 @@
 
 mod c;
 mod contract;
+mod error;
 mod networks;
 mod onnx;
 mod recording;
@@ -25,26 +26,12 @@ mod source;
 mod urdf;
 mod vectors;
 
+pub use error::ExportError;
 pub use recording::Recording;
 pub use source::{HeldOut, HeldOutError, Origin, Source};
 pub use urdf::urdf;
 
 use networks::Networks;
-
-/// Why a policy cannot be exported.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ExportError {
-    /// An episode, for vectors or a recording, cannot be played.
-    #[error("an episode cannot be played: {0}")]
-    Episode(String),
-    /// A recording cannot be put together.
-    #[error("no recording: {0}")]
-    Recording(String),
-    /// More actors than a row number has room for.
-    #[error("{0} actors are more than the 255 that the C code has room for")]
-    Actors(usize),
-}
 
 /// A file of the directory.
 #[derive(Debug, Clone, PartialEq, Eq)]

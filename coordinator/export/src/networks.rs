@@ -5,6 +5,9 @@ use proto::layout::ActorLayout;
 use simulator::rollout::World;
 use simulator::scalar::{bf16_bias, bf16_round};
 
+/// What becomes of a number that inference rounds.
+type Rounding = fn(f32) -> f32;
+
 /// One tensor of all actors.
 #[derive(Debug, Clone)]
 pub(crate) struct Stacked {
@@ -48,7 +51,7 @@ impl Networks {
     /// The actors with these parameters, flat in the order of [`ActorLayout`].
     pub(crate) fn new(world: &World, parameters: &[f32]) -> Self {
         let layout = ActorLayout::new(&world.config, &world.dimensions);
-        let get = |name: &str, rounding: Option<fn(f32) -> f32>, half: bool| {
+        let get = |name: &str, rounding: Option<Rounding>, half: bool| {
             let spec = layout.get(name)?;
             let (mut rows, mut row_of) = (Vec::<Vec<f32>>::new(), Vec::new());
             for row in parameters[spec.range()].chunks_exact(spec.len() / spec.shape[0]) {
@@ -77,7 +80,7 @@ impl Networks {
             // As `simulator::policy` packs them.
             let half = i > 0 && world.config.network.inference == Inference::Bf16;
             let name = |part: &str| format!("hidden.{i}.{part}");
-            let (round, bias): (Option<fn(f32) -> f32>, Option<fn(f32) -> f32>) =
+            let (round, bias): (Option<Rounding>, Option<Rounding>) =
                 if half { (Some(bf16_round), Some(bf16_bias)) } else { (None, None) };
             Layer {
                 weight: get(&name("weight"), round, half).expect("the layout has it"),

@@ -1,6 +1,6 @@
 //! What is exported: a policy in its world, which one it is, and how good.
 
-use proto::config::{AlgorithmName, TaskName};
+use proto::config::{AlgorithmName, Inference, TaskName};
 use serde::Serialize;
 use simulator::policy::Policy;
 use simulator::robot::JOINTS_PER_ARM;
@@ -74,6 +74,18 @@ impl Source<'_> {
     pub(crate) fn squash_limit(&self) -> f64 {
         let algorithm = &self.world.config.algorithm;
         if algorithm.name == AlgorithmName::Maddpg { algorithm.maddpg.action_limit } else { 1.0 }
+    }
+
+    /// Difference of commands (rad/s) that another order of sums may make.
+    ///
+    /// In single precision that is some thousand roundings of 6e-8 of numbers near one. Where activations are rounded to
+    /// bfloat16, one that lies between two of them may go the other way and is off by 1/256 of itself: single units, whose
+    /// weights are some hundredths. Ten times what was seen.
+    pub(crate) fn onnx_tolerance(&self) -> f64 {
+        match self.world.config.network.inference {
+            Inference::F32 => 2e-4,
+            Inference::Bf16 => 2e-3,
+        }
     }
 
     /// Length of a stretched arm from its mount to the hand, at most (m).

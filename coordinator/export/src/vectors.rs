@@ -13,8 +13,7 @@ use simulator::task::observation::observe;
 use simulator::task::{Errors, HandReading, Readings};
 use simulator::workspace::Workspace;
 
-use crate::ExportError;
-use crate::contract::tolerance;
+use crate::error::ExportError;
 use crate::source::Source;
 
 /// Episodes, and steps of each: 256 states.
@@ -105,7 +104,7 @@ pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
     let mut cases = Vec::new();
     for index in 0..EPISODES {
         episode.reset(start(index)).map_err(|error| diverged(&error))?;
-        for step in 0..(STATES - 1) * EVERY + 1 {
+        for step in 0..=(STATES - 1) * EVERY {
             let state = episode.state().clone();
             let (action, command) = (episode.actions().to_vec(), episode.commands().to_vec());
             episode.step().map_err(|error| diverged(&error))?;
@@ -145,7 +144,7 @@ pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
         digest: source.origin.digest.clone(),
         task: source.task(),
         robot: world.robot.name.clone(),
-        onnx_tolerance: tolerance(&world.config),
+        onnx_tolerance: source.onnx_tolerance(),
         cases,
     })
 }

@@ -27,7 +27,7 @@ use prost::Message as _;
 use simulator::experiment::{Member, Start};
 use simulator::robot::JOINTS_PER_ARM;
 
-use crate::ExportError;
+use crate::error::ExportError;
 use crate::urdf::urdf;
 use messages::{
     Contact, Contacts, Errors, FrameTransform, FrameTransforms, JointState, JointStates, Pose,

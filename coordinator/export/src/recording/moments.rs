@@ -8,7 +8,7 @@ use simulator::robot::JOINTS_PER_ARM;
 use simulator::rollout::World;
 use simulator::spatial::{Mat3, euler_xyz_to_rotation};
 
-use crate::ExportError;
+use crate::error::ExportError;
 
 /// A frame in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]

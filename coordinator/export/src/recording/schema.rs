@@ -26,8 +26,11 @@ const TIMESTAMP: &str = "google.protobuf.Timestamp";
 const VECTOR: &str = "foxglove.Vector3";
 const QUATERNION: &str = "foxglove.Quaternion";
 
-/// Fields of each message: name, number, kind. They follow Foxglove's schemas (MIT), whose names viewers know.
-const MESSAGES: &[(&str, &[(&str, i32, Kind)])] = &[
+/// Name, number, kind.
+type Field = (&'static str, i32, Kind);
+
+/// Fields of each message. They follow Foxglove's schemas (MIT), whose names viewers know.
+const MESSAGES: &[(&str, &[Field])] = &[
     (TIMESTAMP, &[("seconds", 1, I64), ("nanos", 2, I32)]),
     (VECTOR, &[("x", 1, F64), ("y", 2, F64), ("z", 3, F64)]),
     (QUATERNION, &[("x", 1, F64), ("y", 2, F64), ("z", 3, F64), ("w", 4, F64)]),

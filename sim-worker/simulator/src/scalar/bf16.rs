@@ -29,7 +29,7 @@ impl WeightPair {
     }
 }
 
-/// The nearest bfloat16, ties to even; zero where that is below [`SMALLEST`].
+/// The nearest bfloat16, ties to even; zero where that is below 2⁻⁵⁰.
 #[inline(always)]
 pub fn round(x: f32) -> f32 {
     let bits = x.to_bits();
