@@ -11,6 +11,7 @@ use serde_json::Value;
 use tempfile::{NamedTempFile, TempDir};
 
 pub mod chaos;
+pub mod controllers;
 pub mod golden;
 pub mod guide;
 pub mod imports;
@@ -92,9 +93,20 @@ impl Owned {
         self.0.stdin.take()
     }
 
+    /// Waits for its end; says whether it was a good one.
+    pub fn succeeded(&mut self) -> bool {
+        self.0.wait().expect("own child").success()
+    }
+
     /// How it ended, if it has.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         self.0.try_wait().expect("own child")
+    }
+}
+
+impl From<Child> for Owned {
+    fn from(child: Child) -> Self {
+        Self(child)
     }
 }
 

@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use clap::Args;
 use output::counted;
+use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::signals::StopRequests;
 use serde_json::json;
@@ -20,6 +21,7 @@ const SERVE_EXAMPLES: &str = "\
 Examples:
   octopus serve --store checkpoints --create
   octopus serve --store runs/trajectory-20260101-120000
+  octopus serve --runs runs
   octopus serve --store checkpoints --listen 0.0.0.0:8270 --token-file token.txt
   curl -s -H \"Authorization: Bearer $(cat checkpoints/.http.token)\" \\
       http://127.0.0.1:8270/v1/checkpoints | jq .
@@ -35,11 +37,17 @@ proxy with TLS in front. Ctrl-C ends the service.";
 #[command(after_help = SERVE_EXAMPLES)]
 pub struct ServeArgs {
     /// A directory of checkpoints, an empty one, or a run directory.
-    #[arg(long, value_name = "DIR")]
-    pub store: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "runs")]
+    pub store: Option<PathBuf>,
     /// Make the directory if it does not exist.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "runs")]
     pub create: bool,
+    /// A directory of runs, which are shown side by side, for looking only.
+    #[arg(long, value_name = "DIR", conflicts_with = "store")]
+    pub runs: Option<PathBuf>,
+    /// Show everything and change nothing, whoever asks.
+    #[arg(long)]
+    pub read_only: bool,
     /// Where to listen; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS:PORT", allow_hyphen_values = true, default_value = "127.0.0.1:8270", value_parser = address)]
     pub listen: SocketAddr,
@@ -60,32 +68,34 @@ const TICK: Duration = Duration::from_millis(50);
 /// Serves until Ctrl-C.
 pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     let token = Token::find(args.token_file.as_deref())?;
-    let store = store(&args.store, args.create)?;
-    let root = store.root().to_owned();
-    let checkpoints = store.survey()?.entries.len();
+    let Served { store, root, runs, holds } = served(args)?;
     let stop = StopRequests::new();
     stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     let mut own = OwnToken::prepare(root.join(STORE_TOKEN_FILE))?;
     let service = Service::start(ServiceSpec {
         address: args.listen,
         token,
+        runs,
+        read_only: args.read_only,
         limits: Limits { upload_bytes: args.max_upload, ..Limits::default() },
         ..ServiceSpec::new(store, own.token())
     })?;
     own.keep()?;
     let address = service.address();
+    let (what, count) = holds;
     if args.json {
+        let place = if args.runs.is_some() { "runs_dir" } else { "store" };
         output::json_line(&json!({
             "address": address,
-            "store": root,
-            "checkpoints": checkpoints,
+            place: root,
+            (format!("{what}s")): count,
             "token_file": own.path(),
         }))?;
     } else {
-        let holds = counted(checkpoints as u64, "checkpoint");
         output::line(&format!(
-            "http://{address} serves {}: {holds}; the token is in {}",
+            "http://{address} serves {}: {}; the token is in {}",
             root.display(),
+            counted(count as u64, what),
             own.path().display()
         ))?;
     }
@@ -101,6 +111,48 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     }
     service.stop();
     Ok(())
+}
+
+/// What is served.
+struct Served {
+    store: CheckpointStore,
+    root: PathBuf,
+    runs: Option<PathBuf>,
+    /// How many of what it is.
+    holds: (&'static str, usize),
+}
+
+fn served(args: &ServeArgs) -> anyhow::Result<Served> {
+    if let Some(dir) = &args.runs {
+        let count = runs_in(dir)?;
+        let store = no_store(dir);
+        return Ok(Served {
+            store,
+            root: dir.clone(),
+            runs: Some(dir.clone()),
+            holds: ("run", count),
+        });
+    }
+    let path = args.store.as_ref().context("clap wants one of the two")?;
+    let store = store(path, args.create)?;
+    let root = store.root().to_owned();
+    let count = store.survey()?.entries.len();
+    Ok(Served { store, root, runs: None, holds: ("checkpoint", count) })
+}
+
+/// How many runs a directory holds.
+pub(crate) fn runs_in(dir: &Path) -> anyhow::Result<usize> {
+    let entries = std::fs::read_dir(dir).map_err(|error| {
+        let message = format!("{}: cannot be read: {error}", dir.display());
+        ExitError::new(ExitCode::RunDirectory, message)
+    })?;
+    let runs = entries.flatten().filter(|entry| RunDir::new(entry.path()).config().is_file());
+    Ok(runs.count())
+}
+
+/// A directory of runs has no checkpoints of its own.
+pub(crate) fn no_store(dir: &Path) -> CheckpointStore {
+    CheckpointStore::new(RunDir::new(dir).checkpoints())
 }
 
 /// The store that `path` means, made if that is wanted. Files of the service and uploads go into it, so it is no

@@ -33,6 +33,9 @@ pub struct HttpArgs {
     /// A file with a token that clients may show beside the run's own; needed beyond this machine.
     #[arg(long, value_name = "FILE", help_heading = "Service")]
     pub token_file: Option<PathBuf>,
+    /// Let it show everything and change nothing, whoever asks; `octopus scale` is refused, too.
+    #[arg(long, help_heading = "Service")]
+    pub read_only: bool,
 }
 
 /// What happens around a training.
@@ -63,6 +66,6 @@ impl HttpArgs {
             Listen::Off => None,
             Listen::At(address) => Some(address),
         };
-        RunService::open(address, self.token_file.as_deref(), run_dir)
+        RunService::open(address, self.token_file.as_deref(), self.read_only, run_dir)
     }
 }

@@ -17,31 +17,35 @@ use serde_json::json;
 use service::client::Client;
 use service::http::{OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
 use service::page::{self, Enclosed};
-use simulator::policy::file::compact;
-use store::checkpoint::{CONFIG, Checkpoint, POLICY, ROBOT, Selector};
+use store::checkpoint::{CONFIG, Checkpoint, MANIFEST, Name, Selector};
 use store::lock::RunLock;
 use store::outputs::{Input, Output};
 use store::owned_files;
 
+use crate::serve::{no_store, runs_in};
 use crate::values::address;
 
 const VIEW_EXAMPLES: &str = "\
 Examples:
   octopus view
   octopus view runs/trajectory-20260101-120000
+  octopus view runs
   octopus view deploy/policies/trajectory --open
   octopus view runs/trajectory-20260101-120000:best --out robot.html
 
 Prints an address for a browser of this machine; of a run that goes on it is that of the run itself, and shows it. The \
 address holds the token of the service: whoever has it may do what you may. Anything else is served, for looking only, \
-until Ctrl-C. With --out the page, the simulator and the policy become one file that needs neither server nor network.";
+until Ctrl-C; of a directory of runs all of them, side by side. With --out the page, the simulator and the policy become one file that needs neither server nor network.";
 
 /// Options of `octopus view`.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = VIEW_EXAMPLES)]
 pub struct ViewArgs {
-    /// A run, a checkpoint such as RUN:best, or the directory of a policy [default: the newest run in runs/].
+    /// A run, a checkpoint such as RUN:best, the directory of a policy, or one of runs [default: the newest run in runs/].
     pub what: Option<PathBuf>,
+    /// Let the address change nothing, also that of a run that goes on.
+    #[arg(long, conflicts_with = "out")]
+    pub read_only: bool,
     /// Open it in the browser.
     #[arg(long, conflicts_with = "out")]
     pub open: bool,
@@ -86,7 +90,7 @@ pub fn run(args: &ViewArgs) -> anyhow::Result<()> {
     }
     let token = Token::find(args.token_file.as_deref())?;
     let live = RunLock::own_holder(&RunDir::new(&what).lock());
-    if matches!(live, Ok(Some(ref holder)) if holder.http.is_some()) {
+    if !args.read_only && matches!(live, Ok(Some(ref holder)) if holder.http.is_some()) {
         let address = Client::page_of_run(&what, token)?;
         tell(args, &address)?;
         if args.open {
@@ -101,21 +105,31 @@ pub fn run(args: &ViewArgs) -> anyhow::Result<()> {
 
 /// Serves what lies on the disk until Ctrl-C; nothing of it can be changed.
 fn serve(args: &ViewArgs, what: &Path, token: Option<Token>) -> anyhow::Result<()> {
-    let selector = Selector::from_path(what).map_err(|message| {
-        ExitError::new(ExitCode::Usage, format!("{}: {message}", what.display()))
-    })?;
-    let (store, name) = selector.locate()?;
+    let runs = is_of_runs(what).then(|| what.to_owned());
+    let (store, name) = match &runs {
+        Some(dir) => (no_store(dir), None),
+        None => {
+            let selector = Selector::from_path(what).map_err(|message| {
+                ExitError::new(ExitCode::Usage, format!("{}: {message}", what.display()))
+            })?;
+            let (store, name) = selector.locate()?;
+            (store, Some(name))
+        }
+    };
     let stop = StopRequests::new();
     stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     // Its own, for as long as it serves.
-    let own = OwnToken::prepare(store.root().join(STORE_TOKEN_FILE))?.token();
+    let home = runs.as_deref().unwrap_or(store.root());
+    let own = OwnToken::prepare(home.join(STORE_TOKEN_FILE))?.token();
     let service = Service::start(ServiceSpec {
         address: args.listen,
         token,
+        runs,
         read_only: true,
         ..ServiceSpec::new(store, own.clone())
     })?;
-    let address = own.page_address(&service.address().to_string(), Some(name.as_str()));
+    let name = name.as_ref().map(Name::as_str);
+    let address = own.page_address(&service.address().to_string(), name);
     tell(args, &address)?;
     let opened = args.open.then(|| Opened::begin(&address)).transpose()?;
     while stop.count() == 0 {
@@ -128,6 +142,13 @@ fn serve(args: &ViewArgs, what: &Path, token: Option<Token>) -> anyhow::Result<(
     drop(opened);
     service.stop();
     Ok(())
+}
+
+/// Whether a directory is neither a run nor a checkpoint, and holds runs.
+fn is_of_runs(path: &Path) -> bool {
+    let holds = |name| path.join(name).exists();
+    let is_one = holds(CONFIG) || holds(MANIFEST);
+    path.is_dir() && !is_one && runs_in(path).is_ok_and(|count| count > 0)
 }
 
 fn tell(args: &ViewArgs, address: &str) -> anyhow::Result<()> {
@@ -148,7 +169,7 @@ fn write(args: &ViewArgs, what: &Path, out: &Path) -> anyhow::Result<()> {
     for path in &inputs {
         let checkpoint = open_checkpoint(path)?;
         let name = name_for(&checkpoint, &enclosed);
-        enclosed.extend(files(&checkpoint, &name)?);
+        enclosed.extend(lab::standalone::enclosed(&checkpoint, &name)?);
     }
     let text = page::single(&enclosed).context("the page has no frame")?;
     std::fs::write(out, text).map_err(|error| {
@@ -168,21 +189,6 @@ fn name_for(checkpoint: &Checkpoint, enclosed: &[Enclosed]) -> String {
     let later = (2..=enclosed.len() + 1).map(|count| format!("{own}-{count}"));
     let mut names = std::iter::once(own.to_string()).chain(later);
     names.find(|name| !taken(name)).expect("there are more names than policies")
-}
-
-/// What the simulator needs of a checkpoint; its networks as small as they become without another bit of an action.
-fn files(checkpoint: &Checkpoint, name: &str) -> anyhow::Result<[Enclosed; 3]> {
-    let trained = lab::trained::Trained::new(checkpoint.clone(), None)?;
-    let dimensions = &trained.world.dimensions;
-    let tensors = compact(&checkpoint.config, dimensions, &checkpoint.actors(dimensions.n_arms)?);
-    let config = std::fs::read(checkpoint.dir.join(CONFIG))
-        .with_context(|| format!("{}: cannot be read", checkpoint.dir.join(CONFIG).display()))?;
-    let file = |file, bytes| Enclosed { policy: name.to_owned(), file, bytes };
-    Ok([
-        file(CONFIG, config),
-        file(ROBOT, checkpoint.robot_toml.clone().into_bytes()),
-        file(POLICY, tensors),
-    ])
 }
 
 /// The run in `runs/` that was changed last.

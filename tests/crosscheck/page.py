@@ -30,8 +30,7 @@ class Page:
         self.tab = context.new_page()
         self.tab.set_default_timeout(WAIT)
         self.errors = []
-        # That a service stands beside no run the page hears from it by a 404, which browsers write down.
-        self.tab.on("console", lambda m: self.errors.append(m.text) if m.type == "error" and "404" not in m.text else None)
+        self.tab.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
         self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
         self.tab.goto(address)
 
@@ -43,9 +42,12 @@ class Page:
         return self.tab.evaluate("(() => { const room = spaceoctopus, timeline = room.timeline; return (%s); })()" % expression)
 
     def wait(self, expression):
+        self.until(lambda: self.room(expression), expression)
+
+    def until(self, holds, expression):
         # Playwright's own way evaluates text in the page, which the page forbids.
         end = time.monotonic() + WAIT / 1000
-        while not self.room(expression):
+        while not holds():
             check(time.monotonic() < end, "never came: %s; the console: %s" % (expression, self.errors))
             time.sleep(0.05)
 

@@ -3,10 +3,11 @@
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use serde_json::Value;
-use tests::{kill, octopus, program, python, stderr};
+use tests::{Owned, Run, kill, octopus, program, python, stderr};
 
 /// The browser, if both it and the page are there.
 #[expect(clippy::print_stderr, reason = "a test says what it does not try")]
@@ -29,8 +30,12 @@ fn policy() -> PathBuf {
 
 /// What the script found.
 fn browse(chromium: &Path, arguments: &[&str]) -> Value {
+    browse_by("page.py", chromium, arguments)
+}
+
+fn browse_by(script: &str, chromium: &Path, arguments: &[&str]) -> Value {
     let output = Command::new(python())
-        .arg(tests::crosscheck("page.py"))
+        .arg(tests::crosscheck(script))
         .arg(chromium)
         .args(arguments)
         .output()
@@ -69,24 +74,121 @@ impl Drop for Viewed {
     }
 }
 
+impl Viewed {
+    /// What it serves, and its address.
+    fn of(arguments: &[&str]) -> (Self, String) {
+        let mut process = Command::new(program("octopus"))
+            .args(["view", "--json"])
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("octopus can be started");
+        let stdout = process.stdout.take().expect("piped");
+        let viewed = Self(process);
+        let mut line = String::new();
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        let said: Value = serde_json::from_str(&line).expect("JSON");
+        (viewed, said["address"].as_str().expect("an address").to_owned())
+    }
+}
+
 /// The address holds the token and the page takes it out; without it, or with a wrong one, the page asks for it.
 #[test]
 fn a_policy_is_served_to_whoever_has_the_address() {
     let Some(chromium) = chromium() else { return };
-    let mut process = Command::new(program("octopus"))
-        .args(["view", "--json"])
-        .arg(policy())
-        .stdin(Stdio::null())
+    let (viewed, address) = Viewed::of(&[policy().to_str().expect("UTF-8")]);
+    assert!(address.contains("/#policy=trajectory&token="), "{address}");
+    browse(&chromium, &["served", &address]);
+    drop(viewed);
+}
+
+/// A run that trains until it is stopped, and keeps what it is told to.
+fn long_run() -> Run {
+    Run::train(&["--iterations=1000000", "--workers=2", "--set=run.checkpoint_every=1000000"])
+}
+
+/// The address of the page of a run, as soon as it has one.
+fn page_of(run: &Run) -> String {
+    let path = run.path().display().to_string();
+    let watchdog = Instant::now() + Duration::from_mins(2);
+    loop {
+        let said = octopus(&["view", &path, "--json"]);
+        if said.status.success() {
+            let said: Value = serde_json::from_slice(&said.stdout).expect("JSON");
+            return said["address"].as_str().expect("an address").to_owned();
+        }
+        assert!(Instant::now() < watchdog, "{}; log:\n{}", stderr(&said), run.log());
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+/// The page is open from the first iteration on, while a worker is killed, others come and go, checkpoints are
+/// committed, pinned and tagged, and the run is stopped and resumed. Then it is looked at at rest, and among others.
+#[test]
+fn a_run_is_followed_from_its_first_iteration() {
+    let Some(chromium) = chromium() else { return };
+    let mut run = long_run();
+    run.domain_when_there();
+    let address = page_of(&run);
+    let mut script = Command::new(python())
+        .arg(tests::crosscheck("page_run.py"))
+        .arg(&chromium)
+        .args(["live", &address])
         .stdout(Stdio::piped())
         .spawn()
-        .expect("octopus can be started");
-    let stdout = process.stdout.take().expect("piped");
-    let viewed = Viewed(process);
-    let mut line = String::new();
-    BufReader::new(stdout).read_line(&mut line).expect("a line");
-    let said: Value = serde_json::from_str(&line).expect("JSON");
-    let address = said["address"].as_str().expect("an address");
-    assert!(address.contains("/#policy=trajectory&token="), "{address}");
-    browse(&chromium, &["served", address]);
+        .expect("Python can be started");
+    let said = BufReader::new(script.stdout.take().expect("piped"));
+    let mut script = Owned::from(script);
+    let mut found = String::new();
+    for line in said.lines() {
+        let line = line.expect("UTF-8");
+        if line == "resume" {
+            run.succeed();
+            run.resume(&["--iterations=1000000"]);
+        } else {
+            found = line;
+        }
+    }
+    assert!(script.succeeded(), "{}", run.log());
+    run.succeed();
+    let found: Value = serde_json::from_str(&found).expect("JSON");
+    let pinned = found["pinned"].as_str().expect("a name");
+    let labels =
+        std::fs::read_to_string(run.path().join("checkpoints").join(pinned).join("labels.json"));
+    let labels: Value = serde_json::from_str(&labels.expect("labels")).expect("JSON");
+    assert_eq!((&labels["pinned"], &labels["tags"]), (&true.into(), &serde_json::json!(["mine"])));
+    // Whoever watched may have seen fewer; none of them was another one.
+    assert!(run.digests().len() as u64 >= found["iterations"].as_u64().expect("a number"));
+
+    let path = run.path();
+    let (viewed, address) = Viewed::of(&[path.to_str().expect("UTF-8")]);
+    browse_by("page_run.py", &chromium, &["rest", &address]);
+    drop(viewed);
+    among_others(&chromium, &path);
+}
+
+/// The run, one of another seed, and one of another discount, side by side.
+fn among_others(chromium: &Path, run: &Path) {
+    let dir = tempfile::tempdir().expect("a directory");
+    for (name, key, from, to) in
+        [("a", "seed", "7", "7"), ("b", "seed", "7", "8"), ("c", "gamma", "", "0.5")]
+    {
+        let copy = dir.path().join(name);
+        let copied = Command::new("cp").arg("-r").arg(run).arg(&copy).status();
+        assert!(copied.expect("cp is there").success());
+        let file = copy.join("config.toml");
+        let text = std::fs::read_to_string(&file).expect("a configuration");
+        let changed: String = text
+            .lines()
+            .map(|line| match line.strip_prefix(&format!("{key} = ")) {
+                Some(value) if value == from || from.is_empty() => format!("{key} = {to}\n"),
+                _ => format!("{line}\n"),
+            })
+            .collect();
+        std::fs::write(&file, changed).expect("writes");
+    }
+    let (viewed, address) = Viewed::of(&[dir.path().to_str().expect("UTF-8")]);
+    browse_by("page_run.py", chromium, &["runs", &address]);
     drop(viewed);
 }

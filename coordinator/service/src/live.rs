@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::oneshot;
 use utoipa::ToSchema;
 
+use crate::history::{Happening, History, What};
+
 /// What a child process, or the coordinator itself, is to a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -206,6 +208,7 @@ pub struct LiveRun(Arc<Mutex<Board>>);
 #[derive(Debug, Default)]
 struct Board {
     status: LiveStatus,
+    history: History,
     commands: VecDeque<Command>,
     closed: bool,
 }
@@ -224,6 +227,17 @@ impl LiveRun {
     /// The loop's side: says what it is doing.
     pub fn publish(&self, status: LiveStatus) {
         self.board().status = status;
+    }
+
+    /// The loop's side: says what has just happened.
+    pub fn tell(&self, what: What) {
+        self.board().history.tell(what);
+    }
+
+    /// What has happened of late, from a number on; the number of what happens next; and the time since the session
+    /// began (s).
+    pub fn happened(&self, from: u64) -> (Vec<Happening>, u64, f64) {
+        self.board().history.since(from)
     }
 
     /// Asks the run for something. Dropped, and so answered by a closed channel, if it has ended.

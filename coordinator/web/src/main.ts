@@ -4,57 +4,79 @@ import { RobotRoom } from "./controls/robot_room";
 import { askForToken } from "./controls/sign_in";
 import { h, ICONS, iconButton, notice } from "./page/dom";
 import { json, Refusal } from "./page/service";
-import { EnclosedSource, ServiceSource, type Source } from "./page/source";
+import { EnclosedSource, policyOf, ServiceSource, type Source } from "./page/source";
 import { restoreTheme, toggleTheme } from "./page/theme";
 import { takeToken } from "./page/token";
+import { Feed } from "./run/feed";
 import { RunRoom } from "./run/run_room";
+import { RunsRoom } from "./runs/runs_room";
 import { Simulation } from "./simulation/simulation";
 
 restoreTheme();
 
+/** What the service says of itself. */
+interface Health {
+    read_only: boolean;
+    serves: "run" | "store" | "runs";
+}
+
 async function main(): Promise<void> {
     const enclosed = EnclosedSource.isHere();
     const source: Source = enclosed ? new EnclosedSource() : new ServiceSource();
-    if (!enclosed) takeToken();
+    if (!enclosed) {
+        takeToken();
+        await admitted();
+        const health = await json<Health>("health");
+        if (health.serves === "runs") {
+            document.body.append(header(), (await RunsRoom.open()).element);
+            document.body.dataset["ready"] = String(Math.round(performance.now()));
+            return;
+        }
+        await robot(source, health);
+        return;
+    }
+    await robot(source, undefined);
+}
+
+/** The robot, and beside it the run, if there is a service. */
+async function robot(source: Source, health: Health | undefined): Promise<void> {
     const [module, worker] = await Promise.all([source.module(), source.worker()]);
     const simulation = await Simulation.start(worker, module);
-    if (!enclosed) await admitted(source);
-
     const room = new RobotRoom(source, simulation);
-    const help = room.listen();
+    const { help } = room.listen();
     const tabs = h("nav", { class: "segmented", hidden: true });
-    const header = h(
-        "header",
-        {},
-        h("h1", {}, "SpaceOctopus"),
-        tabs,
-        h("div", { class: "spring" }),
-        iconButton(ICONS.help, "Keys and pointer (?)", help.help),
-        iconButton(ICONS.light, "Light or dark", toggleTheme),
-    );
-    document.body.append(header, room.element);
-    if (!enclosed && (await RunRoom.isHere())) {
-        const { read_only } = await json<{ read_only: boolean }>("health");
-        rooms(tabs, room, read_only);
-    }
+    document.body.append(header(tabs, iconButton(ICONS.help, "Keys and pointer (?)", help)), room.element);
+    const feed = health === undefined ? undefined : new Feed((refusal) => notice(refusal.message, "error"));
+    if (feed !== undefined && health?.serves === "run") rooms(tabs, room, feed, health.read_only);
     const wanted = new URLSearchParams(location.hash.slice(1));
     await room.start(wanted.get("policy") ?? undefined, wanted.get("play") ?? undefined);
+    feed?.on(["checkpoints"], () => void room.offered((feed.checkpoints ?? []).map(policyOf)));
+    feed?.start();
     document.body.dataset["ready"] = String(Math.round(performance.now()));
     // Tests and curious people ask it what it shows.
-    Object.assign(window, { spaceoctopus: room });
+    Object.assign(window, { spaceoctopus: room, feed });
+}
+
+function header(...more: HTMLElement[]): HTMLElement {
+    const [tabs, help] = more;
+    // One of several runs leads back to all of them.
+    const all = /\/runs\/[^/]+\/$/.test(location.pathname) ? h("a", { href: "../../", class: "back" }, "All runs") : undefined;
+    return h("header", {}, h("h1", {}, "SpaceOctopus"), tabs, all, h("div", { class: "spring" }), help, iconButton(ICONS.light, "Light or dark", toggleTheme));
 }
 
 /** The room of the run beside that of the robot. */
-function rooms(tabs: HTMLElement, robot: RobotRoom, readOnly: boolean): void {
+function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, readOnly: boolean): void {
     const show = (which: "robot" | "run"): void => {
         robot.element.hidden = which !== "robot";
         run.show(which === "run");
         for (const [name, button] of Object.entries(buttons)) button.setAttribute("aria-pressed", String(name === which));
     };
-    const run = new RunRoom((name) => {
+    const play = (name: string): void => {
         show("robot");
         void robot.play(name);
-    }, readOnly);
+    };
+    const task = (): string => (robot.timeline.description?.task.includes("reorientation") ? "reorientation" : "trajectory");
+    const run = new RunRoom(feed, play, task, readOnly);
     const buttons = {
         robot: h("button", { type: "button", onclick: () => show("robot") }, "Robot"),
         run: h("button", { type: "button", onclick: () => show("run") }, "Run"),
@@ -62,15 +84,14 @@ function rooms(tabs: HTMLElement, robot: RobotRoom, readOnly: boolean): void {
     tabs.append(buttons.robot, buttons.run);
     tabs.hidden = false;
     document.body.append(run.element);
-    show("robot");
-    run.start();
+    show(new URLSearchParams(location.hash.slice(1)).has("run") ? "run" : "robot");
 }
 
 /** Asks for the token until the service takes it. */
-async function admitted(source: Source): Promise<void> {
+async function admitted(): Promise<void> {
     for (let why = "This service asks for a token."; ; ) {
         try {
-            await source.policies();
+            await json("v1/checkpoints");
             return;
         } catch (error) {
             if (!(error instanceof Refusal) || error.status !== 401) throw error;

@@ -96,7 +96,9 @@ use proto::message::IterationReport;
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitError};
 pub use recorder::Durability;
+use service::history::What;
 pub use service::live::Diverged;
+use service::live::LiveRun;
 use store::budgets::Budgets;
 use store::jsonl::JsonLines;
 
@@ -120,6 +122,8 @@ pub struct Reporter {
     wall_before_s: f64,
     promised: Promised,
     budgets: Budgets,
+    /// Who hears the notes, too.
+    live: Option<LiveRun>,
 }
 
 impl Reporter {
@@ -155,6 +159,7 @@ impl Reporter {
             wall_before_s: last["wall_s"].as_f64().unwrap_or(0.0),
             promised,
             budgets,
+            live: None,
         })
     }
 
@@ -232,7 +237,16 @@ impl Reporter {
 
     /// Says something that the owner should know: above the bar, or on a line of its own.
     pub fn note(&mut self, line: &str) {
+        if let Some(live) = &self.live {
+            live.tell(What::Note { text: line.to_owned() });
+        }
         self.progress.note(&printable(line));
+    }
+
+    /// Notes are told to whoever watches the run, too.
+    #[must_use]
+    pub fn watched(self, live: LiveRun) -> Self {
+        Self { live: Some(live), ..self }
     }
 
     /// What waits until the lines of all iterations so far are durable. Whoever commits a checkpoint of

@@ -2,8 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use proto::message::{IterationReport, Order, PortId, Progress, Status, WorkerId};
+use proto::message::{IterationReport, Order, PortId, Progress, Status, Timing, WorkerId};
 use proto::{ExitCode, ExitError};
+use service::history::What;
 use store::checkpoint::Name;
 
 use super::order_queue::Addressee;
@@ -53,8 +54,15 @@ impl Session<'_> {
                     self.worker_lives(worker, incarnation, orders, supervisor)?;
                 }
                 Status::BlockDone {
-                    worker, incarnation, iteration, env_steps, rollout_ns, ..
+                    worker,
+                    incarnation,
+                    iteration,
+                    shard,
+                    env_steps,
+                    rollout_ns,
                 } => {
+                    let seconds = Duration::from_nanos(rollout_ns).as_secs_f64();
+                    self.spec.live.tell(What::Block { worker, iteration, shard, seconds });
                     self.books.produced(iteration, env_steps);
                     self.monitor.block(worker, env_steps, rollout_ns);
                     if supervisor.is_current(worker, incarnation) {
@@ -113,7 +121,9 @@ impl Session<'_> {
             return Ok(());
         }
         let now = self.attention.now();
-        self.heard.insert(worker, now);
+        if self.heard.insert(worker, now).is_none() {
+            self.spec.live.tell(What::Ready { worker: Some(worker) });
+        }
         employ(self.scheduler.as_mut(), &mut self.early, worker, incarnation, now);
         Ok(())
     }
@@ -193,6 +203,7 @@ impl Session<'_> {
         if self.learner_restarts > 0 {
             reporter.note(&format!("the learner has been replaced, at iteration {iteration}"));
         }
+        self.spec.live.tell(What::Ready { worker: None });
         self.scheduler = Some(scheduler);
         self.last_report = now;
         Ok(())
@@ -216,6 +227,9 @@ impl Session<'_> {
             restarts: supervisor.restarts() + self.learner_restarts,
         };
         let line = reporter.iteration(&report, &live).map_err(|error| unwritten(&error))?;
+        let Timing { update_s, publish_s, digest_s, copy_s, .. } = report.timing;
+        let seconds = update_s + publish_s + digest_s + copy_s;
+        self.spec.live.tell(What::Update { iteration, seconds });
         self.monitor.iteration(&report);
         self.monitor.env_steps_per_s = live.env_steps_per_s;
         self.monitor.eta.iteration(report.accounting.trained, live.env_steps_per_s);

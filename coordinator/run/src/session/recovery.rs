@@ -18,6 +18,7 @@
 use std::time::Duration;
 
 use proto::{ExitCode, ExitError};
+use service::history::What;
 use store::checkpoint::Checkpoint;
 
 use super::Session;
@@ -58,6 +59,7 @@ impl Session<'_> {
                 }
                 Death::Left(worker) => {
                     self.heard.remove(&worker);
+                    self.spec.live.tell(What::Left { worker: Some(worker) });
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.worker_gone(worker);
                     }
@@ -65,6 +67,8 @@ impl Session<'_> {
                 }
                 Death::Worker(worker, cause) => {
                     self.heard.remove(&worker);
+                    let died = What::Died { worker: Some(worker), cause: cause.to_string() };
+                    self.spec.live.tell(died);
                     self.early.retain(|(early, _)| *early != worker);
                     let estate = self
                         .scheduler
@@ -136,6 +140,7 @@ impl Session<'_> {
             return Err(ExitError::new(cause.exit_code(), message));
         }
         self.learner_restarts += 1;
+        self.spec.live.tell(What::Died { worker: None, cause: cause.to_string() });
         self.go_back(&format!("the learner died ({cause})"), supervisor, reporter)
     }
 
@@ -185,7 +190,9 @@ impl Session<'_> {
         let received = self.scheduler.take().map_or(0, |scheduler| scheduler.received());
         self.books.all_lost(received as u64 * self.steps_per_block);
         self.early.clear();
-        self.heard.clear();
+        for (worker, _) in std::mem::take(&mut self.heard) {
+            self.spec.live.tell(What::Left { worker: Some(worker) });
+        }
         self.orders.forget_all();
         self.finishing = None;
 

@@ -25,10 +25,12 @@ pub(super) struct Listening {
 }
 
 impl RunService {
-    /// Begins to listen at `address`, if one is given; a token of the user's own stands in `token_file`.
+    /// Begins to listen at `address`, if one is given; a token of the user's own stands in `token_file`. With
+    /// `read_only` nobody may change anything, whatever he shows.
     pub fn open(
         address: Option<SocketAddr>,
         token_file: Option<&Path>,
+        read_only: bool,
         run_dir: &RunDir,
     ) -> anyhow::Result<Self> {
         let live = LiveRun::new();
@@ -36,8 +38,19 @@ impl RunService {
         let token = Token::find(token_file)?;
         let own = OwnToken::prepare(run_dir.path().join(TOKEN_FILE))?;
         let store = CheckpointStore::new(run_dir.checkpoints());
-        let spec = ServiceSpec::new(store, own.token());
-        let spec = ServiceSpec { address, token, live: Some(live.clone()), ..spec };
-        Ok(Self { live, listening: Some(Listening { service: Service::start(spec)?, token: own }) })
+        let start = |address| {
+            let spec = ServiceSpec::new(store.clone(), own.token());
+            let (token, live) = (token.clone(), Some(live.clone()));
+            Service::start(ServiceSpec { address, token, live, read_only, ..spec })
+        };
+        // Where nobody has chosen one, the port is the run's own if it is free.
+        let service = match address.port() {
+            0 => {
+                start(SocketAddr::new(address.ip(), own.token().port())).or_else(|_| start(address))
+            }
+            _ => start(address),
+        };
+        let service = service?;
+        Ok(Self { live, listening: Some(Listening { service, token: own }) })
     }
 }

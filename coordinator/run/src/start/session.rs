@@ -54,7 +54,8 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
     let stop = StopRequests::new();
     stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
-    let mut reporter = Reporter::create(&run_dir, &config, resume_from, quiet)?;
+    let reporter = Reporter::create(&run_dir, &config, resume_from, quiet)?;
+    let mut reporter = reporter.watched(service.live.clone());
     if !quiet {
         reporter.note(&introduction(&config, &run_dir, resume_from));
     }

@@ -8,7 +8,7 @@
 use std::net::SocketAddr;
 
 use axum::extract::{Request, State};
-use axum::http::header::{AUTHORIZATION, CONNECTION, HOST, WWW_AUTHENTICATE};
+use axum::http::header::{AUTHORIZATION, CONNECTION, HOST, ORIGIN, WWW_AUTHENTICATE};
 use axum::http::uri::Authority;
 use axum::http::{HeaderValue, StatusCode, Version};
 use axum::middleware::Next;
@@ -25,7 +25,9 @@ use crate::page;
 /// Whether a path needs no token. What stands there tells strangers nothing and changes nothing: a sign
 /// of life for load balancers, and the page, which asks its user for the token.
 pub(super) fn is_public(path: &str) -> bool {
-    path == "/health" || page::is_at(path)
+    // The page of one of several runs is the same.
+    let of_a_run = path.strip_prefix("/runs/").and_then(|rest| Some(&rest[rest.find('/')?..]));
+    path == "/health" || page::is_at(path) || of_a_run.is_some_and(page::is_at)
 }
 
 /// Refuses to listen beyond this machine unless somebody has chosen a token for that.
@@ -48,6 +50,7 @@ pub(super) async fn layer(State(context): State<Shared>, request: Request, next:
         if is_public(request.uri().path()) {
             return Ok(());
         }
+        check_origin(&request)?;
         check_token(&context, &request)?;
         if context.read_only && !request.method().is_safe() {
             let message = "this service changes nothing: it was started to be looked at only";
@@ -96,6 +99,30 @@ fn check_host(request: &Request) -> Result<(), Problem> {
         (Some(_), None) => "the Host header names no host, expected HOST or HOST:PORT",
     };
     Err(Problem::new(StatusCode::BAD_REQUEST, problem))
+}
+
+/// Refuses what another page has a browser ask, also if it has come by the token. Browsers say by themselves, and
+/// let no page say otherwise, where a request comes from: in `Sec-Fetch-Site`, or, beyond loopback without TLS, in
+/// `Origin`. Programs send neither.
+fn check_origin(request: &Request) -> Result<(), Problem> {
+    let headers = request.headers();
+    let own = match (headers.get("sec-fetch-site"), headers.get(ORIGIN)) {
+        (Some(site), _) => site == "same-origin" || site == "none",
+        (None, Some(origin)) => {
+            let host = headers.get(HOST).map(HeaderValue::as_bytes);
+            let origin = origin.as_bytes();
+            let named =
+                origin.strip_prefix(b"http://").or_else(|| origin.strip_prefix(b"https://"));
+            named.is_some() && named == host
+        }
+        (None, None) => true,
+    };
+    if own {
+        return Ok(());
+    }
+    let message =
+        "the request comes from a page of another origin; only the service's own page may ask";
+    Err(Problem::new(StatusCode::FORBIDDEN, message))
 }
 
 /// `user@host` is none.

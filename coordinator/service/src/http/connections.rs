@@ -80,6 +80,7 @@ pub(super) async fn serve(
         });
     }
     drop(listener);
+    context.stopping.send_replace(true);
     if tokio::time::timeout(context.limits.stop_time, graceful.shutdown()).await.is_err() {
         tracing::debug!("requests under way are cut off");
     }

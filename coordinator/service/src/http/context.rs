@@ -4,11 +4,12 @@ use std::sync::Arc;
 
 use axum::http::StatusCode;
 use store::checkpoint::{Checked, CheckpointError, CheckpointStore, LockTimeout};
-use tokio::sync::{Mutex, Semaphore};
+use tokio::sync::{Mutex, Semaphore, watch};
 
 use super::limits::Limits;
 use super::problem::Problem;
 use super::requests::Requests;
+use super::runs::Runs;
 use super::token::Token;
 use super::upload_space;
 use crate::live::LiveRun;
@@ -21,6 +22,8 @@ pub(super) type Shared = Arc<Context>;
 pub(super) struct Context {
     pub(super) store: CheckpointStore,
     pub(super) live: Option<LiveRun>,
+    /// The runs of a directory, if those are served.
+    pub(super) runs: Option<Runs>,
     /// Whoever shows one of them may do everything.
     tokens: Vec<Token>,
     pub(super) limits: Limits,
@@ -36,6 +39,10 @@ pub(super) struct Context {
     pub(super) uploads: Arc<Semaphore>,
     /// Bounds archives on their way out.
     pub(super) archives: Arc<Semaphore>,
+    /// Bounds pages that are told what happens.
+    pub(super) watchers: Arc<Semaphore>,
+    /// Becomes true when the service stops, which ends what has no end of its own.
+    pub(super) stopping: watch::Sender<bool>,
     /// Held while an upload is taken into the store: two of one name meet there, not on the way.
     pub(super) import: Mutex<()>,
 }
@@ -51,16 +58,30 @@ impl Context {
         Self {
             store: store.with_patience(LockTimeout::new(limits.lock_time)),
             live,
+            runs: None,
             tokens,
             checked: Arc::default(),
             requests: Requests::default(),
             changes: Arc::new(Semaphore::new(limits.changes)),
             uploads: Arc::new(Semaphore::new(limits.uploads)),
             archives: Arc::new(Semaphore::new(limits.archives)),
+            watchers: Arc::new(Semaphore::new(limits.watchers)),
+            stopping: watch::Sender::new(false),
             import: Mutex::new(()),
             limits,
             read_only,
         }
+    }
+
+    /// That of a directory of runs.
+    pub(super) fn of_runs(self, runs: Option<Runs>) -> Self {
+        Self { runs, ..self }
+    }
+
+    /// That of one of several runs, for looking only; it stops when this one does.
+    pub(super) fn of_one_run(&self, store: CheckpointStore) -> Self {
+        let own = Self::new(store, None, self.tokens.clone(), self.limits.clone(), true);
+        Self { stopping: self.stopping.clone(), watchers: Arc::clone(&self.watchers), ..own }
     }
 
     /// Does something with the store on a thread that may wait for the disk.

@@ -97,7 +97,8 @@ impl IntoResponses for Refusals {
 pub(super) fn complete(document: &mut Document) {
     for (path, item) in &mut document.paths.paths {
         for operation in [&mut item.put, &mut item.post, &mut item.delete].into_iter().flatten() {
-            let read_only = "The service was started to be looked at only";
+            let read_only =
+                "The service was started to be looked at only, or a page of another origin asks";
             answer(operation, "403", problem(read_only));
         }
         let operations = [&mut item.get, &mut item.put, &mut item.post, &mut item.delete];
@@ -105,6 +106,8 @@ pub(super) fn complete(document: &mut Document) {
             if path != "/page/{file}" && !access::is_public(path) {
                 let needed = "The request does not show the token";
                 answer(operation, "401", problem(needed));
+                let foreign = "The request comes from a page of another origin";
+                answer(operation, "403", problem(foreign));
             }
             let host = "The request does not name one host";
             answer(operation, "400", problem(host));

@@ -21,6 +21,8 @@ pub struct Limits {
     pub uploads: usize,
     /// Downloads of archives at a time, each of which holds a thread; more are refused.
     pub archives: usize,
+    /// Pages that are told what happens, at a time; more are refused.
+    pub watchers: usize,
     /// Largest uploaded archive (bytes).
     pub upload_bytes: u64,
     /// Beside a live run: that many times the largest checkpoint that it has made,
@@ -63,6 +65,7 @@ impl Default for Limits {
             connection_time: Duration::from_mins(1),
             uploads: 8,
             archives: 16,
+            watchers: 64,
             upload_bytes: 4 << 30,
             live_upload_states: 4,
             live_upload_bytes: 64 << 20,

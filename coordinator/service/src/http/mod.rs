@@ -15,10 +15,13 @@
 //! GET    /v1/checkpoints/{name}/files/{file}   download one file, or a range of its bytes
 //! PUT    /v1/checkpoints/{name}/pin            keep one for ever; DELETE lets go of it
 //! PUT    /v1/checkpoints/{name}/tags/{tag}     give one a name; DELETE takes it away
+//! GET    /v1/events                            all that happens, as it happens
 //! GET    /v1/metrics                           lines of the metrics, as they grow
 //! GET    /v1/evaluations                       lines of the evaluations, likewise
 //! GET    /v1/status                            what the live run is doing
 //! PUT    /v1/workers                           change the live run's number of workers
+//! GET    /v1/runs                              all runs, of a service of a directory of runs
+//! GET    /runs/{run}/{path}                    the service of one of them
 //! ```
 //!
 //! A [`Service`] owns one thread, on which a runtime serves all connections; work on disks goes to
@@ -38,9 +41,11 @@ mod connections;
 mod context;
 mod counting;
 mod document;
+mod events;
 mod exposition;
 mod files;
 mod limits;
+mod log_lines;
 mod metrics;
 mod minimum_rate;
 mod own_token;
@@ -53,6 +58,7 @@ mod request_body;
 mod requests;
 mod router;
 mod run;
+mod runs;
 mod service;
 mod token;
 mod upload_space;
@@ -63,6 +69,7 @@ pub use limits::Limits;
 pub use own_token::{OwnToken, STORE_TOKEN_FILE, TOKEN_FILE};
 pub use problem::ErrorBody;
 pub use run::{CommitAnswer, ScaleAnswer, ScaleRequest};
+pub use runs::{RunAtAGlance, RunList};
 pub use service::{Service, ServiceSpec};
 pub use token::{TOKEN_VARIABLE, Token};
 

@@ -29,9 +29,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
     (status = 404, description = "The program was built without it", body = ErrorBody),
 ))]
 pub(super) async fn home(method: Method, headers: HeaderMap) -> Result<Response, Problem> {
-    let asset = page::asset("index.html")
-        .ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, page::MISSING))?;
-    Ok(send(asset, &method, &headers))
+    at("/", &method, &headers)
 }
 
 /// A file of the page. Needs no token.
@@ -52,6 +50,14 @@ pub(super) async fn file(
         Problem::new(StatusCode::NOT_FOUND, "the page has no such file; it begins at `/`")
     })?;
     Ok(send(asset, request.method(), request.headers()))
+}
+
+/// What is at a path of the page.
+pub(super) fn at(path: &str, method: &Method, headers: &HeaderMap) -> Result<Response, Problem> {
+    let name = path.strip_prefix("/page/").unwrap_or("index.html");
+    let asset =
+        page::asset(name).ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, page::MISSING))?;
+    Ok(send(asset, method, headers))
 }
 
 fn send(asset: &'static page::Asset, method: &Method, headers: &HeaderMap) -> Response {

@@ -56,7 +56,7 @@ async fn send(
     uri: &Uri,
     file: fn(&RunDir) -> PathBuf,
 ) -> Result<Response, Problem> {
-    let from = from(uri.query())?;
+    let from = place(uri.query(), "from")?;
     let run = run_of(context).ok_or_else(|| {
         let message =
             "the checkpoints here are not those of a run, so nothing is recorded beside them";
@@ -73,32 +73,40 @@ async fn send(
 }
 
 /// The run whose checkpoints are served.
-fn run_of(context: &Context) -> Option<RunDir> {
+pub(super) fn run_of(context: &Context) -> Option<RunDir> {
     let run = RunDir::new(context.store.root().parent()?);
     (run.checkpoints() == context.store.root() && run.config().is_file()).then_some(run)
 }
 
-fn from(query: Option<&str>) -> Result<u64, Problem> {
-    let value = query
-        .into_iter()
-        .flat_map(|query| query.split('&'))
-        .find_map(|pair| pair.strip_prefix("from="));
+/// The number of bytes that a query gives by a name; none is the beginning.
+pub(super) fn place(query: Option<&str>, name: &str) -> Result<u64, Problem> {
+    let mut pairs = query.into_iter().flat_map(|query| query.split('&'));
+    let value = pairs.find_map(|pair| pair.strip_prefix(name)?.strip_prefix('='));
     value.map_or(Ok(0), |text| {
         text.parse().map_err(|_| {
-            let message = format!("from={}: expected a number of bytes", text.escape_debug());
+            let message = format!("{name}={}: expected a number of bytes", text.escape_debug());
             Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message)
         })
     })
 }
 
-/// Whole lines from a place on, and where the next begin; from the beginning where the file has become shorter.
-fn piece(path: &Path, from: u64) -> std::io::Result<(u64, Vec<u8>)> {
+/// Whole lines from a place on, and where the next begin; from the beginning where the file has become shorter, or
+/// is another one by now, so that no line begins there.
+pub(super) fn piece(path: &Path, from: u64) -> std::io::Result<(u64, Vec<u8>)> {
     let mut file = match regular_files::open(path) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok((0, Vec::new())),
         other => other?,
     };
     let len = file.metadata()?.len();
-    let from = if from > len { 0 } else { from };
+    let mut from = if from > len { 0 } else { from };
+    if from > 0 {
+        let mut before = [0];
+        file.seek(SeekFrom::Start(from - 1))?;
+        file.read_exact(&mut before)?;
+        if before != *b"\n" {
+            from = 0;
+        }
+    }
     file.seek(SeekFrom::Start(from))?;
     let mut lines = Vec::new();
     file.take(PIECE).read_to_end(&mut lines)?;
@@ -123,12 +131,15 @@ mod tests {
         // Cut off by a recovery: the client hears of a smaller place, and begins anew.
         std::fs::write(&path, "{\"a\":1}\n").expect("writes");
         assert_eq!(piece(&path, 16).expect("reads"), (8, b"{\"a\":1}\n".to_vec()));
+        // Cut off and grown again while nobody looked: no line begins there any more.
+        std::fs::write(&path, "{\"a\":1}\n{\"a\":22}\n").expect("writes");
+        assert_eq!(piece(&path, 16).expect("reads").1.len(), 17);
     }
 
     #[test]
     fn a_place_is_a_number_of_bytes() {
-        assert_eq!(from(None).expect("the beginning"), 0);
-        assert_eq!(from(Some("x=1&from=12")).expect("a number"), 12);
-        assert!(from(Some("from=-1")).expect_err("no place").message.contains("-1"));
+        assert_eq!(place(None, "from").expect("the beginning"), 0);
+        assert_eq!(place(Some("x=1&from=12"), "from").expect("a number"), 12);
+        assert!(place(Some("from=-1"), "from").expect_err("no place").message.contains("-1"));
     }
 }

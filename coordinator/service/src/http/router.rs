@@ -7,6 +7,7 @@ use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
+use axum::routing::{any, get};
 use axum::{Json, Router};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -17,7 +18,8 @@ use super::context::Shared;
 use super::counting;
 use super::problem::Problem;
 use super::{
-    access, archives, checkpoints, document, files, metrics, page, recorded, run, uploads,
+    access, archives, checkpoints, document, events, files, metrics, page, recorded, run, runs,
+    uploads,
 };
 
 /// All routes and the document that describes them.
@@ -34,15 +36,21 @@ fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(files::download))
         .routes(routes!(checkpoints::pin, checkpoints::unpin))
         .routes(routes!(checkpoints::tag, checkpoints::untag))
+        .routes(routes!(events::events))
         .routes(routes!(recorded::metrics))
         .routes(routes!(recorded::evaluations))
         .routes(routes!(run::status))
         .routes(routes!(run::scale))
+        .routes(routes!(runs::list))
+        .routes(routes!(runs::one))
 }
 
 /// The whole service: routes, refusals, and the layers around them.
 pub(super) fn router(context: Shared) -> Router {
     Router::from(routes())
+        // Of one run; axum writes a path of several parts so, and OpenAPI cannot.
+        .route("/runs/{run}/", get(runs::one))
+        .route("/runs/{run}/{first}/{*rest}", any(runs::one))
         .fallback(no_route)
         .method_not_allowed_fallback(no_method)
         .layer(from_fn_with_state(context.clone(), access::layer))
@@ -60,6 +68,8 @@ pub(super) struct Health {
     version: String,
     /// Whether it refuses to change anything.
     read_only: bool,
+    /// What it serves: a `run`, live or not, a `store` of checkpoints, or all `runs` of a directory.
+    serves: String,
 }
 
 /// Says that the service is alive. Needs no token.
@@ -71,6 +81,12 @@ async fn health(State(context): State<Shared>) -> Json<Health> {
         status: "ok".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         read_only: context.read_only,
+        serves: match (&context.runs, recorded::run_of(&context)) {
+            (Some(_), _) => "runs",
+            (None, Some(_)) => "run",
+            (None, None) => "store",
+        }
+        .to_owned(),
     })
 }
 

@@ -1,6 +1,7 @@
 //! The service as its owner sees it: started, addressed, stopped.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -12,6 +13,7 @@ use tokio::sync::oneshot;
 
 use super::context::Context;
 use super::limits::Limits;
+use super::runs::Runs;
 use super::token::Token;
 use super::{access, connections, router};
 use crate::live::LiveRun;
@@ -34,6 +36,8 @@ pub struct ServiceSpec {
     pub store: CheckpointStore,
     /// The run beside which this stands.
     pub live: Option<LiveRun>,
+    /// A directory of runs, which are served instead of the checkpoints, for looking only.
+    pub runs: Option<PathBuf>,
     /// Bounds.
     pub limits: Limits,
     /// Whether to change nothing, whoever asks.
@@ -49,6 +53,7 @@ impl ServiceSpec {
             token: None,
             store,
             live: None,
+            runs: None,
             limits: Limits::default(),
             read_only: false,
         }
@@ -86,13 +91,10 @@ impl Service {
             .map_err(|error| failure(&listen, &error))?;
         let address = listener.local_addr().map_err(|error| failure(&listen, &error))?;
         let (stop, stopped) = oneshot::channel();
-        let context = Arc::new(Context::new(
-            spec.store,
-            spec.live,
-            spec.token.into_iter().chain([spec.own]).collect(),
-            spec.limits,
-            spec.read_only,
-        ));
+        let tokens = spec.token.into_iter().chain([spec.own]).collect();
+        let read_only = spec.read_only || spec.runs.is_some();
+        let context = Context::new(spec.store, spec.live, tokens, spec.limits, read_only);
+        let context = Arc::new(context.of_runs(spec.runs.map(Runs::new)));
         let thread = std::thread::Builder::new()
             .name("http".to_owned())
             .spawn(move || run(runtime, listener, context, stopped))

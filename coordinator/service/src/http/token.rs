@@ -93,6 +93,15 @@ impl Token {
         format!("http://{address}/#{policy}{fragment}")
     }
 
+    /// A port that whoever knows the token finds again, outside the range from which the system gives: a run takes it
+    /// if it is free, so that a page finds the run again when it is resumed. It says next to nothing of the token.
+    pub fn port(&self) -> u16 {
+        const FIRST: u16 = 20_000;
+        const COUNT: u16 = 12_000;
+        let hash = blake3::derive_key("spaceoctopus port of a run's service", self.0.as_bytes());
+        FIRST + u16::from_le_bytes([hash[0], hash[1]]) % COUNT
+    }
+
     /// Whether `offered` is the token. How long this takes says nothing about where they differ,
     /// nor, as hashes are compared, about the token's length.
     pub(super) fn matches(&self, offered: &[u8]) -> bool {

@@ -2,7 +2,6 @@
 
 import { Curves } from "../curves/curves";
 import { h, ICONS, iconButton, notice } from "../page/dom";
-import { Refusal } from "../page/service";
 import type { PolicyEntry, Source } from "../page/source";
 import { onTheme, sceneLook } from "../page/theme";
 import type { Goal } from "../scene/goals";
@@ -16,8 +15,8 @@ import { fromFragment, parse, type Recording, save, toFragment } from "./share";
 import { Transport } from "./transport";
 import { World } from "./world";
 
-/** How often to look for a newer checkpoint (ms). */
-const LOOK = 3000;
+/** Which policy plays while new ones come. */
+type Followed = "none" | "newest" | "best";
 
 export class RobotRoom {
     readonly element = h("main", { class: "robot-room" });
@@ -33,7 +32,7 @@ export class RobotRoom {
     private readonly world: World;
     private readonly curves: Curves;
     private readonly title = h("select", { class: "policy", aria: { label: "Policy" } });
-    private readonly followNewest = h("input", { type: "checkbox" });
+    private readonly followed = h("select", { aria: { label: "When new policies come" } });
     private readonly episode = h("input", { type: "number", min: "0", max: "99999", value: "0", aria: { label: "Episode" } });
     private readonly force = h("div", { class: "force", hidden: true });
     private readonly status = h("div", { class: "scene-status" });
@@ -110,7 +109,6 @@ export class RobotRoom {
             }
         }
         requestAnimationFrame(() => this.tick());
-        if (this.source.live) setInterval(() => void this.watch(), LOOK);
     }
 
     /** Begins an episode with one policy. */
@@ -214,32 +212,33 @@ export class RobotRoom {
         return (this.policies.find(({ tags }) => tags.includes("best")) ?? this.policies.at(-1))?.name;
     }
 
-    private async refresh(): Promise<boolean> {
-        const found = await this.source.policies();
-        const changed = JSON.stringify(found) !== JSON.stringify(this.policies);
-        this.policies = found;
-        if (changed) this.offer();
-        return changed;
+    private async refresh(): Promise<void> {
+        this.policies = await this.source.policies();
+        this.offer();
     }
 
-    private async watch(): Promise<void> {
-        if (document.hidden) return;
-        try {
-            if (!(await this.refresh())) return;
-        } catch (error) {
-            // It may come back; a refusal will not change by itself.
-            if (error instanceof Refusal) notice(error.message, "error");
+    /** The service has other policies than before. */
+    async offered(policies: PolicyEntry[]): Promise<void> {
+        this.policies = policies;
+        this.offer();
+        const best = this.best();
+        if (this.current === "") {
+            if (best === undefined) return;
+            await this.begin(best);
+            this.timeline.play(true);
             return;
         }
-        const newest = this.policies.at(-1)?.name;
-        if (this.current === "" && newest !== undefined) {
-            await this.begin(newest);
-            this.timeline.play(true);
-        } else if (this.followNewest.checked && newest !== undefined && newest !== this.current) {
-            await this.change(newest);
-            this.offer();
-            notice(`now plays ${plain(newest)}`);
-        }
+        await this.catchUp();
+    }
+
+    /** Goes over to the newest or best policy, if that is wanted. */
+    private async catchUp(): Promise<void> {
+        const followed = this.followed.value as Followed;
+        const wanted = followed === "newest" ? this.policies.at(-1)?.name : followed === "best" ? this.best() : undefined;
+        if (wanted === undefined || wanted === this.current) return;
+        await this.change(wanted);
+        this.offer();
+        notice(`Now plays ${plain(wanted)}`);
     }
 
     private offer(): void {
@@ -262,7 +261,10 @@ export class RobotRoom {
             file.value = "";
             if (chosen !== undefined) void chosen.text().then((text) => this.replay(parse(text))).catch((error: Error) => notice(error.message, "error"));
         };
-        const newest = this.source.live ? h("label", { class: "check" }, this.followNewest, "follow the newest") : undefined;
+        const choices: [Followed, string][] = [["none", "stay with this one"], ["newest", "follow the newest"], ["best", "follow the best"]];
+        this.followed.append(...choices.map(([value, text]) => h("option", { value }, text)));
+        this.followed.onchange = () => void this.catchUp();
+        const newest = this.source.live ? h("label", { class: "field follow" }, h("span", {}, "New ones"), this.followed) : undefined;
         return h(
             "aside",
             { class: "panel" },

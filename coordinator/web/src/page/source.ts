@@ -32,12 +32,16 @@ export interface CheckpointEntry {
     labels: { pinned: boolean; tags: string[]; score?: number | null };
 }
 
+export function policyOf({ name, iteration, digest, labels }: CheckpointEntry): PolicyEntry {
+    return { name, iteration, digest, tags: labels.tags };
+}
+
 export class ServiceSource implements Source {
     readonly live = true;
 
     async policies(): Promise<PolicyEntry[]> {
         const { checkpoints } = await json<{ checkpoints: CheckpointEntry[] }>("v1/checkpoints");
-        return checkpoints.map(({ name, iteration, digest, labels }) => ({ name, iteration, digest, tags: labels.tags }));
+        return checkpoints.map(policyOf);
     }
 
     async load(name: string): Promise<PolicyFiles> {

@@ -19,9 +19,8 @@ export class Checkpoints {
         this.element.append(h("div", { class: "line" }, h("h2", {}, "Checkpoints"), this.commit), this.list);
     }
 
-    async look(live: boolean): Promise<void> {
+    show(checkpoints: CheckpointEntry[], live: boolean): void {
         this.commit.hidden = !live || this.readOnly;
-        const { checkpoints } = await json<{ checkpoints: CheckpointEntry[] }>("v1/checkpoints");
         const text = JSON.stringify(checkpoints);
         if (text === this.shown) return;
         this.shown = text;
@@ -94,7 +93,6 @@ export class Checkpoints {
     private async act(what: () => Promise<unknown>): Promise<void> {
         try {
             await what();
-            await this.look(!this.commit.hidden);
         } catch (error) {
             notice(error instanceof Error ? error.message : String(error), "error");
         }

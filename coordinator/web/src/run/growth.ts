@@ -4,39 +4,51 @@ import uPlot from "uplot";
 import { h } from "../page/dom";
 import { colour } from "../page/theme";
 import { ARMS } from "../scene/colours";
-import type { Metrics } from "./status";
+import type { Feed } from "./feed";
+import type { Evaluation, Metrics } from "./status";
 
-interface Kind {
+interface Drawn {
     title: string;
     unit: string;
-    lines: { label: string; value(metrics: Metrics): number }[];
     /** Whether a logarithmic axis suits it. */
     log?: boolean;
 }
 
+/** A curve over the iterations: of the training, or of evaluations on held-out goals. */
+type Kind = Drawn & ({ value(metrics: Metrics): number } | { held(evaluation: Evaluation): number });
+
 function kinds(task: string): Kind[] {
     const errors: Kind[] =
         task === "reorientation"
-            ? [{ title: "Attitude error of the base", unit: "mrad", lines: [{ label: "base", value: (m) => 1000 * m.errors.base }], log: true }]
+            ? [
+                  { title: "Attitude error of the base", unit: "mrad, training", value: (m) => 1000 * m.errors.base, log: true },
+                  { title: "Attitude error of the base", unit: "mrad, held-out goals", held: (e) => 1000 * e.errors.tail.base, log: true },
+              ]
             : [
-                  { title: "Position error", unit: "mm", lines: [{ label: "hands", value: (m) => 1000 * m.errors.position }], log: true },
-                  { title: "Orientation error", unit: "mrad", lines: [{ label: "hands", value: (m) => 1000 * m.errors.orientation }], log: true },
+                  { title: "Position error", unit: "mm, training", value: (m) => 1000 * m.errors.position, log: true },
+                  { title: "Orientation error", unit: "mrad, training", value: (m) => 1000 * m.errors.orientation, log: true },
+                  { title: "Position error", unit: "mm, held-out goals", held: (e) => 1000 * e.errors.tail.position, log: true },
+                  { title: "Orientation error", unit: "mrad, held-out goals", held: (e) => 1000 * e.errors.tail.orientation, log: true },
               ];
     return [
-        { title: "Return", unit: "mean of agents", lines: [{ label: "return", value: (m) => m.return_mean }] },
+        { title: "Return", unit: "mean of agents", value: (m) => m.return_mean },
         ...errors,
-        { title: "Policy loss", unit: "", lines: [{ label: "policy", value: (m) => m.policy_loss }] },
-        { title: "Value loss", unit: "", lines: [{ label: "value", value: (m) => m.value_loss }], log: true },
-        { title: "Speed", unit: "env-steps/s", lines: [{ label: "speed", value: (m) => m.env_steps_per_s }] },
+        { title: "Score", unit: "held-out goals; 1 is as good as the paper", held: (e) => e.score, log: true },
+        { title: "Policy loss", unit: "", value: (m) => m.policy_loss },
+        { title: "Value loss", unit: "", value: (m) => m.value_loss, log: true },
+        { title: "Divergence", unit: "KL from the policy that played, nat", value: (m) => m.kl, log: true },
+        { title: "Learning rate", unit: "of the actors", value: (m) => m.actor_lr },
+        { title: "Noise", unit: "standard deviation of actions", value: (m) => m.action_std },
+        { title: "Speed", unit: "env-steps/s", value: (m) => m.env_steps_per_s },
     ];
 }
 
 export class Growth {
     readonly element = h("section", { class: "growth", aria: { label: "Learning curves" } });
-    private plots: { plot: uPlot; kind: Kind }[] = [];
+    private plots: { plot: uPlot; kind: Kind; box: HTMLElement }[] = [];
     private task = "";
 
-    constructor() {
+    constructor(private readonly pick: (iteration: number) => void) {
         new ResizeObserver(() => this.resize()).observe(this.element);
     }
 
@@ -47,30 +59,36 @@ export class Growth {
         this.plots = kinds(task).map((kind, index) => {
             const box = h("figure", { class: "curve card" }, h("figcaption", {}, h("b", {}, kind.title), `  ${kind.unit}`));
             this.element.append(box);
-            return { kind, plot: this.make(box, kind, ARMS[index % ARMS.length] ?? "#000") };
+            return { kind, box, plot: this.make(box, kind, ARMS[index % ARMS.length] ?? "#000") };
         });
     }
 
-    show(lines: Metrics[], task: string): void {
+    show({ metrics, evaluations }: Feed, task: string): void {
         if (task !== this.task || this.plots.length === 0) this.begin(task);
-        const iterations = lines.map(({ iteration }) => iteration);
-        for (const { plot, kind } of this.plots) {
-            const data = kind.lines.map(({ value }) => lines.map((line) => finite(value(line), kind.log === true)));
-            plot.setData([iterations, ...data]);
+        const iterations = metrics.lines.map(({ iteration }) => iteration);
+        const held = evaluations.lines.map(({ iteration }) => iteration);
+        for (const { plot, kind, box } of this.plots) {
+            const log = kind.log === true;
+            if ("held" in kind) {
+                box.hidden = held.length === 0;
+                plot.setData([held, evaluations.lines.map((line) => finite(kind.held(line), log))]);
+            } else {
+                plot.setData([iterations, metrics.lines.map((line) => finite(kind.value(line), log))]);
+            }
         }
     }
 
     /** Colours have changed. */
-    restyle(lines: Metrics[]): void {
+    restyle(feed: Feed): void {
         const { task } = this;
         this.begin(task);
-        this.show(lines, task);
+        this.show(feed, task);
     }
 
     private make(box: HTMLElement, kind: Kind, stroke: string): uPlot {
         const [ink, grid] = [colour("faint"), colour("grid")];
         const axis = { stroke: ink, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid, width: 1, size: 4 }, font: "11px system-ui, sans-serif" };
-        return new uPlot(
+        const plot: uPlot = new uPlot(
             {
                 ...this.size(),
                 padding: [8, 14, 0, 0],
@@ -81,11 +99,18 @@ export class Growth {
                     { ...axis, size: 24, gap: 2, space: 60 },
                     { ...axis, size: 52, gap: 4, space: 30 },
                 ],
-                series: [{}, ...kind.lines.map(({ label }) => ({ label, stroke, width: 1.7, points: { show: false } }))],
+                series: [{}, { label: kind.title, stroke, width: 1.7, points: { show: "held" in kind, size: 4, fill: stroke } }],
             },
-            [[], ...kind.lines.map(() => [])],
+            [[], []],
             box,
         );
+        plot.over.title = "Click: the policy of that iteration plays, or the nearest that is kept";
+        plot.over.addEventListener("click", () => {
+            const at = plot.cursor.idx;
+            const iteration = at === null || at === undefined ? undefined : plot.data[0][at];
+            if (iteration !== undefined) this.pick(iteration);
+        });
+        return plot;
     }
 
     private size(): { width: number; height: number } {

@@ -1,105 +1,89 @@
 // The room of the run: how it is doing, and what it can be asked to do.
 
+import { plain } from "../controls/arms";
 import { slider } from "../controls/world";
 import { h, notice } from "../page/dom";
-import { json, Refusal } from "../page/service";
+import { json } from "../page/service";
 import { onTheme } from "../page/theme";
 import { Checkpoints } from "./checkpoints";
-import { Follower } from "./follow";
+import type { Feed } from "./feed";
 import { Growth } from "./growth";
-import { bytes, duration, grouped, type LiveStatus, type Metrics, type Process } from "./status";
-
-/** How often to look (ms), and how often at most while nobody answers. */
-const LOOK = 1000;
-const LOOK_LOST = 8000;
+import { Logs } from "./logs";
+import { bytes, duration, grouped, type Process } from "./status";
+import { TimeLine } from "./time_line";
 
 export class RunRoom {
     readonly element = h("main", { class: "run-room", hidden: true });
-    private readonly metrics = new Follower<Metrics>("v1/metrics");
-    private readonly growth = new Growth();
+    private readonly growth: Growth;
     private readonly checkpoints: Checkpoints;
+    private readonly timeLine: TimeLine;
+    private readonly logs = new Logs();
     private readonly lost = h("div", { class: "lost", role: "status", hidden: true }, "The service does not answer. This page tries again.");
     private readonly tiles = h("section", { class: "tiles card" });
     private readonly workers = h("section", { class: "card" });
     private readonly processes = h("div");
     private slider: { element: HTMLElement; set(value: number): void } | undefined;
-    private wait = LOOK;
-    private live: LiveStatus | undefined;
     private wanted = 0;
-    private isBesideARun = true;
     private deaths = 0;
 
     constructor(
-        play: (name: string) => void,
+        private readonly feed: Feed,
+        private readonly play: (name: string) => void,
+        /** The task of the robot that is shown, where no run says its own. */
+        private readonly taskShown: () => string,
         private readonly readOnly: boolean,
     ) {
+        this.growth = new Growth((iteration) => this.playNearest(iteration));
         this.checkpoints = new Checkpoints(play, readOnly);
+        this.timeLine = new TimeLine(feed);
         this.workers.append(h("h2", {}, "Processes"), this.processes);
-        this.element.append(this.lost, this.tiles, this.growth.element, h("div", { class: "side" }, this.workers, this.checkpoints.element));
-        onTheme(() => this.growth.restyle(this.metrics.lines));
-    }
-
-    /** Whether the service stands beside something that records. */
-    static async isHere(): Promise<boolean> {
-        try {
-            await new Follower("v1/metrics").look();
-            return true;
-        } catch (error) {
-            if (error instanceof Refusal && error.status === 404) return false;
-            throw error;
-        }
-    }
-
-    start(): void {
-        void this.look();
+        const left = h("div", { class: "side" }, this.timeLine.element, this.growth.element);
+        this.element.append(this.lost, this.tiles, left, h("div", { class: "side" }, this.workers, this.checkpoints.element, this.logs.element));
+        feed.on(["status", "metrics", "heard"], () => this.showStatus());
+        feed.on(["metrics", "evaluations"], () => this.draw());
+        feed.on(["checkpoints", "heard"], () => this.checkpoints.show(feed.checkpoints ?? [], feed.status !== undefined));
+        feed.on(["logs"], () => this.logs.show(feed.logs));
+        onTheme(() => this.growth.restyle(feed));
     }
 
     show(on: boolean): void {
         this.element.hidden = !on;
-        if (on) this.growth.show(this.metrics.lines, this.task());
+        this.timeLine.show(on);
+        if (!on) return;
+        this.draw();
+        this.logs.show(this.feed.logs);
     }
 
-    private async look(): Promise<void> {
-        try {
-            if (!document.hidden) await this.ask();
-            this.lost.hidden = true;
-            this.wait = LOOK;
-        } catch (error) {
-            if (error instanceof Refusal) notice(error.message, "error");
-            else this.lost.hidden = false;
-            this.wait = Math.min(2 * this.wait, LOOK_LOST);
+    private draw(): void {
+        if (!this.element.hidden) this.growth.show(this.feed, this.feed.status?.task || this.taskShown());
+    }
+
+    /** The policy after an iteration, or the nearest that is kept. */
+    private playNearest(iteration: number): void {
+        const kept = (this.feed.checkpoints ?? []).filter(({ kind }) => kind === "training");
+        const far = (entry: { iteration: number }): number => Math.abs(entry.iteration - iteration);
+        const [nearest] = kept.toSorted((a, b) => far(a) - far(b));
+        if (nearest === undefined) {
+            notice("No policy is kept yet");
+            return;
         }
-        setTimeout(() => void this.look(), this.wait);
-    }
-
-    private async ask(): Promise<void> {
-        try {
-            if (this.isBesideARun) this.live = await json<LiveStatus>("v1/status");
-        } catch (error) {
-            if (!(error instanceof Refusal) || error.status !== 404) throw error;
-            // A service that stands beside no run never will.
-            this.isBesideARun = false;
-        }
-        const grown = await this.metrics.look();
-        await this.checkpoints.look(this.live !== undefined);
-        this.showStatus();
-        if (grown && !this.element.hidden) this.growth.show(this.metrics.lines, this.task());
-    }
-
-    private task(): string {
-        return this.live?.task ?? "trajectory";
+        this.play(nearest.name);
+        notice(nearest.iteration === iteration ? `${plain(nearest.name)} plays` : `Iteration ${iteration} is not kept; ${plain(nearest.name)} is the nearest and plays`);
     }
 
     private showStatus(): void {
-        const { live } = this;
-        const last = this.metrics.lines.at(-1);
+        const { status: live, heard, metrics } = this.feed;
+        this.lost.hidden = heard;
+        const last = metrics.lines.at(-1);
         const tile = (name: string, value: string): HTMLElement => h("div", { class: "tile" }, h("span", {}, name), h("b", {}, value));
+        this.workers.hidden = live === undefined;
         if (live === undefined) {
-            this.tiles.replaceChildren(tile("State", "at rest"), tile("Iterations", grouped((last?.iteration ?? -1) + 1)), tile("Env-steps", grouped(last?.env_steps ?? 0)));
-            this.workers.hidden = true;
+            const state = heard ? "at rest" : "not heard";
+            this.tiles.replaceChildren(tile("State", state), tile("Iterations", grouped((last?.iteration ?? -1) + 1)), tile("Env-steps", grouped(last?.env_steps ?? 0)));
+            this.deaths = 0;
             return;
         }
-        this.workers.hidden = false;
+        this.checkpoints.show(this.feed.checkpoints ?? [], true);
         this.tiles.replaceChildren(
             tile("State", live.divergence === null ? live.state : "diverged"),
             tile("Iteration", `${grouped(live.iterations)} of ${grouped(live.planned_iterations)}`),

@@ -37,11 +37,41 @@ export interface LiveStatus {
 export interface Metrics {
     iteration: number;
     env_steps: number;
+    wall_s: number;
     env_steps_per_s: number;
     return_mean: number;
     policy_loss: number;
     value_loss: number;
+    kl: number;
+    actor_lr: number;
+    critic_lr: number;
+    action_std: number;
     errors: { position: number; orientation: number; base: number };
+}
+
+/** An evaluation on held-out goals; `iteration` counts those that the policy was trained on. */
+export interface Evaluation {
+    iteration: number;
+    score: number;
+    errors: { tail: { position: number; orientation: number; base: number } };
+}
+
+/** Something that has happened in a live run; without a worker it is about the learner. */
+export interface Happening {
+    number: number;
+    at_s: number;
+    what: "block" | "update" | "ready" | "died" | "left" | "note";
+    worker?: number | null;
+    iteration?: number;
+    shard?: number;
+    seconds?: number;
+    cause?: string;
+    text?: string;
+}
+
+export interface LogLine {
+    who: string;
+    text: string;
 }
 
 /** Seconds as people say them. */

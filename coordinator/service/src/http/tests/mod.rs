@@ -2,10 +2,12 @@
 
 mod access;
 mod checkpoints;
+mod events;
 mod files;
 mod fuzz;
 mod page;
 mod run;
+mod runs;
 mod service;
 mod uploads;
 

@@ -251,6 +251,10 @@ async fn the_description_holds_every_route() {
     assert_eq!(described, listed);
     // And each is there: whatever it answers, it is not that there is no such route or method.
     for line in described {
+        if line == "GET /v1/events" {
+            // It has no end; what it says is tried where it is.
+            continue;
+        }
         let line = line.replace("{name}", "x").replace("{file}", "y").replace("{tag}", "z");
         let answer = bench.ask(&line).await;
         let routed = answer.status.is_success() || !answer.error().contains("openapi.json");
