@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
-use crate::guide::repository;
 use crate::{program, python as tests_python, stderr};
 
 /// Names a wheel that is tested instead of the module that was built with the tests: `make wheel-test`.
@@ -61,7 +60,8 @@ fn install(python: &Path, wheel: &Path) {
 /// Puts the files together that the wheel holds.
 fn lay_out(package: &Path, profile: &Path) {
     fs::create_dir(package).expect("a directory");
-    let sources = repository().join("sim-worker/python/python/spaceoctopus");
+    let sources =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../sim-worker/python/python/spaceoctopus");
     for entry in fs::read_dir(sources).expect("sources") {
         let path = entry.expect("a source").path();
         if path.is_file() {

@@ -63,7 +63,8 @@ fn the_same_seed_and_address_make_the_bits_of_a_workers_block() {
         ];
         let layers = sets.iter().fold(layers, |layers, set| layers.set(set).expect("a setting"));
         let config = layers.resolve().expect("a configuration");
-        let world = World::new(&config, &Robot::builtin("paper").expect("built in"));
+        let world =
+            World::new(&config, &Robot::builtin(&config.robot.description).expect("built in"));
         let parameters = initial_parameters(&config, &world.dimensions, 3);
         let policy = world.policy(&parameters).expect("a policy");
         let (seed, iteration, shard) = (11, 4, n_shards as u32 - 1);
@@ -152,7 +153,6 @@ fn configurations_are_refused_in_the_words_of_octopus_train() {
         "env.n_envs=-1",
         "network.hidden=oops",
         "task.name=walk",
-        "nonsense",
         "env.substep=0.3",
     ] {
         let train = tests::octopus(&["train", "--dry-run", "--set", set]);
@@ -162,11 +162,8 @@ fn configurations_are_refused_in_the_words_of_octopus_train() {
         let ours = String::from_utf8(output.stdout).expect("text");
         let flat = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(!ours.trim().is_empty(), "--set {set} is refused");
-        // An assignment without `=` is refused by the command line's reader, with the same reason.
         let ours = flat(&ours);
-        let reason =
-            ours.rsplit_once("--set nonsense: ").map_or(ours.as_str(), |(_, reason)| reason);
-        assert!(flat(&said).contains(reason), "--set {set}\noctopus: {said}\nspaceoctopus: {ours}");
+        assert!(flat(&said).contains(&ours), "--set {set}\noctopus: {said}\nspaceoctopus: {ours}");
     }
 }
 
