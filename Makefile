@@ -54,6 +54,21 @@ venv: ## install the Python packages of the cross-checks (once)
 venv-benches: ## install the Python packages of the benchmarks' peers (once)
 	@$(PYTHON) deploy/setup.py benches
 
+.PHONY: venv-wheel
+venv-wheel:
+	@$(PYTHON) deploy/setup.py wheel
+
+# For any Python from 3.10 on; it needs neither libtorch nor our programs.
+.PHONY: wheel
+wheel: venv-wheel ## build the simulator for Python: a wheel in target/wheels
+	.venv-wheel/bin/maturin build --release $(LOCKED) --manifest-path sim-worker/python/Cargo.toml --target-dir $(TARGET) --out $(TARGET)/wheels
+	@echo 'install it: pip install $(TARGET)/wheels/spaceoctopus-*.whl'
+
+.PHONY: wheel-test
+wheel-test: wheel venv ## try the wheel itself; make test tries what was built beside the tests
+	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
+	SPACEOCTOPUS_WHEEL="$$(ls -t $(abspath $(TARGET))/wheels/spaceoctopus-*.whl | head -1)" $(CARGO) test $(LOCKED) -p tests --test it $(FEATURES) -- python
+
 # The page in a browser: types, then one script, one style and the simulator as a WebAssembly module, compressed.
 # The service's build script puts them into the program.
 NODE = $(abspath .node/bin/node)
@@ -176,4 +191,4 @@ clean: ## remove what was built; set-up and runs are kept
 
 .PHONY: distclean
 distclean: clean ## remove what was built and what was set up; runs are kept
-	rm -rf .node .node.tmp coordinator/web/node_modules .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .cache
+	rm -rf .node .node.tmp coordinator/web/node_modules .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .venv-wheel .cache

@@ -5,6 +5,8 @@
     deploy/setup.py page [--dry-run]                        Node in .node/, the page's libraries in coordinator/web/node_modules/
     deploy/setup.py venv [--dry-run]                        the tests' Python in .venv-tests/
     deploy/setup.py benches [--dry-run]                     the benchmarks' Python in .venv-benches/
+    deploy/setup.py trainers [--dry-run]                    a trainer of somebody else's in .venv-trainers/
+    deploy/setup.py wheel [--dry-run]                       what builds the wheel for Python in .venv-wheel/
 
 Nothing outside the repository is changed. A second run finds its stamp and does nothing.
 
@@ -41,7 +43,7 @@ USAGE, ENVIRONMENT, DOWNLOAD = 2, 3, 4
 ATTEMPTS = 3
 PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 LAYOUT = 1  # of .libtorch; a change here sets it up anew
-VENV_PYTHONS = ((3, 10), (3, 14))  # the oldest and the newest for which both requirements.txt hold wheels
+VENV_PYTHONS = ((3, 10), (3, 14))  # the oldest and the newest for which every requirements.txt holds wheels
 RUST = (1, 95)  # rust-version in Cargo.toml
 MIN_GLIBC = (2, 28)  # the wheels are manylinux_2_28
 
@@ -671,6 +673,7 @@ class Packages(NamedTuple):
     space: float  # bytes needed at the peak
     download: float  # bytes
     without_cuda: bool  # torch is among them, CUDA is not
+    sources: tuple = ()  # those that are no wheels
 
     @property
     def source(self):
@@ -695,6 +698,25 @@ PACKAGES = {
         space=2.5e9,
         download=0.58e9,
         without_cuda=True,
+    ),
+    "trainers": Packages(
+        folder=ROOT / ".venv-trainers",
+        requirements=ROOT / "tests" / "peers" / "trainers" / "requirements.txt",
+        name="the trainer's Python",
+        users="the trainer",
+        space=3.0e9,
+        download=0.62e9,
+        without_cuda=True,
+        sources=("benchmarl", "antlr4-python3-runtime"),
+    ),
+    "wheel": Packages(
+        folder=ROOT / ".venv-wheel",
+        requirements=ROOT / "sim-worker" / "python" / "requirements.txt",
+        name="the wheel's builder",
+        users="the wheel",
+        space=0.1e9,
+        download=0.01e9,
+        without_cuda=False,
     ),
 }
 
@@ -760,7 +782,7 @@ def install(packages):
     command = [str(packages.folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
     command.append("--no-cache-dir")
     # The file lists the whole closure. Resolving it again would fail: hashes and extras (etils[epath]) do not mix.
-    command += ["--only-binary=:all:", "--require-hashes", "--no-deps", "-r", str(packages.requirements)]
+    command += ["--only-binary=:all:"] + ["--no-binary=%s" % name for name in packages.sources] + ["--require-hashes", "--no-deps", "-r", str(packages.requirements)]
     for attempt in range(ATTEMPTS):
         remove(temporary)
         temporary.mkdir()

@@ -18,7 +18,7 @@ use std::process::{Command, Output, Stdio};
 
 use anyhow::{Context as _, Result, bail, ensure};
 
-use crate::{SMALL, program, python};
+use crate::{SMALL, program, python, wheel};
 
 /// A fenced block.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -125,10 +125,16 @@ impl Clone {
         let bin = dir.path().join("bin");
         fs::create_dir(&bin)?;
         executable(&bin.join("make"), MAKE)?;
+        let clone = Self { dir };
+        clone.take_python(&python())?;
+        Ok(clone)
+    }
+
+    /// Has documents run this Python.
+    fn take_python(&self, python: &Path) -> Result<()> {
         // A link to it would not be seen to belong to its virtual environment.
-        let python = format!("#!/bin/sh\nexec '{}' \"$@\"\n", python().display());
-        executable(&bin.join("python"), &python)?;
-        Ok(Self { dir })
+        let text = format!("#!/bin/sh\nexec '{}' \"$@\"\n", python.display());
+        executable(&self.dir.path().join("bin/python"), &text)
     }
 
     /// Runs the blocks of a document; the output names the line that failed.
@@ -258,6 +264,9 @@ pub fn run(path: &str) -> Result<Clone> {
     let blocks = blocks(&text);
     ensure!(blocks.iter().any(|block| block.language == "sh"), "{path} has no commands");
     let clone = Clone::new()?;
+    if text.contains("\nmake wheel\n") {
+        clone.take_python(wheel::python())?;
+    }
     let output = clone.run(&blocks)?;
     let [said, complained] =
         [&output.stdout, &output.stderr].map(|out| String::from_utf8_lossy(out));

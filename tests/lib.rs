@@ -11,10 +11,12 @@ use serde_json::Value;
 use tempfile::{NamedTempFile, TempDir};
 
 pub mod chaos;
+pub mod controllers;
 pub mod golden;
 pub mod guide;
 pub mod imports;
 pub mod reference;
+pub mod wheel;
 pub mod worked_example;
 
 /// Path of a built program: programs lie beside the directory of the test executables.

@@ -17,6 +17,7 @@ Examples:
   octopus bench physics --peer
   octopus bench learner --preset tuned --set network.hidden=[128,128]
   octopus bench growth --seconds 2 --pictures pictures
+  octopus bench python
 
 Rates of physics and rollout are per second of processor time of one thread, so that other load \
 on the machine hardly matters; all others are per second of wall time and want a machine that is \
@@ -32,6 +33,10 @@ idle.
              own channel, in which nothing is copied
   train      a real run in a directory that goes away; env-steps/s after the
              first iteration, memory
+  python     batches of 1, 16 and 1,024 environments in Python, beside a rollout
+             without its policy and beside MuJoCo's own rollout in Python, which
+             is always measured; wants the wheel of `make wheel` where the peers
+             are; not part of `all`
   growth     the same over environments (episodes of 16 steps), workers, arms
              (more than the robot has are its own, mirrored) and hidden width;
              not part of `all`
@@ -99,6 +104,7 @@ impl Names for Subject {
         Named(Self::Learner),
         Named(Self::Transport),
         Named(Self::Train),
+        Named(Self::Python),
         Named(Self::Growth),
         Named(Self::All),
     ];
@@ -110,6 +116,7 @@ impl Names for Subject {
             Self::Learner => "learner",
             Self::Transport => "transport",
             Self::Train => "train",
+            Self::Python => "python",
             Self::Growth => "growth",
             Self::All => "all",
         }
@@ -123,7 +130,8 @@ impl Names for Subject {
             Self::Transport => "Blocks from process to process",
             Self::Train => "A whole training, and its memory",
             Self::Growth => "How all of it grows",
-            Self::All => "All but growth",
+            Self::Python => "Batches of the module for Python",
+            Self::All => "All but python and growth",
         }
     }
 }
@@ -131,8 +139,9 @@ impl Names for Subject {
 /// Measures and prints.
 pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let growth = args.subject.0 == Subject::Growth;
+    let in_python = args.subject.0 == Subject::Python;
     for (given, flag, cure) in [
-        (growth && args.peer, "--peer", "leave it out"),
+        ((growth || in_python) && args.peer, "--peer", "leave it out"),
         (!growth && args.pictures.is_some(), "--pictures", "it is for `octopus bench growth`"),
     ] {
         if given {
@@ -146,7 +155,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         sets: args.sets.clone(),
         workers: args.workers,
         seconds: args.seconds,
-        peers: args.peer.then(|| args.python.clone()),
+        peers: (args.peer || in_python).then(|| args.python.clone()),
         pictures: args.pictures.clone(),
         force: args.force,
     })?;

@@ -3,8 +3,8 @@
 use clap::{Parser, Subcommand};
 
 use crate::{
-    bench, checkpoints, clean, doctor, eval, experiment, film, janitor, mjcf, plot, reproduce,
-    resume, rollout, scale, serve, simulate, status, train, verify, view,
+    bench, checkpoints, clean, doctor, eval, experiment, export, film, janitor, mjcf, plan, plot,
+    record, reproduce, resume, rollout, scale, serve, simulate, status, train, urdf, verify, view,
 };
 
 /// Exit codes, as `octopus --help` lists them.
@@ -52,10 +52,18 @@ pub enum Command {
     Plot(plot::PlotArgs),
     /// Make a moving picture of an episode.
     Film(film::FilmArgs),
+    /// Find a motion that brings hands to poses.
+    Plan(plan::PlanArgs),
+    /// Record an episode for robot viewers, as MCAP.
+    Record(record::RecordArgs),
     /// Integrate given joint commands, open loop.
     Simulate(simulate::SimulateArgs),
+    /// Put a policy on a robot: write it as ONNX and as C.
+    Export(export::ExportArgs),
     /// Write a robot as a MuJoCo model file.
     Mjcf(mjcf::MjcfArgs),
+    /// Write a robot as a URDF file.
+    Urdf(urdf::UrdfArgs),
     /// Check whether this machine can run a training, and say what cures what cannot.
     Doctor(doctor::DoctorArgs),
     /// Measure how fast this machine simulates, learns and transports.

@@ -1,13 +1,20 @@
 //! `octopus experiment`: the paper's experiments.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use lab::experiments::common::Common;
 use lab::experiments::{
     Experiment, arm_failure, base_mass, disturbance, noise, perform, precision, reassembly,
 };
+use lab::script;
+use lab::trained::{Trained, open_checkpoint};
+use simulator::simulate::Precision;
+use simulator::step::StepOptions;
+use store::files;
+use store::outputs::{Input, Output};
 
+use crate::trajectories::{MARK, write_table};
 use crate::values::{Amounts, amount, amounts, whole};
 
 const GROUP_EXAMPLES: &str = "\
@@ -86,6 +93,17 @@ One thing at a time is made worse. Sensors of strength 1 err by 1 mm, 1 mrad, 1 
 (standard deviation, each axis, each step); torques disturb every joint, drawn anew in each step; \
 commands come a number of steps late; arms have a multiple of their mass.";
 
+const EPISODE_EXAMPLES: &str = "\
+Examples:
+  octopus experiment episode --script episode.json --policy runs/a:best
+  octopus experiment episode --script episode.json --policy runs/a \\
+      --policy runs/b:best --out states.csv --json
+
+The page (`octopus view`) saves what somebody did to a robot: how the episode began, and every goal \
+that was moved, push, mass, delay and change of policy, with its control step. Here it is played \
+again, with the same bits as in the page. Policies count from 0, in the order in which they are \
+named; a recording that knows their digests is refused with others.";
+
 /// Options of `octopus experiment`.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = GROUP_EXAMPLES)]
@@ -110,6 +128,8 @@ pub enum ExperimentCommand {
     Reassembly(ReassemblyArgs),
     /// Errors against noise, disturbing torques, delay and mass of the arms.
     Noise(NoiseArgs),
+    /// One episode again that somebody took hold of in the page.
+    Episode(EpisodeArgs),
 }
 
 /// What all experiments share.
@@ -243,6 +263,30 @@ pub struct NoiseArgs {
     pub arm_masses: Amounts,
 }
 
+/// Options of `episode`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = EPISODE_EXAMPLES)]
+pub struct EpisodeArgs {
+    /// What the page saved.
+    #[arg(long, value_name = "FILE.json")]
+    pub script: PathBuf,
+    /// A policy that takes part, once for each of them, in their order.
+    #[arg(long = "policy", value_name = "RUN_DIR|CHECKPOINT", required = true)]
+    pub policies: Vec<PathBuf>,
+    /// Another robot than the policies' own: `paper`, `release`, or a robot file.
+    #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]
+    pub robot: Option<String>,
+    /// The states, as `octopus simulate` writes them.
+    #[arg(long, value_name = "FILE.csv")]
+    pub out: Option<PathBuf>,
+    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    #[arg(long)]
+    pub force: bool,
+    /// Print what came of it as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// Reads which arm fails.
 fn failing(text: &str) -> Result<Failing, String> {
     if text == "all" {
@@ -290,7 +334,33 @@ pub fn run(args: &ExperimentArgs) -> anyhow::Result<()> {
             };
             print(&study, args.common.json)
         }
+        ExperimentCommand::Episode(args) => episode(&args),
     }
+}
+
+/// Plays what somebody did in the page.
+fn episode(args: &EpisodeArgs) -> anyhow::Result<()> {
+    let mut inputs: Vec<Input<'_>> = vec![("--script", &args.script)];
+    inputs.extend(args.policies.iter().map(|path| ("--policy", path.as_path())));
+    inputs.extend(args.robot.as_deref().map(|robot| ("--robot", Path::new(robot))));
+    if let Some(path) = &args.out {
+        Output { flag: "--out", path, mark: MARK, force: args.force }.check(&inputs)?;
+    }
+    let recording = script::read(&args.script)?;
+    let load = |name| run::robots::load_fit_robot(name, &StepOptions::default());
+    let robot = args.robot.as_deref().map(load).transpose()?;
+    let policies = args.policies.iter();
+    let policies: anyhow::Result<Vec<_>> =
+        policies.map(|path| Trained::new(open_checkpoint(path)?, robot.as_ref())).collect();
+    let played = script::play(&recording, policies?, &args.script)?;
+    if let Some(path) = &args.out {
+        let table = write_table(&played.robot, &played.rows, Precision::F32)?;
+        if path == Path::new("-") {
+            return output::write(&table);
+        }
+        files::replace_output(path, &table)?;
+    }
+    if args.json { output::json(&played) } else { output::line(&played.table()) }
 }
 
 /// What all experiments are asked for with.

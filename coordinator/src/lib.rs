@@ -14,10 +14,13 @@ pub mod clean;
 pub mod doctor;
 pub mod eval;
 pub mod experiment;
+pub mod export;
 pub mod film;
 pub mod janitor;
 pub mod mjcf;
+pub mod plan;
 pub mod plot;
+pub mod record;
 pub mod reproduce;
 pub mod resume;
 pub mod rollout;
@@ -26,6 +29,7 @@ pub mod serve;
 pub mod simulate;
 pub mod status;
 pub mod train;
+pub mod urdf;
 pub mod verify;
 pub mod view;
 
@@ -33,6 +37,7 @@ mod conclusion;
 pub mod limits;
 pub mod logs;
 mod not_the_same;
+mod trajectories;
 
 use anyhow::Context as _;
 use run::signals;
@@ -46,7 +51,10 @@ pub fn run(command: Command) -> anyhow::Result<()> {
     let stoppable = match &command {
         Command::Eval(_)
         | Command::Experiment(_)
+        | Command::Export(_)
         | Command::Film(_)
+        | Command::Plan(_)
+        | Command::Record(_)
         | Command::Simulate(_)
         | Command::Rollout(_) => true,
         Command::Reproduce(args) => !args.train,
@@ -60,11 +68,15 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Resume(args) => resume::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Experiment(args) => experiment::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Reproduce(args) => reproduce::run(&args),
         Command::Plot(args) => plot::run(&args),
         Command::Film(args) => film::run(&args),
+        Command::Plan(args) => plan::run(&args),
+        Command::Record(args) => record::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
+        Command::Urdf(args) => urdf::run(&args),
         Command::Doctor(args) => doctor::run(args),
         Command::Bench(args) => bench::run(&args),
         Command::Status(args) => status::run(&args),

@@ -2,16 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use clap::Args;
 use proto::{ExitCode, ExitError};
-use simulator::robot::Robot;
-use simulator::simulate::{self, Precision, SimulationRow};
+use simulator::simulate::{Precision, simulate_from};
+use simulator::state::State;
 use simulator::step::{Integrator, StepOptions};
 use store::outputs::Output;
 use store::{files, regular_files};
 
 use crate::names::Named;
+use crate::trajectories::{MARK, MAX_BYTES, last_state, write_table};
 use crate::values::{Switch, seconds};
 
 const SIMULATE_USAGE: &str = "\
@@ -24,11 +24,12 @@ Examples:
   octopus simulate --robot release --actions in.csv --out - | head
   octopus simulate --robot release --actions in.csv --out out.csv \\
       --precision f64 --integrator euler --substep 0.001
+  octopus simulate --robot paper --state out.csv --actions then.csv --out all.csv
 
 IN.csv has no header and one row per control step: joint velocity commands in rad/s, arm after \
 arm (24 numbers for four arms). OUT.csv has a header and one row per control step, after it: t, \
 base position (m) and quaternion (w first), joint angles (rad), velocity of the base (m/s, world \
-axes; rad/s, body axes), joint rates (rad/s), hand positions (m), touching pairs. The last \
+axes; rad/s, body axes), joint rates (rad/s), hand positions (m), touching pairs. The third \
 example is the scheme of the robot's authors.";
 
 /// Options of `octopus simulate`.
@@ -41,6 +42,9 @@ pub struct SimulateArgs {
     /// The commands; `-` reads standard input.
     #[arg(long, value_name = "IN.csv")]
     pub actions: PathBuf,
+    /// Begin where a trajectory ends, instead of at home.
+    #[arg(long, value_name = "FILE.csv")]
+    pub state: Option<PathBuf>,
     /// The trajectory; `-` writes standard output.
     #[arg(long, value_name = "OUT.csv")]
     pub out: PathBuf,
@@ -64,16 +68,20 @@ pub struct SimulateArgs {
     pub contacts: Switch,
 }
 
-/// What a trajectory begins with.
-const MARK: &[u8] = b"t,base_x,base_y,base_z,";
-
 /// Integrates.
 pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     // Judged as training would run it: how coarse the steps are is what may be tried here.
     let robot = run::robots::load_fit_robot(&args.robot, &StepOptions::default())?;
     check_steps(args)?;
     let output = Output { flag: "--out", path: &args.out, mark: MARK, force: args.force };
-    output.check(&[("--actions", &args.actions), ("--robot", Path::new(&args.robot))])?;
+    let mut inputs: Vec<(&'static str, &Path)> =
+        vec![("--actions", &args.actions), ("--robot", Path::new(&args.robot))];
+    inputs.extend(args.state.as_deref().map(|path| ("--state", path)));
+    output.check(&inputs)?;
+    let start = match &args.state {
+        Some(path) => last_state(path, &robot)?,
+        None => State::home(&robot),
+    };
     let actions = read_actions(&args.actions, robot.n_joints())?;
     let precision = args.precision.0;
     let options = StepOptions {
@@ -82,7 +90,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
         substep: args.substep,
         contacts: args.contacts == Switch::On,
     };
-    let rows = simulate::simulate(&robot, &actions, precision, &options);
+    let rows = simulate_from(&robot, &start, &actions, precision, &options);
     if let Some(index) = rows.iter().position(|row| !row.state.is_finite()) {
         let message = format!(
             "the simulation blew up in row {} (t = {} s): a number is not finite; a smaller \
@@ -123,18 +131,15 @@ fn check_steps(args: &SimulateArgs) -> Result<(), ExitError> {
     Ok(())
 }
 
-/// Longest file of commands that is read (bytes): a million control steps of a large robot.
-const MAX_ACTIONS: u64 = 256 << 20;
-
 /// Reads the commands: one row a control step, `width` numbers each.
 fn read_actions(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError> {
     let shown =
         if path == Path::new("-") { "standard input".into() } else { path.to_string_lossy() };
     let bad = |what: String| ExitError::new(ExitCode::BadInput, format!("{shown}: {what}"));
     let read = if path == Path::new("-") {
-        regular_files::drain(std::io::stdin().lock(), MAX_ACTIONS)
+        regular_files::drain(std::io::stdin().lock(), MAX_BYTES)
     } else {
-        regular_files::read(path, MAX_ACTIONS)
+        regular_files::read(path, MAX_BYTES)
     };
     let bytes = read.map_err(|error| bad(format!("cannot be read: {error}")))?;
     let mut reader = csv::ReaderBuilder::new()
@@ -172,50 +177,6 @@ fn read_actions(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError> {
     Ok(actions)
 }
 
-/// The names of the columns.
-fn header(n_arms: usize, n_joints: usize) -> Vec<String> {
-    let numbered = |name: &'static str| (0..n_joints).map(move |joint| format!("{name}{joint}"));
-    let fixed = |names: &'static str| names.split(' ').map(str::to_owned);
-    fixed("t base_x base_y base_z base_qw base_qx base_qy base_qz")
-        .chain(numbered("q"))
-        .chain(fixed("base_vx base_vy base_vz base_wx base_wy base_wz"))
-        .chain(numbered("qd"))
-        .chain(
-            (0..n_arms).flat_map(|hand| ["x", "y", "z"].map(|axis| format!("hand{hand}_{axis}"))),
-        )
-        .chain(fixed("contacts"))
-        .collect()
-}
-
-/// The trajectory as a table; numbers have as many digits as identify them in their precision.
-fn write_table(
-    robot: &Robot,
-    rows: &[SimulationRow],
-    precision: Precision,
-) -> anyhow::Result<Vec<u8>> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(header(robot.n_arms, robot.n_joints()))?;
-    for SimulationRow { t, state, hands, contacts } in rows {
-        let numbers = state
-            .base_position
-            .iter()
-            .chain(&state.base_quaternion)
-            .chain(&state.q)
-            .chain(&state.base_linear_velocity)
-            .chain(&state.base_angular_velocity)
-            .chain(&state.qd)
-            .chain(hands.iter().flatten());
-        let written = numbers.map(|number| match precision {
-            Precision::F32 => (*number as f32).to_string(),
-            Precision::F64 => number.to_string(),
-        });
-        // Sums of control periods would end in many digits of rounding.
-        let time = ((t * 1e9).round() / 1e9).to_string();
-        writer.write_record([time].into_iter().chain(written).chain([contacts.to_string()]))?;
-    }
-    writer.into_inner().context("the table cannot be finished")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,18 +197,5 @@ mod tests {
         assert_eq!(refused("a,b,c\n"), "row 1, column 1: `a` is no number; the file has no header");
         assert!(refused("1,2\n").starts_with("row 1 has 2 numbers, expected 3"));
         assert!(refused("\n\n").starts_with("is empty"));
-    }
-
-    #[test]
-    fn columns_are_those_of_the_description() {
-        let header = header(4, 24);
-        assert_eq!(header.len(), 1 + 7 + 24 + 6 + 24 + 12 + 1);
-        assert!(header.join(",").as_bytes().starts_with(MARK));
-        assert_eq!(header[8], "q0");
-        assert_eq!(
-            header[32..38],
-            ["base_vx", "base_vy", "base_vz", "base_wx", "base_wy", "base_wz"]
-        );
-        assert_eq!(header[62..65], ["hand0_x", "hand0_y", "hand0_z"]);
     }
 }

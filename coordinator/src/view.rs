@@ -17,8 +17,7 @@ use serde_json::json;
 use service::client::Client;
 use service::http::{OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
 use service::page::{self, Enclosed};
-use simulator::policy::file::compact;
-use store::checkpoint::{CONFIG, Checkpoint, MANIFEST, Name, POLICY, ROBOT, Selector};
+use store::checkpoint::{CONFIG, Checkpoint, MANIFEST, Name, Selector};
 use store::lock::RunLock;
 use store::outputs::{Input, Output};
 use store::owned_files;
@@ -170,7 +169,7 @@ fn write(args: &ViewArgs, what: &Path, out: &Path) -> anyhow::Result<()> {
     for path in &inputs {
         let checkpoint = open_checkpoint(path)?;
         let name = name_for(&checkpoint, &enclosed);
-        enclosed.extend(files(&checkpoint, &name)?);
+        enclosed.extend(lab::standalone::enclosed(&checkpoint, &name)?);
     }
     let text = page::single(&enclosed).context("the page has no frame")?;
     std::fs::write(out, text).map_err(|error| {
@@ -190,21 +189,6 @@ fn name_for(checkpoint: &Checkpoint, enclosed: &[Enclosed]) -> String {
     let later = (2..=enclosed.len() + 1).map(|count| format!("{own}-{count}"));
     let mut names = std::iter::once(own.to_string()).chain(later);
     names.find(|name| !taken(name)).expect("there are more names than policies")
-}
-
-/// What the simulator needs of a checkpoint; its networks as small as they become without another bit of an action.
-fn files(checkpoint: &Checkpoint, name: &str) -> anyhow::Result<[Enclosed; 3]> {
-    let trained = lab::trained::Trained::new(checkpoint.clone(), None)?;
-    let dimensions = &trained.world.dimensions;
-    let tensors = compact(&checkpoint.config, dimensions, &checkpoint.actors(dimensions.n_arms)?);
-    let config = std::fs::read(checkpoint.dir.join(CONFIG))
-        .with_context(|| format!("{}: cannot be read", checkpoint.dir.join(CONFIG).display()))?;
-    let file = |file, bytes| Enclosed { policy: name.to_owned(), file, bytes };
-    Ok([
-        file(CONFIG, config),
-        file(ROBOT, checkpoint.robot_toml.clone().into_bytes()),
-        file(POLICY, tensors),
-    ])
 }
 
 /// The run in `runs/` that was changed last.

@@ -36,6 +36,8 @@ pub enum Purpose {
     JointDisturbance = 10,
     /// Resamples of runs, in statistics alone.
     Bootstrap = 11,
+    /// Detours that a planner tries.
+    Detour = 12,
 }
 
 /// The address of four 32-bit random words.

@@ -83,6 +83,11 @@ for target in "${targets[@]}"; do
     fi
 done
 if [ ${#failed[@]} -gt 0 ]; then
+    # Once more at the end, where logs that are cut off are read.
+    for target in "${failed[@]}"; do
+        printf '==> %s said\n' "$target"
+        grep -aE 'panicked|ERROR:|^assertion|SUMMARY|Base64' -A2 "$base/$target.log" | cut -c1-300 | tail -12
+    done
     printf '==> failed: %s\n' "${failed[*]}"
     exit 1
 fi

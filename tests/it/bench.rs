@@ -54,6 +54,36 @@ fn domains(text: &str) -> Vec<String> {
 }
 
 #[test]
+fn batches_in_python_are_measured_beside_the_native_rollout_and_mujoco() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let python = format!("--python={}", tests::wheel::python().display());
+    let output = consistent(|| bench(dir.path(), &["python", "--seconds=0.05", "--json", &python]));
+    let figures: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    let number = |key: &str| figures[key].as_f64().filter(|x| *x > 0.0 && x.is_finite());
+    for n in [1, 16, 1024] {
+        let rate = number(&format!("python.batch_{n}.env_steps_per_s_per_core"));
+        let peer = number(&format!("python.batch_{n}.peer_env_steps_per_s_per_core"));
+        assert!(rate.is_some() && peer.is_some(), "{n}: {figures}");
+    }
+    let native = number("python.native.env_steps_per_s_per_core").expect("a rate");
+    let batch = number("python.batch_1024.env_steps_per_s_per_core").expect("a rate");
+    assert_eq!(number("python.share_of_native"), Some(batch / native));
+    assert!(is_empty(dir.path()), "nothing is left");
+
+    // A Python without the wheel, and one that is none.
+    let output = bench(dir.path(), &["python", "--python=/nowhere/python"]).output().expect("run");
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    let script = dir.path().join("python");
+    std::fs::write(&script, "#!/bin/sh\necho 'no module spaceoctopus' >&2; exit 3\n")
+        .expect("written");
+    std::fs::set_permissions(&script, Permissions::from_mode(0o755)).expect("executable");
+    let python = format!("--python={}", script.display());
+    let output = bench(dir.path(), &["python", "--seconds=0.05", &python]).output().expect("run");
+    assert!(stderr(&output).contains("no module spaceoctopus"), "{}", stderr(&output));
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+}
+
+#[test]
 fn every_figure_is_measured_and_nothing_is_left() {
     let dir = tempfile::tempdir().expect("a directory");
     let output = consistent(|| {

@@ -85,7 +85,7 @@ fn all_finite(value: &Value, path: &str) {
 
 /// What every result says about itself.
 fn check_identity(result: &Value, name: &str, dir: &str, tasks: &[&str]) {
-    has_keys(result, "experiment policies protocol provenance results robot");
+    has_keys(result, "episodes experiment policies protocol provenance results robot");
     let protocol = "actions control_period_s episodes seed settings steps";
     has_keys(&result["protocol"], protocol);
     assert_eq!(result["experiment"], name);

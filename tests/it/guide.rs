@@ -27,11 +27,14 @@ commands_run! {
     watching_runs: "deploy/guide/src/watching.md",
     experiments_run: "deploy/guide/src/experiments.md",
     configuration_runs: "deploy/guide/src/configuration.md",
+    plans_run: "deploy/guide/src/plans.md",
     robots_run: "deploy/guide/src/robots.md",
     the_environment_runs: "deploy/guide/src/environment.md",
+    a_policy_on_a_robot_runs: "deploy/guide/src/robot-controller.md",
     checkpoints_run: "deploy/guide/src/checkpoints.md",
     exactness_runs: "deploy/guide/src/exactness.md",
     failures_run: "deploy/guide/src/failures.md",
+    python_runs: "deploy/guide/src/python.md",
     speed_runs: "deploy/guide/src/speed.md",
 }
 
@@ -40,7 +43,7 @@ fn no_document_has_commands_that_are_not_run() {
     for document in documents().expect("a summary") {
         let text = std::fs::read_to_string(repository().join(&document)).expect(&document);
         let found = blocks(&text);
-        let known = ["sh", "python", "text", "toml"];
+        let known = ["sh", "python", "text", "toml", "c"];
         for block in &found {
             assert!(known.contains(&block.language.as_str()), "{document}:{}", block.line);
         }

@@ -48,6 +48,38 @@ pub(crate) fn replace_io(path: &Path, content: &[u8]) -> std::io::Result<()> {
     written
 }
 
+/// Makes the directory `path` with these files, whole or not at all: a temporary directory beside it, fsync, rename.
+///
+/// # Errors
+/// If something is there already ([`ExitCode::RunDirectory`]), or it cannot be written.
+pub fn create_directory(path: &Path, files: &[(&str, &[u8])]) -> Result<(), ExitError> {
+    let temporary = temporary(path);
+    let written = (|| {
+        std::fs::create_dir(&temporary)?;
+        for (name, content) in files {
+            let mut file = File::create_new(temporary.join(name))?;
+            file.write_all(content)?;
+            file.sync_all()?;
+        }
+        File::open(&temporary)?.sync_all()?;
+        // An empty directory would be replaced otherwise.
+        let flags = rustix::fs::RenameFlags::NOREPLACE;
+        rustix::fs::renameat_with(rustix::fs::CWD, &temporary, rustix::fs::CWD, path, flags)?;
+        File::open(parent(path))?.sync_all()
+    })();
+    if written.is_err() {
+        // The first error is the one to report; the temporary directory may not even exist.
+        let _ = std::fs::remove_dir_all(&temporary);
+    }
+    written.map_err(|error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::AlreadyExists => ExitError::new(
+            ExitCode::RunDirectory,
+            format!("{}: is there already; name another place", path.display()),
+        ),
+        _ => failure(ExitCode::Failure, path, &error),
+    })
+}
+
 /// The name of the file that is written before it takes the place of `path`. What killed processes
 /// had begun to write there is removed.
 pub fn temporary(path: &Path) -> PathBuf {
@@ -147,6 +179,27 @@ mod tests {
         for path in &others {
             assert!(path.exists(), "{}", path.display());
         }
+    }
+
+    #[test]
+    fn a_directory_is_made_whole_beside_nothing() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let place = dir.path().join("made");
+        create_directory(&place, &[("a", b"1"), ("b", b"2")]).expect("made");
+        assert_eq!(std::fs::read(place.join("b")).expect("there"), b"2");
+        let again = create_directory(&place, &[("a", b"3")]).expect_err("it is there");
+        assert_eq!(again.code, ExitCode::RunDirectory, "{again}");
+        assert_eq!(std::fs::read(place.join("a")).expect("there"), b"1");
+        let empty = dir.path().join("empty");
+        std::fs::create_dir(&empty).expect("made");
+        assert!(create_directory(&empty, &[("a", b"1")]).is_err(), "it is somebody's");
+        let twice = dir.path().join("twice");
+        assert!(create_directory(&twice, &[("a", b"1"), ("a", b"2")]).is_err());
+        assert!(create_directory(&dir.path().join("none/made"), &[]).is_err());
+        let mut left: Vec<_> = std::fs::read_dir(dir.path()).expect("read").flatten().collect();
+        left.sort_by_key(std::fs::DirEntry::file_name);
+        let left: Vec<_> = left.iter().map(std::fs::DirEntry::file_name).collect();
+        assert_eq!(left, ["empty", "made"]);
     }
 
     #[test]

@@ -8,6 +8,8 @@ use std::sync::{Mutex, PoisonError};
 /// Something that does independent tasks, perhaps several at once.
 pub trait Executor: Sync {
     /// Calls `task` once with each of `0..n_tasks`, in any order and from any threads, and returns when all have ended.
+    ///
+    /// One that gives up leaves tasks out; what is made of the others is of no use then.
     fn run(&self, n_tasks: usize, task: &(dyn Fn(usize) + Sync));
 }
 

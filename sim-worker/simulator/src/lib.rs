@@ -18,8 +18,10 @@
 //! * [`policy`]: the actors, evaluated without libtorch;
 //! * [`mod@env`]: the robot with its sensors, as loops over episodes use it;
 //! * [`mod@rollout`]: whole episodes that explore, for training, as pure functions of their addresses;
+//! * [`stepping`]: the environments of a rollout, stepped by who acts outside;
 //! * [`experiment`], [`evaluate`]: whole episodes with deterministic actions, in which things may happen;
 //! * [`reach`]: which goals can be reached at all;
+//! * [`plan`]: a motion that brings hands to poses, found by trying in the simulator;
 //! * [`random_motion`]: the dynamics under random commands, for measurements.
 //!
 //! Models are immutable and shared, all scratch memory is owned by a workspace, and no inner loop
@@ -63,10 +65,16 @@ pub mod env;
 
 pub mod rollout;
 
+pub mod stepping;
+
 pub mod experiment;
 
 pub mod evaluate;
 
+mod inverse_kinematics;
+
 pub mod reach;
+
+pub mod plan;
 
 pub mod random_motion;

@@ -41,7 +41,21 @@ pub fn simulate(
     precision: Precision,
     options: &StepOptions,
 ) -> Vec<SimulationRow> {
-    let run = OpenLoop { robot, actions, options };
+    simulate_from(robot, &State::home(robot), actions, precision, options)
+}
+
+/// [`simulate`] from another state than home; it is rounded to the precision first.
+///
+/// # Panics
+/// If a row has another length than `n_joints`, or the state another number of joints.
+pub fn simulate_from(
+    robot: &Robot,
+    start: &State<f64>,
+    actions: &[Vec<f64>],
+    precision: Precision,
+    options: &StepOptions,
+) -> Vec<SimulationRow> {
+    let run = OpenLoop { robot, start, actions, options };
     match precision {
         Precision::F64 => run.call::<f64>(),
         Precision::F32 => dispatch(run),
@@ -50,6 +64,7 @@ pub fn simulate(
 
 struct OpenLoop<'a> {
     robot: &'a Robot,
+    start: &'a State<f64>,
     actions: &'a [Vec<f64>],
     options: &'a StepOptions,
 }
@@ -59,10 +74,13 @@ impl LaneFn for OpenLoop<'_> {
 
     #[inline(always)]
     fn call<S: Real>(self) -> Vec<SimulationRow> {
-        let Self { robot, actions, options } = self;
+        let Self { robot, start, actions, options } = self;
         let model = Model::<S>::new(robot);
         let mut ws = Workspace::new(&model);
         let mut state = State::<S>::home(robot);
+        for lane in 0..S::LANES {
+            state.set_lane(lane, start);
+        }
         let mut command = vec![S::zero(); robot.n_joints()];
         let mut hand = vec![Hand::default(); robot.n_arms];
         let mut rows = Vec::with_capacity(actions.len());

@@ -48,7 +48,7 @@ fn seeds() -> Vec<Vec<u8>> {
         [request(line, &headers), body.as_bytes().to_vec()].concat()
     };
     let name = "/v1/checkpoints/iteration-00000001";
-    let mut seeds: Vec<Vec<u8>> = ["/health", "/metrics", "/openapi.json", "/v1/status"]
+    let mut seeds: Vec<Vec<u8>> = ["/", "/page/page.js", "/health", "/metrics", "/openapi.json", "/v1/status"]
         .iter()
         .map(|path| request(&format!("GET {path}"), ""))
         .collect();

@@ -11,6 +11,7 @@ mod peer;
 mod physics;
 mod picture;
 mod processor;
+mod python;
 mod rollout;
 mod study;
 mod train;
@@ -68,6 +69,10 @@ pub fn measure(study: &Study) -> anyhow::Result<Measured> {
     }
     if wants(Subject::Train) {
         train::measure(&bench, peers, &mut figures)?;
+    }
+    // It wants a Python with the wheel, which not everybody has.
+    if study.subject == Subject::Python {
+        python::measure(&bench, peers, &mut figures)?;
     }
     bench.stages.end();
     let load = load.so_far();

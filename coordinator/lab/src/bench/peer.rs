@@ -17,6 +17,7 @@ use super::child;
 use super::context::Bench;
 
 const MUJOCO: &str = include_str!("../../../../tests/peers/mujoco_physics.py");
+const BATCH: &str = include_str!("../../../../tests/peers/python_batch.py");
 const TORCH: &str = include_str!("../../../../tests/peers/torch_learner.py");
 
 /// The Python that has them, and what they reached.
@@ -114,6 +115,25 @@ impl Peers {
             inference: rate("inference_env_steps_per_s")?,
         };
         Ok(*self.torch.get_or_init(|| rates))
+    }
+
+    /// Measures batches of so many environments in Python, and MuJoCo's rollouts: rates by number of environments.
+    pub(super) fn batches(&self, bench: &Bench, envs: &[usize]) -> anyhow::Result<Value> {
+        let path = |name: &str| bench.scratch.path().join(name);
+        let texts = [
+            ("config.toml", bench.config.to_toml()),
+            ("robot.toml", bench.robot.to_toml()),
+            ("robot.xml", mjcf(&bench.robot, MjcfOptions { contacts: true })),
+        ];
+        let mut command = self.script(bench, "python_batch.py", BATCH)?;
+        for (name, text) in texts {
+            write(&path(name), &text)?;
+            command.arg(path(name));
+        }
+        let envs: Vec<String> = envs.iter().map(usize::to_string).collect();
+        command.arg(format!("--envs={}", envs.join(",")));
+        command.args(["--seconds", &bench.seconds.to_string()]);
+        ask(bench, command, None)
     }
 
     fn script(&self, bench: &Bench, name: &str, text: &str) -> anyhow::Result<Command> {

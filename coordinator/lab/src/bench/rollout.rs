@@ -81,6 +81,13 @@ pub(super) struct Rates {
     touching_pairs: f64,
 }
 
+impl Rates {
+    /// Per second of processor time, without networks and sampling.
+    pub(super) fn without_policy(&self) -> f64 {
+        1e6 / (self.physics_us + self.observe_us)
+    }
+}
+
 /// Rolls shards out for `seconds`, one at least.
 pub(super) fn rates(
     bench: &Bench,

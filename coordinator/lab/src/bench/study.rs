@@ -10,7 +10,7 @@ pub const TRAINED: Preset = Preset::Tuned;
 /// What is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Subject {
-    /// Everything but growth.
+    /// Everything but Python and growth.
     All,
     /// The simulator alone.
     Physics,
@@ -22,6 +22,8 @@ pub enum Subject {
     Transport,
     /// A whole training.
     Train,
+    /// Batches of the module for Python.
+    Python,
     /// How the figures change with sizes.
     Growth,
 }

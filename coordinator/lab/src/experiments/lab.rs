@@ -1,7 +1,7 @@
 //! What experiments share: policies, robot, episodes, progress.
 
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
 use proto::config::TaskName;
@@ -10,7 +10,7 @@ use run::report::progress::Parts;
 use run::shakedown::shakedown;
 use simulator::env::step_options;
 use simulator::evaluate::{Evaluation, EvaluationOptions};
-use simulator::experiment::{CHUNK, Pose, Recording, Trial, play};
+use simulator::experiment::{CHUNK, Player, Pose, Recording, Trial, play};
 use simulator::reach::within_reach;
 use simulator::robot::Robot;
 use simulator::step::StepOptions;
@@ -24,8 +24,9 @@ use {
 
 use super::common::Common;
 use super::name::Name;
-use super::report::{Protocol, Report, RobotIdentity};
+use super::report::{PlayedEpisode, Protocol, Report, RobotIdentity};
 use crate::evaluation::Reach;
+use crate::script::{self, TookPart};
 use crate::threads::Threads;
 use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
 
@@ -55,6 +56,8 @@ pub struct Lab {
     pub(crate) seed: u64,
     threads: Threads,
     progress: Arc<Parts>,
+    /// The first episodes of the trials that were played.
+    played: Mutex<Vec<PlayedEpisode>>,
 }
 
 /// The option that names the policy of a task.
@@ -124,6 +127,7 @@ impl Lab {
             seed: args.seed,
             threads: Threads::available(),
             progress: Arc::default(),
+            played: Mutex::default(),
         })
     }
 
@@ -166,6 +170,7 @@ impl Lab {
             seed: args.seed,
             threads: Threads::new(1),
             progress: Arc::default(),
+            played: Mutex::default(),
         }
     }
 
@@ -199,6 +204,19 @@ impl Lab {
 
     /// Plays a trial and shows how far it has come.
     pub(crate) fn play(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
+        if let Some(script) = trial.script(0) {
+            let took_part = |player: &Player<'_>| {
+                let name = player.world.task.name.as_str().to_owned();
+                let policy =
+                    self.policies.iter().find(|policy| policy.task() == player.world.task.name);
+                let digest = policy.map(|policy| policy.checkpoint.manifest.digest.to_string());
+                TookPart { name, digest: digest.unwrap_or_default() }
+            };
+            let policies = trial.players.iter().map(took_part).collect();
+            let recording = script::Recording { policies, script };
+            let mut played = self.played.lock().unwrap_or_else(PoisonError::into_inner);
+            played.push(PlayedEpisode { what: what.to_owned(), recording });
+        }
         let chunks = trial.episodes.div_ceil(CHUNK);
         self.progress.begin(what, (chunks * trial.steps) as u64);
         play(trial, &self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
@@ -277,6 +295,9 @@ impl Lab {
             policies: self.identities(),
             provenance: Provenance::gather(),
             results,
+            episodes: std::mem::take(
+                &mut *self.played.lock().unwrap_or_else(PoisonError::into_inner),
+            ),
         }
     }
 }

@@ -25,6 +25,18 @@ pub struct Report<S, R> {
     pub(crate) policies: Vec<PolicyIdentity>,
     pub(crate) provenance: Provenance,
     pub(crate) results: Vec<R>,
+    /// The first episode of each trial, as far as it can be played again.
+    #[serde(default)]
+    pub(crate) episodes: Vec<PlayedEpisode>,
+}
+
+/// An episode of an experiment, to be played again.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlayedEpisode {
+    /// Which trial it is of.
+    pub(crate) what: String,
+    /// What plays it again.
+    pub(crate) recording: crate::script::Recording,
 }
 
 /// How it was done.

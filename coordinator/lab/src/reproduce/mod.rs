@@ -5,6 +5,7 @@
 
 mod claims;
 mod drawing;
+mod episodes;
 mod figures;
 mod page;
 mod place;
@@ -49,6 +50,7 @@ pub fn reproduce(study: &Study) -> anyhow::Result<Reproduction> {
     })?;
     let robot = planned.robot().clone();
     let commands = planned.commands();
+    let episodes = episodes::file(planned.policies())?;
     let reports = planned.finish()?;
     let claims = claims::claims(&reports);
     let html = page::page(&page::Content {
@@ -57,8 +59,16 @@ pub fn reproduce(study: &Study) -> anyhow::Result<Reproduction> {
         commands: &commands,
         curves: &curves,
         robot: &robot,
+        with_episodes: episodes.is_some(),
         quick: study.quick,
     })?;
+    match episodes {
+        Some(episodes) => files::replace(&study.out.join(episodes::FILE), episodes.as_bytes())?,
+        None => output::note(&format!(
+            "note: the report has no episodes to watch: {}",
+            service::page::MISSING
+        )),
+    }
     let report = study.out.join(PAGE);
     files::replace(&report, html.as_bytes())?;
     Ok(Reproduction { report, claims })

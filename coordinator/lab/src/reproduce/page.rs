@@ -7,7 +7,7 @@ use store::provenance::{Provenance, Utc};
 
 use super::claims::{Claim, Tally, verdict};
 use super::reports::Reports;
-use super::{drawing, figures};
+use super::{drawing, episodes, figures};
 use crate::experiments::report::{Goals, Report};
 use crate::experiments::{Experiment, Name, ReportOf};
 use crate::experiments::{arm_failure, base_mass, disturbance, noise, precision, reassembly};
@@ -28,6 +28,8 @@ pub(super) struct Content<'a> {
     /// Of the trainings.
     pub(super) curves: &'a [Recorded],
     pub(super) robot: &'a Robot,
+    /// Whether there is a file beside it that plays episodes.
+    pub(super) with_episodes: bool,
     pub(super) quick: bool,
 }
 
@@ -45,7 +47,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
                 (figure(&figures::arm_failure(reports)?, "The base is turned while an arm is held by its servos or gives no torque, from the beginning. Left \
                     one episode with the authors' goal, then all held-out goals."))
             },
-        ),
+        )?,
         section::<base_mass::Study>(
             content,
             "Other masses of the base",
@@ -54,7 +56,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
                 (figure(&figures::base_mass(reports)?, "Share of episodes that end within a threshold, against the mass of the cube; the policy learned with \
                     400 kg. The dashed line is the paper's 90 %, of the threshold of 50 mrad."))
             },
-        ),
+        )?,
         reassembly(content)?,
         section::<noise::Study>(
             content,
@@ -63,7 +65,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             &html! {
                 (figure(&figures::noise(reports)?, "Mean error of the last 20 steps while one thing at a time is made worse. Strengths stand side by side, not to scale."))
             },
-        ),
+        )?,
     ];
     let learning = match content.curves {
         [] => None,
@@ -184,12 +186,14 @@ fn section<E: Experiment>(
     title: &str,
     report: &ReportOf<E>,
     figures: &Markup,
-) -> Markup {
+) -> anyhow::Result<Markup> {
     let Report { experiment, policies, provenance, protocol, .. } = report;
+    let watch = content.with_episodes.then(|| episodes::links(&report.episodes)).transpose()?;
     let command = content.commands.iter().find(|(name, _)| name == experiment);
-    html! {
+    Ok(html! {
         h2 id=(experiment) { (title) }
         (figures)
+        @if let Some(watch) = &watch { (watch) }
         details {
             summary { "All numbers" }
             pre { (E::table(output::COLUMNS, report)) }
@@ -203,7 +207,7 @@ fn section<E: Experiment>(
                 dt { "policy" } dd { (policy.task.as_str()) ", " span class="digest" { (policy.digest) } }
             }
         }
-    }
+    })
 }
 
 fn precision(content: &Content<'_>) -> anyhow::Result<Markup> {
@@ -214,7 +218,7 @@ fn precision(content: &Content<'_>) -> anyhow::Result<Markup> {
         (figure(&figures::courses(reports)?, "Median errors over time; the control period is 0.4 s, which the paper's figures count as 0.1 s."))
     };
     let title = "Precision";
-    Ok(section::<precision::Study>(content, title, &reports.precision, &figures))
+    section::<precision::Study>(content, title, &reports.precision, &figures)
 }
 
 fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
@@ -231,7 +235,7 @@ fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
     };
     let title = "Disturbance";
     let report = &reports.disturbance;
-    Ok(section::<disturbance::Study>(content, title, report, &figures))
+    section::<disturbance::Study>(content, title, report, &figures)
 }
 
 fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
@@ -258,7 +262,7 @@ fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
             second row arm 3 joins from step 70 on."))
         @for stage in &stages { (stage) }
     };
-    Ok(section::<reassembly::Study>(content, "Reassembly", report, &figures))
+    section::<reassembly::Study>(content, "Reassembly", report, &figures)
 }
 
 fn learning(curves: &[Recorded]) -> anyhow::Result<Markup> {

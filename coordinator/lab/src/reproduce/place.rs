@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use proto::{ExitCode, ExitError};
 use store::{outputs, regular_files};
 
+use super::episodes;
 use super::page::GENERATOR;
 use crate::experiments::Name;
 
@@ -23,7 +24,9 @@ pub const MARK: &str = ".octopus-reproduce";
 
 /// Refuses a directory that something else was made in, or a page that is none of ours.
 pub fn check_place(out: &Path, force: bool) -> Result<(), ExitError> {
-    check_page(&out.join(PAGE))?;
+    let mark = format!("content=\"{GENERATOR}\"");
+    check_page(&out.join(PAGE), |text| text.contains(&mark))?;
+    check_page(&out.join(episodes::FILE), episodes::is_ours)?;
     outputs::check_directory("--out", out, is_ours, force)
 }
 
@@ -51,16 +54,15 @@ pub fn default_policies() -> Result<PathBuf, ExitError> {
 
 /// Whether a file or directory of this name in the directory is made here.
 fn is_ours(name: &str) -> bool {
-    let made = [PAGE, RUNS, POLICIES, MARK].contains(&name);
+    let made = [PAGE, episodes::FILE, RUNS, POLICIES, MARK].contains(&name);
     made || Name::ALL.iter().any(|experiment| name == format!("{experiment}.json"))
 }
 
 /// Refuses to write over a page that is none of ours.
-fn check_page(path: &Path) -> Result<(), ExitError> {
-    let mark = format!("content=\"{GENERATOR}\"");
+fn check_page(path: &Path, is_ours: impl Fn(&str) -> bool) -> Result<(), ExitError> {
     match regular_files::read(path, regular_files::RECORD) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
-        Ok(there) if String::from_utf8_lossy(&there).contains(&mark) => Ok(()),
+        Ok(there) if is_ours(&String::from_utf8_lossy(&there)) => Ok(()),
         Ok(_) => Err(refused(path, "is there already and was not made by this command")),
         Err(error) => Err(refused(path, &format!("cannot be read: {error}"))),
     }

@@ -19,7 +19,7 @@ use crate::experiments::lab::Lab;
 use crate::experiments::report::RobotIdentity;
 use crate::experiments::{Experiment, Name, ReportOf, perform};
 use crate::experiments::{arm_failure, base_mass, disturbance, noise, precision, reassembly};
-use crate::trained::PolicyIdentity;
+use crate::trained::{PolicyIdentity, Trained};
 
 /// All of them.
 pub(super) struct Planned {
@@ -54,6 +54,11 @@ impl Planned {
     /// The robot of the policies.
     pub(super) fn robot(&self) -> &Robot {
         &self.reassembly.lab.robot
+    }
+
+    /// The policies, trajectory first.
+    pub(super) fn policies(&self) -> &[Trained] {
+        self.reassembly.lab.policies()
     }
 
     /// What makes each experiment's numbers.

@@ -26,7 +26,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
 #[utoipa::path(get, path = "/", tag = "service", security(()), responses(
     (status = 200, description = "The page", body = String, content_type = "text/html"),
     (status = 304, description = "The client has it"),
-    (status = 501, description = "The program was built without it", body = ErrorBody),
+    (status = 404, description = "The program was built without it", body = ErrorBody),
 ))]
 pub(super) async fn home(method: Method, headers: HeaderMap) -> Result<Response, Problem> {
     at("/", &method, &headers)
@@ -55,8 +55,8 @@ pub(super) async fn file(
 /// What is at a path of the page.
 pub(super) fn at(path: &str, method: &Method, headers: &HeaderMap) -> Result<Response, Problem> {
     let name = path.strip_prefix("/page/").unwrap_or("index.html");
-    let asset = page::asset(name)
-        .ok_or_else(|| Problem::new(StatusCode::NOT_IMPLEMENTED, page::MISSING))?;
+    let asset =
+        page::asset(name).ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, page::MISSING))?;
     Ok(send(asset, method, headers))
 }
 

@@ -18,11 +18,13 @@
 //! carry the points along with their bodies. A pair that is far sleeps for as long as its gap takes to close. All of this is decided lane by lane, and
 //! forces are sums of the lane's own pairs in a fixed order: work that another lane asks for leaves a lane's bits alone.
 
+mod clearance;
 mod contact_forces;
 mod distance;
 mod find;
 mod touching;
 
+pub use clearance::clearance;
 pub(crate) use contact_forces::{push, push_link};
 pub(crate) use find::find;
 pub use touching::{Touching, count_contacts, touching};

@@ -3,6 +3,7 @@
 use proto::layout::{AGENTS_PER_ARM, Dimensions};
 use proto::rng::Purpose;
 
+use super::event::{Control, Event, GoalPurpose, Script, Start, TimedEvent};
 use super::{Intervention, SensorNoise};
 use crate::env::step_options;
 use crate::policy::Policy;
@@ -118,6 +119,63 @@ impl<'a> Trial<'a> {
     /// Arms of the robot.
     pub fn n_arms(&self) -> usize {
         self.robot.n_arms
+    }
+
+    /// An episode of it as a script that plays the same; none where that cannot say what happens: arms of another mass, actions of
+    /// another scale, another integration.
+    pub fn script(&self, episode: u32) -> Option<Script> {
+        let Player { world, .. } = self.players[0];
+        let as_trained =
+            |player: &Player<'_>| player.action_scale == player.world.task.action_scale;
+        if !self.players.iter().all(as_trained) || self.options != step_options(&world.config) {
+            return None;
+        }
+        let purpose = match self.goals.purpose {
+            Purpose::EvaluationGoal => GoalPurpose::Evaluation,
+            Purpose::Goal => GoalPurpose::Training,
+            _ => return None,
+        };
+        let mut events = Vec::new();
+        let mut at = |step: usize, event: Event| events.push(TimedEvent { step, event });
+        if *self.robot != world.robot {
+            let mass = self.robot.description().base[0].mass;
+            let other = world.robot.with_base_mass(mass).ok()?;
+            if *self.robot != other {
+                return None;
+            }
+            at(0, Event::BaseMass { mass });
+        }
+        for (arm, goal) in self.fixed.hands.iter().enumerate() {
+            if let Some(pose) = *goal {
+                at(0, Event::HandGoal { arm, pose });
+            }
+        }
+        if let Some(attitude) = self.fixed.base {
+            at(0, Event::BaseGoal { attitude });
+        }
+        if self.sensors != SensorNoise::NONE {
+            at(0, Event::Sensors(self.sensors));
+        }
+        if self.delay > 0 {
+            at(0, Event::Delay { steps: self.delay });
+        }
+        let mut before = vec![Some(0); self.n_arms()];
+        for phase in self.phases.iter().filter(|phase| phase.from < self.steps) {
+            for (arm, (player, before)) in phase.arms.iter().zip(&mut before).enumerate() {
+                if player != before {
+                    let control = player.map_or(Control::Hold, Control::Policy);
+                    at(phase.from, Event::Arm { arm, control });
+                    *before = *player;
+                }
+            }
+        }
+        for Intervention { steps, effect } in &self.interventions {
+            let event = Event::Effect { effect: effect.clone(), steps: Some(steps.len()) };
+            at(steps.start, event);
+        }
+        let GoalAddress { seed, iteration, env, .. } = self.goals;
+        let start = Start { seed, purpose, iteration, episode: env + episode, state: None };
+        Some(Script { start, steps: self.steps, events })
     }
 
     /// The phase that `step` lies in.

@@ -86,6 +86,13 @@ impl Robot {
         (0..self.n_joints()).map(|j| self.links[j % JOINTS_PER_ARM].max_rate).collect()
     }
 
+    /// Torque of a joint's drive (N m) for a commanded rate at the rate `qd` (rad/s): clamp(k (clamp(c, ±c_max) − q̇), ±τ_max).
+    pub fn torque(&self, joint: usize, command: f64, qd: f64) -> f64 {
+        let link = &self.links[joint % JOINTS_PER_ARM];
+        let rate = command.clamp(-link.max_rate, link.max_rate);
+        (link.gain * (rate - qd)).clamp(-link.max_torque, link.max_torque)
+    }
+
     /// Mass of everything (kg).
     pub fn total_mass(&self) -> f64 {
         self.base.mass + self.n_arms as f64 * self.links.iter().map(|l| l.body.mass).sum::<f64>()

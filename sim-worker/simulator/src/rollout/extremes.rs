@@ -4,7 +4,7 @@ use crate::scalar::Real;
 use crate::task::Errors;
 
 /// Errors' minima and contacts so far.
-pub(super) struct Extremes<S> {
+pub(crate) struct Extremes<S> {
     pub(super) position: Vec<S>,
     pub(super) orientation: Vec<S>,
     pub(super) base: S,

@@ -12,16 +12,16 @@ use crate::task::goal::GoalAddress;
 use crate::task::{Errors, Goals, Readings, Task};
 
 /// One lane group.
-pub(super) struct LaneGroup<S: Real> {
-    pub(super) state: State<S>,
-    pub(super) readings: Readings<S>,
-    pub(super) goals: Goals<S>,
-    pub(super) errors: Errors<S>,
+pub(crate) struct LaneGroup<S: Real> {
+    pub(crate) state: State<S>,
+    pub(crate) readings: Readings<S>,
+    pub(crate) goals: Goals<S>,
+    pub(crate) errors: Errors<S>,
     /// Clipped actions of the step and of the one before, one a joint.
-    pub(super) action: Vec<S>,
-    pub(super) last_action: Vec<S>,
-    pub(super) command: Vec<S>,
-    pub(super) extremes: Extremes<S>,
+    pub(crate) action: Vec<S>,
+    pub(crate) last_action: Vec<S>,
+    pub(crate) command: Vec<S>,
+    pub(crate) extremes: Extremes<S>,
 }
 
 impl<S: Real> LaneGroup<S> {
@@ -29,7 +29,7 @@ impl<S: Real> LaneGroup<S> {
     ///
     /// Lanes beyond the last environment repeat it. `goals` is the address of the first environment's.
     #[inline(always)]
-    pub(super) fn new(
+    pub(crate) fn new(
         (robot, task): (&Robot, &Task),
         begin: &Start,
         physics: &mut Physics<S>,

@@ -9,6 +9,7 @@
 //! rollout is whole episodes, so a worker needs no memory between two orders.
 
 mod batch;
+pub(crate) mod environments;
 mod error;
 mod explore;
 mod extremes;
@@ -22,6 +23,7 @@ mod world;
 
 pub use batch::Stage;
 pub use error::RolloutError;
+pub(crate) use output::write_rows;
 #[cfg(test)]
 pub(crate) use shard::rollout_with;
 pub use shard::{RolloutSpec, rollout, rollout_on};

@@ -149,7 +149,7 @@ fn from(array: &Range<usize>, at: usize) -> Range<usize> {
 
 /// Turns lanes into rows: `rows[lane][feature] = features[feature][lane]`, for at most `n` lanes.
 #[inline(always)]
-fn write_rows<S: Real>(rows: &mut [f32], n: usize, features: &[S]) {
+pub(crate) fn write_rows<S: Real>(rows: &mut [f32], n: usize, features: &[S]) {
     let width = features.len();
     let lanes = S::LANES.min(n);
     let rows = &mut rows[..lanes * width];

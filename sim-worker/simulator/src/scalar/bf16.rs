@@ -31,14 +31,14 @@ impl WeightPair {
 
 /// The nearest bfloat16, ties to even; zero where that is below [`SMALLEST`].
 #[inline(always)]
-pub(crate) fn round(x: f32) -> f32 {
+pub fn round(x: f32) -> f32 {
     let bits = x.to_bits();
     let nearest = bits.wrapping_add(0x7fff + (bits >> 16 & 1)) & 0xffff_0000;
     if x.abs() < SMALLEST { 0.0 } else { f32::from_bits(nearest) }
 }
 
 /// A bias to which products may be added: zero where it is so small that a sum could become subnormal.
-pub(crate) fn bias(x: f32) -> f32 {
+pub fn bias(x: f32) -> f32 {
     if x.abs() < SMALLEST * SMALLEST { 0.0 } else { x }
 }
 

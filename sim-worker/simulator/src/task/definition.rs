@@ -49,4 +49,9 @@ impl Task {
     pub fn n_arms(&self) -> usize {
         self.goals.home.arms.len()
     }
+
+    /// Axes of the frame in which `arm` sees, in those of the base: `[axis][component]`.
+    pub fn arm_axes(&self, arm: usize) -> [[f64; 3]; 3] {
+        self.frames[arm].axes()
+    }
 }

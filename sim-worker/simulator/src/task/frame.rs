@@ -30,6 +30,11 @@ impl ArmFrame {
         Self { axes: [x.map(|c| side * c), y.map(|c| side * c), z] }
     }
 
+    /// The axes in the base's, `[axis][component]`.
+    pub(super) fn axes(&self) -> [[f64; 3]; 3] {
+        self.axes
+    }
+
     /// A vector in the base's axes.
     #[inline(always)]
     pub(super) fn vector<S: Real>(&self, v: [S; 3]) -> [S; 3] {

@@ -13,7 +13,7 @@ async fn the_page_needs_no_token_and_may_do_little() {
     let bench = Bench::new(&[1]);
     let answer = bench.send("GET /", &[STRANGER], "").await;
     if !page::is_built() {
-        assert_eq!(answer.status, StatusCode::NOT_IMPLEMENTED);
+        assert_eq!(answer.status, StatusCode::NOT_FOUND);
         assert!(answer.error().contains("make page"), "{answer:?}");
         return;
     }

@@ -113,6 +113,15 @@ fn an_episode_is_that_of_a_trial_to_the_bit() {
     }
     assert_eq!((episode.steps(), episode.delay(), episode.effects()), (7, 2, 1));
 
+    // What the trial says of itself plays the same.
+    let of_trial = trial.script(INDEX).expect("a script can say it");
+    let mut rows_of_trial = Vec::new();
+    episode.play(&of_trial, &mut |episode| rows_of_trial.push(row(episode))).expect("it plays");
+    assert_eq!(rows_of_trial, rows);
+    let heavy_arms = paper().with_arm_mass(2.0).expect("a robot");
+    trial.robot = &heavy_arms;
+    assert_eq!(trial.script(INDEX), None, "no script says that arms are heavier");
+
     // As a text and back it is the same.
     let text = toml::to_string(&script).expect("a script is plain data");
     let again: Script = toml::from_str(&text).expect("a script");

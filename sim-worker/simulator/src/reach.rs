@@ -2,7 +2,7 @@
 //!
 //! A goal counts as reached if, in the very simulator, with its contacts, and with the
 //! actions that policies have, some way leads the hand there and keeps it there. The controller
-//! solves the arm's inverse kinematics (`inverse_kinematics.rs`), moves each joint towards the
+//! solves the arm's inverse kinematics (`inverse_kinematics.rs` of this crate), moves each joint towards the
 //! solution, and solves again from there in every control step, because the base gives way; if the
 //! hand does not arrive, the next way is tried. Hands of an episode are tried together, as a policy
 //! moves them. A goal that no way reaches may still be reachable on a detour: what is told is a lower
@@ -12,24 +12,22 @@
 //! cannot enter the cylinder around its first joint, and a base that turns by a few hundredths of a radian carries
 //! goals into it and out of it. [`within_reach`] tells what was left to an arm where an episode ended.
 
-mod inverse_kinematics;
-
 use std::convert::Infallible;
 
-use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, Vector3};
 use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
 
 use crate::env::{EpisodeError, Physics, check_state};
 use crate::executor::{self, Executor};
 use crate::experiment::Pose;
+use crate::inverse_kinematics::{Angles, approach, base_pose, candidates, placed, pose, solvable};
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};
 use crate::state::State;
 use crate::task::goal::GoalAddress;
 use crate::task::{Errors, Readings};
-use inverse_kinematics::{Angles, approach, candidates, solvable};
 
 /// A hand has arrived when it ends nearer than this to its goal (m).
 pub const ARRIVED_POSITION: f64 = 2e-3;
@@ -96,7 +94,7 @@ pub fn within_reach(
     let Ok(()) = executor::for_each(executor, each, |(env, (result, end))| {
         let purpose = Purpose::EvaluationGoal;
         let address = GoalAddress { seed, purpose, iteration: 0, env: env as u32 };
-        let base = base_pose(end.base_position.map(f64::from), end.base_quaternion.map(f64::from));
+        let base = placed(end.base_position.map(f64::from), end.base_quaternion.map(f64::from));
         *result = (0..robot.n_arms)
             .map(|arm| {
                 let target = base.inverse() * pose(world.task.goals.hand(arm, address));
@@ -171,14 +169,6 @@ fn decide(
     }
 }
 
-/// A pose in the world from position (m) and Euler angles (rad), R = Rx Ry Rz.
-fn pose([x, y, z, a, b, c]: [f64; 6]) -> Isometry3<f64> {
-    let about = |axis, angle| Rotation3::from_axis_angle(&axis, angle);
-    let rotation =
-        about(Vector3::x_axis(), a) * about(Vector3::y_axis(), b) * about(Vector3::z_axis(), c);
-    Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from(rotation))
-}
-
 /// One attempt of up to [`LANES`] episodes, every hand on its way.
 struct Attempt<'a> {
     world: &'a World,
@@ -227,7 +217,7 @@ fn attempt<S: Real>(
     for step in 0..STEPS {
         for (lane, (hands, wanted)) in hands.iter().zip(&mut wanted).enumerate() {
             let now = state.lane(lane);
-            let base = base_pose(now.base_position, now.base_quaternion);
+            let base = base_pose(&now);
             for (arm, (hand, wanted)) in hands.iter().zip(wanted).enumerate() {
                 let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
                 let rates = match wanted {
@@ -258,12 +248,6 @@ fn attempt<S: Real>(
             (0..n_arms).map(of).collect()
         })
         .collect())
-}
-
-/// Position (m) and attitude (w, x, y, z) of the base.
-fn base_pose(position: [f64; 3], [w, x, y, z]: [f64; 4]) -> Isometry3<f64> {
-    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    Isometry3::from_parts(Translation3::from(Vector3::from(position)), rotation)
 }
 
 /// Joint rates (rad/s) from `q` towards `wanted`, all joints in proportion, as fast as policies can.
@@ -335,16 +319,5 @@ mod tests {
         let lost = count([x, y, z + 0.5], &InOrder);
         assert!(lost < at_home, "{lost} of {at_home}");
         assert_eq!(count([x, y, z + 3.0], &InOrder), 0);
-    }
-
-    #[test]
-    fn a_pose_from_angles_has_those_angles() {
-        let angles = [0.7, -0.4, 1.1];
-        let [a, b, c] = angles;
-        let rotation = pose([1.0, 2.0, 3.0, a, b, c]).rotation.to_rotation_matrix();
-        let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation.matrix()[(i, j)]));
-        for (found, angle) in crate::spatial::euler_xyz(&rows).iter().zip(angles) {
-            assert!((found - angle).abs() < 1e-12);
-        }
     }
 }

@@ -8,13 +8,34 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{
-    Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6,
+    Isometry3, Matrix3, Matrix6, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
+    Vector6,
 };
 
 use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::state::State;
 
 /// Joint angles of an arm (rad).
-pub(super) type Angles = [f64; JOINTS_PER_ARM];
+pub(crate) type Angles = [f64; JOINTS_PER_ARM];
+
+/// A pose in the world from position (m) and Euler angles (rad), R = Rx Ry Rz.
+pub(crate) fn pose([x, y, z, a, b, c]: [f64; 6]) -> Isometry3<f64> {
+    let about = |axis, angle| Rotation3::from_axis_angle(&axis, angle);
+    let rotation =
+        about(Vector3::x_axis(), a) * about(Vector3::y_axis(), b) * about(Vector3::z_axis(), c);
+    Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from(rotation))
+}
+
+/// Where the base is in the world.
+pub(crate) fn base_pose(state: &State<f64>) -> Isometry3<f64> {
+    placed(state.base_position, state.base_quaternion)
+}
+
+/// A pose from position (m) and attitude (w, x, y, z).
+pub(crate) fn placed(position: [f64; 3], [w, x, y, z]: [f64; 4]) -> Isometry3<f64> {
+    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    Isometry3::from_parts(Translation3::from(Vector3::from(position)), rotation)
+}
 
 /// Starts beside home.
 const STARTS: u64 = 64;
@@ -40,7 +61,7 @@ fn isometry(rotation: &Matrix3<f64>, position: Vector3<f64>) -> Isometry3<f64> {
 
 /// Pose of the hand in the base frame, and how it changes with the joint angles: shape 6 × 6, rows
 /// linear (m/rad) then angular (rad/rad), base axes.
-pub(super) fn forward(robot: &Robot, arm: usize, q: &Angles) -> (Isometry3<f64>, Matrix6<f64>) {
+pub(crate) fn forward(robot: &Robot, arm: usize, q: &Angles) -> (Isometry3<f64>, Matrix6<f64>) {
     let mount = &robot.arms[arm];
     let (mut r, mut o) = (mount.rotation, mount.position);
     let mut joints = [(Vector3::zeros(), Vector3::zeros()); JOINTS_PER_ARM];
@@ -69,7 +90,7 @@ fn residual(target: &Isometry3<f64>, hand: &Isometry3<f64>) -> Vector6<f64> {
 
 /// At most `iterations` steps from `q` towards `target` (base frame); the angles, and the length of
 /// the residual before the last step.
-pub(super) fn approach(
+pub(crate) fn approach(
     robot: &Robot,
     arm: usize,
     target: &Isometry3<f64>,
@@ -115,14 +136,14 @@ fn starts(home: &Angles) -> impl Iterator<Item = Angles> {
 }
 
 /// Whether some joint angles bring the hand of `arm` to `target` (base frame).
-pub(super) fn solvable(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> bool {
+pub(crate) fn solvable(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> bool {
     let solves = |q| approach(robot, arm, target, q, ITERATIONS).1 < EXACT;
     starts(&robot.arms[arm].home).any(solves)
 }
 
 /// Joint angles that bring the hand of `arm` to `target` (base frame) or near it, each joint within
 /// half a turn of home: solutions first, then near misses, of each those nearer to home first.
-pub(super) fn candidates(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> Vec<Angles> {
+pub(crate) fn candidates(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> Vec<Angles> {
     let home = robot.arms[arm].home;
     let mut found: Vec<(Angles, bool, f64)> = Vec::new();
     for q in starts(&home) {
@@ -184,6 +205,17 @@ mod tests {
                 .count();
             // Shoulder, elbow and wrist may each be flipped: up to eight ways for such an arm.
             assert!((2..=8).contains(&exact), "arm {arm}: {exact} of {}", ways.len());
+        }
+    }
+
+    #[test]
+    fn a_pose_from_angles_has_those_angles() {
+        let angles = [0.7, -0.4, 1.1];
+        let [a, b, c] = angles;
+        let rotation = pose([1.0, 2.0, 3.0, a, b, c]).rotation.to_rotation_matrix();
+        let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation.matrix()[(i, j)]));
+        for (found, angle) in crate::spatial::euler_xyz(&rows).iter().zip(angles) {
+            assert!((found - angle).abs() < 1e-12);
         }
     }
 

@@ -1,0 +1,122 @@
+/* Holds controller.c against vectors.json, to the bit:
+ *
+ *     cc -std=c99 -O2 -o check check.c controller.c -lm && ./check vectors.json
+ */
+#include "controller.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#ifdef OCTOPUS_TIME
+#include <time.h>
+#endif
+
+/* The next number of the file that stands in no name or text. */
+static int next(FILE *file, double *number)
+{
+    int c;
+    while ((c = fgetc(file)) != EOF) {
+        if (c == '"') {
+            while ((c = fgetc(file)) != EOF && c != '"') {
+                if (c == '\\') (void)fgetc(file);
+            }
+        } else if (c == '-' || (c >= '0' && c <= '9')) {
+            ungetc(c, file);
+            return fscanf(file, "%lf", number) == 1;
+        }
+    }
+    return 0;
+}
+
+static int read_doubles(FILE *file, double *to, size_t n)
+{
+    size_t i;
+    for (i = 0; i < n; i++) {
+        if (!next(file, &to[i])) return 0;
+    }
+    return 1;
+}
+
+/* To where the states begin. */
+static int find_cases(FILE *file)
+{
+    static const char word[] = "\"cases\"";
+    size_t matched = 0;
+    int c;
+    while (word[matched] && (c = fgetc(file)) != EOF) {
+        matched = c == word[matched] ? matched + 1 : (size_t)(c == word[0]);
+    }
+    return !word[matched];
+}
+
+static octopus_state state;
+static octopus_goals goals;
+static double last_command[OCTOPUS_JOINTS], last_action[OCTOPUS_JOINTS], wanted[OCTOPUS_JOINTS];
+static double seen[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION];
+
+static int read_case(FILE *file)
+{
+    double *goal = (double *)&goals;
+    return read_doubles(file, state.base_position, 3) && read_doubles(file, state.base_attitude, 4)
+        && read_doubles(file, state.base_velocity, 3) && read_doubles(file, state.base_angular_velocity, 3)
+        && read_doubles(file, state.joint_angles, OCTOPUS_JOINTS) && read_doubles(file, state.joint_rates, OCTOPUS_JOINTS)
+        && read_doubles(file, last_command, OCTOPUS_JOINTS) && read_doubles(file, last_action, OCTOPUS_JOINTS)
+        && read_doubles(file, goal, sizeof goals / sizeof *goal)
+        && read_doubles(file, seen, OCTOPUS_AGENTS * OCTOPUS_OBSERVATION) && read_doubles(file, wanted, OCTOPUS_JOINTS);
+}
+
+static double difference(double a, double b) { return a > b ? a - b : b - a; }
+
+int main(int argc, char **argv)
+{
+    FILE *file = fopen(argc > 1 ? argv[1] : "vectors.json", "r");
+    int cases = 0, other = 0, i;
+    double worst_seen = 0.0, worst_command = 0.0;
+    if (!file || !find_cases(file)) {
+        fprintf(stderr, "check: no vectors.json with states in it\n");
+        return 2;
+    }
+    while (read_case(file)) {
+        float observations[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION];
+        double command[OCTOPUS_JOINTS];
+        octopus_memory memory;
+        octopus_status status;
+        int same = 1;
+        for (i = 0; i < OCTOPUS_JOINTS; i++) memory.action[i] = (float)last_action[i];
+        status = octopus_observe(&state, &goals, &memory, observations);
+        if (status == OCTOPUS_OK) status = octopus_controller_step(&state, &goals, &memory, command);
+        if (status != OCTOPUS_OK) {
+            fprintf(stderr, "check: state %d: %s\n", cases, octopus_status_text(status));
+            return 1;
+        }
+        for (i = 0; i < OCTOPUS_AGENTS * OCTOPUS_OBSERVATION; i++) {
+            double off = difference(observations[i], (float)seen[i]);
+            if (off > worst_seen) worst_seen = off;
+            same = same && off == 0.0;
+        }
+        for (i = 0; i < OCTOPUS_JOINTS; i++) {
+            double off = difference(command[i], (float)wanted[i]);
+            if (off > worst_command) worst_command = off;
+            same = same && off == 0.0;
+        }
+        other += !same;
+        cases++;
+    }
+    fclose(file);
+    printf("%d states, %d with other bits; largest difference of observations %g, of commands %g rad/s\n", cases, other,
+           worst_seen, worst_command);
+#ifdef OCTOPUS_TIME
+    {
+        /* The last state again and again. */
+        octopus_memory memory;
+        double command[OCTOPUS_JOINTS];
+        clock_t start;
+        octopus_controller_reset(&memory);
+        start = clock();
+        for (i = 0; i < OCTOPUS_TIME; i++) octopus_controller_step(&state, &goals, &memory, command);
+        printf("%.1f us a step\n", 1e6 * (double)(clock() - start) / CLOCKS_PER_SEC / OCTOPUS_TIME);
+    }
+#endif
+    if (cases == 0) fprintf(stderr, "check: no states\n");
+    return cases == 0 || other != 0;
+}

@@ -1,0 +1,101 @@
+//! What programs of others take from here: a policy as one directory that needs nothing of ours ([`files`]), a recorded episode
+//! ([`Recording`]), a robot ([`urdf`]).
+//!
+//! The directory of a policy:
+//!
+//! | file | what |
+//! |---|---|
+//! | `controller.onnx` | state and goals to joint rates: kinematics, frames, errors, networks, limits |
+//! | `policy.onnx` | the actors alone: observations to actions |
+//! | `controller.c`, `controller.h` | the same as the first in C99, with the bits of our workers |
+//! | `example.c` | a program that uses it |
+//! | `contract.toml` | what every number is, and what the controller is not for |
+//! | `vectors.json` | 256 states with goals, observations and commands as the simulator computed them |
+//! | `check.c`, `check.py` | hold both against them |
+//!
+//! **Whose arithmetic.** The C code does what workers do, operation by operation, so bits can be compared. The graph leaves sums
+//! to its runtime and is held to a tolerance. Both store rows that actors share once.
+
+mod c;
+mod contract;
+mod networks;
+mod onnx;
+mod recording;
+mod source;
+mod urdf;
+mod vectors;
+
+pub use recording::Recording;
+pub use source::{HeldOut, HeldOutError, Origin, Source};
+pub use urdf::urdf;
+
+use networks::Networks;
+
+/// Why a policy cannot be exported.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// An episode, for vectors or a recording, cannot be played.
+    #[error("an episode cannot be played: {0}")]
+    Episode(String),
+    /// A recording cannot be put together.
+    #[error("no recording: {0}")]
+    Recording(String),
+    /// More actors than a row number has room for.
+    #[error("{0} actors are more than the 255 that the C code has room for")]
+    Actors(usize),
+}
+
+/// A file of the directory.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct File {
+    /// Its name.
+    pub name: &'static str,
+    /// Its bytes.
+    pub content: Vec<u8>,
+}
+
+/// Everything of the directory, in the order of the table above.
+pub fn files(source: &Source<'_>) -> Result<Vec<File>, ExportError> {
+    let actors = source.world.dimensions.n_actors;
+    if actors > 255 {
+        return Err(ExportError::Actors(actors));
+    }
+    let networks = Networks::new(source.world, source.parameters);
+    let vectors = vectors::vectors(source)?;
+    let metadata = metadata(source);
+    let json = serde_json::to_string(&vectors).expect("plain data");
+    // One state a line.
+    let json = json.replace("{\"base_position\"", "\n{\"base_position\"") + "\n";
+    let text = |name, content: String| File { name, content: content.into_bytes() };
+    Ok(vec![
+        File { name: "controller.onnx", content: onnx::controller(source, &networks, &metadata) },
+        File { name: "policy.onnx", content: onnx::policy(source, &networks, &metadata) },
+        text("controller.c", c::controller(source, &networks)),
+        text("controller.h", c::header(source)),
+        text("example.c", c::EXAMPLE.to_owned()),
+        text("contract.toml", contract::contract(source, &vectors)),
+        text("vectors.json", json),
+        text("check.c", c::CHECK.to_owned()),
+        text("check.py", include_str!("check.py").to_owned()),
+    ])
+}
+
+/// What models say about themselves.
+fn metadata(source: &Source<'_>) -> Vec<(String, String)> {
+    let config = &source.world.config;
+    let entries = [
+        ("robot", source.world.robot.name.clone()),
+        ("task", source.task().to_owned()),
+        ("algorithm", config.algorithm.name.as_str().to_owned()),
+        ("digest", source.origin.digest.clone()),
+        ("env_steps", source.origin.env_steps.to_string()),
+        ("control_period_s", config.env.control_period.to_string()),
+        ("action_scale", config.task.action_scale.to_string()),
+        ("units", "m, rad, s".to_owned()),
+        ("quaternion", "w, x, y, z; base to world".to_owned()),
+        ("joint_names", source.joint_names().join(",")),
+        ("contract", "contract.toml".to_owned()),
+    ];
+    entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+}

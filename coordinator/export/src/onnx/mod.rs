@@ -1,0 +1,68 @@
+//! The controller and the actors alone as ONNX models.
+
+mod actors;
+mod geometry;
+mod graph;
+mod observations;
+mod proto;
+
+use crate::networks::Networks;
+use crate::source::Source;
+use graph::Graph;
+use observations::Inputs;
+
+/// `policy.onnx`: observations `[batch, A, O]` to actions `[batch, J]`.
+pub(crate) fn policy(
+    source: &Source<'_>,
+    networks: &Networks,
+    metadata: &[(String, String)],
+) -> Vec<u8> {
+    let dimensions = &source.world.dimensions;
+    let mut g = Graph::default();
+    let seen = g.input(
+        "observations",
+        &[dimensions.n_agents, dimensions.observation],
+        "What each agent sees, in the order of the guide's chapter on the environment.",
+    );
+    let actions = actors::actions(&mut g, source, networks, &seen);
+    let joints = source.world.robot.n_joints();
+    g.output("actions", &actions, &[joints], "Clipped, not scaled; joint after joint (rad/s).");
+    let doc = "The actors of a trained policy: observations in, actions out.";
+    g.model("policy", doc, metadata, &source.origin.program)
+}
+
+/// `controller.onnx`: state and goals to joint rates `[batch, J]`.
+pub(crate) fn controller(
+    source: &Source<'_>,
+    networks: &Networks,
+    metadata: &[(String, String)],
+) -> Vec<u8> {
+    let joints = source.world.robot.n_joints();
+    let mut g = Graph::default();
+    let goals = if source.has_hand_goals() {
+        ("hand_goals", vec![source.world.dimensions.n_arms, 6])
+    } else {
+        ("base_goal", vec![3])
+    };
+    let inputs = Inputs {
+        base_position: g.input("base_position", &[3], "World (m)."),
+        base_attitude: g.input("base_attitude", &[4], "Unit quaternion w, x, y, z; base to world."),
+        base_velocity: g.input("base_velocity", &[3], "Of the base's origin, world axes (m/s)."),
+        base_angular_velocity: g.input("base_angular_velocity", &[3], "Axes of the base (rad/s)."),
+        joint_angles: g.input("joint_angles", &[joints], "Arm after arm (rad)."),
+        joint_rates: g.input("joint_rates", &[joints], "Arm after arm (rad/s)."),
+        last_command: g.input("last_command", &[joints], "Zero at first (rad/s)."),
+        goals: g.input(
+            goals.0,
+            &goals.1,
+            "World: position of each hand (m), then Euler angles a, b, c of Rx(a) Ry(b) Rz(c) (rad).",
+        ),
+    };
+    let seen = observations::observations(&mut g, source, &inputs);
+    let actions = actors::actions(&mut g, source, networks, &seen);
+    let scale = g.float(source.world.task.action_scale);
+    let command = g.op("Mul", &[&actions, &scale]);
+    g.output("command", &command, &[joints], "Joint rates to hold for a control period (rad/s).");
+    let doc = "Where the robot is and where it shall go in, joint rates out; see contract.toml.";
+    g.model("controller", doc, metadata, &source.origin.program)
+}

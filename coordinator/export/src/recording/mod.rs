@@ -1,0 +1,269 @@
+//! A recorded episode: MCAP for viewers, or columns.
+//!
+//! | topic | message |
+//! |---|---|
+//! | `/tf` | `foxglove.FrameTransforms`: `world`, the bodies with their names in `octopus urdf`, hands, goals |
+//! | `/joint_states` | `foxglove.JointStates`: angles (rad), rates (rad/s), torques (N m) |
+//! | `/joint_commands` | `foxglove.JointStates`: commanded rates (rad/s) |
+//! | `/goals` | `foxglove.PosesInFrame` |
+//! | `/errors` | `spaceoctopus.Errors` |
+//! | `/contacts` | `spaceoctopus.Contacts` |
+//!
+//! There is one of each at the beginning and after every control step; time begins with the episode. The file holds the robot as
+//! `robot.urdf`, and says where it comes from as the metadata record `spaceoctopus`.
+
+mod messages;
+mod moments;
+mod schema;
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::io::Cursor;
+use std::sync::Arc;
+
+use mcap::records::MessageHeader;
+use mcap::{Attachment, WriteOptions, Writer, records};
+use prost::Message as _;
+use simulator::experiment::{Member, Start};
+use simulator::robot::JOINTS_PER_ARM;
+
+use crate::ExportError;
+use crate::urdf::urdf;
+use messages::{
+    Contact, Contacts, Errors, FrameTransform, FrameTransforms, JointState, JointStates, Pose,
+    PosesInFrame, Quaternion, Timestamp, Vector3,
+};
+use moments::{Frame, Moment, body_names, play};
+
+/// An episode that was played to be kept.
+#[derive(Debug)]
+pub struct Recording {
+    member: Arc<Member>,
+    about: BTreeMap<String, String>,
+    moments: Vec<Moment>,
+    goals: Vec<Frame>,
+}
+
+fn vector(v: &nalgebra::Vector3<f64>) -> Vector3 {
+    Vector3 { x: v.x, y: v.y, z: v.z }
+}
+
+fn quaternion(frame: &Frame) -> Quaternion {
+    let q = frame.quaternion();
+    Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }
+}
+
+impl Recording {
+    /// Plays an episode of so many control steps. `origin` says which policy it is, in words for the file.
+    ///
+    /// # Errors
+    /// If the policy gives no number or the simulation diverges.
+    pub fn play(
+        member: Member,
+        start: Start,
+        steps: usize,
+        origin: &[(&str, String)],
+    ) -> Result<Self, ExportError> {
+        let member = Arc::new(member);
+        let config = &member.world.config;
+        let own = [
+            ("robot", member.world.robot.name.clone()),
+            ("task", config.task.name.as_str().to_owned()),
+            ("control_period_s", config.env.control_period.to_string()),
+            ("seed", start.seed.to_string()),
+            ("episode", start.episode.to_string()),
+        ];
+        let all = own.iter().chain(origin);
+        let about = all.map(|(key, value)| ((*key).to_owned(), value.clone())).collect();
+        let (moments, goals) = play(member.clone(), start, steps)?;
+        Ok(Self { member, about, moments, goals })
+    }
+
+    fn period(&self) -> f64 {
+        self.member.world.config.env.control_period
+    }
+
+    /// Nanoseconds from the beginning to a moment.
+    fn nanoseconds(&self, step: usize) -> u64 {
+        (step as f64 * self.period() * 1e9).round() as u64
+    }
+
+    /// The bytes of an MCAP file.
+    ///
+    /// # Errors
+    /// If it cannot be put together.
+    pub fn mcap(&self) -> Result<Vec<u8>, ExportError> {
+        self.write_mcap().map_err(|error| ExportError::Recording(error.to_string()))
+    }
+
+    fn write_mcap(&self) -> mcap::McapResult<Vec<u8>> {
+        let options = WriteOptions::new()
+            .compression(None)
+            .profile("")
+            .library(concat!("SpaceOctopus ", env!("CARGO_PKG_VERSION")));
+        let mut writer = Writer::with_options(Cursor::new(Vec::new()), options)?;
+        writer.write_metadata(&records::Metadata {
+            name: "spaceoctopus".to_owned(),
+            metadata: self.about.clone(),
+        })?;
+        writer.attach(&Attachment {
+            log_time: 0,
+            create_time: 0,
+            name: "robot.urdf".to_owned(),
+            media_type: "application/xml".to_owned(),
+            data: urdf(&self.member.world.robot).into_bytes().into(),
+        })?;
+        let mut channels = Vec::new();
+        for (topic, message) in [
+            ("/tf", "foxglove.FrameTransforms"),
+            ("/joint_states", "foxglove.JointStates"),
+            ("/joint_commands", "foxglove.JointStates"),
+            ("/goals", "foxglove.PosesInFrame"),
+            ("/errors", "spaceoctopus.Errors"),
+            ("/contacts", "spaceoctopus.Contacts"),
+        ] {
+            let schema = writer.add_schema(message, "protobuf", &schema::schema(message))?;
+            channels.push(writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())?);
+        }
+        for (step, moment) in self.moments.iter().enumerate() {
+            let time = self.nanoseconds(step);
+            let contents = self.messages(time, moment);
+            for (&channel_id, data) in channels.iter().zip(contents) {
+                let header = MessageHeader {
+                    channel_id,
+                    sequence: step as u32,
+                    log_time: time,
+                    publish_time: time,
+                };
+                writer.write_to_known_channel(&header, &data)?;
+            }
+        }
+        writer.finish()?;
+        Ok(writer.into_inner().into_inner())
+    }
+
+    /// One message of each topic, in their order.
+    fn messages(&self, time: u64, moment: &Moment) -> [Vec<u8>; 6] {
+        let (seconds, nanos) = ((time / 1_000_000_000) as i64, (time % 1_000_000_000) as i32);
+        let timestamp = Some(Timestamp { seconds, nanos });
+        let names = body_names(&self.member.world);
+        let joint = |at: usize, position, velocity, effort| JointState {
+            name: names[at + 1].clone(),
+            position,
+            velocity,
+            effort,
+        };
+        let wide = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<_>>();
+        let number = |values: &[f32], at: usize| Some(f64::from(values[at]));
+        let joints = 0..moment.q.len();
+        let states = joints.clone().map(|at| {
+            let [q, qd, torque] = [&moment.q, &moment.qd, &moment.torques].map(|v| number(v, at));
+            joint(at, q, qd, torque)
+        });
+        let commands = joints.map(|at| joint(at, None, number(&moment.commands, at), None));
+        let poses = self.goals.iter().map(|goal| Pose {
+            position: Some(vector(&goal.origin)),
+            orientation: Some(quaternion(goal)),
+        });
+        let xyz = |[x, y, z]: [f64; 3]| Some(Vector3 { x, y, z });
+        let contacts = moment.pushes.iter().map(|push| Contact {
+            on: push.on.clone(),
+            by: push.by.clone(),
+            point: xyz(push.point),
+            force: xyz(push.force),
+        });
+        [
+            FrameTransforms { transforms: self.transforms(timestamp, moment, &names) }
+                .encode_to_vec(),
+            JointStates { timestamp, joints: states.collect() }.encode_to_vec(),
+            JointStates { timestamp, joints: commands.collect() }.encode_to_vec(),
+            PosesInFrame { timestamp, frame_id: "world".to_owned(), poses: poses.collect() }
+                .encode_to_vec(),
+            Errors {
+                timestamp,
+                position_m: wide(&moment.position_errors),
+                orientation_rad: wide(&moment.orientation_errors),
+                base_rad: f64::from(moment.base_error),
+            }
+            .encode_to_vec(),
+            Contacts { timestamp, contacts: contacts.collect() }.encode_to_vec(),
+        ]
+    }
+
+    fn transforms(
+        &self,
+        timestamp: Option<Timestamp>,
+        moment: &Moment,
+        names: &[String],
+    ) -> Vec<FrameTransform> {
+        let transform = |parent: &str, child: String, frame: &Frame| FrameTransform {
+            timestamp,
+            parent_frame_id: parent.to_owned(),
+            child_frame_id: child,
+            translation: Some(vector(&frame.origin)),
+            rotation: Some(quaternion(frame)),
+        };
+        let mut all = vec![transform("world", names[0].clone(), &moment.bodies[0])];
+        for at in 1..names.len() {
+            // A first link hangs on the base, every other one on the one before it.
+            let parent = if (at - 1) % JOINTS_PER_ARM == 0 { 0 } else { at - 1 };
+            let frame = moment.bodies[at].seen_from(&moment.bodies[parent]);
+            all.push(transform(&names[parent], names[at].clone(), &frame));
+        }
+        let arms = &self.member.world.robot.arms;
+        for (index, (arm, hand)) in arms.iter().zip(&moment.hands).enumerate() {
+            let last = (index + 1) * JOINTS_PER_ARM;
+            let frame = hand.seen_from(&moment.bodies[last]);
+            all.push(transform(&names[last], format!("{}_hand", arm.name), &frame));
+        }
+        if self.goals.len() == arms.len() {
+            for (arm, goal) in arms.iter().zip(&self.goals) {
+                all.push(transform("world", format!("{}_goal", arm.name), goal));
+            }
+        }
+        all
+    }
+
+    /// The same as columns: time, base, joints, commands, torques, errors; one row for the beginning and for every control step.
+    pub fn csv(&self) -> String {
+        let world = &self.member.world;
+        let names = body_names(world);
+        let base = "base_x,base_y,base_z,base_qw,base_qx,base_qy,base_qz,base_vx,base_vy,base_vz,base_wx,base_wy,base_wz";
+        let mut text = format!("t,{base}");
+        for what in ["angle_rad", "rate_rad_s", "command_rad_s", "torque_n_m"] {
+            for name in &names[1..] {
+                let _ = write!(text, ",{name}_{what}");
+            }
+        }
+        for what in ["position_error_m", "orientation_error_rad"] {
+            for arm in &world.robot.arms {
+                let _ = write!(text, ",{}_{what}", arm.name);
+            }
+        }
+        text.push_str(",base_error_rad,pushing_contacts\n");
+        for (step, moment) in self.moments.iter().enumerate() {
+            let _ = write!(text, "{}", self.nanoseconds(step) as f64 / 1e9);
+            let parts: [&[f32]; 8] = [
+                &moment.base,
+                &moment.q,
+                &moment.qd,
+                &moment.commands,
+                &moment.torques,
+                &moment.position_errors,
+                &moment.orientation_errors,
+                &[moment.base_error],
+            ];
+            for number in parts.into_iter().flatten() {
+                let _ = write!(text, ",{number}");
+            }
+            let _ = writeln!(text, ",{}", moment.pushes.len());
+        }
+        text
+    }
+
+    /// Control steps, and seconds that they take.
+    pub fn length(&self) -> (usize, f64) {
+        let steps = self.moments.len() - 1;
+        (steps, steps as f64 * self.period())
+    }
+}

@@ -1,0 +1,148 @@
+//! An episode on its way, moment by moment.
+
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use simulator::experiment::{Episode, Member, Start};
+use simulator::robot::JOINTS_PER_ARM;
+use simulator::rollout::World;
+use simulator::spatial::{Mat3, euler_xyz_to_rotation};
+
+use crate::ExportError;
+
+/// A frame in the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Frame {
+    pub(super) origin: Vector3<f64>,
+    pub(super) rotation: Matrix3<f64>,
+}
+
+impl Frame {
+    fn new(rotation: &Mat3<f32>, origin: [f32; 3]) -> Self {
+        let rotation = Matrix3::from_fn(|i, j| f64::from(rotation[i][j]));
+        Self { origin: Vector3::from(origin.map(f64::from)), rotation }
+    }
+
+    /// This frame as `parent` sees it.
+    pub(super) fn seen_from(&self, parent: &Self) -> Self {
+        let back = parent.rotation.transpose();
+        Self { origin: back * (self.origin - parent.origin), rotation: back * self.rotation }
+    }
+
+    /// Its attitude.
+    pub(super) fn quaternion(&self) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(self.rotation))
+    }
+}
+
+/// A contact that pushes: the bodies' names, the point (m) and the force (N), world.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Pushed {
+    pub(super) on: String,
+    pub(super) by: String,
+    pub(super) point: [f64; 3],
+    pub(super) force: [f64; 3],
+}
+
+/// Everything at the beginning or after a control step.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Moment {
+    /// Base, then all links, arm after arm.
+    pub(super) bodies: Vec<Frame>,
+    pub(super) hands: Vec<Frame>,
+    /// Position (m), quaternion (w, x, y, z), velocity (m/s, world), angular velocity (rad/s, base).
+    pub(super) base: [f32; 13],
+    pub(super) q: Vec<f32>,
+    pub(super) qd: Vec<f32>,
+    /// Commands (rad/s) and torques (N m) of the step that led here.
+    pub(super) commands: Vec<f32>,
+    pub(super) torques: Vec<f32>,
+    pub(super) position_errors: Vec<f32>,
+    pub(super) orientation_errors: Vec<f32>,
+    pub(super) base_error: f32,
+    pub(super) pushes: Vec<Pushed>,
+}
+
+/// Names of bodies as `octopus urdf` has them: the base, then all links, arm after arm.
+pub(super) fn body_names(world: &World) -> Vec<String> {
+    let robot = &world.robot;
+    let links = robot
+        .arms
+        .iter()
+        .flat_map(|arm| robot.links.iter().map(move |link| format!("{}_{}", arm.name, link.name)));
+    std::iter::once("base".to_owned()).chain(links).collect()
+}
+
+/// Plays an episode with deterministic actions, from home.
+///
+/// Returns the moments, one more than there are steps, and the goals in the world: of the hands, or of the base (its attitude alone).
+pub(super) fn play(
+    member: Arc<Member>,
+    start: Start,
+    steps: usize,
+) -> Result<(Vec<Moment>, Vec<Frame>), ExportError> {
+    let failed = |error: &dyn std::fmt::Display| ExportError::Episode(error.to_string());
+    let world = member.world.clone();
+    let names = body_names(&world);
+    let mut episode = Episode::new(vec![member], start).map_err(|error| failed(&error))?;
+    let goals = goals(&world, &episode);
+    let mut moments = vec![moment(&names, &episode)];
+    for _ in 0..steps {
+        episode.step().map_err(|error| failed(&error))?;
+        moments.push(moment(&names, &episode));
+    }
+    Ok((moments, goals))
+}
+
+fn goals(world: &World, episode: &Episode) -> Vec<Frame> {
+    let goals = episode.goals();
+    if world.config.task.name == proto::config::TaskName::Reorientation {
+        return vec![Frame::new(&euler_xyz_to_rotation(goals.base), [0.0; 3])];
+    }
+    let hand = |goal: &[f32; 6]| {
+        let [x, y, z, a, b, c] = *goal;
+        Frame::new(&euler_xyz_to_rotation([a, b, c]), [x, y, z])
+    };
+    goals.hands.iter().map(hand).collect()
+}
+
+fn moment(names: &[String], episode: &Episode) -> Moment {
+    let state = episode.state();
+    let bodies = 0..=episode.robot().n_arms * JOINTS_PER_ARM;
+    let name = |link: Option<usize>| names[link.map_or(0, |link| link + 1)].clone();
+    let pushed = episode.pushes().iter().map(|push| Pushed {
+        on: name(Some(push.on)),
+        by: name(push.by),
+        point: push.point.map(f64::from),
+        force: push.force.map(f64::from),
+    });
+    let base = [
+        &state.base_position[..],
+        &state.base_quaternion,
+        &state.base_linear_velocity,
+        &state.base_angular_velocity,
+    ];
+    let errors = episode.errors();
+    Moment {
+        bodies: bodies
+            .map(|body| {
+                let (rotation, origin) = episode.body(body);
+                Frame::new(&rotation, origin)
+            })
+            .collect(),
+        hands: episode
+            .hands()
+            .iter()
+            .map(|hand| Frame::new(&hand.rotation, hand.position))
+            .collect(),
+        base: base.concat().try_into().expect("thirteen numbers"),
+        q: state.q.clone(),
+        qd: state.qd.clone(),
+        commands: episode.commands().to_vec(),
+        torques: episode.torques().to_vec(),
+        position_errors: errors.position_norm.clone(),
+        orientation_errors: errors.orientation_norm.clone(),
+        base_error: errors.base_norm,
+        pushes: pushed.collect(),
+    }
+}

@@ -1,0 +1,122 @@
+//! What is exported: a policy in its world, which one it is, and how good.
+
+use proto::config::{AlgorithmName, TaskName};
+use serde::Serialize;
+use simulator::policy::Policy;
+use simulator::robot::JOINTS_PER_ARM;
+use simulator::rollout::World;
+
+/// Which policy it is, and what it was trained with.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Origin {
+    /// Where it comes from.
+    pub checkpoint: String,
+    /// Digest of the checkpoint.
+    pub digest: String,
+    /// BLAKE3 of its `policy.safetensors`, if known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy_blake3: Option<String>,
+    /// Iterations it was trained on.
+    pub iterations: u64,
+    /// Env-steps it was trained on.
+    pub env_steps: u64,
+    /// Seed of its training.
+    pub seed: u64,
+    /// Version of the program that exports.
+    pub program: String,
+}
+
+/// An error over held-out episodes, as `octopus eval` has it: the mean over an episode's last 20 steps.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct HeldOutError {
+    /// What it is of: `position`, `orientation` or `base`.
+    pub error: String,
+    /// `m` or `rad`.
+    pub unit: String,
+    /// Mean over hands and episodes.
+    pub mean: f64,
+    /// What nine in ten do not exceed.
+    pub p90: f64,
+}
+
+/// How good it is on goals it never saw.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct HeldOut {
+    /// Episodes.
+    pub episodes: usize,
+    /// Control steps of each.
+    pub steps: usize,
+    /// Seed of their goals.
+    pub seed: u64,
+    /// Episodes in which any two bodies touched.
+    pub episodes_with_contact: usize,
+    /// The task's errors.
+    pub errors: Vec<HeldOutError>,
+}
+
+/// What is exported.
+#[derive(Debug, Clone, Copy)]
+pub struct Source<'a> {
+    /// Robot, task, configuration.
+    pub world: &'a World,
+    /// The networks, packed, for the vectors.
+    pub policy: &'a Policy,
+    /// Their parameters, flat in the order of [`ActorLayout`](proto::layout::ActorLayout).
+    pub parameters: &'a [f32],
+    /// Which policy it is.
+    pub origin: &'a Origin,
+    /// How good it is.
+    pub held_out: &'a HeldOut,
+}
+
+impl Source<'_> {
+    /// Factor on squashed outputs.
+    pub(crate) fn squash_limit(&self) -> f64 {
+        let algorithm = &self.world.config.algorithm;
+        if algorithm.name == AlgorithmName::Maddpg { algorithm.maddpg.action_limit } else { 1.0 }
+    }
+
+    /// Length of a stretched arm from its mount to the hand, at most (m).
+    pub(crate) fn reach(&self) -> f64 {
+        let robot = &self.world.robot;
+        let links = &robot.links[..JOINTS_PER_ARM - 1];
+        links.iter().map(|link| link.shift.norm()).sum::<f64>() + robot.tool_position.norm()
+    }
+
+    /// Names of all joints, arm after arm.
+    pub(crate) fn joint_names(&self) -> Vec<String> {
+        let robot = &self.world.robot;
+        let of_arm = |arm: &simulator::robot::Arm| {
+            let arm = arm.name.clone();
+            robot.links.iter().map(move |link| format!("{arm} {}", link.name))
+        };
+        robot.arms.iter().flat_map(of_arm).collect()
+    }
+
+    /// The task's name.
+    pub(crate) fn task(&self) -> &'static str {
+        self.world.config.task.name.as_str()
+    }
+
+    /// Whether hands have goals, or the base.
+    pub(crate) fn has_hand_goals(&self) -> bool {
+        self.world.config.task.name == TaskName::Trajectory
+    }
+
+    /// What stands at the top of a header.
+    pub(crate) fn comment(&self) -> String {
+        let Origin { digest, env_steps, program, .. } = self.origin;
+        format!(
+            "/* Task {}, robot {}; policy {digest}, trained on {env_steps} env-steps; exported by SpaceOctopus {program}. */\n",
+            self.task(),
+            printable(&self.world.robot.name),
+        )
+    }
+}
+
+/// A name in a comment of C.
+fn printable(name: &str) -> String {
+    name.chars()
+        .map(|c| if c.is_ascii_alphanumeric() || " -_.".contains(c) { c } else { '?' })
+        .collect()
+}

@@ -1,0 +1,151 @@
+//! States with goals, observations and commands as the simulator computes them, for whoever checks an export.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+use simulator::dynamics::{Hand, hands};
+use simulator::experiment::{Episode, Member, Start};
+use simulator::model::Model;
+use simulator::robot::Robot;
+use simulator::spatial::{euler_xyz, quaternion_to_rotation};
+use simulator::state::State;
+use simulator::task::observation::observe;
+use simulator::task::{Errors, HandReading, Readings};
+use simulator::workspace::Workspace;
+
+use crate::ExportError;
+use crate::contract::tolerance;
+use crate::source::Source;
+
+/// Episodes, and steps of each: 256 states.
+const EPISODES: u32 = 16;
+const STATES: usize = 16;
+/// Control steps from one state to the next: three quarters of a minute is when hands arrive.
+const EVERY: usize = 3;
+/// Seed of the goals: none of a training or an evaluation.
+const SEED: u64 = 0x7ec70125;
+
+/// One state.
+///
+/// The order of the fields is the order in the file, which `check.c` relies on.
+#[derive(Debug, Serialize)]
+pub(crate) struct Case {
+    base_position: [f32; 3],
+    base_attitude: [f32; 4],
+    base_velocity: [f32; 3],
+    base_angular_velocity: [f32; 3],
+    joint_angles: Vec<f32>,
+    joint_rates: Vec<f32>,
+    last_command: Vec<f32>,
+    last_action: Vec<f32>,
+    goals: Vec<f32>,
+    observations: Vec<Vec<f32>>,
+    command: Vec<f32>,
+}
+
+/// `vectors.json`.
+#[derive(Debug, Serialize)]
+pub(crate) struct Vectors {
+    format: u32,
+    digest: String,
+    task: &'static str,
+    robot: String,
+    /// Differences that are accepted of ONNX Runtime: of commands and actions (rad/s).
+    onnx_tolerance: f64,
+    pub(crate) cases: Vec<Case>,
+}
+
+impl Case {
+    /// Numbers of the state by name, for the ranges that the contract gives.
+    pub(crate) fn state(&self) -> [(&'static str, &[f32]); 6] {
+        [
+            ("base_position", &self.base_position),
+            ("base_attitude", &self.base_attitude),
+            ("base_velocity", &self.base_velocity),
+            ("base_angular_velocity", &self.base_angular_velocity),
+            ("joint_angles", &self.joint_angles),
+            ("joint_rates", &self.joint_rates),
+        ]
+    }
+}
+
+/// What the tasks read off a state.
+fn readings(robot: &Robot, state: &State<f32>, last_action: &[f32]) -> Readings<f32> {
+    let model = Model::new(robot);
+    let mut found = Readings::new(robot.n_arms);
+    let mut poses = vec![Hand::default(); robot.n_arms];
+    hands(&model, &mut Workspace::new(&model), state, &mut poses);
+    found.base_position = state.base_position;
+    found.base_quaternion = state.base_quaternion;
+    found.base_euler = euler_xyz(&quaternion_to_rotation(&state.base_quaternion));
+    found.base_linear = state.base_linear_velocity;
+    found.base_angular = state.base_angular_velocity;
+    found.q.clone_from(&state.q);
+    found.qd.clone_from(&state.qd);
+    found.last_action.copy_from_slice(last_action);
+    found.hands = poses
+        .iter()
+        .map(|hand| HandReading {
+            position: hand.position,
+            euler: euler_xyz(&hand.rotation),
+            linear: hand.linear_velocity,
+            angular: hand.angular_velocity,
+        })
+        .collect();
+    found
+}
+
+/// Plays episodes and writes down what they pass.
+pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
+    let world = source.world;
+    let member = Arc::new(Member { world: world.clone(), policy: source.policy.clone() });
+    let diverged = |error: &dyn std::fmt::Display| ExportError::Episode(error.to_string());
+    let start = |episode| Start { seed: SEED, episode, ..Start::default() };
+    let mut episode = Episode::new(vec![member], start(0)).map_err(|error| diverged(&error))?;
+    let mut cases = Vec::new();
+    for index in 0..EPISODES {
+        episode.reset(start(index)).map_err(|error| diverged(&error))?;
+        for step in 0..(STATES - 1) * EVERY + 1 {
+            let state = episode.state().clone();
+            let (action, command) = (episode.actions().to_vec(), episode.commands().to_vec());
+            episode.step().map_err(|error| diverged(&error))?;
+            if !step.is_multiple_of(EVERY) {
+                continue;
+            }
+            let found = readings(&world.robot, &state, &action);
+            let goals = episode.goals();
+            let mut errors = Errors::new(world.robot.n_arms);
+            errors.update(&found, goals);
+            let observations = (0..world.dimensions.n_agents).map(|agent| {
+                let mut seen = vec![0.0; world.dimensions.observation];
+                observe(&world.task, &found, goals, &errors, agent, &mut seen);
+                seen
+            });
+            cases.push(Case {
+                observations: observations.collect(),
+                base_position: state.base_position,
+                base_attitude: state.base_quaternion,
+                base_velocity: state.base_linear_velocity,
+                base_angular_velocity: state.base_angular_velocity,
+                joint_angles: state.q,
+                joint_rates: state.qd,
+                last_command: command,
+                last_action: action,
+                goals: if source.has_hand_goals() {
+                    goals.hands.concat()
+                } else {
+                    goals.base.to_vec()
+                },
+                command: episode.commands().to_vec(),
+            });
+        }
+    }
+    Ok(Vectors {
+        format: 1,
+        digest: source.origin.digest.clone(),
+        task: source.task(),
+        robot: world.robot.name.clone(),
+        onnx_tolerance: tolerance(&world.config),
+        cases,
+    })
+}

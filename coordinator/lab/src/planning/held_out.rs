@@ -1,0 +1,153 @@
+//! How often plans are found: for the held-out goals that can be reached, one after the other.
+
+use std::time::Duration;
+
+use proto::config::{Layers, Preset, TaskName};
+use proto::rng::Purpose;
+use run::report::progress::Parts;
+use serde::Serialize;
+use simulator::plan::{Obstacle, Question, Tolerance};
+use simulator::reach::reach;
+use simulator::robot::Robot;
+use simulator::rollout::World;
+use simulator::state::State;
+use simulator::step::StepOptions;
+use simulator::task::goal::GoalAddress;
+
+use super::answer;
+use crate::threads::Threads;
+
+/// How the planner did on held-out goals, each asked for alone, from home.
+#[derive(Debug, Serialize)]
+pub struct HeldOut {
+    /// Seed of the goals.
+    pub seed: u64,
+    /// Episodes whose goals were asked for.
+    pub episodes: usize,
+    /// Time for each plan (s).
+    pub time_limit_s: f64,
+    /// Goals that a controller which knows the robot reaches when all hands move together.
+    pub goals: usize,
+    /// Of these, how many have a plan.
+    pub planned: usize,
+    /// How many were missed because of kinematics, contacts, motion.
+    pub missed: [usize; 3],
+    /// Episode and arm of the missed, both counted from 0.
+    pub missed_goals: Vec<(u32, usize)>,
+    /// Half of the plans were found within (s),
+    pub planning_s_p50: f64,
+    /// 99 of 100 within.
+    pub planning_s_p99: f64,
+    /// The longest took.
+    pub planning_s_max: f64,
+    /// Half of the plans arrive after (s).
+    pub arrived_s_p50: f64,
+    /// Candidates, in the mean.
+    pub candidates_mean: f64,
+}
+
+/// Plans for the reachable goals of `episodes` evaluation episodes.
+///
+/// # Errors
+/// If the simulation diverges while it is looked for what can be reached.
+pub fn held_out(
+    robot: &Robot,
+    options: &StepOptions,
+    (seed, episodes): (u64, usize),
+    (within, fastest): (Tolerance, f64),
+    limit: Duration,
+) -> anyhow::Result<HeldOut> {
+    let config = Layers::new(Preset::Tuned, Some(TaskName::Trajectory)).resolve()?;
+    let world = World::new(&config, robot);
+    let progress = Parts::new();
+    progress.begin("which goals can be reached", episodes as u64);
+    let on_episodes = |n| (0..n).for_each(|_| progress.advance());
+    let reached = reach(&world, seed, episodes, &Threads::available(), &on_episodes)?;
+    let goals: Vec<(u32, usize)> = reached
+        .iter()
+        .enumerate()
+        .flat_map(|(episode, hands)| {
+            let reached = hands.iter().enumerate().filter(|(_, hand)| hand.reached);
+            reached.map(move |(arm, _)| (episode as u32, arm))
+        })
+        .collect();
+    progress.begin("plans", goals.len() as u64);
+    let (mut planned, mut missed, mut missed_goals) = (0, [0; 3], Vec::new());
+    let (mut seconds, mut arrived, mut candidates) = (Vec::new(), Vec::new(), 0);
+    for &(env, arm) in &goals {
+        let purpose = Purpose::EvaluationGoal;
+        let address = GoalAddress { seed, purpose, iteration: 0, env };
+        let mut hands = vec![None; robot.n_arms];
+        hands[arm] = Some(world.task.goals.hand(arm, address));
+        let start = State::home(robot);
+        let question = Question { start, hands, hold_base: false, within, fastest, seed: 0 };
+        let found = answer(robot, options, &question, None, limit)?;
+        candidates += found.plan.tried;
+        seconds.push(found.seconds);
+        match found.plan.obstacle {
+            None => {
+                planned += 1;
+                let step = found.plan.arrived.expect("a plan arrives");
+                arrived.push((step + 1) as f64 * options.control_period);
+            }
+            Some(obstacle) => {
+                missed_goals.push((env, arm));
+                missed[match obstacle {
+                    Obstacle::Kinematics { .. } => 0,
+                    Obstacle::Contact => 1,
+                    Obstacle::Motion => 2,
+                }] += 1;
+            }
+        }
+        progress.advance();
+    }
+    seconds.sort_by(f64::total_cmp);
+    arrived.sort_by(f64::total_cmp);
+    let part = |values: &[f64], share: f64| {
+        let last = values.len().saturating_sub(1);
+        values.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN)
+    };
+    Ok(HeldOut {
+        seed,
+        episodes,
+        time_limit_s: limit.as_secs_f64(),
+        goals: goals.len(),
+        planned,
+        missed,
+        missed_goals,
+        planning_s_p50: part(&seconds, 0.5),
+        planning_s_p99: part(&seconds, 0.99),
+        planning_s_max: part(&seconds, 1.0),
+        arrived_s_p50: part(&arrived, 0.5),
+        candidates_mean: candidates as f64 / goals.len().max(1) as f64,
+    })
+}
+
+impl HeldOut {
+    /// As a person reads it.
+    pub fn table(&self) -> String {
+        let share = 100.0 * self.planned as f64 / self.goals.max(1) as f64;
+        let [kinematics, contact, motion] = self.missed;
+        let rows = [
+            ["goals that can be reached".to_owned(), output::grouped(self.goals as u64)],
+            [
+                "with a plan".to_owned(),
+                format!("{} ({share:.2} %)", output::grouped(self.planned as u64)),
+            ],
+            [
+                "without".to_owned(),
+                format!("kinematics {kinematics}, contact {contact}, motion {motion}"),
+            ],
+            [
+                "planning".to_owned(),
+                format!(
+                    "median {:.2} s, 99 % within {:.2} s, longest {:.2} s",
+                    self.planning_s_p50, self.planning_s_p99, self.planning_s_max
+                ),
+            ],
+            ["arrival, median".to_owned(), format!("{:.1} s", self.arrived_s_p50)],
+            ["candidates, mean".to_owned(), format!("{:.0}", self.candidates_mean)],
+        ];
+        output::table(["what", "how many"], rows)
+    }
+}

@@ -1,0 +1,217 @@
+//! An episode that somebody took hold of, played again from what was written down of it.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use proto::{Digest, ExitCode, ExitError};
+use serde::{Deserialize, Serialize};
+use simulator::experiment::{Episode, Member, Script};
+use simulator::robot::Robot;
+use simulator::simulate::SimulationRow;
+use simulator::state::State;
+use store::regular_files;
+
+use crate::trained::Trained;
+
+/// Longest file that is read (bytes).
+const MAX_BYTES: u64 = 64 << 20;
+/// Most control steps that a script may have: those of a day and a half.
+const MOST_STEPS: usize = 1_000_000;
+
+/// What the page saves: an episode, and which policies took part.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recording {
+    /// In the order in which the script counts them.
+    #[serde(default)]
+    pub policies: Vec<TookPart>,
+    /// The episode.
+    pub script: Script,
+}
+
+/// A policy that took part.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TookPart {
+    /// What it was called.
+    pub name: String,
+    /// Digest of its checkpoint.
+    #[serde(default)]
+    pub digest: String,
+}
+
+/// A file holds a recording, or only its script.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum File {
+    Recording(Recording),
+    Script(Script),
+}
+
+/// Reads a recording.
+pub fn read(path: &Path) -> Result<Recording, ExitError> {
+    let bad =
+        |what: String| ExitError::new(ExitCode::BadInput, format!("{}: {what}", path.display()));
+    let bytes = regular_files::read(path, MAX_BYTES)
+        .map_err(|error| bad(format!("cannot be read: {error}")))?;
+    let recording = match serde_json::from_slice(&bytes) {
+        Ok(File::Recording(recording)) => recording,
+        Ok(File::Script(script)) => Recording { policies: Vec::new(), script },
+        Err(_) => {
+            // Of the two forms the one that it means tells what is wrong with it.
+            let value: Result<serde_json::Value, _> = serde_json::from_slice(&bytes);
+            let error = match value {
+                Err(error) => error,
+                Ok(value) if value.get("script").is_some() => {
+                    serde_json::from_value::<Recording>(value).expect_err("refused before")
+                }
+                Ok(value) => serde_json::from_value::<Script>(value).expect_err("refused before"),
+            };
+            return Err(bad(format!("is no recording of an episode: {error}")));
+        }
+    };
+    if recording.script.steps > MOST_STEPS {
+        let message = format!(
+            "has {} control steps; at most {MOST_STEPS} are played",
+            recording.script.steps
+        );
+        return Err(bad(message));
+    }
+    Ok(recording)
+}
+
+/// An episode that was played.
+#[derive(Debug, Serialize)]
+pub struct Played {
+    /// Control steps.
+    pub steps: usize,
+    /// BLAKE3 of all states, the start first: the numbers of each as little-endian f32 in the order of a script's `start.state`.
+    pub states_blake3: String,
+    /// Distance of each hand from its goal at the end (m).
+    pub position_m: Vec<f32>,
+    /// Likewise, norm of the Euler-angle difference (rad).
+    pub orientation_rad: Vec<f32>,
+    /// Norm of the base's Euler-angle difference at the end (rad).
+    pub base_rad: f32,
+    /// Control steps that end in a contact.
+    pub contact_steps: usize,
+    /// States after each control step.
+    #[serde(skip)]
+    pub rows: Vec<SimulationRow>,
+    /// The robot.
+    #[serde(skip)]
+    pub robot: Robot,
+}
+
+/// Plays a recording with these policies, which must be those that took part.
+///
+/// # Errors
+/// If a policy is another, or the script asks for what cannot be.
+pub fn play(
+    recording: &Recording,
+    policies: Vec<Trained>,
+    shown: &Path,
+) -> Result<Played, ExitError> {
+    let bad =
+        |what: String| ExitError::new(ExitCode::BadInput, format!("{}: {what}", shown.display()));
+    for (number, took_part) in recording.policies.iter().enumerate() {
+        let wanted =
+            format!("policy {number}, `{}` of digest {}", took_part.name, took_part.digest);
+        let Some(given) = policies.get(number) else {
+            return Err(bad(format!("wants {wanted}; name it with --policy")));
+        };
+        let digest: Digest = given.checkpoint.manifest.digest;
+        if !took_part.digest.is_empty() && took_part.digest != digest.to_string() {
+            let given = given.checkpoint.dir.display();
+            return Err(bad(format!("wants {wanted}; {given} has the digest {digest}")));
+        }
+    }
+    let members: Vec<Arc<Member>> = policies
+        .into_iter()
+        .map(|Trained { world, policy, .. }| Arc::new(Member { world, policy }))
+        .collect();
+    let n_arms = members[0].world.dimensions.n_arms;
+    if let Some(other) = members.iter().find(|member| member.world.dimensions.n_arms != n_arms) {
+        let message = format!(
+            "its policies are for robots with {n_arms} and with {} arms; all play on one robot",
+            other.world.dimensions.n_arms
+        );
+        return Err(bad(message));
+    }
+    let mut episode = Episode::new(members, recording.script.start.clone())
+        .map_err(|error| bad(format!("start: {error}")))?;
+    let (mut hash, mut rows, mut contact_steps) = (blake3::Hasher::new(), Vec::new(), 0);
+    let after = &mut |episode: &Episode| {
+        let state = episode.state();
+        for number in numbers(state) {
+            hash.update(&number.to_le_bytes());
+        }
+        if episode.steps() > 0 {
+            let contacts = episode.touching().pairs as u32;
+            contact_steps += usize::from(contacts > 0);
+            rows.push(SimulationRow {
+                t: episode.steps() as f64 * episode.control_period(),
+                state: widened(state),
+                hands: episode.hands().iter().map(|hand| hand.position.map(f64::from)).collect(),
+                contacts,
+            });
+        }
+    };
+    episode.play(&recording.script, after).map_err(|error| bad(error.to_string()))?;
+    let errors = episode.errors();
+    Ok(Played {
+        steps: episode.steps(),
+        states_blake3: hash.finalize().to_hex().to_string(),
+        position_m: errors.position_norm.clone(),
+        orientation_rad: errors.orientation_norm.clone(),
+        base_rad: errors.base_norm,
+        contact_steps,
+        rows,
+        robot: episode.robot().clone(),
+    })
+}
+
+impl Played {
+    /// As a person reads it.
+    pub fn table(&self) -> String {
+        let milli = |value: f32| crate::statistics::milli(f64::from(value));
+        let hands = self.position_m.iter().zip(&self.orientation_rad).enumerate();
+        let mut rows: Vec<[String; 2]> = hands
+            .map(|(arm, (&position, &orientation))| {
+                let left = format!("{} mm, {} mrad", milli(position), milli(orientation));
+                [format!("hand {}, from its goal", arm + 1), left]
+            })
+            .collect();
+        rows.extend([
+            ["base, from its goal".to_owned(), format!("{} mrad", milli(self.base_rad))],
+            ["control steps".to_owned(), output::grouped(self.steps as u64)],
+            ["… in contact".to_owned(), output::grouped(self.contact_steps as u64)],
+            ["BLAKE3 of all states".to_owned(), self.states_blake3.clone()],
+        ]);
+        output::table(["at the end", "value"], rows)
+    }
+}
+
+fn numbers(state: &State<f32>) -> impl Iterator<Item = f32> {
+    let parts: [&[f32]; 6] = [
+        &state.base_position,
+        &state.base_quaternion,
+        &state.base_linear_velocity,
+        &state.base_angular_velocity,
+        &state.q,
+        &state.qd,
+    ];
+    parts.into_iter().flatten().copied()
+}
+
+fn widened(state: &State<f32>) -> State<f64> {
+    let wide = |values: &[f32]| values.iter().copied().map(f64::from).collect();
+    State {
+        base_position: state.base_position.map(f64::from),
+        base_quaternion: state.base_quaternion.map(f64::from),
+        base_linear_velocity: state.base_linear_velocity.map(f64::from),
+        base_angular_velocity: state.base_angular_velocity.map(f64::from),
+        q: wide(&state.q),
+        qd: wide(&state.qd),
+    }
+}

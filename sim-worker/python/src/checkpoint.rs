@@ -1,0 +1,192 @@
+//! Checkpoints, as `octopus` writes them.
+//!
+//! | text | checkpoint |
+//! |---|---|
+//! | a checkpoint's directory | that one |
+//! | `RUN`, `RUN:latest` | the newest of the run's own |
+//! | `RUN:best` | the one with the lowest score |
+//! | `RUN:50`, `RUN:NAME`, `RUN:TAG` | the one after 50 iterations, of that name, with that tag |
+//!
+//! Every file is held against its length and BLAKE3 hash in the manifest before it is believed.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use proto::config::Config;
+use proto::layout::{ActorLayout, Dimensions};
+use serde::Deserialize;
+use simulator::policy::file;
+use simulator::robot::Robot;
+
+use crate::config::read;
+
+const MANIFEST: &str = "manifest.json";
+const FORMAT: u32 = 1;
+/// Longest text file that is read, and longest policy (bytes).
+const MAX_TEXT: u64 = 1 << 20;
+const MAX_POLICY: u64 = 1 << 30;
+
+/// What a checkpoint's policy is.
+pub(crate) struct Checkpoint {
+    pub(crate) dir: PathBuf,
+    pub(crate) iteration: u64,
+    pub(crate) env_steps: u64,
+    pub(crate) config: Config,
+    pub(crate) robot: Robot,
+    /// The actors' parameters, flat.
+    pub(crate) parameters: Vec<f32>,
+}
+
+#[derive(Deserialize)]
+struct Manifest {
+    format: u32,
+    iteration: u64,
+    env_steps: u64,
+    files: BTreeMap<String, Entry>,
+}
+
+#[derive(Deserialize)]
+struct Entry {
+    len: u64,
+    blake3: String,
+}
+
+#[derive(Deserialize, Default)]
+struct Labels {
+    #[serde(default)]
+    tags: Vec<String>,
+    #[serde(default)]
+    score: Option<Score>,
+}
+
+#[derive(Deserialize)]
+struct Score {
+    value: f64,
+}
+
+/// The checkpoint that a text names.
+pub(crate) fn load(given: &Path) -> Result<Checkpoint, String> {
+    let dir = locate(given)?;
+    let shown = |path: &Path, error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+    let manifest = manifest(&dir)?;
+    let content = |name: &str, limit: u64| {
+        let path = dir.join(name);
+        let entry = manifest.files.get(name);
+        let entry =
+            entry.ok_or_else(|| shown(&dir.join(MANIFEST), &format!("does not list {name}")))?;
+        let bytes = read(&path, limit).map_err(|error| shown(&path, &error))?;
+        if bytes.len() as u64 != entry.len {
+            let reason = format!("{} bytes, the manifest says {}", bytes.len(), entry.len);
+            return Err(shown(&path, &reason));
+        }
+        if blake3::hash(&bytes).to_hex().as_str() != entry.blake3 {
+            return Err(shown(&path, &"content differs from its BLAKE3 hash"));
+        }
+        Ok((path, bytes))
+    };
+    let text = |name: &str| {
+        let (path, bytes) = content(name, MAX_TEXT)?;
+        let text = String::from_utf8(bytes).map_err(|_| shown(&path, &"is no UTF-8 text"))?;
+        Ok::<_, String>((path, text))
+    };
+    let (path, config) = text("config.toml")?;
+    let config = Config::from_resolved_toml(&config, &path.display().to_string());
+    let config = config.map_err(|error| error.to_string())?;
+    let (path, robot) = text("robot.toml")?;
+    let robot = Robot::from_toml(&robot, &path).map_err(|error| error.to_string())?;
+    let (path, bytes) = content("policy.safetensors", MAX_POLICY)?;
+    let layout = ActorLayout::new(&config, &Dimensions::new(&config, robot.n_arms));
+    let parameters = file::read(&bytes, &layout).map_err(|error| shown(&path, &error))?;
+    let Manifest { iteration, env_steps, .. } = manifest;
+    Ok(Checkpoint { dir, iteration, env_steps, config, robot, parameters })
+}
+
+fn manifest(dir: &Path) -> Result<Manifest, String> {
+    let path = dir.join(MANIFEST);
+    let shown = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+    let bytes = read(&path, MAX_TEXT).map_err(|error| shown(&error))?;
+    let manifest: Manifest = serde_json::from_slice(&bytes)
+        .map_err(|error| shown(&format!("not a manifest: {error}")))?;
+    if manifest.format != FORMAT {
+        return Err(shown(&format!("format {}, this version reads {FORMAT}", manifest.format)));
+    }
+    Ok(manifest)
+}
+
+/// The checkpoint's directory.
+fn locate(given: &Path) -> Result<PathBuf, String> {
+    if given.join(MANIFEST).is_file() {
+        return Ok(given.to_owned());
+    }
+    let apart = given.to_str().filter(|_| !given.exists()).and_then(|text| text.rsplit_once(':'));
+    let (run, choice) = apart.map_or((given, "latest"), |(run, choice)| (Path::new(run), choice));
+    let shown = run.display();
+    if !run.is_dir() {
+        let is = if run.exists() { "is no directory" } else { "does not exist" };
+        return Err(format!("{shown}: {is}; give a run, a checkpoint, or RUN:NAME"));
+    }
+    let store =
+        if run.join("config.toml").is_file() { run.join("checkpoints") } else { run.to_owned() };
+    let mut found = checkpoints(&store);
+    if found.is_empty() {
+        return Err(format!("{shown}: holds no checkpoint; give a run, a checkpoint, or RUN:NAME"));
+    }
+    let own = |dir: &PathBuf| iteration(dir).map(|iteration| (iteration, dir.clone()));
+    let chosen = match choice {
+        "latest" => found.iter().filter_map(own).max(),
+        "best" => {
+            let scored = found.iter().filter_map(own).filter_map(|(iteration, dir)| {
+                let value = labels(&dir).score?.value;
+                value.is_finite().then_some((value, iteration, dir))
+            });
+            let best = scored.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            best.map(|(_, iteration, dir)| (iteration, dir))
+        }
+        choice => {
+            let number = choice.parse::<u64>().ok();
+            let numbered =
+                found.iter().filter_map(own).find(|(iteration, _)| Some(*iteration) == number);
+            let named = || found.iter().find(|dir| name(dir) == choice).map(|dir| (0, dir.clone()));
+            let tagged = || {
+                let tagged =
+                    found.iter().find(|dir| labels(dir).tags.iter().any(|tag| tag == choice));
+                tagged.map(|dir| (0, dir.clone()))
+            };
+            numbered.or_else(named).or_else(tagged)
+        }
+    };
+    chosen.map(|(_, dir)| dir).ok_or_else(|| {
+        found.sort();
+        let names: Vec<&str> = found.iter().rev().take(12).map(|dir| name(dir)).collect();
+        format!("{shown}: holds no checkpoint `{choice}`; it has {}", names.join(", "))
+    })
+}
+
+fn name(dir: &Path) -> &str {
+    dir.file_name().and_then(|name| name.to_str()).unwrap_or_default()
+}
+
+/// The iteration in the name of a run's own checkpoint.
+fn iteration(dir: &Path) -> Option<u64> {
+    name(dir).strip_prefix("iteration-")?.parse().ok()
+}
+
+/// All checkpoints that look whole.
+fn checkpoints(store: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(store).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).filter(|dir| looks_whole(dir)).collect()
+}
+
+/// Whether all listed files are there with the right length; hashes nothing.
+fn looks_whole(dir: &Path) -> bool {
+    let whole = |(name, entry): (&String, &Entry)| {
+        let there = dir.join(name).symlink_metadata();
+        there.is_ok_and(|there| there.is_file() && there.len() == entry.len)
+    };
+    manifest(dir).is_ok_and(|manifest| manifest.files.iter().all(whole))
+}
+
+fn labels(dir: &Path) -> Labels {
+    let bytes = read(&dir.join("labels.json"), MAX_TEXT).unwrap_or_default();
+    serde_json::from_slice(&bytes).unwrap_or_default()
+}

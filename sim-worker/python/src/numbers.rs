@@ -1,0 +1,85 @@
+//! Arrays of Python's in and out.
+
+use numpy::{PyArrayDyn, PyArrayMethods as _, PyUntypedArray, PyUntypedArrayMethods as _};
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::types::IntoPyDict as _;
+
+use crate::errors::value;
+
+/// `given` as contiguous single precision of this shape: itself where it is that already.
+///
+/// # Errors
+/// `TypeError` if it holds no real numbers, `ValueError` if it has another shape.
+pub(crate) fn single<'py>(
+    given: &Bound<'py, PyAny>,
+    what: &str,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    let array = real(given, what, "float32")?;
+    let array = array.cast_into::<PyArrayDyn<f32>>()?;
+    if array.shape() != shape {
+        let found = words(array.shape());
+        return Err(value(format!("{what} has shape {found}, expected {}", words(shape))));
+    }
+    Ok(array)
+}
+
+/// `given` as contiguous double precision of any shape.
+pub(crate) fn double<'py>(
+    given: &Bound<'py, PyAny>,
+    what: &str,
+) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    Ok(real(given, what, "float64")?.cast_into::<PyArrayDyn<f64>>()?)
+}
+
+fn real<'py>(given: &Bound<'py, PyAny>, what: &str, dtype: &str) -> PyResult<Bound<'py, PyAny>> {
+    let numpy = given.py().import("numpy")?;
+    let array = match given.cast::<PyUntypedArray>() {
+        Ok(array) => array.clone().into_any(),
+        Err(_) => numpy.call_method1("asarray", (given,))?,
+    };
+    let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
+    if !matches!(kind.as_str(), "f" | "i" | "u") {
+        let found = array.getattr("dtype")?.str()?;
+        return Err(PyTypeError::new_err(format!(
+            "{what} is of type {found}, expected real numbers ({dtype})"
+        )));
+    }
+    let keywords = [("dtype", dtype)].into_py_dict(given.py())?;
+    // Larger numbers than single precision has become infinite, and are refused as such: no need to warn.
+    let quiet = [("over", "ignore")].into_py_dict(given.py())?;
+    let quiet = numpy.call_method("errstate", (), Some(&quiet))?;
+    quiet.call_method0("__enter__")?;
+    let converted = numpy.call_method("ascontiguousarray", (array,), Some(&keywords));
+    quiet.call_method1("__exit__", (given.py().None(), given.py().None(), given.py().None()))?;
+    let converted = converted?;
+    // It makes a number an array of one.
+    Ok(converted)
+}
+
+fn words(shape: &[usize]) -> String {
+    let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
+    match sizes.as_slice() {
+        [one] => format!("({one},)"),
+        sizes => format!("({})", sizes.join(", ")),
+    }
+}
+
+/// Zeros of NumPy's own, so that too many of them are a `MemoryError`.
+pub(crate) fn zeros<'py>(
+    py: Python<'py>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    let array = py.import("numpy")?.call_method1("zeros", (shape.to_vec(), "float32"))?;
+    Ok(array.cast_into::<PyArrayDyn<f32>>()?)
+}
+
+/// Numbers as an array of this shape.
+pub(crate) fn array<'py, T: numpy::Element>(
+    py: Python<'py>,
+    numbers: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    numpy::PyArray1::from_vec(py, numbers).reshape(shape.to_vec())
+}

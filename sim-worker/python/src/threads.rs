@@ -1,0 +1,83 @@
+//! Threads for one call, of which the caller's looks for signals.
+
+use std::num::NonZero;
+use std::panic::resume_unwind;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use pyo3::{PyErr, PyResult, Python};
+use simulator::executor::Executor;
+
+/// How often the caller's thread looks for signals: often for a person, seldom for the work.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// How many processors this process may use.
+pub(crate) fn available() -> usize {
+    std::thread::available_parallelism().map_or(1, NonZero::get)
+}
+
+/// Threads for one call, the caller's among them. To be made without the interpreter's lock held.
+pub(crate) struct Threads {
+    n: usize,
+    stop: AtomicBool,
+    /// What a signal handler of Python raised.
+    raised: Mutex<Option<PyErr>>,
+}
+
+impl Threads {
+    /// This many.
+    pub(crate) fn new(n: usize) -> Self {
+        Self { n, stop: AtomicBool::new(false), raised: Mutex::new(None) }
+    }
+
+    /// What a signal handler raised meanwhile: the work was left in its middle then, and is of no use.
+    pub(crate) fn interrupted(self) -> PyResult<()> {
+        let raised = self.raised.into_inner().expect("no thread panics while it holds the lock");
+        raised.map_or(Ok(()), Err)
+    }
+
+    /// Whether to go on.
+    fn look(&self, last: &mut Instant) {
+        if last.elapsed() < LOOK_EVERY {
+            return;
+        }
+        *last = Instant::now();
+        #[expect(
+            clippy::redundant_closure_for_method_calls,
+            reason = "the method's own lifetime is not general enough"
+        )]
+        let looked = Python::attach(|py| py.check_signals());
+        if let Err(error) = looked {
+            *self.raised.lock().expect("no thread panics while it holds the lock") = Some(error);
+            self.stop.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Executor for Threads {
+    fn run(&self, n_tasks: usize, task: &(dyn Fn(usize) + Sync)) {
+        let next = AtomicUsize::new(0);
+        let work = |after: &mut dyn FnMut()| {
+            while !self.stop.load(Ordering::Relaxed) {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                if index >= n_tasks {
+                    break;
+                }
+                task(index);
+                after();
+            }
+        };
+        let mut last = Instant::now();
+        std::thread::scope(|scope| {
+            let others = 1..self.n.min(n_tasks);
+            let others: Vec<_> = others.map(|_| scope.spawn(|| work(&mut || {}))).collect();
+            work(&mut || self.look(&mut last));
+            for other in others {
+                if let Err(panic) = other.join() {
+                    resume_unwind(panic);
+                }
+            }
+        });
+    }
+}

@@ -1,0 +1,145 @@
+//! Environments on their way, in lane groups: what a control step does to them, whoever acts.
+//!
+//! A rollout acts by a policy ([`Running`](super::running::Running)), a [`stepping::Batch`](crate::stepping::Batch) as
+//! somebody outside says. Both go through here, and so make the same bits.
+
+use proto::config::Start;
+use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+
+use super::lane_group::LaneGroup;
+use crate::env::{EpisodeError, Physics, check_state};
+use crate::robot::Robot;
+use crate::scalar::Real;
+use crate::state::State;
+use crate::step::StepOptions;
+use crate::task::Task;
+use crate::task::goal::GoalAddress;
+use crate::task::observation::observe;
+use crate::task::reward::rewards;
+use crate::task::state::critic_state;
+
+/// What is to be seen of the lane group that was looked at last.
+pub(crate) struct Seen<S: Real> {
+    /// `[A, O]`.
+    pub(crate) observations: Vec<S>,
+    /// `[S]`.
+    pub(crate) critic: Vec<S>,
+    /// `[A]`: rewards of the step before; of no meaning at the start.
+    pub(crate) rewards: Vec<S>,
+    /// Touching pairs.
+    pub(crate) touching_pairs: S,
+}
+
+/// Lane groups with their physics.
+pub(crate) struct Environments<S: Real> {
+    physics: Physics<S>,
+    pub(crate) groups: Vec<LaneGroup<S>>,
+    pub(crate) seen: Seen<S>,
+    /// Limits of the actions, one a joint.
+    limits: Vec<S>,
+    scale: S,
+    /// What a diverged step began with, for the report.
+    before: State<S>,
+}
+
+impl<S: Real> Environments<S> {
+    /// None yet.
+    #[inline(always)]
+    pub(crate) fn new(
+        (robot, options): (&Robot, StepOptions),
+        task: &Task,
+        dimensions: &Dimensions,
+    ) -> Self {
+        let zeros = |n: usize| vec![S::zero(); n];
+        Self {
+            physics: Physics::with_options(robot, options),
+            groups: Vec::new(),
+            seen: Seen {
+                observations: zeros(dimensions.n_agents * dimensions.observation),
+                critic: zeros(dimensions.state),
+                rewards: zeros(dimensions.n_agents),
+                touching_pairs: S::zero(),
+            },
+            limits: task.action_limit.iter().map(|&limit| S::splat(limit)).collect(),
+            scale: S::splat(task.action_scale),
+            before: State::home(robot),
+        }
+    }
+
+    /// Begins `n_envs` episodes; `goals` is the address of the first one's.
+    #[inline(always)]
+    pub(crate) fn begin(
+        &mut self,
+        (robot, task): (&Robot, &Task),
+        start: &Start,
+        goals: GoalAddress,
+        n_envs: usize,
+    ) {
+        let n_groups = n_envs.div_ceil(S::LANES);
+        self.groups.clear();
+        for group in 0..n_groups {
+            let lanes = (group * S::LANES, n_envs);
+            self.groups.push(LaneGroup::new((robot, task), start, &mut self.physics, goals, lanes));
+        }
+    }
+
+    /// Looks at what the step before led to in group `index`; `paid` says that there was one.
+    #[inline(always)]
+    pub(crate) fn look(&mut self, task: &Task, dimensions: &Dimensions, index: usize, paid: bool) {
+        let Self { physics, groups, seen, .. } = self;
+        let group = &mut groups[index];
+        let touching = physics.read(&group.state, &mut group.readings);
+        group.readings.last_action.copy_from_slice(&group.action);
+        group.errors.update(&group.readings, &group.goals);
+        if paid {
+            let LaneGroup { errors, action, last_action, .. } = group;
+            rewards(task, errors, action, last_action, &touching, &mut seen.rewards);
+            group.extremes.update(&group.errors, touching.pairs);
+        }
+        seen.touching_pairs = touching.pairs;
+        let o = dimensions.observation;
+        for agent in 0..dimensions.n_agents {
+            let to = &mut seen.observations[agent * o..(agent + 1) * o];
+            observe(task, &group.readings, &group.goals, &group.errors, agent, to);
+        }
+        critic_state(task, &group.readings, &group.errors, &seen.observations, &mut seen.critic);
+        std::mem::swap(&mut group.action, &mut group.last_action);
+    }
+
+    /// Has `agent` of group `index` do this in the next step: what it says is clipped and scaled.
+    #[inline(always)]
+    pub(crate) fn command(&mut self, index: usize, agent: usize, actions: &[S; JOINTS_PER_AGENT]) {
+        let Self { groups, limits, scale, .. } = self;
+        let group = &mut groups[index];
+        for (u, action) in actions.iter().enumerate() {
+            let joint = agent * JOINTS_PER_AGENT + u;
+            let clipped = action.clamp(-limits[joint], limits[joint]);
+            group.action[joint] = clipped;
+            group.command[joint] = clipped * *scale;
+        }
+    }
+
+    /// Holds the commands of all groups for a control period; `first` is the global index of the first of `n_envs` environments.
+    ///
+    /// # Errors
+    /// If the simulation diverges.
+    #[inline(always)]
+    pub(crate) fn advance(
+        &mut self,
+        first: u32,
+        n_envs: usize,
+        step: usize,
+    ) -> Result<(), EpisodeError> {
+        let Self { physics, groups, before, .. } = self;
+        for (index, group) in groups.iter_mut().enumerate() {
+            before.clone_from(&group.state);
+            physics.step(&mut group.state, &group.command);
+            let local = index * S::LANES;
+            if let Err(error) = check_state(&group.state, first, local, n_envs, step) {
+                let env = first + local as u32;
+                return Err(error.keep(env, before, &group.goals, &group.command));
+            }
+        }
+        Ok(())
+    }
+}

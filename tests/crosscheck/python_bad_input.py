@@ -1,0 +1,370 @@
+"""What a person may do wrong, and what must not be lost by it: REPOSITORY."""
+
+import copy
+import json
+import os
+import pickle
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import spaceoctopus
+
+ROOT = Path(sys.argv[1])
+POLICY = ROOT / "deploy" / "policies" / "trajectory"
+SHORT = ["task.episode_steps=9"]
+ZERO = np.zeros((3, 8, 3), np.float32)
+
+
+def refused(kinds, words, work, *arguments, **keywords):
+    """Asserts that `work` raises one of `kinds` and says `words`. Whatever else it raises ends the test, a panic too."""
+    try:
+        work(*arguments, **keywords)
+    except kinds as error:
+        assert words in str(error), "%r is not in %r" % (words, str(error))
+        return
+    raise AssertionError("%r was not refused" % (words,))
+
+
+def batch(n=3, **keywords):
+    made = spaceoctopus.Batch(n, set=SHORT, **keywords)
+    made.reset(seed=1)
+    return made
+
+
+# --- numbers and shapes -----------------------------------------------------------------------------------------
+one, twin = batch(), batch()
+before = [one.observation.copy(), one.reward.copy(), one.robot_state.copy()]
+for wrong, kinds, words in (
+    (np.zeros((3, 24), np.float32), ValueError, "actions has shape (3, 24), expected (3, 8, 3)"),
+    (np.zeros((2, 8, 3)), ValueError, "shape (2, 8, 3)"),
+    (np.zeros(0), ValueError, "shape (0,)"),
+    (0.5, ValueError, "expected (3, 8, 3)"),
+    (None, TypeError, "type object"),
+    ("right", TypeError, "real numbers"),
+    (np.zeros((3, 8, 3), complex), TypeError, "complex128"),
+    (np.zeros((3, 8, 3), bool), TypeError, "bool"),
+    (np.full((3, 8, 3), None), TypeError, "object"),
+    (np.zeros((3, 8, 3), "datetime64[s]"), TypeError, "datetime64"),
+    (np.full((3, 8, 3), 1e300), ValueError, "environment 0, agent 0: action 0 is inf"),
+    ([[1.0], [1.0, 2.0]], ValueError, ""),
+):
+    refused(kinds, words, one.step, wrong)
+for value in (np.nan, np.inf, -np.inf):
+    wrong = ZERO.copy()
+    wrong[2, 5, 1] = value
+    refused(ValueError, "environment 2, agent 5: action 1 is", one.step, wrong)
+assert one.steps == 0 and all(map(np.array_equal, before, [one.observation, one.reward, one.robot_state])), "nothing has changed"
+
+# Whatever holds real numbers will do, and does the same.
+actions = np.random.default_rng(1).uniform(-2, 2, (3, 8, 3)).astype(np.float32)
+given = [actions, actions.astype(np.float64), actions.tolist(), np.asfortranarray(actions), actions.astype(">f4")]
+given += [np.repeat(actions, 2, axis=0)[::2], actions[::-1][::-1]]
+frozen = actions.copy()
+frozen.flags.writeable = False
+for actions_of_a_kind in [*given, frozen]:
+    one.step(actions_of_a_kind)
+    twin.step(actions)
+    assert np.array_equal(one.observation, twin.observation)
+one.step(np.full((3, 8, 3), 3))  # beyond the limits, and whole numbers
+assert one.steps == 9 and one.truncated.all()
+refused(RuntimeError, "the episode is over after 9 steps: reset first", one.step, ZERO)
+
+# Actions that lie in an array that a step fills would change under it.
+one.reset()
+refused((RuntimeError, TypeError, ValueError), "", one.step, one.hand_goal.reshape(3, 8, 3))
+one.step(ZERO)
+
+# An array that is locked cannot be filled.
+one.reset()
+one.reward.flags.writeable = False
+refused((RuntimeError, TypeError, ValueError), "", one.step, ZERO)
+one.reward.flags.writeable = True
+one.reset()
+one.step(ZERO)
+
+for n, kinds in ((0, ValueError), (-1, (ValueError, OverflowError)), (1 << 40, ValueError), (1.5, TypeError), ("3", TypeError)):
+    refused(kinds, "", spaceoctopus.Batch, n)
+refused(ValueError, "threads is 0", spaceoctopus.Batch, 1, threads=0)
+refused((ValueError, OverflowError), "", one.reset, -1)
+refused((ValueError, OverflowError), "", one.reset, 1 << 64)
+refused(ValueError, "random numbers are addressed for", one.reset, 1, first=(1 << 32) - 2)
+refused(ValueError, 'expected "training" or "evaluation"', one.reset, goals="easy")
+config, robot = spaceoctopus.Config("paper", set=SHORT), spaceoctopus.Robot("release")
+assert pickle.loads(pickle.dumps(config)) == config != spaceoctopus.Config("paper")
+assert copy.deepcopy(robot).to_toml() == robot.to_toml()
+refused(TypeError, "", pickle.dumps, one)
+refused(TypeError, "", copy.deepcopy, one)
+
+# --- the moment of a call ---------------------------------------------------------------------------------------
+fresh = spaceoctopus.Batch(3, set=SHORT)
+assert fresh.steps is None
+refused(RuntimeError, "no episode has begun yet: reset first", fresh.step, ZERO)
+shown = one.observation
+kept = shown.copy()
+one.close()
+one.close()
+assert one.closed and one.steps is None
+refused(RuntimeError, "the batch is closed", one.step, ZERO)
+refused(RuntimeError, "the batch is closed", one.reset)
+assert np.array_equal(shown, kept), "arrays outlive their batch"
+del one
+assert np.array_equal(shown, kept)
+
+env = spaceoctopus.ParallelEnv(set=SHORT)
+env.reset(seed=1)
+actions_by_name = {agent: np.zeros(3, np.float32) for agent in env.agents}
+refused(ValueError, "actions have none for 'plus_y_wrist'", env.step, {a: v for a, v in actions_by_name.items() if a != "plus_y_wrist"})
+refused(ValueError, "who is no agent", env.step, {**actions_by_name, "nobody": np.zeros(3)})
+refused(ValueError, "has shape (4,), expected (3,)", env.step, {**actions_by_name, "plus_y_wrist": np.zeros(4)})
+refused(TypeError, "expected real numbers", env.step, {**actions_by_name, "plus_y_wrist": np.array(["a", "b", "c"])})
+refused(ValueError, "agent 1: action 2 is NaN", env.step, {**actions_by_name, "plus_y_wrist": np.array([0, 0, np.nan])})
+refused(ValueError, "render_mode", spaceoctopus.ParallelEnv, render_mode="human")
+env.close()
+refused(RuntimeError, "closed", env.step, actions_by_name)
+refused(RuntimeError, "closed", env.reset)
+envs = spaceoctopus.VectorEnv(3, set=SHORT)
+refused(RuntimeError, "reset first", envs.step, np.zeros((3, 24)))
+envs.reset(seed=1)
+refused(ValueError, "expected (3, 24)", envs.step, np.zeros((3, 8, 3)))
+refused(ValueError, "are not known", envs.reset, options={"speed": 2})
+refused(ValueError, "seed is a list", envs.reset, seed=[1, 2, 3])
+refused(ValueError, "begin and end together", envs.reset, options={"reset_mask": np.array([True, False, True])})
+refused(ValueError, "observe is", spaceoctopus.VectorEnv, observe="nothing")
+refused(ValueError, "", spaceoctopus.VectorEnv, autoreset_mode="sometimes")
+envs.close()
+refused(RuntimeError, "closed", envs.step, np.zeros((3, 24)))
+refused(AttributeError, "has no attribute", getattr, spaceoctopus, "Batches")
+
+# --- files ------------------------------------------------------------------------------------------------------
+with tempfile.TemporaryDirectory() as folder:
+    folder = Path(folder)
+    missing, fifo, garbage = folder / "missing", folder / "fifo", folder / "garbage"
+    os.mkfifo(fifo)
+    garbage.write_bytes(b"\xff\xfe = 1")
+    for make in (spaceoctopus.Config, spaceoctopus.Robot, lambda path: spaceoctopus.Batch(1, path), spaceoctopus.Policy.load):
+        refused(ValueError, "missing", make, missing)
+        for path in (folder, fifo, garbage):
+            refused(ValueError, str(path), make, path)
+        refused(TypeError, "", make, 3)
+    refused(ValueError, "is a preset", spaceoctopus.Config, "tuned", preset="paper")
+    refused(ValueError, "preset", spaceoctopus.Config, preset="papers")
+    refused(ValueError, 'task "walk"', spaceoctopus.Config, task="walk")
+    refused(TypeError, "a Config is complete", spaceoctopus.Batch, 1, spaceoctopus.Config(), set=SHORT)
+
+    def damaged(name, change):
+        place = folder / name
+        shutil.copytree(POLICY, place)
+        change(place)
+        return place
+
+    def flip(place):
+        content = bytearray((place / "policy.safetensors").read_bytes())
+        content[-7] ^= 1
+        (place / "policy.safetensors").write_bytes(content)
+
+    def manifest(**changes):
+        def change(place):
+            content = json.loads((place / "manifest.json").read_text())
+            (place / "manifest.json").write_text(json.dumps({**content, **changes}))
+
+        return change
+
+    load = spaceoctopus.Policy.load
+    refused(ValueError, "content differs from its BLAKE3 hash", load, damaged("flipped", flip))
+    refused(ValueError, "bytes, the manifest says", load, damaged("short", lambda place: (place / "robot.toml").write_text("")))
+    refused(ValueError, "No such file", load, damaged("gone", lambda place: (place / "policy.safetensors").unlink()))
+    refused(ValueError, "format 9, this version reads 1", load, damaged("newer", manifest(format=9)))
+    refused(ValueError, "does not list", load, damaged("unlisted", manifest(files={})))
+    refused(ValueError, "not a manifest", load, damaged("no-json", lambda place: (place / "manifest.json").write_text("[]")))
+    two_arm = ROOT / "sim-worker" / "simulator" / "robots" / "two-arm.toml"
+    refused(ValueError, "the policy moves 4 arms, the robot `two-arm` has 2", load, POLICY, robot=two_arm)
+
+    # As a run keeps them.
+    run = folder / "run"
+    for iteration, score in ((1, 0.5), (2, 0.2), (12, 0.4)):
+        place = run / "checkpoints" / ("iteration-%08d" % iteration)
+        shutil.copytree(POLICY, place)
+        (place / "labels.json").write_text(json.dumps({"score": {"value": score, "episodes": 1, "steps": 1, "seed": 0}, "tags": ["t%d" % iteration]}))
+    (run / "config.toml").write_text((POLICY / "config.toml").read_text())
+    flip_here = run / "checkpoints" / "iteration-00000099"
+    shutil.copytree(POLICY, flip_here)
+    (flip_here / "robot.toml").write_text("")
+    for given, expected in (("", 12), (":latest", 12), (":best", 2), (":1", 1), (":t2", 2), (":iteration-00000012", 12)):
+        assert load(str(run) + given).path.name == "iteration-%08d" % expected, given
+    refused(ValueError, "holds no checkpoint `7`; it has iteration-00000012", load, str(run) + ":7")
+    policy = load(POLICY)
+    assert policy.iteration == 516
+
+    two = spaceoctopus.Batch(2, robot=two_arm, set=SHORT)
+    two.reset()
+    assert two.observation.shape == (2, 4, 48) and two.hand_goal.shape == (2, 2, 6)
+
+refused(ValueError, "shape (8, 47)", policy.act, np.zeros((8, 47)))
+refused(ValueError, "environment 1, agent 0: observation 3 is NaN", policy.act, np.where(np.arange(2 * 8 * 48).reshape(2, 8, 48) == 8 * 48 + 3, np.nan, 0))
+refused(TypeError, "real numbers", policy.act, np.zeros((8, 48), complex))
+assert policy.act(np.zeros((0, 8, 48))).shape == (0, 8, 3)
+refused(ValueError, "steps is 0", policy.evaluate, 1, 0)
+refused(ValueError, "episodes is", policy.evaluate, 10**7)
+refused(ValueError, "hand_goal has 3 numbers", policy.play, 0, 1, hand_goal=[1, 2, 3])
+refused(ValueError, "hand_goal[2] holds inf", policy.play, 0, 1, hand_goal=np.where(np.arange(24).reshape(4, 6) == 13, np.inf, 0))
+refused(ValueError, "base_goal has 2", policy.play, 0, 1, base_goal=[1, 2])
+refused(ValueError, "expected [steps, 24]", spaceoctopus.simulate, np.zeros((5, 23)))
+refused(ValueError, "step 3, joint 4: the action is NaN", spaceoctopus.simulate, np.where(np.arange(120).reshape(5, 24) == 76, np.nan, 0))
+refused(ValueError, "does not divide", spaceoctopus.simulate, np.zeros((5, 24)), substep=0.3)
+refused(ValueError, "control_period", spaceoctopus.simulate, np.zeros((5, 24)), control_period=np.nan)
+refused(ValueError, "integrator", spaceoctopus.simulate, np.zeros((5, 24)), integrator="rk5")
+assert spaceoctopus.simulate(np.zeros((0, 24)))["hands"].shape == (0, 4, 3)
+
+
+# --- threads ----------------------------------------------------------------------------------------------------
+def course(made, seed):
+    """Everything that a batch pays and shows over an episode."""
+    made.reset(seed)
+    noise, said = np.random.default_rng(seed), []
+    while not made.truncated[0]:
+        made.step(noise.uniform(-1, 1, (made.n_envs, 8, 3)))
+        said.append((made.reward.copy(), made.observation.copy()))
+    return said
+
+
+def same(a, b):
+    return len(a) == len(b) and all(np.array_equal(x, y) for row, other in zip(a, b) for x, y in zip(row, other))
+
+
+expected = {seed: course(batch(40), seed) for seed in (1, 2, 3)}
+found = {}
+together = [threading.Thread(target=lambda seed=seed: found.update({seed: course(batch(40), seed)})) for seed in expected]
+[thread.start() for thread in together]
+[thread.join() for thread in together]
+assert all(same(expected[seed], found[seed]) for seed in expected), "batches beside each other do not mix"
+
+# One batch in two hands: one of them is told so, and the batch is whole.
+LARGE = 6000
+large = spaceoctopus.Batch(LARGE, set=SHORT, threads=2)
+rest = np.zeros((LARGE, 8, 3), np.float32)
+large.reset(1)
+told, ticks, done = [], 0, threading.Event()
+
+
+def tick():
+    global ticks
+    while not done.is_set():
+        ticks += 1
+        time.sleep(0.001)
+
+
+def hand():
+    try:
+        large.step(rest)
+    except RuntimeError as error:
+        told.append(str(error))
+
+
+thread = threading.Thread(target=tick)
+thread.start()
+most = 0
+for _ in range(9):
+    before = ticks
+    large.step(rest)
+    most = max(most, ticks - before)
+assert most > 3, "Python goes on while a step is made"
+deadline = time.monotonic() + 60
+while not any("another thread" in words for words in told) and time.monotonic() < deadline:
+    large.reset(1)
+    hands = [threading.Thread(target=hand) for _ in range(4)]
+    [thread_of_hand.start() for thread_of_hand in hands]
+    [thread_of_hand.join() for thread_of_hand in hands]
+    assert large.steps >= 1, "the batch is whole"
+done.set()
+thread.join()
+assert set(told) == {"the batch is being stepped by another thread"}, set(told)
+large.reset(1)
+reference = large.observation.copy()
+
+# --- interrupts in the middle of a long step --------------------------------------------------------------------
+middle = 0
+for _ in range(20):
+    large.reset(1)
+    timer = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT))
+    try:
+        timer.start()
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            if large.truncated[0]:
+                large.reset(1)
+            large.step(rest)
+        raise AssertionError("no interrupt came")
+    except KeyboardInterrupt:
+        timer.join()
+    if large.steps is None:
+        middle += 1
+        refused(RuntimeError, "reset first", large.step, rest)
+        large.reset(1)
+        assert np.array_equal(large.observation, reference)
+        if middle == 2:
+            break
+assert middle == 2, "a step is left in its middle"
+timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+timer.start()
+refused(KeyboardInterrupt, "", lambda: [policy.evaluate(400, 200) for _ in range(1000)])
+timer.join()
+
+# --- forks ------------------------------------------------------------------------------------------------------
+warnings.filterwarnings("ignore", category=DeprecationWarning, message=".*multi-threaded.*")
+
+
+def in_child(work):
+    """Whether `work` comes true in a forked process."""
+    child = os.fork()
+    if child == 0:
+        try:
+            os._exit(0 if work() else 1)
+        except BaseException as error:
+            os.write(2, repr(error).encode())
+            os._exit(2)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return os.waitstatus_to_exitcode(status) == 0
+        time.sleep(0.01)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    raise AssertionError("the child hangs")
+
+
+shared = batch(40, threads=2)
+course(shared, 2)
+assert in_child(lambda: same(course(shared, 1), expected[1])), "a child goes on with what it inherits"
+assert same(course(shared, 3), expected[3]), "and its parent, too"
+assert in_child(lambda: same(course(batch(40), 2), expected[2])), "a child makes its own"
+
+
+def busy_in_the_parent():
+    try:
+        large.step(rest)
+    except RuntimeError as error:
+        return "another thread" in str(error)
+    return False
+
+
+large.reset(1)
+thread = threading.Thread(target=lambda: [large.step(rest) for _ in range(8)])
+thread.start()
+while True:
+    try:
+        large.closed
+    except RuntimeError:
+        break
+    assert thread.is_alive()
+# A step that was going on when the process forked never ends in the child, which is told so instead of waiting.
+inherited = in_child(busy_in_the_parent)
+thread.join()
+assert inherited, "a child that inherits a step does not wait for it"

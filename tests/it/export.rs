@@ -1,0 +1,281 @@
+//! Exported policies: ONNX Runtime and compiled C do what the simulator does.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use proto::config::{Preset, TaskName};
+use simulator::evaluate::Course;
+use simulator::robot::Robot;
+use tests::controllers::{CDriver, Controlled, OnnxDriver, compile};
+use tests::guide::repository;
+use tests::{crosscheck, octopus, python, stderr};
+
+/// Says that everything is to be tried at its full length: thirty episodes of 200 steps with every policy.
+const WHOLE: &str = "SPACEOCTOPUS_CONTROLLERS";
+
+fn whole() -> bool {
+    std::env::var_os(WHOLE).is_some()
+}
+
+fn shipped(task: TaskName) -> Controlled {
+    let dir = repository().join("deploy/policies").join(task.as_str());
+    Controlled::of_checkpoint(&dir).expect("it ships")
+}
+
+/// Whatever can be trained, in small: odd widths, so that pairs are left over, and all kinds of layouts, layers and robots.
+fn untrained() -> Vec<Controlled> {
+    let two_arms = repository().join("sim-worker/simulator/robots/two-arm.toml");
+    let text = std::fs::read_to_string(&two_arms).expect("it is there");
+    let two_arms = Robot::from_toml(&text, &two_arms).expect("valid");
+    let paper = Robot::builtin("paper").expect("built in");
+    let release = Robot::builtin("release").expect("built in");
+    let mut all = Vec::new();
+    for (preset, robot) in
+        [(Preset::Tuned, &paper), (Preset::Paper, &paper), (Preset::Release, &release)]
+    {
+        for task in [TaskName::Trajectory, TaskName::Reorientation] {
+            for algorithm in ["mappo", "maddpg", "ppo"] {
+                let name = format!("algorithm.name={algorithm}");
+                all.push((preset, task, vec![name], robot));
+            }
+        }
+    }
+    for (settings, robot) in [
+        (vec!["task.joint_angles=unwound", "network.activation=tanh"], &two_arms),
+        (vec!["network.layer_norm=true", "network.input_norm=layer_norm"], &two_arms),
+        (vec!["network.input_norm=none", "network.inference=f32"], &release),
+        (vec!["network.squash_mean=false", "network.activation=relu"], &paper),
+    ] {
+        for preset in [Preset::Tuned, Preset::Release] {
+            let settings = settings.iter().map(|&setting| setting.to_owned()).collect();
+            all.push((preset, TaskName::Trajectory, settings, robot));
+        }
+    }
+    let made = all.into_iter().map(|(preset, task, mut settings, robot)| {
+        settings.push("network.hidden=[24, 17, 15]".to_owned());
+        let settings: Vec<&str> = settings.iter().map(String::as_str).collect();
+        Controlled::untrained(preset, task, &settings, robot).expect("a policy")
+    });
+    made.collect()
+}
+
+/// Runs the directory's own `check.c`, compiled with these flags.
+fn check_c(dir: &Path, flags: &[&str]) {
+    let program = compile(dir, &dir.join("check.c"), flags).expect("it compiles");
+    let output = Command::new(program).arg(dir.join("vectors.json")).output().expect("it starts");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned() + &stderr(&output);
+    assert!(output.status.success(), "{} {flags:?}: {said}", dir.display());
+    assert!(said.starts_with("256 states, 0 with other bits"), "{said}");
+}
+
+fn check_onnx(dirs: &[PathBuf]) {
+    let output = Command::new(python())
+        .arg(crosscheck("controllers.py"))
+        .arg("check")
+        .args(dirs)
+        .output()
+        .expect("Python can be started");
+    assert!(output.status.success(), "{}", stderr(&output));
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(said.matches("256 states: ").count(), dirs.len(), "{said}");
+}
+
+/// Mean of the errors that the task is about: (position, orientation) of the hands or (base).
+fn means(courses: &[Course], world: &simulator::rollout::World) -> Vec<f64> {
+    let group = 2 * world.dimensions.n_arms + 1;
+    let of = |choose: &dyn Fn(usize) -> bool| {
+        let chosen = courses.iter().enumerate().filter(|(index, _)| choose(index % group));
+        let tails: Vec<f64> = chosen.map(|(_, course)| f64::from(course.tail)).collect();
+        tails.iter().sum::<f64>() / tails.len() as f64
+    };
+    match world.config.task.name {
+        TaskName::Trajectory => {
+            vec![of(&|i| i + 1 < group && i % 2 == 0), of(&|i| i + 1 < group && i % 2 == 1)]
+        }
+        TaskName::Reorientation => vec![of(&|i| i + 1 == group)],
+    }
+}
+
+/// Held-out episodes end the same, to the bit by C, within 5 % by ONNX Runtime.
+fn drive(controlled: &Controlled, dir: &Path, episodes: usize, steps: usize) {
+    let name = &controlled.name;
+    let native = controlled.native_errors(episodes, steps).expect("episodes");
+    let mut driver = CDriver::new(dir).expect("a driver");
+    let by_c = controlled.driven_errors(&mut driver, episodes, steps).expect("episodes");
+    assert!(by_c == native, "{name}: C ends elsewhere");
+    let mut driver = OnnxDriver::new(dir, episodes).expect("a driver");
+    let by_onnx = controlled.driven_errors(&mut driver, episodes, steps).expect("episodes");
+    let (wanted, found) = (means(&native, &controlled.world), means(&by_onnx, &controlled.world));
+    for (wanted, found) in wanted.iter().zip(&found) {
+        assert!((wanted - found).abs() <= 0.05 * wanted, "{name}: {found}, natively {wanted}");
+    }
+}
+
+#[test]
+fn shipped_policies_do_outside_what_they_do_here() {
+    let (episodes, steps) = if whole() { (30, 200) } else { (6, 100) };
+    let place = tempfile::tempdir().expect("tempdir");
+    let mut dirs = Vec::new();
+    for task in [TaskName::Trajectory, TaskName::Reorientation] {
+        let controlled = shipped(task);
+        let dir = place.path().join(task.as_str());
+        controlled.export(&dir).expect("an export");
+        check_c(&dir, &["-O2"]);
+        check_c(&dir, &["-O3", "-march=native"]);
+        drive(&controlled, &dir, episodes, steps);
+        // Trained, it brings hands near: 20 mm on average after 40 s, from 300 mm.
+        let errors =
+            means(&controlled.native_errors(episodes, steps).expect("episodes"), &controlled.world);
+        assert!(errors.iter().all(|error| *error < 0.05), "{errors:?}");
+        dirs.push(dir);
+    }
+    check_onnx(&dirs);
+}
+
+#[test]
+fn whatever_can_be_trained_can_be_exported() {
+    let (episodes, steps) = if whole() { (30, 200) } else { (2, 12) };
+    let place = tempfile::tempdir().expect("tempdir");
+    let mut dirs = Vec::new();
+    for (index, controlled) in untrained().iter().enumerate() {
+        let dir = place.path().join(index.to_string());
+        controlled.export(&dir).expect("an export");
+        check_c(&dir, &["-O1"]);
+        if whole() || index % 6 == 0 {
+            drive(controlled, &dir, episodes, steps);
+        }
+        dirs.push(dir);
+    }
+    assert!(dirs.len() > 20);
+    check_onnx(&dirs);
+}
+
+/// What is wrong with a state or a goal is said by a number, and the joints hold.
+#[test]
+fn the_c_code_refuses_what_it_cannot_act_on() {
+    let place = tempfile::tempdir().expect("tempdir");
+    let dir = place.path().join("controller");
+    shipped(TaskName::Trajectory).export(&dir).expect("an export");
+    let sanitized = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"];
+    check_c(&dir, &sanitized);
+    for (program, said) in [
+        (crosscheck("controller_refusals.c"), "all as it should be\n"),
+        (dir.join("example.c"), "  0.0 s: fastest joint"),
+    ] {
+        let program = compile(&dir, &program, &sanitized).expect("it compiles");
+        let output = Command::new(program).output().expect("it starts");
+        let found = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success() && found.starts_with(said), "{found}{}", stderr(&output));
+    }
+}
+
+#[test]
+fn an_export_is_whole_or_absent_and_leaves_what_is_there() {
+    let place = tempfile::tempdir().expect("tempdir");
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let policy = repository().join("deploy/policies/trajectory").display().to_string();
+    let out = at("controller");
+    let made = octopus(&["export", &policy, "--out", &out, "--episodes=2", "--json"]);
+    assert!(made.status.success(), "{}", stderr(&made));
+    let report: serde_json::Value = serde_json::from_slice(&made.stdout).expect("JSON");
+    let digest = report["policy"]["digest"].as_str().expect("a digest");
+    for file in report["files"].as_array().expect("files") {
+        let name = file["name"].as_str().expect("a name");
+        let there = place.path().join("controller").join(name).metadata().expect(name);
+        assert_eq!(there.len(), file["bytes"].as_u64().expect("a size"), "{name}");
+    }
+    let contract = std::fs::read_to_string(place.path().join("controller/contract.toml"));
+    let contract: toml::Table = contract.expect("there").parse().expect("TOML");
+    assert_eq!(contract["trained"]["digest"].as_str(), Some(digest));
+    assert_eq!(contract["controller"]["control_period_s"].as_float(), Some(0.4));
+    assert_eq!(contract["input"].as_array().map(Vec::len), Some(8));
+    assert_eq!(contract["held_out"]["episodes"].as_integer(), Some(2));
+    let limits = contract["output"][0]["ranges"].as_array().expect("ranges");
+    assert_eq!(limits[0][1].as_float(), Some(2.0942 * 0.8));
+
+    // As long as the export of before stays, it stays as it is.
+    let before = std::fs::read(place.path().join("controller/controller.c")).expect("there");
+    for (args, code, said) in [
+        (vec![policy.as_str(), "--out", &out], 5, "is there already"),
+        (vec![&policy, "--out", &policy], 5, "is there already"),
+        (vec![&policy, "--out", &format!("{policy}/inside")], 5, "which is a checkpoint"),
+        (vec![&policy, "--out", &at("none/inside")], 1, "cannot be written"),
+        (vec![&at("nothing"), "--out", &at("new")], 5, "nothing"),
+        (vec![&policy], 2, "--out"),
+        (vec![&policy, "--out", &at("new"), "--episodes", "0"], 2, "whole number"),
+    ] {
+        let args: Vec<&str> = std::iter::once("export").chain(args).collect();
+        let refused = octopus(&args);
+        assert_eq!(refused.status.code(), Some(code), "{args:?}: {}", stderr(&refused));
+        assert!(stderr(&refused).contains(said), "{args:?}: {}", stderr(&refused));
+    }
+    assert!(std::fs::read(place.path().join("controller/controller.c")).expect("there") == before);
+    let left: Vec<_> = std::fs::read_dir(place.path()).expect("read").flatten().collect();
+    assert_eq!(left.len(), 1, "{left:?}");
+}
+
+/// A checkpoint of another version, without a policy, damaged, or with a robot that its policy does not fit.
+#[test]
+fn a_checkpoint_that_is_no_whole_policy_is_refused_in_words() {
+    let place = tempfile::tempdir().expect("tempdir");
+    let shipped = repository().join("deploy/policies/trajectory");
+    let two_arms = repository().join("sim-worker/simulator/robots/two-arm.toml");
+    let two_arms = std::fs::read_to_string(two_arms).expect("it is there");
+    let changes: [(&str, &dyn Fn(&Path), &str); 4] = [
+        (
+            "version",
+            &|dir| {
+                let path = dir.join("manifest.json");
+                let text = std::fs::read_to_string(&path).expect("read");
+                let mut manifest: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+                manifest["format"] = 99.into();
+                std::fs::write(path, manifest.to_string()).expect("written");
+            },
+            "format 99",
+        ),
+        (
+            "policy",
+            &|dir| std::fs::remove_file(dir.join("policy.safetensors")).expect("gone"),
+            "policy.safetensors",
+        ),
+        (
+            "damage",
+            &|dir| {
+                let path = dir.join("policy.safetensors");
+                let mut bytes = std::fs::read(&path).expect("read");
+                let middle = bytes.len() / 2;
+                bytes[middle] ^= 1;
+                std::fs::write(path, bytes).expect("written");
+            },
+            "differs from its BLAKE3 hash",
+        ),
+        (
+            "robot",
+            &|dir| {
+                std::fs::write(dir.join("robot.toml"), &two_arms).expect("written");
+                let path = dir.join("manifest.json");
+                let text = std::fs::read_to_string(&path).expect("read");
+                let mut manifest: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+                let entry = &mut manifest["files"]["robot.toml"];
+                entry["len"] = two_arms.len().into();
+                entry["blake3"] = blake3::hash(two_arms.as_bytes()).to_hex().to_string().into();
+                std::fs::write(path, manifest.to_string()).expect("written");
+            },
+            "the configuration wants F32 [4, 48]",
+        ),
+    ];
+    for (name, change, said) in changes {
+        let dir = place.path().join(name);
+        std::fs::create_dir(&dir).expect("made");
+        for entry in std::fs::read_dir(&shipped).expect("read").flatten() {
+            std::fs::copy(entry.path(), dir.join(entry.file_name())).expect("copied");
+        }
+        change(&dir);
+        let out = place.path().join(format!("{name}-out"));
+        let (dir, out) = (dir.display().to_string(), out.display().to_string());
+        let refused = octopus(&["export", &dir, "--out", &out]);
+        assert_eq!(refused.status.code(), Some(5), "{name}: {}", stderr(&refused));
+        assert!(stderr(&refused).contains(said), "{name}: {}", stderr(&refused));
+        assert!(!Path::new(&out).exists(), "{name}");
+    }
+}
