@@ -40,6 +40,7 @@ until Ctrl-C; of a directory of runs all of them, side by side. With --out the p
 /// Options of `octopus view`.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = VIEW_EXAMPLES)]
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of the command line")]
 pub struct ViewArgs {
     /// A run, a checkpoint such as RUN:best, the directory of a policy, or one of runs [default: the newest run in runs/].
     pub what: Option<PathBuf>,
@@ -106,15 +107,14 @@ pub fn run(args: &ViewArgs) -> anyhow::Result<()> {
 /// Serves what lies on the disk until Ctrl-C; nothing of it can be changed.
 fn serve(args: &ViewArgs, what: &Path, token: Option<Token>) -> anyhow::Result<()> {
     let runs = is_of_runs(what).then(|| what.to_owned());
-    let (store, name) = match &runs {
-        Some(dir) => (no_store(dir), None),
-        None => {
-            let selector = Selector::from_path(what).map_err(|message| {
-                ExitError::new(ExitCode::Usage, format!("{}: {message}", what.display()))
-            })?;
-            let (store, name) = selector.locate()?;
-            (store, Some(name))
-        }
+    let (store, name) = if let Some(dir) = &runs {
+        (no_store(dir), None)
+    } else {
+        let selector = Selector::from_path(what).map_err(|message| {
+            ExitError::new(ExitCode::Usage, format!("{}: {message}", what.display()))
+        })?;
+        let (store, name) = selector.locate()?;
+        (store, Some(name))
     };
     let stop = StopRequests::new();
     stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
