@@ -48,10 +48,11 @@ fn seeds() -> Vec<Vec<u8>> {
         [request(line, &headers), body.as_bytes().to_vec()].concat()
     };
     let name = "/v1/checkpoints/iteration-00000001";
-    let mut seeds: Vec<Vec<u8>> = ["/", "/page/page.js", "/health", "/metrics", "/openapi.json", "/v1/status"]
-        .iter()
-        .map(|path| request(&format!("GET {path}"), ""))
-        .collect();
+    let mut seeds: Vec<Vec<u8>> =
+        ["/", "/page/page.js", "/health", "/metrics", "/openapi.json", "/v1/status", "/v1/events"]
+            .iter()
+            .map(|path| request(&format!("GET {path}"), ""))
+            .collect();
     seeds.extend([
         request("GET /v1/checkpoints?limit=2", "Connection: close\r\n"),
         request("GET /v1/checkpoints/latest", "If-None-Match: \"x\"\r\n"),
