@@ -47,7 +47,7 @@ octopus plan [OPTIONS] --goal <HAND=X,Y,Z,A,B,C>...
 /// Options of `octopus plan`.
 #[derive(Debug, Clone, Args)]
 #[command(override_usage = USAGE, after_help = EXAMPLES)]
-#[expect(clippy::struct_excessive_bools, reason = "they are switches, each by itself")]
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of the command line")]
 pub struct PlanArgs {
     /// Where a hand shall go, hands counted from 1. Once for every hand that has a goal.
     #[arg(long = "goal", value_name = "HAND=X,Y,Z,A,B,C", allow_hyphen_values = true, value_parser = goal, required_unless_present = "held_out")]
