@@ -93,6 +93,10 @@ One thing at a time is made worse. Sensors of strength 1 err by 1 mm, 1 mrad, 1 
 (standard deviation, each axis, each step); torques disturb every joint, drawn anew in each step; \
 commands come a number of steps late; arms have a multiple of their mass.";
 
+const EPISODE_USAGE: &str = "\
+octopus experiment episode [OPTIONS] --script <FILE.json>
+                                  --policy <CHECKPOINT>...";
+
 const EPISODE_EXAMPLES: &str = "\
 Examples:
   octopus experiment episode --script episode.json --policy runs/a:best
@@ -265,7 +269,7 @@ pub struct NoiseArgs {
 
 /// Options of `episode`.
 #[derive(Debug, Clone, Args)]
-#[command(after_help = EPISODE_EXAMPLES)]
+#[command(override_usage = EPISODE_USAGE, after_help = EPISODE_EXAMPLES)]
 pub struct EpisodeArgs {
     /// What the page saved.
     #[arg(long, value_name = "FILE.json")]

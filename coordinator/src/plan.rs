@@ -24,7 +24,8 @@ Examples:
   octopus plan --goal 2=0.4,-1.1,4.2,1.6,0,1.5 --out plan.csv
   octopus plan --by --frame mount --goal 1=0.1,0,-0.2,0,0,0.3 --out plan.csv
   octopus plan --goal 1=... --goal 3=... --hold-base --picture plan.svg --json
-  octopus plan --state before.csv --policies runs/a:best --goal 4=... --out plan.csv
+  octopus plan --state before.csv --policies runs/a:best --goal 4=... \\
+      --out plan.csv
   octopus plan --held-out 300 --seed 5 --time-limit 10s
 
 A goal is a pose of the hand: position (m) and Euler angles (rad, R = Rx Ry Rz). With --by it is \
