@@ -14,7 +14,7 @@ use simulator::state::State;
 use simulator::step::StepOptions;
 use simulator::task::goal::GoalAddress;
 
-use super::answer;
+use super::answer::answer;
 use crate::threads::Threads;
 
 /// How the planner did on held-out goals, each asked for alone, from home.

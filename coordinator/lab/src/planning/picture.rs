@@ -4,7 +4,7 @@ use drawing::{Axis, Item, Layout, Panel, line, render};
 use simulator::plan::{Question, misses_along};
 use simulator::robot::{JOINTS_PER_ARM, Robot};
 
-use super::Answer;
+use super::answer::Answer;
 
 /// An SVG that stands alone. `period` is that of the control steps (s).
 pub fn picture(

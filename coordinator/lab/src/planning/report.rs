@@ -4,7 +4,7 @@ use output::grouped;
 use serde::Serialize;
 use simulator::plan::{Obstacle, Question};
 
-use super::Answer;
+use super::answer::Answer;
 use crate::statistics::milli;
 
 /// What is said of a plan.

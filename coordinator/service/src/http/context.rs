@@ -9,7 +9,7 @@ use tokio::sync::{Mutex, Semaphore, watch};
 use super::limits::Limits;
 use super::problem::Problem;
 use super::requests::Requests;
-use super::runs::Runs;
+use super::run_directory::Runs;
 use super::token::Token;
 use super::upload_space;
 use crate::live::LiveRun;

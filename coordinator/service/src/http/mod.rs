@@ -58,6 +58,7 @@ mod request_body;
 mod requests;
 mod router;
 mod run;
+mod run_directory;
 mod runs;
 mod service;
 mod token;
@@ -69,7 +70,7 @@ pub use limits::Limits;
 pub use own_token::{OwnToken, STORE_TOKEN_FILE, TOKEN_FILE};
 pub use problem::ErrorBody;
 pub use run::{CommitAnswer, ScaleAnswer, ScaleRequest};
-pub use runs::{RunAtAGlance, RunList};
+pub use run_directory::{RunAtAGlance, RunList};
 pub use service::{Service, ServiceSpec};
 pub use token::{TOKEN_VARIABLE, Token};
 

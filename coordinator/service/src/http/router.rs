@@ -8,7 +8,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, get};
-use axum::{Json, Router};
+use axum::{Extension, Json, Router};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
@@ -53,6 +53,7 @@ pub(super) fn router(context: Shared) -> Router {
         .route("/runs/{run}/{first}/{*rest}", any(runs::one))
         .fallback(no_route)
         .method_not_allowed_fallback(no_method)
+        .layer(Extension(runs::Serve(router)))
         .layer(from_fn_with_state(context.clone(), access::layer))
         .layer(from_fn_with_state(context.clone(), counting::layer))
         .layer(from_fn(caution))

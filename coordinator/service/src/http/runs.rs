@@ -1,110 +1,23 @@
 //! All runs of a directory, each with a service of its own below `/runs/NAME/`, for looking only.
 
-use std::collections::BTreeMap;
-use std::io::{Read as _, Seek as _, SeekFrom};
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use axum::extract::{Request, State};
 use axum::http::uri::PathAndQuery;
 use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse as _, Response};
-use axum::{Json, Router};
-use proto::run_dir::RunDir;
-use serde::{Deserialize, Serialize};
+use axum::{Extension, Json, Router};
 use store::checkpoint::CheckpointStore;
-use store::lock::RunLock;
-use store::{regular_files, run_files};
 use tower::ServiceExt as _;
-use utoipa::ToSchema;
 
 use super::context::{Context, Shared, blocking};
 use super::page;
 use super::problem::{ErrorBody, Problem};
-use super::router::router;
+use super::run_directory::{RunList, Runs};
 
-/// How much of the metrics' end is read for the last line (bytes).
-const END: u64 = 64 * 1024;
-
-/// One of several runs at a glance.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct RunAtAGlance {
-    /// Name of its directory.
-    pub name: String,
-    /// Whether it goes on.
-    pub live: bool,
-    /// Iterations planned.
-    pub planned_iterations: u64,
-    /// The last line of its metrics; null before the first.
-    #[schema(value_type = Object)]
-    pub last: serde_json::Value,
-    /// Its configuration.
-    #[schema(value_type = Object)]
-    pub config: serde_json::Value,
-}
-
-/// All runs of the directory.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct RunList {
-    /// Runs by name.
-    pub runs: Vec<RunAtAGlance>,
-}
-
-/// The runs of a directory, and the services that have been asked for.
-#[derive(Debug)]
-pub(super) struct Runs {
-    dir: PathBuf,
-    services: Mutex<BTreeMap<String, Router>>,
-}
-
-impl Runs {
-    pub(super) fn new(dir: PathBuf) -> Self {
-        Self { dir, services: Mutex::default() }
-    }
-
-    /// The directory of a run, if there is one of that name.
-    fn run(&self, name: &str) -> Option<RunDir> {
-        let plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0']);
-        let run = RunDir::new(self.dir.join(name));
-        (plain && run.config().is_file()).then_some(run)
-    }
-
-    fn list(&self) -> RunList {
-        let entries = std::fs::read_dir(&self.dir).into_iter().flatten().flatten();
-        let mut names: Vec<String> =
-            entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
-        names.sort();
-        let runs = names.into_iter().filter_map(|name| {
-            let run = self.run(&name)?;
-            glance(name, &run)
-                .inspect_err(|error| tracing::debug!(%error, "a run is left out of the list"))
-                .ok()
-        });
-        RunList { runs: runs.collect() }
-    }
-}
-
-fn glance(name: String, run: &RunDir) -> anyhow::Result<RunAtAGlance> {
-    let config = run_files::read_config(run)?;
-    Ok(RunAtAGlance {
-        name,
-        live: matches!(RunLock::holder(&run.lock()), Ok(Some(_))),
-        planned_iterations: config.planned_iterations(),
-        last: last_line(&run.metrics_jsonl()).unwrap_or_default(),
-        config: serde_json::to_value(&config)?,
-    })
-}
-
-/// The last whole line of a file of JSON lines.
-fn last_line(path: &Path) -> Option<serde_json::Value> {
-    let mut file = regular_files::open(path).ok()?;
-    let len = file.metadata().ok()?.len();
-    file.seek(SeekFrom::Start(len.saturating_sub(END))).ok()?;
-    let mut end = Vec::new();
-    file.take(END).read_to_end(&mut end).ok()?;
-    let whole = end.iter().rposition(|byte| *byte == b'\n')?;
-    serde_json::from_slice(end[..whole].rsplit(|byte| *byte == b'\n').next()?).ok()
-}
+/// What makes the service of one run: the routes know it, and give it along.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Serve(pub(super) fn(Shared) -> Router);
 
 /// All runs of the directory that is served.
 #[utoipa::path(get, path = "/v1/runs", tag = "run", operation_id = "list_runs", responses(
@@ -130,6 +43,7 @@ pub(super) async fn list(State(context): State<Shared>) -> Result<Json<RunList>,
 )]
 pub(super) async fn one(
     State(context): State<Shared>,
+    Extension(Serve(serve)): Extension<Serve>,
     request: Request,
 ) -> Result<Response, Problem> {
     let (name, path) = inner(request.uri()).ok_or_else(|| absent("no run"))?;
@@ -139,16 +53,10 @@ pub(super) async fn one(
     }
     let runs = runs_of(&context)?;
     let run = runs.run(&name).ok_or_else(|| absent(&name))?;
-    let service = {
-        let mut services = runs.services.lock().unwrap_or_else(PoisonError::into_inner);
-        services
-            .entry(name)
-            .or_insert_with(|| {
-                let store = CheckpointStore::new(run.checkpoints());
-                router(Arc::new(context.of_one_run(store)))
-            })
-            .clone()
-    };
+    let service = runs.service(name, || {
+        let store = CheckpointStore::new(run.checkpoints());
+        serve(Arc::new(context.of_one_run(store)))
+    });
     let mut request = request;
     *request.uri_mut() = Uri::from(path);
     // The variable parts of the outer path are none of the inner one.

@@ -13,7 +13,7 @@ use tokio::sync::oneshot;
 
 use super::context::Context;
 use super::limits::Limits;
-use super::runs::Runs;
+use super::run_directory::Runs;
 use super::token::Token;
 use super::{access, connections, router};
 use crate::live::LiveRun;

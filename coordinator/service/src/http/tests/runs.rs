@@ -11,7 +11,7 @@ use super::{Bench, TOKEN, commit, config};
 use crate::http::context::Context;
 use crate::http::limits::Limits;
 use crate::http::router::router;
-use crate::http::runs::Runs;
+use crate::http::run_directory::Runs;
 use crate::http::token::Token;
 
 /// Two runs, and something else.
