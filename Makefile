@@ -113,7 +113,7 @@ test: setup venv page ## everything that must hold: format, lints, documentation
 .PHONY: web-test
 web-test: setup venv page ## try the page in Chromium
 	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
-	$(CARGO) test $(LOCKED) -p tests --test it $(FEATURES) -- page:: --nocapture
+	SPACEOCTOPUS_WEB_TEST=1 $(CARGO) test $(LOCKED) --workspace --test it $(FEATURES) -- page:: --nocapture
 
 # Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run, then
 # damaged files, foreign environments, requests to a live run, attempts of another user at one, and a disk or a

@@ -125,8 +125,13 @@ fn page_of(run: &Run) -> String {
 
 /// The page is open from the first iteration on, while a worker is killed, others come and go, checkpoints are
 /// committed, pinned and tagged, and the run is stopped and resumed. Then it is looked at at rest, and among others.
+///
+/// It takes minutes where a browser draws without a GPU, so only `make web-test` does it.
 #[test]
 fn a_run_is_followed_from_its_first_iteration() {
+    if std::env::var_os("SPACEOCTOPUS_WEB_TEST").is_none() {
+        return eprintln!("skipped: `make web-test` does it");
+    }
     let Some(chromium) = chromium() else { return };
     let mut run = long_run();
     run.domain_when_there();
