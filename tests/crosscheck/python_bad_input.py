@@ -20,6 +20,8 @@ ROOT = Path(sys.argv[1])
 POLICY = ROOT / "deploy" / "policies" / "trajectory"
 SHORT = ["task.episode_steps=9"]
 ZERO = np.zeros((3, 8, 3), np.float32)
+# What runs in the background of a script is started deaf to it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def refused(kinds, words, work, *arguments, **keywords):

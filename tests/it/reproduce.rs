@@ -34,7 +34,11 @@ fn refused(args: &[&str], code: i32, words: &[&str]) {
     assert!(!message.contains("panicked"), "{args:?}:\n{message}");
 }
 
-/// Asserts that every tag of a page is closed in its order, and that it takes nothing from elsewhere.
+/// What links to an episode begin with.
+const EPISODE: &str = "episodes.html#play=";
+
+/// Asserts that every tag of a page is closed in its order, and that it takes nothing from elsewhere: it leads to places of its own, and to
+/// episodes in the file beside it.
 fn stands_alone(page: &str) {
     assert!(page.starts_with("<!DOCTYPE html>"), "{}", &page[..40]);
     let mut open: Vec<&str> = Vec::new();
@@ -50,7 +54,9 @@ fn stands_alone(page: &str) {
         }
         for (attribute, value) in tag.split(' ').filter_map(|word| word.split_once("=\"")) {
             if ["href", "src", "xlink:href", "action", "data"].contains(&attribute) {
-                assert!(value.starts_with('#'), "{attribute}={value}");
+                let own =
+                    value.starts_with('#') || attribute == "href" && value.starts_with(EPISODE);
+                assert!(own, "{attribute}={value}");
             }
         }
         assert!(!["script", "link", "img", "iframe", "object"].contains(&name), "{tag}");
@@ -101,6 +107,17 @@ fn all_experiments_make_a_page_once() {
     let digest = written["policies"][0]["digest"].as_str().expect("a digest");
     assert!(page.contains(digest));
     assert!(page.contains("octopus experiment noise --policies="), "the command behind it");
+    // What can be watched: all but arms of another mass, which no recording has.
+    let watched = page.matches(EPISODE).count();
+    if service::page::is_built() {
+        assert!(watched > 20, "{watched} episodes");
+        let player = read(dir_of, "episodes.html");
+        for name in ["trajectory/policy.safetensors", "reorientation/policy.safetensors"] {
+            assert!(player.contains(&format!("data-policy=\"{name}\"")), "{name}");
+        }
+    } else {
+        assert_eq!(watched, 0);
+    }
 
     // A second call does nothing again, but draws; also for a machine, and with learning curves.
     let before = times(dir_of);
