@@ -32,6 +32,7 @@ export class RobotRoom {
     private readonly world: World;
     private readonly curves: Curves;
     private readonly title = h("select", { class: "policy", aria: { label: "Policy" } });
+    private catchingUp = false;
     private readonly followed = h("select", { aria: { label: "When new policies come" } });
     private readonly episode = h("input", { type: "number", min: "0", max: "99999", value: "0", aria: { label: "Episode" } });
     private readonly force = h("div", { class: "force", hidden: true });
@@ -231,14 +232,25 @@ export class RobotRoom {
         await this.catchUp();
     }
 
-    /** Goes over to the newest or best policy, if that is wanted. */
+    /** Goes over to the newest or best policy, if that is wanted. Of two that come at once the later one is played in the end. */
     private async catchUp(): Promise<void> {
+        if (this.catchingUp) return;
+        this.catchingUp = true;
+        try {
+            for (let wanted = this.wanted(); wanted !== undefined && wanted !== this.current; wanted = this.wanted()) {
+                await this.change(wanted);
+                this.offer();
+                notice(`Now plays ${plain(wanted)}`);
+            }
+        } finally {
+            this.catchingUp = false;
+        }
+    }
+
+    /** The policy that is followed, if one is. */
+    private wanted(): string | undefined {
         const followed = this.followed.value as Followed;
-        const wanted = followed === "newest" ? this.policies.at(-1)?.name : followed === "best" ? this.best() : undefined;
-        if (wanted === undefined || wanted === this.current) return;
-        await this.change(wanted);
-        this.offer();
-        notice(`Now plays ${plain(wanted)}`);
+        return followed === "newest" ? this.policies.at(-1)?.name : followed === "best" ? this.best() : undefined;
     }
 
     private offer(): void {
