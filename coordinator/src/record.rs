@@ -16,7 +16,8 @@ use proto::{ExitCode, ExitError};
 const RECORD_EXAMPLES: &str = "\
 Examples:
   octopus record runs/trajectory-20260101-120000:best --out reach.mcap
-  octopus record deploy/policies/trajectory --out reach.mcap --episode 3 --csv reach.csv
+  octopus record deploy/policies/trajectory --out reach.mcap --episode 3 \\
+      --csv reach.csv
   octopus urdf --robot paper --out robot.urdf
 
 The robot plays an episode of `octopus eval`. The file holds its frames, joints, commands, goals, \

@@ -24,7 +24,7 @@ Examples:
   octopus simulate --robot release --actions in.csv --out - | head
   octopus simulate --robot release --actions in.csv --out out.csv \\
       --precision f64 --integrator euler --substep 0.001
-  octopus simulate --robot paper --state out.csv --actions then.csv --out all.csv
+  octopus simulate --robot paper --state out.csv --actions a.csv --out all.csv
 
 IN.csv has no header and one row per control step: joint velocity commands in rad/s, arm after \
 arm (24 numbers for four arms). OUT.csv has a header and one row per control step, after it: t, \
