@@ -120,13 +120,13 @@ def click_curve(page, name):
 def follows(page):
     """The robot goes over to what is committed."""
     page.tab_named("Robot")
-    playing = page.room("timeline.playing")
+    page.wait("timeline.playing")
     page.tab.select_option("select[aria-label='When new policies come']", "newest")
     before = page.room("room.current")
     page.tab.evaluate("fetch('v1/checkpoints', { method: 'POST', headers: { authorization: 'Bearer ' + sessionStorage.token } }).then((r) => r.status)")
     page.wait("room.current !== '%s'" % before)
     page.wait("room.current === feed.checkpoints.at(-1).name")
-    check(page.room("timeline.playing") == playing, "a new policy stops or starts what is played")
+    check(page.room("timeline.playing"), "a new policy stops what is played")
     page.tab.select_option("select[aria-label='When new policies come']", "none")
     page.tab_named("Run")
 
