@@ -255,11 +255,14 @@ impl Episode {
         }
     }
 
-    /// Goes to a moment of this episode, or of another one on the same robot.
+    /// Goes to a moment of this episode, or of another one on the same robot. Policies that came after it keep their places, so that they may
+    /// take part from there on.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), EventError> {
         let Snapshot { members, start, course, group } = snapshot;
         self.weigh(course.base_mass)?;
-        self.members.clone_from(members);
+        // Somebody who goes back to let another policy play named it before going back.
+        let came_later = self.members.iter().skip(members.len()).cloned().collect::<Vec<_>>();
+        self.members = members.iter().cloned().chain(came_later).collect();
         self.stepper.seat(&players(&self.members));
         self.stepper.envs = addresses(start).0;
         self.stepper.groups[0].clone_from(group);

@@ -170,6 +170,13 @@ fn time_goes_back_and_comes_again_the_same() {
     assert_ne!(row(&episode), rows[1]);
     episode.restore(&kept).expect("a moment of this episode");
     assert_eq!(ahead(&mut episode), rows);
+    // Who came after that moment may take part from there on.
+    let late = episode.seat(None, both().remove(0)).expect("a place");
+    episode.restore(&kept).expect("a moment of this episode");
+    let control = Control::Policy(late);
+    episode.apply(&Event::Arm { arm: 0, control }).expect("it is there");
+    episode.restore(&kept).expect("a moment of this episode");
+    assert_eq!(ahead(&mut episode), rows, "its presence alone changes nothing");
     // And from the start.
     episode.reset(start()).expect("a start");
     assert_eq!((episode.steps(), episode.delay(), episode.effects()), (0, 0, 0));
