@@ -216,21 +216,12 @@ impl Asked {
 
 /// The numbers of a state, and of the goals, as inputs have them.
 fn state_and_goals(episode: &Episode, world: &World) -> [Vec<f32>; 2] {
-    let state = episode.state();
-    let parts: [&[f32]; 6] = [
-        &state.base_position,
-        &state.base_quaternion,
-        &state.base_linear_velocity,
-        &state.base_angular_velocity,
-        &state.q,
-        &state.qd,
-    ];
     let goals = episode.goals();
     let goals = match world.config.task.name {
         TaskName::Trajectory => goals.hands.concat(),
         TaskName::Reorientation => goals.base.to_vec(),
     };
-    [parts.concat(), goals]
+    [episode.state().parts().concat(), goals]
 }
 
 fn write_numbers(line: &mut String, numbers: impl IntoIterator<Item = f32>) {

@@ -11,17 +11,15 @@ use proto::config::{Config, Inference};
 use proto::layout::Dimensions;
 use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
-use simulator::dynamics::{Hand, hands};
-use simulator::model::Model;
+use simulator::env::readings;
 use simulator::policy::Scratch;
 use simulator::robot::{JOINTS_PER_ARM, Robot};
 use simulator::rollout::World;
-use simulator::spatial::{euler_xyz, quaternion_exp, quaternion_to_rotation};
+use simulator::spatial::quaternion_exp;
 use simulator::state::State;
 use simulator::task::goal::GoalAddress;
 use simulator::task::observation::observe;
-use simulator::task::{Errors, Goals, HandReading, Readings};
-use simulator::workspace::Workspace;
+use simulator::task::{Errors, Goals};
 
 /// A pose: position in the world (m) and Euler angles (rad).
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -344,29 +342,4 @@ fn moving(robot: &Robot) -> State<f64> {
         *qd = wave(joint, 0.3, 0.3);
     }
     state
-}
-
-/// Everything that tasks read off a state, but for the last action.
-fn readings(robot: &Robot, state: &State<f64>) -> Readings<f64> {
-    let model = Model::new(robot);
-    let mut found = Readings::new(robot.n_arms);
-    let mut poses = vec![Hand::default(); robot.n_arms];
-    hands(&model, &mut Workspace::new(&model), state, &mut poses);
-    found.base_position = state.base_position;
-    found.base_quaternion = state.base_quaternion;
-    found.base_euler = euler_xyz(&quaternion_to_rotation(&state.base_quaternion));
-    found.base_linear = state.base_linear_velocity;
-    found.base_angular = state.base_angular_velocity;
-    found.q.clone_from(&state.q);
-    found.qd.clone_from(&state.qd);
-    found.hands = poses
-        .iter()
-        .map(|hand| HandReading {
-            position: hand.position,
-            euler: euler_xyz(&hand.rotation),
-            linear: hand.linear_velocity,
-            angular: hand.angular_velocity,
-        })
-        .collect();
-    found
 }

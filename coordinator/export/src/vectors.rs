@@ -3,15 +3,10 @@
 use std::sync::Arc;
 
 use serde::Serialize;
-use simulator::dynamics::{Hand, hands};
+use simulator::env::readings;
 use simulator::experiment::{Episode, Member, Start};
-use simulator::model::Model;
-use simulator::robot::Robot;
-use simulator::spatial::{euler_xyz, quaternion_to_rotation};
-use simulator::state::State;
+use simulator::task::Errors;
 use simulator::task::observation::observe;
-use simulator::task::{Errors, HandReading, Readings};
-use simulator::workspace::Workspace;
 
 use crate::error::ExportError;
 use crate::source::Source;
@@ -68,32 +63,6 @@ impl Case {
     }
 }
 
-/// What the tasks read off a state.
-fn readings(robot: &Robot, state: &State<f32>, last_action: &[f32]) -> Readings<f32> {
-    let model = Model::new(robot);
-    let mut found = Readings::new(robot.n_arms);
-    let mut poses = vec![Hand::default(); robot.n_arms];
-    hands(&model, &mut Workspace::new(&model), state, &mut poses);
-    found.base_position = state.base_position;
-    found.base_quaternion = state.base_quaternion;
-    found.base_euler = euler_xyz(&quaternion_to_rotation(&state.base_quaternion));
-    found.base_linear = state.base_linear_velocity;
-    found.base_angular = state.base_angular_velocity;
-    found.q.clone_from(&state.q);
-    found.qd.clone_from(&state.qd);
-    found.last_action.copy_from_slice(last_action);
-    found.hands = poses
-        .iter()
-        .map(|hand| HandReading {
-            position: hand.position,
-            euler: euler_xyz(&hand.rotation),
-            linear: hand.linear_velocity,
-            angular: hand.angular_velocity,
-        })
-        .collect();
-    found
-}
-
 /// Plays episodes and writes down what they pass.
 pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
     let world = source.world;
@@ -111,7 +80,8 @@ pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
             if !step.is_multiple_of(EVERY) {
                 continue;
             }
-            let found = readings(&world.robot, &state, &action);
+            let mut found = readings(&world.robot, &state);
+            found.last_action.copy_from_slice(&action);
             let goals = episode.goals();
             let mut errors = Errors::new(world.robot.n_arms);
             errors.update(&found, goals);

@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 use simulator::experiment::{Episode, Member, Script};
 use simulator::robot::Robot;
 use simulator::simulate::SimulationRow;
-use simulator::state::State;
 use store::regular_files;
 
 use crate::trained::Trained;
@@ -143,7 +142,7 @@ pub fn play(
     let (mut hash, mut rows, mut contact_steps) = (blake3::Hasher::new(), Vec::new(), 0);
     let after = &mut |episode: &Episode| {
         let state = episode.state();
-        for number in numbers(state) {
+        for number in state.parts().into_iter().flatten() {
             hash.update(&number.to_le_bytes());
         }
         if episode.steps() > 0 {
@@ -151,7 +150,7 @@ pub fn play(
             contact_steps += usize::from(contacts > 0);
             rows.push(SimulationRow {
                 t: episode.steps() as f64 * episode.control_period(),
-                state: widened(state),
+                state: state.lane(0),
                 hands: episode.hands().iter().map(|hand| hand.position.map(f64::from)).collect(),
                 contacts,
             });
@@ -189,29 +188,5 @@ impl Played {
             ["BLAKE3 of all states".to_owned(), self.states_blake3.clone()],
         ]);
         output::table(["at the end", "value"], rows)
-    }
-}
-
-fn numbers(state: &State<f32>) -> impl Iterator<Item = f32> {
-    let parts: [&[f32]; 6] = [
-        &state.base_position,
-        &state.base_quaternion,
-        &state.base_linear_velocity,
-        &state.base_angular_velocity,
-        &state.q,
-        &state.qd,
-    ];
-    parts.into_iter().flatten().copied()
-}
-
-fn widened(state: &State<f32>) -> State<f64> {
-    let wide = |values: &[f32]| values.iter().copied().map(f64::from).collect();
-    State {
-        base_position: state.base_position.map(f64::from),
-        base_quaternion: state.base_quaternion.map(f64::from),
-        base_linear_velocity: state.base_linear_velocity.map(f64::from),
-        base_angular_velocity: state.base_angular_velocity.map(f64::from),
-        q: wide(&state.q),
-        qd: wide(&state.qd),
     }
 }

@@ -24,7 +24,6 @@
 
 use simulator::experiment::Episode;
 use simulator::robot::{JOINTS_PER_ARM, Robot};
-use simulator::state::State;
 
 /// Most contacts that are told.
 const MOST_CONTACTS: usize = 64;
@@ -84,21 +83,10 @@ impl Arrays {
     /// Fills all with an episode as it stands.
     pub(crate) fn fill(&mut self, episode: &Episode) {
         let mut out = Writer(&mut self.values);
-        let State {
-            base_position,
-            base_quaternion,
-            base_linear_velocity,
-            base_angular_velocity,
-            q,
-            qd,
-        } = episode.state();
-        out.put(base_position);
-        out.put(base_quaternion);
-        out.put(base_linear_velocity);
-        out.put(base_angular_velocity);
-        out.put(q);
-        out.put(qd);
-        for body in 0..=q.len() {
+        for part in episode.state().parts() {
+            out.put(part);
+        }
+        for body in 0..=episode.state().q.len() {
             let (axes, origin) = episode.body(body);
             out.put(&matrix(&axes, origin));
         }

@@ -103,16 +103,7 @@ fn natively(files: &[Files], script: &Script) -> (Vec<u32>, f64) {
     let since = Instant::now();
     episode
         .play(script, &mut |episode| {
-            let state = episode.state();
-            let parts: [&[f32]; 6] = [
-                &state.base_position,
-                &state.base_quaternion,
-                &state.base_linear_velocity,
-                &state.base_angular_velocity,
-                &state.q,
-                &state.qd,
-            ];
-            states.extend(parts.into_iter().flatten().map(|x| x.to_bits()));
+            states.extend(episode.state().parts().into_iter().flatten().map(|x| x.to_bits()));
         })
         .expect("it plays");
     (states, since.elapsed().as_secs_f64() * 1e3 / script.steps as f64)

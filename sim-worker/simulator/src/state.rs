@@ -20,6 +20,17 @@ pub struct State<S> {
     pub qd: Vec<S>,
 }
 
+impl<S> State<S> {
+    /// All numbers in the order in which scripts, arrays and exported controllers have them: the base's position, quaternion, linear and angular
+    /// velocity, joint angles, joint rates.
+    #[inline(always)]
+    pub fn parts(&self) -> [&[S]; 6] {
+        let Self { base_position, base_quaternion, base_linear_velocity, .. } = self;
+        let Self { base_angular_velocity, q, qd, .. } = self;
+        [base_position, base_quaternion, base_linear_velocity, base_angular_velocity, q, qd]
+    }
+}
+
 impl<S: Real> State<S> {
     /// The robot at its home pose, at rest, in every lane.
     pub fn home(robot: &Robot) -> Self {
@@ -67,13 +78,6 @@ impl<S: Real> State<S> {
 
     /// Whether every number of every lane is finite.
     pub fn is_finite(&self) -> bool {
-        self.base_position
-            .iter()
-            .chain(&self.base_quaternion)
-            .chain(&self.base_linear_velocity)
-            .chain(&self.base_angular_velocity)
-            .chain(&self.q)
-            .chain(&self.qd)
-            .all(|&x| is_finite(x))
+        self.parts().into_iter().flatten().all(|&x| is_finite(x))
     }
 }

@@ -116,12 +116,8 @@ fn moment(names: &[String], episode: &Episode) -> Moment {
         point: push.point.map(f64::from),
         force: push.force.map(f64::from),
     });
-    let base = [
-        &state.base_position[..],
-        &state.base_quaternion,
-        &state.base_linear_velocity,
-        &state.base_angular_velocity,
-    ];
+    let [position, quaternion, linear, angular, q, qd] = state.parts();
+    let base = [position, quaternion, linear, angular];
     let errors = episode.errors();
     Moment {
         bodies: bodies
@@ -136,8 +132,8 @@ fn moment(names: &[String], episode: &Episode) -> Moment {
             .map(|hand| Frame::new(&hand.rotation, hand.position))
             .collect(),
         base: base.concat().try_into().expect("thirteen numbers"),
-        q: state.q.clone(),
-        qd: state.qd.clone(),
+        q: q.to_vec(),
+        qd: qd.to_vec(),
         commands: episode.commands().to_vec(),
         torques: episode.torques().to_vec(),
         position_errors: errors.position_norm.clone(),

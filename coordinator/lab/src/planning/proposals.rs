@@ -5,7 +5,6 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use simulator::experiment::{Control, Episode, Event, Member, Start};
 use simulator::plan::{Commands, Question, hand_pose};
-use simulator::state::State;
 
 use crate::trained::Trained;
 
@@ -16,7 +15,7 @@ const STEPS: usize = 100;
 pub(super) fn of(policy: Trained, question: &Question) -> anyhow::Result<Vec<Commands>> {
     let Trained { world, policy, .. } = policy;
     let member = Arc::new(Member { world, policy });
-    let state = Some(numbers(&question.start));
+    let state = Some(question.start.parts().concat());
     let start = Start { state, ..Start::default() };
     let mut episode = Episode::new(vec![member], start.clone()).context("the state to begin in")?;
     let mut proposals = Vec::new();
@@ -38,17 +37,4 @@ pub(super) fn of(policy: Trained, question: &Question) -> anyhow::Result<Vec<Com
         proposals.push(commands);
     }
     Ok(proposals)
-}
-
-/// A state as an episode begins with it.
-fn numbers(state: &State<f64>) -> Vec<f64> {
-    let parts: [&[f64]; 6] = [
-        &state.base_position,
-        &state.base_quaternion,
-        &state.base_linear_velocity,
-        &state.base_angular_velocity,
-        &state.q,
-        &state.qd,
-    ];
-    parts.concat()
 }

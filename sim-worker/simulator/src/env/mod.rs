@@ -16,7 +16,7 @@ pub use error::EpisodeError;
 pub(crate) use home::home;
 pub use moment::Moment;
 pub(crate) use physics::Physics;
-pub use physics::{Push, step_options};
+pub use physics::{Push, readings, step_options};
 
 #[cfg(test)]
 mod tests;

@@ -140,6 +140,13 @@ impl Physics<f32> {
     }
 }
 
+/// What tasks read off a robot in this state, but for the last action, which is zero.
+pub fn readings<S: Real>(robot: &Robot, state: &State<S>) -> Readings<S> {
+    let mut readings = Readings::new(robot.n_arms);
+    Physics::with_options(robot, StepOptions::default()).read(state, &mut readings);
+    readings
+}
+
 /// A contact that pushes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Push<S> {

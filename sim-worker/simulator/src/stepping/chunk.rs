@@ -111,17 +111,8 @@ impl<S: Real> InLanes<S> {
             put(rows.touching_pairs, (first, n), &[seen.touching_pairs]);
             put(rows.hand_goal, (first, n), group.goals.hands.as_flattened());
             put(rows.base_goal, (first, n), &group.goals.base);
-            let state = &group.state;
-            let parts: [&[S]; 6] = [
-                &state.base_position,
-                &state.base_quaternion,
-                &state.base_linear_velocity,
-                &state.base_angular_velocity,
-                &state.q,
-                &state.qd,
-            ];
             let mut at = 0;
-            for part in parts {
+            for part in group.state.parts() {
                 robot[at..at + part.len()].copy_from_slice(part);
                 at += part.len();
             }
