@@ -1,7 +1,7 @@
 //! A plan as a picture: how the hands come nearer, how fast the joints turn, how near bodies come to each other.
 
 use drawing::{Axis, Item, Layout, Panel, line, render};
-use simulator::plan::{Question, misses_along};
+use simulator::plan::{Miss, Question};
 use simulator::robot::{JOINTS_PER_ARM, Robot};
 
 use super::answer::Answer;
@@ -19,11 +19,11 @@ pub fn picture(
     let along = |values: Vec<f64>| -> Vec<(f64, f64)> {
         values.into_iter().enumerate().map(|(step, y)| (step as f64 * period, y)).collect()
     };
-    let misses = misses_along(robot, question, rows);
-    let errors = |of: fn(&simulator::plan::Miss) -> f64, within: f64| -> Vec<Item> {
-        let hands = misses.iter().map(|course| {
-            let arm = course[0].arm;
-            let values = course.iter().map(|miss| 1e3 * of(miss)).collect();
+    let states = std::iter::once(&question.start).chain(rows.iter().map(|row| &row.state));
+    let misses: Vec<Vec<Miss>> = states.map(|state| question.misses(robot, state)).collect();
+    let errors = |of: fn(&Miss) -> f64, within: f64| -> Vec<Item> {
+        let hands = misses[0].iter().enumerate().map(|(hand, &Miss { arm, .. })| {
+            let values = misses.iter().map(|step| 1e3 * of(&step[hand])).collect();
             line(format!("hand {}", arm + 1), arm, along(values))
         });
         let wanted = Item::Threshold { name: "near enough".to_owned(), at: 1e3 * within };

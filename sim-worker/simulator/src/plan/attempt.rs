@@ -100,7 +100,7 @@ fn play<S: Real>(search: &Search<'_>, candidates: &[Candidate]) -> Vec<Played> {
         step(&model, &mut workspace, &mut state, &command, options);
         let contacts = count_contacts(&model, &mut workspace, &state);
         for (lane, of) in lanes.iter_mut().enumerate().filter(|(_, of)| !of.ended) {
-            let miss = search.worst(&search.misses(&state.lane(lane)));
+            let miss = question.worst_miss(robot, &state.lane(lane));
             of.step_ended(number, miss, contacts.lane(lane) > 0.0);
         }
         if lanes.iter().all(|of| of.ended) {
@@ -140,6 +140,7 @@ struct Driver<'a> {
     search: &'a Search<'a>,
     /// By arm.
     targets: Vec<Option<Isometry3<f64>>>,
+    /// Fastest rates of the joints (rad/s), arm-major.
     limits: Vec<f64>,
     base: Isometry3<f64>,
     /// Joints of the arms that nobody asked for.
@@ -149,12 +150,14 @@ struct Driver<'a> {
 impl<'a> Driver<'a> {
     fn new(search: &'a Search<'a>) -> Self {
         let mut targets = vec![None; search.robot.n_arms];
-        for (arm, target) in search.targets() {
+        for (arm, target) in search.question.targets() {
             targets[arm] = Some(target);
         }
         let free = targets.iter().flat_map(|target| [target.is_none(); JOINTS_PER_ARM]).collect();
         let base = base_pose(&search.question.start);
-        Self { search, targets, limits: search.limits(), base, free }
+        let limits = search.robot.max_rates().into_iter();
+        let limits = limits.map(|rate| rate.min(search.question.fastest)).collect();
+        Self { search, targets, limits, base, free }
     }
 
     /// Joint rates (rad/s), arm-major, of a candidate in the state `now`.

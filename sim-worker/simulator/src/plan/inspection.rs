@@ -24,8 +24,6 @@ pub struct Inspection {
     pub rates: Vec<f64>,
     /// How far the base was from where it began, at most (m and rad).
     pub base: [f64; 2],
-    /// How far it is at the end (m and rad).
-    pub base_end: [f64; 2],
 }
 
 /// Plays `commands` (rad/s) from `start`.
@@ -60,8 +58,7 @@ pub fn inspect(
     };
     let most = |[a, b]: [f64; 2], [x, y]: [f64; 2]| [a.max(x), b.max(y)];
     let base = states.iter().map(|state| away(state)).fold([0.0; 2], most);
-    let base_end = away(states[states.len() - 1]);
-    Inspection { rows, clearance, torques, rates, base, base_end }
+    Inspection { rows, clearance, torques, rates, base }
 }
 
 struct Clearances<'a> {

@@ -18,11 +18,11 @@ mod reaction;
 pub use self::frame::{Frame, hand_pose};
 pub use self::inspection::{Inspection, inspect};
 use self::question::Search;
-pub use self::question::{Commands, Miss, Question, Tolerance, misses_along, widen};
+pub use self::question::{Commands, Miss, Question, Tolerance, widen};
 use crate::executor::{self, Executor};
 use crate::robot::Robot;
 use crate::scalar::LANES;
-use crate::simulate::{Precision, simulate_from};
+use crate::simulate::{Precision, SimulationRow, simulate_from};
 use crate::step::StepOptions;
 use attempt::{Attempt, Played};
 use candidates::Candidates;
@@ -83,8 +83,7 @@ pub fn plan(
     for (index, played) in proposed {
         best.tried += 1;
         if played.arrives() && !search.is_pushed(&played.commands) {
-            let plan = search.plan(played, best.tried, None);
-            return Plan { proposal: Some(index), ..plan };
+            return Plan { proposal: Some(index), ..search.plan(played, best.tried, None) };
         }
         best.consider(played, Some(index));
     }
@@ -150,16 +149,19 @@ impl Best {
 
 /// What decides between candidates.
 impl Search<'_> {
+    fn simulate(&self, commands: &[Vec<f32>], options: &StepOptions) -> Vec<SimulationRow> {
+        let start = &self.question.start;
+        simulate_from(self.robot, start, &widen(commands), Precision::F32, options)
+    }
+
     /// What given commands lead to.
     fn judge(&self, commands: &[Vec<f32>]) -> Played {
-        let wide = widen(commands);
-        let rows =
-            simulate_from(self.robot, &self.question.start, &wide, Precision::F32, self.options);
+        let rows = self.simulate(commands, self.options);
         let touched = rows.iter().filter(|row| row.contacts > 0).count();
-        let misses: Vec<f64> =
-            rows.iter().map(|row| self.worst(&self.misses(&row.state))).collect();
+        let worst_miss = |state| self.question.worst_miss(self.robot, state);
+        let misses: Vec<f64> = rows.iter().map(|row| worst_miss(&row.state)).collect();
         let last = misses.last().copied();
-        let miss = last.unwrap_or_else(|| self.worst(&self.misses(&self.question.start)));
+        let miss = last.unwrap_or_else(|| worst_miss(&self.question.start));
         let outside = misses.iter().rposition(|&miss| miss.is_nan() || miss > 1.0);
         let arrived = (miss <= 1.0).then(|| outside.map_or(0, |last| last + 1));
         Played { commands: commands.to_vec(), miss, touched, arrived }
@@ -171,10 +173,7 @@ impl Search<'_> {
             return false;
         }
         let free = StepOptions { contacts: false, ..*self.options };
-        let wide = widen(commands);
-        let [pushed, free] = [self.options, &free].map(|options| {
-            simulate_from(self.robot, &self.question.start, &wide, Precision::F32, options)
-        });
+        let [pushed, free] = [self.options, &free].map(|options| self.simulate(commands, options));
         pushed.iter().zip(&free).any(|(a, b)| {
             let pairs = a.state.q.iter().zip(&b.state.q);
             let places = a.state.base_position.iter().zip(&b.state.base_position);
@@ -184,14 +183,9 @@ impl Search<'_> {
 
     fn plan(&self, played: Played, tried: usize, obstacle: Option<Obstacle>) -> Plan {
         let Played { commands, arrived, .. } = played;
-        let rows = simulate_from(
-            self.robot,
-            &self.question.start,
-            &widen(&commands),
-            Precision::F32,
-            self.options,
-        );
-        let misses = self.misses(rows.last().map_or(&self.question.start, |row| &row.state));
+        let rows = self.simulate(&commands, self.options);
+        let end = rows.last().map_or(&self.question.start, |row| &row.state);
+        let misses = self.question.misses(self.robot, end);
         Plan { commands, misses, arrived, obstacle, tried, proposal: None }
     }
 }

@@ -5,7 +5,6 @@ use nalgebra::Isometry3;
 use super::frame;
 use crate::inverse_kinematics::pose;
 use crate::robot::Robot;
-use crate::simulate::SimulationRow;
 use crate::state::State;
 use crate::step::StepOptions;
 
@@ -49,52 +48,39 @@ pub struct Miss {
     pub orientation: f64,
 }
 
-/// A question with the robot that it is about.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Search<'a> {
-    pub(super) robot: &'a Robot,
-    pub(super) options: &'a StepOptions,
-    pub(super) question: &'a Question,
-}
-
-impl Search<'_> {
-    /// Fastest rates of the joints (rad/s), arm-major.
-    pub(super) fn limits(&self) -> Vec<f64> {
-        self.robot.max_rates().into_iter().map(|rate| rate.min(self.question.fastest)).collect()
-    }
-
+impl Question {
     /// Poses of the asked hands in the world, with their arms.
     pub(super) fn targets(&self) -> Vec<(usize, Isometry3<f64>)> {
-        let asked = self.question.hands.iter().enumerate();
+        let asked = self.hands.iter().enumerate();
         asked.filter_map(|(arm, goal)| Some((arm, pose((*goal)?)))).collect()
     }
 
-    /// How far the asked hands are from their poses.
-    pub(super) fn misses(&self, state: &State<f64>) -> Vec<Miss> {
+    /// How far the asked hands are from their poses in a state of the robot.
+    pub fn misses(&self, robot: &Robot, state: &State<f64>) -> Vec<Miss> {
         let miss = |(arm, target): (usize, Isometry3<f64>)| {
-            let hand = frame::hand(self.robot, state, arm);
+            let hand = frame::hand(robot, state, arm);
             let position = (target.translation.vector - hand.translation.vector).norm();
             Miss { arm, position, orientation: target.rotation.angle_to(&hand.rotation) }
         };
         self.targets().into_iter().map(miss).collect()
     }
 
-    /// The worst miss in parts of what is near enough.
-    pub(super) fn worst(&self, misses: &[Miss]) -> f64 {
-        let Tolerance { position, orientation } = self.question.within;
-        let parts = misses.iter().map(|m| (m.position / position).max(m.orientation / orientation));
+    /// The worst miss in a state, in parts of what is near enough.
+    pub(super) fn worst_miss(&self, robot: &Robot, state: &State<f64>) -> f64 {
+        let Tolerance { position, orientation } = self.within;
+        let misses = self.misses(robot, state).into_iter();
+        let parts = misses.map(|m| (m.position / position).max(m.orientation / orientation));
         // A NaN is no small miss.
         parts.fold(0.0, |worst, part| if part <= worst { worst } else { part })
     }
 }
 
-/// How far the asked hands are from their poses at the start and after each of `rows`: `[asked hand][step]`.
-pub fn misses_along(robot: &Robot, question: &Question, rows: &[SimulationRow]) -> Vec<Vec<Miss>> {
-    let options = StepOptions::default();
-    let search = Search { robot, options: &options, question };
-    let states = std::iter::once(&question.start).chain(rows.iter().map(|row| &row.state));
-    let steps: Vec<Vec<Miss>> = states.map(|state| search.misses(state)).collect();
-    (0..steps[0].len()).map(|hand| steps.iter().map(|step| step[hand]).collect()).collect()
+/// A question with the robot that it is about.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Search<'a> {
+    pub(super) robot: &'a Robot,
+    pub(super) options: &'a StepOptions,
+    pub(super) question: &'a Question,
 }
 
 /// The same commands as the simulation reads them.
