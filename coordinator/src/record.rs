@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use export::Recording;
 use lab::trained::{Trained, open_checkpoint};
+use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use simulator::experiment::{Member, Start};
 use store::files;
 use store::outputs::{Output, is_same_place};
 
 use crate::values::whole;
-use proto::{ExitCode, ExitError};
 
 const RECORD_EXAMPLES: &str = "\
 Examples:
@@ -95,7 +95,7 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<()> {
     let (steps, seconds) = recording.length();
     files::replace_output(&args.out, &file)?;
     if let Some(path) = &args.csv {
-        files::replace_output(path, recording.csv().as_bytes())?;
+        files::replace_output(path, &recording.csv()?)?;
     }
     if args.json {
         let (out, csv, bytes) = (args.out.as_path(), args.csv.as_deref(), file.len());

@@ -17,7 +17,6 @@ mod moments;
 mod schema;
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::io::Cursor;
 use std::sync::Arc;
 
@@ -225,24 +224,29 @@ impl Recording {
     }
 
     /// The same as columns: time, base, joints, commands, torques, errors; one row for the beginning and for every control step.
-    pub fn csv(&self) -> String {
+    ///
+    /// # Errors
+    /// If it cannot be put together.
+    pub fn csv(&self) -> Result<Vec<u8>, ExportError> {
+        self.write_csv().map_err(|error| ExportError::Recording(error.to_string()))
+    }
+
+    fn write_csv(&self) -> csv::Result<Vec<u8>> {
         let world = &self.member.world;
         let names = body_names(world);
-        let base = "base_x,base_y,base_z,base_qw,base_qx,base_qy,base_qz,base_vx,base_vy,base_vz,base_wx,base_wy,base_wz";
-        let mut text = format!("t,{base}");
+        let base = "base_x base_y base_z base_qw base_qx base_qy base_qz base_vx base_vy base_vz base_wx base_wy base_wz";
+        let mut header = vec!["t".to_owned()];
+        header.extend(base.split(' ').map(str::to_owned));
         for what in ["angle_rad", "rate_rad_s", "command_rad_s", "torque_n_m"] {
-            for name in &names[1..] {
-                let _ = write!(text, ",{name}_{what}");
-            }
+            header.extend(names[1..].iter().map(|name| format!("{name}_{what}")));
         }
         for what in ["position_error_m", "orientation_error_rad"] {
-            for arm in &world.robot.arms {
-                let _ = write!(text, ",{}_{what}", arm.name);
-            }
+            header.extend(world.robot.arms.iter().map(|arm| format!("{}_{what}", arm.name)));
         }
-        text.push_str(",base_error_rad,pushing_contacts\n");
+        header.extend(["base_error_rad", "pushing_contacts"].map(str::to_owned));
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.write_record(header)?;
         for (step, moment) in self.moments.iter().enumerate() {
-            let _ = write!(text, "{}", self.nanoseconds(step) as f64 / 1e9);
             let parts: [&[f32]; 8] = [
                 &moment.base,
                 &moment.q,
@@ -253,12 +257,12 @@ impl Recording {
                 &moment.orientation_errors,
                 &[moment.base_error],
             ];
-            for number in parts.into_iter().flatten() {
-                let _ = write!(text, ",{number}");
-            }
-            let _ = writeln!(text, ",{}", moment.pushes.len());
+            let time = (self.nanoseconds(step) as f64 / 1e9).to_string();
+            let numbers = parts.into_iter().flatten().map(f32::to_string);
+            let contacts = moment.pushes.len().to_string();
+            writer.write_record([time].into_iter().chain(numbers).chain([contacts]))?;
         }
-        text
+        writer.into_inner().map_err(|error| error.into_error().into())
     }
 
     /// Control steps, and seconds that they take.
