@@ -1,5 +1,5 @@
-//! What programs of others take from here: a policy as one directory that needs nothing of ours ([`files`]), a recorded episode
-//! ([`Recording`]), a robot ([`urdf`]).
+//! What programs of others take from here: a policy as one directory that needs nothing of ours ([`files`]), and a recorded episode
+//! ([`Recording`]).
 //!
 //! The directory of a policy:
 //!
@@ -23,13 +23,11 @@ mod networks;
 mod onnx;
 mod recording;
 mod source;
-mod urdf;
 mod vectors;
 
 pub use error::ExportError;
 pub use recording::Recording;
 pub use source::{HeldOut, HeldOutError, Origin, Source};
-pub use urdf::urdf;
 
 use networks::Networks;
 

@@ -25,9 +25,9 @@ use mcap::{Attachment, WriteOptions, Writer, records};
 use prost::Message as _;
 use simulator::experiment::{Member, Start};
 use simulator::robot::JOINTS_PER_ARM;
+use simulator::robot::urdf::urdf;
 
 use crate::error::ExportError;
-use crate::urdf::urdf;
 use messages::{
     Contact, Contacts, Errors, FrameTransform, FrameTransforms, JointState, JointStates, Pose,
     PosesInFrame, Quaternion, Timestamp, Vector3,

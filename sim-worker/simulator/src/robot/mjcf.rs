@@ -3,10 +3,9 @@
 //! Every number is written so that it reads back to the same `f64`: frames as positions and quaternions, inertias as full tensors about the
 //! centre of mass, the compiler's own inference switched off. The servos clip commands and torques as ours do.
 
-use std::fmt::Write as _;
-
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
+use super::xml::{Xml, numbers};
 use super::{ArmBody, BaseBox, RigidBody, Robot, Shape};
 
 /// What goes into the model beside bodies, joints and servos.
@@ -22,21 +21,21 @@ pub struct MjcfOptions {
 /// Bodies: `base`, then per arm `<arm>_<link>`; joints and actuators likewise, joint angles are ours; sites `<arm>_hand`. MuJoCo's generalised
 /// positions and velocities then stand in the order of our [`State`](crate::state::State). Keyframe `home` is the robot at home.
 pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
-    let mut x = Xml { text: String::new(), depth: 0, options };
+    let mut x = Xml::new("");
     x.open(&format!("mujoco model=\"{}\"", robot.name));
     x.line("compiler angle=\"radian\" autolimits=\"true\" inertiafromgeom=\"false\" boundmass=\"0\" boundinertia=\"0\" balanceinertia=\"false\"");
     x.line("option timestep=\"0.001\" integrator=\"Euler\" gravity=\"0 0 0\" cone=\"elliptic\" impratio=\"5\"");
     x.open("worldbody");
     x.open(&format!("body name=\"base\" pos=\"{}\"", numbers(&robot.home_position)));
     x.line("freejoint name=\"base\"");
-    x.inertial(&robot.base);
+    put_inertial(&mut x, &robot.base);
     for b in &robot.boxes {
-        x.solid(b);
+        put_solid(&mut x, b, options);
     }
     for arm in &robot.arms {
-        x.solid(&arm.mount);
+        put_solid(&mut x, &arm.mount, options);
         for (i, shape) in arm.pedestal_shapes.iter().enumerate() {
-            x.shape(&format!("{}_pedestal_{i}", arm.name), shape);
+            put_shape(&mut x, (&format!("{}_pedestal_{i}", arm.name), shape), options);
         }
         let (mut position, mut rotation) = (arm.position, arm.rotation);
         for (j, link) in robot.links.iter().enumerate() {
@@ -46,9 +45,9 @@ pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
                 "joint name=\"{name}\" type=\"hinge\" axis=\"0 0 1\" ref=\"0\" armature=\"{}\"",
                 link.armature
             ));
-            x.inertial(&link.body);
+            put_inertial(&mut x, &link.body);
             for (i, shape) in link.shapes.iter().enumerate() {
-                x.shape(&format!("{name}_{i}"), shape);
+                put_shape(&mut x, (&format!("{name}_{i}"), shape), options);
             }
             (position, rotation) = (link.shift, link.twist);
             if j + 1 == robot.links.len() {
@@ -63,7 +62,7 @@ pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
     x.close("body");
     x.close("worldbody");
     if options.contacts {
-        x.excluded(robot);
+        put_exclusions(&mut x, robot);
     }
     x.open("actuator");
     for arm in &robot.arms {
@@ -81,102 +80,66 @@ pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
     x.line(&format!("key name=\"home\" qpos=\"{}\"", numbers(&home)));
     x.close("keyframe");
     x.close("mujoco");
-    x.text
+    x.into_text()
 }
 
-struct Xml {
-    text: String,
-    depth: usize,
-    options: MjcfOptions,
+fn put_inertial(x: &mut Xml, body: &RigidBody) {
+    let i = &body.inertia;
+    x.line(&format!(
+        "inertial mass=\"{}\" pos=\"{}\" fullinertia=\"{}\"",
+        body.mass,
+        numbers(body.com.as_slice()),
+        numbers(&[i[(0, 0)], i[(1, 1)], i[(2, 2)], i[(0, 1)], i[(0, 2)], i[(1, 2)]])
+    ));
 }
 
-impl Xml {
-    fn indent(&mut self) {
-        for _ in 0..self.depth {
-            self.text.push_str("  ");
-        }
-    }
-
-    fn line(&mut self, element: &str) {
-        self.indent();
-        writeln!(self.text, "<{element}/>").expect("writing to a string");
-    }
-
-    fn open(&mut self, element: &str) {
-        self.indent();
-        writeln!(self.text, "<{element}>").expect("writing to a string");
-        self.depth += 1;
-    }
-
-    fn close(&mut self, name: &str) {
-        self.depth -= 1;
-        self.indent();
-        writeln!(self.text, "</{name}>").expect("writing to a string");
-    }
-
-    fn inertial(&mut self, body: &RigidBody) {
-        let i = &body.inertia;
-        self.line(&format!(
-            "inertial mass=\"{}\" pos=\"{}\" fullinertia=\"{}\"",
-            body.mass,
-            numbers(body.com.as_slice()),
-            numbers(&[i[(0, 0)], i[(1, 1)], i[(2, 2)], i[(0, 1)], i[(0, 2)], i[(1, 2)]])
-        ));
-    }
-
-    /// Pairs of links told by joint angle. Mount and pedestal belong to the base's body, whose pairs cannot be excluded one by one: whoever counts
-    /// leaves those out by the shapes' names.
-    fn excluded(&mut self, robot: &Robot) {
-        self.open("contact");
-        for arm in &robot.arms {
-            for contact in &robot.angle_contacts {
-                if let [ArmBody::Link(a), ArmBody::Link(b)] = contact.pair {
-                    let name = |l: usize| format!("{}_{}", arm.name, robot.links[l].name);
-                    self.line(&format!("exclude body1=\"{}\" body2=\"{}\"", name(a), name(b)));
-                }
+/// Pairs of links told by joint angle. Mount and pedestal belong to the base's body, whose pairs cannot be excluded one by one: whoever counts
+/// leaves those out by the shapes' names.
+fn put_exclusions(x: &mut Xml, robot: &Robot) {
+    x.open("contact");
+    for arm in &robot.arms {
+        for contact in &robot.angle_contacts {
+            if let [ArmBody::Link(a), ArmBody::Link(b)] = contact.pair {
+                let name = |l: usize| format!("{}_{}", arm.name, robot.links[l].name);
+                x.line(&format!("exclude body1=\"{}\" body2=\"{}\"", name(a), name(b)));
             }
         }
-        self.close("contact");
     }
+    x.close("contact");
+}
 
-    fn touching(&self) -> &'static str {
-        if self.options.contacts {
-            "contype=\"1\" conaffinity=\"1\""
-        } else {
-            "contype=\"0\" conaffinity=\"0\""
-        }
-    }
-
-    fn solid(&mut self, b: &BaseBox) {
-        self.line(&format!(
-            "geom name=\"{}\" type=\"box\" size=\"{}\" {} {}",
-            b.name,
-            numbers(b.half.as_slice()),
-            pose(&b.centre, &b.rotation),
-            self.touching()
-        ));
-    }
-
-    fn shape(&mut self, name: &str, shape: &Shape) {
-        let touching = self.touching();
-        match shape {
-            Shape::Capsule { from, to, radius } => self.line(&format!(
-                "geom name=\"{name}\" type=\"capsule\" size=\"{radius}\" fromto=\"{} {}\" {touching}",
-                numbers(from.as_slice()),
-                numbers(to.as_slice())
-            )),
-            Shape::Disc { centre, axis, radius, half_height } => self.line(&format!(
-                "geom name=\"{name}\" type=\"cylinder\" size=\"{radius}\" fromto=\"{} {}\" {touching}",
-                numbers((centre - axis * *half_height).as_slice()),
-                numbers((centre + axis * *half_height).as_slice())
-            )),
-        }
+fn touching(options: MjcfOptions) -> &'static str {
+    if options.contacts {
+        "contype=\"1\" conaffinity=\"1\""
+    } else {
+        "contype=\"0\" conaffinity=\"0\""
     }
 }
 
-/// Shortest decimals that read back to the same numbers.
-fn numbers(values: &[f64]) -> String {
-    values.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
+fn put_solid(x: &mut Xml, b: &BaseBox, options: MjcfOptions) {
+    x.line(&format!(
+        "geom name=\"{}\" type=\"box\" size=\"{}\" {} {}",
+        b.name,
+        numbers(b.half.as_slice()),
+        pose(&b.centre, &b.rotation),
+        touching(options)
+    ));
+}
+
+fn put_shape(x: &mut Xml, (name, shape): (&str, &Shape), options: MjcfOptions) {
+    let touching = touching(options);
+    match shape {
+        Shape::Capsule { from, to, radius } => x.line(&format!(
+            "geom name=\"{name}\" type=\"capsule\" size=\"{radius}\" fromto=\"{} {}\" {touching}",
+            numbers(from.as_slice()),
+            numbers(to.as_slice())
+        )),
+        Shape::Disc { centre, axis, radius, half_height } => x.line(&format!(
+            "geom name=\"{name}\" type=\"cylinder\" size=\"{radius}\" fromto=\"{} {}\" {touching}",
+            numbers((centre - axis * *half_height).as_slice()),
+            numbers((centre + axis * *half_height).as_slice())
+        )),
+    }
 }
 
 fn pose(position: &Vector3<f64>, rotation: &Matrix3<f64>) -> String {

@@ -12,7 +12,9 @@ mod parts;
 mod resolve;
 mod rigid_body;
 mod shape;
+pub mod urdf;
 mod wording;
+mod xml;
 
 pub use assembly::Robot;
 pub use description::RobotDescription;
