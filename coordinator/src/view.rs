@@ -70,8 +70,6 @@ pub struct ViewArgs {
     pub json: bool,
 }
 
-/// What the one file begins with.
-const MARK: &[u8] = b"<!doctype html>\n<!-- made by octopus view -->";
 /// How often to look whether the user wants to stop.
 const TICK: Duration = Duration::from_millis(50);
 /// How long a browser has to read the file by which it is opened.
@@ -164,7 +162,8 @@ fn write(args: &ViewArgs, what: &Path, out: &Path) -> anyhow::Result<()> {
     let mut inputs = vec![what.to_owned()];
     inputs.extend(args.with.iter().cloned());
     let read: Vec<Input<'_>> = inputs.iter().map(|path| ("CHECKPOINT", path.as_path())).collect();
-    Output { flag: "--out", path: out, mark: MARK, force: args.force }.check(&read)?;
+    Output { flag: "--out", path: out, mark: page::SINGLE_MARK.as_bytes(), force: args.force }
+        .check(&read)?;
     let mut enclosed: Vec<Enclosed> = Vec::new();
     for path in &inputs {
         let checkpoint = open_checkpoint(path)?;

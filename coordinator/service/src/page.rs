@@ -57,6 +57,9 @@ pub struct Enclosed {
     pub bytes: Vec<u8>,
 }
 
+/// What such a file begins with.
+pub const SINGLE_MARK: &str = "<!doctype html>\n<!-- made by octopus view -->";
+
 /// One file that is page, simulator and policies, and needs no server and no network; none where the page was not
 /// built.
 pub fn single(policies: &[Enclosed]) -> Option<String> {

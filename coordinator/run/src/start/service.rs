@@ -26,7 +26,7 @@ pub(super) struct Listening {
 
 impl RunService {
     /// Begins to listen at `address`, if one is given; a token of the user's own stands in `token_file`. With
-    /// `read_only` nobody may change anything, whatever he shows.
+    /// `read_only` nobody may change anything, whatever they show.
     pub fn open(
         address: Option<SocketAddr>,
         token_file: Option<&Path>,
