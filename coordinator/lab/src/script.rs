@@ -39,42 +39,32 @@ pub struct TookPart {
     pub digest: String,
 }
 
-/// A file holds a recording, or only its script.
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum File {
-    Recording(Recording),
-    Script(Script),
-}
-
 /// Reads a recording.
 pub fn read(path: &Path) -> Result<Recording, ExitError> {
     let bad =
         |what: String| ExitError::new(ExitCode::BadInput, format!("{}: {what}", path.display()));
     let bytes = regular_files::read(path, MAX_BYTES)
         .map_err(|error| bad(format!("cannot be read: {error}")))?;
-    let recording = match serde_json::from_slice(&bytes) {
-        Ok(File::Recording(recording)) => recording,
-        Ok(File::Script(script)) => Recording { policies: Vec::new(), script },
-        Err(_) => {
-            // Of the two forms the one that it means tells what is wrong with it.
-            let value: Result<serde_json::Value, _> = serde_json::from_slice(&bytes);
-            let error = match value {
-                Err(error) => error,
-                Ok(value) if value.get("script").is_some() => {
-                    serde_json::from_value::<Recording>(value).expect_err("refused before")
-                }
-                Ok(value) => serde_json::from_value::<Script>(value).expect_err("refused before"),
-            };
-            return Err(bad(format!("is no recording of an episode: {error}")));
-        }
+    parse(&bytes).map_err(bad)
+}
+
+/// The recording in the text of a file.
+///
+/// # Errors
+/// What is wrong with it, in words.
+pub fn parse(text: &[u8]) -> Result<Recording, String> {
+    let wrong = |error: serde_json::Error| format!("is no recording of an episode: {error}");
+    let value: serde_json::Value = serde_json::from_slice(text).map_err(wrong)?;
+    // Of the two forms the one that it means tells what is wrong with it.
+    let recording = if value.get("script").is_some() {
+        serde_json::from_value(value).map_err(wrong)?
+    } else {
+        let script = serde_json::from_value(value).map_err(wrong)?;
+        Recording { policies: Vec::new(), script }
     };
-    if recording.script.steps > MOST_STEPS {
-        let message = format!(
-            "has {} control steps; at most {MOST_STEPS} are played",
-            recording.script.steps
-        );
-        return Err(bad(message));
+    let Recording { script: Script { steps, .. }, .. } = recording;
+    if steps > MOST_STEPS {
+        return Err(format!("has {steps} control steps; at most {MOST_STEPS} are played"));
     }
     Ok(recording)
 }
