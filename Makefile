@@ -67,7 +67,7 @@ wheel: venv-wheel ## build the simulator for Python: a wheel in target/wheels
 .PHONY: wheel-test
 wheel-test: wheel venv ## try the wheel itself; make test tries what was built beside the tests
 	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
-	SPACEOCTOPUS_WHEEL="$$(ls -t $(abspath $(TARGET))/wheels/spaceoctopus-*.whl | head -1)" $(CARGO) test $(LOCKED) -p tests --test it $(FEATURES) -- python
+	SPACEOCTOPUS_WHEEL="$$(ls -t $(abspath $(TARGET))/wheels/spaceoctopus-*.whl | head -1)" $(CARGO) test $(LOCKED) --workspace --test it $(FEATURES) -- python::
 
 # The page in a browser: types, then one script, one style and the simulator as a WebAssembly module, compressed.
 # The service's build script puts them into the program.
@@ -191,4 +191,4 @@ clean: ## remove what was built; set-up and runs are kept
 
 .PHONY: distclean
 distclean: clean ## remove what was built and what was set up; runs are kept
-	rm -rf .node .node.tmp coordinator/web/node_modules .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .venv-wheel .cache
+	rm -rf .node .node.tmp coordinator/web/node_modules .libtorch .libtorch.tmp .libtorch-old.tmp .venv-tests .venv-benches .venv-trainers .venv-wheel .cache
