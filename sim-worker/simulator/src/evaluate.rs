@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::env::EpisodeError;
 use crate::executor::Executor;
-use crate::experiment::{Player, Pose, Recording, TAIL_STEPS, Trial, play, play_some};
+use crate::experiment::{FixedGoals, Player, Pose, Recording, TAIL_STEPS, Trial, play, play_some};
 use crate::model::ContactKind;
 use crate::policy::Policy;
 use crate::rollout::World;
@@ -92,16 +92,17 @@ pub struct Evaluation {
 }
 
 /// Evaluates `policy` with its mean actions on goals of
-/// [`Purpose::EvaluationGoal`](proto::rng::Purpose::EvaluationGoal); `executor` and `on_step` as in [`play`].
+/// [`Purpose::EvaluationGoal`](proto::rng::Purpose::EvaluationGoal); `given` ones instead as far as there are; `executor` and `on_step` as in [`play`].
 pub fn evaluate(
     world: &World,
     policy: &Policy,
     options: &EvaluationOptions,
+    given: &[FixedGoals],
     executor: &dyn Executor,
     on_step: &(dyn Fn() + Sync),
 ) -> Result<Evaluation, EpisodeError> {
     let EvaluationOptions { seed, episodes, steps } = *options;
-    let trial = Trial::new(Player::new(world, policy), seed, episodes, steps);
+    let trial = Trial { given, ..Trial::new(Player::new(world, policy), seed, episodes, steps) };
     Ok(Evaluation::of(&play(&trial, executor, on_step)?))
 }
 
@@ -215,11 +216,18 @@ mod tests {
         let flat = parameters(&world.config, &world.dimensions, 8);
         let policy = world.policy(&flat).expect("a policy");
         let options = EvaluationOptions { seed: 3, episodes: 35, steps: 3 };
-        let one = evaluate(&world, &policy, &options, &InOrder, &|| {}).expect("an evaluation");
-        let apart = evaluate(&world, &policy, &options, &Apart, &|| {});
+        let one =
+            evaluate(&world, &policy, &options, &[], &InOrder, &|| {}).expect("an evaluation");
+        let apart = evaluate(&world, &policy, &options, &[], &Apart, &|| {});
         assert_eq!(one, apart.expect("an evaluation"));
-        let other =
-            evaluate(&world, &policy, &EvaluationOptions { seed: 4, ..options }, &InOrder, &|| {});
+        let other = evaluate(
+            &world,
+            &policy,
+            &EvaluationOptions { seed: 4, ..options },
+            &[],
+            &InOrder,
+            &|| {},
+        );
         assert_ne!(one, other.expect("an evaluation"));
         assert_eq!((one.steps, one.episodes.len()), (3, 35));
         for EpisodeResult { end, .. } in &one.episodes {
@@ -240,6 +248,7 @@ mod tests {
             &world,
             &policy,
             &EvaluationOptions { episodes: 0, ..options },
+            &[],
             &InOrder,
             &|| {},
         );
@@ -253,8 +262,9 @@ mod tests {
         let flat = parameters(&world.config, &world.dimensions, 8);
         let policy = world.policy(&flat).expect("a policy");
         let options = EvaluationOptions { seed: SELECTION_SEED, episodes: 18, steps: 3 };
-        let whole =
-            evaluate(&world, &policy, &options, &InOrder, &|| {}).expect("an evaluation").episodes;
+        let whole = evaluate(&world, &policy, &options, &[], &InOrder, &|| {})
+            .expect("an evaluation")
+            .episodes;
         let mut steps = 0;
         let mut play = |first, episodes| {
             select(&world, &policy, first, episodes, &mut || steps += 1).expect("a selection")
@@ -284,7 +294,7 @@ mod tests {
             let policy = world.policy(&flat).expect("a policy");
             let options = EvaluationOptions { seed: 3, episodes: 2, steps: 2 };
             let evaluation =
-                evaluate(&world, &policy, &options, &InOrder, &|| {}).expect("an evaluation");
+                evaluate(&world, &policy, &options, &[], &InOrder, &|| {}).expect("an evaluation");
             assert_eq!(evaluation.episodes[0].hands.len(), 2);
         }
     }

@@ -15,18 +15,16 @@
 use std::convert::Infallible;
 
 use nalgebra::{Isometry3, Translation3, Vector3};
-use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
 
 use crate::env::{EpisodeError, Physics, check_state};
 use crate::executor::{self, Executor};
-use crate::experiment::Pose;
+use crate::experiment::{EvaluationGoals, Pose};
 use crate::inverse_kinematics::{Angles, approach, base_pose, candidates, placed, pose, solvable};
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};
 use crate::state::State;
-use crate::task::goal::GoalAddress;
 use crate::task::{Errors, Readings};
 
 /// A hand has arrived when it ends nearer than this to its goal (m).
@@ -62,7 +60,7 @@ pub struct HandReach {
 /// If the simulation diverges.
 pub fn reach(
     world: &World,
-    seed: u64,
+    goals: EvaluationGoals<'_>,
     episodes: usize,
     executor: &dyn Executor,
     on_episode: &(dyn Fn(usize) + Sync),
@@ -70,9 +68,8 @@ pub fn reach(
     let mut results = vec![Vec::new(); episodes];
     let chunks = results.chunks_mut(LANES).enumerate().collect();
     executor::for_each(executor, chunks, |(index, results): (usize, &mut [_])| {
-        let env = (index * LANES) as u32;
-        let goals = GoalAddress { seed, purpose: Purpose::EvaluationGoal, iteration: 0, env };
-        results.clone_from_slice(&decide(world, goals, results.len())?);
+        let first = (index * LANES) as u32;
+        results.clone_from_slice(&decide(world, goals, first, results.len())?);
         on_episode(results.len());
         Ok(())
     })?;
@@ -84,7 +81,7 @@ pub fn reach(
 /// is told is, but for solutions that no start finds, an upper bound of what a policy could still have reached there.
 pub fn within_reach(
     world: &World,
-    seed: u64,
+    goals: EvaluationGoals<'_>,
     ends: &[&Pose],
     executor: &dyn Executor,
 ) -> Vec<Vec<bool>> {
@@ -92,12 +89,10 @@ pub fn within_reach(
     let mut results = vec![Vec::new(); ends.len()];
     let each = results.iter_mut().zip(ends).enumerate().collect();
     let Ok(()) = executor::for_each(executor, each, |(env, (result, end))| {
-        let purpose = Purpose::EvaluationGoal;
-        let address = GoalAddress { seed, purpose, iteration: 0, env: env as u32 };
         let base = placed(end.base_position.map(f64::from), end.base_quaternion.map(f64::from));
         *result = (0..robot.n_arms)
             .map(|arm| {
-                let target = base.inverse() * pose(world.task.goals.hand(arm, address));
+                let target = base.inverse() * pose(goals.hand(world, env as u32, arm));
                 solvable(robot, arm, &target)
             })
             .collect();
@@ -109,6 +104,8 @@ pub fn within_reach(
 /// What is known of a hand while ways are tried.
 #[derive(Clone)]
 struct Hand {
+    /// Position (m) and Euler angles (rad), world.
+    goal: [f64; 6],
     target: Isometry3<f64>,
     ways: Vec<Angles>,
     /// The way that is tried, or that has led there.
@@ -116,32 +113,33 @@ struct Hand {
     best: HandReach,
 }
 
-/// Tries the goals of episodes `goals.env..` of one lane group.
+/// Tries the goals of episodes `first..` of one lane group.
 fn decide(
     world: &World,
-    goals: GoalAddress,
+    goals: EvaluationGoals<'_>,
+    first: u32,
     episodes: usize,
 ) -> Result<Vec<Vec<HandReach>>, EpisodeError> {
     let robot = &world.robot;
     let base_home = Translation3::from(Vector3::from(robot.home_position));
     let mut hands: Vec<Vec<Hand>> = (0..episodes as u32)
         .map(|env| {
-            let address = GoalAddress { env: goals.env + env, ..goals };
             (0..robot.n_arms)
                 .map(|arm| {
-                    let target = pose(world.task.goals.hand(arm, address));
+                    let goal = goals.hand(world, first + env, arm);
+                    let target = pose(goal);
                     let mut ways = candidates(robot, arm, &(base_home.inverse() * target));
                     ways.truncate(MOST_WAYS);
                     let far = f64::INFINITY;
                     let best =
                         HandReach { reached: false, position: far, orientation: far, tried: 0 };
-                    Hand { target, ways, way: 0, best }
+                    Hand { goal, target, ways, way: 0, best }
                 })
                 .collect()
         })
         .collect();
     loop {
-        let errors = dispatch(Attempt { world, goals, hands: &hands })?;
+        let errors = dispatch(Attempt { world, first, hands: &hands })?;
         let mut again = false;
         for (hands, errors) in hands.iter_mut().zip(errors) {
             for (hand, [position, orientation]) in hands.iter_mut().zip(errors) {
@@ -172,7 +170,8 @@ fn decide(
 /// One attempt of up to [`LANES`] episodes, every hand on its way.
 struct Attempt<'a> {
     world: &'a World,
-    goals: GoalAddress,
+    /// Its first episode.
+    first: u32,
     hands: &'a [Vec<Hand>],
 }
 
@@ -182,12 +181,11 @@ impl LaneFn for Attempt<'_> {
 
     #[inline(always)]
     fn call<S: Real>(self) -> Self::Output {
-        let Self { world, goals, hands } = self;
+        let Self { world, first, hands } = self;
         let mut all = Vec::with_capacity(hands.len());
         // As many episodes as this scalar has lanes.
         for (group, hands) in hands.chunks(S::LANES).enumerate() {
-            let first = goals.env + (group * S::LANES) as u32;
-            all.extend(attempt::<S>(world, GoalAddress { env: first, ..goals }, hands)?);
+            all.extend(attempt::<S>(world, first + (group * S::LANES) as u32, hands)?);
         }
         Ok(all)
     }
@@ -197,16 +195,19 @@ impl LaneFn for Attempt<'_> {
 #[inline(always)]
 fn attempt<S: Real>(
     world: &World,
-    goals: GoalAddress,
+    first: u32,
     hands: &[Vec<Hand>],
 ) -> Result<Vec<Vec<[f64; 2]>>, EpisodeError> {
     let World { robot, task, config, .. } = world;
     let n_arms = robot.n_arms;
     let mut physics = Physics::<S>::new(config, robot);
-    let mut drawn = task.goals.at_home();
+    let mut drawn = task.goals.at_home::<S>();
     for lane in 0..S::LANES {
-        let env = goals.env + lane.min(hands.len() - 1) as u32;
-        task.goals.draw(task.name, GoalAddress { env, ..goals }, lane, &mut drawn);
+        for (slots, hand) in drawn.hands.iter_mut().zip(&hands[lane.min(hands.len() - 1)]) {
+            for (slot, &value) in slots.iter_mut().zip(&hand.goal) {
+                slot.set_lane(lane, value);
+            }
+        }
     }
     let mut state = State::<S>::home(robot);
     let mut command = vec![S::zero(); robot.n_joints()];
@@ -235,7 +236,7 @@ fn attempt<S: Real>(
             }
         }
         physics.step(&mut state, &command);
-        check_state(&state, goals.env, 0, hands.len(), step)?;
+        check_state(&state, first, 0, hands.len(), step)?;
     }
     let (mut readings, mut errors) = (Readings::new(n_arms), Errors::new(n_arms));
     physics.read(&state, &mut readings);
@@ -283,8 +284,9 @@ mod tests {
     #[test]
     fn most_goals_are_reached_on_the_first_or_another_way_whatever_the_executor() {
         let world = world();
-        let decided =
-            |executor: &dyn Executor| reach(&world, 0, 20, executor, &|_| {}).expect("stable");
+        let decided = |executor: &dyn Executor| {
+            reach(&world, EvaluationGoals::drawn(0), 20, executor, &|_| {}).expect("stable")
+        };
         let all = decided(&InOrder);
         assert_eq!(all, decided(&Apart));
         let hands: Vec<&HandReach> = all.iter().flatten().collect();
@@ -306,7 +308,8 @@ mod tests {
         let count = |position: [f32; 3], executor: &dyn Executor| {
             let base_quaternion = [1.0, 0.0, 0.0, 0.0];
             let end = Pose { base_position: position, base_quaternion, joints: vec![] };
-            let hands = within_reach(&world, 0, &[&end; 20], executor).concat();
+            let hands =
+                within_reach(&world, EvaluationGoals::drawn(0), &[&end; 20], executor).concat();
             assert_eq!(hands.len(), 80);
             hands.into_iter().filter(|&within| within).count()
         };

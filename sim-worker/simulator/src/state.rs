@@ -29,6 +29,13 @@ impl<S> State<S> {
         let Self { base_angular_velocity, q, qd, .. } = self;
         [base_position, base_quaternion, base_linear_velocity, base_angular_velocity, q, qd]
     }
+
+    /// [`State::parts`] to be written.
+    pub fn parts_mut(&mut self) -> [&mut [S]; 6] {
+        let Self { base_position, base_quaternion, base_linear_velocity, .. } = self;
+        let Self { base_angular_velocity, q, qd, .. } = self;
+        [base_position, base_quaternion, base_linear_velocity, base_angular_velocity, q, qd]
+    }
 }
 
 impl<S: Real> State<S> {

@@ -12,7 +12,7 @@ use super::chunk::Chunk;
 use super::event::{
     Control, Event, EventError, GoalPurpose, LONGEST_DELAY, Script, Start, finite, within,
 };
-use super::stepper::{Group, Stepper, draw_goals};
+use super::stepper::{Aims, Group, Stepper, draw_goals};
 use super::{Effect, FixedGoals, Player, SensorNoise};
 use crate::collision::Touching;
 use crate::dynamics::Hand;
@@ -125,9 +125,9 @@ impl Episode {
         }
         let course = Course::new(robot.n_arms);
         let players: Vec<Player<'_>> = members.iter().map(|member| member.player()).collect();
-        let (envs, goals) = addresses(&start);
-        let fixed = FixedGoals::default();
-        let stepper = Stepper::new((&robot, options), &players, envs, (goals, &fixed), 0);
+        let (envs, drawn) = addresses(&start);
+        let goals = Aims { drawn, given: &[], fixed: &FixedGoals::default() };
+        let stepper = Stepper::new((&robot, options), &players, envs, goals, 0);
         let mut episode =
             Self { robot, options, members, start: Start::default(), course, stepper };
         episode.reset(start)?;
@@ -141,8 +141,9 @@ impl Episode {
             set_state(&mut state, numbers)?;
         }
         let players = players(&self.members);
-        let (envs, goals) = addresses(&start);
-        let goals = draw_goals(&players, (goals, &FixedGoals::default()), envs, 0);
+        let (envs, drawn) = addresses(&start);
+        let aims = Aims { drawn, given: &[], fixed: &FixedGoals::default() };
+        let goals = draw_goals(&players, aims, envs, 0);
         let remade = self.course.base_mass.is_some();
         let group = &mut self.stepper.groups[0];
         group.state = state;
@@ -429,17 +430,7 @@ fn set_state(state: &mut State<f32>, numbers: &[f64]) -> Result<(), EventError> 
         let what = "the square of the quaternion's length";
         return Err(EventError::Value { what, found: square, expected: "one" });
     }
-    let n = state.q.len();
-    let parts: [&mut [f32]; 6] = [
-        &mut state.base_position,
-        &mut state.base_quaternion,
-        &mut state.base_linear_velocity,
-        &mut state.base_angular_velocity,
-        &mut state.q,
-        &mut state.qd,
-    ];
-    debug_assert_eq!(parts.iter().map(|part| part.len()).sum::<usize>(), 13 + 2 * n);
-    for (slot, &number) in parts.into_iter().flatten().zip(numbers) {
+    for (slot, &number) in state.parts_mut().into_iter().flatten().zip(numbers) {
         *slot = number as f32;
     }
     Ok(())

@@ -6,7 +6,8 @@
 //!
 //! Everything random is addressed by seed, episode and step, so a recording depends neither on threads nor on how episodes lie in lanes.
 //!
-//! An [`Episode`] is the same for one environment, a step at a time, for whoever takes hold of it.
+//! An [`Episode`] is the same for one environment, a step at a time, for whoever takes hold of it. A [`Motion`] is what given commands make of a
+//! robot, for whoever looks at it closely.
 //!
 //! **Why a loop of its own.** The loop of training ([`crate::rollout`]) explores, pays and writes blocks; this
 //! one has several policies, interventions, noise and a record. One loop for both would carry the branches of
@@ -16,7 +17,9 @@
 mod chunk;
 mod episode;
 mod event;
+mod goals;
 mod intervention;
+mod motion;
 mod noise;
 mod play;
 mod recording;
@@ -29,13 +32,15 @@ pub use episode::{Episode, Member, ScriptError, Snapshot};
 pub use event::{
     Control, Event, EventError, GoalPurpose, LONGEST_DELAY, Script, Start, TimedEvent,
 };
+pub use goals::{EvaluationGoals, FixedGoals};
 pub use intervention::{Effect, Intervention};
+pub use motion::Motion;
 pub use noise::SensorNoise;
 pub(crate) use play::play_some;
 pub use play::{CHUNK, play};
 pub use recording::{Pose, Recording, TAIL_STEPS};
 pub use skeleton::Skeleton;
-pub use trial::{FixedGoals, Phase, Player, Trial};
+pub use trial::{Phase, Player, Trial};
 
 #[cfg(test)]
 mod tests;

@@ -92,13 +92,13 @@ pub(super) struct Stepper<S: Real> {
 }
 
 impl<S: Real> Stepper<S> {
-    /// Episodes at home with their goals, those of `goals` for the first one; lanes beyond the last one repeat it.
+    /// Episodes at home with their goals; lanes beyond the last one repeat it.
     #[inline(always)]
     pub(super) fn new(
         (robot, options): (&Robot, StepOptions),
         players: &[Player<'_>],
         envs: Chunk,
-        (goals, fixed): (GoalAddress, &FixedGoals),
+        goals: Aims<'_>,
         delay: usize,
     ) -> Self {
         let n_arms = robot.n_arms;
@@ -109,7 +109,7 @@ impl<S: Real> Stepper<S> {
             state: State::home(robot),
             readings: Readings::new(n_arms),
             seen: Readings::new(n_arms),
-            goals: draw_goals(players, (goals, fixed), envs, group * S::LANES),
+            goals: draw_goals(players, goals, envs, group * S::LANES),
             errors: Errors::new(n_arms),
             seen_errors: Errors::new(n_arms),
             touching: None,
@@ -274,30 +274,44 @@ impl<S: Real> Stepper<S> {
     }
 }
 
+/// Where a chunk's goals come from.
+#[derive(Clone, Copy)]
+pub(super) struct Aims<'a> {
+    /// Address of the first episode's.
+    pub(super) drawn: GoalAddress,
+    /// Instead of drawn ones, an entry an episode of the chunk, as far as there are.
+    pub(super) given: &'a [FixedGoals],
+    /// In every episode.
+    pub(super) fixed: &'a FixedGoals,
+}
+
 /// The goals of the lane group that begins with local episode `local`.
 pub(super) fn draw_goals<S: Real>(
     players: &[Player<'_>],
-    (address, fixed): (GoalAddress, &FixedGoals),
+    aims: Aims<'_>,
     envs: Chunk,
     local: usize,
 ) -> Goals<S> {
-    let mut goals = players[0].world.task.goals.at_home();
+    let mut goals: Goals<S> = players[0].world.task.goals.at_home();
     for lane in 0..S::LANES {
         // Lanes beyond the last episode repeat it.
         let env = (local + lane).min(envs.n_envs - 1) as u32;
-        let address = GoalAddress { env: address.env + env, ..address };
+        let address = GoalAddress { env: aims.drawn.env + env, ..aims.drawn };
         for player in players {
             let task = &player.world.task;
             task.goals.draw(task.name, address, lane, &mut goals);
         }
-    }
-    for (goal, fixed) in goals.hands.iter_mut().zip(&fixed.hands) {
-        if let Some(pose) = fixed {
-            *goal = pose.map(S::splat);
+        let given = aims.given.get(env as usize);
+        for FixedGoals { hands, base } in given.into_iter().chain([aims.fixed]) {
+            for (goal, fixed) in goals.hands.iter_mut().zip(hands) {
+                for (slot, &value) in goal.iter_mut().zip(fixed.iter().flatten()) {
+                    slot.set_lane(lane, value);
+                }
+            }
+            for (slot, &value) in goals.base.iter_mut().zip(base.iter().flatten()) {
+                slot.set_lane(lane, value);
+            }
         }
-    }
-    if let Some(attitude) = fixed.base {
-        goals.base = attitude.map(S::splat);
     }
     goals
 }

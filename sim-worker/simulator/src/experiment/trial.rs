@@ -4,7 +4,7 @@ use proto::layout::{AGENTS_PER_ARM, Dimensions};
 use proto::rng::Purpose;
 
 use super::event::{Control, Event, GoalPurpose, Script, Start, TimedEvent};
-use super::{Intervention, SensorNoise};
+use super::{FixedGoals, Intervention, SensorNoise};
 use crate::env::step_options;
 use crate::policy::Policy;
 use crate::robot::Robot;
@@ -58,15 +58,6 @@ pub(super) fn actors(
     })
 }
 
-/// Goals that are given instead of drawn.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct FixedGoals {
-    /// Target of each hand, position in the world (m) and Euler angles (rad); arms beyond the end have none.
-    pub hands: Vec<Option<[f64; 6]>>,
-    /// Target attitude of the base, Euler angles (rad).
-    pub base: Option<[f64; 3]>,
-}
-
 /// Episodes to be played.
 #[derive(Debug, Clone)]
 pub struct Trial<'a> {
@@ -80,7 +71,9 @@ pub struct Trial<'a> {
     pub phases: Vec<Phase>,
     /// Address of the first episode's goals: every player's task draws those that it has; what none has stays at home.
     pub goals: GoalAddress,
-    /// Goals that are the same in every episode.
+    /// Goals that are given instead of drawn, an entry an episode; what is beyond the end is drawn.
+    pub given: &'a [FixedGoals],
+    /// Goals that are the same in every episode, whatever is drawn or given.
     pub fixed: FixedGoals,
     /// What happens.
     pub interventions: Vec<Intervention>,
@@ -106,6 +99,7 @@ impl<'a> Trial<'a> {
             players: vec![player],
             phases: vec![Phase { from: 0, arms: vec![Some(0); world.dimensions.n_arms] }],
             goals: GoalAddress { seed, purpose: Purpose::EvaluationGoal, iteration: 0, env: 0 },
+            given: &[],
             fixed: FixedGoals::default(),
             interventions: Vec::new(),
             sensors: SensorNoise::NONE,
@@ -145,13 +139,15 @@ impl<'a> Trial<'a> {
             }
             at(0, Event::BaseMass { mass });
         }
-        for (arm, goal) in self.fixed.hands.iter().enumerate() {
-            if let Some(pose) = *goal {
-                at(0, Event::HandGoal { arm, pose });
+        for goals in self.given.get(episode as usize).into_iter().chain([&self.fixed]) {
+            for (arm, goal) in goals.hands.iter().enumerate() {
+                if let Some(pose) = *goal {
+                    at(0, Event::HandGoal { arm, pose });
+                }
             }
-        }
-        if let Some(attitude) = self.fixed.base {
-            at(0, Event::BaseGoal { attitude });
+            if let Some(attitude) = goals.base {
+                at(0, Event::BaseGoal { attitude });
+            }
         }
         if self.sensors != SensorNoise::NONE {
             at(0, Event::Sensors(self.sensors));

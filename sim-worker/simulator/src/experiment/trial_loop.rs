@@ -3,7 +3,7 @@
 use super::Trial;
 use super::chunk::Chunk;
 use super::recording::record;
-use super::stepper::Stepper;
+use super::stepper::{Aims, Stepper};
 use crate::env::EpisodeError;
 use crate::scalar::{LaneFn, Real};
 use crate::task::goal::GoalAddress;
@@ -26,14 +26,11 @@ impl LaneFn for Play<'_, '_> {
         let Trial { players, interventions, steps, .. } = trial;
         let steps = *steps;
         let envs = Chunk { seed: trial.goals.seed, first, n_envs };
-        let goals = GoalAddress { env: trial.goals.env + first, ..trial.goals };
-        let mut stepper = Stepper::<S>::new(
-            (trial.robot, trial.options),
-            players,
-            envs,
-            (goals, &trial.fixed),
-            trial.delay,
-        );
+        let drawn = GoalAddress { env: trial.goals.env + first, ..trial.goals };
+        let given = trial.given.get(first as usize..).unwrap_or_default();
+        let goals = Aims { drawn, given, fixed: &trial.fixed };
+        let mut stepper =
+            Stepper::<S>::new((trial.robot, trial.options), players, envs, goals, trial.delay);
         for step in 0..=steps {
             stepper.read();
             if step > 0 {
