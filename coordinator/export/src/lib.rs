@@ -1,5 +1,5 @@
-//! What programs of others take from here: a policy as one directory that needs nothing of ours ([`files`]), and a recorded episode
-//! ([`Recording`]).
+//! What programs of others take from here: a policy as one directory that needs nothing of ours ([`files`]), a recorded motion
+//! ([`Recording`]), a block of a run ([`Block`]). The last two can be played again, bit by bit ([`replay_motion`], [`replay_block`]).
 //!
 //! The directory of a policy:
 //!
@@ -16,17 +16,21 @@
 //! **Whose arithmetic.** The C code does what workers do, operation by operation, so bits can be compared. The graph leaves sums
 //! to its runtime and is held to a tolerance. Both store rows that actors share once.
 
+mod block;
 mod c;
 mod contract;
 mod error;
 mod networks;
 mod onnx;
 mod recording;
+mod replay;
 mod source;
 mod vectors;
 
+pub use block::{Block, BlockAddress};
 pub use error::ExportError;
-pub use recording::Recording;
+pub use recording::{Commanded, Recorded, Recording};
+pub use replay::{Difference, Replay, begun, replay_block, replay_motion};
 pub use source::{HeldOut, HeldOutError, Origin, Source};
 
 use networks::Networks;

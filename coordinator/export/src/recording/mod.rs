@@ -1,4 +1,4 @@
-//! A recorded episode: MCAP for viewers, or columns.
+//! A recorded motion: MCAP for viewers, or columns.
 //!
 //! | topic | message |
 //! |---|---|
@@ -9,38 +9,43 @@
 //! | `/errors` | `spaceoctopus.Errors` |
 //! | `/contacts` | `spaceoctopus.Contacts` |
 //!
-//! There is one of each at the beginning and after every control step; time begins with the episode. The file holds the robot as
-//! `robot.urdf`, and says where it comes from as the metadata record `spaceoctopus`.
+//! There is one of each at the beginning and after every control step; time begins with the motion. The file holds the robot as
+//! `robot.urdf` and `robot.toml`, everything that the motion follows from as `motion.json`, and says where it comes from as the metadata record
+//! `spaceoctopus`.
 
+mod commanded;
 mod messages;
 mod moments;
+mod read;
 mod schema;
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
-use std::sync::Arc;
 
 use mcap::records::MessageHeader;
 use mcap::{Attachment, WriteOptions, Writer, records};
 use prost::Message as _;
-use simulator::experiment::{Member, Start};
 use simulator::robot::JOINTS_PER_ARM;
 use simulator::robot::urdf::urdf;
 
+pub(crate) use self::commanded::numbers_of;
+pub use self::commanded::{Commanded, Recorded};
+use self::commanded::{MOTION, MotionFile, ROBOT};
 use crate::error::ExportError;
 use messages::{
     Contact, Contacts, Errors, FrameTransform, FrameTransforms, JointState, JointStates, Pose,
     PosesInFrame, Quaternion, Timestamp, Vector3,
 };
-use moments::{Frame, Moment, body_names, play};
+use moments::{Frame, Moment, base_goal, body_names, hand_goal, moments};
 
-/// An episode that was played to be kept.
+/// A motion that was made to be kept.
 #[derive(Debug)]
 pub struct Recording {
-    member: Arc<Member>,
+    commanded: Commanded,
     about: BTreeMap<String, String>,
     moments: Vec<Moment>,
-    goals: Vec<Frame>,
+    /// Numbers of the states, one more than there are steps.
+    states: Vec<Vec<f32>>,
 }
 
 fn vector(v: &nalgebra::Vector3<f64>) -> Vector3 {
@@ -53,33 +58,30 @@ fn quaternion(frame: &Frame) -> Quaternion {
 }
 
 impl Recording {
-    /// Plays an episode of so many control steps. `origin` says which policy it is, in words for the file.
+    /// Executes commands. `origin` says whose they are, in words for the file.
     ///
     /// # Errors
-    /// If the policy gives no number or the simulation diverges.
-    pub fn play(
-        member: Member,
-        start: Start,
-        steps: usize,
-        origin: &[(&str, String)],
-    ) -> Result<Self, ExportError> {
-        let member = Arc::new(member);
-        let config = &member.world.config;
+    /// If the simulation diverges.
+    pub fn of(commanded: Commanded, origin: &[(&str, String)]) -> Result<Self, ExportError> {
         let own = [
-            ("robot", member.world.robot.name.clone()),
-            ("task", config.task.name.as_str().to_owned()),
-            ("control_period_s", config.env.control_period.to_string()),
-            ("seed", start.seed.to_string()),
-            ("episode", start.episode.to_string()),
+            ("robot", commanded.robot.name.clone()),
+            ("control_period_s", commanded.options.control_period.to_string()),
         ];
         let all = own.iter().chain(origin);
         let about = all.map(|(key, value)| ((*key).to_owned(), value.clone())).collect();
-        let (moments, goals) = play(member.clone(), start, steps)?;
-        Ok(Self { member, about, moments, goals })
+        let (moments, states) = moments(&commanded)?;
+        Ok(Self { commanded, about, moments, states })
+    }
+
+    /// The goals: of the hands that have one, or of the base.
+    fn goals(&self) -> Vec<Frame> {
+        let goals = &self.commanded.goals;
+        let hands = goals.hands.iter().flatten().map(|goal| hand_goal(*goal));
+        hands.chain(goals.base.map(base_goal)).collect()
     }
 
     fn period(&self) -> f64 {
-        self.member.world.config.env.control_period
+        self.commanded.options.control_period
     }
 
     /// Nanoseconds from the beginning to a moment.
@@ -105,13 +107,22 @@ impl Recording {
             name: "spaceoctopus".to_owned(),
             metadata: self.about.clone(),
         })?;
-        writer.attach(&Attachment {
-            log_time: 0,
-            create_time: 0,
-            name: "robot.urdf".to_owned(),
-            media_type: "application/xml".to_owned(),
-            data: urdf(&self.member.world.robot).into_bytes().into(),
-        })?;
+        let robot = &self.commanded.robot;
+        let motion = MotionFile::new(&self.commanded, self.states.clone());
+        let motion = serde_json::to_vec(&motion).expect("plain data");
+        for (name, media_type, data) in [
+            ("robot.urdf", "application/xml", urdf(robot).into_bytes()),
+            (ROBOT, "application/toml", robot.to_toml().into_bytes()),
+            (MOTION, "application/json", motion),
+        ] {
+            writer.attach(&Attachment {
+                log_time: 0,
+                create_time: 0,
+                name: name.to_owned(),
+                media_type: media_type.to_owned(),
+                data: data.into(),
+            })?;
+        }
         let mut channels = Vec::new();
         for (topic, message) in [
             ("/tf", "foxglove.FrameTransforms"),
@@ -145,7 +156,7 @@ impl Recording {
     fn messages(&self, time: u64, moment: &Moment) -> [Vec<u8>; 6] {
         let (seconds, nanos) = ((time / 1_000_000_000) as i64, (time % 1_000_000_000) as i32);
         let timestamp = Some(Timestamp { seconds, nanos });
-        let names = body_names(&self.member.world);
+        let names = body_names(&self.commanded.robot);
         let joint = |at: usize, position, velocity, effort| JointState {
             name: names[at + 1].clone(),
             position,
@@ -160,9 +171,9 @@ impl Recording {
             joint(at, q, qd, torque)
         });
         let commands = joints.map(|at| joint(at, None, number(&moment.commands, at), None));
-        let poses = self.goals.iter().map(|goal| Pose {
+        let poses = self.goals().into_iter().map(|goal| Pose {
             position: Some(vector(&goal.origin)),
-            orientation: Some(quaternion(goal)),
+            orientation: Some(quaternion(&goal)),
         });
         let xyz = |[x, y, z]: [f64; 3]| Some(Vector3 { x, y, z });
         let contacts = moment.pushes.iter().map(|push| Contact {
@@ -209,15 +220,15 @@ impl Recording {
             let frame = moment.bodies[at].seen_from(&moment.bodies[parent]);
             all.push(transform(&names[parent], names[at].clone(), &frame));
         }
-        let arms = &self.member.world.robot.arms;
+        let arms = &self.commanded.robot.arms;
         for (index, (arm, hand)) in arms.iter().zip(&moment.hands).enumerate() {
             let last = (index + 1) * JOINTS_PER_ARM;
             let frame = hand.seen_from(&moment.bodies[last]);
             all.push(transform(&names[last], format!("{}_hand", arm.name), &frame));
         }
-        if self.goals.len() == arms.len() {
-            for (arm, goal) in arms.iter().zip(&self.goals) {
-                all.push(transform("world", format!("{}_goal", arm.name), goal));
+        for (arm, goal) in arms.iter().zip(&self.commanded.goals.hands) {
+            if let Some(goal) = goal {
+                all.push(transform("world", format!("{}_goal", arm.name), &hand_goal(*goal)));
             }
         }
         all
@@ -232,8 +243,8 @@ impl Recording {
     }
 
     fn write_csv(&self) -> csv::Result<Vec<u8>> {
-        let world = &self.member.world;
-        let names = body_names(world);
+        let robot = &self.commanded.robot;
+        let names = body_names(robot);
         let base = "base_x base_y base_z base_qw base_qx base_qy base_qz base_vx base_vy base_vz base_wx base_wy base_wz";
         let mut header = vec!["t".to_owned()];
         header.extend(base.split(' ').map(str::to_owned));
@@ -241,7 +252,7 @@ impl Recording {
             header.extend(names[1..].iter().map(|name| format!("{name}_{what}")));
         }
         for what in ["position_error_m", "orientation_error_rad"] {
-            header.extend(world.robot.arms.iter().map(|arm| format!("{}_{what}", arm.name)));
+            header.extend(robot.arms.iter().map(|arm| format!("{}_{what}", arm.name)));
         }
         header.extend(["base_error_rad", "pushing_contacts"].map(str::to_owned));
         let mut writer = csv::Writer::from_writer(Vec::new());

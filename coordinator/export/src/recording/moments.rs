@@ -1,13 +1,11 @@
-//! An episode on its way, moment by moment.
-
-use std::sync::Arc;
+//! A motion, moment by moment.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-use simulator::experiment::{Episode, Member, Start};
-use simulator::robot::JOINTS_PER_ARM;
-use simulator::rollout::World;
+use simulator::experiment::Motion;
+use simulator::robot::{JOINTS_PER_ARM, Robot};
 use simulator::spatial::{Mat3, euler_xyz_to_rotation};
 
+use super::commanded::{Commanded, numbers_of};
 use crate::error::ExportError;
 
 /// A frame in the world.
@@ -64,8 +62,7 @@ pub(super) struct Moment {
 }
 
 /// Names of bodies as `octopus urdf` has them: the base, then all links, arm after arm.
-pub(super) fn body_names(world: &World) -> Vec<String> {
-    let robot = &world.robot;
+pub(super) fn body_names(robot: &Robot) -> Vec<String> {
     let links = robot
         .arms
         .iter()
@@ -73,44 +70,39 @@ pub(super) fn body_names(world: &World) -> Vec<String> {
     std::iter::once("base".to_owned()).chain(links).collect()
 }
 
-/// Plays an episode with deterministic actions, from home.
+/// The moments of a motion, one more than there are steps, and the numbers of its states.
 ///
-/// Returns the moments, one more than there are steps, and the goals in the world: of the hands, or of the base (its attitude alone).
-pub(super) fn play(
-    member: Arc<Member>,
-    start: Start,
-    steps: usize,
-) -> Result<(Vec<Moment>, Vec<Frame>), ExportError> {
-    let failed = |error: &dyn std::fmt::Display| ExportError::Episode(error.to_string());
-    let world = member.world.clone();
-    let names = body_names(&world);
-    let mut episode = Episode::new(vec![member], start).map_err(|error| failed(&error))?;
-    let goals = goals(&world, &episode);
-    let mut moments = vec![moment(&names, &episode)];
-    for _ in 0..steps {
-        episode.step().map_err(|error| failed(&error))?;
-        moments.push(moment(&names, &episode));
+/// # Errors
+/// If the simulation diverges.
+pub(super) fn moments(commanded: &Commanded) -> Result<(Vec<Moment>, Vec<Vec<f32>>), ExportError> {
+    let names = body_names(&commanded.robot);
+    let mut motion = commanded.begin();
+    let mut moments = vec![moment(&names, &motion)];
+    let mut states = vec![numbers_of(motion.state())];
+    for commands in &commanded.commands {
+        motion.step(commands).map_err(|error| ExportError::Episode(error.to_string()))?;
+        moments.push(moment(&names, &motion));
+        states.push(numbers_of(motion.state()));
     }
-    Ok((moments, goals))
+    Ok((moments, states))
 }
 
-fn goals(world: &World, episode: &Episode) -> Vec<Frame> {
-    let goals = episode.goals();
-    if world.config.task.name == proto::config::TaskName::Reorientation {
-        return vec![Frame::new(&euler_xyz_to_rotation(goals.base), [0.0; 3])];
-    }
-    let hand = |goal: &[f32; 6]| {
-        let [x, y, z, a, b, c] = *goal;
-        Frame::new(&euler_xyz_to_rotation([a, b, c]), [x, y, z])
-    };
-    goals.hands.iter().map(hand).collect()
+/// A goal of a hand.
+pub(super) fn hand_goal(goal: [f64; 6]) -> Frame {
+    let [x, y, z, a, b, c] = goal.map(|x| x as f32);
+    Frame::new(&euler_xyz_to_rotation([a, b, c]), [x, y, z])
 }
 
-fn moment(names: &[String], episode: &Episode) -> Moment {
-    let state = episode.state();
-    let bodies = 0..=episode.robot().n_arms * JOINTS_PER_ARM;
+/// A goal of the base, which has no place.
+pub(super) fn base_goal(attitude: [f64; 3]) -> Frame {
+    Frame::new(&euler_xyz_to_rotation(attitude.map(|x| x as f32)), [0.0; 3])
+}
+
+fn moment(names: &[String], motion: &Motion) -> Moment {
+    let state = motion.state();
+    let bodies = 0..=motion.robot().n_arms * JOINTS_PER_ARM;
     let name = |link: Option<usize>| names[link.map_or(0, |link| link + 1)].clone();
-    let pushed = episode.pushes().iter().map(|push| Pushed {
+    let pushed = motion.pushes().iter().map(|push| Pushed {
         on: name(Some(push.on)),
         by: name(push.by),
         point: push.point.map(f64::from),
@@ -118,15 +110,15 @@ fn moment(names: &[String], episode: &Episode) -> Moment {
     });
     let [position, quaternion, linear, angular, q, qd] = state.parts();
     let base = [position, quaternion, linear, angular];
-    let errors = episode.errors();
+    let errors = motion.errors();
     Moment {
         bodies: bodies
             .map(|body| {
-                let (rotation, origin) = episode.body(body);
+                let (rotation, origin) = motion.body(body);
                 Frame::new(&rotation, origin)
             })
             .collect(),
-        hands: episode
+        hands: motion
             .hands()
             .iter()
             .map(|hand| Frame::new(&hand.rotation, hand.position))
@@ -134,8 +126,8 @@ fn moment(names: &[String], episode: &Episode) -> Moment {
         base: base.concat().try_into().expect("thirteen numbers"),
         q: q.to_vec(),
         qd: qd.to_vec(),
-        commands: episode.commands().to_vec(),
-        torques: episode.torques().to_vec(),
+        commands: motion.commands().to_vec(),
+        torques: motion.torques().to_vec(),
         position_errors: errors.position_norm.clone(),
         orientation_errors: errors.orientation_norm.clone(),
         base_error: errors.base_norm,

@@ -1,0 +1,34 @@
+//! Reading a recording back.
+
+use std::borrow::Cow;
+
+use mcap::read::attachment;
+
+use super::commanded::{MOTION, MotionFile, ROBOT, Recorded};
+
+/// Longest attachment that is read (bytes).
+const LONGEST: u64 = 256 << 20;
+
+impl Recorded {
+    /// The motion that an MCAP file of [`Recording`](super::Recording) keeps.
+    ///
+    /// # Errors
+    /// What is wrong with the file.
+    pub fn read(file: &[u8]) -> Result<Self, String> {
+        let summary = mcap::Summary::read(file).map_err(|error| error.to_string())?;
+        let summary = summary.ok_or("has no summary: it was not written to its end")?;
+        let part = |name: &str| -> Result<Vec<u8>, String> {
+            let mut found = summary.attachment_indexes.iter().filter(|index| index.name == name);
+            let index = found.next().ok_or_else(|| {
+                format!("has no attachment {name}: it is no recording of `octopus record`")
+            })?;
+            if index.data_size > LONGEST {
+                return Err(format!("{name} is longer than {} MiB", LONGEST >> 20));
+            }
+            let read = attachment(file, index).map_err(|error| format!("{name}: {error}"))?;
+            Ok(Cow::into_owned(read.data))
+        };
+        let robot = String::from_utf8(part(ROBOT)?).map_err(|_| format!("{ROBOT} is no text"))?;
+        MotionFile::read(&part(MOTION)?, &robot)
+    }
+}
