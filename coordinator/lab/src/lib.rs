@@ -3,6 +3,7 @@
 //! * [`evaluation`]: how well a policy does on goals it never saw, and beside the paper's;
 //! * [`experiments`]: the paper's experiments, one file each; [`reproduce`] does all of them and makes a page;
 //! * [`film`]: episodes as moving pictures;
+//! * [`goals`]: files of goals;
 //! * [`planning`]: motions to poses that somebody asks for;
 //! * [`script`]: episodes that somebody took hold of, again;
 //! * [`figures`]: learning curves of runs, and the panels that everything is drawn in;
@@ -15,6 +16,7 @@ pub mod evaluation;
 pub mod experiments;
 pub mod figures;
 pub mod film;
+pub mod goals;
 pub mod planning;
 pub mod reproduce;
 pub mod script;

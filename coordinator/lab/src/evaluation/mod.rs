@@ -9,7 +9,7 @@ mod verdict;
 
 use run::report::progress::Parts;
 use simulator::evaluate::{self, EvaluationOptions};
-use simulator::experiment::CHUNK;
+use simulator::experiment::{CHUNK, EvaluationGoals};
 use store::checkpoint::Checkpoint;
 
 pub use self::errors::ErrorSummary;
@@ -17,21 +17,32 @@ pub use self::reach::{GoalSubset, Reach, Reachable, WithinReach};
 pub use self::success::Success;
 pub use self::summary::{ContactRates, Summary};
 pub use self::verdict::Verdict;
+use crate::goals::OwnGoals;
 use crate::threads::Threads;
 use crate::trained::Trained;
 
-/// Evaluates a checkpoint, and shows how far it has come.
+/// Evaluates a checkpoint on held-out goals, and shows how far it has come.
 pub fn evaluate(checkpoint: Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
-    let trained = Trained::new(checkpoint, None)?;
+    evaluate_on(&Trained::new(checkpoint, None)?, options, None)
+}
+
+/// Evaluates a policy on goals of a person's own, if there are some, and shows how far it has come.
+pub fn evaluate_on(
+    trained: &Trained,
+    options: &EvaluationOptions,
+    own: Option<&OwnGoals>,
+) -> anyhow::Result<Summary> {
+    let given = own.map_or(&[][..], |own| &own.given);
     let threads = Threads::available();
     let progress = Parts::new();
     let chunks = options.episodes.div_ceil(CHUNK);
     progress.begin("evaluation", (chunks * options.steps) as u64);
     let on_step = || progress.advance();
     let evaluation =
-        evaluate::evaluate(&trained.world, &trained.policy, options, &threads, &on_step)?;
-    let reach = Reach::of(&trained.world, &evaluation, options, threads, &progress)?;
-    Ok(Summary::new(&trained, options.seed, evaluation, reach))
+        evaluate::evaluate(&trained.world, &trained.policy, options, given, &threads, &on_step)?;
+    let goals = EvaluationGoals { seed: options.seed, given };
+    let reach = Reach::of(&trained.world, &evaluation, goals, threads, &progress)?;
+    Ok(Summary::new(trained, options.seed, own, evaluation, reach))
 }
 
 #[cfg(test)]

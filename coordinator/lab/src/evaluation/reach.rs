@@ -3,7 +3,8 @@
 use proto::config::TaskName;
 use run::report::progress::Parts;
 use serde::{Deserialize, Serialize};
-use simulator::evaluate::{EpisodeResult, Evaluation, EvaluationOptions};
+use simulator::evaluate::{EpisodeResult, Evaluation};
+use simulator::experiment::EvaluationGoals;
 use simulator::reach::{self, HandReach};
 use simulator::rollout::World;
 
@@ -72,23 +73,23 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Of the goals of `options`, in whose episodes `evaluation` ended; none in `reorientation`.
+    /// Of the goals in whose episodes `evaluation` ended; none in `reorientation`.
     pub fn of(
         world: &World,
         evaluation: &Evaluation,
-        options: &EvaluationOptions,
+        goals: EvaluationGoals<'_>,
         threads: Threads,
         progress: &Parts,
     ) -> anyhow::Result<Option<Self>> {
         if world.task.name != TaskName::Trajectory {
             return Ok(None);
         }
-        let EvaluationOptions { seed, episodes, .. } = *options;
+        let episodes = evaluation.episodes.len();
         progress.begin("which goals can be reached", episodes as u64);
         let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-        let controller = reach::reach(world, seed, episodes, &threads, &on_episodes)?;
+        let controller = reach::reach(world, goals, episodes, &threads, &on_episodes)?;
         let ends: Vec<_> = evaluation.episodes.iter().map(|episode| &episode.end).collect();
-        let at_end = reach::within_reach(world, seed, &ends, &threads);
+        let at_end = reach::within_reach(world, goals, &ends, &threads);
         Ok(Some(Self { controller, at_end }))
     }
 

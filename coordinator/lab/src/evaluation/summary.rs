@@ -9,6 +9,7 @@ use simulator::evaluate::{ContactSteps, EpisodeResult, Evaluation};
 use super::errors::{ErrorSummary, agents, overall};
 use super::reach::{Reach, Reachable, WithinReach};
 use super::success::{Success, success};
+use crate::goals::OwnGoals;
 use crate::trained::Trained;
 
 /// Shares of control steps at whose end bodies touched, by what touched what.
@@ -37,6 +38,9 @@ pub struct Summary {
     pub task: TaskName,
     /// Seed of the goals.
     pub seed: u64,
+    /// The file of the goals, where they were not drawn.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub goals: Option<PathBuf>,
     /// Control steps of an episode.
     pub steps: usize,
     /// All agents together.
@@ -60,8 +64,14 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// What `evaluation` of a policy on the goals of `seed` says; `reach` as from [`Reach::of`].
-    pub fn new(trained: &Trained, seed: u64, evaluation: Evaluation, reach: Option<Reach>) -> Self {
+    /// What `evaluation` of a policy on the goals of `seed`, or on a person's own, says; `reach` as from [`Reach::of`].
+    pub fn new(
+        trained: &Trained,
+        seed: u64,
+        own: Option<&OwnGoals>,
+        evaluation: Evaluation,
+        reach: Option<Reach>,
+    ) -> Self {
         let task = trained.task();
         let Evaluation { steps, episodes } = evaluation;
         let share = |contact_steps: fn(&EpisodeResult) -> u32| {
@@ -80,6 +90,7 @@ impl Summary {
             env_steps: trained.checkpoint.manifest.env_steps,
             task,
             seed,
+            goals: own.map(|own| own.file.clone()),
             steps,
             overall: overall(task, &episodes),
             agents: agents(task, &episodes),

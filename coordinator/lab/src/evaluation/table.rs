@@ -122,6 +122,7 @@ mod tests {
             env_steps: 1,
             task: TaskName::Trajectory,
             seed: 12_345,
+            goals: None,
             steps: 100_000,
             overall: overall(),
             agents: (0..8).map(|agent| error(ErrorOf::Orientation, Some(agent))).collect(),

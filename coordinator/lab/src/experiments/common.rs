@@ -21,6 +21,8 @@ pub struct Common {
     pub steps: u32,
     /// Seed of goals and noise.
     pub seed: u64,
+    /// Goals instead of held-out ones: a file.
+    pub goals: Option<PathBuf>,
 }
 
 impl Default for Common {
@@ -33,6 +35,7 @@ impl Default for Common {
             episodes: None,
             steps: 200,
             seed: 0,
+            goals: None,
         }
     }
 }
@@ -44,6 +47,7 @@ impl Common {
             ("--policies", &self.policies),
             ("--trajectory", &self.trajectory),
             ("--reorientation", &self.reorientation),
+            ("--goals", &self.goals),
         ];
         let mut options: Vec<_> = paths
             .into_iter()

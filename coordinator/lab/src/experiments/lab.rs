@@ -9,8 +9,8 @@ use proto::{ExitCode, ExitError};
 use run::report::progress::Parts;
 use run::shakedown::shakedown;
 use simulator::env::step_options;
-use simulator::evaluate::{Evaluation, EvaluationOptions};
-use simulator::experiment::{CHUNK, Player, Pose, Recording, Trial, play};
+use simulator::evaluate::Evaluation;
+use simulator::experiment::{CHUNK, EvaluationGoals, Player, Pose, Recording, Trial, play};
 use simulator::reach::within_reach;
 use simulator::robot::Robot;
 use simulator::step::StepOptions;
@@ -26,6 +26,7 @@ use super::common::Common;
 use super::name::Name;
 use super::report::{PlayedEpisode, Protocol, Report, RobotIdentity};
 use crate::evaluation::Reach;
+use crate::goals::OwnGoals;
 use crate::script::{self, TookPart};
 use crate::threads::Threads;
 use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
@@ -54,6 +55,8 @@ pub struct Lab {
     pub(crate) steps: usize,
     /// Seed of goals and noise.
     pub(crate) seed: u64,
+    /// Goals instead of held-out ones.
+    own_goals: Option<OwnGoals>,
     threads: Threads,
     progress: Arc<Parts>,
     /// The first episodes of the trials that were played.
@@ -119,12 +122,22 @@ impl Lab {
         for pair in policies.windows(2) {
             together(&pair[0], &pair[1])?;
         }
+        let read = |path: &PathBuf| OwnGoals::read(path, robot.n_arms);
+        let own_goals = args.goals.as_ref().map(read).transpose()?;
+        let episodes = match &own_goals {
+            Some(own) => {
+                own.check(policies.iter().map(Trained::task))?;
+                own.episodes(args.episodes)?
+            }
+            None => args.episodes.unwrap_or(episodes),
+        };
         Ok(Self {
             policies,
             robot,
-            episodes: args.episodes.unwrap_or(episodes) as usize,
+            episodes: episodes as usize,
             steps: args.steps as usize,
             seed: args.seed,
+            own_goals,
             threads: Threads::available(),
             progress: Arc::default(),
             played: Mutex::default(),
@@ -168,6 +181,7 @@ impl Lab {
             episodes: args.episodes.unwrap_or(episodes) as usize,
             steps: args.steps as usize,
             seed: args.seed,
+            own_goals: None,
             threads: Threads::new(1),
             progress: Arc::default(),
             played: Mutex::default(),
@@ -197,9 +211,20 @@ impl Lab {
         Err(ExitError::new(ExitCode::BadInput, message))
     }
 
-    /// A trial of one policy on held-out goals in which nothing happens.
-    pub(crate) fn trial<'a>(&self, policy: &'a Trained) -> Trial<'a> {
-        Trial::new(policy.player(), self.seed, self.episodes, self.steps)
+    /// Goals that are given instead of drawn.
+    pub fn own_goals(&self) -> Option<&OwnGoals> {
+        self.own_goals.as_ref()
+    }
+
+    fn goals(&self) -> EvaluationGoals<'_> {
+        let given = self.own_goals.as_ref().map_or(&[][..], |own| &own.given);
+        EvaluationGoals { seed: self.seed, given }
+    }
+
+    /// A trial of one policy on held-out goals, or a person's own, in which nothing happens.
+    pub(crate) fn trial<'a>(&'a self, policy: &'a Trained) -> Trial<'a> {
+        let given = self.goals().given;
+        Trial { given, ..Trial::new(policy.player(), self.seed, self.episodes, self.steps) }
     }
 
     /// Plays a trial and shows how far it has come.
@@ -228,9 +253,7 @@ impl Lab {
         policy: &Trained,
         evaluation: &Evaluation,
     ) -> anyhow::Result<Option<Reach>> {
-        let options =
-            EvaluationOptions { seed: self.seed, episodes: self.episodes, steps: self.steps };
-        Reach::of(&policy.world, evaluation, &options, self.threads, &self.progress)
+        Reach::of(&policy.world, evaluation, self.goals(), self.threads, &self.progress)
     }
 
     /// Whether inverse kinematics has a solution for the goals of a trial's hands with the base where each episode ended: `[episode][arm]`.
@@ -239,7 +262,7 @@ impl Lab {
         let ends: Vec<Pose> =
             (0..recording.episodes()).map(|episode| recording.pose(episode, last)).collect();
         let ends: Vec<&Pose> = ends.iter().collect();
-        within_reach(&policy.world, self.seed, &ends, &self.threads)
+        within_reach(&policy.world, self.goals(), &ends, &self.threads)
     }
 
     /// Refuses a robot that an option has made of the policies'.
@@ -270,6 +293,7 @@ impl Lab {
             episodes: self.episodes,
             steps: self.steps,
             seed: self.seed,
+            goals: self.own_goals.as_ref().map(|own| own.file.clone()),
             control_period_s: self.policies[0].world.config.env.control_period,
             actions: "deterministic".into(),
             settings,

@@ -218,7 +218,7 @@ fn measure(
     }
     let what = format!("noise, {}, {} {strength}", policy.task().as_str(), quantity.word());
     let recording = lab.play(&what, &trial)?;
-    let summary = Summary::new(policy, lab.seed, Evaluation::of(&recording), None);
+    let summary = Summary::new(policy, lab.seed, lab.own_goals(), Evaluation::of(&recording), None);
     Ok(Point {
         task: policy.task(),
         quantity,

@@ -81,7 +81,7 @@ impl Experiment for Study {
             };
             let evaluation = Evaluation::of(&recording);
             let reach = lab.reach(policy, &evaluation)?;
-            let summary = Summary::new(policy, lab.seed, evaluation, reach);
+            let summary = Summary::new(policy, lab.seed, lab.own_goals(), evaluation, reach);
             Ok(Precision { summary, errors })
         };
         lab.policies().iter().map(measure).collect()

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::fmt;
+use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use simulator::evaluate::Course;
@@ -45,6 +46,9 @@ pub struct Protocol<S> {
     pub(crate) episodes: usize,
     pub(crate) steps: usize,
     pub(crate) seed: u64,
+    /// The file of the goals, where they were not drawn.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) goals: Option<PathBuf>,
     /// Time of a control step (s). The paper's plots count 0.1 s.
     pub(crate) control_period_s: f64,
     pub(crate) actions: Words,

@@ -6,6 +6,7 @@ use proto::config::{Layers, Preset, TaskName};
 use proto::rng::Purpose;
 use run::report::progress::Parts;
 use serde::Serialize;
+use simulator::experiment::EvaluationGoals;
 use simulator::plan::{Obstacle, Question, Tolerance};
 use simulator::reach::reach;
 use simulator::robot::Robot;
@@ -62,7 +63,8 @@ pub fn held_out(
     let progress = Parts::new();
     progress.begin("which goals can be reached", episodes as u64);
     let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-    let reached = reach(&world, seed, episodes, &Threads::available(), &on_episodes)?;
+    let reached =
+        reach(&world, EvaluationGoals::drawn(seed), episodes, &Threads::available(), &on_episodes)?;
     let goals: Vec<(u32, usize)> = reached
         .iter()
         .enumerate()
