@@ -116,7 +116,7 @@ impl Controlled {
     pub fn native_errors(&self, episodes: usize, steps: usize) -> Result<Vec<Course>> {
         let options = Self::options(episodes, steps);
         let executor = lab::threads::Threads::available();
-        let found = evaluate(&self.world, &self.policy, &options, &executor, &|| {})?;
+        let found = evaluate(&self.world, &self.policy, &options, &[], &executor, &|| {})?;
         let courses = found.episodes.into_iter().flat_map(|episode| {
             let hands =
                 episode.hands.into_iter().flat_map(|hand| [hand.position, hand.orientation]);

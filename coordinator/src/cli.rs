@@ -4,7 +4,8 @@ use clap::{Parser, Subcommand};
 
 use crate::{
     bench, checkpoints, clean, doctor, eval, experiment, export, film, janitor, mjcf, plan, plot,
-    record, reproduce, resume, rollout, scale, serve, simulate, status, train, urdf, verify, view,
+    record, replay, reproduce, resume, rollout, scale, serve, simulate, status, train, urdf,
+    verify, view,
 };
 
 /// Exit codes, as `octopus --help` lists them.
@@ -54,8 +55,10 @@ pub enum Command {
     Film(film::FilmArgs),
     /// Find a motion that brings hands to poses.
     Plan(plan::PlanArgs),
-    /// Record an episode for robot viewers, as MCAP.
+    /// Record a motion for robot viewers, as MCAP.
     Record(record::RecordArgs),
+    /// Play a recording or a block again, and compare every bit.
+    Replay(replay::ReplayArgs),
     /// Integrate given joint commands, open loop.
     Simulate(simulate::SimulateArgs),
     /// Put a policy on a robot: write it as ONNX and as C.

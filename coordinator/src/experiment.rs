@@ -157,6 +157,9 @@ pub struct CommonArgs {
     /// Control steps of an episode.
     #[arg(long, value_name = "N", default_value_t = 200, allow_hyphen_values = true, value_parser = whole::<u32>(1, 100_000))]
     pub steps: u32,
+    /// Goals of your own instead of held-out ones: a file as `octopus eval --save-goals` writes.
+    #[arg(long, value_name = "FILE.csv|FILE.json")]
+    pub goals: Option<PathBuf>,
     /// Seed of goals and noise.
     #[arg(long, value_name = "S", default_value_t = 0, allow_hyphen_values = true, value_parser = whole::<u64>(0, u64::MAX))]
     pub seed: u64,
@@ -377,6 +380,7 @@ fn study(args: &CommonArgs) -> Common {
         episodes: args.episodes,
         steps: args.steps,
         seed: args.seed,
+        goals: args.goals.clone(),
     }
 }
 
@@ -386,6 +390,11 @@ fn print<E: Experiment>(experiment: &E, json: bool) -> anyhow::Result<()> {
     lab.end();
     if json {
         return output::json(&report);
+    }
+    if let Some(own) = lab.own_goals() {
+        let episodes = output::counted(own.given.len() as u64, "episode");
+        let file = own.file.display();
+        output::line(&format!("goals of {file}, {episodes}, instead of held-out ones\n"))?;
     }
     output::line(&experiment.printed(output::columns(), &report))
 }

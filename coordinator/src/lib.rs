@@ -21,6 +21,7 @@ pub mod mjcf;
 pub mod plan;
 pub mod plot;
 pub mod record;
+pub mod replay;
 pub mod reproduce;
 pub mod resume;
 pub mod rollout;
@@ -33,7 +34,9 @@ pub mod urdf;
 pub mod verify;
 pub mod view;
 
+mod blocks;
 mod conclusion;
+mod joint_commands;
 pub mod limits;
 pub mod logs;
 mod not_the_same;
@@ -56,6 +59,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         | Command::Film(_)
         | Command::Plan(_)
         | Command::Record(_)
+        | Command::Replay(_)
         | Command::Simulate(_)
         | Command::Rollout(_) => true,
         Command::Reproduce(args) => !args.train,
@@ -75,6 +79,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Film(args) => film::run(&args),
         Command::Plan(args) => plan::run(&args),
         Command::Record(args) => record::run(&args),
+        Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Urdf(args) => urdf::run(&args),

@@ -4,9 +4,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
+use export::{Commanded, Recording};
 use lab::planning::{Report, answer, held_out, picture, sentence};
 use lab::trained::{Trained, open_checkpoint};
 use proto::{ExitCode, ExitError};
+use simulator::experiment::FixedGoals;
 use simulator::plan::{Frame, Question, Tolerance};
 use simulator::robot::Robot;
 use simulator::simulate::Precision;
@@ -15,7 +17,9 @@ use simulator::step::StepOptions;
 use store::files;
 use store::outputs::{Input, Output};
 
+use crate::joint_commands;
 use crate::names::{Named, Names};
+use crate::record;
 use crate::trajectories::{MARK, last_state, write_table};
 use crate::values::{duration, whole};
 
@@ -92,6 +96,9 @@ pub struct PlanArgs {
     /// Errors, rates and distances over time.
     #[arg(long, value_name = "FILE.svg")]
     pub picture: Option<PathBuf>,
+    /// The motion with goals and contacts for robot viewers, as `octopus record` writes it.
+    #[arg(long, value_name = "FILE.mcap")]
+    pub recording: Option<PathBuf>,
     /// Write over files that are there already, and into a run's directory; what is read stays.
     #[arg(long)]
     pub force: bool,
@@ -99,7 +106,7 @@ pub struct PlanArgs {
     #[arg(long)]
     pub json: bool,
     /// Plan, one after the other, for the held-out goals of so many evaluation episodes that can be reached, and say how many have a plan.
-    #[arg(long, value_name = "EPISODES", allow_hyphen_values = true, value_parser = whole::<u64>(1, 100_000), conflicts_with_all = ["goals", "by", "frame", "hold_base", "state", "policies", "out", "trajectory", "picture"])]
+    #[arg(long, value_name = "EPISODES", allow_hyphen_values = true, value_parser = whole::<u64>(1, 100_000), conflicts_with_all = ["goals", "by", "frame", "hold_base", "state", "policies", "out", "trajectory", "picture", "recording"])]
     pub held_out: Option<u64>,
 }
 
@@ -204,8 +211,12 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<()> {
         let drawn = picture(&robot, &question, &found, options.control_period)?;
         files::replace_output(path, drawn.as_bytes())?;
     }
+    if let Some(path) = &args.recording {
+        let commands = found.plan.commands.clone();
+        files::replace_output(path, &recording(&robot, &options, &question, commands)?)?;
+    }
     if let Some(path) = &args.out {
-        let table = commands_table(&found.plan.commands)?;
+        let table = joint_commands::write(&found.plan.commands)?;
         if to_stdout {
             return output::write(&table);
         }
@@ -247,6 +258,20 @@ fn question(args: &PlanArgs, robot: &Robot) -> anyhow::Result<Question> {
     Ok(Question { start, hands, hold_base: args.hold_base, within, fastest, seed })
 }
 
+/// The motion as an MCAP file.
+fn recording(
+    robot: &Robot,
+    options: &StepOptions,
+    question: &Question,
+    commands: Vec<Vec<f32>>,
+) -> anyhow::Result<Vec<u8>> {
+    let mut start = State::<f32>::home(robot);
+    start.set_lane(0, &question.start);
+    let goals = FixedGoals { hands: question.hands.clone(), base: None };
+    let commanded = Commanded { robot: robot.clone(), options: *options, start, goals, commands };
+    Ok(Recording::of(commanded, &[("origin", "octopus plan".to_owned())])?.mcap()?)
+}
+
 fn policy(path: &Path, robot: &Robot) -> anyhow::Result<Trained> {
     let trained = Trained::new(open_checkpoint(path)?, Some(robot))?;
     if trained.task() != proto::config::TaskName::Trajectory {
@@ -265,25 +290,17 @@ fn check_outputs(args: &PlanArgs) -> Result<(), ExitError> {
     let mut inputs: Vec<Input<'_>> = vec![("--robot", Path::new(&args.robot))];
     inputs.extend(args.state.as_deref().map(|path| ("--state", path)));
     inputs.extend(args.policies.as_deref().map(|path| ("--policies", path)));
-    let outputs: [(&str, &Option<PathBuf>, &[u8]); 3] = [
+    let outputs: [(&str, &Option<PathBuf>, &[u8]); 4] = [
         ("--out", &args.out, b""),
         ("--trajectory", &args.trajectory, MARK),
         ("--picture", &args.picture, SVG),
+        ("--recording", &args.recording, record::MARK),
     ];
     for (flag, path, mark) in outputs {
         let Some(path) = path else { continue };
         Output { flag, path, mark, force: args.force }.check(&inputs)?;
     }
     Ok(())
-}
-
-/// The commands as `octopus simulate` reads them: every number with as many digits as identify it.
-fn commands_table(commands: &[Vec<f32>]) -> anyhow::Result<Vec<u8>> {
-    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
-    for row in commands {
-        writer.write_record(row.iter().map(f32::to_string))?;
-    }
-    Ok(writer.into_inner().map_err(csv::IntoInnerError::into_error)?)
 }
 
 #[cfg(test)]
@@ -309,17 +326,5 @@ mod tests {
         }
         assert!(rate("0").is_err() && rate("nan").is_err());
         assert_eq!(rate("0.8"), Ok(0.8));
-    }
-
-    #[test]
-    fn commands_are_written_to_the_bit() {
-        let commands = [vec![0.1_f32, -1.0 / 3.0], vec![1e-8, 0.0]];
-        let table = commands_table(&commands).expect("a table");
-        let text = String::from_utf8(table).expect("text");
-        let back: Vec<Vec<f32>> = text
-            .lines()
-            .map(|line| line.split(',').map(|cell| cell.parse().expect("a number")).collect())
-            .collect();
-        assert_eq!(back, commands);
     }
 }

@@ -1,37 +1,77 @@
-//! `octopus record`: an episode for robot viewers.
+//! `octopus record`: a motion for robot viewers.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use export::Recording;
+use export::{BlockAddress, Commanded, Recording, begun};
 use lab::trained::{Trained, open_checkpoint};
+use proto::layout::JOINTS_PER_AGENT;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
-use simulator::experiment::{Member, Start};
+use simulator::executor::InOrder;
+use simulator::experiment::{FixedGoals, Member, Start};
+use simulator::state::State;
+use simulator::step::StepOptions;
 use store::files;
-use store::outputs::{Output, is_same_place};
+use store::outputs::{Input, Output, is_same_place};
 
+use crate::blocks::{BlockSource, address, open_policy};
+use crate::joint_commands;
+use crate::trajectories::last_state;
 use crate::values::whole;
+
+const USAGE: &str = "\
+octopus record [OPTIONS] --out <FILE.mcap> <RUN_DIR|CHECKPOINT>
+       octopus record [OPTIONS] --out <FILE.mcap> <RUN_DIR> --address <BLOCK>
+       octopus record [OPTIONS] --out <FILE.mcap> --plan <PLAN.csv>";
 
 const RECORD_EXAMPLES: &str = "\
 Examples:
   octopus record runs/trajectory-20260101-120000:best --out reach.mcap
   octopus record deploy/policies/trajectory --out reach.mcap --episode 3 \\
       --csv reach.csv
-  octopus urdf --robot paper --out robot.urdf
+  octopus record runs/trajectory-20260101-120000 --address 1/500/1 --env 3 \\
+      --out block.mcap
+  octopus record --plan plan.csv --out plan.mcap
+  octopus replay reach.mcap
 
-The robot plays an episode of `octopus eval`. The file holds its frames, joints, commands, goals, \
-errors and contacts after every control step, as messages that Foxglove and Rerun know, and the \
-robot as the attachment robot.urdf.";
+The robot plays an episode of `octopus eval`, or what a worker's environment did in a block of a \
+run, or executes a plan. The file holds its frames, joints, commands, goals, errors and contacts \
+after every control step, as messages that Foxglove and Rerun know, and the robot as the \
+attachment robot.urdf. `octopus replay` plays it again and compares every bit.";
 
 /// Options of `octopus record`.
 #[derive(Debug, Clone, Args)]
-#[command(after_help = RECORD_EXAMPLES)]
+#[command(override_usage = USAGE, after_help = RECORD_EXAMPLES)]
 pub struct RecordArgs {
     /// A run directory, whose last checkpoint is taken; RUN_DIR:best for the one with the lowest
     /// score; or any other checkpoint, as `octopus checkpoints --help` lists them.
-    #[arg(value_name = "RUN_DIR|CHECKPOINT")]
-    pub policy: PathBuf,
+    #[arg(value_name = "RUN_DIR|CHECKPOINT", required_unless_present = "plan")]
+    pub source: Option<PathBuf>,
+    /// A block of the run instead of an episode: its exploration, its start, its goals.
+    #[arg(long, value_name = "SEED/ITERATION/SHARD", allow_hyphen_values = true, value_parser = address, conflicts_with_all = ["seed", "episode", "steps"])]
+    pub address: Option<BlockAddress>,
+    /// Which environment of the block, counted from 0.
+    #[arg(long, value_name = "N", default_value_t = 0, allow_hyphen_values = true, value_parser = whole::<u32>(0, 999_999), requires = "address")]
+    pub env: u32,
+    /// A checkpoint whose policy makes the block, instead of the run's own.
+    #[arg(long, value_name = "RUN_DIR|CHECKPOINT", requires = "address")]
+    pub policy: Option<PathBuf>,
+    /// Commands that `octopus plan` has written, instead of a policy's.
+    #[arg(long, value_name = "PLAN.csv", conflicts_with_all = ["source", "address", "seed", "episode", "steps"])]
+    pub plan: Option<PathBuf>,
+    /// The plan's robot: `paper`, `release`, or a robot file.
+    #[arg(
+        long,
+        allow_negative_numbers = true,
+        value_name = "NAME|FILE",
+        default_value = "paper",
+        requires = "plan"
+    )]
+    pub robot: String,
+    /// The plan begins where the trajectory in this file ends, instead of at home.
+    #[arg(long, value_name = "FILE.csv", requires = "plan")]
+    pub state: Option<PathBuf>,
     /// The recording, an MCAP file.
     #[arg(long, value_name = "FILE.mcap")]
     pub out: PathBuf,
@@ -56,7 +96,7 @@ pub struct RecordArgs {
 }
 
 /// What a recording begins with.
-const MARK: &[u8] = b"\x89MCAP0\r\n";
+pub(crate) const MARK: &[u8] = b"\x89MCAP0\r\n";
 /// What its columns begin with.
 const CSV_MARK: &[u8] = b"t,base_x,base_y,base_z,base_qw,";
 
@@ -72,7 +112,12 @@ struct Report<'a> {
 
 /// Records.
 pub fn run(args: &RecordArgs) -> anyhow::Result<()> {
-    let inputs: [(&'static str, &Path); 1] = [("RUN_DIR|CHECKPOINT", &args.policy)];
+    let mut inputs: Vec<Input<'_>> = Vec::new();
+    inputs.extend(args.source.as_deref().map(|path| ("RUN_DIR|CHECKPOINT", path)));
+    inputs.extend(args.policy.as_deref().map(|path| ("--policy", path)));
+    inputs.extend(args.plan.as_deref().map(|path| ("--plan", path)));
+    inputs.extend(args.state.as_deref().map(|path| ("--state", path)));
+    inputs.push(("--robot", Path::new(&args.robot)));
     Output { flag: "--out", path: &args.out, mark: MARK, force: args.force }.check(&inputs)?;
     if let Some(path) = &args.csv {
         Output { flag: "--csv", path, mark: CSV_MARK, force: args.force }.check(&inputs)?;
@@ -81,16 +126,12 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<()> {
             return Err(ExitError::new(ExitCode::Usage, message).into());
         }
     }
-    let trained = Trained::new(open_checkpoint(&args.policy)?, None)?;
-    let identity = trained.identity();
-    let origin = [
-        ("checkpoint", identity.checkpoint.display().to_string()),
-        ("digest", identity.digest.to_string()),
-        ("env_steps", identity.env_steps.to_string()),
-    ];
-    let member = Member { world: trained.world, policy: trained.policy };
-    let start = Start { seed: args.seed, episode: args.episode, ..Start::default() };
-    let recording = Recording::play(member, start, args.steps as usize, &origin)?;
+    let recording = match (&args.source, args.address, &args.plan) {
+        (Some(run_dir), Some(address), _) => of_block(run_dir, address, args)?,
+        (Some(policy), None, _) => of_episode(policy, args)?,
+        (None, _, Some(plan)) => of_plan(plan, args)?,
+        (None, _, None) => unreachable!("the command line wants one of both"),
+    };
     let file = recording.mcap()?;
     let (steps, seconds) = recording.length();
     files::replace_output(&args.out, &file)?;
@@ -106,4 +147,83 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<()> {
         args.out.display(),
         output::size(file.len() as u64)
     ))
+}
+
+/// An episode of `octopus eval`.
+fn of_episode(policy: &Path, args: &RecordArgs) -> anyhow::Result<Recording> {
+    let trained = Trained::new(open_checkpoint(policy)?, None)?;
+    let identity = trained.identity();
+    let origin = [
+        ("task", trained.task().as_str().to_owned()),
+        ("seed", args.seed.to_string()),
+        ("episode", args.episode.to_string()),
+        ("checkpoint", identity.checkpoint.display().to_string()),
+        ("digest", identity.digest.to_string()),
+        ("env_steps", identity.env_steps.to_string()),
+    ];
+    let member = Member { world: trained.world, policy: trained.policy };
+    let start = Start { seed: args.seed, episode: args.episode, ..Start::default() };
+    let commanded = Commanded::by_policy(member, start, args.steps as usize)?;
+    Ok(Recording::of(commanded, &origin)?)
+}
+
+/// What an environment did in a block of a run.
+fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow::Result<Recording> {
+    let chosen = args.policy.as_deref().map(open_policy).transpose()?;
+    let source = BlockSource::open(run_dir, address, chosen)?;
+    let world = &source.world;
+    let BlockAddress { seed, iteration, shard } = address;
+    let (env, n_envs) = (args.env as usize, world.dimensions.n_envs);
+    if env >= n_envs {
+        let message = format!(
+            "--env {env}: a block of this run has {}, counted from 0",
+            output::counted(n_envs as u64, "environment")
+        );
+        return Err(ExitError::new(ExitCode::Usage, message).into());
+    }
+    let failed = |error: &dyn std::fmt::Display| ExitError::new(ExitCode::Child, error.to_string());
+    let block = source.make().map_err(|error| failed(&error))?;
+    let (start, hands, base) = begun(world, address, env, &InOrder)?;
+    // An agent moves three joints, so agents one after the other are joints, arm after arm.
+    let n_agents = world.dimensions.n_agents;
+    let rows: Vec<Vec<f32>> = (0..world.dimensions.n_steps)
+        .map(|step| {
+            let of_agent = |agent| {
+                let at = env * JOINTS_PER_AGENT;
+                &block.actions(agent, step)[at..at + JOINTS_PER_AGENT]
+            };
+            (0..n_agents).flat_map(of_agent).copied().collect()
+        })
+        .collect();
+    let origin = [
+        ("task", world.task.name.as_str().to_owned()),
+        ("block", format!("{seed}/{iteration}/{shard}")),
+        ("environment", env.to_string()),
+        ("policy", source.found.clone()),
+    ];
+    let commanded =
+        Commanded::by_actions(world, &start, (&hands, base), rows.iter().map(Vec::as_slice));
+    Ok(Recording::of(commanded, &origin)?)
+}
+
+/// What a plan commands.
+fn of_plan(plan: &Path, args: &RecordArgs) -> anyhow::Result<Recording> {
+    let options = StepOptions::default();
+    let robot = run::robots::load_fit_robot(&args.robot, &options)?;
+    let from = match &args.state {
+        Some(path) => last_state(path, &robot)?,
+        None => State::home(&robot),
+    };
+    let commands = joint_commands::read(plan, robot.n_joints())?;
+    let single = |row: Vec<f64>| row.into_iter().map(|rate| rate as f32).collect();
+    let mut start = State::<f32>::home(&robot);
+    start.set_lane(0, &from);
+    let commanded = Commanded {
+        robot,
+        options,
+        start,
+        goals: FixedGoals::default(),
+        commands: commands.into_iter().map(single).collect(),
+    };
+    Ok(Recording::of(commanded, &[("plan", plan.display().to_string())])?)
 }

@@ -1,27 +1,21 @@
 //! `octopus rollout`: one block of a run, made again alone.
 
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
-use std::str::FromStr;
+use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
+use export::BlockAddress;
 use output::grouped;
-use proto::config::Config;
-use proto::layout::{ActorLayout, BlockLayout, Dimensions};
-use proto::message::policy_version_for;
-use proto::run_dir::RunDir;
+use proto::layout::{BlockLayout, Dimensions};
 use proto::{ExitCode, ExitError};
-use run::session::failures;
-use safetensors::Dtype;
-use safetensors::tensor::TensorView;
 use serde::Serialize;
 use serde_json::json;
 use simulator::env::Moment;
-use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
-use store::checkpoint::{Checkpoint, CheckpointStore, Name, POLICY, Selector, read_policy};
+use simulator::rollout::RolloutError;
 use store::files;
 use store::outputs::Output;
+
+use crate::blocks::{BlockSource, address, open_policy};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -40,7 +34,7 @@ pub struct RolloutArgs {
     /// The run directory.
     pub run_dir: PathBuf,
     /// Which block.
-    #[arg(long, value_name = "SEED/ITERATION/SHARD", allow_hyphen_values = true)]
+    #[arg(long, value_name = "SEED/ITERATION/SHARD", allow_hyphen_values = true, value_parser = address)]
     pub address: BlockAddress,
     /// A checkpoint whose policy to act with, instead of the run's own.
     #[arg(long, value_name = "RUN_DIR|CHECKPOINT")]
@@ -54,36 +48,6 @@ pub struct RolloutArgs {
     /// Print as JSON.
     #[arg(long)]
     pub json: bool,
-}
-
-/// What, with a policy, determines a block.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct BlockAddress {
-    /// Seed of the run.
-    pub seed: u64,
-    /// The iteration.
-    pub iteration: u64,
-    /// The shard.
-    pub shard: u32,
-}
-
-impl FromStr for BlockAddress {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || "wants SEED/ITERATION/SHARD, such as 1/500/1".to_owned();
-        let mut parts = text.split('/');
-        let mut next = || parts.next().ok_or_else(wrong);
-        let (seed, iteration, shard) = (next()?, next()?, next()?);
-        if parts.next().is_some() {
-            return Err(wrong());
-        }
-        Ok(Self {
-            seed: seed.parse().map_err(|_| wrong())?,
-            iteration: iteration.parse().map_err(|_| wrong())?,
-            shard: shard.parse().map_err(|_| wrong())?,
-        })
-    }
 }
 
 /// What a block is.
@@ -105,7 +69,6 @@ struct Summary {
 
 /// Makes the block.
 pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
-    let run_dir = store::run_files::run_directory(&args.run_dir)?;
     let chosen = args.policy.as_deref().map(open_policy).transpose()?;
     if let Some(path) = &args.out {
         let output = Output { flag: "--out", path, mark: b"", force: args.force };
@@ -113,41 +76,25 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         let inputs: Vec<_> = chosen.chain([("RUN_DIR", args.run_dir.as_path())]).collect();
         output.check(&inputs)?;
     }
-    let BlockAddress { seed, iteration, shard } = args.address;
-    let config = store::run_files::read_config(&run_dir)?;
-    let (robot, _) = store::run_files::read_robot(&run_dir)?;
-    let world = World::new(&config, &robot);
-    check_address(args, &config)?;
-    let version = policy_version_for(iteration, config.run.overlap);
-    let layout = ActorLayout::new(&config, &world.dimensions);
-    let path = match &chosen {
-        Some(checkpoint) => checkpoint.dir.join(POLICY),
-        None => find_policy(args, &run_dir, &config, version)?,
-    };
-    let (found, parameters) = (path.display().to_string(), read_policy(&path, &layout)?);
-    let policy = world
-        .policy(&parameters)
-        .map_err(|error| ExitError::new(ExitCode::RunDirectory, format!("{found}: {error}")))?;
-
-    let spec = RolloutSpec { seed, iteration, shard, policy: &policy };
-    let layout = BlockLayout::new(&world.dimensions);
-    let mut block = vec![0.0; layout.len];
+    let source = BlockSource::open(&args.run_dir, args.address, chosen)?;
     let begun = Instant::now();
-    rollout(&world, &spec, &mut block, &mut |_| {}).map_err(|error| refuse(args, &error))?;
+    let block = source.make().map_err(|error| refuse(args, &error))?;
     let seconds = begun.elapsed().as_secs_f64();
+    let BlockAddress { seed, iteration, shard } = args.address;
+    let (world, block_layout) = (&source.world, source.world.block_layout());
     let summary = Summary {
         seed,
         iteration,
         shard,
-        policy_version: version,
-        policy: found,
+        policy_version: source.version,
+        policy: source.found.clone(),
         env_steps: world.block_env_steps(),
-        blake3: blake3::hash(bytemuck::cast_slice(&block)).to_hex().to_string(),
-        returns: returns(&world.dimensions, &layout, &block),
+        blake3: blake3::hash(bytemuck::cast_slice(&block.numbers)).to_hex().to_string(),
+        returns: returns(&world.dimensions, block_layout, &block.numbers),
         seconds,
     };
     if let Some(path) = &args.out {
-        files::replace_output(path, &to_safetensors(&world.dimensions, &layout, &block)?)?;
+        files::replace_output(path, &block.write().map_err(anyhow::Error::msg)?)?;
     }
     if args.json {
         return output::json(&summary);
@@ -155,103 +102,15 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let mean = summary.returns.iter().sum::<f64>() / summary.returns.len().max(1) as f64;
     output::line(&format!(
         "block       seed {seed}, iteration {iteration}, shard {shard}\n\
-         policy      version {version}, {}\n\
+         policy      version {}, {}\n\
          env-steps   {} in {seconds:.3} s\n\
          return      {mean:.3}\n\
          blake3      {}",
+        summary.policy_version,
         summary.policy,
         grouped(summary.env_steps),
         summary.blake3,
     ))
-}
-
-/// Refuses a block that the run never makes. With a policy of one's own, any seed will do.
-fn check_address(args: &RolloutArgs, config: &Config) -> Result<(), ExitError> {
-    let BlockAddress { seed, iteration, shard } = args.address;
-    let refuse = |what: String| {
-        Err(ExitError::new(
-            ExitCode::Usage,
-            format!("--address {seed}/{iteration}/{shard}: {what}"),
-        ))
-    };
-    let n_shards = config.env.n_shards as u64;
-    if u64::from(shard) >= n_shards {
-        return refuse(format!(
-            "there is no shard {shard}: the run has {}, counted from 0",
-            output::counted(n_shards, "shard")
-        ));
-    }
-    if args.policy.is_none() && seed != config.run.seed {
-        let own = config.run.seed;
-        return refuse(format!(
-            "the run's seed is {own}, not {seed}; with --policy any seed can be rolled out"
-        ));
-    }
-    Ok(())
-}
-
-/// The checkpoint that `--policy` names.
-fn open_policy(path: &Path) -> anyhow::Result<Checkpoint> {
-    let selector =
-        Selector::from_path(path).map_err(|message| ExitError::new(ExitCode::Usage, message))?;
-    Ok(selector.open()?)
-}
-
-/// Where the run has kept the policy.
-fn find_policy(
-    args: &RolloutArgs,
-    run_dir: &RunDir,
-    config: &Config,
-    version: u64,
-) -> anyhow::Result<PathBuf> {
-    let address = (args.address.iteration, args.address.shard);
-    let beside = failures::directory(run_dir, address).join(POLICY);
-    if beside.is_file() {
-        return Ok(beside);
-    }
-    let store = CheckpointStore::new(run_dir.checkpoints());
-    let path = store.dir(&Name::of_iteration(version)).join(POLICY);
-    if path.is_file() {
-        return Ok(path);
-    }
-    let versions = store.entries()?.into_iter().filter_map(|entry| {
-        (entry.name == Name::of_iteration(entry.iteration)).then_some(entry.iteration)
-    });
-    let possible = reproducible(versions, config.run.overlap, config.planned_iterations());
-    let possible: Vec<String> = possible.iter().map(ToString::to_string).collect();
-    let possible = match possible.as_slice() {
-        [] => "no iteration can be made from the checkpoints that there are".to_owned(),
-        [one] => format!("only iteration {one} can be made from the checkpoints that there are"),
-        all => {
-            format!(
-                "from the checkpoints that there are, iterations {} can be made",
-                all.join(", ")
-            )
-        }
-    };
-    Err(ExitError::new(
-        ExitCode::RunDirectory,
-        format!(
-            "{}: the policy that iteration {} acted with, version {version}, was not kept; \
-             {possible}; --policy acts with another one",
-            run_dir.path().display(),
-            args.address.iteration,
-        ),
-    )
-    .into())
-}
-
-/// The iterations before `planned` that acted with one of these policy versions, in order.
-fn reproducible(
-    versions: impl IntoIterator<Item = u64>,
-    overlap: usize,
-    planned: u64,
-) -> BTreeSet<u64> {
-    let acted = |version: u64| {
-        (version..=version.saturating_add(overlap as u64))
-            .filter(move |&iteration| policy_version_for(iteration, overlap) == version)
-    };
-    versions.into_iter().flat_map(acted).filter(|&iteration| iteration < planned).collect()
 }
 
 /// The block cannot be made: says why, and prints the environment.
@@ -291,46 +150,4 @@ fn returns(dimensions: &Dimensions, layout: &BlockLayout, block: &[f32]) -> Vec<
             rewards.iter().map(|&reward| f64::from(reward)).sum::<f64>() / dimensions.n_envs as f64
         })
         .collect()
-}
-
-fn to_safetensors(
-    dimensions: &Dimensions,
-    layout: &BlockLayout,
-    block: &[f32],
-) -> anyhow::Result<Vec<u8>> {
-    let Dimensions { n_agents: a, n_steps: t, n_envs: n, observation: o, state: s, .. } =
-        *dimensions;
-    let arrays = [
-        ("observation", &layout.observation, vec![a, t + 1, n, o]),
-        ("state", &layout.state, vec![t + 1, n, s]),
-        ("action", &layout.action, vec![a, t, n, proto::layout::JOINTS_PER_AGENT]),
-        ("log_prob", &layout.log_prob, vec![a, t, n]),
-        ("reward", &layout.reward, vec![a, t, n]),
-        ("terminated", &layout.terminated, vec![t, n]),
-        ("truncated", &layout.truncated, vec![t, n]),
-        ("metrics", &layout.metrics, vec![n, dimensions.n_metrics]),
-    ];
-    let views = arrays
-        .into_iter()
-        .map(|(name, range, shape)| {
-            let bytes = bytemuck::cast_slice(&block[range.clone()]);
-            Ok((name.to_owned(), TensorView::new(Dtype::F32, shape, bytes)?))
-        })
-        .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
-    Ok(safetensors::serialize(views, None)?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_a_policy_was_used_for() {
-        let of = |versions: &[u64], overlap| {
-            reproducible(versions.iter().copied(), overlap, 20).into_iter().collect::<Vec<_>>()
-        };
-        assert_eq!(of(&[5, 10, 20], 0), [5, 10], "iteration 20 would be the 21st of 20");
-        assert_eq!(of(&[0, 5, 10], 1), [0, 1, 6, 11]);
-        assert!(of(&[], 1).is_empty());
-    }
 }

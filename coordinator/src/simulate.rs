@@ -7,11 +7,12 @@ use proto::{ExitCode, ExitError};
 use simulator::simulate::{Precision, simulate_from};
 use simulator::state::State;
 use simulator::step::{Integrator, StepOptions};
+use store::files;
 use store::outputs::Output;
-use store::{files, regular_files};
 
+use crate::joint_commands;
 use crate::names::Named;
-use crate::trajectories::{MARK, MAX_BYTES, last_state, write_table};
+use crate::trajectories::{MARK, last_state, write_table};
 use crate::values::{Switch, seconds};
 
 const SIMULATE_USAGE: &str = "\
@@ -82,7 +83,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
         Some(path) => last_state(path, &robot)?,
         None => State::home(&robot),
     };
-    let actions = read_actions(&args.actions, robot.n_joints())?;
+    let actions = joint_commands::read(&args.actions, robot.n_joints())?;
     let precision = args.precision.0;
     let options = StepOptions {
         integrator: args.integrator.0,
@@ -129,73 +130,4 @@ fn check_steps(args: &SimulateArgs) -> Result<(), ExitError> {
         ));
     }
     Ok(())
-}
-
-/// Reads the commands: one row a control step, `width` numbers each.
-fn read_actions(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError> {
-    let shown =
-        if path == Path::new("-") { "standard input".into() } else { path.to_string_lossy() };
-    let bad = |what: String| ExitError::new(ExitCode::BadInput, format!("{shown}: {what}"));
-    let read = if path == Path::new("-") {
-        regular_files::drain(std::io::stdin().lock(), MAX_BYTES)
-    } else {
-        regular_files::read(path, MAX_BYTES)
-    };
-    let bytes = read.map_err(|error| bad(format!("cannot be read: {error}")))?;
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .trim(csv::Trim::All)
-        .from_reader(bytes.as_slice());
-    let mut actions = Vec::new();
-    for (index, record) in reader.records().enumerate() {
-        let row = index + 1;
-        let record = record.map_err(|error| bad(format!("row {row}: {error}")))?;
-        if record.len() != width {
-            return Err(bad(format!(
-                "row {row} has {} numbers, expected {width}: one joint velocity command in rad/s for \
-                 every joint, arm after arm",
-                record.len()
-            )));
-        }
-        let number = |(column, cell): (usize, &str)| {
-            let place = format!("row {row}, column {}", column + 1);
-            match cell.parse::<f64>() {
-                Ok(value) if value.is_finite() => Ok(value),
-                Ok(_) => Err(bad(format!("{place}: `{cell}` is not finite"))),
-                Err(_) => Err(bad(format!(
-                    "{place}: `{cell}` is no number{}",
-                    if row == 1 { "; the file has no header" } else { "" }
-                ))),
-            }
-        };
-        actions.push(record.iter().enumerate().map(number).collect::<Result<Vec<_>, _>>()?);
-    }
-    if actions.is_empty() {
-        return Err(bad(format!("is empty, expected rows of {width} joint velocity commands")));
-    }
-    Ok(actions)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The message that `text` is refused with.
-    fn refused(text: &str) -> String {
-        let dir = tempfile::tempdir().expect("tempdir");
-        let path = dir.path().join("in.csv");
-        std::fs::write(&path, text).expect("writable");
-        let error = read_actions(&path, 3).expect_err("must be refused");
-        assert_eq!(error.code, ExitCode::BadInput);
-        error.message.split_once("in.csv: ").expect("names the file").1.to_owned()
-    }
-
-    #[test]
-    fn actions_are_refused_with_row_and_column() {
-        assert_eq!(refused("1,2,3\n1,2,nan\n"), "row 2, column 3: `nan` is not finite");
-        assert_eq!(refused("a,b,c\n"), "row 1, column 1: `a` is no number; the file has no header");
-        assert!(refused("1,2\n").starts_with("row 1 has 2 numbers, expected 3"));
-        assert!(refused("\n\n").starts_with("is empty"));
-    }
 }

@@ -5,6 +5,7 @@ errors say, and columns the same as messages.
 """
 
 import csv
+import json
 import math
 import pathlib
 import sys
@@ -69,14 +70,16 @@ with recording.open("rb") as file:
     messages = {}
     for _, channel, message, decoded in reader.iter_decoded_messages():
         messages.setdefault(channel.topic, []).append((message.log_time, decoded))
-    (attachment,) = reader.iter_attachments()
-    assert attachment.name == "robot.urdf" and attachment.data == urdf.read_bytes()
+    attachments = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
+    assert set(attachments) == {"robot.urdf", "robot.toml", "motion.json"}, attachments.keys()
+    assert attachments["robot.urdf"] == urdf.read_bytes()
+    motion = json.loads(attachments["motion.json"])
     (metadata,) = reader.iter_metadata()
     assert metadata.name == "spaceoctopus" and metadata.metadata["task"], metadata
 
 with columns.open() as file:
     rows = list(csv.DictReader(file))
-assert len(rows) > 10
+assert len(rows) > 10 and len(motion["states"]) == len(rows) == len(motion["commands"]) + 1
 wanted = {"/tf", "/joint_states", "/joint_commands", "/goals", "/errors", "/contacts"}
 assert set(messages) == wanted and all(len(found) == len(rows) for found in messages.values())
 

@@ -298,3 +298,70 @@ fn experiments_that_cannot_be() {
     assert!(experiment(&[&["precision"], &all[..], &few].concat()).starts_with("reorientation\n"));
     refused(&[&["reassembly"], &all[..]].concat(), 5, &["trajectory"]);
 }
+
+#[test]
+fn goals_of_ones_own_take_the_place_of_held_out_ones() {
+    let (dir, path) = policies();
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    let eval = |task: &str, more: &[&str]| {
+        let policy = format!("{path}/{task}");
+        let all = [&["eval", &policy, "--steps=4", "--json"], more].concat();
+        let output = octopus(&all);
+        assert!(output.status.success(), "{all:?}: {}", stderr(&output));
+        let mut found: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let goals = found.as_object_mut().expect("an object").remove("goals");
+        (found, goals)
+    };
+    for (task, name) in [("trajectory", "hands.csv"), ("reorientation", "base.json")] {
+        let save = ["--episodes=3", "--seed=5", "--save-goals", &at(name)];
+        let (drawn, goals) = eval(task, &save);
+        assert_eq!(goals, None);
+        // The same goals from a file: the same numbers, all of them, whatever the seed.
+        let (mut own, goals) = eval(task, &["--goals", &at(name)]);
+        assert_eq!(goals, Some(at(name).into()));
+        assert_eq!(list(&own["episodes"]).len(), 3);
+        own["seed"] = 5.into();
+        assert_eq!(own, drawn, "{task}");
+        let (other, _) = eval(task, &["--episodes=3"]);
+        assert_ne!(other["episodes"], drawn["episodes"], "{task}");
+    }
+    // One hand's goal moved: only that hand ends elsewhere as far as its error goes.
+    let table = std::fs::read_to_string(at("hands.csv")).expect("written");
+    let header = table.lines().next().expect("a header");
+    assert!(
+        header.starts_with("hand1_x,hand1_y,hand1_z,hand1_a,hand1_b,hand1_c,hand2_x"),
+        "{header}"
+    );
+    std::fs::write(
+        at("one.csv"),
+        "hand2_x,hand2_y,hand2_z,hand2_a,hand2_b,hand2_c\n0.4,-1.1,4.2,1.6,0,1.5\n",
+    )
+    .expect("writable");
+    let (one, _) = eval("trajectory", &["--goals", &at("one.csv")]);
+    assert_eq!(list(&one["episodes"]).len(), 1);
+    let trajectory = format!("{path}/trajectory");
+    let precision =
+        ["precision", "--trajectory", &trajectory, "--goals", &at("one.csv"), "--steps=4"];
+    let found = json(&precision);
+    assert_eq!(found["protocol"]["goals"], Value::from(at("one.csv")));
+    assert_eq!(found["results"][0]["summary"]["episodes"], one["episodes"]);
+    assert!(experiment(&precision).starts_with("goals of "));
+    refused(&[&precision[..], &["--episodes=2"]].concat(), 2, &["--episodes 2", "1 episode"]);
+    let reorientation = format!("{path}/reorientation");
+    let other = ["precision", "--reorientation", &reorientation, "--goals", &at("one.csv")];
+    refused(&other, 3, &["one.csv", "goals of the base"]);
+    let missing = ["precision", "--trajectory", &trajectory, "--goals", &at("nothing.csv")];
+    refused(&missing, 3, &["nothing.csv", "cannot be read"]);
+    let wrong = octopus(&["eval", &trajectory, "--save-goals", &at("one.csv")]);
+    assert_eq!(wrong.status.code(), Some(5), "{}", stderr(&wrong));
+    let wrong = octopus(&[
+        "eval",
+        &trajectory,
+        "--goals",
+        &at("one.csv"),
+        "--save-goals",
+        &at("one.csv"),
+        "--force",
+    ]);
+    assert_eq!(wrong.status.code(), Some(2), "{}", stderr(&wrong));
+}
