@@ -12,7 +12,7 @@ use export::{HeldOut, Origin, Source};
 use proto::config::{Config, Layers, Preset, TaskName};
 use proto::layout::ActorLayout;
 use simulator::evaluate::{Course, EvaluationOptions, evaluate};
-use simulator::experiment::{Control, Effect, Episode, Event, Member, Start};
+use simulator::experiment::{Control, Effect, Episode, Event, Member, Player, Start};
 use simulator::policy::{Policy, initial_parameters};
 use simulator::robot::Robot;
 use simulator::rollout::World;
@@ -116,7 +116,8 @@ impl Controlled {
     pub fn native_errors(&self, episodes: usize, steps: usize) -> Result<Vec<Course>> {
         let options = Self::options(episodes, steps);
         let executor = lab::threads::Threads::available();
-        let found = evaluate(&self.world, &self.policy, &options, &[], &executor, &|| {})?;
+        let found =
+            evaluate(Player::new(&self.world, &self.policy), &options, &[], &executor, &|| {})?;
         let courses = found.episodes.into_iter().flat_map(|episode| {
             let hands =
                 episode.hands.into_iter().flat_map(|hand| [hand.position, hand.orientation]);

@@ -1,17 +1,21 @@
 //! `octopus eval`: how well a policy does on goals it never saw.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
+use lab::contender::Contender;
 use lab::evaluation::evaluate_on;
 use lab::goals::{self, OwnGoals};
-use lab::trained::{Trained, open_checkpoint};
+use lab::trained::{ControllerName, Trained, open_checkpoint};
 use output::grouped;
+use proto::config::TaskName;
 use simulator::evaluate::EvaluationOptions;
 use simulator::experiment::EvaluationGoals;
+use simulator::step::StepOptions;
 use store::files;
 use store::outputs::{Input, Output};
 
+use crate::names::Named;
 use crate::values::whole;
 
 const EVAL_EXAMPLES: &str = "\
@@ -22,6 +26,7 @@ Examples:
   octopus eval runs/trajectory-20260101-120000 --json | jq .overall
   octopus eval runs/a --save-goals goals.csv
   octopus eval runs/a --goals goals.csv
+  octopus eval --controller jacobian --episodes 300 --seed 5
 
 Of every episode three numbers are taken for each error: its minimum over time (`min`), its value \
 after the last step (`final`) and its mean over the last 20 steps (`tail`).
@@ -36,8 +41,23 @@ As JSON: [{\"hands\": [[x, y, z, a, b, c], null, â€¦]}, {\"base\": [a, b, c]}, â
 pub struct EvalArgs {
     /// A run directory, whose last checkpoint is taken; RUN_DIR:best for the one with the lowest
     /// score; or any other checkpoint, as `octopus checkpoints --help` lists them.
-    #[arg(value_name = "RUN_DIR|CHECKPOINT")]
-    pub path: PathBuf,
+    #[arg(value_name = "RUN_DIR|CHECKPOINT", required_unless_present = "controller")]
+    pub path: Option<PathBuf>,
+    /// A controller that is not learned, instead of a policy.
+    #[arg(long, value_enum, value_name = "NAME", conflicts_with = "path")]
+    pub controller: Option<Named<ControllerName>>,
+    /// The controller's task.
+    #[arg(long, allow_negative_numbers = true, value_enum, value_name = "TASK", default_value_t = Named(TaskName::Trajectory), requires = "controller")]
+    pub task: Named<TaskName>,
+    /// The controller's robot: `paper`, `release`, or a robot file.
+    #[arg(
+        long,
+        allow_negative_numbers = true,
+        value_name = "NAME|FILE",
+        default_value = "paper",
+        requires = "controller"
+    )]
+    pub robot: String,
     /// Episodes, each with goals of its own [default: 30, or as many as --goals has].
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u32>(1, 1_000_000))]
     pub episodes: Option<u32>,
@@ -66,35 +86,48 @@ pub struct EvalArgs {
 
 /// Evaluates.
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
-    let trained = Trained::new(open_checkpoint(&args.path)?, None)?;
-    let read = |path: &PathBuf| OwnGoals::read(path, trained.world.robot.n_arms);
+    let contender = contender(args)?;
+    let read = |path: &PathBuf| OwnGoals::read(path, contender.world.robot.n_arms);
     let own = args.goals.as_ref().map(read).transpose()?;
     let episodes = match &own {
         Some(own) => {
-            own.check(std::iter::once(trained.task()))?;
+            own.check(std::iter::once(contender.task()))?;
             own.episodes(args.episodes)?
         }
         None => args.episodes.unwrap_or(30),
     };
     let (seed, episodes, steps) = (args.seed, episodes as usize, args.steps as usize);
     if let Some(path) = &args.save_goals {
-        let mut inputs: Vec<Input<'_>> = vec![("RUN_DIR|CHECKPOINT", &args.path)];
+        let mut inputs: Vec<Input<'_>> = vec![("--robot", Path::new(&args.robot))];
+        inputs.extend(args.path.as_deref().map(|path| ("RUN_DIR|CHECKPOINT", path)));
         inputs.extend(args.goals.as_deref().map(|path| ("--goals", path)));
         Output { flag: "--save-goals", path, mark: b"", force: args.force }.check(&inputs)?;
         let given = own.as_ref().map_or(&[][..], |own| &own.given);
         let drawn = EvaluationGoals { seed, given };
-        files::replace_output(path, &goals::write(path, &trained.world, drawn, episodes)?)?;
+        files::replace_output(path, &goals::write(path, &contender.world, drawn, episodes)?)?;
     }
     let options = EvaluationOptions { seed, episodes, steps };
-    let summary = evaluate_on(&trained, &options, own.as_ref())?;
+    let summary = evaluate_on(&contender, &options, own.as_ref())?;
     if args.json {
         return output::json(&summary);
     }
-    output::line(&format!(
-        "{}\niteration {}, {} env-steps\n\n{}",
-        summary.checkpoint.display(),
-        summary.iteration,
-        grouped(summary.env_steps),
-        summary.table(output::columns(), args.agents)
-    ))
+    let table = summary.table(output::columns(), args.agents);
+    let what = contender.shown();
+    if summary.controller.is_some() {
+        return output::line(&format!("{what}, {}\n\n{table}", summary.task.as_str()));
+    }
+    let (iteration, env_steps) = (summary.iteration, grouped(summary.env_steps));
+    output::line(&format!("{what}\niteration {iteration}, {env_steps} env-steps\n\n{table}"))
+}
+
+/// What is evaluated.
+fn contender(args: &EvalArgs) -> anyhow::Result<Contender> {
+    match (&args.path, args.controller) {
+        (Some(path), _) => Ok(Trained::new(open_checkpoint(path)?, None)?.into()),
+        (None, Some(name)) => {
+            let robot = run::robots::load_fit_robot(&args.robot, &StepOptions::default())?;
+            Contender::controller(name.0, args.task.0, &robot)
+        }
+        (None, None) => unreachable!("the command line wants one of both"),
+    }
 }

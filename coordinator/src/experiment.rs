@@ -8,12 +8,13 @@ use lab::experiments::{
     Experiment, arm_failure, base_mass, disturbance, noise, perform, precision, reassembly,
 };
 use lab::script;
-use lab::trained::{Trained, open_checkpoint};
+use lab::trained::{ControllerName, Trained, open_checkpoint};
 use simulator::simulate::Precision;
 use simulator::step::StepOptions;
 use store::files;
 use store::outputs::{Input, Output};
 
+use crate::names::Named;
 use crate::trajectories::{MARK, write_table};
 use crate::values::{Amounts, amount, amounts, whole};
 
@@ -148,6 +149,9 @@ pub struct CommonArgs {
     /// The reorientation policy.
     #[arg(long, value_name = "CHECKPOINT", help_heading = "Policies")]
     pub reorientation: Option<PathBuf>,
+    /// A controller that is not learned, instead of policies.
+    #[arg(long, value_enum, value_name = "NAME", conflicts_with_all = ["policies", "trajectory", "reorientation"], help_heading = "Policies")]
+    pub controller: Option<Named<ControllerName>>,
     /// Another robot than the policies' own: `paper`, `release`, or a robot file.
     #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]
     pub robot: Option<String>,
@@ -376,6 +380,7 @@ fn study(args: &CommonArgs) -> Common {
         policies: args.policies.clone(),
         trajectory: args.trajectory.clone(),
         reorientation: args.reorientation.clone(),
+        controller: args.controller.map(|name| name.0),
         robot: args.robot.clone(),
         episodes: args.episodes,
         steps: args.steps,

@@ -119,9 +119,8 @@ fn origin(trained: &Trained) -> Origin {
 
 fn held_out(trained: &Trained, episodes: usize) -> anyhow::Result<HeldOut> {
     let options = EvaluationOptions { episodes, ..EvaluationOptions::default() };
-    let found =
-        evaluate(&trained.world, &trained.policy, &options, &[], &Threads::available(), &|| {})?;
-    let summary = Summary::new(trained, options.seed, None, found, None);
+    let found = evaluate(trained.player(), &options, &[], &Threads::available(), &|| {})?;
+    let summary = Summary::new(&trained.identity(), options.seed, None, found, None);
     let errors = summary.overall.iter().map(|of| HeldOutError {
         error: of.error.to_string(),
         unit: of.unit.to_string(),

@@ -4,6 +4,7 @@
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
+use lab::trained::ControllerName;
 use proto::config::{AlgorithmName, Preset, TaskName};
 use simulator::simulate::Precision;
 use simulator::step::Integrator;
@@ -45,6 +46,20 @@ impl Names for TaskName {
         match self {
             Self::Trajectory => "Every hand to a target pose",
             Self::Reorientation => "The base to a target attitude",
+        }
+    }
+}
+
+impl Names for ControllerName {
+    const ALL: &'static [Named<Self>] = &[Named(Self::Jacobian)];
+
+    fn name(self) -> &'static str {
+        self.as_str()
+    }
+
+    fn help(self) -> &'static str {
+        match self {
+            Self::Jacobian => "Damped least squares with the generalised Jacobian",
         }
     }
 }

@@ -365,3 +365,40 @@ fn goals_of_ones_own_take_the_place_of_held_out_ones() {
     ]);
     assert_eq!(wrong.status.code(), Some(2), "{}", stderr(&wrong));
 }
+
+#[test]
+fn a_controller_that_is_not_learned_takes_the_place_of_policies() {
+    let found = json(&["precision", "--controller=jacobian", "--episodes=4", "--steps=60"]);
+    assert_eq!(list(&found["policies"]).len(), 2);
+    for (policy, task) in list(&found["policies"]).iter().zip(["trajectory", "reorientation"]) {
+        assert_eq!((&policy["controller"], &policy["task"]), (&"jacobian".into(), &task.into()));
+    }
+    let median = |result: &Value| result["summary"]["overall"][0]["tail"]["p50"].as_f64();
+    for result in list(&found["results"]) {
+        assert!(
+            median(result).is_some_and(|error| error < 1e-3),
+            "{}",
+            result["summary"]["overall"]
+        );
+    }
+    // The same goals in `eval`, to the bit.
+    let eval = ["eval", "--controller=jacobian", "--episodes=4", "--steps=60", "--json"];
+    let eval = octopus(&eval);
+    assert!(eval.status.success(), "{}", stderr(&eval));
+    let eval: Value = serde_json::from_slice(&eval.stdout).expect("JSON");
+    assert_eq!(eval["episodes"], found["results"][0]["summary"]["episodes"]);
+    let table = experiment(&["arm-failure", "--controller=jacobian", "--episodes=2", "--steps=30"]);
+    fits(&table);
+    let both = ["precision", "--controller=jacobian", "--policies=x"];
+    refused(&both, 2, &["cannot be used with"]);
+    for (args, words) in [
+        (vec!["eval"], "RUN_DIR|CHECKPOINT"),
+        (vec!["eval", "runs/a", "--controller=jacobian"], "cannot be used with"),
+        (vec!["eval", "--controller=pid"], "jacobian"),
+        (vec!["eval", "runs/a", "--task=reorientation"], "--controller"),
+    ] {
+        let wrong = octopus(&args);
+        assert_eq!(wrong.status.code(), Some(2), "{args:?}: {}", stderr(&wrong));
+        assert!(stderr(&wrong).contains(words), "{args:?}: {}", stderr(&wrong));
+    }
+}

@@ -22,11 +22,31 @@ pub struct Trained {
     pub policy: Policy,
 }
 
+/// Controllers that are not learned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ControllerName {
+    /// Damped least squares with the generalised Jacobian.
+    Jacobian,
+}
+
+impl ControllerName {
+    /// As it is written.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Jacobian => "jacobian",
+        }
+    }
+}
+
 /// Which policy it was: enough to find it again, and to know it when it is found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PolicyIdentity {
-    /// The task that it learned.
+    /// Its task.
     pub task: TaskName,
+    /// The controller that it is, if it is no policy: nothing below tells of a training then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<ControllerName>,
     /// Directory of the checkpoint.
     pub checkpoint: PathBuf,
     /// Iterations it was trained on.
@@ -41,6 +61,16 @@ pub struct PolicyIdentity {
     pub seed: u64,
     /// Factor from actions to joint velocity commands that it was trained with.
     pub action_scale: f64,
+}
+
+impl PolicyIdentity {
+    /// What messages call it.
+    pub fn shown(&self) -> String {
+        match self.controller {
+            Some(name) => format!("controller {}", name.as_str()),
+            None => self.checkpoint.display().to_string(),
+        }
+    }
 }
 
 /// The checkpoint that a path or a text such as `RUN:best` names.
@@ -88,6 +118,7 @@ impl Trained {
         let manifest = &self.checkpoint.manifest;
         PolicyIdentity {
             task: self.task(),
+            controller: None,
             checkpoint: self.checkpoint.dir.clone(),
             iteration: manifest.iteration,
             env_steps: manifest.env_steps,

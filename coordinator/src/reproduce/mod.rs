@@ -16,15 +16,20 @@ pub fn run(args: &ReproduceArgs) -> anyhow::Result<()> {
     let out = args.out.clone().unwrap_or_else(|| format!("reproduction-{now}").into());
     training::check_place(&out, args.force)?;
     check_place(&out, args.force)?;
+    let controller = args.controller.map(|name| name.0);
     let (policies, curves) = if args.train {
-        training::train(args, &out)?
+        let (policies, curves) = training::train(args, &out)?;
+        (Some(policies), curves)
+    } else if controller.is_some() {
+        (None, Vec::new())
     } else {
         let policies = args.policies.clone().map_or_else(default_policies, Ok)?;
         let beside = if args.runs.is_empty() { curves_beside(&policies) } else { None };
-        (policies, args.runs.iter().cloned().chain(beside).collect())
+        (Some(policies), args.runs.iter().cloned().chain(beside).collect())
     };
     let made = reproduce(&Study {
         policies,
+        controller,
         curves,
         out,
         quick: args.quick,

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use lab::trained::ControllerName;
 use proto::config::AlgorithmName;
 
 use crate::names::Named;
@@ -35,6 +36,9 @@ pub struct ReproduceArgs {
     /// A directory that holds `trajectory` and `reorientation` [default: deploy/policies, where it exists].
     #[arg(long, value_name = "DIR")]
     pub policies: Option<PathBuf>,
+    /// A controller that is not learned, instead of policies: the yardstick beside which they stand.
+    #[arg(long, value_enum, value_name = "NAME", conflicts_with_all = ["policies", "runs", "train"])]
+    pub controller: Option<Named<ControllerName>>,
     /// Run directories whose learning curves the page shows, seeds of one algorithm together, or files of
     /// `octopus plot --save` [default: curves.json beside the policies, where it exists].
     #[arg(long, value_name = "DIR|CURVES", num_args = 1..)]

@@ -91,18 +91,17 @@ pub struct Evaluation {
     pub episodes: Vec<EpisodeResult>,
 }
 
-/// Evaluates `policy` with its mean actions on goals of
+/// Evaluates a player with deterministic actions on goals of
 /// [`Purpose::EvaluationGoal`](proto::rng::Purpose::EvaluationGoal); `given` ones instead as far as there are; `executor` and `on_step` as in [`play`].
 pub fn evaluate(
-    world: &World,
-    policy: &Policy,
+    player: Player<'_>,
     options: &EvaluationOptions,
     given: &[FixedGoals],
     executor: &dyn Executor,
     on_step: &(dyn Fn() + Sync),
 ) -> Result<Evaluation, EpisodeError> {
     let EvaluationOptions { seed, episodes, steps } = *options;
-    let trial = Trial { given, ..Trial::new(Player::new(world, policy), seed, episodes, steps) };
+    let trial = Trial { given, ..Trial::new(player, seed, episodes, steps) };
     Ok(Evaluation::of(&play(&trial, executor, on_step)?))
 }
 
@@ -215,19 +214,13 @@ mod tests {
         let world = world(Preset::Tuned, &Robot::builtin("paper").expect("built in"), 50);
         let flat = parameters(&world.config, &world.dimensions, 8);
         let policy = world.policy(&flat).expect("a policy");
+        let player = Player::new(&world, &policy);
         let options = EvaluationOptions { seed: 3, episodes: 35, steps: 3 };
-        let one =
-            evaluate(&world, &policy, &options, &[], &InOrder, &|| {}).expect("an evaluation");
-        let apart = evaluate(&world, &policy, &options, &[], &Apart, &|| {});
+        let one = evaluate(player, &options, &[], &InOrder, &|| {}).expect("an evaluation");
+        let apart = evaluate(player, &options, &[], &Apart, &|| {});
         assert_eq!(one, apart.expect("an evaluation"));
-        let other = evaluate(
-            &world,
-            &policy,
-            &EvaluationOptions { seed: 4, ..options },
-            &[],
-            &InOrder,
-            &|| {},
-        );
+        let other =
+            evaluate(player, &EvaluationOptions { seed: 4, ..options }, &[], &InOrder, &|| {});
         assert_ne!(one, other.expect("an evaluation"));
         assert_eq!((one.steps, one.episodes.len()), (3, 35));
         for EpisodeResult { end, .. } in &one.episodes {
@@ -244,14 +237,8 @@ mod tests {
             assert!(hand.position.min <= hand.position.last);
         }
         // Without episodes there is nothing to say, but nothing to fail either.
-        let none = evaluate(
-            &world,
-            &policy,
-            &EvaluationOptions { episodes: 0, ..options },
-            &[],
-            &InOrder,
-            &|| {},
-        );
+        let none =
+            evaluate(player, &EvaluationOptions { episodes: 0, ..options }, &[], &InOrder, &|| {});
         assert!(none.expect("an evaluation").episodes.is_empty());
     }
 
@@ -261,10 +248,10 @@ mod tests {
         world.config.run.evaluation_steps = 3;
         let flat = parameters(&world.config, &world.dimensions, 8);
         let policy = world.policy(&flat).expect("a policy");
+        let player = Player::new(&world, &policy);
         let options = EvaluationOptions { seed: SELECTION_SEED, episodes: 18, steps: 3 };
-        let whole = evaluate(&world, &policy, &options, &[], &InOrder, &|| {})
-            .expect("an evaluation")
-            .episodes;
+        let whole =
+            evaluate(player, &options, &[], &InOrder, &|| {}).expect("an evaluation").episodes;
         let mut steps = 0;
         let mut play = |first, episodes| {
             select(&world, &policy, first, episodes, &mut || steps += 1).expect("a selection")
@@ -292,9 +279,10 @@ mod tests {
             assert_eq!(world.dimensions.n_agents, 4);
             let flat = parameters(&world.config, &world.dimensions, 8);
             let policy = world.policy(&flat).expect("a policy");
+            let player = Player::new(&world, &policy);
             let options = EvaluationOptions { seed: 3, episodes: 2, steps: 2 };
             let evaluation =
-                evaluate(&world, &policy, &options, &[], &InOrder, &|| {}).expect("an evaluation");
+                evaluate(player, &options, &[], &InOrder, &|| {}).expect("an evaluation");
             assert_eq!(evaluation.episodes[0].hands.len(), 2);
         }
     }

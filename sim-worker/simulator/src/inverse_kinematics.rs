@@ -82,7 +82,7 @@ pub(crate) fn forward(robot: &Robot, arm: usize, q: &Angles) -> (Isometry3<f64>,
 }
 
 /// How far the hand is from `target`: linear (m) and rotation vector (rad), base axes.
-fn residual(target: &Isometry3<f64>, hand: &Isometry3<f64>) -> Vector6<f64> {
+pub(crate) fn residual(target: &Isometry3<f64>, hand: &Isometry3<f64>) -> Vector6<f64> {
     let linear = target.translation.vector - hand.translation.vector;
     let angular = (target.rotation * hand.rotation.inverse()).scaled_axis();
     Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)

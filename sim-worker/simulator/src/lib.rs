@@ -20,6 +20,7 @@
 //! * [`mod@rollout`]: whole episodes that explore, for training, as pure functions of their addresses;
 //! * [`stepping`]: the environments of a rollout, stepped by who acts outside;
 //! * [`experiment`], [`evaluate`]: whole episodes with deterministic actions, in which things may happen;
+//! * [`controller`]: a controller that is not learned, beside which policies stand;
 //! * [`reach`]: which goals can be reached at all;
 //! * [`plan`]: a motion that brings hands to poses, found by trying in the simulator;
 //! * [`random_motion`]: the dynamics under random commands, for measurements.
@@ -72,6 +73,8 @@ pub mod experiment;
 pub mod evaluate;
 
 mod inverse_kinematics;
+
+pub mod controller;
 
 pub mod reach;
 

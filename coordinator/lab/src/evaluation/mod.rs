@@ -17,18 +17,19 @@ pub use self::reach::{GoalSubset, Reach, Reachable, WithinReach};
 pub use self::success::Success;
 pub use self::summary::{ContactRates, Summary};
 pub use self::verdict::Verdict;
+use crate::contender::Contender;
 use crate::goals::OwnGoals;
 use crate::threads::Threads;
 use crate::trained::Trained;
 
 /// Evaluates a checkpoint on held-out goals, and shows how far it has come.
 pub fn evaluate(checkpoint: Checkpoint, options: &EvaluationOptions) -> anyhow::Result<Summary> {
-    evaluate_on(&Trained::new(checkpoint, None)?, options, None)
+    evaluate_on(&Trained::new(checkpoint, None)?.into(), options, None)
 }
 
-/// Evaluates a policy on goals of a person's own, if there are some, and shows how far it has come.
+/// Evaluates a policy or a controller, on goals of a person's own, if there are some, and shows how far it has come.
 pub fn evaluate_on(
-    trained: &Trained,
+    contender: &Contender,
     options: &EvaluationOptions,
     own: Option<&OwnGoals>,
 ) -> anyhow::Result<Summary> {
@@ -38,11 +39,10 @@ pub fn evaluate_on(
     let chunks = options.episodes.div_ceil(CHUNK);
     progress.begin("evaluation", (chunks * options.steps) as u64);
     let on_step = || progress.advance();
-    let evaluation =
-        evaluate::evaluate(&trained.world, &trained.policy, options, given, &threads, &on_step)?;
+    let evaluation = evaluate::evaluate(contender.player(), options, given, &threads, &on_step)?;
     let goals = EvaluationGoals { seed: options.seed, given };
-    let reach = Reach::of(&trained.world, &evaluation, goals, threads, &progress)?;
-    Ok(Summary::new(trained, options.seed, own, evaluation, reach))
+    let reach = Reach::of(&contender.world, &evaluation, goals, threads, &progress)?;
+    Ok(Summary::new(contender.identity(), options.seed, own, evaluation, reach))
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use super::errors::{ErrorSummary, agents, overall};
 use super::reach::{Reach, Reachable, WithinReach};
 use super::success::{Success, success};
 use crate::goals::OwnGoals;
-use crate::trained::Trained;
+use crate::trained::{ControllerName, PolicyIdentity};
 
 /// Shares of control steps at whose end bodies touched, by what touched what.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -28,6 +28,9 @@ pub struct ContactRates {
 /// What an evaluation found; the form of `eval --json` and `evaluation.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
+    /// The controller that was evaluated, if it was no policy.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<ControllerName>,
     /// What was evaluated.
     pub checkpoint: PathBuf,
     /// Iterations it was trained on.
@@ -66,13 +69,13 @@ pub struct Summary {
 impl Summary {
     /// What `evaluation` of a policy on the goals of `seed`, or on a person's own, says; `reach` as from [`Reach::of`].
     pub fn new(
-        trained: &Trained,
+        identity: &PolicyIdentity,
         seed: u64,
         own: Option<&OwnGoals>,
         evaluation: Evaluation,
         reach: Option<Reach>,
     ) -> Self {
-        let task = trained.task();
+        let task = identity.task;
         let Evaluation { steps, episodes } = evaluation;
         let share = |contact_steps: fn(&EpisodeResult) -> u32| {
             let sum: f64 = episodes.iter().map(|episode| f64::from(contact_steps(episode))).sum();
@@ -85,9 +88,10 @@ impl Summary {
         };
         let (reachable, within_reach_at_end) = reach.map(|reach| reach.subsets(&episodes)).unzip();
         Self {
-            checkpoint: trained.checkpoint.dir.clone(),
-            iteration: trained.checkpoint.manifest.iteration,
-            env_steps: trained.checkpoint.manifest.env_steps,
+            controller: identity.controller,
+            checkpoint: identity.checkpoint.clone(),
+            iteration: identity.iteration,
+            env_steps: identity.env_steps,
             task,
             seed,
             goals: own.map(|own| own.file.clone()),

@@ -117,6 +117,7 @@ mod tests {
         let subset =
             || GoalSubset { goals: 4000, of: 4000, overall: overall(), success: vec![all; 2] };
         let summary = Summary {
+            controller: None,
             checkpoint: "runs/a".into(),
             iteration: 1,
             env_steps: 1,

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::command_line::{option, path_option};
+use crate::trained::ControllerName;
 
 /// Policies, robot and episodes of an experiment.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,6 +14,8 @@ pub struct Common {
     pub trajectory: Option<PathBuf>,
     /// The reorientation policy.
     pub reorientation: Option<PathBuf>,
+    /// A controller that is not learned, instead of policies.
+    pub controller: Option<ControllerName>,
     /// Another robot than the policies' own: its name or its file.
     pub robot: Option<String>,
     /// Episodes of a setting; as many as the experiment has by itself if none are given.
@@ -31,6 +34,7 @@ impl Default for Common {
             policies: None,
             trajectory: None,
             reorientation: None,
+            controller: None,
             robot: None,
             episodes: None,
             steps: 200,
@@ -53,6 +57,7 @@ impl Common {
             .into_iter()
             .filter_map(|(flag, path)| Some(path_option(flag, path.as_deref()?)))
             .collect();
+        options.extend(self.controller.map(|name| option("--controller", name.as_str())));
         options.extend(self.robot.as_ref().map(|robot| option("--robot", robot)));
         options.extend(self.episodes.map(|episodes| option("--episodes", episodes)));
         options.extend([option("--steps", self.steps), option("--seed", self.seed)]);

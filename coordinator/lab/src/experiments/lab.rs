@@ -25,6 +25,7 @@ use {
 use super::common::Common;
 use super::name::Name;
 use super::report::{PlayedEpisode, Protocol, Report, RobotIdentity};
+use crate::contender::Contender;
 use crate::evaluation::Reach;
 use crate::goals::OwnGoals;
 use crate::script::{self, TookPart};
@@ -46,7 +47,7 @@ pub enum Needs {
 #[derive(Debug)]
 pub struct Lab {
     /// The policies, trajectory first; those that the experiment needs and that were given.
-    policies: Vec<Trained>,
+    policies: Vec<Contender>,
     /// The robot of all of them.
     pub(crate) robot: Robot,
     /// E: episodes of a setting.
@@ -86,7 +87,14 @@ impl Lab {
         }
         let load = |name| run::robots::load_fit_robot(name, &StepOptions::default());
         let robot = args.robot.as_deref().map(load).transpose()?;
-        let mut policies = Vec::new();
+        let mut policies: Vec<Contender> = Vec::new();
+        if let Some(name) = args.controller {
+            let paper = || Robot::builtin("paper").expect("built in");
+            let robot = robot.clone().unwrap_or_else(paper);
+            for &task in tasks {
+                policies.push(Contender::controller(name, task, &robot)?);
+            }
+        }
         for &task in tasks {
             let Some(path) = place(args, task, needs) else { continue };
             let checkpoint = open_checkpoint(&path)?;
@@ -101,7 +109,7 @@ impl Lab {
                 );
                 return Err(ExitError::new(ExitCode::BadInput, message).into());
             }
-            policies.push(trained);
+            policies.push(trained.into());
         }
         let wanted = match needs {
             Needs::Any => 1,
@@ -126,7 +134,7 @@ impl Lab {
         let own_goals = args.goals.as_ref().map(read).transpose()?;
         let episodes = match &own_goals {
             Some(own) => {
-                own.check(policies.iter().map(Trained::task))?;
+                own.check(policies.iter().map(Contender::task))?;
                 own.episodes(args.episodes)?
             }
             None => args.episodes.unwrap_or(episodes),
@@ -169,6 +177,7 @@ impl Lab {
             let dir = task.as_str().into();
             let robot_toml = robot.to_toml();
             Trained { checkpoint: Checkpoint { dir, manifest, config, robot_toml }, world, policy }
+                .into()
         };
         let tasks = match needs {
             Needs::Any | Needs::Both => vec![TaskName::Trajectory, TaskName::Reorientation],
@@ -189,12 +198,12 @@ impl Lab {
     }
 
     /// The policies, trajectory first.
-    pub fn policies(&self) -> &[Trained] {
+    pub fn policies(&self) -> &[Contender] {
         &self.policies
     }
 
     /// The policy of a task that the experiment needs.
-    pub(crate) fn policy(&self, task: TaskName) -> &Trained {
+    pub(crate) fn policy(&self, task: TaskName) -> &Contender {
         let found = self.policies.iter().find(|policy| policy.task() == task);
         found.expect("the experiment was refused without it")
     }
@@ -222,7 +231,7 @@ impl Lab {
     }
 
     /// A trial of one policy on held-out goals, or a person's own, in which nothing happens.
-    pub(crate) fn trial<'a>(&'a self, policy: &'a Trained) -> Trial<'a> {
+    pub(crate) fn trial<'a>(&'a self, policy: &'a Contender) -> Trial<'a> {
         let given = self.goals().given;
         Trial { given, ..Trial::new(policy.player(), self.seed, self.episodes, self.steps) }
     }
@@ -234,7 +243,7 @@ impl Lab {
                 let name = player.world.task.name.as_str().to_owned();
                 let policy =
                     self.policies.iter().find(|policy| policy.task() == player.world.task.name);
-                let digest = policy.map(|policy| policy.checkpoint.manifest.digest.to_string());
+                let digest = policy.map(|policy| policy.identity().digest.to_string());
                 TookPart { name, digest: digest.unwrap_or_default() }
             };
             let policies = trial.players.iter().map(took_part).collect();
@@ -250,14 +259,14 @@ impl Lab {
     /// Which of the trial's hand goals could be reached; none in `reorientation`.
     pub(crate) fn reach(
         &self,
-        policy: &Trained,
+        policy: &Contender,
         evaluation: &Evaluation,
     ) -> anyhow::Result<Option<Reach>> {
         Reach::of(&policy.world, evaluation, self.goals(), self.threads, &self.progress)
     }
 
     /// Whether inverse kinematics has a solution for the goals of a trial's hands with the base where each episode ended: `[episode][arm]`.
-    pub(crate) fn within_reach(&self, policy: &Trained, recording: &Recording) -> Vec<Vec<bool>> {
+    pub(crate) fn within_reach(&self, policy: &Contender, recording: &Recording) -> Vec<Vec<bool>> {
         let last = recording.steps() - 1;
         let ends: Vec<Pose> =
             (0..recording.episodes()).map(|episode| recording.pose(episode, last)).collect();
@@ -302,7 +311,7 @@ impl Lab {
 
     /// Which policies there are, trajectory first.
     pub(crate) fn identities(&self) -> Vec<PolicyIdentity> {
-        self.policies.iter().map(Trained::identity).collect()
+        self.policies.iter().map(|policy| policy.identity().clone()).collect()
     }
 
     /// Results with everything that they were made with.
@@ -345,9 +354,9 @@ fn place(args: &Common, task: TaskName, needs: Needs) -> Option<PathBuf> {
 }
 
 /// Refuses two policies that cannot move one robot at the same time.
-fn together(one: &Trained, other: &Trained) -> Result<(), ExitError> {
+fn together(one: &Contender, other: &Contender) -> Result<(), ExitError> {
     let refuse = |what: String| {
-        let (a, b) = (one.checkpoint.dir.display(), other.checkpoint.dir.display());
+        let (a, b) = (one.shown(), other.shown());
         Err(ExitError::new(ExitCode::BadInput, format!("{a} and {b}: {what}")))
     };
     if one.world.robot != other.world.robot {

@@ -13,9 +13,9 @@ use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{Report, Words};
 use super::{Experiment, Name};
+use crate::contender::Contender;
 use crate::evaluation::{ErrorSummary, Success, Summary};
 use crate::statistics::{milli, percent};
-use crate::trained::Trained;
 
 /// Standard deviations of sensors of strength 1: 1 mm, 1 mrad, 1 mm/s, 1 mrad/s.
 const UNIT: f64 = 1e-3;
@@ -193,7 +193,7 @@ impl Experiment for Study {
 
 fn measure(
     lab: &Lab,
-    policy: &Trained,
+    policy: &Contender,
     quantity: Quantity,
     strength: f64,
 ) -> anyhow::Result<Point> {
@@ -218,7 +218,13 @@ fn measure(
     }
     let what = format!("noise, {}, {} {strength}", policy.task().as_str(), quantity.word());
     let recording = lab.play(&what, &trial)?;
-    let summary = Summary::new(policy, lab.seed, lab.own_goals(), Evaluation::of(&recording), None);
+    let summary = Summary::new(
+        policy.identity(),
+        lab.seed,
+        lab.own_goals(),
+        Evaluation::of(&recording),
+        None,
+    );
     Ok(Point {
         task: policy.task(),
         quantity,

@@ -11,8 +11,8 @@ use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Report, Words};
 use super::{Experiment, Name};
+use crate::contender::Contender;
 use crate::evaluation::Summary;
-use crate::trained::Trained;
 
 /// What precision is measured with.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
@@ -65,7 +65,7 @@ impl Experiment for Study {
 
     fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Precision>> {
         let measure = |policy| {
-            let task = Trained::task(policy);
+            let task = Contender::task(policy);
             let recording =
                 lab.play(&format!("precision, {}", task.as_str()), &lab.trial(policy))?;
             let errors = match task {
@@ -81,7 +81,8 @@ impl Experiment for Study {
             };
             let evaluation = Evaluation::of(&recording);
             let reach = lab.reach(policy, &evaluation)?;
-            let summary = Summary::new(policy, lab.seed, lab.own_goals(), evaluation, reach);
+            let summary =
+                Summary::new(policy.identity(), lab.seed, lab.own_goals(), evaluation, reach);
             Ok(Precision { summary, errors })
         };
         lab.policies().iter().map(measure).collect()

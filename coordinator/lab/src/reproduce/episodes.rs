@@ -9,22 +9,24 @@ use flate2::write::DeflateEncoder;
 use maud::{Markup, html};
 use service::page;
 
+use crate::contender::Contender;
 use crate::experiments::report::PlayedEpisode;
 use crate::script::Recording;
 use crate::standalone::enclosed;
-use crate::trained::Trained;
 
 /// The file's name beside the report.
 pub(super) const FILE: &str = "episodes.html";
 
 /// The file, its policies called by their tasks, as recordings call them; none where the program was built without its page.
-pub(super) fn file(policies: &[Trained]) -> anyhow::Result<Option<String>> {
+pub(super) fn file(policies: &[Contender]) -> anyhow::Result<Option<String>> {
     if !page::is_built() {
         return Ok(None);
     }
     let mut files = Vec::new();
     for policy in policies {
-        files.extend(enclosed(&policy.checkpoint, policy.task().as_str())?);
+        // A controller does not play in the page.
+        let Some(checkpoint) = policy.checkpoint() else { return Ok(None) };
+        files.extend(enclosed(checkpoint, policy.task().as_str())?);
     }
     Ok(page::single(&files))
 }

@@ -121,6 +121,9 @@ fn head(content: &Content<'_>) -> Markup {
 }
 
 fn identity(policy: &PolicyIdentity) -> Markup {
+    if policy.controller.is_some() {
+        return html! { (policy.shown()) ", not learned: damped least squares with the generalised Jacobian" };
+    }
     html! {
         code { (policy.checkpoint.display()) } ", iteration " (policy.iteration) ", "
         (grouped(policy.env_steps)) " env-steps, training seed " (policy.seed) ", digest "

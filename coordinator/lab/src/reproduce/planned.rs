@@ -14,12 +14,13 @@ use store::{files, regular_files};
 use super::place::refused;
 use super::reports::Reports;
 use super::study::Study;
+use crate::contender::Contender;
 use crate::experiments::command_line::typed;
 use crate::experiments::lab::Lab;
 use crate::experiments::report::RobotIdentity;
 use crate::experiments::{Experiment, Name, ReportOf, perform};
 use crate::experiments::{arm_failure, base_mass, disturbance, noise, precision, reassembly};
-use crate::trained::{PolicyIdentity, Trained};
+use crate::trained::PolicyIdentity;
 
 /// All of them.
 pub(super) struct Planned {
@@ -57,7 +58,7 @@ impl Planned {
     }
 
     /// The policies, trajectory first.
-    pub(super) fn policies(&self) -> &[Trained] {
+    pub(super) fn policies(&self) -> &[Contender] {
         self.reassembly.lab.policies()
     }
 

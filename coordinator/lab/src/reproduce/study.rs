@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crate::experiments::common::Common;
 use crate::experiments::{base_mass, noise};
+use crate::trained::ControllerName;
 
 /// Episodes of a setting with `--quick`.
 const QUICK_EPISODES: u32 = 10;
@@ -13,8 +14,10 @@ const QUICK_MASSES: [f64; 5] = [100.0, 200.0, 400.0, 700.0, 1000.0];
 /// What is asked of a reproduction.
 #[derive(Debug, Clone)]
 pub struct Study {
-    /// A directory that holds `trajectory` and `reorientation`.
-    pub policies: PathBuf,
+    /// A directory that holds `trajectory` and `reorientation`; none with a controller.
+    pub policies: Option<PathBuf>,
+    /// A controller that is not learned, instead of policies.
+    pub controller: Option<ControllerName>,
     /// Runs, or files of learning curves, whose curves the page shows.
     pub curves: Vec<PathBuf>,
     /// Where everything goes.
@@ -33,7 +36,8 @@ impl Study {
     /// What all its experiments share.
     pub(super) fn common(&self) -> Common {
         Common {
-            policies: Some(self.policies.clone()),
+            policies: self.policies.clone(),
+            controller: self.controller,
             episodes: self.episodes.or(self.quick.then_some(QUICK_EPISODES)),
             steps: self.steps,
             seed: self.seed,
@@ -71,7 +75,8 @@ mod tests {
     #[test]
     fn the_page_names_commands_that_can_be_typed() {
         let study = Study {
-            policies: "of mine/it's".into(),
+            policies: Some("of mine/it's".into()),
+            controller: None,
             curves: Vec::new(),
             out: "x".into(),
             quick: true,

@@ -40,7 +40,7 @@ pub(crate) use play::play_some;
 pub use play::{CHUNK, play};
 pub use recording::{Pose, Recording, TAIL_STEPS};
 pub use skeleton::Skeleton;
-pub use trial::{Phase, Player, Trial};
+pub use trial::{Driver, Phase, Player, Trial};
 
 #[cfg(test)]
 mod tests;

@@ -8,8 +8,9 @@ use proto::layout::JOINTS_PER_AGENT;
 use super::chunk::Chunk;
 use super::intervention::Lanes;
 use super::trial::{actors, moves};
-use super::{Effect, FixedGoals, Player, SensorNoise};
+use super::{Driver, Effect, FixedGoals, Player, SensorNoise};
 use crate::collision::Touching;
+use crate::controller::{JacobianController, Memory};
 use crate::env::{EpisodeError, Physics, check_means, check_state};
 use crate::policy::Scratch;
 use crate::robot::{JOINTS_PER_ARM, Robot};
@@ -58,17 +59,33 @@ struct PlayerScratch<S: Real> {
     observations: Vec<S>,
     /// Shape: `[group][agent of the actor][U]`.
     means: Vec<S>,
-    inference: Scratch<S>,
+    /// None of a controller.
+    inference: Option<Scratch<S>>,
+    /// Of a controller, shape: `[group][lane]`.
+    memories: Vec<Memory>,
+    /// What a controller wants (rad/s), shape: `[group][joint]`.
+    rates: Vec<S>,
 }
 
 impl<S: Real> PlayerScratch<S> {
     fn new(player: &Player<'_>, n_groups: usize) -> Self {
         let dimensions = &player.world.dimensions;
-        let input = dimensions.n_actors * n_groups * dimensions.actor_input();
-        Self {
-            observations: vec![S::zero(); input],
-            means: vec![S::zero(); n_groups * dimensions.actor_output()],
-            inference: Scratch::new(player.policy, n_groups),
+        let zeros = |n: usize| vec![S::zero(); n];
+        match player.driver {
+            Driver::Policy(policy) => Self {
+                observations: zeros(dimensions.n_actors * n_groups * dimensions.actor_input()),
+                means: zeros(n_groups * dimensions.actor_output()),
+                inference: Some(Scratch::new(policy, n_groups)),
+                memories: Vec::new(),
+                rates: Vec::new(),
+            },
+            Driver::Jacobian(_) => Self {
+                observations: Vec::new(),
+                means: Vec::new(),
+                inference: None,
+                memories: vec![Memory::default(); n_groups * S::LANES],
+                rates: zeros(n_groups * dimensions.n_arms * JOINTS_PER_ARM),
+            },
         }
     }
 }
@@ -162,7 +179,7 @@ impl<S: Real> Stepper<S> {
         step: usize,
     ) -> Result<(), EpisodeError> {
         let Self { envs, groups, scratches, limits, drawn, .. } = self;
-        let Chunk { first, .. } = *envs;
+        let Chunk { first, n_envs, .. } = *envs;
         let n_groups = groups.len();
         for (index, group) in groups.iter_mut().enumerate() {
             let (seen, errors) = if sensors.any() {
@@ -176,6 +193,19 @@ impl<S: Real> Stepper<S> {
             };
             for (player, scratch) in scratches.iter_mut().enumerate() {
                 let World { task, dimensions, .. } = players[player].world;
+                if let Driver::Jacobian(controller) = players[player].driver {
+                    let moves: Vec<bool> = arms.iter().map(|arm| *arm == Some(player)).collect();
+                    let lanes = index * S::LANES..(index + 1) * S::LANES;
+                    let joints = index * group.action.len()..(index + 1) * group.action.len();
+                    control(
+                        (controller, &moves),
+                        (seen, &group.goals),
+                        n_envs - index * S::LANES,
+                        &mut scratch.memories[lanes],
+                        &mut scratch.rates[joints],
+                    );
+                    continue;
+                }
                 let (o, agents_per_actor) = (dimensions.observation, dimensions.agents_per_actor());
                 for actor in actors(arms, player, dimensions) {
                     for part in 0..agents_per_actor {
@@ -193,13 +223,38 @@ impl<S: Real> Stepper<S> {
             group.action.fill(S::zero());
         }
         for (player, scratch) in scratches.iter_mut().enumerate() {
-            let Player { world: World { dimensions, .. }, policy, .. } = players[player];
+            let Player { world: World { dimensions, .. }, driver, action_scale } = players[player];
+            let policy = match driver {
+                Driver::Policy(policy) => policy,
+                Driver::Jacobian(_) => {
+                    let per_action = S::splat(1.0 / action_scale);
+                    for (index, group) in groups.iter_mut().enumerate() {
+                        let n_joints = group.action.len();
+                        let rates = &scratch.rates[index * n_joints..(index + 1) * n_joints];
+                        let env = first + (index * S::LANES) as u32;
+                        for (joint, rate) in rates.iter().enumerate() {
+                            if arms[joint / JOINTS_PER_ARM] != Some(player) {
+                                continue;
+                            }
+                            let agent = joint / JOINTS_PER_AGENT;
+                            let mean = [*rate * per_action];
+                            if let Err(error) = check_means(&mean, env, step, agent) {
+                                let Group { state, goals, command, .. } = group;
+                                return Err(error.keep(env, state, goals, command));
+                            }
+                            group.action[joint] = mean[0].clamp(-limits[joint], limits[joint]);
+                        }
+                    }
+                    continue;
+                }
+            };
+            let inference = scratch.inference.as_mut().expect("a policy has room for inference");
             let agents_per_actor = dimensions.agents_per_actor();
             let (input, output) = (dimensions.actor_input(), dimensions.actor_output());
             for actor in actors(arms, player, dimensions) {
                 let of_actor = actor * n_groups * input..(actor + 1) * n_groups * input;
                 let seen = &scratch.observations[of_actor];
-                policy.mean(actor, seen, &mut scratch.inference, &mut scratch.means);
+                policy.mean(actor, seen, inference, &mut scratch.means);
                 for part in 0..agents_per_actor {
                     let agent = actor * agents_per_actor + part;
                     if !moves(arms, player, agent) {
@@ -271,6 +326,37 @@ impl<S: Real> Stepper<S> {
             }
         }
         Ok(())
+    }
+}
+
+/// Has a controller decide, lane by lane, on what sensors see; lanes beyond the last of `n` episodes repeat it.
+fn control<S: Real>(
+    (controller, moves): (&JacobianController, &[bool]),
+    (seen, goals): (&Readings<S>, &Goals<S>),
+    n: usize,
+    memories: &mut [Memory],
+    rates: &mut [S],
+) {
+    for (lane, memory) in memories.iter_mut().enumerate().take(n) {
+        let of = |values: &[S]| values.iter().map(|x| x.lane(lane)).collect::<Vec<f64>>();
+        let state = State {
+            base_position: seen.base_position.map(|x| x.lane(lane)),
+            base_quaternion: seen.base_quaternion.map(|x| x.lane(lane)),
+            base_linear_velocity: seen.base_linear.map(|x| x.lane(lane)),
+            base_angular_velocity: seen.base_angular.map(|x| x.lane(lane)),
+            q: of(&seen.q),
+            qd: of(&seen.qd),
+        };
+        let goals = Goals {
+            hands: goals.hands.iter().map(|goal| goal.map(|x| x.lane(lane))).collect(),
+            base: goals.base.map(|x| x.lane(lane)),
+        };
+        let found = controller.rates(&state, &goals, moves, memory);
+        for lane in lane..if lane + 1 == n { S::LANES } else { lane + 1 } {
+            for (slot, rate) in rates.iter_mut().zip(&found) {
+                slot.set_lane(lane, *rate);
+            }
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use proto::rng::Purpose;
 
 use super::event::{Control, Event, GoalPurpose, Script, Start, TimedEvent};
 use super::{FixedGoals, Intervention, SensorNoise};
+use crate::controller::JacobianController;
 use crate::env::step_options;
 use crate::policy::Policy;
 use crate::robot::Robot;
@@ -13,13 +14,22 @@ use crate::scalar::Backend;
 use crate::step::StepOptions;
 use crate::task::goal::GoalAddress;
 
-/// A policy with the world it was trained in, which says what it sees and what its actions mean.
+/// What decides.
+#[derive(Debug, Clone, Copy)]
+pub enum Driver<'a> {
+    /// Networks, from what agents see.
+    Policy(&'a Policy),
+    /// A controller that knows the robot, from what sensors see.
+    Jacobian(&'a JacobianController),
+}
+
+/// A policy, or a controller, with the world it was made for, which says what it sees and what its actions mean.
 #[derive(Debug, Clone, Copy)]
 pub struct Player<'a> {
     /// Its world.
     pub world: &'a World,
-    /// Its networks.
-    pub policy: &'a Policy,
+    /// What decides.
+    pub driver: Driver<'a>,
     /// Factor from a clipped action to a joint velocity command (rad/s); in training that of the task.
     pub action_scale: f64,
 }
@@ -27,7 +37,13 @@ pub struct Player<'a> {
 impl<'a> Player<'a> {
     /// A policy as it was trained.
     pub fn new(world: &'a World, policy: &'a Policy) -> Self {
-        Self { world, policy, action_scale: world.task.action_scale }
+        Self { world, driver: Driver::Policy(policy), action_scale: world.task.action_scale }
+    }
+
+    /// A controller in the world that it was made for.
+    pub fn controlled(world: &'a World, controller: &'a JacobianController) -> Self {
+        let driver = Driver::Jacobian(controller);
+        Self { world, driver, action_scale: world.task.action_scale }
     }
 }
 
@@ -116,11 +132,13 @@ impl<'a> Trial<'a> {
     }
 
     /// An episode of it as a script that plays the same; none where that cannot say what happens: arms of another mass, actions of
-    /// another scale, another integration.
+    /// another scale, another integration, a controller instead of a policy.
     pub fn script(&self, episode: u32) -> Option<Script> {
         let Player { world, .. } = self.players[0];
-        let as_trained =
-            |player: &Player<'_>| player.action_scale == player.world.task.action_scale;
+        let as_trained = |player: &Player<'_>| {
+            let scale = player.world.task.action_scale;
+            matches!(player.driver, Driver::Policy(_)) && player.action_scale == scale
+        };
         if !self.players.iter().all(as_trained) || self.options != step_options(&world.config) {
             return None;
         }
@@ -189,9 +207,12 @@ impl<'a> Trial<'a> {
             let known = |player: &usize| *player < self.players.len();
             assert!(phase.arms.iter().flatten().all(known), "players of {phase:?}");
         }
-        for Player { world, policy, .. } in &self.players {
+        for Player { world, driver, .. } in &self.players {
             assert_eq!(world.dimensions.n_arms, n_arms, "players know the robot");
-            assert_eq!(policy.n_actors(), world.dimensions.n_actors, "the policy is of its world");
+            if let Driver::Policy(policy) = driver {
+                let n_actors = world.dimensions.n_actors;
+                assert_eq!(policy.n_actors(), n_actors, "the policy is of its world");
+            }
         }
     }
 }

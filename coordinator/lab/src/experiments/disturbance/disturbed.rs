@@ -9,8 +9,8 @@ use super::super::lab::Lab;
 use super::super::report::{Figure, Goals, share, spread};
 use super::cases::{Case, Disturbance};
 use super::recovery::Recovery;
+use crate::contender::Contender;
 use crate::statistics::{ErrorOf, Spread};
-use crate::trained::Trained;
 
 /// Errors below which the paper says that all axes come back: position (m), orientation (rad), attitude of the base (rad).
 const POSITION: f32 = 0.015;
@@ -58,7 +58,7 @@ pub(super) fn has_figures(lab: &Lab) -> bool {
 /// Plays a case of an arm, counted from 0.
 pub(super) fn measure(
     lab: &Lab,
-    policy: &Trained,
+    policy: &Contender,
     arm: usize,
     case: Case,
 ) -> anyhow::Result<Disturbed> {

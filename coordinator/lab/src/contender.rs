@@ -1,0 +1,90 @@
+//! What an evaluation or an experiment is made with: a trained policy, or a controller that is not learned.
+
+use std::path::PathBuf;
+
+use proto::Digest;
+use proto::config::{Layers, Preset, TaskName};
+use simulator::controller::JacobianController;
+use simulator::experiment::Player;
+use simulator::policy::Policy;
+use simulator::robot::Robot;
+use simulator::rollout::World;
+use store::checkpoint::Checkpoint;
+
+use crate::trained::{ControllerName, PolicyIdentity, Trained};
+
+#[derive(Debug)]
+enum Driver {
+    Policy { policy: Policy, checkpoint: Box<Checkpoint> },
+    Jacobian(JacobianController),
+}
+
+/// A policy, or a controller, in the world that it was made for.
+#[derive(Debug)]
+pub struct Contender {
+    /// Its world.
+    pub world: World,
+    driver: Driver,
+    identity: PolicyIdentity,
+}
+
+impl From<Trained> for Contender {
+    fn from(trained: Trained) -> Self {
+        let identity = trained.identity();
+        let Trained { checkpoint, world, policy } = trained;
+        Self { world, driver: Driver::Policy { policy, checkpoint: checkpoint.into() }, identity }
+    }
+}
+
+impl Contender {
+    /// A controller of a task on a robot, within the limits that preset `tuned` gives actions.
+    pub fn controller(name: ControllerName, task: TaskName, robot: &Robot) -> anyhow::Result<Self> {
+        let config = Layers::new(Preset::Tuned, Some(task)).resolve()?;
+        let world = World::new(&config, robot);
+        let ControllerName::Jacobian = name;
+        let driver = Driver::Jacobian(JacobianController::new(&world));
+        let identity = PolicyIdentity {
+            task,
+            controller: Some(name),
+            checkpoint: PathBuf::new(),
+            iteration: 0,
+            env_steps: 0,
+            digest: Digest::default(),
+            policy_blake3: None,
+            seed: 0,
+            action_scale: world.task.action_scale,
+        };
+        Ok(Self { world, driver, identity })
+    }
+
+    /// Its task.
+    pub fn task(&self) -> TaskName {
+        self.identity.task
+    }
+
+    /// As it takes part in trials.
+    pub fn player(&self) -> Player<'_> {
+        match &self.driver {
+            Driver::Policy { policy, .. } => Player::new(&self.world, policy),
+            Driver::Jacobian(controller) => Player::controlled(&self.world, controller),
+        }
+    }
+
+    /// The checkpoint of a policy.
+    pub fn checkpoint(&self) -> Option<&Checkpoint> {
+        match &self.driver {
+            Driver::Policy { checkpoint, .. } => Some(checkpoint),
+            Driver::Jacobian(_) => None,
+        }
+    }
+
+    /// Which one it is.
+    pub fn identity(&self) -> &PolicyIdentity {
+        &self.identity
+    }
+
+    /// What messages call it.
+    pub fn shown(&self) -> String {
+        self.identity.shown()
+    }
+}
