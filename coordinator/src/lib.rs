@@ -37,6 +37,7 @@ mod conclusion;
 pub mod limits;
 pub mod logs;
 mod not_the_same;
+mod planned_run;
 mod robot_files;
 mod trajectories;
 
