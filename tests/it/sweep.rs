@@ -7,7 +7,10 @@ use std::time::{Duration, Instant};
 use rustix::process::Signal;
 use serde_json::Value;
 use tempfile::TempDir;
+use tests::guide::repository;
 use tests::{Owned, SMALL, assert_nothing_left, kill, octopus, processes_with, program, stderr};
+
+use crate::reproduce::stands_alone;
 
 /// What makes trials small, as a sweep's file says it.
 fn small() -> String {
@@ -201,7 +204,7 @@ fn a_grid_is_trained_with_all_seeds_once() {
     for part in ["<svg", "mappo, gamma=0.9", "mappo, gamma=0.95", &digest, "[grid]"] {
         assert!(page.contains(part), "{part}");
     }
-    assert!(!page.contains("<script") && !page.contains("http-equiv"), "it stands alone");
+    stands_alone(&page);
 
     // A second call trains nothing; a trial more is trained alone.
     let before = sweep.logs();
@@ -379,6 +382,47 @@ fn trials_one_by_one_come_to_the_same() {
         }
     }
     assert!(!sweep.out().join("report.html").exists(), "it is for the whole");
+}
+
+/// The script of the job array, called as Slurm calls it.
+#[test]
+fn a_task_of_a_job_array_does_its_trial() {
+    let sweep = Sweep::new(GRID);
+    let script = repository().join("deploy/sweeps/slurm-array.sh");
+    let path = std::env::var("PATH").expect("a path");
+    let beside = program("octopus").parent().expect("a directory").display().to_string();
+    let call = |task: &[(&str, &str)]| {
+        Command::new("sh")
+            .arg(&script)
+            .arg(sweep.file())
+            .current_dir(sweep.dir.path())
+            .env("PATH", format!("{beside}:{path}"))
+            .env_remove("SLURM_ARRAY_TASK_ID")
+            .envs(task.iter().copied())
+            .stdin(Stdio::null())
+            .output()
+            .expect("sh")
+    };
+    let output = call(&[("SLURM_ARRAY_TASK_ID", "3")]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("gamma=0.95,seed=1"));
+    let trials = std::fs::read_dir(sweep.dir.path().join("sweeps/tried/trials")).expect("trials");
+    let trials: Vec<_> = trials.flatten().map(|entry| entry.file_name()).collect();
+    assert_eq!(trials, ["gamma=0.95,seed=1"]);
+    assert!(stderr(&call(&[])).contains("is for a task of a job array"));
+}
+
+#[test]
+fn the_sweeps_of_the_repository_are_sweeps() {
+    let dir = repository().join("deploy/sweeps");
+    let files = std::fs::read_dir(dir).expect("a directory").flatten().map(|entry| entry.path());
+    let sweeps: Vec<_> =
+        files.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
+    assert!(sweeps.len() >= 2, "{sweeps:?}");
+    for sweep in sweeps {
+        let output = octopus(&["sweep", sweep.to_str().expect("UTF-8"), "--dry-run"]);
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
 }
 
 #[test]

@@ -35,7 +35,7 @@ const ABANDONED: &str = "stopped at once; the same command goes on from the last
 /// Does what is missing, and shows what has come of it.
 pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
     let place = Place::of(&args.file, args.out.as_deref());
-    let plan = Plan::new(SweepFile::read(&args.file)?, place.path())?;
+    let plan = Plan::new(SweepFile::read(&args.file)?, &place.trials())?;
     place.check(&plan)?;
     let trials = plan.study.trials.len();
     let jobs = args.jobs.or(plan.file.jobs);
@@ -64,7 +64,6 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
     let stop = StopRequests::new();
     stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
     let ended = Drive::new(&plan, &place, slots, only)?.run(&stop)?;
-    drop(held);
     let outcome = outcome(&plan, &place)?;
     if only.is_none() {
         // Whatever there is is worth a look.
@@ -73,6 +72,7 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
         let html = page::page(&title, &plan.study, &outcome)?;
         files::replace(&place.page(), html.as_bytes())?;
     }
+    drop(held);
     if ended == Ended::Stopped {
         let message = format!("stopped; `{}` goes on", typed(&again(args, &place)));
         return Err(ExitError::new(ExitCode::Interrupted, message).into());
@@ -114,12 +114,14 @@ fn print(args: &SweepArgs, place: &Place, outcome: &Outcome) -> anyhow::Result<(
             "trials": outcome.trials,
         }));
     }
-    output::line(&format!(
-        "{}\n\ntrials  {}\nreport  {}",
-        outcome.table(output::columns()),
-        place.table().display(),
-        place.page().display()
-    ))
+    // Of the last time that it ended; none yet while it is under way for the first time.
+    let files = [("trials", place.table()), ("report", place.page())]
+        .into_iter()
+        .filter(|(_, path)| path.is_file())
+        .map(|(what, path)| format!("\n{what}  {}", path.display()));
+    let files: String = files.collect();
+    let gap = if files.is_empty() { "" } else { "\n" };
+    output::line(&format!("{}{gap}{files}", outcome.table(output::columns())))
 }
 
 fn print_trial(args: &SweepArgs, trial: &TrialOutcome) -> anyhow::Result<()> {

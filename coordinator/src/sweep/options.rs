@@ -39,7 +39,6 @@ meanwhile; what has begun may not change. In the end OUT has table.csv and repor
 /// Options of `octopus sweep`.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = EXAMPLES)]
-#[expect(clippy::struct_excessive_bools, reason = "each is a switch of the command line")]
 pub struct SweepArgs {
     /// What is tried: a TOML file.
     pub file: PathBuf,

@@ -26,7 +26,7 @@ use super::file::SweepFile;
 use super::plan::Plan;
 
 /// Where trials land.
-pub(super) const TRIALS: &str = "trials";
+const TRIALS: &str = "trials";
 const SWEEP: &str = "sweep.toml";
 const RECORDS: &str = "records";
 const TABLE: &str = "table.csv";
@@ -56,6 +56,11 @@ impl Place {
 
     pub(super) fn path(&self) -> &Path {
         &self.0
+    }
+
+    /// Where the runs of trials land.
+    pub(super) fn trials(&self) -> PathBuf {
+        self.0.join(TRIALS)
     }
 
     pub(super) fn table(&self) -> PathBuf {
@@ -102,7 +107,7 @@ impl Place {
         for run in &plan.runs {
             run.check()?;
         }
-        let trials = std::fs::read_dir(self.0.join(TRIALS)).into_iter().flatten().flatten();
+        let trials = std::fs::read_dir(self.trials()).into_iter().flatten().flatten();
         let mut begun: Vec<String> =
             trials.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
         begun.sort();
@@ -147,13 +152,15 @@ impl Place {
             })
         };
         create(&self.0)?;
-        let copy = [MARK, &plan.file.text].concat();
+        // The file may be such a copy itself.
+        let text = plan.file.text.strip_prefix(MARK).unwrap_or(&plan.file.text);
+        let copy = [MARK, text].concat();
         let own = self.0.join(SWEEP);
         if !own.exists() {
             // Before all else: by it the rest is known to be ours, also after a kill.
             files::replace(&own, copy.as_bytes())?;
         }
-        create(&self.0.join(TRIALS))?;
+        create(&self.trials())?;
         create(&self.0.join(RECORDS))?;
         let kind = match trial {
             None => FlockOperation::NonBlockingLockExclusive,

@@ -13,7 +13,6 @@ use store::checkpoint::flatten;
 use toml::Value;
 
 use super::file::{Assignment, Budget, Evaluation, SweepFile};
-use super::place::TRIALS;
 use crate::names::Names as _;
 use crate::planned_run::PlannedRun;
 
@@ -34,8 +33,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// The trials of `file` in `out`. Nothing is written.
-    pub(super) fn new(file: SweepFile, out: &Path) -> anyhow::Result<Self> {
+    /// The trials of `file`, whose runs land in `dir`. Nothing is written.
+    pub(super) fn new(file: SweepFile, dir: &Path) -> anyhow::Result<Self> {
         let origin = file.path.display().to_string();
         let refuse = |what: String| ExitError::new(ExitCode::BadInput, format!("{origin}: {what}"));
         let short = ShortKeys::new()?;
@@ -58,18 +57,18 @@ impl Plan {
                     let what = format!("trials {other} and {whole} would have one name, {name}");
                     return Err(refuse(what).into());
                 }
-                let dir = out.join(TRIALS).join(&name);
+                let dir = dir.join(&name);
                 let run = PlannedRun { dir: dir.clone(), words: words(&file, keys, *seed) };
                 let config = checked(&run).map_err(|error| in_trial(&origin, &whole, &error))?;
                 processors = processors.max(needed(&config));
                 let planned = config.planned_iterations();
                 let at = |share: &f64| (share * planned as f64).ceil() as u64;
                 let rungs: Vec<u64> = shares.iter().map(at).chain([planned]).collect();
-                if let Some(pair) = rungs.windows(2).find(|pair| pair[0] >= pair[1]) {
+                let met = rungs.windows(2).find(|pair| pair[0] >= pair[1]).map(|pair| pair[0]);
+                if let Some(rung) = met {
                     let what = format!(
-                        "two rungs fall on iteration {} of trial {whole}, which has {planned}; give it a larger budget or \
-                         fewer `halving.rungs`",
-                        pair[0]
+                        "two rungs fall on iteration {rung} of trial {whole}, which has {planned}; give it a larger budget or \
+                         fewer `halving.rungs`"
                     );
                     return Err(refuse(what).into());
                 }
@@ -213,7 +212,7 @@ mod tests {
 
     fn plan(text: &str) -> anyhow::Result<Plan> {
         let file = SweepFile::parse(Path::new("sweep.toml"), text.to_owned())?;
-        Plan::new(file, Path::new("out"))
+        Plan::new(file, Path::new("out/trials"))
     }
 
     #[test]

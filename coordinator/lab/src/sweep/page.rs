@@ -5,9 +5,7 @@ use std::path::PathBuf;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use output::grouped;
-use proto::run_dir::RunDir;
 use store::provenance::{Provenance, Utc};
-use store::recorded::Recorded;
 
 use super::outcome::{ConfigurationOutcome, Outcome, TrialOutcome, minutes};
 use super::study::Study;
@@ -18,6 +16,8 @@ use crate::statistics::percent;
 
 /// Stands in every page of ours, and so in none of others.
 pub const GENERATOR: &str = "octopus sweep";
+/// Most configurations whose curves are drawn: as many as can be told apart.
+const DRAWN: usize = 8;
 
 /// The page as HTML.
 pub fn page(title: &str, study: &Study, outcome: &Outcome) -> anyhow::Result<String> {
@@ -35,7 +35,7 @@ pub fn page(title: &str, study: &Study, outcome: &Outcome) -> anyhow::Result<Str
                 h1 { "Sweep " (title) }
                 (head(study, outcome))
                 (configurations(outcome))
-                (curves(study)?)
+                (curves(outcome)?)
                 (trials(outcome))
                 h2 { "The sweep" }
                 pre { (study.text) }
@@ -72,7 +72,7 @@ fn configurations(outcome: &Outcome) -> Markup {
         h2 id="configurations" { "Configurations" }
         p { "The best first. A score is the mean of the errors in the last 20 steps in units of the paper's accuracy, on held-out goals: 1 is as good as the \
             paper, and less is better. Numbers are means over the seeds; in brackets is the 95 % bootstrap interval, which of three seeds is all that they span. \
-            Missed are goals that can be reached and whose hand ends further than 30 mm or 60 mrad away." }
+            At the end the goals are others than at the rungs. Missed are goals that can be reached and whose hand ends further than 30 mm or 60 mrad away." }
         div class="scroll" { table {
             thead { tr { @for cell in Outcome::HEADER { th { (cell) } } th { "iterations" } th { "env-steps" } th { "processors (min)" } } }
             tbody { @for of in &outcome.configurations { (configuration(of)) } }
@@ -91,17 +91,17 @@ fn configuration(of: &ConfigurationOutcome) -> Markup {
     }
 }
 
-/// The learning curves of all trials that have one.
-fn curves(study: &Study) -> anyhow::Result<Markup> {
-    let mut runs: Vec<PathBuf> = Vec::new();
-    for trial in &study.trials {
-        if Recorded::read(&RunDir::new(&trial.run))?.iterations() >= 2 {
-            runs.push(trial.run.clone());
-        }
-    }
+/// The learning curves of the best configurations, of all trials that have one.
+fn curves(outcome: &Outcome) -> anyhow::Result<Markup> {
+    let best = outcome.configurations.iter().take(DRAWN);
+    let trials =
+        best.flat_map(|of| outcome.trials.iter().filter(|trial| trial.configuration == of.name));
+    let runs: Vec<PathBuf> =
+        trials.filter(|trial| trial.iterations >= 2).map(|trial| trial.run_dir.clone()).collect();
     if runs.is_empty() {
         return Ok(html! {});
     }
+    let more = outcome.configurations.len() > DRAWN;
     let (curves, _) = recorded::read_all(&runs)?;
     let picture = learning(&families(&curves, Over::EnvSteps), Over::EnvSteps)?;
     Ok(html! {
@@ -109,7 +109,9 @@ fn curves(study: &Study) -> anyhow::Result<Markup> {
         figure {
             (PreEscaped(picture))
             figcaption { "Mean over the seeds of a configuration within its 95 % bootstrap interval, as far as all of them have come. The legend has the keys in \
-                which they differ. Returns are of training episodes, exploration included; errors of deterministic actions on held-out goals, in the last steps." }
+                which they differ. Returns are of training episodes, exploration included; errors of deterministic actions on held-out goals, in the last steps."
+                @if more { " Only the best " (DRAWN) " are drawn." }
+            }
         }
     })
 }
