@@ -240,6 +240,14 @@ for argument; do
   arguments+=("$argument")
 done
 set -- "${{arguments[@]}}"
+# A document's own sweep gets a small budget in its file: the trials are begun by the program itself.
+if [[ "${{1-}}" = sweep && "$2" != deploy/* ]] && ! grep -q '^# small$' "$2"; then
+  sed -i 's/^env_steps = .*/env_steps = 1024/' "$2"
+  printf '%s\n' '' '# small' '[evaluation]' 'episodes = 2' 'steps = 20' '[set]' >>"$2"
+  for set in "${{small[@]}}"; do
+    case $set in *run.env_steps* | *evaluate_every=0) ;; *) set=${{set#--set=}}; echo "${{set%%=*}} = ${{set#*=}}" >>"$2" ;; esac
+  done
+fi
 case "${{1-}} ${{2-}}" in
   train*) set -- train --no-eval "${{small[@]}}" "${{@:2}}" ;;
   "resume "*) set -- "$@" --no-eval ;;

@@ -4,7 +4,7 @@ use clap::{Parser, Subcommand};
 
 use crate::{
     bench, checkpoints, clean, doctor, eval, experiment, export, film, janitor, mjcf, plan, plot,
-    record, replay, reproduce, resume, rollout, scale, serve, simulate, status, train, urdf,
+    record, replay, reproduce, resume, rollout, scale, serve, simulate, status, sweep, train, urdf,
     verify, view,
 };
 
@@ -43,6 +43,8 @@ pub enum Command {
     Train(train::TrainArgs),
     /// Go on with a stopped run from its last checkpoint.
     Resume(resume::ResumeArgs),
+    /// Train many configurations and seeds, and find the best.
+    Sweep(sweep::SweepArgs),
     /// Measure a policy on goals it never saw.
     Eval(eval::EvalArgs),
     /// Repeat the paper's experiments.

@@ -45,6 +45,7 @@ fn stopped_by(ended: &Ended) -> &'static str {
         StoppedBy::Budget => "budget",
         StoppedBy::TimeLimit => "time limit",
         StoppedBy::Signal => "signal",
+        StoppedBy::Pause => "pause",
     }
 }
 

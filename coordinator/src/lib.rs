@@ -29,6 +29,7 @@ pub mod scale;
 pub mod serve;
 pub mod simulate;
 pub mod status;
+pub mod sweep;
 pub mod train;
 pub mod urdf;
 pub mod verify;
@@ -40,6 +41,7 @@ mod joint_commands;
 pub mod limits;
 pub mod logs;
 mod not_the_same;
+mod planned_run;
 mod robot_files;
 mod trajectories;
 
@@ -85,6 +87,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Urdf(args) => urdf::run(&args),
         Command::Doctor(args) => doctor::run(args),
         Command::Bench(args) => bench::run(&args),
+        Command::Sweep(args) => sweep::run(&args),
         Command::Status(args) => status::run(&args),
         Command::Scale(args) => scale::run(&args),
         Command::Rollout(args) => rollout::run(&args),

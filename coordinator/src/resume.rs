@@ -23,7 +23,7 @@ use store::recorded::Recorded;
 
 use crate::conclusion::{conclude, print_json, recorded_evaluation};
 use crate::train;
-use crate::training_options::{Ending, HttpArgs, Limits};
+use crate::training_options::{Ending, HttpArgs, Limits, Parent, Pause};
 use crate::values::workers;
 
 const RESUME_EXAMPLES: &str = "\
@@ -32,7 +32,7 @@ Examples:
   octopus resume runs/trajectory-20260101-120000 --workers 4
   octopus resume runs/trajectory-20260101-120000 --env-steps 4e6
 
---iterations and --env-steps are those of the whole run, not of what is left; --time-limit is \
+--iterations, --env-steps and --pause-at are those of the whole run, not of what is left; --time-limit is \
 that of this session. The number of workers changes nothing that is learned; another budget does \
 when the learning rate falls over it.";
 
@@ -48,12 +48,18 @@ pub struct ResumeArgs {
     /// When to stop.
     #[command(flatten)]
     pub limits: Limits,
+    /// Where to stop on the way.
+    #[command(flatten)]
+    pub pause: Pause,
     /// The run's HTTP service.
     #[command(flatten)]
     pub http: HttpArgs,
     /// What happens around the training.
     #[command(flatten)]
     pub ending: Ending,
+    /// Who started it.
+    #[command(flatten)]
+    pub parent: Parent,
 }
 
 /// What helps an old run that this machine does not carry.
@@ -94,6 +100,7 @@ impl Resumed {
 
 /// Resumes.
 pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
+    args.parent.tie()?;
     let run_dir = store::run_files::run_directory(&args.run_dir)?;
     go_on(args, run_dir.clone()).map_err(|error| errors::name_what_goes_on(error, &run_dir))
 }
@@ -119,15 +126,21 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
 
     note_budget(&run_dir, &budgets, &before);
     let (config, overrides) = override_limits(&before, args)?;
+    let planned = config.planned_iterations();
+    let pause_at = args.pause.pause_at.filter(|pause| *pause < planned);
+    let wanted = pause_at.unwrap_or(planned);
     if let Some(last) = &resume
-        && last.manifest.iteration >= config.planned_iterations()
+        && last.manifest.iteration >= wanted
     {
         let done = last.manifest.iteration;
+        let larger = match pause_at {
+            Some(_) => "--pause-at, or none,",
+            None => "--iterations or --env-steps",
+        };
         output::note(&format!(
-            "note: nothing to do: {} {} done, {} wanted; a larger --iterations or --env-steps goes on",
+            "note: nothing to do: {} {} done, {wanted} wanted; a larger {larger} goes on",
             output::counted(done, "iteration"),
             if done == 1 { "is" } else { "are" },
-            config.planned_iterations()
         ));
         return Ok(Resumed::Done(Ended::before(run_dir, last)));
     }
@@ -163,7 +176,8 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
             format!("{}: cannot be created: {error}", run_dir.logs().display()),
         )
     })?;
-    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, service };
+    let start =
+        Start { run_dir, config, robot, resume, programs, domain, provenance, service, pause_at };
     run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
 }
 

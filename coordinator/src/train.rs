@@ -22,7 +22,7 @@ use store::{files, outputs, regular_files};
 
 use crate::conclusion::conclude;
 use crate::names::Named;
-use crate::training_options::{Ending, HttpArgs, Limits};
+use crate::training_options::{Ending, HttpArgs, Limits, Parent, Pause};
 use crate::values::{assignment, whole, workers};
 
 const TRAIN_EXAMPLES: &str = "\
@@ -74,6 +74,9 @@ pub struct TrainArgs {
     /// When to stop.
     #[command(flatten)]
     pub limits: Limits,
+    /// Where to stop on the way.
+    #[command(flatten)]
+    pub pause: Pause,
     /// Where results land; must not exist yet, or be empty [default: runs/TASK-TIME].
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
@@ -95,9 +98,9 @@ pub struct TrainArgs {
     /// What happens around the training.
     #[command(flatten)]
     pub ending: Ending,
-    /// The process that started this one and that it shall not outlive.
-    #[arg(long, value_name = "PID", hide = true)]
-    pub parent: Option<i32>,
+    /// Who started it.
+    #[command(flatten)]
+    pub parent: Parent,
 }
 
 /// Trains, evaluates and says where everything is.
@@ -141,9 +144,7 @@ fn show(args: &TrainArgs) -> anyhow::Result<()> {
 
 /// Trains.
 pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
-    if args.parent.is_some() {
-        process::child::die_with_parent(args.parent)?;
-    }
+    args.parent.tie()?;
     let Plan { config, robot, programs } = plan(args)?;
     let (run_dir, service) = open(args, &config)?;
 
@@ -155,7 +156,9 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;
     record(&run_dir, &provenance, &[])?;
     let (resume, dir) = (None, run_dir.clone());
-    let start = Start { run_dir, config, robot, resume, programs, domain, provenance, service };
+    let pause_at = args.pause.pause_at;
+    let start =
+        Start { run_dir, config, robot, resume, programs, domain, provenance, service, pause_at };
     run_session(start, lock, args.ending.quiet)
         .map_err(|error| errors::name_what_goes_on(error, &dir))
 }

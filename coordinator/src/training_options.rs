@@ -24,6 +24,33 @@ pub struct Limits {
     pub time_limit: Option<Duration>,
 }
 
+/// A stop on the way to the limit.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct Pause {
+    /// Pause when this many iterations of the run are done, with a checkpoint, from which `octopus
+    /// resume` goes on. Schedules run over the whole budget all the same.
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = positive, help_heading = "Limits")]
+    pub pause_at: Option<u64>,
+}
+
+/// What a program says that starts a training.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct Parent {
+    /// The process that started this one and that it shall not outlive.
+    #[arg(long, value_name = "PID", hide = true)]
+    pub parent: Option<i32>,
+}
+
+impl Parent {
+    /// Ties this process to the one that started it, if that has said so.
+    pub(crate) fn tie(self) -> anyhow::Result<()> {
+        if self.parent.is_some() {
+            process::child::die_with_parent(self.parent)?;
+        }
+        Ok(())
+    }
+}
+
 /// The HTTP service beside a run, by which `octopus status` and `octopus scale` reach it.
 #[derive(Debug, Clone, Args)]
 pub struct HttpArgs {

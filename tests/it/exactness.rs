@@ -73,6 +73,34 @@ fn a_stop_and_a_resume_change_no_bit() {
     }
 }
 
+/// Unlike another budget, over which the learning rate would fall faster.
+#[test]
+fn a_pause_changes_no_bit() {
+    for overlap in ["0", "1"] {
+        let overlap_flag = format!("--overlap={overlap}");
+        let expected = calm("2", overlap, "12");
+        let budget = ["--workers=2", &overlap_flag, "--iterations=12", "--pause-at=5"];
+        let mut run = Run::train(&budget);
+        run.succeed();
+        assert_eq!(run.digests(), expected[..5], "overlap {overlap}");
+        assert!(run.path().join("checkpoints/iteration-00000005").is_dir());
+        // It is there already; then further on, and to the end, which is before the last pause.
+        let path = run.path();
+        let again = ["resume", path.to_str().expect("UTF-8"), "--pause-at=5", "--json"];
+        let output = octopus(&again);
+        assert!(output.status.success(), "{}", stderr(&output));
+        assert!(stderr(&output).contains("a larger --pause-at, or none, goes on"));
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!((&json["stopped_by"], &json["iterations"]), (&"pause".into(), &5.into()));
+        run.resume(&["--pause-at=7"]);
+        run.succeed();
+        assert_eq!(run.digests(), expected[..7], "overlap {overlap}");
+        run.resume(&["--pause-at=100"]);
+        run.succeed();
+        assert_eq!(run.digests(), expected, "overlap {overlap}");
+    }
+}
+
 #[test]
 fn a_killed_coordinator_leaves_nothing_and_its_run_resumes_to_the_same_bits() {
     let expected = calm("2", "1", "40");

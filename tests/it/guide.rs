@@ -27,6 +27,7 @@ commands_run! {
     watching_runs: "deploy/guide/src/watching.md",
     experiments_run: "deploy/guide/src/experiments.md",
     configuration_runs: "deploy/guide/src/configuration.md",
+    sweeps_run: "deploy/guide/src/sweeps.md",
     plans_run: "deploy/guide/src/plans.md",
     robots_run: "deploy/guide/src/robots.md",
     the_environment_runs: "deploy/guide/src/environment.md",

@@ -30,4 +30,5 @@ mod reproduce;
 mod run_directory;
 mod shared_memory;
 mod signals;
+mod sweep;
 mod verify;

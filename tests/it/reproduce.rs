@@ -39,7 +39,7 @@ const EPISODE: &str = "episodes.html#play=";
 
 /// Asserts that every tag of a page is closed in its order, and that it takes nothing from elsewhere: it leads to places of its own, and to
 /// episodes in the file beside it.
-fn stands_alone(page: &str) {
+pub(crate) fn stands_alone(page: &str) {
     assert!(page.starts_with("<!DOCTYPE html>"), "{}", &page[..40]);
     let mut open: Vec<&str> = Vec::new();
     let style = (page.find("<style>").expect("a style"), page.find("</style>").expect("its end"));

@@ -4,6 +4,7 @@
 //! * [`experiments`]: the paper's experiments, one file each; [`reproduce`] does all of them and makes a page;
 //! * [`film`]: episodes as moving pictures;
 //! * [`goals`]: files of goals;
+//! * [`sweep`]: many trainings that differ in their configurations and seeds, and which of them is the best;
 //! * [`planning`]: motions to poses that somebody asks for;
 //! * [`script`]: episodes that somebody took hold of, again;
 //! * [`figures`]: learning curves of runs, and the panels that everything is drawn in;
@@ -23,6 +24,7 @@ pub mod reproduce;
 pub mod script;
 pub mod standalone;
 pub mod statistics;
+pub mod sweep;
 pub mod threads;
 pub mod trained;
 pub mod verification;

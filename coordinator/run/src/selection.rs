@@ -59,6 +59,18 @@ impl MeanErrors {
         }
     }
 
+    /// The score of a policy with these errors: the mean of those that `task` is about, in units of the paper's, so that 1 is as
+    /// good as the paper, and the smaller, the better.
+    pub fn score(&self, task: TaskName) -> f64 {
+        let of = |error: f64, paper: f32| error / f64::from(paper);
+        match task {
+            TaskName::Trajectory => {
+                0.5 * (of(self.position, PAPER.position) + of(self.orientation, PAPER.orientation))
+            }
+            TaskName::Reorientation => of(self.base, PAPER.base),
+        }
+    }
+
     /// One kind of the errors of some episodes.
     fn of(episodes: &[EpisodeErrors], kind: fn(&EpisodeErrors) -> &TaskErrors) -> Self {
         let mean = |error: fn(&TaskErrors) -> f32| {
@@ -191,18 +203,14 @@ impl Selection {
 
     fn score(&self, tail: &MeanErrors, episodes: usize) -> Score {
         let MeanErrors { position, orientation, base } = *tail;
-        let (value, errors) = match self.task {
-            TaskName::Trajectory => (
-                0.5 * (position / f64::from(PAPER.position)
-                    + orientation / f64::from(PAPER.orientation)),
-                [("position_m", position), ("orientation_rad", orientation)].to_vec(),
-            ),
-            TaskName::Reorientation => {
-                (base / f64::from(PAPER.base), [("base_rad", base)].to_vec())
+        let errors = match self.task {
+            TaskName::Trajectory => {
+                [("position_m", position), ("orientation_rad", orientation)].to_vec()
             }
+            TaskName::Reorientation => [("base_rad", base)].to_vec(),
         };
         Score {
-            value,
+            value: tail.score(self.task),
             errors: errors.into_iter().map(|(name, error)| (name.to_owned(), error)).collect(),
             episodes: episodes as u64,
             steps: u64::from(self.steps),

@@ -16,10 +16,24 @@ use std::process::{Child, Command};
 
 use nix::sys::signal::{SigSet, SigmaskHow, Signal};
 
+/// What a child does not hear of.
+const GROUP: [Signal; 4] = [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP, Signal::SIGXFSZ];
+
 /// Starts a child that SIGTERM, SIGINT, SIGHUP and SIGXFSZ do not reach.
 pub fn spawn(command: &mut Command) -> io::Result<Child> {
-    let group =
-        SigSet::from_iter([Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP, Signal::SIGXFSZ]);
+    spawn_without(&GROUP, command)
+}
+
+/// The same, but SIGINT reaches it: a program that has children of its own to stop in order, and counts how often it is
+/// asked to. Its parent passes on what it hears itself, and a SIGTERM for all processes would be a second request.
+pub fn spawn_interruptible(command: &mut Command) -> io::Result<Child> {
+    let others: Vec<Signal> =
+        GROUP.into_iter().filter(|signal| *signal != Signal::SIGINT).collect();
+    spawn_without(&others, command)
+}
+
+fn spawn_without(signals: &[Signal], command: &mut Command) -> io::Result<Child> {
+    let group: SigSet = signals.iter().copied().collect();
     // Of this thread alone, for a moment: other threads hear what comes meanwhile.
     let before = group.thread_swap_mask(SigmaskHow::SIG_BLOCK)?;
     let child = command.spawn();
@@ -47,6 +61,19 @@ mod tests {
         assert!(child.try_wait().expect("own child").is_none(), "it was reached");
         kill_process(pid, Signal::KILL).expect("own child");
         assert_eq!(child.wait().expect("own child").signal(), Some(Signal::KILL.as_raw()));
+    }
+
+    #[test]
+    fn sigint_alone_reaches_a_child_that_may_be_interrupted() {
+        let mut child = spawn_interruptible(Command::new("sleep").arg("60")).expect("sleep starts");
+        let pid = Pid::from_raw(child.id().cast_signed()).expect("a process");
+        for signal in [Signal::TERM, Signal::HUP] {
+            kill_process(pid, signal).expect("own child");
+        }
+        std::thread::sleep(Duration::from_millis(100));
+        assert!(child.try_wait().expect("own child").is_none(), "it was reached");
+        kill_process(pid, Signal::INT).expect("own child");
+        assert_eq!(child.wait().expect("own child").signal(), Some(Signal::INT.as_raw()));
     }
 
     #[test]

@@ -7,25 +7,21 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use clap::{Args, Parser, ValueEnum as _};
+use clap::ValueEnum as _;
 use lab::experiments::command_line::typed;
 use lab::reproduce::{MARK, POLICIES, RUNS, refused};
-use proto::config::Run as RunGroup;
-use proto::config::{AlgorithmName, Config, Precision, TaskName};
+use proto::config::{AlgorithmName, TaskName};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::signals;
 use simulator::robot::Robot;
-use store::checkpoint::{
-    BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part, flatten,
-};
+use store::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
 use store::provenance::Provenance;
-use store::recorded::Recorded;
-use store::run_files::read_config;
 use store::{files, outputs, regular_files};
 
 use super::options::ReproduceArgs;
 use crate::names::Named;
+use crate::planned_run::{PlannedRun, options};
 use crate::{resume, train};
 
 /// Tasks that are trained.
@@ -47,7 +43,7 @@ pub(super) fn check_place(out: &Path, force: bool) -> Result<(), ExitError> {
 pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf, Vec<PathBuf>)> {
     let runs = planned(args, out);
     for run in &runs {
-        run.check(args)?;
+        run.planned(args).check()?;
     }
     let is_new = !out.exists();
     std::fs::create_dir_all(out).map_err(|error| {
@@ -56,7 +52,7 @@ pub(super) fn train(args: &ReproduceArgs, out: &Path) -> anyhow::Result<(PathBuf
     })?;
     files::replace(&out.join(MARK), MARKED.as_bytes())?;
     for (index, run) in runs.iter().enumerate() {
-        if !run.is_finished()? {
+        if !run.planned(args).is_finished()? {
             output::note(&format!("run {} of {}: {}", index + 1, runs.len(), run.dir.display()));
             let ended = run.go_on(args, out);
             // What was refused before anything began leaves nothing.
@@ -111,74 +107,32 @@ fn name(algorithm: Named<AlgorithmName>) -> String {
 }
 
 impl Run {
-    /// Whether all its iterations are done.
-    fn is_finished(&self) -> anyhow::Result<bool> {
-        let run_dir = RunDir::new(&self.dir);
-        if !run_dir.config().is_file() {
-            return Ok(false);
-        }
-        let planned = read_config(&run_dir)?.planned_iterations();
-        let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
-        let done = own.iter().filter_map(|dir| Manifest::read(dir).ok());
-        let done = done.map(|manifest| manifest.iteration).max().unwrap_or(0);
-        Ok(done >= planned && Recorded::read(&run_dir)?.iterations() >= planned)
+    /// The command that begins it.
+    fn planned(&self, args: &ReproduceArgs) -> PlannedRun {
+        let (algorithm, seed) = (name(self.algorithm), self.seed.to_string());
+        let line = [self.task.as_str(), "--algorithm", &algorithm, "--seed", &seed];
+        let rest = ["--no-eval", "--listen=off"];
+        let sets = args.sets.iter().map(|set| format!("--set={set}"));
+        let words = line.iter().chain(&rest).map(ToString::to_string).chain(sets).collect();
+        PlannedRun { dir: self.dir.clone(), words }
     }
 
     /// Begins it or goes on with it, until it is finished.
     fn go_on(&self, args: &ReproduceArgs, out: &Path) -> anyhow::Result<()> {
         let dir = self.dir.display().to_string();
-        let ended = if RunDir::new(&self.dir).config().is_file() {
+        let planned = self.planned(args);
+        let ended = if planned.has_begun() {
             let words = ["octopus resume", &dir, "--no-eval", "--listen=off"];
             resume::resume(&options(words.map(str::to_owned))?)?.into_inner()
         } else {
-            train::train(&options(self.words(args))?)?
+            train::train(&planned.train_args()?)?
         };
         // Ctrl-C in the last iteration, too, is meant for the trainings that would follow.
-        if !ended.was_interrupted() && self.is_finished()? {
+        if !ended.was_interrupted() && planned.is_finished()? {
             return Ok(());
         }
         let message = format!("{dir}: stopped; `{}` goes on", typed(&again(args, out)));
         Err(ExitError::new(ExitCode::Interrupted, message).into())
-    }
-
-    /// The command that begins it.
-    fn words(&self, args: &ReproduceArgs) -> Vec<String> {
-        let dir = self.dir.display().to_string();
-        let (algorithm, seed) = (name(self.algorithm), self.seed.to_string());
-        let line =
-            ["octopus train", self.task.as_str(), "--algorithm", &algorithm, "--seed", &seed];
-        let rest = ["--run-dir", &dir, "--no-eval", "--listen=off"];
-        let sets = args.sets.iter().map(|set| format!("--set={set}"));
-        line.iter().chain(&rest).map(ToString::to_string).chain(sets).collect()
-    }
-
-    /// Refuses a run of that name that is not the one that would be trained: somebody else's, or one that was asked for
-    /// with other settings.
-    fn check(&self, args: &ReproduceArgs) -> anyhow::Result<()> {
-        let run_dir = RunDir::new(&self.dir);
-        if !run_dir.config().is_file() {
-            return Ok(());
-        }
-        let found = read_config(&run_dir)?;
-        let mut wanted = train::configure(&options(self.words(args))?)?;
-        if [wanted.run.precision, found.run.precision].contains(&Precision::Auto) {
-            // Decided when the run began, by the processor.
-            wanted.run.precision = found.run.precision;
-        }
-        let keys =
-            |config: &Config| -> anyhow::Result<_> { Ok(flatten(&config.to_toml().parse()?)) };
-        let (found, wanted) = (keys(&found)?, keys(&wanted)?);
-        let matters = |key: &String| {
-            let of_run = key.strip_prefix("run.");
-            !of_run.is_some_and(|key| key == "device" || RunGroup::HARMLESS.contains(&key))
-        };
-        let differs = |key: &&String| matters(key) && found.get(*key) != wanted.get(*key);
-        let Some(key) = found.keys().chain(wanted.keys()).find(differs) else { return Ok(()) };
-        let [found, wanted] =
-            [&found, &wanted].map(|keys| keys.get(key).map_or("no value", String::as_str));
-        let what =
-            format!("is a run already, with {found} as {key}, where this command wants {wanted}");
-        Err(refused(&self.dir, &what).into())
     }
 
     /// Its best checkpoint, and that one's score: the lower, the better.
@@ -255,63 +209,18 @@ fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()
     Ok(())
 }
 
-/// A command line of one command.
-#[derive(Debug, Parser)]
-struct Line<A: Args> {
-    #[command(flatten)]
-    options: A,
-}
-
-/// The options that a command line has. Its first word is the whole command.
-fn options<A: Args>(words: impl IntoIterator<Item = String>) -> Result<A, clap::Error> {
-    Line::try_parse_from(words).map(|line| line.options)
-}
-
 #[cfg(test)]
 mod tests {
+    use clap::Parser as _;
+
     use super::*;
     use crate::cli::{Cli, Command};
-    use crate::train::TrainArgs;
 
     fn parse(words: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> ReproduceArgs {
         let Command::Reproduce(args) = Cli::try_parse_from(words).expect("valid").command else {
             panic!("another command")
         };
         args
-    }
-
-    /// A directory with other runs may have been named, or other settings were asked for before.
-    #[test]
-    fn a_run_that_is_not_the_planned_one_is_not_gone_on_with() {
-        let out = tempfile::tempdir().expect("tempdir");
-        let args =
-            |sets: &str| parse(format!("octopus reproduce --train --seeds=1{sets}").split(' '));
-        let run = |args: &ReproduceArgs| planned(args, out.path()).remove(0);
-        let asked = args(" --set run.env_steps=6400 --set run.workers=3");
-        let train: TrainArgs = options(run(&asked).words(&asked)).expect("valid");
-        let config = train::configure(&train).expect("valid");
-        let run_dir = RunDir::new(run(&asked).dir);
-        assert!(run(&asked).check(&asked).is_ok(), "it is still to be made");
-        std::fs::create_dir_all(run_dir.path()).expect("made");
-        // Decided when it began.
-        for precision in [Precision::F32, Precision::Bf16] {
-            let mut config = config.clone();
-            config.run.precision = precision;
-            std::fs::write(run_dir.config(), config.to_toml()).expect("written");
-            run(&asked).check(&asked).expect("the same");
-            // What changes nothing that is learned may differ.
-            let harmless = args(" --set run.env_steps=6400 --set run.workers=1");
-            run(&harmless).check(&harmless).expect("the same");
-        }
-        for (sets, key) in [
-            ("", "run.env_steps"),
-            (" --set run.env_steps=6400 --set network.hidden=[8]", "network.hidden"),
-        ] {
-            let other = args(sets);
-            let error = run(&other).check(&other).expect_err("another").to_string();
-            assert!(error.contains("mappo-trajectory-1: is a run already"), "{error}");
-            assert!(error.contains(key) && error.contains("another --out"), "{error}");
-        }
     }
 
     #[test]

@@ -29,11 +29,36 @@ pub fn pin(index: usize) -> Result<(), ExitError> {
         let message = format!("cannot fix this process to a processor: {error}; leave --pin out");
         ExitError::new(ExitCode::Environment, message)
     };
-    let allowed = sched_getaffinity(None).map_err(fail)?;
-    let processors: Vec<_> = (0..CpuSet::MAX_CPU).filter(|&cpu| allowed.is_set(cpu)).collect();
+    let processors = processors()?;
     let mut chosen = CpuSet::new();
     chosen.set(processors[index % processors.len().max(1)]);
     sched_setaffinity(None, &chosen).map_err(fail)
+}
+
+/// Processors that this thread may use.
+pub fn processors() -> Result<Vec<usize>, ExitError> {
+    let allowed = sched_getaffinity(None).map_err(|error| {
+        let message = format!("cannot find out which processors there are: {error}");
+        ExitError::new(ExitCode::Environment, message)
+    })?;
+    Ok((0..CpuSet::MAX_CPU).filter(|&cpu| allowed.is_set(cpu)).collect())
+}
+
+/// Does something with this thread on `processors` alone. Threads and children that it starts meanwhile stay there.
+pub fn on_processors<T>(processors: &[usize], act: impl FnOnce() -> T) -> Result<T, ExitError> {
+    let fail = |error: rustix::io::Errno| {
+        let message = format!("cannot keep to processors {processors:?}: {error}");
+        ExitError::new(ExitCode::Environment, message)
+    };
+    let before = sched_getaffinity(None).map_err(fail)?;
+    let mut chosen = CpuSet::new();
+    for processor in processors {
+        chosen.set(*processor);
+    }
+    sched_setaffinity(None, &chosen).map_err(fail)?;
+    let done = act();
+    sched_setaffinity(None, &before).map_err(fail)?;
+    Ok(done)
 }
 
 #[cfg(test)]
@@ -47,6 +72,20 @@ mod tests {
             let before = sched_getaffinity(None).expect("readable").count();
             pin(before as usize + 1).expect("pins");
             assert_eq!(sched_getaffinity(None).expect("readable").count(), 1);
+        })
+        .join()
+        .expect("no panic");
+    }
+
+    #[test]
+    fn what_is_started_on_some_processors_stays_there_and_who_starts_it_does_not() {
+        std::thread::spawn(|| {
+            let before = processors().expect("readable");
+            let own = before[before.len() - 1];
+            let there = on_processors(&[own], || std::thread::spawn(processors));
+            let there = there.expect("allowed").join().expect("no panic").expect("readable");
+            assert_eq!(there, [own]);
+            assert_eq!(processors().expect("readable"), before);
         })
         .join()
         .expect("no panic");

@@ -79,7 +79,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="generator" content=(GENERATOR);
                 title { "SpaceOctopus: the paper's experiments" }
-                style { (PreEscaped(include_str!("style.css"))) }
+                style { (PreEscaped(include_str!("../page.css"))) }
             }
             body {
                 (head(content))

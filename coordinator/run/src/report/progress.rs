@@ -236,6 +236,8 @@ pub struct Parts {
     bar: Option<ProgressBar>,
     /// Whether the bar is over all parts together.
     whole: bool,
+    /// Whether nothing is said of parts.
+    silent: bool,
 }
 
 impl Parts {
@@ -249,13 +251,18 @@ impl Parts {
         Self::with_length(Some(steps))
     }
 
+    /// Says nothing: several are under way beside each other, or others show how far they are.
+    pub fn silent() -> Self {
+        Self { bar: None, whole: false, silent: true }
+    }
+
     fn with_length(steps: Option<u64>) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
             let bar = parts_bar(steps.unwrap_or(0), margin::stderr());
             *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.downgrade());
             bar
         });
-        Self { bar, whole: steps.is_some() }
+        Self { bar, whole: steps.is_some(), silent: false }
     }
 
     /// The next part begins, of so many steps.
@@ -268,6 +275,7 @@ impl Parts {
                 bar.reset_eta();
                 bar.set_message(printable(part).into_owned());
             }
+            None if self.silent => {}
             None => output::note(part),
         }
     }
@@ -381,7 +389,7 @@ mod tests {
     fn parts_are_one_row_and_never_over_before_they_are() {
         let screen = Screen::new(80);
         let bar = parts_bar(50, on(&screen));
-        let parts = Parts { bar: Some(bar), whole: true };
+        let parts = Parts { bar: Some(bar), whole: true, silent: false };
         let long =
             "disturbance, trajectory: 50 N on hand 2 in each of six directions, and back again";
         parts.begin(long, 50);

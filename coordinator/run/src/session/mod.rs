@@ -84,6 +84,8 @@ pub enum StoppedBy {
     TimeLimit,
     /// Ctrl-C.
     Signal,
+    /// So many iterations are done as this session was to reach; the budget plans more.
+    Pause,
 }
 
 /// How a run ended.
@@ -276,10 +278,19 @@ impl<'a> Session<'a> {
                 return Ok(RunResult {
                     iterations: self.reported,
                     env_steps: self.reported * self.spec.config.steps_per_iteration(),
-                    stopped_by: self.stopped_by.unwrap_or(StoppedBy::Budget),
+                    stopped_by: self.stopped_by.unwrap_or_else(|| self.reason_to_end()),
                     checkpoint,
                 });
             }
+        }
+    }
+
+    /// Why a session ended that nobody stopped.
+    fn reason_to_end(&self) -> StoppedBy {
+        if self.reported < self.spec.config.planned_iterations() {
+            StoppedBy::Pause
+        } else {
+            StoppedBy::Budget
         }
     }
 

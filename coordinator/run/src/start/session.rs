@@ -35,6 +35,8 @@ pub struct Start {
     pub provenance: Provenance,
     /// The run's HTTP service.
     pub service: RunService,
+    /// Iterations of the whole run after which the session pauses; none where it goes to the end of the budget.
+    pub pause_at: Option<u64>,
 }
 
 /// A session that has ended.
@@ -50,7 +52,8 @@ pub struct Ended {
 
 /// Runs a session to its end.
 pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Result<Ended> {
-    let Start { run_dir, config, robot, resume, programs, domain, provenance, service } = start;
+    let Start { run_dir, config, robot, resume, programs, domain, provenance, service, pause_at } =
+        start;
     let stop = StopRequests::new();
     stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
@@ -85,7 +88,7 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
         provenance: serde_json::to_value(provenance).context("provenance has no JSON form")?,
         domain,
         stop: stop.clone(),
-        until: None,
+        until: pause_at,
         live,
     };
     let result = session::run(&spec, &mut reporter);
@@ -120,12 +123,13 @@ fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> 
 }
 
 impl Ended {
-    /// Of a run that was at its end already, with its last checkpoint.
+    /// Of a run that was where it should end already, with its last checkpoint.
     pub fn before(run_dir: RunDir, last: &Checkpoint) -> Self {
+        let is_whole = last.manifest.iteration >= last.config.planned_iterations();
         let outcome = RunResult {
             iterations: last.manifest.iteration,
             env_steps: last.manifest.env_steps,
-            stopped_by: StoppedBy::Budget,
+            stopped_by: if is_whole { StoppedBy::Budget } else { StoppedBy::Pause },
             checkpoint: last.dir.clone(),
         };
         Self { run_dir, outcome, stop: StopRequests::new() }

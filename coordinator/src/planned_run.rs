@@ -1,0 +1,144 @@
+//! A training that another command plans: asked for as on the command line of `octopus train`, in a directory of its own.
+//!
+//! Whoever plans several calls again what was stopped: finished ones are left as they are, and the others go on.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser};
+use lab::reproduce::refused;
+use proto::config::{Config, Precision, Run};
+use proto::run_dir::RunDir;
+use store::checkpoint::{CheckpointStore, Manifest, flatten};
+use store::recorded::Recorded;
+use store::run_files::read_config;
+
+use crate::train::{self, TrainArgs};
+
+/// See the module.
+#[derive(Debug, Clone)]
+pub(crate) struct PlannedRun {
+    /// Where it lands.
+    pub(crate) dir: PathBuf,
+    /// What it is asked for with: the words behind `octopus train`, without the directory.
+    pub(crate) words: Vec<String>,
+}
+
+impl PlannedRun {
+    /// Where it lands.
+    pub(crate) fn run_dir(&self) -> RunDir {
+        RunDir::new(&self.dir)
+    }
+
+    /// Whether there is something to go on with.
+    pub(crate) fn has_begun(&self) -> bool {
+        self.run_dir().config().is_file()
+    }
+
+    /// The options of the `octopus train` that begins it.
+    pub(crate) fn train_args(&self) -> Result<TrainArgs, clap::Error> {
+        let dir = format!("--run-dir={}", self.dir.display());
+        let words = ["octopus train".to_owned()].into_iter().chain(self.words.iter().cloned());
+        options(words.chain([dir]))
+    }
+
+    /// The configuration that it is asked for with.
+    pub(crate) fn config(&self) -> anyhow::Result<Config> {
+        Ok(train::configure(&self.train_args()?)?)
+    }
+
+    /// Iterations that are recorded and from which it would go on.
+    pub(crate) fn done(&self) -> anyhow::Result<u64> {
+        let run_dir = self.run_dir();
+        if !self.has_begun() {
+            return Ok(0);
+        }
+        let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
+        let committed = own.iter().filter_map(|dir| Manifest::read(dir).ok());
+        let committed = committed.map(|manifest| manifest.iteration).max().unwrap_or(0);
+        Ok(committed.min(Recorded::read(&run_dir)?.iterations()))
+    }
+
+    /// Whether all its iterations are done.
+    pub(crate) fn is_finished(&self) -> anyhow::Result<bool> {
+        Ok(self.has_begun() && self.done()? >= read_config(&self.run_dir())?.planned_iterations())
+    }
+
+    /// Refuses a run of that name that is not the one that would be trained: somebody else's, or one that was asked for
+    /// with other settings.
+    pub(crate) fn check(&self) -> anyhow::Result<()> {
+        if !self.has_begun() {
+            return Ok(());
+        }
+        let found = read_config(&self.run_dir())?;
+        let mut wanted = self.config()?;
+        if [wanted.run.precision, found.run.precision].contains(&Precision::Auto) {
+            // Decided when the run began, by the processor.
+            wanted.run.precision = found.run.precision;
+        }
+        let keys =
+            |config: &Config| -> anyhow::Result<_> { Ok(flatten(&config.to_toml().parse()?)) };
+        let (found, wanted) = (keys(&found)?, keys(&wanted)?);
+        let matters = |key: &String| {
+            let of_run = key.strip_prefix("run.");
+            !of_run.is_some_and(|key| key == "device" || Run::HARMLESS.contains(&key))
+        };
+        let differs = |key: &&String| matters(key) && found.get(*key) != wanted.get(*key);
+        let Some(key) = found.keys().chain(wanted.keys()).find(differs) else { return Ok(()) };
+        let [found, wanted] =
+            [&found, &wanted].map(|keys| keys.get(key).map_or("no value", String::as_str));
+        let what =
+            format!("is a run already, with {found} as {key}, where this command wants {wanted}");
+        Err(refused(&self.dir, &what).into())
+    }
+}
+
+/// A command line of one command.
+#[derive(Debug, Parser)]
+struct Line<A: Args> {
+    #[command(flatten)]
+    options: A,
+}
+
+/// The options that a command line has. Its first word is the whole command.
+pub(crate) fn options<A: Args>(words: impl IntoIterator<Item = String>) -> Result<A, clap::Error> {
+    Line::try_parse_from(words).map(|line| line.options)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(dir: &std::path::Path, sets: &[&str]) -> PlannedRun {
+        let words = ["trajectory", "--seed=1"].iter().chain(sets).map(ToString::to_string);
+        PlannedRun { dir: dir.join("run"), words: words.collect() }
+    }
+
+    /// A directory with other runs may have been named, or other settings were asked for before.
+    #[test]
+    fn a_run_that_is_not_the_planned_one_is_not_gone_on_with() {
+        let out = tempfile::tempdir().expect("tempdir");
+        let asked = run(out.path(), &["--set=run.env_steps=6400", "--set=run.workers=3"]);
+        let config = asked.config().expect("valid");
+        assert!(asked.check().is_ok(), "it is still to be made");
+        std::fs::create_dir_all(&asked.dir).expect("made");
+        // Decided when it began.
+        for precision in [Precision::F32, Precision::Bf16] {
+            let mut config = config.clone();
+            config.run.precision = precision;
+            std::fs::write(asked.run_dir().config(), config.to_toml()).expect("written");
+            asked.check().expect("the same");
+            // What changes nothing that is learned may differ.
+            let harmless = ["--set=run.env_steps=6400", "--set=run.workers=1"];
+            run(out.path(), &harmless).check().expect("the same");
+        }
+        for (sets, key) in [
+            (&[][..], "run.env_steps"),
+            (&["--set=run.env_steps=6400", "--set=network.hidden=[8]"], "network.hidden"),
+        ] {
+            let error = run(out.path(), sets).check().expect_err("another").to_string();
+            assert!(error.contains("/run: is a run already"), "{error}");
+            assert!(error.contains(key) && error.contains("another --out"), "{error}");
+        }
+        assert_eq!(asked.done().expect("readable"), 0);
+    }
+}

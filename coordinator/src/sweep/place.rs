@@ -1,0 +1,203 @@
+//! Where everything of a sweep is, and that nobody else uses it.
+//!
+//! ```text
+//! sweeps/rates/
+//!   sweep.toml      the sweep as it was last asked for
+//!   trials/         one run directory a trial
+//!   records/        what is known of each beside that: scores, failures, and what its processes say
+//!   table.csv       all trials
+//!   report.html     the page
+//!   sweep.lock      held while the sweep is under way
+//! ```
+
+use std::fs::File;
+use std::io::ErrorKind;
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::{Path, PathBuf};
+
+use lab::sweep::page::GENERATOR;
+use lab::sweep::record::Record;
+use proto::{ExitCode, ExitError};
+use rustix::fs::{FlockOperation, flock};
+use store::regular_files::{self, Links};
+use store::{files, outputs, owned_files};
+
+use super::file::SweepFile;
+use super::plan::Plan;
+
+/// Where trials land.
+const TRIALS: &str = "trials";
+const SWEEP: &str = "sweep.toml";
+const RECORDS: &str = "records";
+const TABLE: &str = "table.csv";
+const PAGE: &str = "report.html";
+const LOCK: &str = "sweep.lock";
+
+/// What the copy of the file begins with.
+const MARK: &str = "# Copied by `octopus sweep`; change the file that it is of.\n";
+
+/// The directory of a sweep.
+#[derive(Debug, Clone)]
+pub(super) struct Place(PathBuf);
+
+/// Whoever has it may train.
+#[derive(Debug)]
+pub(super) struct Held {
+    _sweep: File,
+    _trial: Option<File>,
+}
+
+impl Place {
+    /// Where `file` lands, unless somebody says otherwise.
+    pub(super) fn of(file: &Path, out: Option<&Path>) -> Self {
+        let own = || Path::new("sweeps").join(file.file_stem().unwrap_or_default());
+        Self(out.map_or_else(own, Path::to_owned))
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.0
+    }
+
+    /// Where the runs of trials land.
+    pub(super) fn trials(&self) -> PathBuf {
+        self.0.join(TRIALS)
+    }
+
+    pub(super) fn table(&self) -> PathBuf {
+        self.0.join(TABLE)
+    }
+
+    pub(super) fn page(&self) -> PathBuf {
+        self.0.join(PAGE)
+    }
+
+    /// What is known of a trial.
+    pub(super) fn record(&self, trial: &str) -> PathBuf {
+        self.0.join(RECORDS).join(format!("{trial}.json"))
+    }
+
+    /// What its processes say.
+    pub(super) fn log(&self, trial: &str) -> PathBuf {
+        self.0.join(RECORDS).join(format!("{trial}.log"))
+    }
+
+    /// Refuses a directory that something else was made in, and one of another sweep. Trials may be added to a sweep; what has
+    /// begun may neither change nor be left out.
+    pub(super) fn check(&self, plan: &Plan) -> anyhow::Result<()> {
+        let ours = [SWEEP, TRIALS, RECORDS, TABLE, PAGE, LOCK];
+        let is_ours = self.0.join(SWEEP).is_file();
+        outputs::check_directory("--out", &self.0, |name| is_ours && ours.contains(&name), false)?;
+        if !is_ours {
+            return Ok(());
+        }
+        let copy = self.0.join(SWEEP);
+        let text = regular_files::read_text(&copy, regular_files::TEXT)
+            .map_err(|error| refused(&copy, &format!("cannot be read: {error}")))?;
+        let Some(text) = text.strip_prefix(MARK) else {
+            return Err(refused(&copy, "was not made by this command").into());
+        };
+        let before = SweepFile::parse(&copy, text.to_owned())?;
+        let (then, now) = (&before, &plan.file);
+        if then.halving != now.halving {
+            return Err(self.changed(now, "[halving]").into());
+        }
+        if then.evaluation != now.evaluation {
+            return Err(self.changed(now, "[evaluation]").into());
+        }
+        for run in &plan.runs {
+            run.check()?;
+        }
+        let trials = std::fs::read_dir(self.trials()).into_iter().flatten().flatten();
+        let mut begun: Vec<String> =
+            trials.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+        begun.sort();
+        let is_planned = |name: &String| plan.study.trials.iter().any(|trial| trial.name == *name);
+        if let Some(name) = begun.iter().find(|name| !is_planned(name)) {
+            let message = format!(
+                "{}: trial {name} of {} is not in it any more; put it back, or name another --out",
+                now.path.display(),
+                self.0.display()
+            );
+            return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+        }
+        let page = self.page();
+        match regular_files::read(&page, regular_files::RECORD) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+            Ok(there)
+                if String::from_utf8_lossy(&there)
+                    .contains(&format!("content=\"{GENERATOR}\"")) =>
+            {
+                Ok(())
+            }
+            _ => Err(refused(&page, "was not made by this command").into()),
+        }
+    }
+
+    fn changed(&self, now: &SweepFile, group: &str) -> ExitError {
+        let message = format!(
+            "{}: {group} is another than that of {}, by which its trials were scored; put it back, or name another --out",
+            now.path.display(),
+            self.0.join(SWEEP).display()
+        );
+        ExitError::new(ExitCode::RunDirectory, message)
+    }
+
+    /// Makes it, if it is not there, and keeps a copy of the sweep's file. Nobody else may train in it meanwhile: all of it, or
+    /// one `trial`.
+    pub(super) fn open(&self, plan: &Plan, trial: Option<&str>) -> anyhow::Result<Held> {
+        let create = |dir: &Path| {
+            std::fs::create_dir_all(dir).map_err(|error| {
+                let message = format!("{}: cannot be created: {error}", dir.display());
+                ExitError::new(ExitCode::RunDirectory, message)
+            })
+        };
+        create(&self.0)?;
+        // The file may be such a copy itself.
+        let text = plan.file.text.strip_prefix(MARK).unwrap_or(&plan.file.text);
+        let copy = [MARK, text].concat();
+        let own = self.0.join(SWEEP);
+        if !own.exists() {
+            // Before all else: by it the rest is known to be ours, also after a kill.
+            files::replace(&own, copy.as_bytes())?;
+        }
+        create(&self.trials())?;
+        create(&self.0.join(RECORDS))?;
+        let kind = match trial {
+            None => FlockOperation::NonBlockingLockExclusive,
+            Some(_) => FlockOperation::NonBlockingLockShared,
+        };
+        let sweep = lock(&self.0.join(LOCK), kind)?;
+        let of_trial = |trial: &str| {
+            let path = self.0.join(RECORDS).join(format!("{trial}.lock"));
+            lock(&path, FlockOperation::NonBlockingLockExclusive)
+        };
+        let trial = trial.map(of_trial).transpose()?;
+        files::replace(&own, copy.as_bytes())?;
+        Ok(Held { _sweep: sweep, _trial: trial })
+    }
+
+    /// What is known of all trials.
+    pub(super) fn records(&self, plan: &Plan) -> Result<Vec<Record>, ExitError> {
+        let read = |trial: &lab::sweep::study::Trial| Record::read(&self.record(&trial.name));
+        plan.study.trials.iter().map(read).collect()
+    }
+}
+
+/// Locks a file; the kernel lets go of it when the process ends.
+fn lock(path: &Path, kind: FlockOperation) -> Result<File, ExitError> {
+    let fail = |what: String| {
+        ExitError::new(ExitCode::RunDirectory, format!("{}: {what}", path.display()))
+    };
+    let mut options = File::options();
+    options.write(true).create(true).truncate(false).mode(owned_files::MODE);
+    let file = regular_files::open_with(path, &mut options, Links::Refuse)
+        .map_err(|error| fail(format!("cannot be written: {error}")))?;
+    flock(&file, kind).map_err(|_| {
+        fail("a sweep is under way here; wait for its end, or stop it first".to_owned())
+    })?;
+    Ok(file)
+}
+
+fn refused(path: &Path, what: &str) -> ExitError {
+    lab::reproduce::refused(path, what)
+}
