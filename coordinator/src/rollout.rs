@@ -11,7 +11,7 @@ use proto::config::Config;
 use proto::layout::{ActorLayout, BlockLayout, Dimensions};
 use proto::message::policy_version_for;
 use proto::run_dir::RunDir;
-use proto::{ExitCode, ExitError};
+use proto::{Digest, ExitCode, ExitError};
 use run::session::failures;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
@@ -21,7 +21,10 @@ use simulator::env::Moment;
 use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
 use store::checkpoint::{Checkpoint, CheckpointStore, Name, POLICY, Selector, read_policy};
 use store::files;
+use store::jsonl;
 use store::outputs::Output;
+
+use crate::not_the_same::NotTheSame;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -29,7 +32,7 @@ Examples:
   octopus rollout runs/a --address 1/500/0 --out block.safetensors
 
 A rollout is a pure function of seed, iteration, shard and policy, so this makes the very block \
-that a worker of the run made, to the bit. The policy is looked for beside the block, if it \
+that a worker of the run made, to the bit, and says whether its digest is the one that the learner recorded (exit code 1 if not). The policy is looked for beside the block, if it \
 failed in the run, then among the run's checkpoints. A block that cannot be made ends with exit \
 code 6, and what is known about its environment is printed.";
 
@@ -98,6 +101,10 @@ struct Summary {
     env_steps: u64,
     /// BLAKE3 of the block's numbers.
     blake3: String,
+    /// How it begins according to the run's metrics; none if the run has recorded none, or for another policy's block.
+    recorded: Option<Digest>,
+    /// Whether it is the block that the run recorded.
+    same: Option<bool>,
     /// Undiscounted return of an episode, mean over environments, an agent each.
     returns: Vec<f64>,
     seconds: f64,
@@ -135,6 +142,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let begun = Instant::now();
     rollout(&world, &spec, &mut block, &mut |_| {}).map_err(|error| refuse(args, &error))?;
     let seconds = begun.elapsed().as_secs_f64();
+    let recorded = if chosen.is_none() { recorded(&run_dir, args.address)? } else { None };
     let summary = Summary {
         seed,
         iteration,
@@ -143,6 +151,8 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         policy: found,
         env_steps: world.block_env_steps(),
         blake3: blake3::hash(bytemuck::cast_slice(&block)).to_hex().to_string(),
+        same: recorded.map(|recorded| recorded == Digest::of_block(&block)),
+        recorded,
         returns: returns(&world.dimensions, &layout, &block),
         seconds,
     };
@@ -150,19 +160,43 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         files::replace_output(path, &to_safetensors(&world.dimensions, &layout, &block)?)?;
     }
     if args.json {
-        return output::json(&summary);
+        output::json(&summary)?;
+    } else {
+        output::line(&text(&summary))?;
     }
+    if summary.same == Some(false) { Err(NotTheSame.into()) } else { Ok(()) }
+}
+
+/// As a person reads it.
+fn text(summary: &Summary) -> String {
+    let Summary { seed, iteration, shard, policy_version, seconds, .. } = summary;
+    let same = match summary.same {
+        Some(true) => "\n            as the learner recorded it",
+        Some(false) => {
+            "\n            another one than the learner trained on: the policy, config.toml, robot.toml \
+                        or metrics.jsonl was changed, or this program simulates otherwise"
+        }
+        None => "",
+    };
     let mean = summary.returns.iter().sum::<f64>() / summary.returns.len().max(1) as f64;
-    output::line(&format!(
+    format!(
         "block       seed {seed}, iteration {iteration}, shard {shard}\n\
-         policy      version {version}, {}\n\
+         policy      version {policy_version}, {}\n\
          env-steps   {} in {seconds:.3} s\n\
          return      {mean:.3}\n\
-         blake3      {}",
+         blake3      {}{same}",
         summary.policy,
         grouped(summary.env_steps),
         summary.blake3,
-    ))
+    )
+}
+
+/// The digest that the run's learner recorded of the block; none if it recorded none.
+fn recorded(run_dir: &RunDir, address: BlockAddress) -> anyhow::Result<Option<Digest>> {
+    let lines = jsonl::read(&run_dir.metrics_jsonl())?;
+    let mut lines = lines.iter().filter(|(_, line)| line["iteration"] == address.iteration);
+    let digest = lines.next().and_then(|(_, line)| line["blocks"].get(address.shard as usize));
+    Ok(digest.and_then(|digest| digest.as_str()?.parse().ok()))
 }
 
 /// Refuses a block that the run never makes. With a policy of one's own, any seed will do.
