@@ -26,7 +26,7 @@ mod source;
 mod vectors;
 
 pub use error::ExportError;
-pub use recording::Recording;
+pub use recording::{RecordedEpisode, Recording};
 pub use source::{HeldOut, HeldOutError, Origin, Source};
 
 use networks::Networks;

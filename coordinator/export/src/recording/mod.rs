@@ -14,6 +14,7 @@
 
 mod messages;
 mod moments;
+mod origin;
 mod schema;
 
 use std::collections::BTreeMap;
@@ -33,6 +34,10 @@ use messages::{
     PosesInFrame, Quaternion, Timestamp, Vector3,
 };
 use moments::{Frame, Moment, body_names, play};
+pub use origin::RecordedEpisode;
+
+/// Name of the record that says where a recording comes from.
+const ABOUT: &str = "spaceoctopus";
 
 /// An episode that was played to be kept.
 #[derive(Debug)]
@@ -102,7 +107,7 @@ impl Recording {
             .library(concat!("SpaceOctopus ", env!("CARGO_PKG_VERSION")));
         let mut writer = Writer::with_options(Cursor::new(Vec::new()), options)?;
         writer.write_metadata(&records::Metadata {
-            name: "spaceoctopus".to_owned(),
+            name: ABOUT.to_owned(),
             metadata: self.about.clone(),
         })?;
         writer.attach(&Attachment {
