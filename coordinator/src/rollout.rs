@@ -7,15 +7,18 @@ use clap::Args;
 use export::BlockAddress;
 use output::grouped;
 use proto::layout::{BlockLayout, Dimensions};
-use proto::{ExitCode, ExitError};
+use proto::run_dir::RunDir;
+use proto::{Digest, ExitCode, ExitError};
 use serde::Serialize;
 use serde_json::json;
 use simulator::env::Moment;
 use simulator::rollout::RolloutError;
 use store::files;
+use store::jsonl;
 use store::outputs::Output;
 
 use crate::blocks::{BlockSource, address, open_policy};
+use crate::not_the_same::NotTheSame;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -23,7 +26,7 @@ Examples:
   octopus rollout runs/a --address 1/500/0 --out block.safetensors
 
 A rollout is a pure function of seed, iteration, shard and policy, so this makes the very block \
-that a worker of the run made, to the bit. The policy is looked for beside the block, if it \
+that a worker of the run made, to the bit, and says whether its digest is the one that the learner recorded (exit code 1 if not). The policy is looked for beside the block, if it \
 failed in the run, then among the run's checkpoints. A block that cannot be made ends with exit \
 code 6, and what is known about its environment is printed.";
 
@@ -62,6 +65,10 @@ struct Summary {
     env_steps: u64,
     /// BLAKE3 of the block's numbers.
     blake3: String,
+    /// How it begins according to the run's metrics; none if the run has recorded none, or for another policy's block.
+    recorded: Option<Digest>,
+    /// Whether it is the block that the run recorded.
+    same: Option<bool>,
     /// Undiscounted return of an episode, mean over environments, an agent each.
     returns: Vec<f64>,
     seconds: f64,
@@ -76,12 +83,18 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         let inputs: Vec<_> = chosen.chain([("RUN_DIR", args.run_dir.as_path())]).collect();
         output.check(&inputs)?;
     }
+    let own = chosen.is_none();
     let source = BlockSource::open(&args.run_dir, args.address, chosen)?;
     let begun = Instant::now();
     let block = source.make().map_err(|error| refuse(args, &error))?;
     let seconds = begun.elapsed().as_secs_f64();
     let BlockAddress { seed, iteration, shard } = args.address;
     let (world, block_layout) = (&source.world, source.world.block_layout());
+    let recorded = if own {
+        recorded(&store::run_files::run_directory(&args.run_dir)?, args.address)?
+    } else {
+        None
+    };
     let summary = Summary {
         seed,
         iteration,
@@ -90,6 +103,8 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         policy: source.found.clone(),
         env_steps: world.block_env_steps(),
         blake3: blake3::hash(bytemuck::cast_slice(&block.numbers)).to_hex().to_string(),
+        same: recorded.map(|recorded| recorded == Digest::of_block(&block.numbers)),
+        recorded,
         returns: returns(&world.dimensions, block_layout, &block.numbers),
         seconds,
     };
@@ -97,20 +112,43 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         files::replace_output(path, &block.write().map_err(anyhow::Error::msg)?)?;
     }
     if args.json {
-        return output::json(&summary);
+        output::json(&summary)?;
+    } else {
+        output::line(&text(&summary))?;
     }
+    if summary.same == Some(false) { Err(NotTheSame.into()) } else { Ok(()) }
+}
+
+/// As a person reads it.
+fn text(summary: &Summary) -> String {
+    let Summary { seed, iteration, shard, policy_version, seconds, .. } = summary;
+    let same = match summary.same {
+        Some(true) => "\n            as the learner recorded it",
+        Some(false) => {
+            "\n            another one than the learner trained on: the policy, config.toml, robot.toml \
+                        or metrics.jsonl was changed, or this program simulates otherwise"
+        }
+        None => "",
+    };
     let mean = summary.returns.iter().sum::<f64>() / summary.returns.len().max(1) as f64;
-    output::line(&format!(
+    format!(
         "block       seed {seed}, iteration {iteration}, shard {shard}\n\
-         policy      version {}, {}\n\
+         policy      version {policy_version}, {}\n\
          env-steps   {} in {seconds:.3} s\n\
          return      {mean:.3}\n\
-         blake3      {}",
-        summary.policy_version,
+         blake3      {}{same}",
         summary.policy,
         grouped(summary.env_steps),
         summary.blake3,
-    ))
+    )
+}
+
+/// The digest that the run's learner recorded of the block; none if it recorded none.
+fn recorded(run_dir: &RunDir, address: BlockAddress) -> anyhow::Result<Option<Digest>> {
+    let lines = jsonl::read(&run_dir.metrics_jsonl())?;
+    let mut lines = lines.iter().filter(|(_, line)| line["iteration"] == address.iteration);
+    let digest = lines.next().and_then(|(_, line)| line["blocks"].get(address.shard as usize));
+    Ok(digest.and_then(|digest| digest.as_str()?.parse().ok()))
 }
 
 /// The block cannot be made: says why, and prints the environment.

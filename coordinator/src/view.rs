@@ -1,5 +1,7 @@
 //! `octopus view`: the robot in a browser.
 
+mod episode;
+
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -17,11 +19,12 @@ use serde_json::json;
 use service::client::Client;
 use service::http::{OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
 use service::page::{self, Enclosed};
-use store::checkpoint::{CONFIG, Checkpoint, MANIFEST, Name, Selector};
+use store::checkpoint::{CONFIG, Checkpoint, CheckpointStore, MANIFEST, Selector};
 use store::lock::RunLock;
 use store::outputs::{Input, Output};
 use store::owned_files;
 
+use self::episode::Episode;
 use crate::serve::{no_store, runs_in};
 use crate::values::address;
 
@@ -32,17 +35,22 @@ Examples:
   octopus view runs
   octopus view deploy/policies/trajectory --open
   octopus view runs/trajectory-20260101-120000:best --out robot.html
+  octopus view episode.json --policy runs/a:best
 
 Prints an address for a browser of this machine; of a run that goes on it is that of the run itself, and shows it. The \
 address holds the token of the service: whoever has it may do what you may. Anything else is served, for looking only, \
-until Ctrl-C; of a directory of runs all of them, side by side. With --out the page, the simulator and the policy become one file that needs neither server nor network.";
+until Ctrl-C; of a directory of runs all of them, side by side. With --out the page, the simulator and the policy become one file that needs neither server nor network.
+
+An episode that the page saved plays again, with the policies that took part, in their order. So does one of \
+`octopus record`, by the policy that it names; robot viewers show that, too.";
 
 /// Options of `octopus view`.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = VIEW_EXAMPLES)]
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of the command line")]
 pub struct ViewArgs {
-    /// A run, a checkpoint such as RUN:best, the directory of a policy, or one of runs [default: the newest run in runs/].
+    /// A run, a checkpoint such as RUN:best, the directory of a policy, one of runs, or the file of an episode [default: the
+    /// newest run in runs/].
     pub what: Option<PathBuf>,
     /// Let the address change nothing, also that of a run that goes on.
     #[arg(long, conflicts_with = "out")]
@@ -56,6 +64,9 @@ pub struct ViewArgs {
     /// Overwrite the file if it exists.
     #[arg(long, requires = "out")]
     pub force: bool,
+    /// A policy of the episode in the file, once for each of them, in their order.
+    #[arg(long = "policy", value_name = "CHECKPOINT")]
+    pub policies: Vec<PathBuf>,
     /// Another policy for the arms to choose from, in the file; may be repeated.
     #[arg(long, value_name = "CHECKPOINT", requires = "out")]
     pub with: Vec<PathBuf>,
@@ -84,8 +95,16 @@ pub fn run(args: &ViewArgs) -> anyhow::Result<()> {
         Some(what) => what.clone(),
         None => newest_run()?,
     };
+    let mut episode = Episode::read(&what, &args.policies)?;
+    if episode.is_none() && !args.policies.is_empty() {
+        let message = format!(
+            "--policy: {} is no file of an episode, which alone has policies",
+            what.display()
+        );
+        return Err(ExitError::new(ExitCode::Usage, message).into());
+    }
     if let Some(out) = &args.out {
-        return write(args, &what, out);
+        return write(args, &what, episode.as_mut(), out);
     }
     let token = Token::find(args.token_file.as_deref())?;
     let live = RunLock::own_holder(&RunDir::new(&what).lock());
@@ -99,21 +118,44 @@ pub fn run(args: &ViewArgs) -> anyhow::Result<()> {
         }
         return Ok(());
     }
-    serve(args, &what, token)
+    serve(args, &what, episode.as_mut(), token)
 }
 
-/// Serves what lies on the disk until Ctrl-C; nothing of it can be changed.
-fn serve(args: &ViewArgs, what: &Path, token: Option<Token>) -> anyhow::Result<()> {
-    let runs = is_of_runs(what).then(|| what.to_owned());
-    let (store, name) = if let Some(dir) = &runs {
-        (no_store(dir), None)
-    } else {
+/// What a service shows.
+struct Shown {
+    /// The directory of runs, if it is one.
+    runs: Option<PathBuf>,
+    store: CheckpointStore,
+    /// What the page shows first, as its address says it.
+    first: Option<String>,
+}
+
+impl Shown {
+    fn of(what: &Path, episode: Option<&mut Episode>) -> anyhow::Result<Self> {
+        if let Some(episode) = episode {
+            let store = episode.store()?;
+            let first = Some(format!("play={}", episode.recording.fragment()?));
+            return Ok(Self { runs: None, store, first });
+        }
+        if is_of_runs(what) {
+            return Ok(Self { runs: Some(what.to_owned()), store: no_store(what), first: None });
+        }
         let selector = Selector::from_path(what).map_err(|message| {
             ExitError::new(ExitCode::Usage, format!("{}: {message}", what.display()))
         })?;
         let (store, name) = selector.locate()?;
-        (store, Some(name))
-    };
+        Ok(Self { runs: None, store, first: Some(format!("policy={name}")) })
+    }
+}
+
+/// Serves what lies on the disk until Ctrl-C; nothing of it can be changed.
+fn serve(
+    args: &ViewArgs,
+    what: &Path,
+    episode: Option<&mut Episode>,
+    token: Option<Token>,
+) -> anyhow::Result<()> {
+    let Shown { runs, store, first } = Shown::of(what, episode)?;
     let stop = StopRequests::new();
     stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     // Its own, for as long as it serves.
@@ -126,8 +168,7 @@ fn serve(args: &ViewArgs, what: &Path, token: Option<Token>) -> anyhow::Result<(
         read_only: true,
         ..ServiceSpec::new(store, own.clone())
     })?;
-    let name = name.as_ref().map(Name::as_str);
-    let address = own.page_address(&service.address().to_string(), name);
+    let address = own.page_address(&service.address().to_string(), first.as_deref());
     tell(args, &address)?;
     let opened = args.open.then(|| Opened::begin(&address)).transpose()?;
     while stop.count() == 0 {
@@ -158,19 +199,39 @@ fn tell(args: &ViewArgs, address: &str) -> anyhow::Result<()> {
 }
 
 /// Writes the one file.
-fn write(args: &ViewArgs, what: &Path, out: &Path) -> anyhow::Result<()> {
+fn write(
+    args: &ViewArgs,
+    what: &Path,
+    episode: Option<&mut Episode>,
+    out: &Path,
+) -> anyhow::Result<()> {
     let mut inputs = vec![what.to_owned()];
-    inputs.extend(args.with.iter().cloned());
+    inputs.extend(args.policies.iter().chain(&args.with).cloned());
     let read: Vec<Input<'_>> = inputs.iter().map(|path| ("CHECKPOINT", path.as_path())).collect();
     Output { flag: "--out", path: out, mark: page::SINGLE_MARK.as_bytes(), force: args.force }
         .check(&read)?;
-    let mut enclosed: Vec<Enclosed> = Vec::new();
-    for path in &inputs {
-        let checkpoint = open_checkpoint(path)?;
-        let name = name_for(&checkpoint, &enclosed);
-        enclosed.extend(lab::standalone::enclosed(&checkpoint, &name)?);
+    let mut policies = match &episode {
+        Some(episode) => episode.open()?,
+        None => vec![open_checkpoint(what)?],
+    };
+    let own = policies.len();
+    for path in &args.with {
+        policies.push(open_checkpoint(path)?);
     }
-    let text = page::single(&enclosed).context("the page has no frame")?;
+    let mut enclosed: Vec<Enclosed> = Vec::new();
+    let mut names = Vec::new();
+    for checkpoint in &policies {
+        names.push(name_for(checkpoint, &names));
+        let name = names.last().expect("just named");
+        enclosed.extend(lab::standalone::enclosed(checkpoint, name)?);
+    }
+    let names: Vec<&str> = names[..own].iter().map(String::as_str).collect();
+    let played = episode.map(|episode| {
+        episode.rename(&names, &policies);
+        episode.recording.fragment()
+    });
+    let text = page::single(&enclosed, played.transpose()?.as_deref());
+    let text = text.context("the page has no frame")?;
     std::fs::write(out, text).map_err(|error| {
         ExitError::new(
             ExitCode::RunDirectory,
@@ -181,13 +242,12 @@ fn write(args: &ViewArgs, what: &Path, out: &Path) -> anyhow::Result<()> {
 }
 
 /// A checkpoint's own name, told apart from those before it.
-fn name_for(checkpoint: &Checkpoint, enclosed: &[Enclosed]) -> String {
+fn name_for(checkpoint: &Checkpoint, before: &[String]) -> String {
     let own = checkpoint.dir.file_name().map_or("policy".into(), |name| name.to_string_lossy());
-    let taken = |name: &str| enclosed.iter().any(|file| file.policy == name);
     // One of these many names is free.
-    let later = (2..=enclosed.len() + 1).map(|count| format!("{own}-{count}"));
+    let later = (2..=before.len() + 1).map(|count| format!("{own}-{count}"));
     let mut names = std::iter::once(own.to_string()).chain(later);
-    names.find(|name| !taken(name)).expect("there are more names than policies")
+    names.find(|name| !before.contains(name)).expect("there are more names than policies")
 }
 
 /// The run in `runs/` that was changed last.

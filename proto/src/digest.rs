@@ -1,10 +1,23 @@
-//! The 128-bit fingerprint of a training state.
+//! The 128-bit fingerprint of a training state or of a block.
 
 use std::fmt;
 
 /// BLAKE3 truncated to 128 bits, written as 32 hexadecimal digits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Digest(pub [u8; 16]);
+
+impl Digest {
+    /// Of a block: of its numbers as they lie in memory.
+    pub fn of_block(numbers: &[f32]) -> Self {
+        Self::short(&blake3::hash(bytemuck::cast_slice(numbers)))
+    }
+
+    fn short(hash: &blake3::Hash) -> Self {
+        let mut short = [0; 16];
+        short.copy_from_slice(&hash.as_bytes()[..16]);
+        Self(short)
+    }
+}
 
 /// Hashes named tensors and counters into a [`Digest`].
 #[derive(Debug, Default)]
@@ -38,9 +51,7 @@ impl DigestBuilder {
 
     /// The digest of everything added.
     pub fn finish(&self) -> Digest {
-        let mut short = [0; 16];
-        short.copy_from_slice(&self.0.finalize().as_bytes()[..16]);
-        Digest(short)
+        Digest::short(&self.0.finalize())
     }
 }
 
@@ -89,6 +100,15 @@ mod tests {
         let mut pieces = DigestBuilder::new();
         pieces.begin("a", 5).piece(b"by").piece(b"").piece(b"tes").begin("b", 0);
         assert_eq!(pieces.finish(), whole);
+    }
+
+    #[test]
+    fn a_blocks_digest_begins_the_hash_of_its_bytes() {
+        let numbers = [1.0_f32, -0.0, f32::MIN_POSITIVE];
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        let hash = blake3::hash(&bytes).to_hex().to_string();
+        assert_eq!(Digest::of_block(&numbers).to_string(), hash[..32]);
+        assert_ne!(Digest::of_block(&[0.0]), Digest::of_block(&[-0.0]), "bits, not values");
     }
 
     #[test]

@@ -152,6 +152,8 @@ pub enum Progress {
         shard: u32,
         /// Whether it was there already.
         duplicate: bool,
+        /// Digest of its numbers.
+        digest: Digest,
     },
     /// An iteration is trained on, and policy `iteration + 1` is published.
     IterationDone(Box<IterationReport>),

@@ -2,14 +2,18 @@
 
     page.py CHROMIUM file FILE.html                     the one file, without a network
     page.py CHROMIUM served ADDRESS                     the page of a service, at the address that holds its token
-    page.py CHROMIUM pictures ADDRESS FOLDER            pictures of it
+    page.py CHROMIUM replayed ADDRESS|FILE.html         the page of an episode
 
 Prints what was found as JSON; exit status 1 and a sentence where something is not as it should be.
 """
 
+import http.server
 import json
 import sys
+import threading
 import time
+import urllib.error
+import urllib.request
 from contextlib import contextmanager
 
 from playwright.sync_api import sync_playwright
@@ -213,13 +217,38 @@ def one_file(chromium, path):
         found = play(context, "file://" + path)
         outside = [url for url in asked if not url.startswith(("file:", "blob:", "data:"))]
         check(not outside, "the file asks for %s" % outside)
-        narrow = opened.new_context(viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
-        phone = Page(narrow, "file://" + path)
-        phone.ready()
-        width = phone.tab.evaluate("document.documentElement.scrollWidth")
-        check(width <= 390, "the page is %d pixels wide on a phone of 390" % width)
-        phone.quiet()
+        on_a_phone(opened, path)
         return found
+
+
+def on_a_phone(opened, path):
+    """All is within its width, and fingers do what a pointer does."""
+    narrow = opened.new_context(viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
+    phone = Page(narrow, "file://" + path)
+    phone.ready()
+    width = phone.tab.evaluate("document.documentElement.scrollWidth")
+    check(width <= 390, "the page is %d pixels wide on a phone of 390" % width)
+    phone.wait("timeline.head >= 4")
+    phone.tab.tap(".transport .play")
+    phone.wait("!timeline.playing && timeline.cursor === Math.floor(timeline.cursor)")
+    goals = phone.room("[...timeline.frames[0].hand_goals]")
+    phone.tab.tap("button:has-text('New goals')")
+    phone.wait("timeline.start.episode === 1")
+    check(phone.room("[...timeline.frames[0].hand_goals]") != goals, "a tap gives the goals of before")
+    phone.tab.tap(".transport button[aria-label='A control step on']")
+    phone.wait("timeline.head >= 1 && timeline.cursor === 1")
+    # Two fingers' width of the background turn the view and push nothing.
+    seen = phone.room("room.view.stage.camera.position.toArray()")
+    box = phone.tab.locator(".scene canvas").bounding_box()
+    touch = narrow.new_cdp_session(phone.tab)
+    at = lambda x: [{"x": box["x"] + x, "y": box["y"] + 30}]
+    touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": at(40)})
+    for x in (60, 90, 120):
+        touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": at(x)})
+    touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    phone.wait("room.view.stage.camera.position.distanceTo({ x: %f, y: %f, z: %f }) > 0.05" % tuple(seen))
+    check(phone.room("timeline.events.length") == 0, "a finger on the background pushes something")
+    phone.quiet()
 
 
 def served(chromium, address):
@@ -237,24 +266,66 @@ def served(chromium, address):
         stranger.fill(".sign-in input", "0123456789abcdef0123")
         stranger.click(".sign-in button")
         stranger.wait_for_selector("text=does not know this token", timeout=WAIT)
+        check(stranger.evaluate("typeof spaceoctopus") == "undefined", "a wrong token opens a room")
+        # Whoever then knows it is let in.
+        stranger.fill(".sign-in input", address.rpartition("token=")[2])
+        stranger.click(".sign-in button")
+        stranger.wait_for_selector("body[data-ready]", timeout=WAIT)
+        end = time.monotonic() + WAIT / 1000
+        while stranger.evaluate("spaceoctopus.timeline.head") < 2:
+            check(time.monotonic() < end, "the robot does not move after the right token")
+        strangers(opened, address)
         return found
 
 
-def pictures(chromium, address, folder):
-    sizes = {"light": (1440, 900, "light"), "dark": (1440, 900, "dark"), "phone": (390, 844, "light")}
+def strangers(opened, address):
+    """A page of another origin gets nothing, with the token neither; nor does a program that says it is one."""
+    base, _, fragment = address.partition("#")
+    token = fragment.rpartition("token=")[2]
+
+    class Empty(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("content-type", "text/html")
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with http.server.HTTPServer(("127.0.0.1", 0), Empty) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        tab = opened.new_context().new_page()
+        tab.goto("http://127.0.0.1:%d/" % server.server_port)
+        asked = """([url, headers]) => fetch(url, { headers }).then((r) => r.status, () => "refused")"""
+        for headers in ({}, {"authorization": "Bearer " + token}):
+            found = tab.evaluate(asked, [base + "v1/checkpoints", headers])
+            check(found == "refused", "a page of another origin is answered: %s" % found)
+        server.shutdown()
+    for headers, expected in (({"Origin": "http://evil.example"}, 403), ({"Origin": base.rstrip("/")}, 200)):
+        request = urllib.request.Request(base + "v1/checkpoints", headers={"Authorization": "Bearer " + token, **headers})
+        try:
+            status = urllib.request.urlopen(request).status
+        except urllib.error.HTTPError as error:
+            status = error.code
+        check(status == expected, "%s is answered with %d" % (headers, status))
+
+
+def replayed(chromium, address):
+    """An episode that an address or a file holds is played to its end."""
     with browser(chromium) as opened:
-        for name, (width, height, scheme) in sizes.items():
-            page = Page(opened.new_context(viewport={"width": width, "height": height}, color_scheme=scheme), address)
-            page.ready()
-            page.wait("timeline.head >= 30")
-            time.sleep(1)
-            page.tab.screenshot(path="%s/%s.png" % (folder, name))
-    return {}
+        page = Page(opened.new_context(viewport={"width": 700, "height": 520}), address if "://" in address else "file://" + address)
+        page.ready()
+        page.wait("timeline.playing")
+        steps = page.room("timeline.head")
+        events = page.room("timeline.events.length")
+        page.room("timeline.seek(%d)" % steps)
+        page.quiet()
+        return {"steps": steps, "events": events, "last": page.state(steps)}
 
 
 def main():
     chromium, what, *rest = sys.argv[1:]
-    run = {"file": one_file, "served": served, "pictures": pictures}[what]
+    run = {"file": one_file, "served": served, "replayed": replayed}[what]
     print(json.dumps(run(chromium, *rest)))
 
 

@@ -2,22 +2,20 @@
 
     page_run.py CHROMIUM live ADDRESS                   a run that has just begun; prints `resume` when it wants that
     page_run.py CHROMIUM rest ADDRESS                   a run that is over, for looking only
+    page_run.py CHROMIUM gone ADDRESS SECONDS           the same; prints `stop` and `start` when the service shall go and come again
     page_run.py CHROMIUM runs ADDRESS                   a directory of runs: `a` and `b` differ in their seeds, `c` in more
 
 Prints what was found as JSON on the last line; exit status 1 and a sentence where something is not as it should be.
 """
 
-import http.server
 import json
 import os
 import signal
 import sys
 import tarfile
-import threading
-import urllib.error
-import urllib.request
+import time
 
-from page import Page, browser, check
+from page import Page, browser, check, strangers
 
 # What Chromium writes down by itself while nobody listens.
 GONE = ("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_INCOMPLETE_CHUNKED_ENCODING", "ERR_EMPTY_RESPONSE")
@@ -96,6 +94,9 @@ def checkpoints(page):
     page.tab.once("dialog", lambda dialog: dialog.accept("mine"))
     page.tab.click(row + "button[aria-label^=Tag]")
     page.tab.wait_for_selector(row + ".tag:has-text('mine')")
+    page.tab.click(row + "button[aria-label^=Promote]")
+    page.tab.wait_for_selector(row + ".tag:has-text('promoted')")
+    page.tab.wait_for_selector(row + "button[aria-label^=Promote][aria-pressed=true]")
     with page.tab.expect_download() as download:
         page.tab.click(row + "button[aria-label^=Download]")
     with tarfile.open(download.value.path()) as archive:
@@ -104,6 +105,68 @@ def checkpoints(page):
     page.wait("room.element.hidden === false && room.current === '%s' && timeline.head >= 6" % name)
     page.tab_named("Run")
     return name
+
+
+def click_block(page, name):
+    """A block on the time line is made again, of an iteration whose policy is kept."""
+    iteration = int(name.rpartition("-")[2])
+    page.hears("f.metrics.lines.some((l) => l.iteration === %d)" % iteration)
+    clicked = page.tab.evaluate(
+        """(iteration) => {
+            const line = run.timeLine;
+            line.span.value = "60";
+            line.draw();
+            const box = line.boxes.findLast(({ it }) => it.what === "block" && it.iteration === iteration);
+            if (box === undefined) return undefined;
+            const place = line.canvas.getBoundingClientRect(), row = 22;
+            const at = { clientX: place.left + box.x + 0.01, clientY: place.top + (box.row + 0.5) * row, bubbles: true };
+            line.canvas.dispatchEvent(new PointerEvent("click", at));
+            return box.it.shard; }""",
+        iteration,
+    )
+    check(clicked is not None, "iteration %d is not on the time line" % iteration)
+    page.tab.wait_for_selector(".made[data-verdict=same]:has-text('iteration %d,')" % iteration)
+
+
+def made_again(page):
+    """Blocks of kept policies are what the learner recorded; of another record the page says so."""
+    offered = page.tab.eval_on_selector_all(".blocks option", "(all) => all.map((o) => Number(o.value))")
+    check(len(offered) > 0, "no block is offered")
+    line = page.feed("f.metrics.lines.find((l) => l.iteration === %d)" % offered[0])
+    for shard in (0, len(line["blocks"]) - 1):
+        page.tab.fill(".blocks input", str(shard))
+        page.tab.click(".blocks button")
+        page.tab.wait_for_selector(".made[data-verdict=same]:has-text('shard %d,')" % shard)
+        digest = page.tab.get_attribute(".made", "data-digest")
+        check(digest == line["blocks"][shard], "the page says %s, the record %s" % (digest, line["blocks"][shard]))
+    page.feed("f.metrics.lines.find((l) => l.iteration === %d).blocks[0] = '%s'" % (offered[0], "0" * 32))
+    page.tab.fill(".blocks input", "0")
+    page.tab.click(".blocks button")
+    page.tab.wait_for_selector(".made[data-verdict=another]:has-text('%s')" % ("0" * 32))
+    page.feed("f.metrics.lines.find((l) => l.iteration === %d).blocks[0] = '%s'" % (offered[0], line["blocks"][0]))
+    # Whose policy is gone cannot be.
+    gone = page.feed("f.metrics.lines.find((l) => ![%s].includes(l.iteration)).iteration" % ", ".join(map(str, offered)))
+    page.tab.evaluate("(iteration) => run.blocks.make(iteration, 0)", gone)
+    page.tab.wait_for_selector(".made[data-verdict=unknown]:has-text('was not kept')")
+    return offered[0]
+
+
+def compared(page):
+    """Two checkpoints side by side, with the numbers of the service."""
+    names = page.feed("f.checkpoints.filter((c) => c.kind === 'training').map((c) => c.name)")
+    first, second = names[0], names[-1]
+    for name in (first, second):
+        page.tab.click(".checkpoints tr[data-name='%s'] button[aria-label^=Compare]" % name)
+    page.tab.wait_for_selector(".comparison tbody tr:has-text('Iterations')")
+    cells = page.tab.locator(".comparison tbody tr:has-text('Iterations') td.number").all_inner_texts()
+    expected = [str(page.feed("f.checkpoints.find((c) => c.name === '%s').iteration" % name)) for name in (first, second)]
+    check(cells == expected, "compared are the iterations %s, not %s" % (cells, expected))
+    moved = page.tab.locator(".comparison tr[data-tensor] td:nth-child(2)").all_text_contents()
+    check(len(moved) > 0 and any(float(norm) > 0 for norm in moved), "no tensor has moved: %s" % moved)
+    page.tab.click(".checkpoints tr[data-name='%s'] button[aria-label^=Compare]" % first)
+    page.tab.wait_for_selector(".comparison:has-text('choose a second one')")
+    page.tab.click(".checkpoints tr[data-name='%s'] button[aria-label^=Compare]" % second)
+    page.tab.wait_for_selector(".comparison", state="hidden")
 
 
 def click_curve(page, name):
@@ -144,38 +207,6 @@ def stopped_and_resumed(page):
     page.hears("f.happened.some((h) => h.what === 'block')")
 
 
-def strangers(opened, address):
-    """A page of another origin gets nothing, with the token neither; nor does a program that says it is one."""
-    base, _, fragment = address.partition("#")
-    token = fragment.rpartition("token=")[2]
-
-    class Empty(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200)
-            self.send_header("content-type", "text/html")
-            self.end_headers()
-
-        def log_message(self, *_):
-            pass
-
-    with http.server.HTTPServer(("127.0.0.1", 0), Empty) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        tab = opened.new_context().new_page()
-        tab.goto("http://127.0.0.1:%d/" % server.server_port)
-        asked = """([url, headers]) => fetch(url, { headers }).then((r) => r.status, () => "refused")"""
-        for headers in ({}, {"authorization": "Bearer " + token}):
-            found = tab.evaluate(asked, [base + "v1/checkpoints", headers])
-            check(found == "refused", "a page of another origin is answered: %s" % found)
-        server.shutdown()
-    for headers, expected in (({"Origin": "http://evil.example"}, 403), ({"Origin": base.rstrip("/")}, 200)):
-        request = urllib.request.Request(base + "v1/checkpoints", headers={"Authorization": "Bearer " + token, **headers})
-        try:
-            status = urllib.request.urlopen(request).status
-        except urllib.error.HTTPError as error:
-            status = error.code
-        check(status == expected, "%s is answered with %d" % (headers, status))
-
-
 def live(chromium, address):
     with browser(chromium) as opened:
         context = opened.new_context(viewport={"width": 900, "height": 640}, accept_downloads=True)
@@ -185,6 +216,8 @@ def live(chromium, address):
         death(page)
         scaled(page)
         name = checkpoints(page)
+        click_block(page, name)
+        made_again(page)
         click_curve(page, name)
         follows(page)
         page.quiet()
@@ -211,9 +244,45 @@ def rest(chromium, address):
         check(page.tab.locator(".run-room .slider").count() == 0, "a run that is over is offered workers")
         status = page.tab.evaluate("fetch('v1/workers', { method: 'PUT', body: '{}', headers: { authorization: 'Bearer ' + sessionStorage.token } }).then((r) => r.status)")
         check(status == 403, "a change is answered with %d" % status)
+        made_again(page)
+        compared(page)
         page.errors = [error for error in page.errors if "403" not in error]
         page.quiet()
         return {"iterations": page.consecutive()}
+
+
+def gone(chromium, address, seconds):
+    """While nobody answers the robot plays on; afterwards all is as it was, and other policies can be had."""
+    with browser(chromium) as opened:
+        page = RunPage(opened.new_context(viewport={"width": 900, "height": 640}), address)
+        page.ready()
+        page.hears("f.metrics.lines.length > 3")
+        count = page.consecutive()
+        page.wait("timeline.playing && timeline.head >= 2")
+        print("stop", flush=True)
+        page.hears("!f.heard")
+        at = page.room("timeline.head")
+        until = time.monotonic() + float(seconds)
+        page.wait("timeline.head >= %d" % (at + 5))
+        while time.monotonic() < until:
+            check(not page.feed("f.heard"), "somebody answers")
+            time.sleep(0.2)
+        page.tab_named("Run")
+        page.tab.wait_for_selector(".lost", state="visible")
+        # What is at hand needs nobody.
+        page.tab_named("Robot")
+        page.press("n")
+        page.wait("timeline.start.episode === 1 && timeline.head >= 3")
+        print("start", flush=True)
+        page.hears("f.heard")
+        page.tab.wait_for_selector(".lost", state="hidden")
+        check(page.consecutive() == count, "iterations are lost or stand twice")
+        other = page.room("room.policies.map(({ name }) => name).find((name) => name !== room.current)")
+        page.tab.select_option("select.policy", other)
+        page.wait("room.current === '%s' && timeline.events.filter(({ event }) => event.arm !== undefined).length >= 4" % other)
+        page.errors = [error for error in page.errors if not any(gone in error for gone in GONE)]
+        page.quiet()
+        return {"iterations": count}
 
 
 def runs(chromium, address):
@@ -240,7 +309,7 @@ def runs(chromium, address):
 
 def main():
     chromium, what, *rest_ = sys.argv[1:]
-    run = {"live": live, "rest": rest, "runs": runs}[what]
+    run = {"live": live, "rest": rest, "gone": gone, "runs": runs}[what]
     print(json.dumps(run(chromium, *rest_)), flush=True)
 
 

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use serde_json::Value;
 use tests::{Run, SMALL, octopus, stderr};
 
 /// Runs `octopus` and expects `code` and every one of `words` on standard error.
@@ -259,6 +260,22 @@ fn what_a_finished_run_cannot_do_is_said_before_anything_else() {
     refused(&["rollout", path, "--address=7/3/1"], 5, &words);
     let output = octopus(&["rollout", path, "--address=7/5/1"]);
     assert!(output.status.success(), "{}", stderr(&output));
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains("as the learner recorded it"), "{said}");
+    // A block that is not the recorded one is shown, and is no success.
+    let metrics = run.path().join("metrics.jsonl");
+    let before = std::fs::read_to_string(&metrics).expect("metrics");
+    let digest = run.metrics()[5]["blocks"][1].as_str().expect("a digest").to_owned();
+    let other = before.replace(&digest, "00000000000000000000000000000000");
+    std::fs::write(&metrics, other).expect("writes");
+    let output = octopus(&["rollout", path, "--address=7/5/1", "--json"]);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let said: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(
+        (&said["same"], said["blake3"].as_str().map(|all| &all[..32])),
+        (&false.into(), Some(&*digest))
+    );
+    std::fs::write(&metrics, before).expect("writes");
     // A smaller budget changes nothing, and is not said to.
     let output = octopus(&["resume", path, "--iterations=3"]);
     assert!(output.status.success(), "{}", stderr(&output));

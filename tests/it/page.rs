@@ -1,6 +1,7 @@
 //! The page, in a real browser. Skipped, with a word, where there is no Chromium or the program has no page.
 
 use std::io::{BufRead as _, BufReader};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -24,8 +25,17 @@ fn chromium() -> Option<PathBuf> {
     chromium
 }
 
+/// Whether all is tried, and not only what takes less than a minute.
+fn in_full() -> bool {
+    std::env::var_os("SPACEOCTOPUS_WEB_TEST").is_some()
+}
+
 fn policy() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/policies/trajectory")
+    policy_of("trajectory")
+}
+
+fn policy_of(task: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/policies").join(task)
 }
 
 /// What the script found.
@@ -62,6 +72,110 @@ fn one_file_shows_the_robot_without_a_network() {
     std::fs::write(&file, "somebody's").expect("writes");
     let refused = octopus(&["view", what.to_str().expect("UTF-8"), "--out", &out]);
     assert_eq!(refused.status.code(), Some(5), "{}", stderr(&refused));
+}
+
+/// Goals that are turned, arms that are held and limp; in full also other masses, late commands, and a robot of two policies
+/// whose base's goal is turned. The native program then does all that again, with the same bits.
+#[test]
+fn what_is_done_to_the_robot_is_done_again_natively_to_the_bit() {
+    let Some(chromium) = chromium() else { return };
+    let dir = tempfile::tempdir().expect("a directory");
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    let [trajectory, reorientation] =
+        ["trajectory", "reorientation"].map(|task| policy_of(task).display().to_string());
+    let file = at("robot.html");
+    let written = octopus(&["view", &trajectory, "--with", &reorientation, "--out", &file]);
+    assert!(written.status.success(), "{}", stderr(&written));
+    let form = if in_full() { "full" } else { "short" };
+    let found = browse_by("page_hold.py", &chromium, &[form, &file]);
+    let mut hash = blake3::Hasher::new();
+    for state in found["states"].as_array().expect("states") {
+        for bits in state.as_array().expect("numbers") {
+            let bits = bits.as_u64().and_then(|bits| u32::try_from(bits).ok()).expect("a number");
+            hash.update(&bits.to_le_bytes());
+        }
+    }
+    let recording = at("episode.json");
+    std::fs::write(&recording, found["recording"].to_string()).expect("writes");
+    let again = ["experiment", "episode", "--json", "--script", &recording];
+    let again =
+        octopus(&[&again[..], &["--policy", &trajectory, "--policy", &reorientation]].concat());
+    assert!(again.status.success(), "{}", stderr(&again));
+    let again: Value = serde_json::from_slice(&again.stdout).expect("JSON");
+    assert_eq!(again["states_blake3"], hash.finalize().to_hex().to_string());
+    let states = found["states"].as_array().map_or(0, Vec::len);
+    assert_eq!(again["steps"], states - 1);
+
+    // The file of the episode opens in the page, and plays to the same end.
+    let shown = at("episode.html");
+    let policies = ["--policy", &trajectory, "--policy", &reorientation];
+    let written = octopus(&[&["view", &recording, "--out", &shown][..], &policies].concat());
+    assert!(written.status.success(), "{}", stderr(&written));
+    let replayed = browse(&chromium, &["replayed", &shown]);
+    assert_eq!(replayed["last"], found["states"][states - 1]);
+    let (viewed, address) = Viewed::of(&[&[&*recording][..], &policies].concat());
+    assert!(address.contains("/#play="), "{address}");
+    let replayed = browse(&chromium, &["replayed", &address]);
+    assert_eq!(replayed["last"], found["states"][states - 1]);
+    drop(viewed);
+}
+
+/// A recording for robot viewers is played by the policy that it names.
+#[test]
+fn a_recorded_episode_is_shown() {
+    let Some(chromium) = chromium() else { return };
+    let dir = tempfile::tempdir().expect("a directory");
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    let what = policy().display().to_string();
+    let (mcap, csv, html) = (at("reach.mcap"), at("reach.csv"), at("reach.html"));
+    let made = ["record", &what, "--out", &mcap, "--csv", &csv, "--steps=20", "--episode=3"];
+    let made = octopus(&made);
+    assert!(made.status.success(), "{}", stderr(&made));
+    let written = octopus(&["view", &mcap, "--out", &html]);
+    assert!(written.status.success(), "{}", stderr(&written));
+    let replayed = browse(&chromium, &["replayed", &html]);
+    let table = std::fs::read_to_string(&csv).expect("columns");
+    let last = table.lines().last().expect("a row").split(',').skip(1).take(3);
+    let last: Vec<f32> = last.map(|number| number.parse().expect("a number")).collect();
+    let shown = replayed["last"].as_array().expect("numbers").iter().take(3);
+    let shown: Vec<f32> =
+        shown.map(|bits| f32::from_bits(bits.as_u64().expect("bits") as u32)).collect();
+    assert_eq!(shown, last, "the base is where the recording has it");
+
+    // What is no episode, or has other policies, is refused in words.
+    let text = at("text.json");
+    std::fs::write(&text, "{\"steps\": \"five\"}").expect("writes");
+    let other = policy_of("reorientation").display().to_string();
+    std::fs::write(at("cut.mcap"), &std::fs::read(&mcap).expect("there")[..1000]).expect("writes");
+    let script = at("script.json");
+    std::fs::write(&script, "{\"steps\": 5, \"events\": []}").expect("writes");
+    for (args, code, word) in [
+        (vec!["view", &text], 3, "is no recording"),
+        (vec!["view", &mcap, "--policy", &other], 3, "has the digest"),
+        (vec!["view", &at("cut.mcap")], 3, "Foxglove and Rerun open it"),
+        (vec!["view", &script], 3, "--policy CHECKPOINT"),
+        (vec!["view", &what, "--policy", &other], 2, "is no file of an episode"),
+    ] {
+        let refused = octopus(&args);
+        assert_eq!(refused.status.code(), Some(code), "{args:?}: {}", stderr(&refused));
+        assert!(stderr(&refused).contains(word), "{args:?}: {}", stderr(&refused));
+    }
+}
+
+/// Every claim of the report, every box and every course leads to the episode behind it.
+#[test]
+fn what_the_report_says_can_be_watched() {
+    let Some(chromium) = chromium() else { return };
+    let dir = tempfile::tempdir().expect("a directory");
+    let out = dir.path().join("paper").display().to_string();
+    let policies = policy().join("..").display().to_string();
+    let args = ["--quick", "--episodes=2", "--steps=90", "--policies", &policies, "--out", &out];
+    let made = octopus(&[&["reproduce"], &args[..]].concat());
+    assert!(made.status.success(), "{}", stderr(&made));
+    let form = if in_full() { "full" } else { "short" };
+    let found = browse_by("page_report.py", &chromium, &[form, &out]);
+    assert_eq!(found["claims"], 11, "{found}");
+    assert!(found["clicked"].as_u64() > Some(5), "{found}");
 }
 
 /// `octopus view`, killed when dropped.
@@ -103,6 +217,51 @@ fn a_policy_is_served_to_whoever_has_the_address() {
     drop(viewed);
 }
 
+/// A run that is over: a block of a kept policy is made again in the page, and is what the learner recorded; checkpoints are compared. Then
+/// its service goes, for a minute in full, and comes again.
+#[test]
+fn a_finished_run_is_looked_at_and_its_service_goes_and_comes() {
+    let Some(chromium) = chromium() else { return };
+    let mut run = Run::train(&["--iterations=11", "--workers=1", "--overlap=1"]);
+    run.succeed();
+    let dir = tempfile::tempdir().expect("a directory");
+    let token = "correct-horse-battery-staple";
+    let file = dir.path().join("token");
+    std::fs::write(&file, token).expect("writes");
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).expect("own file");
+    let port = {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        listener.local_addr().expect("bound").port()
+    };
+    let path = run.path().display().to_string();
+    let listen = format!("--listen=127.0.0.1:{port}");
+    let file = format!("--token-file={}", file.display());
+    let view = || Viewed::of(&[path.as_str(), &listen, &file]).0;
+    let address = format!("http://127.0.0.1:{port}/#token={token}");
+
+    let mut viewed = Some(view());
+    browse_by("page_run.py", &chromium, &["rest", &address]);
+    let seconds = if in_full() { "60" } else { "2" };
+    let mut script = Command::new(python())
+        .arg(tests::crosscheck("page_run.py"))
+        .arg(&chromium)
+        .args(["gone", &address, seconds])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("Python can be started");
+    let said = BufReader::new(script.stdout.take().expect("piped"));
+    let mut script = Owned::from(script);
+    for line in said.lines() {
+        match line.expect("UTF-8").as_str() {
+            "stop" => viewed = None,
+            "start" => viewed = Some(view()),
+            _ => {}
+        }
+    }
+    assert!(script.succeeded(), "see above");
+    drop(viewed);
+}
+
 /// A run that trains until it is stopped, and keeps what it is told to.
 fn long_run() -> Run {
     Run::train(&["--iterations=1000000", "--workers=2", "--set=run.checkpoint_every=1000000"])
@@ -129,7 +288,7 @@ fn page_of(run: &Run) -> String {
 /// It takes minutes where a browser draws without a GPU, so only `make web-test` does it.
 #[test]
 fn a_run_is_followed_from_its_first_iteration() {
-    if std::env::var_os("SPACEOCTOPUS_WEB_TEST").is_none() {
+    if !in_full() {
         return eprintln!("skipped: `make web-test` does it");
     }
     let Some(chromium) = chromium() else { return };
@@ -162,7 +321,10 @@ fn a_run_is_followed_from_its_first_iteration() {
     let labels =
         std::fs::read_to_string(run.path().join("checkpoints").join(pinned).join("labels.json"));
     let labels: Value = serde_json::from_str(&labels.expect("labels")).expect("JSON");
-    assert_eq!((&labels["pinned"], &labels["tags"]), (&true.into(), &serde_json::json!(["mine"])));
+    assert_eq!(
+        (&labels["pinned"], &labels["tags"]),
+        (&true.into(), &serde_json::json!(["mine", "promoted"]))
+    );
     // Whoever watched may have seen fewer; none of them was another one.
     assert!(run.digests().len() as u64 >= found["iterations"].as_u64().expect("a number"));
 

@@ -10,5 +10,5 @@ mod panel;
 mod render;
 
 pub use axis::{Axis, Scale};
-pub use panel::{Item, Panel, Quantiles, line};
+pub use panel::{Item, Link, Panel, Place, Quantiles, line};
 pub use render::{Layout, render};

@@ -106,6 +106,28 @@ impl Item {
     }
 }
 
+/// A part of what is drawn that leads elsewhere.
+#[derive(Debug, Clone)]
+pub struct Link {
+    /// The address.
+    pub to: String,
+    /// What is there, in words.
+    pub what: String,
+    /// Where it is on the panel.
+    pub at: Place,
+}
+
+/// Where a link is on a panel.
+#[derive(Debug, Clone)]
+pub enum Place {
+    /// Everything between two values on the horizontal axis.
+    Between(f64, f64),
+    /// A line.
+    Along(Vec<(f64, f64)>),
+    /// A point.
+    Point(f64, f64),
+}
+
 /// One coordinate system.
 #[derive(Debug, Clone)]
 pub struct Panel {
@@ -117,19 +139,21 @@ pub struct Panel {
     pub y: Axis,
     /// What is drawn, the first at the back.
     pub items: Vec<Item>,
+    /// What leads elsewhere, the first at the back.
+    pub links: Vec<Link>,
 }
 
 impl Panel {
     /// With an even vertical axis, called `y`, for what is in it.
     pub fn linear(title: impl Into<String>, x: Axis, y: &str, items: Vec<Item>) -> Self {
         let y = Axis::around(y, items.iter().flat_map(Item::heights));
-        Self { title: title.into(), x, y, items }
+        Self { title: title.into(), x, y, items, links: Vec::new() }
     }
 
     /// With a logarithmic vertical axis, called `y`, for what is in it.
     pub fn log(title: impl Into<String>, x: Axis, y: &str, items: Vec<Item>) -> Self {
         let y = Axis::log(y, items.iter().flat_map(Item::heights));
-        Self { title: title.into(), x, y, items }
+        Self { title: title.into(), x, y, items, links: Vec::new() }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Panels put together into one picture. Legends stand above what is drawn, never on it.
 
+use std::fmt::Write as _;
+
 use anyhow::anyhow;
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -7,7 +9,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use crate::axis::Axis;
 use crate::palette::{FAINT, GRID, GROUND, INK, nth};
-use crate::panel::{Item, Panel};
+use crate::panel::{Item, Link, Panel, Place};
 
 /// Height of letters of a heading, the line below it, a panel's title, an axis's name, and everything else (px).
 const HEADING: u32 = 24;
@@ -70,18 +72,24 @@ pub fn render(panels: &[Panel], layout: &Layout) -> anyhow::Result<String> {
     let (width, height) =
         (layout.panel.0 * layout.columns as u32, layout.panel.1 * rows as u32 + above);
     let mut svg = String::new();
-    draw_all(&mut svg, (width, height), panels, rows, layout)
+    let links = draw_all(&mut svg, (width, height), panels, rows, layout)
         .map_err(|error| anyhow!("a picture cannot be drawn: {error}"))?;
     // Whoever reads a picture aloud says what its panels are about; a picture is as wide as there is room for.
     let body = svg.find('>').map_or("", |end| &svg[end + 1..]);
+    let body = body.replacen("</svg>", &format!("{links}</svg>"), 1);
     let heading = layout.heading.iter().map(|(heading, _)| heading.as_str());
     let titles = heading.chain(panels.iter().map(|panel| panel.title.as_str()));
     let label = titles.collect::<Vec<_>>().join("; ");
     Ok(format!(
         "<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\" role=\"img\" aria-label=\"{}\" \
          xmlns=\"http://www.w3.org/2000/svg\">{body}",
-        label.replace('&', "and").replace(['<', '>', '"'], " ")
+        plain(&label)
     ))
+}
+
+/// Without what has a meaning in SVG.
+fn plain(text: &str) -> String {
+    text.replace('&', "and").replace(['<', '>', '"'], " ")
 }
 
 fn letters(height: u32, color: RGBColor) -> TextStyle<'static> {
@@ -94,7 +102,8 @@ fn draw_all(
     panels: &[Panel],
     rows: usize,
     layout: &Layout,
-) -> Result<(), Failure> {
+) -> Result<String, Failure> {
+    let mut links = String::new();
     let mut root = SVGBackend::with_string(svg, size).into_drawing_area();
     if layout.ground {
         root.fill(&GROUND.rgb())?;
@@ -112,10 +121,10 @@ fn draw_all(
     };
     let areas = root.split_evenly((rows, layout.columns));
     for (index, (area, panel)) in areas.iter().zip(panels).enumerate() {
-        draw(area, panel, room(index % layout.columns))?;
+        links += &draw(area, panel, room(index % layout.columns))?;
     }
     root.present()?;
-    Ok(())
+    Ok(links)
 }
 
 /// How a piece of a legend looks.
@@ -144,8 +153,9 @@ fn label_room(axis: &Axis) -> u32 {
     ((CHARACTER * longest as f64 + NAME_ROOM) as u32).max(58)
 }
 
-/// Draws a panel, with so much room for the labels of its vertical axis (px).
-fn draw(area: &Area<'_>, panel: &Panel, label_room: u32) -> Result<(), Failure> {
+/// Draws a panel, with so much room for the labels of its vertical axis (px); returns its links, which nobody sees,
+/// to be laid over all.
+fn draw(area: &Area<'_>, panel: &Panel, label_room: u32) -> Result<String, Failure> {
     let area = area.margin(8, 6, 6, 20);
     let title = Text::new(panel.title.as_str(), (8, 2), letters(TITLE, INK.rgb()));
     area.draw(&title)?;
@@ -233,7 +243,39 @@ fn draw(area: &Area<'_>, panel: &Panel, label_room: u32) -> Result<(), Failure> 
             Item::Span { .. } => {}
         }
     }
-    Ok(())
+    let at = |point: (f64, f64)| chart.backend_coord(&point);
+    let mut links = String::new();
+    for Link { to, what, at: place } in &panel.links {
+        let shape = match place {
+            Place::Between(from, to) => {
+                let ((left, top), (right, bottom)) =
+                    (at((x.clamp(*from), y.high)), at((x.clamp(*to), y.low)));
+                let (width, height) = (right - left, bottom - top);
+                format!(
+                    "<rect x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\" fill=\"none\" pointer-events=\"all\"/>"
+                )
+            }
+            Place::Along(points) => {
+                let points = drawable(points).into_iter().map(at);
+                let points: Vec<String> = points.map(|(x, y)| format!("{x},{y}")).collect();
+                format!(
+                    "<polyline points=\"{}\" fill=\"none\" stroke=\"none\" stroke-width=\"9\" pointer-events=\"stroke\"/>",
+                    points.join(" ")
+                )
+            }
+            Place::Point(a, b) if x.shows(*a) && y.shows(*b) => {
+                let (x, y) = at((x.clamp(*a), y.clamp(*b)));
+                format!(
+                    "<circle cx=\"{x}\" cy=\"{y}\" r=\"8\" fill=\"none\" pointer-events=\"all\"/>"
+                )
+            }
+            Place::Point(..) => continue,
+        };
+        let what = plain(what);
+        let to = to.replace('&', "&amp;").replace('"', "%22");
+        let _ = writeln!(links, "<a href=\"{to}\"><title>{what}</title>{shape}</a>");
+    }
+    Ok(links)
 }
 
 /// The legend in lines under the title; returns where what is drawn may begin.
@@ -304,7 +346,29 @@ mod tests {
                 Item::Threshold { name: "limit".to_owned(), at: 25.0 },
                 Item::Span { name: "push".to_owned(), from: 4.0, to: 5.0 },
             ],
+            links: Vec::new(),
         }
+    }
+
+    #[test]
+    fn links_lie_over_what_they_are_of() {
+        let link = |at| Link { to: "there#a".to_owned(), what: "a < b".to_owned(), at };
+        let links = vec![
+            link(Place::Between(0.0, 5.0)),
+            link(Place::Along(vec![(0.0, 1.0), (10.0, 100.0)])),
+            link(Place::Point(10.0, 100.0)),
+            link(Place::Point(10.0, -1.0)),
+        ];
+        let svg = render(&[Panel { links, ..panel() }], &Layout::columns(1)).expect("drawn");
+        assert_eq!(
+            svg.matches("<a href=\"there#a\"><title>a   b</title>").count(),
+            3,
+            "no logarithm, no place"
+        );
+        let (_, line) = svg.split_once("<polyline points=\"").expect("a line");
+        let (line, _) = line.split_once("\" fill=\"none\" stroke=\"none\"").expect("its end");
+        let (x, y) = line.rsplit_once(' ').and_then(|(_, last)| last.split_once(',')).expect("two");
+        assert!(svg.contains(&format!("<circle cx=\"{x}\" cy=\"{y}\" r=\"8\"")), "{line}: {svg}");
     }
 
     #[test]

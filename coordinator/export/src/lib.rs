@@ -29,7 +29,7 @@ mod vectors;
 
 pub use block::{Block, BlockAddress};
 pub use error::ExportError;
-pub use recording::{Commanded, Recorded, Recording};
+pub use recording::{Commanded, Recorded, RecordedEpisode, Recording};
 pub use replay::{Difference, Replay, begun, replay_block, replay_motion};
 pub use source::{HeldOut, HeldOutError, Origin, Source};
 

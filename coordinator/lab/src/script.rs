@@ -1,13 +1,19 @@
 //! An episode that somebody took hold of, played again from what was written down of it.
 
+use std::io::Write as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use proto::{Digest, ExitCode, ExitError};
+use base64::Engine as _;
+use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+use flate2::Compression;
+use flate2::write::DeflateEncoder;
+use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 use simulator::experiment::{Episode, Member, Script};
 use simulator::robot::Robot;
 use simulator::simulate::SimulationRow;
+use store::checkpoint::Checkpoint;
 use store::regular_files;
 
 use crate::trained::Trained;
@@ -37,6 +43,33 @@ pub struct TookPart {
     /// Digest of its checkpoint.
     #[serde(default)]
     pub digest: String,
+}
+
+impl Recording {
+    /// As it stands in the fragment of an address of the page, after `play=`: JSON, deflated, in base64.
+    pub fn fragment(&self) -> anyhow::Result<String> {
+        let mut packed = DeflateEncoder::new(Vec::new(), Compression::best());
+        packed.write_all(&serde_json::to_vec(self)?)?;
+        Ok(URL_SAFE_NO_PAD.encode(packed.finish()?))
+    }
+
+    /// Refuses policies that are not those that took part.
+    ///
+    /// # Errors
+    /// Which one is missing or another, in words.
+    pub fn check(&self, policies: &[&Checkpoint]) -> Result<(), String> {
+        for (number, TookPart { name, digest: wanted }) in self.policies.iter().enumerate() {
+            let words = format!("wants policy {number}, `{name}` of digest {wanted}");
+            let Some(given) = policies.get(number) else {
+                return Err(format!("{words}; name it with --policy"));
+            };
+            let digest = given.manifest.digest;
+            if !wanted.is_empty() && *wanted != digest.to_string() {
+                return Err(format!("{words}; {} has the digest {digest}", given.dir.display()));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Reads a recording.
@@ -103,18 +136,8 @@ pub fn play(
 ) -> Result<Played, ExitError> {
     let bad =
         |what: String| ExitError::new(ExitCode::BadInput, format!("{}: {what}", shown.display()));
-    for (number, took_part) in recording.policies.iter().enumerate() {
-        let wanted =
-            format!("policy {number}, `{}` of digest {}", took_part.name, took_part.digest);
-        let Some(given) = policies.get(number) else {
-            return Err(bad(format!("wants {wanted}; name it with --policy")));
-        };
-        let digest: Digest = given.checkpoint.manifest.digest;
-        if !took_part.digest.is_empty() && took_part.digest != digest.to_string() {
-            let given = given.checkpoint.dir.display();
-            return Err(bad(format!("wants {wanted}; {given} has the digest {digest}")));
-        }
-    }
+    let given: Vec<&Checkpoint> = policies.iter().map(|policy| &policy.checkpoint).collect();
+    recording.check(&given).map_err(bad)?;
     let members: Vec<Arc<Member>> = policies
         .into_iter()
         .map(|Trained { world, policy, .. }| Arc::new(Member { world, policy }))

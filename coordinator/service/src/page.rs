@@ -61,10 +61,14 @@ pub struct Enclosed {
 pub const SINGLE_MARK: &str = "<!doctype html>\n<!-- made by octopus view -->";
 
 /// One file that is page, simulator and policies, and needs no server and no network; none where the page was not
-/// built.
-pub fn single(policies: &[Enclosed]) -> Option<String> {
+/// built. It plays `episode`, as an address holds one, unless it is asked for another.
+pub fn single(policies: &[Enclosed], episode: Option<&str>) -> Option<String> {
     let frame = SINGLE?;
     let mut data = String::new();
+    if let Some(episode) = episode {
+        // Base64 for addresses.
+        let _ = writeln!(data, "<script type=\"text/plain\" data-play=\"{episode}\"></script>");
+    }
     for asset in ASSETS.iter().filter(|asset| asset.name != "index.html") {
         push(&mut data, "asset", asset.name, asset.gzip);
     }

@@ -7,6 +7,7 @@ import { json, Refusal } from "./page/service";
 import { EnclosedSource, policyOf, ServiceSource, type Source } from "./page/source";
 import { restoreTheme, toggleTheme } from "./page/theme";
 import { takeToken } from "./page/token";
+import { Blocks } from "./run/blocks";
 import { Feed } from "./run/feed";
 import { RunRoom } from "./run/run_room";
 import { RunsRoom } from "./runs/runs_room";
@@ -47,14 +48,15 @@ async function robot(source: Source, health: Health | undefined): Promise<void> 
     const tabs = h("nav", { class: "segmented", hidden: true });
     document.body.append(header(tabs, iconButton(ICONS.help, "Keys and pointer (?)", help)), room.element);
     const feed = health === undefined ? undefined : new Feed((refusal) => notice(refusal.message, "error"));
-    if (feed !== undefined && health?.serves === "run") rooms(tabs, room, feed, health.read_only);
+    let run: RunRoom | undefined;
+    if (feed !== undefined && health?.serves === "run") run = rooms(tabs, room, feed, new Blocks(feed, source, module), health.read_only);
     const wanted = new URLSearchParams(location.hash.slice(1));
-    await room.start(wanted.get("policy") ?? undefined, wanted.get("play") ?? undefined);
+    await room.start(wanted.get("policy") ?? undefined, wanted.get("play") ?? EnclosedSource.episode());
     feed?.on(["checkpoints"], () => void room.offered((feed.checkpoints ?? []).map(policyOf)));
     feed?.start();
     document.body.dataset["ready"] = String(Math.round(performance.now()));
     // Tests and curious people ask it what it shows.
-    Object.assign(window, { spaceoctopus: room, feed });
+    Object.assign(window, { spaceoctopus: room, feed, run });
 }
 
 function header(...more: HTMLElement[]): HTMLElement {
@@ -65,7 +67,7 @@ function header(...more: HTMLElement[]): HTMLElement {
 }
 
 /** The room of the run beside that of the robot. */
-function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, readOnly: boolean): void {
+function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, blocks: Blocks, readOnly: boolean): RunRoom {
     const show = (which: "robot" | "run"): void => {
         robot.element.hidden = which !== "robot";
         run.show(which === "run");
@@ -76,7 +78,7 @@ function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, readOnly: boolea
         void robot.play(name);
     };
     const task = (): string => (robot.timeline.description?.task.includes("reorientation") ? "reorientation" : "trajectory");
-    const run = new RunRoom(feed, play, task, readOnly);
+    const run = new RunRoom(feed, blocks, play, task, readOnly);
     const buttons = {
         robot: h("button", { type: "button", onclick: () => show("robot") }, "Robot"),
         run: h("button", { type: "button", onclick: () => show("run") }, "Run"),
@@ -85,6 +87,7 @@ function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, readOnly: boolea
     tabs.hidden = false;
     document.body.append(run.element);
     show(new URLSearchParams(location.hash.slice(1)).has("run") ? "run" : "robot");
+    return run;
 }
 
 /** Asks for the token until the service takes it. */

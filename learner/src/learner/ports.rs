@@ -7,6 +7,7 @@ use channels::{
     ArrayReceiver, ArraySample, ArraySender, BellListener, ChannelSizes, Channels, Domain,
     MessageReceiver, MessageSender, PieceSender, Role, WHILE_THE_PARENT_LIVES,
 };
+use proto::Digest;
 use proto::config::Config;
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
 use proto::message::{HEARTBEAT, Order, Progress};
@@ -81,8 +82,10 @@ impl Ports {
         }
         while let Some(block) = self.blocks.try_receive()? {
             let BlockHeader { iteration, shard, .. } = *block.header();
+            let digest = Digest::of_block(block.payload());
             let duplicate = self.inbox.receive(block)? == Receipt::Duplicate;
-            self.progress.send(&Progress::BlockReceived { iteration, shard, duplicate })?;
+            let received = Progress::BlockReceived { iteration, shard, duplicate, digest };
+            self.progress.send(&received)?;
         }
         self.send_piece()
     }

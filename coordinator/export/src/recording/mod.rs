@@ -16,6 +16,7 @@
 mod commanded;
 mod messages;
 mod moments;
+mod origin;
 mod read;
 mod schema;
 
@@ -37,6 +38,10 @@ use messages::{
     PosesInFrame, Quaternion, Timestamp, Vector3,
 };
 use moments::{Frame, Moment, base_goal, body_names, hand_goal, moments};
+pub use origin::RecordedEpisode;
+
+/// Name of the record that says where a recording comes from.
+const ABOUT: &str = "spaceoctopus";
 
 /// A motion that was made to be kept.
 #[derive(Debug)]
@@ -104,7 +109,7 @@ impl Recording {
             .library(concat!("SpaceOctopus ", env!("CARGO_PKG_VERSION")));
         let mut writer = Writer::with_options(Cursor::new(Vec::new()), options)?;
         writer.write_metadata(&records::Metadata {
-            name: "spaceoctopus".to_owned(),
+            name: ABOUT.to_owned(),
             metadata: self.about.clone(),
         })?;
         let robot = &self.commanded.robot;

@@ -22,6 +22,10 @@ impl Recorded {
             let index = found.next().ok_or_else(|| {
                 format!("has no attachment {name}: it is no recording of `octopus record`")
             })?;
+            let end = index.offset.checked_add(index.length);
+            if end.is_none_or(|end| end > file.len() as u64) {
+                return Err(format!("{name} is cut short"));
+            }
             if index.data_size > LONGEST {
                 return Err(format!("{name} is longer than {} MiB", LONGEST >> 20));
             }

@@ -61,6 +61,7 @@ fn panel(curve: &Curve) -> Panel {
         x: axis(curve.over, curve.logarithmic[0], |point| point.0),
         y: axis(curve.unit, curve.logarithmic[1], |point| point.1),
         items: items.collect(),
+        links: Vec::new(),
     }
 }
 

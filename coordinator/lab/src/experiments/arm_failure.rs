@@ -157,7 +157,20 @@ impl Experiment for Study {
     }
 }
 
+/// What a trial is called in which an arm, counted from 0, fails.
+fn trial_of(failure: Failure, arm: Option<usize>) -> String {
+    match arm {
+        Some(arm) => format!("arm failure, arm {} {}", arm + 1, failure.word()),
+        None => "arm failure, none".to_owned(),
+    }
+}
+
 impl Failed {
+    /// What its trial is called, with these goals.
+    pub(crate) fn trial(&self, goals: Goals) -> String {
+        goals.of_trial(&trial_of(self.failure, self.arm.map(|arm| arm - 1)))
+    }
+
     /// What it is called.
     pub(crate) fn name(&self) -> String {
         match self.arm {
@@ -191,15 +204,14 @@ impl Failure {
 
 fn measure(lab: &Lab, failure: Failure, arm: Option<usize>) -> anyhow::Result<Failed> {
     let mut trial = lab.trial(lab.policy(TaskName::Reorientation));
-    let mut what = "arm failure, none".to_owned();
     if let Some(arm) = arm {
         failure.happen(arm, &mut trial);
-        what = format!("arm failure, arm {} {}", arm + 1, failure.word());
     }
+    let what = trial_of(failure, arm);
     let recording = lab.play(&what, &trial)?;
     trial.episodes = 1;
     trial.fixed = FixedGoals { hands: Vec::new(), base: Some(GOAL) };
-    let shown = lab.play(&format!("{what}, the authors' goal"), &trial)?;
+    let shown = lab.play(&Goals::Theirs.of_trial(&what), &trial)?;
     let last = recording.steps() - 1;
     let success = THRESHOLDS.map(|threshold| Success {
         threshold,

@@ -59,6 +59,18 @@ impl Default for Study {
     }
 }
 
+/// What a trial is called.
+fn trial_of(mass: f64) -> String {
+    format!("base mass, {mass} kg")
+}
+
+impl Weighed {
+    /// What its trial is called.
+    pub(crate) fn trial(&self) -> String {
+        trial_of(self.mass)
+    }
+}
+
 impl Experiment for Study {
     const NAME: Name = Name::BaseMass;
     const NEEDS: Needs = Needs::Reorientation;
@@ -102,7 +114,7 @@ impl Experiment for Study {
             let robot = lab.robot.with_base_mass(mass)?;
             let mut trial = lab.trial(lab.policy(TaskName::Reorientation));
             trial.robot = &robot;
-            let recording = lab.play(&format!("base mass, {mass} kg"), &trial)?;
+            let recording = lab.play(&trial_of(mass), &trial)?;
             let last = recording.steps() - 1;
             let reached = |threshold: &f64| {
                 share(recording.episodes(), |e| f64::from(recording.attitude(e, last)) < *threshold)

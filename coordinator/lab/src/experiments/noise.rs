@@ -216,8 +216,7 @@ fn measure(
             trial.robot = &robot;
         }
     }
-    let what = format!("noise, {}, {} {strength}", policy.task().as_str(), quantity.word());
-    let recording = lab.play(&what, &trial)?;
+    let recording = lab.play(&trial_of(policy.task(), quantity, strength), &trial)?;
     let summary = Summary::new(
         policy.identity(),
         lab.seed,
@@ -234,6 +233,18 @@ fn measure(
         success: summary.success,
         contact_rate: summary.contact_rate,
     })
+}
+
+/// What a trial is called.
+fn trial_of(task: TaskName, quantity: Quantity, strength: f64) -> String {
+    format!("noise, {}, {} {strength}", task.as_str(), quantity.word())
+}
+
+impl Point {
+    /// What its trial is called.
+    pub(crate) fn trial(&self) -> String {
+        trial_of(self.task, self.quantity, self.strength)
+    }
 }
 
 impl Quantity {

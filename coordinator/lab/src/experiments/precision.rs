@@ -66,8 +66,7 @@ impl Experiment for Study {
     fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Precision>> {
         let measure = |policy| {
             let task = Contender::task(policy);
-            let recording =
-                lab.play(&format!("precision, {}", task.as_str()), &lab.trial(policy))?;
+            let recording = lab.play(&trial_of(task), &lab.trial(policy))?;
             let errors = match task {
                 TaskName::Trajectory => (0..lab.robot.n_arms)
                     .flat_map(|arm| {
@@ -94,6 +93,18 @@ impl Experiment for Study {
 
     fn printed(&self, columns: usize, report: &Report<Settings, Precision>) -> String {
         tables(columns, report, self.agents)
+    }
+}
+
+/// What a trial is called.
+fn trial_of(task: TaskName) -> String {
+    format!("precision, {}", task.as_str())
+}
+
+impl Precision {
+    /// What its trial is called.
+    pub(crate) fn trial(&self) -> String {
+        trial_of(self.summary.task)
     }
 }
 

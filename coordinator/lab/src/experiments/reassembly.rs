@@ -177,11 +177,11 @@ impl Experiment for Study {
         let mut results = Vec::new();
         for stage in &STAGES {
             let mut trial = set_up(lab, stage, self.action_scale);
-            let what = format!("reassembly, {}", stage.name);
+            let what = trial_of(stage.name);
             let drawn = lab.play(&what, &trial)?;
             trial.episodes = 1;
             trial.fixed = stage.goals(lab.robot.n_arms);
-            let fixed = lab.play(&format!("{what}, the authors' goals"), &trial)?;
+            let fixed = lab.play(&Goals::Theirs.of_trial(&what), &trial)?;
             results.push(Staged::of(stage, Goals::Theirs, &fixed));
             results.push(Staged::of(stage, Goals::HeldOut, &drawn));
         }
@@ -245,7 +245,17 @@ impl Stage {
     }
 }
 
+/// What a trial is called.
+fn trial_of(stage: StageName) -> String {
+    format!("reassembly, {stage}")
+}
+
 impl Staged {
+    /// What its trial is called.
+    pub(crate) fn trial(&self) -> String {
+        self.goals.of_trial(&trial_of(self.stage))
+    }
+
     fn of(stage: &Stage, goals: Goals, recording: &Recording) -> Self {
         let arms: Vec<usize> = stage.reaching.iter().map(|(arm, ..)| *arm).collect();
         let hands = arms.iter().flat_map(|&arm| {

@@ -190,6 +190,16 @@ pub enum Goals {
     HeldOut,
 }
 
+impl Goals {
+    /// What a trial is called with these goals.
+    pub(crate) fn of_trial(self, what: &str) -> String {
+        match self {
+            Self::Theirs => format!("{what}, the authors' goals"),
+            Self::HeldOut => what.to_owned(),
+        }
+    }
+}
+
 impl fmt::Display for Goals {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

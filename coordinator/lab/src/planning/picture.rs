@@ -59,6 +59,7 @@ pub fn picture(
             x: time(),
             y: gaps,
             items: vec![line(String::new(), 0, along(clearance))],
+            links: Vec::new(),
         },
     ];
     render(&panels, &Layout::columns(2).alone())

@@ -11,6 +11,7 @@ use crate::evaluation::Summary;
 use crate::experiments::Name;
 use crate::experiments::arm_failure::Failure;
 use crate::experiments::disturbance::Disturbance;
+use crate::experiments::reassembly::Staged;
 use crate::experiments::report::Goals;
 use crate::statistics::{ErrorOf, Spread, Unit, thousandths};
 
@@ -36,6 +37,9 @@ pub struct Claim {
     pub(super) holds: Option<bool>,
     /// The same by stricter measures.
     pub(super) stricter: Vec<Stricter>,
+    /// The trial that shows it, as it is called where its first episode is kept.
+    #[serde(skip)]
+    pub(super) episode: Option<String>,
 }
 
 /// A number that a claim says is not passed.
@@ -103,7 +107,11 @@ impl Claim {
         ours: Option<f64>,
     ) -> Self {
         let holds = ours.map(|value| paper.holds(value));
-        Self { experiment, what, measure, paper, ours, holds, stricter: Vec::new() }
+        Self { experiment, what, measure, paper, ours, holds, stricter: Vec::new(), episode: None }
+    }
+
+    fn shown_by(self, episode: impl Into<String>) -> Self {
+        Self { episode: Some(episode.into()), ..self }
     }
 
     fn stricter(mut self, measure: &'static str, value: Option<f64>) -> Self {
@@ -143,6 +151,7 @@ fn precision(reports: &Reports) -> Vec<Claim> {
             let measure = "mean of the minima over time";
             let paper = Bound::below(error.unit, bound);
             let claim = Claim::new(Name::Precision, what, measure, paper, ours)
+                .shown_by(result.trial())
                 .stricter("last 20 steps, all goals", Some(error.tail.mean));
             let same = reachable.as_ref().and_then(|reachable| {
                 let mut all = reachable.subset.overall.iter();
@@ -178,6 +187,7 @@ fn disturbance(reports: &Reports) -> Vec<Claim> {
             let paper = Bound::below(error.unit, thousandths(error.threshold));
             claims.push(
                 Claim::new(Name::Disturbance, what, measure, paper, last)
+                    .shown_by(result.trial(Goals::Theirs))
                     .stricter("worst axis, last 20 steps, held-out goals", Some(error.tail.mean)),
             );
         }
@@ -202,6 +212,7 @@ fn arm_failure(reports: &Reports) -> Claim {
     let measure = "after the last step, the authors' goal, arm held";
     let bound = Bound::BelowRadians(0.03);
     Claim::new(Name::ArmFailure, "reorientation, one arm failed", measure, bound, last)
+        .shown_by(held.map_or_else(String::new, |held| held.trial(Goals::Theirs)))
         .stricter("last 20 steps, held-out goals, arm held", tail(Failure::Held))
         .stricter("last 20 steps, held-out goals, arm limp", tail(Failure::Limp))
 }
@@ -220,7 +231,9 @@ fn base_mass(reports: &Reports) -> Claim {
     let steady = tails.filter(|tail| *tail < MASS_THRESHOLD).count() as f64;
     let measure = "masses of which 90 % of the episodes end within 50 mrad";
     let what = "reorientation, other masses";
+    let lightest = report.results.first().map_or_else(String::new, |result| result.trial());
     Claim::new(Name::BaseMass, what, measure, Bound::MostOf(cases), within(MASS_THRESHOLD))
+        .shown_by(lightest)
         .stricter("90 % within 30 mrad", within(0.03))
         .stricter("90 % within 50 mrad in the last 20 steps", Some(steady))
 }
@@ -236,7 +249,15 @@ fn reassembly(reports: &Reports) -> Vec<Claim> {
         let last = of(Goals::Theirs, error, |spread| spread.mean, true);
         let tail = of(Goals::HeldOut, error, |spread| spread.mean, false);
         let measure = "worst of both stages after the last step, the authors' goals";
+        // Of the worst stage.
+        let theirs = reports.reassembly.results.iter().filter(|stage| stage.goals == Goals::Theirs);
+        let worst = |stage: &&Staged| {
+            let of = stage.errors.iter().filter(|other| other.error == error);
+            of.map(|error| error.last.mean).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let shown = theirs.max_by(|a, b| worst(a).total_cmp(&worst(b))).map(Staged::trial);
         Claim::new(Name::Reassembly, what, measure, Bound::below(error.unit(), bound), last)
+            .shown_by(shown.unwrap_or_default())
             .stricter("worst of both, last 20 steps, held-out goals", tail)
     };
     vec![

@@ -1,14 +1,12 @@
 //! Episodes of the experiments in a page that plays them: one file beside the report, and links into it.
 
-use std::io::Write as _;
+use std::collections::BTreeMap;
 
-use base64::Engine as _;
-use base64::engine::general_purpose::URL_SAFE_NO_PAD;
-use flate2::Compression;
-use flate2::write::DeflateEncoder;
+use drawing::{Link, Place};
 use maud::{Markup, html};
 use service::page;
 
+use super::reports::Reports;
 use crate::contender::Contender;
 use crate::experiments::report::PlayedEpisode;
 use crate::script::Recording;
@@ -28,7 +26,7 @@ pub(super) fn file(policies: &[Contender]) -> anyhow::Result<Option<String>> {
         let Some(checkpoint) = policy.checkpoint() else { return Ok(None) };
         files.extend(enclosed(checkpoint, policy.task().as_str())?);
     }
-    Ok(page::single(&files))
+    Ok(page::single(&files, None))
 }
 
 /// Whether a file at the place of ours was made by this program.
@@ -38,33 +36,66 @@ pub(super) fn is_ours(text: &str) -> bool {
 
 /// The address of an episode in the file.
 fn link(recording: &Recording) -> anyhow::Result<String> {
-    let mut packed = DeflateEncoder::new(Vec::new(), Compression::best());
-    packed.write_all(&serde_json::to_vec(recording)?)?;
-    Ok(format!("{FILE}#play={}", URL_SAFE_NO_PAD.encode(packed.finish()?)))
+    Ok(format!("{FILE}#play={}", recording.fragment()?))
 }
 
-/// Links to the first episodes of an experiment's trials.
-pub(super) fn links(episodes: &[PlayedEpisode]) -> anyhow::Result<Markup> {
-    let mut each = Vec::with_capacity(episodes.len());
-    for PlayedEpisode { what, recording } in episodes {
-        each.push((what, link(recording)?));
+/// Links to the first episodes of all trials, by what these are called.
+#[derive(Debug, Default)]
+pub(super) struct Links(BTreeMap<String, String>);
+
+impl Links {
+    /// To what all experiments kept.
+    pub(super) fn of(reports: &Reports) -> anyhow::Result<Self> {
+        let Reports { precision, disturbance, arm_failure, base_mass, reassembly, noise } = reports;
+        let kept = [
+            &precision.episodes,
+            &disturbance.episodes,
+            &arm_failure.episodes,
+            &base_mass.episodes,
+            &reassembly.episodes,
+            &noise.episodes,
+        ];
+        let all = kept.into_iter().flatten();
+        all.map(|PlayedEpisode { what, recording }| Ok((what.clone(), link(recording)?)))
+            .collect::<anyhow::Result<_>>()
+            .map(Self)
     }
-    Ok(html! {
-        @if !each.is_empty() {
-            details {
-                summary { "Watch it: the first episode of every setting" }
-                ul {
-                    @for (what, link) in &each { li { a href=(link) { (what) } } }
+
+    /// The address of a trial's episode.
+    pub(super) fn get(&self, what: &str) -> Option<&str> {
+        self.0.get(what).map(String::as_str)
+    }
+
+    /// A link to a trial's episode at a place of a figure.
+    pub(super) fn at(&self, what: &str, at: Place) -> Option<Link> {
+        let to = self.get(what)?.to_owned();
+        Some(Link { to, what: format!("Watch: {what}"), at })
+    }
+
+    /// A list of those of some trials.
+    pub(super) fn list(&self, episodes: &[PlayedEpisode]) -> Markup {
+        let each =
+            episodes.iter().filter_map(|PlayedEpisode { what, .. }| Some((what, self.get(what)?)));
+        let each: Vec<_> = each.collect();
+        html! {
+            @if !each.is_empty() {
+                details {
+                    summary { "Watch it: the first episode of every setting" }
+                    ul {
+                        @for (what, link) in &each { li { a href=(link) { (what) } } }
+                    }
                 }
             }
         }
-    })
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use std::io::Read as _;
 
+    use base64::Engine as _;
+    use base64::engine::general_purpose::URL_SAFE_NO_PAD;
     use flate2::read::DeflateDecoder;
 
     use super::super::reports::tests::reports;

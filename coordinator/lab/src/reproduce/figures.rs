@@ -1,9 +1,10 @@
 //! The paper's figures from our numbers.
 
-use drawing::{Axis, Item, Layout, Panel, Quantiles, line, render};
+use drawing::{Axis, Item, Layout, Panel, Place, Quantiles, line, render};
 use proto::config::TaskName;
 
 use super::claims::{MASS_SHARE, MASS_THRESHOLD};
+use super::episodes::Links;
 use super::reports::Reports;
 use crate::experiments::disturbance::{Disturbance, Disturbed};
 use crate::experiments::noise::Quantity;
@@ -40,8 +41,25 @@ fn course(title: impl Into<String>, name: &str, steps: usize, items: Vec<Item>) 
     Panel::log(title, Axis::linear(STEP, 0.0, steps as f64), name, items)
 }
 
+/// The panel, of which every place leads to one trial.
+fn over_all(panel: Panel, trial: &str, links: &Links) -> Panel {
+    let all = Place::Between(panel.x.low, panel.x.high);
+    Panel { links: links.at(trial, all).into_iter().collect(), ..panel }
+}
+
+/// The panel, of which every line leads to a trial of its own; they were drawn in this order.
+fn along_lines(panel: Panel, trials: &[String], links: &Links) -> Panel {
+    let lines = panel.items.iter().filter_map(|item| match item {
+        Item::Line { points, .. } => Some(points.clone()),
+        _ => None,
+    });
+    let along = lines.zip(trials);
+    let along = along.filter_map(|(points, trial)| links.at(trial, Place::Along(points))).collect();
+    Panel { links: along, ..panel }
+}
+
 /// Boxes of every agent's error: by the paper's measure and by ours.
-pub(super) fn precision(reports: &Reports) -> anyhow::Result<String> {
+pub(super) fn precision(reports: &Reports, links: &Links) -> anyhow::Result<String> {
     let mut panels = Vec::new();
     for result in &reports.precision.results {
         let episodes = &result.summary.episodes;
@@ -85,14 +103,18 @@ pub(super) fn precision(reports: &Reports) -> anyhow::Result<String> {
                 Item::Boxes { name: "last 20 steps".to_owned(), color: 1, width, boxes: tail },
                 threshold("the paper's claim", claim),
             ];
-            panels.push(Panel::log(title, Axis::names(x, names), label(error), items));
+            let boxes = (0..names.len()).map(|index| index as f64);
+            let at = |index| Place::Between(index - 0.5, index + 0.5);
+            let watch = boxes.filter_map(|index| links.at(&result.trial(), at(index))).collect();
+            let panel = Panel::log(title, Axis::names(x, names), label(error), items);
+            panels.push(Panel { links: watch, ..panel });
         }
     }
     render(&panels, &Layout::rows_of_three(&panels))
 }
 
 /// Median errors over time.
-pub(super) fn courses(reports: &Reports) -> anyhow::Result<String> {
+pub(super) fn courses(reports: &Reports, links: &Links) -> anyhow::Result<String> {
     let mut panels = Vec::new();
     let steps = reports.precision.protocol.steps;
     for result in &reports.precision.results {
@@ -116,7 +138,8 @@ pub(super) fn courses(reports: &Reports) -> anyhow::Result<String> {
                 let middle = over_steps(error.course.p50.iter().copied());
                 [Some(line(median, index, middle)), tenth].into_iter().flatten()
             });
-            panels.push(course(title, label(error), steps, items.collect()));
+            let panel = course(title, label(error), steps, items.collect());
+            panels.push(over_all(panel, &result.trial(), links));
         }
     }
     render(&panels, &Layout::rows_of_three(&panels))
@@ -130,7 +153,7 @@ fn disturbed(result: &Disturbed) -> Item {
 }
 
 /// One episode with the authors' goals and overwritten actions, each axis; none on a robot of other arms than theirs.
-pub(super) fn disturbed_axes(reports: &Reports) -> anyhow::Result<Option<String>> {
+pub(super) fn disturbed_axes(reports: &Reports, links: &Links) -> anyhow::Result<Option<String>> {
     let report = &reports.disturbance;
     let mut panels = Vec::new();
     for result in report.results.iter().filter(|r| r.disturbance == Disturbance::Override) {
@@ -160,12 +183,14 @@ pub(super) fn disturbed_axes(reports: &Reports) -> anyhow::Result<Option<String>
             }));
             items.push(threshold("claim", bound));
             items.push(threshold("", -bound));
-            panels.push(Panel {
+            let panel = Panel {
                 title: format!("{title}: {}", result.what),
                 x: Axis::linear(STEP, 0.0, report.protocol.steps as f64),
                 y: Axis::linear(label(error.error), -reach, reach),
                 items,
-            });
+                links: Vec::new(),
+            };
+            panels.push(over_all(panel, &result.trial(Goals::Theirs), links));
         }
     }
     if panels.is_empty() {
@@ -179,7 +204,7 @@ fn arm(figure: &Figure) -> usize {
 }
 
 /// Medians of the worst axis over held-out goals, every disturbance.
-pub(super) fn disturbed_courses(reports: &Reports) -> anyhow::Result<String> {
+pub(super) fn disturbed_courses(reports: &Reports, links: &Links) -> anyhow::Result<String> {
     let report = &reports.disturbance;
     let mut panels = Vec::new();
     for task in [TaskName::Trajectory, TaskName::Reorientation] {
@@ -198,21 +223,26 @@ pub(super) fn disturbed_courses(reports: &Reports) -> anyhow::Result<String> {
                 ErrorOf::Base => "Reorientation, worst axis".to_owned(),
                 of => format!("Trajectory, {of}, worst axis"),
             };
-            panels.push(course(title, label(error.error), report.protocol.steps, items));
+            let panel = course(title, label(error.error), report.protocol.steps, items);
+            let trials: Vec<String> =
+                results.iter().map(|result| result.trial(Goals::HeldOut)).collect();
+            panels.push(along_lines(panel, &trials, links));
         }
     }
     render(&panels, &Layout::rows_of_three(&panels))
 }
 
 /// Courses of turning the base with a failed arm: the authors' goal, and medians.
-pub(super) fn arm_failure(reports: &Reports) -> anyhow::Result<String> {
+pub(super) fn arm_failure(reports: &Reports, links: &Links) -> anyhow::Result<String> {
     let report = &reports.arm_failure;
-    let panel = |title: &str, points: &dyn Fn(usize) -> Vec<(f64, f64)>| {
+    let panel = |title: &str, goals: Goals, points: &dyn Fn(usize) -> Vec<(f64, f64)>| {
         let results = report.results.iter().enumerate();
         let mut items: Vec<Item> =
             results.map(|(index, result)| line(result.name(), index, points(index))).collect();
         items.push(threshold("claim", 30.0));
-        course(title, label(ErrorOf::Base), report.protocol.steps, items)
+        let panel = course(title, label(ErrorOf::Base), report.protocol.steps, items);
+        let trials: Vec<String> = report.results.iter().map(|result| result.trial(goals)).collect();
+        along_lines(panel, &trials, links)
     };
     let theirs = |index: usize| {
         let figure: &Figure = &report.results[index].figure;
@@ -221,15 +251,15 @@ pub(super) fn arm_failure(reports: &Reports) -> anyhow::Result<String> {
     let median = |index: usize| over_steps(report.results[index].error.course.p50.iter().copied());
     let tenth = |index: usize| over_steps(report.results[index].error.course.p90.iter().copied());
     let panels = [
-        panel("The authors' goal", &theirs),
-        panel("Held-out goals, median", &median),
-        panel("Held-out goals, 90 % below", &tenth),
+        panel("The authors' goal", Goals::Theirs, &theirs),
+        panel("Held-out goals, median", Goals::HeldOut, &median),
+        panel("Held-out goals, 90 % below", Goals::HeldOut, &tenth),
     ];
     render(&panels, &Layout::columns(3))
 }
 
 /// Success against mass, and the error.
-pub(super) fn base_mass(reports: &Reports) -> anyhow::Result<String> {
+pub(super) fn base_mass(reports: &Reports, links: &Links) -> anyhow::Result<String> {
     let report = &reports.base_mass;
     let masses = report.results.iter().map(|result| result.mass);
     let heaviest = masses.clone().fold(0.0, f64::max);
@@ -258,20 +288,29 @@ pub(super) fn base_mass(reports: &Reports) -> anyhow::Result<String> {
         threshold("50 mrad", 1e3 * MASS_THRESHOLD),
     ];
     let course = course("Error in the last 20 steps", label(ErrorOf::Base), 1, errors);
+    // A strip around each mass.
+    let mut edges: Vec<f64> = vec![x.low];
+    edges.extend(report.results.windows(2).map(|pair| 0.5 * (pair[0].mass + pair[1].mass)));
+    edges.push(x.high);
+    let strips = report.results.iter().zip(edges.windows(2));
+    let watch: Vec<_> = strips
+        .filter_map(|(result, edge)| links.at(&result.trial(), Place::Between(edge[0], edge[1])))
+        .collect();
     let panels = [
         Panel {
             title: "Success by threshold".to_owned(),
             x: x.clone(),
             y: Axis::linear("episodes that end within (%)", 0.0, 104.0),
             items: success,
+            links: watch.clone(),
         },
-        Panel { x, ..course },
+        Panel { x, links: watch, ..course },
     ];
     render(&panels, &Layout::columns(2))
 }
 
 /// Courses of both stages with the authors' goals.
-pub(super) fn reassembly(reports: &Reports) -> anyhow::Result<String> {
+pub(super) fn reassembly(reports: &Reports, links: &Links) -> anyhow::Result<String> {
     let report = &reports.reassembly;
     let mut panels = Vec::new();
     for stage in report.results.iter().filter(|stage| stage.goals == Goals::Theirs) {
@@ -307,7 +346,8 @@ pub(super) fn reassembly(reports: &Reports) -> anyhow::Result<String> {
             items.extend(lines.map(|(color, (name, points))| line(name, color, points)));
             items.push(threshold("claim", claim));
             let title = format!("{}: {error}", capital(&stage.stage.to_string()));
-            panels.push(course(title, label(error), report.protocol.steps, items));
+            let panel = course(title, label(error), report.protocol.steps, items);
+            panels.push(over_all(panel, &stage.trial(), links));
         }
     }
     render(&panels, &Layout::columns(3))
@@ -319,7 +359,7 @@ fn capital(word: &str) -> String {
 }
 
 /// Errors against what is made worse.
-pub(super) fn noise(reports: &Reports) -> anyhow::Result<String> {
+pub(super) fn noise(reports: &Reports, links: &Links) -> anyhow::Result<String> {
     let points = &reports.noise.results;
     let mut panels = Vec::new();
     for (quantity, title, x) in [
@@ -358,9 +398,16 @@ pub(super) fn noise(reports: &Reports) -> anyhow::Result<String> {
             dots: true,
         })
         .collect();
+        let watch = points.iter().filter(|point| point.quantity == quantity).flat_map(|point| {
+            let at = strengths.iter().position(|strength| *strength == point.strength);
+            let errors = point.errors.iter().map(|error| 1e3 * error.tail.mean);
+            errors
+                .filter_map(move |error| links.at(&point.trial(), Place::Point(at? as f64, error)))
+        });
+        let watch: Vec<_> = watch.collect();
         let names = strengths.iter().map(ToString::to_string).collect();
         let panel = course(title, "error, last 20 steps (mm, mrad)", 1, items);
-        panels.push(Panel { x: Axis::names(x, names), ..panel });
+        panels.push(Panel { x: Axis::names(x, names), links: watch, ..panel });
     }
     render(&panels, &Layout::columns(2))
 }
@@ -372,22 +419,24 @@ mod tests {
     #[test]
     fn every_figure_of_an_untrained_robot() {
         let reports = super::super::reports::tests::reports();
-        let axes = disturbed_axes(reports).expect("drawn").expect("a robot of four arms");
+        let links = &Links::of(reports).expect("links");
+        let axes = disturbed_axes(reports, links).expect("drawn").expect("a robot of four arms");
         for (figure, words) in [
-            (precision(reports), &["position error (mm)", "last 20 steps", "agent"][..]),
-            (courses(reports), &["control step", "arm 4", "median"]),
+            (precision(reports, links), &["position error (mm)", "last 20 steps", "agent"][..]),
+            (courses(reports, links), &["control step", "arm 4", "median"]),
             (Ok(axes), &["disturbed", "about x", "lift of arm 2"]),
-            (disturbed_courses(reports), &["push and pull", "worst axis"]),
-            (arm_failure(reports), &["arm 4 limp", "The authors"]),
-            (base_mass(reports), &["mass of the cube (kg)", "50 mrad", "episodes that end"]),
-            (reassembly(reports), &["arm 3 joins", "Dual: base"]),
-            (noise(reports), &["Mass of the arms", "standard deviation (N m)"]),
+            (disturbed_courses(reports, links), &["push and pull", "worst axis"]),
+            (arm_failure(reports, links), &["arm 4 limp", "The authors"]),
+            (base_mass(reports, links), &["mass of the cube (kg)", "50 mrad", "episodes that end"]),
+            (reassembly(reports, links), &["arm 3 joins", "Dual: base"]),
+            (noise(reports, links), &["Mass of the arms", "standard deviation (N m)"]),
         ] {
             let figure = figure.expect("drawn");
             assert!(!figure.contains("NaN") && !figure.contains("inf"), "{figure}");
             for word in words {
                 assert!(figure.contains(word), "{word}");
             }
+            assert!(figure.contains("<a href=\"episodes.html#play="), "it leads to episodes");
         }
     }
 }

@@ -20,6 +20,7 @@ use serde::Serialize;
 use store::files;
 
 pub use self::claims::{Claim, Tally, table};
+use self::episodes::Links;
 use self::place::PAGE;
 pub use self::place::{
     MARK, POLICIES, RUNS, check_place, curves_beside, default_policies, refused,
@@ -53,13 +54,14 @@ pub fn reproduce(study: &Study) -> anyhow::Result<Reproduction> {
     let episodes = episodes::file(planned.policies())?;
     let reports = planned.finish()?;
     let claims = claims::claims(&reports);
+    let links = if episodes.is_some() { Links::of(&reports)? } else { Links::default() };
     let html = page::page(&page::Content {
         reports: &reports,
         claims: &claims,
         commands: &commands,
         curves: &curves,
         robot: &robot,
-        with_episodes: episodes.is_some(),
+        links: &links,
         quick: study.quick,
     })?;
     match episodes {

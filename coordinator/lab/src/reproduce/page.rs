@@ -6,8 +6,9 @@ use simulator::robot::Robot;
 use store::provenance::{Provenance, Utc};
 
 use super::claims::{Claim, Tally, verdict};
+use super::episodes::Links;
 use super::reports::Reports;
-use super::{drawing, episodes, figures};
+use super::{drawing, figures};
 use crate::experiments::report::{Goals, Report};
 use crate::experiments::{Experiment, Name, ReportOf};
 use crate::experiments::{arm_failure, base_mass, disturbance, noise, precision, reassembly};
@@ -28,14 +29,14 @@ pub(super) struct Content<'a> {
     /// Of the trainings.
     pub(super) curves: &'a [Recorded],
     pub(super) robot: &'a Robot,
-    /// Whether there is a file beside it that plays episodes.
-    pub(super) with_episodes: bool,
+    /// Into the file beside it that plays episodes; none where there is none.
+    pub(super) links: &'a Links,
     pub(super) quick: bool,
 }
 
 /// The page as HTML.
 pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
-    let Content { reports, .. } = content;
+    let Content { reports, links, .. } = content;
     let sections = [
         precision(content)?,
         disturbance(content)?,
@@ -44,7 +45,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             "One arm failed",
             &reports.arm_failure,
             &html! {
-                (figure(&figures::arm_failure(reports)?, "The base is turned while an arm is held by its servos or gives no torque, from the beginning. Left \
+                (figure(&figures::arm_failure(reports, links)?, "The base is turned while an arm is held by its servos or gives no torque, from the beginning. Left \
                     one episode with the authors' goal, then all held-out goals."))
             },
         )?,
@@ -53,7 +54,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             "Other masses of the base",
             &reports.base_mass,
             &html! {
-                (figure(&figures::base_mass(reports)?, "Share of episodes that end within a threshold, against the mass of the cube; the policy learned with \
+                (figure(&figures::base_mass(reports, links)?, "Share of episodes that end within a threshold, against the mass of the cube; the policy learned with \
                     400 kg. The dashed line is the paper's 90 %, of the threshold of 50 mrad."))
             },
         )?,
@@ -63,7 +64,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             "Noise, delay and mass of the arms",
             &reports.noise,
             &html! {
-                (figure(&figures::noise(reports)?, "Mean error of the last 20 steps while one thing at a time is made worse. Strengths stand side by side, not to scale."))
+                (figure(&figures::noise(reports, links)?, "Mean error of the last 20 steps while one thing at a time is made worse. Strengths stand side by side, not to scale."))
             },
         )?,
     ];
@@ -143,14 +144,15 @@ fn table(content: &Content<'_>) -> Markup {
             table {
                 thead { tr { th { "claim" } th { "paper" } th { "ours" } th {} th { "stricter" } } }
                 tbody {
-                    @for claim in content.claims { (row(claim)) }
+                    @for claim in content.claims { (row(claim, content.links)) }
                 }
             }
         }
     }
 }
 
-fn row(claim: &Claim) -> Markup {
+fn row(claim: &Claim, links: &Links) -> Markup {
+    let watch = claim.episode.as_deref().and_then(|what| links.get(what));
     let class = |holds: Option<bool>| match holds {
         Some(true) => "holds",
         Some(false) => "fails",
@@ -159,7 +161,11 @@ fn row(claim: &Claim) -> Markup {
     let mark = |holds: bool| if holds { "✓" } else { "✗" };
     html! {
         tr {
-            td { a href=(format!("#{}", claim.experiment)) { (claim.what) } small { (claim.measure) } }
+            td {
+                a href=(format!("#{}", claim.experiment)) { (claim.what) }
+                @if let Some(watch) = watch { " " a class="watch" href=(watch) { "watch" } }
+                small { (claim.measure) }
+            }
             td class="number" { (claim.paper.text()) }
             td class="number" { @if let Some(ours) = claim.ours { (claim.paper.show(ours)) } @else { "–" } }
             td class=(class(claim.holds)) {
@@ -191,12 +197,11 @@ fn section<E: Experiment>(
     figures: &Markup,
 ) -> anyhow::Result<Markup> {
     let Report { experiment, policies, provenance, protocol, .. } = report;
-    let watch = content.with_episodes.then(|| episodes::links(&report.episodes)).transpose()?;
     let command = content.commands.iter().find(|(name, _)| name == experiment);
     Ok(html! {
         h2 id=(experiment) { (title) }
         (figures)
-        @if let Some(watch) = &watch { (watch) }
+        (content.links.list(&report.episodes))
         details {
             summary { "All numbers" }
             pre { (E::table(output::COLUMNS, report)) }
@@ -216,9 +221,9 @@ fn section<E: Experiment>(
 fn precision(content: &Content<'_>) -> anyhow::Result<Markup> {
     let reports = content.reports;
     let figures = html! {
-        (figure(&figures::precision(reports)?, "Errors of each agent over the episodes. A box holds the middle half, its line is the median, whiskers \
+        (figure(&figures::precision(reports, content.links)?, "Errors of each agent over the episodes. A box holds the middle half, its line is the median, whiskers \
             reach from the 10th to the 90th percentile, the dot is the mean. The minimum over time is the paper's measure."))
-        (figure(&figures::courses(reports)?, "Median errors over time; the control period is 0.4 s, which the paper's figures count as 0.1 s."))
+        (figure(&figures::courses(reports, content.links)?, "Median errors over time; the control period is 0.4 s, which the paper's figures count as 0.1 s."))
     };
     let title = "Precision";
     section::<precision::Study>(content, title, &reports.precision, &figures)
@@ -226,13 +231,13 @@ fn precision(content: &Content<'_>) -> anyhow::Result<Markup> {
 
 fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
     let reports = content.reports;
-    let axes = figures::disturbed_axes(reports)?;
+    let axes = figures::disturbed_axes(reports, content.links)?;
     let figures = html! {
         @if let Some(axes) = &axes {
             (figure(axes, "One episode with the authors' goals; actions are overwritten as in the released scripts. Each axis of goal − actual; the way \
                 from home is cut off at the edges."))
         }
-        (figure(&figures::disturbed_courses(reports)?, "Medians over held-out goals of the worst axis: overwritten actions, a push from outside, and the \
+        (figure(&figures::disturbed_courses(reports, content.links)?, "Medians over held-out goals of the worst axis: overwritten actions, a push from outside, and the \
             same push taken back. What is pushed in space keeps the momentum, so after a push alone errors do not return. A force that is taken back leaves \
             angular momentum, because the hand has moved in between: errors return, and grow again as the base turns the goals out of reach."))
     };
@@ -251,7 +256,11 @@ fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
         .map(|(stage, goals)| {
             html! {
                 figure {
-                    (drawing::sequence(content.robot, stage, goals))
+                    @if let Some(watch) = content.links.get(&stage.trial()) {
+                        a href=(watch) { (drawing::sequence(content.robot, stage, goals)) }
+                    } @else {
+                        (drawing::sequence(content.robot, stage, goals))
+                    }
                     figcaption {
                         "Stage \u{201c}" (stage.stage) "\u{201d}, the authors' goals: blue arms turn the base, others reach for their crosses; \
                             dotted is the way of the hand."
@@ -261,7 +270,7 @@ fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
         })
         .collect();
     let figures = html! {
-        (figure(&figures::reassembly(content.reports)?, "Errors over time with the authors' goals: arm 2 reaches while the others turn the base; in the \
+        (figure(&figures::reassembly(content.reports, content.links)?, "Errors over time with the authors' goals: arm 2 reaches while the others turn the base; in the \
             second row arm 3 joins from step 70 on."))
         @for stage in &stages { (stage) }
     };

@@ -5,6 +5,7 @@ use run::report::progress::Parts;
 use run::selection::MeanErrors;
 use serde::{Deserialize, Serialize};
 use simulator::evaluate::{EvaluationOptions, SELECTION_SEED, evaluate};
+use simulator::experiment::EvaluationGoals;
 use store::checkpoint::Checkpoint;
 
 use crate::evaluation::{ErrorSummary, Reach, Summary};
@@ -82,13 +83,19 @@ fn score(
     with_reach: bool,
 ) -> anyhow::Result<Scored> {
     let trained = Trained::new(checkpoint, None)?;
-    let evaluation = evaluate(&trained.world, &trained.policy, options, &threads, &|| ())?;
+    let evaluation = evaluate(trained.player(), options, &[], &threads, &|| ())?;
     let reach = if with_reach {
-        Reach::of(&trained.world, &evaluation, options, threads, &Parts::silent())?
+        Reach::of(
+            &trained.world,
+            &evaluation,
+            EvaluationGoals::drawn(options.seed),
+            threads,
+            &Parts::silent(),
+        )?
     } else {
         None
     };
-    Ok(Scored::of(&Summary::new(&trained, options.seed, evaluation, reach)))
+    Ok(Scored::of(&Summary::new(&trained.identity(), options.seed, None, evaluation, reach)))
 }
 
 impl Scored {

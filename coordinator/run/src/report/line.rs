@@ -17,6 +17,7 @@ pub struct Line {
     pub env_steps: u64,
     pub digest: Digest,
     pub policy_version: u64,
+    pub blocks: Vec<Digest>,
     pub wall_s: f64,
     pub env_steps_per_s: f64,
     pub workers: usize,
@@ -95,6 +96,7 @@ impl Line {
             env_steps: report.env_steps,
             digest: report.digest,
             policy_version: report.policy_version,
+            blocks: live.blocks.clone(),
             wall_s: milliseconds(live.wall_s),
             env_steps_per_s: live.env_steps_per_s.round(),
             workers: live.workers,
@@ -167,6 +169,10 @@ impl Line {
             ("timing.copy_s".into(), Double(copy_s)),
             ("timing.rollout_s".into(), Double(rollout_s)),
         ]);
+        let blocks = self.blocks.iter().enumerate();
+        cells.extend(
+            blocks.map(|(shard, &digest)| (format!("blocks.{shard}").into(), Cell::Digest(digest))),
+        );
         cells
     }
 }

@@ -1,7 +1,9 @@
 //! What only the coordinator knows about an iteration.
 
+use proto::Digest;
+
 /// What only the coordinator knows about the iteration that has just ended.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Live {
     /// Time since this session of the run began (s); the reporter adds that of earlier ones.
     pub wall_s: f64,
@@ -11,4 +13,6 @@ pub struct Live {
     pub workers: usize,
     /// Workers and learners replaced so far.
     pub restarts: u64,
+    /// Digests of the blocks trained on, in the order of shards.
+    pub blocks: Vec<Digest>,
 }

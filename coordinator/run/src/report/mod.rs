@@ -20,6 +20,7 @@
 //! | `env_steps` | | env-steps trained on so far, this iteration included |
 //! | `digest` | | fingerprint of the training state after the iteration, 32 hexadecimal digits |
 //! | `policy_version` | | version of the policy that collected the samples |
+//! | `blocks` | | fingerprints of the blocks trained on, a shard each; `octopus rollout` and the page make them again |
 //! | `wall_s` | s | time since the run began, over all its sessions |
 //! | `env_steps_per_s` | 1/s | env-steps trained on a second, of late |
 //! | `workers`, `restarts` | | workers wanted; workers and learners replaced so far |
@@ -195,7 +196,7 @@ impl Reporter {
         live: &Live,
     ) -> anyhow::Result<serde_json::Value> {
         let session_s = live.wall_s;
-        let live = Live { wall_s: session_s + self.wall_before_s, ..*live };
+        let live = Live { wall_s: session_s + self.wall_before_s, ..live.clone() };
         let line = Line::new(report, &live);
         self.progress.iteration(&line, session_s);
         self.watch(&line);

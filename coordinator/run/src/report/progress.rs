@@ -345,7 +345,10 @@ mod tests {
     fn line(iteration: u64) -> Line {
         let mut report = IterationReport { iteration, ..IterationReport::default() };
         report.accounting.trained = 3200;
-        Line::new(&report, &Live { wall_s: 1.0, env_steps_per_s: 9000.0, workers: 2, restarts: 0 })
+        Line::new(
+            &report,
+            &Live { wall_s: 1.0, env_steps_per_s: 9000.0, workers: 2, ..Live::default() },
+        )
     }
 
     /// A screen, and a progress of a run of as many env-steps as anybody wants that is shown on it.

@@ -153,7 +153,8 @@ impl Session<'_> {
                     self.learner_ready(iteration, now, reporter)?;
                 }
                 Progress::Heartbeat => {}
-                Progress::BlockReceived { iteration, shard, .. } => {
+                Progress::BlockReceived { iteration, shard, digest, .. } => {
+                    self.blocks.entry(iteration).or_default().insert(shard, digest);
                     self.failures.made((iteration, shard));
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.block_received((iteration, shard), now);
@@ -220,11 +221,15 @@ impl Session<'_> {
         reporter.check_promised(iteration, report.digest)?;
         let elapsed = self.last_report.elapsed().as_secs_f64();
         self.last_report = Instant::now();
+        let blocks = self.blocks.remove(&iteration).unwrap_or_default().into_values().collect();
+        // Late duplicates of iterations that are over.
+        self.blocks.retain(|other, _| *other > iteration);
         let live = Live {
             wall_s: self.started.elapsed().as_secs_f64(),
             env_steps_per_s: report.accounting.trained as f64 / elapsed,
             workers: self.workers,
             restarts: supervisor.restarts() + self.learner_restarts,
+            blocks,
         };
         let line = reporter.iteration(&report, &live).map_err(|error| unwritten(&error))?;
         let Timing { update_s, publish_s, digest_s, copy_s, .. } = report.timing;

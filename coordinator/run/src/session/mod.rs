@@ -152,6 +152,8 @@ struct Session<'a> {
     snapshots: Snapshots,
     failures: Failures,
     books: StepAccounts,
+    /// Digests of the blocks that the learner has received, by iteration and shard.
+    blocks: BTreeMap<u64, BTreeMap<u32, Digest>>,
     monitor: Monitor,
     /// Present while the learner is ready.
     scheduler: Option<Scheduler>,
@@ -218,6 +220,7 @@ impl<'a> Session<'a> {
             attention: LoopClock::new(now),
             failures: Failures::new(&spec.run_dir, config, dimensions, channels.policy_receiver()?),
             books: StepAccounts::default(),
+            blocks: BTreeMap::new(),
             monitor,
             store,
             channels,

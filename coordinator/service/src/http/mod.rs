@@ -13,6 +13,7 @@
 //! DELETE /v1/checkpoints/{name}                remove one
 //! GET    /v1/checkpoints/{name}/archive        download one as a tar archive
 //! GET    /v1/checkpoints/{name}/files/{file}   download one file, or a range of its bytes
+//! GET    /v1/checkpoints/{name}/differences/{other}  what differs between two
 //! PUT    /v1/checkpoints/{name}/pin            keep one for ever; DELETE lets go of it
 //! PUT    /v1/checkpoints/{name}/tags/{tag}     give one a name; DELETE takes it away
 //! GET    /v1/events                            all that happens, as it happens
@@ -40,6 +41,7 @@ mod connection_slots;
 mod connections;
 mod context;
 mod counting;
+mod differences;
 mod document;
 mod events;
 mod exposition;

@@ -18,8 +18,8 @@ use super::context::Shared;
 use super::counting;
 use super::problem::Problem;
 use super::{
-    access, archives, checkpoints, document, events, files, metrics, page, recorded, run, runs,
-    uploads,
+    access, archives, checkpoints, differences, document, events, files, metrics, page, recorded,
+    run, runs, uploads,
 };
 
 /// All routes and the document that describes them.
@@ -34,6 +34,7 @@ fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(checkpoints::show, uploads::upload, checkpoints::delete))
         .routes(routes!(archives::download))
         .routes(routes!(files::download))
+        .routes(routes!(differences::show))
         .routes(routes!(checkpoints::pin, checkpoints::unpin))
         .routes(routes!(checkpoints::tag, checkpoints::untag))
         .routes(routes!(events::events))

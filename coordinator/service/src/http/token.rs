@@ -77,9 +77,10 @@ impl Token {
         }
     }
 
-    /// The page of the service that listens at `address` and knows this token, perhaps with a policy that it shows
-    /// first. The token stands where no browser sends it: in the fragment.
-    pub fn page_address(&self, address: &str, policy: Option<&str>) -> String {
+    /// The page of the service that listens at `address` and knows this token, perhaps with what it shows first:
+    /// `policy=NAME` or `play=EPISODE`, which need no escaping. The token stands where no browser sends it: in the
+    /// fragment.
+    pub fn page_address(&self, address: &str, shown: Option<&str>) -> String {
         let mut fragment = String::from("token=");
         for byte in self.0.bytes() {
             if byte.is_ascii_alphanumeric() {
@@ -88,9 +89,8 @@ impl Token {
                 let _ = write!(fragment, "%{byte:02X}");
             }
         }
-        // Names of checkpoints need no escaping.
-        let policy = policy.map_or_else(String::new, |name| format!("policy={name}&"));
-        format!("http://{address}/#{policy}{fragment}")
+        let shown = shown.map_or_else(String::new, |shown| format!("{shown}&"));
+        format!("http://{address}/#{shown}{fragment}")
     }
 
     /// A port that whoever knows the token finds again, outside the range from which the system gives: a run takes it

@@ -56,11 +56,24 @@ pub struct Difference {
 
 /// Compares configuration, robot and all tensors of two checkpoints.
 pub fn compare(a: &Checkpoint, b: &Checkpoint) -> Result<Difference, CheckpointError> {
+    compare_files(a, b, &[POLICY, STATE])
+}
+
+/// Compares configuration, robot and actors of two checkpoints, whatever their training states hold.
+pub fn compare_policies(a: &Checkpoint, b: &Checkpoint) -> Result<Difference, CheckpointError> {
+    compare_files(a, b, &[POLICY])
+}
+
+fn compare_files(
+    a: &Checkpoint,
+    b: &Checkpoint,
+    files: &[&str],
+) -> Result<Difference, CheckpointError> {
     let config = keys(&leaves(&a.config), &leaves(&b.config));
     let same_robot = a.robot_toml == b.robot_toml;
     let mut equal_tensors = 0;
     let mut tensors = Vec::new();
-    for file in [POLICY, STATE] {
+    for &file in files {
         let (left, right) = (content(a, file)?, content(b, file)?);
         let (left, right) = (parse(a, file, left.as_deref())?, parse(b, file, right.as_deref())?);
         let names: BTreeSet<&String> = left.keys().chain(right.keys()).collect();

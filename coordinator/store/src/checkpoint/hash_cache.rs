@@ -10,7 +10,7 @@ use super::error::CheckpointError;
 use super::manifest::{FileEntry, Manifest};
 use super::opening;
 use super::ownership::Ownership;
-use super::read::check_open;
+use super::read::{Checkpoint, check_open, small_files};
 use super::store::CheckpointStore;
 use crate::recorded::Followed;
 use crate::stamp::Stamp;
@@ -70,6 +70,13 @@ impl Checked {
             .files
             .iter()
             .try_for_each(|(name, entry)| self.open(&dir.join(name), entry).map(drop))
+    }
+
+    /// The checkpoint in `dir`, if it is whole.
+    pub fn load(&self, dir: &Path) -> Result<Checkpoint, CheckpointError> {
+        self.check(dir)?;
+        let (config, robot_toml) = small_files(dir)?;
+        Ok(Checkpoint { dir: dir.to_owned(), manifest: Manifest::read(dir)?, config, robot_toml })
     }
 
     /// What tells the own checkpoints of the run that `store` belongs to from others.

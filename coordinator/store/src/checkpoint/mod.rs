@@ -66,7 +66,9 @@ pub use archive::MAX_CONTENT;
 pub use assembly::{Assembly, Snapshot};
 pub use catalogue::CATALOGUE;
 pub use commit::Placement;
-pub use compare::{Difference, KeyDifference, TensorDifference, compare, flatten};
+pub use compare::{
+    Difference, KeyDifference, TensorDifference, compare, compare_policies, flatten,
+};
 pub use compose::{Composition, Part};
 pub use entry::{DamagedEntry, Entry, Kind, Survey};
 pub use error::{CheckpointError, newest};

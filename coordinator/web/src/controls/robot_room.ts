@@ -208,9 +208,10 @@ export class RobotRoom {
         return files;
     }
 
-    /** What is shown without a wish: the best one, or else the newest. */
+    /** What is shown without a wish: the best one, or else the newest; of a file the one that it was made of. */
     private best(): string | undefined {
-        return (this.policies.find(({ tags }) => tags.includes("best")) ?? this.policies.at(-1))?.name;
+        const best = this.policies.find(({ tags }) => tags.includes("best"));
+        return (best ?? this.policies.at(this.source.live ? -1 : 0))?.name;
     }
 
     private async refresh(): Promise<void> {
@@ -371,8 +372,18 @@ export class RobotRoom {
         if (frame !== undefined && frame !== this.shownFrame) {
             this.shownFrame = frame;
             this.arms.show(frame, this.view.goals.selected);
+            if (!this.timeline.isPending) this.showSettings();
         }
         this.measure(now);
+    }
+
+    /** Controls say what holds where the page stands. */
+    private showSettings(): void {
+        const settings = this.timeline.settings(Math.floor(this.timeline.cursor + 1e-6));
+        this.world.show(settings);
+        settings.arms.forEach((control, arm) => {
+            this.arms.set(arm, typeof control === "string" ? control : { policy: this.slots[control.policy] ?? "" });
+        });
     }
 
     /** For whoever measures the page. */

@@ -1,7 +1,13 @@
 // What is other than in training: mass of the base, delay of commands.
 
 import { h } from "../page/dom";
+import type { Settings } from "../simulation/timeline";
 import type { Description } from "../simulation/types";
+
+export interface Slider {
+    element: HTMLElement;
+    set(value: number): void;
+}
 
 /** A slider with its name and its value in words. */
 export function slider(
@@ -10,7 +16,7 @@ export function slider(
     value: number,
     words: (value: number) => string,
     changed: (value: number) => void,
-): { element: HTMLElement; set(value: number): void } {
+): Slider {
     const output = h("output", {}, words(value));
     const input = h("input", { type: "range", min: String(min), max: String(max), step: String(step), value: String(value) });
     input.oninput = () => (output.textContent = words(Number(input.value)));
@@ -19,6 +25,8 @@ export function slider(
     return {
         element,
         set(value) {
+            // Who holds it has not said it yet.
+            if (input.matches(":active")) return;
             input.value = String(value);
             output.textContent = words(value);
         },
@@ -27,6 +35,8 @@ export function slider(
 
 export class World {
     readonly element = h("div", { class: "world" });
+    private mass: Slider | undefined;
+    private delay: Slider | undefined;
 
     constructor(private readonly change: { mass(kilograms: number): void; delay(steps: number): void }) {}
 
@@ -34,9 +44,13 @@ export class World {
         const kilograms = (mass: number): string => `${mass.toFixed(0)} kg`;
         const milliseconds = (steps: number): string => (steps === 0 ? "none" : `${(1000 * steps * control_period).toFixed(0)} ms`);
         const most = Math.ceil((2.5 * base_mass) / 100) * 100;
-        this.element.replaceChildren(
-            slider("Mass of the base", [Math.round(base_mass / 8), most, 10], base_mass, kilograms, (mass) => this.change.mass(mass)).element,
-            slider("Delay of commands", [0, 5, 1], 0, milliseconds, (steps) => this.change.delay(steps)).element,
-        );
+        this.mass = slider("Mass of the base", [Math.round(base_mass / 8), most, 10], base_mass, kilograms, (mass) => this.change.mass(mass));
+        this.delay = slider("Delay of commands", [0, 5, 1], 0, milliseconds, (steps) => this.change.delay(steps));
+        this.element.replaceChildren(this.mass.element, this.delay.element);
+    }
+
+    show({ mass, delay }: Settings): void {
+        this.mass?.set(mass);
+        this.delay?.set(delay);
     }
 }

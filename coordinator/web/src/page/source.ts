@@ -29,7 +29,7 @@ export interface CheckpointEntry {
     digest: string;
     created_unix_s: number;
     bytes: number;
-    labels: { pinned: boolean; tags: string[]; score?: number | null };
+    labels: { pinned: boolean; tags: string[]; score?: { value: number } | null };
 }
 
 export function policyOf({ name, iteration, digest, labels }: CheckpointEntry): PolicyEntry {
@@ -65,6 +65,11 @@ export class EnclosedSource implements Source {
 
     static isHere(): boolean {
         return document.querySelector("script[data-policy]") !== null;
+    }
+
+    /** The episode that the file was made for, as the fragment of an address holds it. */
+    static episode(): string | undefined {
+        return document.querySelector<HTMLScriptElement>("script[data-play]")?.dataset["play"];
     }
 
     async policies(): Promise<PolicyEntry[]> {

@@ -1,10 +1,11 @@
 // The room of the run: how it is doing, and what it can be asked to do.
 
 import { plain } from "../controls/arms";
-import { slider } from "../controls/world";
+import { type Slider, slider } from "../controls/world";
 import { h, notice } from "../page/dom";
 import { json } from "../page/service";
 import { onTheme } from "../page/theme";
+import type { Blocks } from "./blocks";
 import { Checkpoints } from "./checkpoints";
 import type { Feed } from "./feed";
 import { Growth } from "./growth";
@@ -22,12 +23,13 @@ export class RunRoom {
     private readonly tiles = h("section", { class: "tiles card" });
     private readonly workers = h("section", { class: "card" });
     private readonly processes = h("div");
-    private slider: { element: HTMLElement; set(value: number): void } | undefined;
+    private slider: Slider | undefined;
     private wanted = 0;
     private deaths = 0;
 
     constructor(
         private readonly feed: Feed,
+        private readonly blocks: Blocks,
         private readonly play: (name: string) => void,
         /** The task of the robot that is shown, where no run says its own. */
         private readonly taskShown: () => string,
@@ -35,13 +37,14 @@ export class RunRoom {
     ) {
         this.growth = new Growth((iteration) => this.playNearest(iteration));
         this.checkpoints = new Checkpoints(play, readOnly);
-        this.timeLine = new TimeLine(feed);
+        this.timeLine = new TimeLine(feed, (iteration, shard) => void blocks.make(iteration, shard));
         this.workers.append(h("h2", {}, "Processes"), this.processes);
         const left = h("div", { class: "side" }, this.timeLine.element, this.growth.element);
-        this.element.append(this.lost, this.tiles, left, h("div", { class: "side" }, this.workers, this.checkpoints.element, this.logs.element));
+        this.element.append(this.lost, this.tiles, left, h("div", { class: "side" }, this.workers, this.checkpoints.element, blocks.element, this.logs.element));
         feed.on(["status", "metrics", "heard"], () => this.showStatus());
         feed.on(["metrics", "evaluations"], () => this.draw());
         feed.on(["checkpoints", "heard"], () => this.checkpoints.show(feed.checkpoints ?? [], feed.status !== undefined));
+        feed.on(["checkpoints", "metrics"], () => this.showBlocks());
         feed.on(["logs"], () => this.logs.show(feed.logs));
         onTheme(() => this.growth.restyle(feed));
     }
@@ -51,7 +54,12 @@ export class RunRoom {
         this.timeLine.show(on);
         if (!on) return;
         this.draw();
+        this.blocks.show();
         this.logs.show(this.feed.logs);
+    }
+
+    private showBlocks(): void {
+        if (!this.element.hidden) this.blocks.show();
     }
 
     private draw(): void {

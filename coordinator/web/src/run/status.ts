@@ -36,6 +36,9 @@ export interface LiveStatus {
 
 export interface Metrics {
     iteration: number;
+    policy_version: number;
+    /** Digests of the blocks that were trained on, a shard each; programs of before recorded none. */
+    blocks?: string[];
     env_steps: number;
     wall_s: number;
     env_steps_per_s: number;

@@ -18,11 +18,19 @@ export class TimeLine {
     private readonly told = h("p", { class: "told faint", role: "status" });
     private readonly span = h("select", { aria: { label: "Length of the time line" } }, ...SPANS.map((s) => h("option", { value: String(s), selected: s === 20 }, `${s} s`)));
     private shown = false;
-    private boxes: { x: number; width: number; row: number; text: string }[] = [];
+    private boxes: { x: number; width: number; row: number; it: Happening }[] = [];
 
-    constructor(private readonly feed: Feed) {
+    /** `pick` is called with the block that was clicked. */
+    constructor(
+        private readonly feed: Feed,
+        private readonly pick: (iteration: number, shard: number) => void,
+    ) {
         this.element = h("section", { class: "card time-line", hidden: true }, h("div", { class: "line" }, h("h2", {}, "Who makes what"), this.span), this.canvas, this.told);
         this.canvas.addEventListener("pointermove", (event) => this.point(event));
+        this.canvas.addEventListener("click", (event) => {
+            const it = this.under(event);
+            if (it?.what === "block" && it.iteration !== undefined && it.shard !== undefined) this.pick(it.iteration, it.shard);
+        });
         this.canvas.addEventListener("pointerleave", () => (this.told.textContent = ""));
     }
 
@@ -88,10 +96,10 @@ export class TimeLine {
                 const begin = x(it.at_s - (it.seconds ?? 0));
                 g.fillStyle = it.what === "update" ? ofArm(1) : ofArm((it.iteration ?? 0) % 2 === 0 ? 0 : 5);
                 g.fillRect(begin, row * ROW + 3, Math.max(end - begin - 0.5, 0.75), ROW - 6);
-                this.boxes.push({ x: begin, width: Math.max(end - begin, 3), row, text: words(it) });
+                this.boxes.push({ x: begin, width: Math.max(end - begin, 3), row, it });
             } else {
                 marks.push(() => mark(g, it.what, end, row * ROW, ink));
-                this.boxes.push({ x: end - 5, width: 10, row, text: words(it) });
+                this.boxes.push({ x: end - 5, width: 10, row, it });
             }
         }
         for (const draw of marks) draw();
@@ -105,9 +113,15 @@ export class TimeLine {
     }
 
     private point(event: PointerEvent): void {
+        const it = this.under(event);
+        this.told.textContent = it === undefined ? "" : words(it);
+        this.canvas.classList.toggle("picks", it?.what === "block");
+    }
+
+    private under(event: MouseEvent): Happening | undefined {
         const place = this.canvas.getBoundingClientRect();
         const [x, row] = [event.clientX - place.left, Math.floor((event.clientY - place.top) / ROW)];
-        this.told.textContent = this.boxes.findLast((box) => box.row === row && x >= box.x && x <= box.x + box.width)?.text ?? "";
+        return this.boxes.findLast((box) => box.row === row && x >= box.x && x <= box.x + box.width)?.it;
     }
 }
 
@@ -116,7 +130,7 @@ function words(it: Happening): string {
     const ms = `${(1000 * (it.seconds ?? 0)).toFixed(0)} ms`;
     switch (it.what) {
         case "block":
-            return `${who} made shard ${it.shard} of iteration ${it.iteration} in ${ms}`;
+            return `${who} made shard ${it.shard} of iteration ${it.iteration} in ${ms}; a click makes it here again`;
         case "update":
             return `${who} trained on iteration ${it.iteration} in ${ms}`;
         case "died":

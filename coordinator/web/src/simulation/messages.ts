@@ -1,6 +1,6 @@
 // What page and worker say to each other.
 
-import type { Description, Event, Frame, PolicyFiles, Start } from "./types";
+import type { Block, Description, Event, Frame, PolicyFiles, Start } from "./types";
 
 export type Request =
     | { kind: "open"; module: ArrayBuffer }
@@ -8,6 +8,8 @@ export type Request =
     | { kind: "begin"; policies: PolicyFiles[]; start: Start }
     /** One more policy, for the episode that plays. */
     | { kind: "policy"; files: PolicyFiles }
+    /** A block of the run that the policy is of, made again; whatever plays goes on. */
+    | { kind: "block"; files: PolicyFiles; iteration: number; shard: number }
     /** Goes to the control step `from`, drops all later ones, lets events happen, and then takes `steps`. */
     | { kind: "advance"; from: number; events: Event[]; steps: number };
 
@@ -15,6 +17,7 @@ export type Answer =
     | { kind: "done" }
     | { kind: "begun"; description: Description; frame: Frame }
     | { kind: "loaded"; slot: number }
+    | { kind: "made"; block: Block }
     /** The moment before the first step, as events have changed it, and that after each step. */
     | { kind: "frames"; frames: Frame[]; stepMs: number };
 

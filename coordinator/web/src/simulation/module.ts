@@ -1,6 +1,6 @@
 // The simulator's module: exports of WebAssembly as functions with types, failures as errors.
 
-import { ARRAYS, type Description, type Event, type Frame, type PolicyFiles, type Start } from "./types";
+import { ARRAYS, type Block, type Description, type Event, type Frame, type PolicyFiles, type Start } from "./types";
 
 interface Exports {
     memory: WebAssembly.Memory;
@@ -13,12 +13,13 @@ interface Exports {
     describe(): number;
     text(): number;
     text_len(): number;
+    block(): number;
     snapshot(): number;
     restore(n: number): number;
     forget(n: number): void;
 }
 
-const VERSION = 1;
+const VERSION = 2;
 
 /** One simulation of one environment. */
 export class Simulator {
@@ -66,6 +67,13 @@ export class Simulator {
 
     step(): void {
         this.check(this.x.step());
+    }
+
+    /** Makes a block again, of the run that the first policy is of. */
+    block(iteration: number, shard: number): Block {
+        this.json({ iteration, shard });
+        this.check(this.x.block());
+        return JSON.parse(this.text()) as Block;
     }
 
     snapshot(): number {

@@ -1,7 +1,7 @@
 // The page's side of the worker.
 
 import type { Answer, FromWorker, Request, ToWorker } from "./messages";
-import type { Description, Event, Frame, PolicyFiles, Start } from "./types";
+import type { Block, Description, Event, Frame, PolicyFiles, Start } from "./types";
 
 interface Waiting {
     resolve(answer: Answer): void;
@@ -43,6 +43,16 @@ export class Simulation {
 
     async advance(from: number, events: Event[], steps: number): Promise<{ frames: Frame[]; stepMs: number }> {
         return this.expect("frames", await this.ask({ kind: "advance", from, events, steps }));
+    }
+
+    /** Makes a block again, of the run that the policy is of. */
+    async block(files: PolicyFiles, iteration: number, shard: number): Promise<Block> {
+        return this.expect("made", await this.ask({ kind: "block", files, iteration, shard })).block;
+    }
+
+    /** Ends the thread; what was asked and not answered stays so. */
+    end(): void {
+        this.worker.terminate();
     }
 
     private expect<K extends Answer["kind"]>(kind: K, answer: Answer): Extract<Answer, { kind: K }> {

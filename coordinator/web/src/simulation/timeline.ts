@@ -1,7 +1,7 @@
 // An episode in time: what has been simulated, where in it the page stands, and what its user did.
 
 import type { Simulation } from "./simulation";
-import type { Description, Event, Frame, PolicyFiles, Script, Start } from "./types";
+import type { Control, Description, Event, Frame, PolicyFiles, Script, Start } from "./types";
 
 /** Steps after which an episode pauses: an hour of the robot's time. */
 const LONGEST = 9000;
@@ -10,6 +10,13 @@ const AT_ONCE = 4;
 
 /** Something that lasts while a pointer is down: it is asked anew before each control step. */
 export type Lasting = () => Event | undefined;
+
+/** What moves each arm, and what is other than in training. */
+export interface Settings {
+    arms: Control[];
+    mass: number;
+    delay: number;
+}
 
 export class Timeline {
     description!: Description;
@@ -32,6 +39,8 @@ export class Timeline {
     private pending = new Map<string, Event>();
     private wanted = 0;
     private busy = false;
+    /** Whether the simulator is being told of something. */
+    private acting = false;
     /** Counts episodes, so that an answer for an earlier one is dropped. */
     private episode = 0;
 
@@ -57,7 +66,7 @@ export class Timeline {
         this.pending.clear();
         this.cursor = 0;
         this.wanted = 0;
-        this.busy = false;
+        this.busy = this.acting = false;
         this.onCut(0);
         this.onFrames();
     }
@@ -85,6 +94,23 @@ export class Timeline {
     /** What plays the same again. */
     script(): Script {
         return { start: this.start, steps: this.head, events: this.events };
+    }
+
+    /** What a person has set by the control step `step`, and has not been simulated otherwise since. */
+    settings(step: number): Settings {
+        const found: Settings = { arms: this.description.arms.map(() => ({ policy: 0 })), mass: this.description.base_mass, delay: 0 };
+        for (const { step: at, event } of this.events) {
+            if (at > step || event === "clear_effects") continue;
+            if ("arm" in event) found.arms[event.arm.arm] = event.arm.control;
+            else if ("base_mass" in event) found.mass = event.base_mass.mass;
+            else if ("delay" in event) found.delay = event.delay.steps;
+        }
+        return found;
+    }
+
+    /** Whether something shall happen that no control step has seen yet. */
+    get isPending(): boolean {
+        return this.pending.size > 0 || this.acting;
     }
 
     /** Moves time on by `seconds` of ours. */
@@ -162,10 +188,11 @@ export class Timeline {
         const from = this.head;
         const episode = this.episode;
         this.busy = true;
+        this.acting = events.length > 0;
         void this.simulation.advance(from, events, steps).then(
             ({ frames, stepMs }) => {
                 if (episode !== this.episode) return;
-                this.busy = false;
+                this.busy = this.acting = false;
                 // What was cut off meanwhile is not wanted any more.
                 if (from > this.head) return;
                 if (stepMs > 0) this.stepMs = this.stepMs === 0 ? stepMs : 0.9 * this.stepMs + 0.1 * stepMs;
@@ -175,7 +202,7 @@ export class Timeline {
             },
             (error: Error) => {
                 if (episode !== this.episode) return;
-                this.busy = false;
+                this.busy = this.acting = false;
                 this.play(false);
                 this.onError(error);
             },

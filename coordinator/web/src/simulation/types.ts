@@ -73,6 +73,15 @@ export interface Description {
 /** Every number of a moment, in the order of `ARRAYS`. */
 export type Frame = Record<ArrayName, Float32Array>;
 
+/** A block of a run: what all environments of a shard did in an iteration. */
+export interface Block {
+    seed: number;
+    digest: string;
+    env_steps: number;
+    /** Of an episode, mean over environments, an agent each. */
+    returns: number[];
+}
+
 /** The three files of a policy. */
 export interface PolicyFiles {
     config: Uint8Array;

@@ -31,6 +31,12 @@ async function handle(request: Request): Promise<Answer> {
         }
         case "policy":
             return { kind: "loaded", slot: opened().policy(request.files) };
+        case "block": {
+            if (module === undefined) throw new Error("the simulator is not loaded");
+            const it = await Simulator.start(module);
+            it.policy(request.files);
+            return { kind: "made", block: it.block(request.iteration, request.shard) };
+        }
         case "advance": {
             const it = opened();
             if (request.from !== now) {

@@ -3,6 +3,7 @@
 use std::fs;
 
 use simulator::robot::JOINTS_PER_ARM;
+use simulator::rollout::{RolloutSpec, rollout};
 
 use super::*;
 
@@ -142,4 +143,35 @@ fn a_page_goes_back_in_time_and_on_again() {
     simulation.event(event).expect("another policy");
     simulation.step().expect("a step");
     assert_ne!(array(&mut simulation, "state"), states[3]);
+}
+
+#[test]
+fn a_block_is_the_one_that_a_worker_makes() {
+    let mut simulation = loaded();
+    simulation.step().expect("a step");
+    let before = array(&mut simulation, "state");
+    let text = simulation.block(br#"{"iteration": 3, "shard": 1}"#).expect("a block");
+    let made: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    assert_eq!(array(&mut simulation, "state"), before, "the episode goes on where it was");
+
+    let member = simulation.playing().expect("loaded").episode.members()[0].clone();
+    let Member { world, policy } = &*member;
+    let mut block = vec![0.0; world.block_layout().len];
+    let seed = world.config.run.seed;
+    let spec = RolloutSpec { seed, iteration: 3, shard: 1, policy };
+    rollout(world, &spec, &mut block, &mut |_| {}).expect("a block");
+    assert_eq!(made["digest"], proto::Digest::of_block(&block).to_string());
+    assert_eq!(made["env_steps"], world.block_env_steps());
+    assert_eq!(made["returns"].as_array().map(Vec::len), Some(world.dimensions.n_agents));
+
+    for (json, word) in [
+        (r#"{"iteration": 3}"#, "shard"),
+        (r#"{"iteration": 3, "shard": 99}"#, "99"),
+        (r#"{"iteration": 4294967296, "shard": 0}"#, "4294967296"),
+    ] {
+        let error = simulation.block(json.as_bytes()).expect_err("refused");
+        assert!(error.contains(word), "{error}");
+    }
+    let nothing = Simulation::default().block(br#"{"iteration": 0, "shard": 0}"#);
+    assert_eq!(nothing, Err("no policy is loaded yet".to_owned()));
 }

@@ -26,6 +26,18 @@ const HAND_GOALS: [[f64; 6]; 4] = [
 ];
 const BASE_GOAL: [f64; 3] = [0.02927, -0.03531, 0.19579];
 
+/// What its trial is called.
+fn trial_of(task: TaskName, disturbance: Disturbance) -> String {
+    format!("disturbance, {}, {disturbance}", task.as_str())
+}
+
+impl Disturbed {
+    /// What its trial is called, with these goals.
+    pub(crate) fn trial(&self, goals: Goals) -> String {
+        goals.of_trial(&trial_of(self.task, self.disturbance))
+    }
+}
+
 /// What a disturbance led to.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Disturbed {
@@ -63,9 +75,9 @@ pub(super) fn measure(
     case: Case,
 ) -> anyhow::Result<Disturbed> {
     let task = policy.task();
+    let what = trial_of(task, case.name);
     let mut trial = lab.trial(policy);
     trial.interventions.clone_from(&case.interventions);
-    let what = format!("disturbance, {}, {}", task.as_str(), case.name);
     let recording = lab.play(&what, &trial)?;
     let figure = if has_figures(lab) {
         trial.episodes = 1;
@@ -74,7 +86,7 @@ pub(super) fn measure(
             base: (task == TaskName::Reorientation).then_some(BASE_GOAL),
         };
         let arms: &[usize] = if task == TaskName::Trajectory { &[arm] } else { &[] };
-        let shown = lab.play(&format!("{what}, the authors' goals"), &trial)?;
+        let shown = lab.play(&Goals::Theirs.of_trial(&what), &trial)?;
         Some(Figure::of(&shown, Goals::Theirs, arms))
     } else {
         None

@@ -54,6 +54,28 @@ async fn checkpoints_are_listed_and_found_by_every_name() {
 }
 
 #[tokio::test]
+async fn two_checkpoints_are_compared_by_any_of_their_names() {
+    let bench = Bench::new(&[5, 10]);
+    bench.store.tag(&Name::of_iteration(5), "paper").expect("tagged");
+    let answer = bench.ask("GET /v1/checkpoints/paper/differences/latest").await;
+    assert_eq!(answer.status, StatusCode::OK, "{answer:?}");
+    let found = answer.json();
+    assert_eq!((&found["same"], &found["same_robot"]), (&false.into(), &true.into()));
+    let tensors = found["tensors"].as_array().expect("a list");
+    assert!(!tensors.is_empty());
+    for tensor in tensors {
+        let name = tensor["tensor"].as_str().expect("a name");
+        assert!(name.starts_with("policy.safetensors/"), "{name}");
+        assert!(tensor["norm"].as_f64().expect("a number") > 0.0, "{tensor}");
+    }
+    let same = bench.ask("GET /v1/checkpoints/paper/differences/iteration-00000005").await.json();
+    assert_eq!((&same["same"], &same["tensors"]), (&true.into(), &serde_json::json!([])));
+    let answer = bench.ask("GET /v1/checkpoints/paper/differences/nothing").await;
+    assert_eq!(answer.status, StatusCode::NOT_FOUND, "{answer:?}");
+    assert!(answer.error().contains("nothing"));
+}
+
+#[tokio::test]
 async fn what_is_no_checkpoint_is_not_found_and_what_is_no_name_is_refused() {
     let bench = Bench::new(&[1]);
     for name in ["iteration-00000002", "nothing", "best"] {
