@@ -47,7 +47,7 @@ impl BlockSource {
     pub(crate) fn open(
         run_dir: &Path,
         address: BlockAddress,
-        chosen: Option<Checkpoint>,
+        chosen: Option<&Checkpoint>,
     ) -> anyhow::Result<Self> {
         let run_dir = store::run_files::run_directory(run_dir)?;
         let config = store::run_files::read_config(&run_dir)?;

@@ -170,7 +170,7 @@ fn of_episode(policy: &Path, args: &RecordArgs) -> anyhow::Result<Recording> {
 /// What an environment did in a block of a run.
 fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow::Result<Recording> {
     let chosen = args.policy.as_deref().map(open_policy).transpose()?;
-    let source = BlockSource::open(run_dir, address, chosen)?;
+    let source = BlockSource::open(run_dir, address, chosen.as_ref())?;
     let world = &source.world;
     let BlockAddress { seed, iteration, shard } = address;
     let (env, n_envs) = (args.env as usize, world.dimensions.n_envs);
@@ -183,7 +183,7 @@ fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow:
     }
     let failed = |error: &dyn std::fmt::Display| ExitError::new(ExitCode::Child, error.to_string());
     let block = source.make().map_err(|error| failed(&error))?;
-    let (start, hands, base) = begun(world, address, env, &InOrder)?;
+    let begun = begun(world, address, env, &InOrder)?;
     // An agent moves three joints, so agents one after the other are joints, arm after arm.
     let n_agents = world.dimensions.n_agents;
     let rows: Vec<Vec<f32>> = (0..world.dimensions.n_steps)
@@ -201,8 +201,12 @@ fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow:
         ("environment", env.to_string()),
         ("policy", source.found.clone()),
     ];
-    let commanded =
-        Commanded::by_actions(world, &start, (&hands, base), rows.iter().map(Vec::as_slice));
+    let commanded = Commanded::by_actions(
+        world,
+        &begun.robot,
+        (&begun.hands, begun.base),
+        rows.iter().map(Vec::as_slice),
+    );
     Ok(Recording::of(commanded, &origin)?)
 }
 

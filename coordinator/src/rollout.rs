@@ -84,7 +84,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         output.check(&inputs)?;
     }
     let own = chosen.is_none();
-    let source = BlockSource::open(&args.run_dir, args.address, chosen)?;
+    let source = BlockSource::open(&args.run_dir, args.address, chosen.as_ref())?;
     let begun = Instant::now();
     let block = source.make().map_err(|error| refuse(args, &error))?;
     let seconds = begun.elapsed().as_secs_f64();

@@ -16,7 +16,7 @@ use crate::trained::{ControllerName, PolicyIdentity, Trained};
 #[derive(Debug)]
 enum Driver {
     Policy { policy: Policy, checkpoint: Box<Checkpoint> },
-    Jacobian(JacobianController),
+    Jacobian(Box<JacobianController>),
 }
 
 /// A policy, or a controller, in the world that it was made for.
@@ -42,7 +42,7 @@ impl Contender {
         let config = Layers::new(Preset::Tuned, Some(task)).resolve()?;
         let world = World::new(&config, robot);
         let ControllerName::Jacobian = name;
-        let driver = Driver::Jacobian(JacobianController::new(&world));
+        let driver = Driver::Jacobian(JacobianController::new(&world).into());
         let identity = PolicyIdentity {
             task,
             controller: Some(name),

@@ -132,7 +132,9 @@ pub fn parse(bytes: &[u8], json: bool, n_arms: usize) -> Result<Vec<FixedGoals>,
             return Err(format!("row {row} has goals of {n} hands, the robot has {n_arms}"));
         }
         let numbers = hands.iter().flatten().flatten().chain(base.iter().flatten());
-        if let Some(number) = numbers.into_iter().find(|number| !(number.abs() <= LARGEST)) {
+        if let Some(number) =
+            numbers.into_iter().find(|number| number.is_nan() || number.abs() > LARGEST)
+        {
             return Err(format!("row {row}: {number} is no goal, expected -1000 to 1000"));
         }
         if hands.iter().all(Option::is_none) && base.is_none() {

@@ -59,7 +59,18 @@ fn begin(address: BlockAddress, first: usize) -> Result<Begin, ExportError> {
     })
 }
 
-/// Where environment `env` of a block begins: numbers of the robot's state, goals of the hands, and of the base.
+/// Where an environment begins.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Begun {
+    /// Numbers of the robot's state.
+    pub robot: Vec<f32>,
+    /// Goals of the hands: position (m) and Euler angles (rad), world.
+    pub hands: Vec<[f32; 6]>,
+    /// Goal of the base: Euler angles (rad).
+    pub base: [f32; 3],
+}
+
+/// Where environment `env` of a block begins.
 ///
 /// # Errors
 /// If the address is none.
@@ -68,7 +79,7 @@ pub fn begun(
     address: BlockAddress,
     env: usize,
     executor: &dyn Executor,
-) -> Result<(Vec<f32>, Vec<[f32; 6]>, [f32; 3]), ExportError> {
+) -> Result<Begun, ExportError> {
     let (dimensions, first) = (&world.dimensions, address.shard as usize * world.dimensions.n_envs);
     let mut shown = Shown::new(1, dimensions);
     Batch::new(Arc::clone(world), 1, 1)
@@ -77,7 +88,7 @@ pub fn begun(
     let [hands, base] = [HAND_GOAL, BASE_GOAL].map(|array| shown.row(array, 0, 1));
     let hands = hands.chunks_exact(6).map(|goal| goal.try_into().expect("six numbers")).collect();
     let base = base.try_into().expect("three numbers");
-    Ok((shown.row(ROBOT, 0, 1).to_vec(), hands, base))
+    Ok(Begun { robot: shown.row(ROBOT, 0, 1).to_vec(), hands, base })
 }
 
 /// Makes a block again from its actions, up to the first control step in which a number differs: observations, what critics see, rewards and ends

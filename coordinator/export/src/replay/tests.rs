@@ -96,16 +96,21 @@ fn a_block_is_made_again_to_the_bit_and_one_bit_is_found() {
     assert!(first.what.starts_with("environment 0"), "{}", first.what);
 }
 
+fn rows(shown: &mut [Vec<f32>; ARRAYS]) -> Rows<'_> {
+    Rows::of_arrays(shown.each_mut().map(Vec::as_mut_slice))
+}
+
 #[test]
 fn an_environment_of_a_block_is_a_motion() {
     let block = block();
     let world = &block.world;
-    let (start, hands, base) = begun(world, block.address, 1, &InOrder).expect("an address");
+    let begun = begun(world, block.address, 1, &InOrder).expect("an address");
     let executed: Vec<Vec<f32>> = (0..5)
         .map(|step| (0..8).flat_map(|agent| block.actions(agent, step)[3..6].to_vec()).collect())
         .collect();
     let commands = executed.iter().map(Vec::as_slice);
-    let commanded = Commanded::by_actions(world, &start, (&hands, base), commands);
+    let commanded =
+        Commanded::by_actions(world, &begun.robot, (&begun.hands, begun.base), commands);
     let recording = Recording::of(commanded, &[]).expect("stable");
     let recorded = Recorded::read(&recording.mcap().expect("a file")).expect("read");
     assert_eq!(replay_motion(&recorded).expect("stable").first, None);
@@ -113,9 +118,6 @@ fn an_environment_of_a_block_is_a_motion() {
     let begin = Begin { seed: 4, iteration: 9, first: 2 * 3 + 1, goals: GoalKind::Training };
     let mut shown = Rows::widths(&world.dimensions).map(|width| vec![0.0; width]);
     let mut batch = Batch::new(Arc::clone(world), 1, 1);
-    fn rows(shown: &mut [Vec<f32>; ARRAYS]) -> Rows<'_> {
-        Rows::of_arrays(shown.each_mut().map(Vec::as_mut_slice))
-    }
     batch.reset(begin, &InOrder, rows(&mut shown)).expect("an address");
     for step in 0..5 {
         let actions: Vec<f32> =
@@ -133,7 +135,7 @@ fn files_that_are_none_are_refused_with_what_is_wrong() {
     assert!(!refused(b"\x89MCAP0\r\n").is_empty());
     // A digit of an attachment: its checksum says so.
     let place = file.windows(10).position(|window| window == b"\"commands\"").expect("there");
-    let digit = (place..).find(|&at| file[at].is_ascii_digit()).expect("a number");
+    let digit = (place..file.len()).find(|&at| file[at].is_ascii_digit()).expect("a number");
     let mut damaged = file.clone();
     damaged[digit] ^= 1;
     assert!(refused(&damaged).contains("motion.json"), "{}", refused(&damaged));

@@ -10,6 +10,7 @@ use super::reports::Reports;
 use crate::evaluation::Summary;
 use crate::experiments::Name;
 use crate::experiments::arm_failure::Failure;
+use crate::experiments::base_mass::Weighed;
 use crate::experiments::disturbance::Disturbance;
 use crate::experiments::reassembly::Staged;
 use crate::experiments::report::Goals;
@@ -231,7 +232,7 @@ fn base_mass(reports: &Reports) -> Claim {
     let steady = tails.filter(|tail| *tail < MASS_THRESHOLD).count() as f64;
     let measure = "masses of which 90 % of the episodes end within 50 mrad";
     let what = "reorientation, other masses";
-    let lightest = report.results.first().map_or_else(String::new, |result| result.trial());
+    let lightest = report.results.first().map_or_else(String::new, Weighed::trial);
     Claim::new(Name::BaseMass, what, measure, Bound::MostOf(cases), within(MASS_THRESHOLD))
         .shown_by(lightest)
         .stricter("90 % within 30 mrad", within(0.03))

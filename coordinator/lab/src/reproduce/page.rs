@@ -48,7 +48,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
                 (figure(&figures::arm_failure(reports, links)?, "The base is turned while an arm is held by its servos or gives no torque, from the beginning. Left \
                     one episode with the authors' goal, then all held-out goals."))
             },
-        )?,
+        ),
         section::<base_mass::Study>(
             content,
             "Other masses of the base",
@@ -57,7 +57,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
                 (figure(&figures::base_mass(reports, links)?, "Share of episodes that end within a threshold, against the mass of the cube; the policy learned with \
                     400 kg. The dashed line is the paper's 90 %, of the threshold of 50 mrad."))
             },
-        )?,
+        ),
         reassembly(content)?,
         section::<noise::Study>(
             content,
@@ -66,7 +66,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             &html! {
                 (figure(&figures::noise(reports, links)?, "Mean error of the last 20 steps while one thing at a time is made worse. Strengths stand side by side, not to scale."))
             },
-        )?,
+        ),
     ];
     let learning = match content.curves {
         [] => None,
@@ -195,10 +195,10 @@ fn section<E: Experiment>(
     title: &str,
     report: &ReportOf<E>,
     figures: &Markup,
-) -> anyhow::Result<Markup> {
+) -> Markup {
     let Report { experiment, policies, provenance, protocol, .. } = report;
     let command = content.commands.iter().find(|(name, _)| name == experiment);
-    Ok(html! {
+    html! {
         h2 id=(experiment) { (title) }
         (figures)
         (content.links.list(&report.episodes))
@@ -215,7 +215,7 @@ fn section<E: Experiment>(
                 dt { "policy" } dd { (policy.task.as_str()) ", " span class="digest" { (policy.digest) } }
             }
         }
-    })
+    }
 }
 
 fn precision(content: &Content<'_>) -> anyhow::Result<Markup> {
@@ -226,7 +226,7 @@ fn precision(content: &Content<'_>) -> anyhow::Result<Markup> {
         (figure(&figures::courses(reports, content.links)?, "Median errors over time; the control period is 0.4 s, which the paper's figures count as 0.1 s."))
     };
     let title = "Precision";
-    section::<precision::Study>(content, title, &reports.precision, &figures)
+    Ok(section::<precision::Study>(content, title, &reports.precision, &figures))
 }
 
 fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
@@ -243,7 +243,7 @@ fn disturbance(content: &Content<'_>) -> anyhow::Result<Markup> {
     };
     let title = "Disturbance";
     let report = &reports.disturbance;
-    section::<disturbance::Study>(content, title, report, &figures)
+    Ok(section::<disturbance::Study>(content, title, report, &figures))
 }
 
 fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
@@ -274,7 +274,7 @@ fn reassembly(content: &Content<'_>) -> anyhow::Result<Markup> {
             second row arm 3 joins from step 70 on."))
         @for stage in &stages { (stage) }
     };
-    section::<reassembly::Study>(content, "Reassembly", report, &figures)
+    Ok(section::<reassembly::Study>(content, "Reassembly", report, &figures))
 }
 
 fn learning(curves: &[Recorded]) -> anyhow::Result<Markup> {
