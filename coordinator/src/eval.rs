@@ -44,10 +44,16 @@ pub struct EvalArgs {
     #[arg(value_name = "RUN_DIR|CHECKPOINT", required_unless_present = "controller")]
     pub path: Option<PathBuf>,
     /// A controller that is not learned, instead of a policy.
-    #[arg(long, value_enum, value_name = "NAME", conflicts_with = "path")]
+    #[arg(
+        long,
+        allow_negative_numbers = true,
+        value_enum,
+        value_name = "NAME",
+        conflicts_with = "path"
+    )]
     pub controller: Option<Named<ControllerName>>,
     /// The controller's task.
-    #[arg(long, allow_negative_numbers = true, value_enum, value_name = "TASK", default_value_t = Named(TaskName::Trajectory), requires = "controller")]
+    #[arg(long, allow_negative_numbers = true, value_enum, value_name = "TASK", default_value_t = Named(TaskName::Trajectory), conflicts_with = "path")]
     pub task: Named<TaskName>,
     /// The controller's robot: `paper`, `release`, or a robot file.
     #[arg(
@@ -55,7 +61,7 @@ pub struct EvalArgs {
         allow_negative_numbers = true,
         value_name = "NAME|FILE",
         default_value = "paper",
-        requires = "controller"
+        conflicts_with = "path"
     )]
     pub robot: String,
     /// Episodes, each with goals of its own [default: 30, or as many as --goals has].

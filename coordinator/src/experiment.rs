@@ -150,7 +150,7 @@ pub struct CommonArgs {
     #[arg(long, value_name = "CHECKPOINT", help_heading = "Policies")]
     pub reorientation: Option<PathBuf>,
     /// A controller that is not learned, instead of policies.
-    #[arg(long, value_enum, value_name = "NAME", conflicts_with_all = ["policies", "trajectory", "reorientation"], help_heading = "Policies")]
+    #[arg(long, allow_negative_numbers = true, value_enum, value_name = "NAME", conflicts_with_all = ["policies", "trajectory", "reorientation"], help_heading = "Policies")]
     pub controller: Option<Named<ControllerName>>,
     /// Another robot than the policies' own: `paper`, `release`, or a robot file.
     #[arg(long, allow_negative_numbers = true, value_name = "NAME|FILE")]

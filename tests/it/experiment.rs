@@ -395,7 +395,7 @@ fn a_controller_that_is_not_learned_takes_the_place_of_policies() {
         (vec!["eval"], "RUN_DIR|CHECKPOINT"),
         (vec!["eval", "runs/a", "--controller=jacobian"], "cannot be used with"),
         (vec!["eval", "--controller=pid"], "jacobian"),
-        (vec!["eval", "runs/a", "--task=reorientation"], "--controller"),
+        (vec!["eval", "runs/a", "--task=reorientation"], "cannot be used with"),
     ] {
         let wrong = octopus(&args);
         assert_eq!(wrong.status.code(), Some(2), "{args:?}: {}", stderr(&wrong));

@@ -37,7 +37,7 @@ pub struct ReproduceArgs {
     #[arg(long, value_name = "DIR")]
     pub policies: Option<PathBuf>,
     /// A controller that is not learned, instead of policies: the yardstick beside which they stand.
-    #[arg(long, value_enum, value_name = "NAME", conflicts_with_all = ["policies", "runs", "train"])]
+    #[arg(long, allow_negative_numbers = true, value_enum, value_name = "NAME", conflicts_with_all = ["policies", "runs", "train"])]
     pub controller: Option<Named<ControllerName>>,
     /// Run directories whose learning curves the page shows, seeds of one algorithm together, or files of
     /// `octopus plot --save` [default: curves.json beside the policies, where it exists].

@@ -20,7 +20,7 @@
 )]
 
 mod arrays;
-mod block;
+mod blocks;
 mod description;
 mod simulation;
 

@@ -12,7 +12,7 @@ use simulator::robot::Robot;
 use simulator::rollout::World;
 
 use crate::arrays::Arrays;
-use crate::{block, description};
+use crate::{blocks, description};
 
 /// The simulation of this instance; without an episode before the first policy.
 #[derive(Debug, Default)]
@@ -119,7 +119,7 @@ impl Simulation {
     pub(crate) fn block(&mut self, json: &[u8]) -> Result<String, String> {
         let wanted = parsed(json, "the block")?;
         let Playing { episode, .. } = self.playing()?;
-        block::make(&episode.members()[0], wanted)
+        blocks::make(&episode.members()[0], wanted)
     }
 
     /// Changes the episode and then fills the arrays.

@@ -38,10 +38,8 @@ use messages::{
     PosesInFrame, Quaternion, Timestamp, Vector3,
 };
 use moments::{Frame, Moment, base_goal, body_names, hand_goal, moments};
+use origin::ABOUT;
 pub use origin::RecordedEpisode;
-
-/// Name of the record that says where a recording comes from.
-const ABOUT: &str = "spaceoctopus";
 
 /// A motion that was made to be kept.
 #[derive(Debug)]

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use mcap::Summary;
 use mcap::read::metadata;
 
-use super::ABOUT;
+/// Name of the record that says where a recording comes from.
+pub(super) const ABOUT: &str = "spaceoctopus";
 
 /// What every MCAP file begins with.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
