@@ -19,8 +19,8 @@ fn state(robot: &Robot) -> State<f64> {
     for (joint, q) in state.q.iter_mut().enumerate() {
         *q += 0.4 * ((joint * 7 % 11) as f64 / 11.0 - 0.5);
     }
-    state.base_angular_velocity = [0.004, -0.003, 0.002];
-    state.base_linear_velocity = [0.002, 0.001, -0.003];
+    state.base_angular_velocity = [0.001, -0.0008, 0.0005];
+    state.base_linear_velocity = [0.0005, 0.0003, -0.0008];
     state
 }
 
@@ -65,7 +65,7 @@ fn hands_go_where_the_rates_say() {
         let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation.matrix()[(i, j)]));
         let [a, b, c] = crate::spatial::euler_xyz(&rows);
         let p = hand.translation.vector;
-        *goal = [p.x + 0.01, p.y - 0.005, p.z + 0.008, a + 0.01, b, c - 0.02];
+        *goal = [p.x + 1e-3, p.y - 5e-4, p.z + 8e-4, a + 1e-3, b, c - 2e-3];
     }
     // On the branches on which they stand.
     let branch = |(arm, goal): (usize, &[f64; 6])| {
