@@ -6,7 +6,6 @@ use super::*;
 use crate::evaluate::Evaluation;
 use crate::executor::InOrder;
 use crate::experiment::{Player, Trial, play};
-use crate::inverse_kinematics::{base_pose, forward};
 
 fn world(task: TaskName) -> World {
     let config = Layers::new(Preset::Tuned, Some(task)).resolve().expect("valid");
@@ -45,67 +44,6 @@ fn the_generalised_jacobian_is_what_the_simulator_does() {
     assert!((before.linear - after.linear).norm() < 1e-9 * before.linear_scale.max(1.0));
     assert!((before.angular - after.angular).norm() < 1e-9 * after.angular_scale.max(1.0));
     assert!(motion.drift.norm() > 1e-3);
-}
-
-#[test]
-fn hands_go_where_the_rates_say() {
-    let world = world(TaskName::Trajectory);
-    let controller = JacobianController::new(&world);
-    let robot = &world.robot;
-    let now = state(robot);
-    // Goals a little beside where the hands are.
-    let at = |state: &State<f64>, arm: usize| {
-        let q = std::array::from_fn(|j| state.q[arm * JOINTS_PER_ARM + j]);
-        base_pose(state) * forward(robot, arm, &q).0
-    };
-    let mut goals = world.task.goals.at_home::<f64>();
-    for (arm, goal) in goals.hands.iter_mut().enumerate() {
-        let hand = at(&now, arm);
-        let rotation = hand.rotation.to_rotation_matrix();
-        let rows = [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation.matrix()[(i, j)]));
-        let [a, b, c] = crate::spatial::euler_xyz(&rows);
-        let p = hand.translation.vector;
-        *goal = [p.x + 1e-3, p.y - 5e-4, p.z + 8e-4, a + 1e-3, b, c - 2e-3];
-    }
-    // On the branches on which they stand.
-    let branch = |(arm, goal): (usize, &[f64; 6])| {
-        let angles = std::array::from_fn(|j| now.q[arm * JOINTS_PER_ARM + j]);
-        Some(Branch { goal: *goal, angles, others: Vec::new(), steps: 0 })
-    };
-    let mut memory = Memory { branches: goals.hands.iter().enumerate().map(branch).collect() };
-    let rates = controller.rates(&now, &goals, &[true; 4], &mut memory);
-    assert!(rates.iter().zip(&controller.limits).all(|(rate, limit)| rate.abs() <= limit + 1e-12));
-    // The joints turn for a little while, and the base as momentum wants it.
-    let motion = momentum::BaseMotion::of(robot, &now).expect("an inertia");
-    let v = motion.drift
-        + nalgebra::SVector::<f64, 6>::from_iterator(
-            (&motion.by_joints * nalgebra::DVector::from_column_slice(&rates)).iter().copied(),
-        );
-    let h = 1e-4;
-    let mut later = now.clone();
-    for (q, rate) in later.q.iter_mut().zip(&rates) {
-        *q += h * rate;
-    }
-    for i in 0..3 {
-        later.base_position[i] += h * v[i];
-    }
-    let turn =
-        nalgebra::UnitQuaternion::from_scaled_axis(h * nalgebra::Vector3::new(v[3], v[4], v[5]));
-    let turned = base_pose(&now).rotation * turn;
-    later.base_quaternion = [turned.w, turned.i, turned.j, turned.k];
-    for (arm, goal) in goals.hands.iter().enumerate() {
-        let (before, after, goal) =
-            (at(&now, arm), at(&later, arm), crate::inverse_kinematics::pose(*goal));
-        let left = goal.translation.vector - before.translation.vector;
-        let went = (after.translation.vector - before.translation.vector) / h;
-        let wanted = GAIN / controller.period * left;
-        // Damping takes a part of it where an arm is near a singularity.
-        assert!((went - wanted).norm() < 0.3 * wanted.norm(), "hand {arm}: {went} for {wanted}");
-        let left = (goal.rotation * before.rotation.inverse()).scaled_axis();
-        let went = (after.rotation * before.rotation.inverse()).scaled_axis() / h;
-        let wanted = GAIN / controller.period * left;
-        assert!((went - wanted).norm() < 0.3 * wanted.norm(), "hand {arm}: {went} for {wanted}");
-    }
 }
 
 fn evaluation(task: TaskName, episodes: usize) -> Evaluation {
