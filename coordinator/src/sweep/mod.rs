@@ -1,8 +1,8 @@
 //! `octopus sweep`: many trainings that differ in keys of their configurations and in their seeds.
 //!
-//! * [`file`](mod@file): what is tried, as a person writes it; [`plan`]: the trials of it;
-//! * [`place`]: where everything is; [`slots`]: what is done at a time, and on which processors;
-//! * [`drive`]: the loop.
+//! * `file`: what is tried, as a person writes it; `plan`: the trials of it;
+//! * `place`: where everything is; `slots`: what is done at a time, and on which processors;
+//! * `drive`: the loop.
 
 mod drive;
 mod file;

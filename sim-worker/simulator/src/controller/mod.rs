@@ -9,10 +9,10 @@
 //! Jacobian matrix", IEEE Transactions on Robotics and Automation 5(3), eq. 15]. The matrix in front of q̇ is the generalised Jacobian; the last term is
 //! the drift that a push has left. It is inverted by damped least squares [Nakamura and Hanafusa 1986; Wampler 1986].
 //!
-//! * [`trajectory`](self::reaching): far from its goal an arm goes, joint by joint, to one of the sets of angles that bring its hand there,
+//! * `trajectory`: far from its goal an arm goes, joint by joint, to one of the sets of angles that bring its hand there,
 //!   chosen when the goal is seen for the first time: the nearest that touches nothing. Near it all arms follow the generalised Jacobian. An arm that
 //!   does not arrive tries its next set.
-//! * [`reorientation`](self::turning): the rows of the base. Twenty-one directions of the joints are left over, which draw the arms back home.
+//! * `reorientation`: the rows of the base. Twenty-one directions of the joints are left over, which draw the arms back home.
 //!
 //! Arms that the controller does not move are taken to go on as they do.
 
