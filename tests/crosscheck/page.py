@@ -237,8 +237,9 @@ def on_a_phone(opened, path):
     check(phone.room("[...timeline.frames[0].hand_goals]") != goals, "a tap gives the goals of before")
     phone.tab.tap(".transport button[aria-label='A control step on']")
     phone.wait("timeline.head >= 1 && timeline.cursor === 1")
-    # Two fingers' width of the background turn the view and push nothing.
+    # A finger on the background turns the view and pushes nothing.
     seen = phone.room("room.view.stage.camera.position.toArray()")
+    phone.tab.evaluate("scrollTo(0, 0)")
     box = phone.tab.locator(".scene canvas").bounding_box()
     touch = narrow.new_cdp_session(phone.tab)
     at = lambda x: [{"x": box["x"] + x, "y": box["y"] + 30}]
