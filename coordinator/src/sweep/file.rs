@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
-use proto::config::{AlgorithmName, Preset, TaskName};
+use proto::config::{AlgorithmName, Preset, TaskName, parse};
 use proto::{ConfigError, ExitCode, ExitError};
 use store::regular_files;
 use toml::{Table, Value};
 
-use crate::names::{Named, Names};
+use super::keys::{Keys, number, whole};
+use crate::names::Named;
 
 /// A key of the configuration and its value.
 pub(super) type Assignment = (String, Value);
@@ -16,6 +16,9 @@ pub(super) type Assignment = (String, Value);
 /// Keys that the sweep sets itself, and by what.
 const OWN: [(&str, &str); 2] =
     [("run.seed", "`seeds`"), ("run.env_steps", "`iterations` or `env_steps`")];
+
+/// Combinations of a grid, at most: more are a slip of the pen.
+const MOST_CONFIGURATIONS: usize = 10_000;
 
 /// What a file says.
 #[derive(Debug, Clone, PartialEq)]
@@ -76,10 +79,7 @@ impl SweepFile {
     /// What the text of the file at `path` says.
     pub(super) fn parse(path: &Path, text: String) -> anyhow::Result<Self> {
         let origin = path.display().to_string();
-        let table: Table = text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
-            origin: origin.clone(),
-            message: error.to_string().trim_end().to_owned(),
-        })?;
+        let table = parse(&text, &origin)?;
         let mut keys = Keys::new(&origin, "", table);
         let named = (keys.named("task")?, keys.named("preset")?, keys.named("algorithm")?);
         let (task, preset, algorithm) = named;
@@ -96,13 +96,13 @@ impl SweepFile {
                     .into());
             }
         };
-        let seeds = keys.seeds()?;
+        let seeds = seeds(&mut keys)?;
         let jobs = keys.whole("jobs", 1)?.map(|jobs| jobs as usize);
         let set = keys
             .table("set")?
             .map_or(Ok(Vec::new()), |table| assignments(&origin, "set", table))?;
         let grid = keys.table("grid")?.map(|grid| combinations(&origin, grid)).transpose()?;
-        let listed = keys.trials()?;
+        let listed = listed(&mut keys)?;
         if let Some(listed) = &listed
             && listed.is_empty()
         {
@@ -194,136 +194,29 @@ impl Evaluation {
     }
 }
 
-/// The keys of a table that have not been read yet.
-struct Keys<'a> {
-    origin: &'a str,
-    prefix: &'a str,
-    table: Table,
+/// The seeds of every configuration.
+fn seeds(keys: &mut Keys<'_>) -> Result<Vec<u64>, ConfigError> {
+    let Some(value) = keys.take("seeds") else { return Ok(vec![1]) };
+    let seeds: Option<Vec<u64>> =
+        value.as_array().and_then(|seeds| seeds.iter().map(whole).collect());
+    let differ = |seeds: &Vec<u64>| (1..seeds.len()).all(|at| !seeds[..at].contains(&seeds[at]));
+    let seeds = seeds.filter(|seeds| !seeds.is_empty() && differ(seeds));
+    let expected = "a list of whole numbers, none of them twice, such as [0, 1, 2]";
+    seeds.ok_or_else(|| keys.wrong("seeds", expected, value.to_string()))
 }
 
-impl<'a> Keys<'a> {
-    fn new(origin: &'a str, prefix: &'a str, table: Table) -> Self {
-        Self { origin, prefix, table }
-    }
-
-    fn take(&mut self, key: &str) -> Option<Value> {
-        self.table.remove(key)
-    }
-
-    fn wrong(&self, key: &str, expected: &str, found: impl Into<String>) -> ConfigError {
-        ConfigError::WrongType {
-            origin: self.origin.to_owned(),
-            key: format!("{}{key}", self.prefix),
-            expected: expected.to_owned(),
-            found: found.into(),
-        }
-    }
-
-    fn refuse(&self, what: &str) -> ExitError {
-        ExitError::new(ExitCode::BadInput, format!("{}: {what}", self.origin))
-    }
-
-    fn text(&mut self, key: &str) -> Result<Option<String>, ConfigError> {
-        match self.take(key) {
-            None => Ok(None),
-            Some(Value::String(text)) => Ok(Some(text)),
-            Some(other) => Err(self.wrong(key, "a string", other.to_string())),
-        }
-    }
-
-    fn whole(&mut self, key: &str, least: u64) -> Result<Option<u64>, ConfigError> {
-        let Some(value) = self.take(key) else { return Ok(None) };
-        let expected = format!("a whole number, {least} or more");
-        let whole = whole(&value).filter(|whole| *whole >= least);
-        whole.map(Some).ok_or_else(|| self.wrong(key, &expected, value.to_string()))
-    }
-
-    fn table(&mut self, key: &str) -> Result<Option<Table>, ConfigError> {
-        match self.take(key) {
-            None => Ok(None),
-            Some(Value::Table(table)) => Ok(Some(table)),
-            Some(other) => Err(self.wrong(key, &format!("a table, [{key}]"), other.to_string())),
-        }
-    }
-
-    /// A value that has a name.
-    fn named<T: Names>(&mut self, key: &str) -> Result<Option<Named<T>>, ConfigError> {
-        let Some(value) = self.take(key) else { return Ok(None) };
-        let all = Named::<T>::value_variants();
-        let found = all.iter().find(|named| value.as_str() == Some(named.0.name()));
-        found.copied().map(Some).ok_or_else(|| {
-            let names: Vec<String> =
-                all.iter().map(|named| format!("`{}`", named.0.name())).collect();
-            self.wrong(key, &format!("one of {}", names.join(", ")), value.to_string())
-        })
-    }
-
-    fn seeds(&mut self) -> Result<Vec<u64>, ConfigError> {
-        let Some(value) = self.take("seeds") else { return Ok(vec![1]) };
-        let seeds: Option<Vec<u64>> =
-            value.as_array().and_then(|seeds| seeds.iter().map(whole).collect());
-        let differ =
-            |seeds: &Vec<u64>| (1..seeds.len()).all(|at| !seeds[..at].contains(&seeds[at]));
-        let seeds = seeds.filter(|seeds| !seeds.is_empty() && differ(seeds));
-        let expected = "a list of whole numbers, none of them twice, such as [0, 1, 2]";
-        seeds.ok_or_else(|| self.wrong("seeds", expected, value.to_string()))
-    }
-
-    /// Configurations that are listed one by one.
-    fn trials(&mut self) -> anyhow::Result<Option<Vec<Vec<Assignment>>>> {
-        let Some(value) = self.take("trials") else { return Ok(None) };
-        let expected = "tables of keys and values, [[trials]]";
-        let Value::Array(listed) = &value else {
-            return Err(self.wrong("trials", expected, value.to_string()).into());
-        };
-        let trial = |trial: &Value| match trial {
-            Value::Table(table) => assignments(self.origin, "trials", table.clone()),
-            other => Err(self.wrong("trials", expected, other.to_string()).into()),
-        };
-        listed.iter().map(trial).collect::<anyhow::Result<_>>().map(Some)
-    }
-
-    /// Refuses what has not been read.
-    fn end(self, known: &[&str]) -> Result<(), ConfigError> {
-        let Some(name) = self.table.keys().next() else { return Ok(()) };
-        Err(ConfigError::UnknownKey {
-            origin: self.origin.to_owned(),
-            key: format!("{}{name}", self.prefix),
-            hint: hint(name, known),
-        })
-    }
-}
-
-/// The nearest known name, or all of them.
-fn hint(name: &str, known: &[&str]) -> String {
-    let near = known
-        .iter()
-        .map(|key| (strsim::levenshtein(name, key), key))
-        .filter(|(distance, _)| *distance <= 2.max(name.len() / 3))
-        .min();
-    match near {
-        Some((_, key)) => format!("; did you mean `{key}`?"),
-        None => format!("; known here: {}", known.join(", ")),
-    }
-}
-
-fn number(value: &Value) -> Option<f64> {
-    match value {
-        Value::Integer(value) => Some(*value as f64),
-        Value::Float(value) => Some(*value),
-        _ => None,
-    }
-}
-
-/// A whole number; large ones may be written as 2e6.
-fn whole(value: &Value) -> Option<u64> {
-    match value {
-        Value::Integer(value) => u64::try_from(*value).ok(),
-        Value::Float(value) if value.fract() == 0.0 && (0.0..9e15).contains(value) => {
-            Some(*value as u64)
-        }
-        _ => None,
-    }
+/// Configurations that are listed one by one.
+fn listed(keys: &mut Keys<'_>) -> anyhow::Result<Option<Vec<Vec<Assignment>>>> {
+    let Some(value) = keys.take("trials") else { return Ok(None) };
+    let expected = "tables of keys and values, [[trials]]";
+    let Value::Array(listed) = &value else {
+        return Err(keys.wrong("trials", expected, value.to_string()).into());
+    };
+    let trial = |trial: &Value| match trial {
+        Value::Table(table) => assignments(keys.origin, "trials", table.clone()),
+        other => Err(keys.wrong("trials", expected, other.to_string()).into()),
+    };
+    listed.iter().map(trial).collect::<anyhow::Result<_>>().map(Some)
 }
 
 /// The keys of `table` with their values; those of the sweep's own are refused.
@@ -356,6 +249,10 @@ fn combinations(origin: &str, grid: Table) -> anyhow::Result<Vec<Vec<Assignment>
                 found: value.to_string(),
             }
         })?;
+        if all.len() * values.len() > MOST_CONFIGURATIONS {
+            let what = format!("[grid] has more than {MOST_CONFIGURATIONS} combinations");
+            return Err(refuse(what).into());
+        }
         let with = |before: &Vec<Assignment>| -> Vec<Vec<Assignment>> {
             let one = |value: &Value| {
                 let mut all = before.clone();

@@ -1,11 +1,12 @@
 //! `octopus sweep`: many trainings that differ in keys of their configurations and in their seeds.
 //!
-//! * `file`: what is tried, as a person writes it; `plan`: the trials of it;
+//! * `file`: what is tried, as a person writes it, read by `keys`; `plan`: the trials of it;
 //! * `place`: where everything is; `slots`: what is done at a time, and on which processors;
 //! * `drive`: the loop.
 
 mod drive;
 mod file;
+mod keys;
 mod options;
 mod place;
 mod plan;

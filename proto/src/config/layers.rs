@@ -149,7 +149,7 @@ fn conditional_changes(
     for (name, changes) in &tables {
         let key = format!("for.{name}");
         if !known.contains_key(name) {
-            let (origin, hint) = (origin.to_owned(), hint(name, &known));
+            let (origin, hint) = (origin.to_owned(), hint(name, known.keys().map(String::as_str)));
             return Err(ConfigError::UnknownKey { origin, key, hint });
         }
         if !changes.is_table() {
@@ -180,7 +180,7 @@ fn merge<'a>(
         let Some(slot) = base.get_mut(name) else {
             return Err(ConfigError::UnknownKey {
                 origin: origin.to_owned(),
-                hint: hint(name, base),
+                hint: hint(name, base.keys().map(String::as_str)),
                 key,
             });
         };

@@ -40,6 +40,7 @@ pub use optimizer::{Optimizer, Schedule};
 pub use preset::Preset;
 pub use resolved::Config;
 pub use run::{Precision, Run};
+pub use tables::{hint, parse};
 pub use task::{GoalBox, JointAngles, Observation, Reward, RewardWeights, Start, Task, TaskName};
 
 #[cfg(test)]

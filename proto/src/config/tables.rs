@@ -5,7 +5,10 @@ use toml::{Table, Value};
 use crate::ConfigError;
 
 /// The table that `text` from `origin` holds.
-pub(super) fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
+///
+/// # Errors
+/// If it is no TOML.
+pub fn parse(text: &str, origin: &str) -> Result<Table, ConfigError> {
     text.parse::<Table>().map_err(|error| ConfigError::Syntax {
         origin: origin.to_owned(),
         message: error.to_string().trim_end().to_owned(),
@@ -48,16 +51,13 @@ pub(super) fn found(value: &Value) -> String {
     format!("{kind} {value}")
 }
 
-/// The nearest existing name, or all of them.
-pub(super) fn hint(name: &str, group: &Table) -> String {
-    let near = group
-        .keys()
-        .map(|key| (strsim::levenshtein(name, key), key))
-        .filter(|(distance, _)| *distance <= 2.max(name.len() / 3))
-        .min();
-    if let Some((_, key)) = near {
-        return format!("; did you mean `{key}`?");
+/// The end of a message about an unknown name: the nearest known one, or all of them.
+pub fn hint<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> String {
+    let known: Vec<&str> = known.collect();
+    let distances = known.iter().map(|key| (strsim::levenshtein(name, key), key));
+    let near = distances.filter(|(distance, _)| *distance <= 2.max(name.len() / 3)).min();
+    match near {
+        Some((_, key)) => format!("; did you mean `{key}`?"),
+        None => format!("; known here: {}", known.join(", ")),
     }
-    let keys: Vec<_> = group.keys().map(String::as_str).collect();
-    format!("; known here: {}", keys.join(", "))
 }

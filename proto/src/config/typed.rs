@@ -52,7 +52,11 @@ fn check(
         let origin = origin_of(&key);
         match (group.get(name), value) {
             (None, _) => {
-                return Err(ConfigError::UnknownKey { origin, key, hint: hint(name, group) });
+                return Err(ConfigError::UnknownKey {
+                    origin,
+                    key,
+                    hint: hint(name, group.keys().map(String::as_str)),
+                });
             }
             (Some(Value::Table(group)), Value::Table(table)) => {
                 check(table, group, complete, path, origin_of)?;
