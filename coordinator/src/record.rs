@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use export::{BlockAddress, Commanded, Recording, begun};
+use export::{BlockAddress, Commanded, Recording, block_start};
 use lab::trained::{Trained, open_checkpoint};
 use proto::layout::JOINTS_PER_AGENT;
 use proto::{ExitCode, ExitError};
@@ -183,7 +183,7 @@ fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow:
     }
     let failed = |error: &dyn std::fmt::Display| ExitError::new(ExitCode::Child, error.to_string());
     let block = source.make().map_err(|error| failed(&error))?;
-    let begun = begun(world, address, env, &InOrder)?;
+    let start = block_start(world, address, env, &InOrder)?;
     // An agent moves three joints, so agents one after the other are joints, arm after arm.
     let n_agents = world.dimensions.n_agents;
     let rows: Vec<Vec<f32>> = (0..world.dimensions.n_steps)
@@ -203,8 +203,8 @@ fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow:
     ];
     let commanded = Commanded::by_actions(
         world,
-        &begun.robot,
-        (&begun.hands, begun.base),
+        &start.robot,
+        (&start.hands, start.base),
         rows.iter().map(Vec::as_slice),
     );
     Ok(Recording::of(commanded, &origin)?)

@@ -30,7 +30,7 @@ mod vectors;
 pub use block::{Block, BlockAddress};
 pub use error::ExportError;
 pub use recording::{Commanded, Recorded, RecordedEpisode, Recording};
-pub use replay::{Begun, Difference, Replay, begun, replay_block, replay_motion};
+pub use replay::{BlockStart, Difference, Replay, block_start, replay_block, replay_motion};
 pub use source::{HeldOut, HeldOutError, Origin, Source};
 
 use networks::Networks;

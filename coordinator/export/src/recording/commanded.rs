@@ -50,7 +50,7 @@ impl Commanded {
         Ok(Self { robot, options, start, goals, commands })
     }
 
-    /// What was commanded in an environment of a run: where it began and its goals, as [`begun`](crate::begun) tells them, and its actions
+    /// What was commanded in an environment of a run: where it began and its goals, as [`block_start`](crate::block_start) tells them, and its actions
     /// before clipping and scaling, arm-major, a row a control step.
     pub fn by_actions<'a>(
         world: &World,

@@ -61,7 +61,7 @@ fn begin(address: BlockAddress, first: usize) -> Result<Begin, ExportError> {
 
 /// Where an environment begins.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Begun {
+pub struct BlockStart {
     /// Numbers of the robot's state.
     pub robot: Vec<f32>,
     /// Goals of the hands: position (m) and Euler angles (rad), world.
@@ -74,12 +74,12 @@ pub struct Begun {
 ///
 /// # Errors
 /// If the address is none.
-pub fn begun(
+pub fn block_start(
     world: &Arc<World>,
     address: BlockAddress,
     env: usize,
     executor: &dyn Executor,
-) -> Result<Begun, ExportError> {
+) -> Result<BlockStart, ExportError> {
     let (dimensions, first) = (&world.dimensions, address.shard as usize * world.dimensions.n_envs);
     let mut shown = Shown::new(1, dimensions);
     Batch::new(Arc::clone(world), 1, 1)
@@ -88,7 +88,7 @@ pub fn begun(
     let [hands, base] = [HAND_GOAL, BASE_GOAL].map(|array| shown.row(array, 0, 1));
     let hands = hands.chunks_exact(6).map(|goal| goal.try_into().expect("six numbers")).collect();
     let base = base.try_into().expect("three numbers");
-    Ok(Begun { robot: shown.row(ROBOT, 0, 1).to_vec(), hands, base })
+    Ok(BlockStart { robot: shown.row(ROBOT, 0, 1).to_vec(), hands, base })
 }
 
 /// Makes a block again from its actions, up to the first control step in which a number differs: observations, what critics see, rewards and ends

@@ -4,7 +4,7 @@ mod block;
 mod comparison;
 mod motion;
 
-pub use self::block::{Begun, begun, replay_block};
+pub use self::block::{BlockStart, block_start, replay_block};
 pub use self::comparison::{Difference, Replay};
 pub use self::motion::replay_motion;
 

@@ -104,13 +104,13 @@ fn rows(shown: &mut [Vec<f32>; ARRAYS]) -> Rows<'_> {
 fn an_environment_of_a_block_is_a_motion() {
     let block = block();
     let world = &block.world;
-    let begun = begun(world, block.address, 1, &InOrder).expect("an address");
+    let start = block_start(world, block.address, 1, &InOrder).expect("an address");
     let executed: Vec<Vec<f32>> = (0..5)
         .map(|step| (0..8).flat_map(|agent| block.actions(agent, step)[3..6].to_vec()).collect())
         .collect();
     let commands = executed.iter().map(Vec::as_slice);
     let commanded =
-        Commanded::by_actions(world, &begun.robot, (&begun.hands, begun.base), commands);
+        Commanded::by_actions(world, &start.robot, (&start.hands, start.base), commands);
     let recording = Recording::of(commanded, &[]).expect("stable");
     let recorded = Recorded::read(&recording.mcap().expect("a file")).expect("read");
     assert_eq!(replay_motion(&recorded).expect("stable").first, None);
