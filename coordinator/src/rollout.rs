@@ -6,7 +6,6 @@ use std::time::Instant;
 use clap::Args;
 use export::BlockAddress;
 use output::grouped;
-use proto::layout::{BlockLayout, Dimensions};
 use proto::run_dir::RunDir;
 use proto::{Digest, ExitCode, ExitError};
 use serde::Serialize;
@@ -89,7 +88,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
     let block = source.make().map_err(|error| refuse(args, &error))?;
     let seconds = begun.elapsed().as_secs_f64();
     let BlockAddress { seed, iteration, shard } = args.address;
-    let (world, block_layout) = (&source.world, source.world.block_layout());
+    let world = &source.world;
     let recorded = if own {
         recorded(&store::run_files::run_directory(&args.run_dir)?, args.address)?
     } else {
@@ -105,7 +104,7 @@ pub fn run(args: &RolloutArgs) -> anyhow::Result<()> {
         blake3: blake3::hash(bytemuck::cast_slice(&block.numbers)).to_hex().to_string(),
         same: recorded.map(|recorded| recorded == Digest::of_block(&block.numbers)),
         recorded,
-        returns: returns(&world.dimensions, block_layout, &block.numbers),
+        returns: world.mean_returns(&block.numbers),
         seconds,
     };
     if let Some(path) = &args.out {
@@ -178,14 +177,4 @@ fn refuse(args: &RolloutArgs, error: &RolloutError) -> anyhow::Error {
         _ => ExitCode::Usage,
     };
     ExitError::new(failure, error.to_string()).into()
-}
-
-fn returns(dimensions: &Dimensions, layout: &BlockLayout, block: &[f32]) -> Vec<f64> {
-    let per_agent = dimensions.n_steps * dimensions.n_envs;
-    block[layout.reward.clone()]
-        .chunks_exact(per_agent)
-        .map(|rewards| {
-            rewards.iter().map(|&reward| f64::from(reward)).sum::<f64>() / dimensions.n_envs as f64
-        })
-        .collect()
 }

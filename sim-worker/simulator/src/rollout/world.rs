@@ -44,6 +44,14 @@ impl World {
         &self.layout
     }
 
+    /// Undiscounted return of an episode, mean over a block's environments, an agent each.
+    pub fn mean_returns(&self, block: &[f32]) -> Vec<f64> {
+        let Dimensions { n_steps, n_envs, .. } = self.dimensions;
+        let of_agents = block[self.layout.reward.clone()].chunks_exact(n_steps * n_envs);
+        let sum = |rewards: &[f32]| rewards.iter().map(|&reward| f64::from(reward)).sum::<f64>();
+        of_agents.map(|rewards| sum(rewards) / n_envs as f64).collect()
+    }
+
     /// Checks and packs the parameters of a policy version.
     pub fn policy(&self, parameters: &[f32]) -> Result<Policy, PolicyError> {
         Policy::new(&self.config, &self.dimensions, parameters)
