@@ -7,8 +7,9 @@ use lab::experiments::common::Common;
 use lab::experiments::{
     Experiment, arm_failure, base_mass, disturbance, noise, perform, precision, reassembly,
 };
+use lab::identity::ControllerName;
 use lab::script;
-use lab::trained::{ControllerName, Trained, open_checkpoint};
+use lab::trained::{Trained, open_checkpoint};
 use simulator::simulate::Precision;
 use simulator::step::StepOptions;
 use store::files;

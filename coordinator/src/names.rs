@@ -4,7 +4,7 @@
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
-use lab::trained::ControllerName;
+use lab::identity::ControllerName;
 use proto::config::{AlgorithmName, Preset, TaskName};
 use simulator::simulate::Precision;
 use simulator::step::Integrator;

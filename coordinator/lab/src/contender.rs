@@ -11,7 +11,8 @@ use simulator::robot::Robot;
 use simulator::rollout::World;
 use store::checkpoint::Checkpoint;
 
-use crate::trained::{ControllerName, PolicyIdentity, Trained};
+use crate::identity::{ControllerName, Identity};
+use crate::trained::Trained;
 
 #[derive(Debug)]
 enum Driver {
@@ -25,7 +26,7 @@ pub struct Contender {
     /// Its world.
     pub world: World,
     driver: Driver,
-    identity: PolicyIdentity,
+    identity: Identity,
 }
 
 impl From<Trained> for Contender {
@@ -43,7 +44,7 @@ impl Contender {
         let world = World::new(&config, robot);
         let ControllerName::Jacobian = name;
         let driver = Driver::Jacobian(JacobianController::new(&world).into());
-        let identity = PolicyIdentity {
+        let identity = Identity {
             task,
             controller: Some(name),
             checkpoint: PathBuf::new(),
@@ -79,7 +80,7 @@ impl Contender {
     }
 
     /// Which one it is.
-    pub fn identity(&self) -> &PolicyIdentity {
+    pub fn identity(&self) -> &Identity {
         &self.identity
     }
 

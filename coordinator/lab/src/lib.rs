@@ -10,15 +10,17 @@
 //! * [`figures`]: learning curves of runs, and the panels that everything is drawn in;
 //! * [`verification`]: whether two runs, or a run and its repetition, are the same to the bit;
 //! * [`mod@bench`]: how fast a machine simulates, learns and transports;
-//! * [`statistics`], [`trained`], [`contender`], [`standalone`], [`threads`]: what these share.
+//! * [`statistics`], [`trained`], [`contender`], [`identity`], [`standalone`], [`threads`]: what these share.
 
 pub mod bench;
 pub mod contender;
+mod document;
 pub mod evaluation;
 pub mod experiments;
 pub mod figures;
 pub mod film;
 pub mod goals;
+pub mod identity;
 pub mod planning;
 pub mod reproduce;
 pub mod script;

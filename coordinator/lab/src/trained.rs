@@ -1,15 +1,16 @@
 //! A policy from a checkpoint, ready to act.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use proto::config::TaskName;
-use proto::{Digest, ExitCode, ExitError};
-use serde::{Deserialize, Serialize};
+use proto::{ExitCode, ExitError};
 use simulator::experiment::Player;
 use simulator::policy::Policy;
 use simulator::robot::Robot;
 use simulator::rollout::World;
 use store::checkpoint::{Checkpoint, POLICY, Selector};
+
+use crate::identity::Identity;
 
 /// A checkpoint's policy with the world it acts in.
 #[derive(Debug)]
@@ -20,57 +21,6 @@ pub struct Trained {
     pub world: World,
     /// Its networks.
     pub policy: Policy,
-}
-
-/// Controllers that are not learned.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ControllerName {
-    /// Damped least squares with the generalised Jacobian.
-    Jacobian,
-}
-
-impl ControllerName {
-    /// As it is written.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Jacobian => "jacobian",
-        }
-    }
-}
-
-/// Which policy it was: enough to find it again, and to know it when it is found.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PolicyIdentity {
-    /// Its task.
-    pub task: TaskName,
-    /// The controller that it is, if it is no policy: nothing below tells of a training then.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub controller: Option<ControllerName>,
-    /// Directory of the checkpoint.
-    pub checkpoint: PathBuf,
-    /// Iterations it was trained on.
-    pub iteration: u64,
-    /// Env-steps it was trained on.
-    pub env_steps: u64,
-    /// Digest of the checkpoint: of the training state or, of a composed one, of the actors.
-    pub digest: Digest,
-    /// BLAKE3 of `policy.safetensors`.
-    pub policy_blake3: Option<String>,
-    /// Seed of its training.
-    pub seed: u64,
-    /// Factor from actions to joint velocity commands that it was trained with.
-    pub action_scale: f64,
-}
-
-impl PolicyIdentity {
-    /// What messages call it.
-    pub fn shown(&self) -> String {
-        match self.controller {
-            Some(name) => format!("controller {}", name.as_str()),
-            None => self.checkpoint.display().to_string(),
-        }
-    }
 }
 
 /// The checkpoint that a path or a text such as `RUN:best` names.
@@ -114,9 +64,9 @@ impl Trained {
     }
 
     /// Which one it is.
-    pub fn identity(&self) -> PolicyIdentity {
+    pub fn identity(&self) -> Identity {
         let manifest = &self.checkpoint.manifest;
-        PolicyIdentity {
+        Identity {
             task: self.task(),
             controller: None,
             checkpoint: self.checkpoint.dir.clone(),

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use lab::trained::ControllerName;
+use lab::identity::ControllerName;
 use proto::config::AlgorithmName;
 
 use crate::names::Named;

@@ -10,7 +10,7 @@ use super::errors::{ErrorSummary, agents, overall};
 use super::reach::{Reach, Reachable, WithinReach};
 use super::success::{Success, success};
 use crate::goals::OwnGoals;
-use crate::trained::{ControllerName, PolicyIdentity};
+use crate::identity::{ControllerName, Identity};
 
 /// Shares of control steps at whose end bodies touched, by what touched what.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -69,7 +69,7 @@ pub struct Summary {
 impl Summary {
     /// What `evaluation` of a policy on the goals of `seed`, or on a person's own, says; `reach` as from [`Reach::of`].
     pub fn new(
-        identity: &PolicyIdentity,
+        identity: &Identity,
         seed: u64,
         own: Option<&OwnGoals>,
         evaluation: Evaluation,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::command_line::{option, path_option};
-use crate::trained::ControllerName;
+use crate::identity::ControllerName;
 
 /// Policies, robot and episodes of an experiment.
 #[derive(Debug, Clone, PartialEq)]

@@ -28,9 +28,10 @@ use super::report::{PlayedEpisode, Protocol, Report, RobotIdentity};
 use crate::contender::Contender;
 use crate::evaluation::Reach;
 use crate::goals::OwnGoals;
+use crate::identity::Identity;
 use crate::script::{self, TookPart};
 use crate::threads::Threads;
-use crate::trained::{PolicyIdentity, Trained, open_checkpoint};
+use crate::trained::{Trained, open_checkpoint};
 
 /// Which policies an experiment needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -310,7 +311,7 @@ impl Lab {
     }
 
     /// Which policies there are, trajectory first.
-    pub(crate) fn identities(&self) -> Vec<PolicyIdentity> {
+    pub(crate) fn identities(&self) -> Vec<Identity> {
         self.policies.iter().map(|policy| policy.identity().clone()).collect()
     }
 

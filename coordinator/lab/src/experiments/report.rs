@@ -11,8 +11,8 @@ use simulator::robot::Robot;
 use store::provenance::Provenance;
 
 use super::name::Name;
+use crate::identity::Identity;
 use crate::statistics::{ErrorOf, Spread, Unit};
-use crate::trained::PolicyIdentity;
 
 /// Words of ours that a file may hold.
 pub type Words = Cow<'static, str>;
@@ -23,7 +23,7 @@ pub struct Report<S, R> {
     pub(crate) experiment: Name,
     pub(crate) protocol: Protocol<S>,
     pub(crate) robot: RobotIdentity,
-    pub(crate) policies: Vec<PolicyIdentity>,
+    pub(crate) policies: Vec<Identity>,
     pub(crate) provenance: Provenance,
     pub(crate) results: Vec<R>,
     /// The first episode of each trial, as far as it can be played again.

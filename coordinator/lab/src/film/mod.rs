@@ -24,8 +24,9 @@ use self::episode::Episode;
 pub use self::episode::{EpisodeSettings, HandGoal};
 pub use self::look::Look;
 use self::stage::Stage;
+use crate::identity::Identity;
 use crate::threads::Threads;
-use crate::trained::{PolicyIdentity, Trained};
+use crate::trained::Trained;
 
 /// How long a film shows its first moment and its last (ms).
 const FIRST: u64 = 400;
@@ -56,7 +57,7 @@ pub struct Made {
     /// Length of the file.
     pub bytes: usize,
     /// The policy that moves the robot.
-    pub policy: PolicyIdentity,
+    pub policy: Identity,
     /// The robot's name.
     pub robot: String,
     /// The task.

@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn the_style_sheet_knows_the_palette() {
-        let style = include_str!("../page.css");
+        let style = include_str!("../document.css");
         for color in [INK, FAINT, GRID, COLORS[0], COLORS[1], COLORS[2]] {
             for property in ["fill", "stroke"] {
                 assert!(style.contains(&format!("svg [{property}=\"{color}\"]")), "{color}");

@@ -1,21 +1,21 @@
 //! The page: claims, figures, and where every number comes from. It stands alone: no script, nothing fetched.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 use output::grouped;
 use simulator::robot::Robot;
-use store::provenance::{Provenance, Utc};
 
 use super::claims::{Claim, Tally, verdict};
 use super::episodes::Links;
 use super::reports::Reports;
 use super::{drawing, figures};
+use crate::document::{document, made};
 use crate::experiments::report::{Goals, Report};
 use crate::experiments::{Experiment, Name, ReportOf};
 use crate::experiments::{arm_failure, base_mass, disturbance, noise, precision, reassembly};
 use crate::figures::families::{Family, Over, families};
 use crate::figures::learning::learning as learning_curves;
 use crate::figures::recorded::Recorded;
-use crate::trained::PolicyIdentity;
+use crate::identity::Identity;
 
 /// Stands in every page of ours, and so in none of others.
 pub(super) const GENERATOR: &str = "octopus reproduce";
@@ -72,32 +72,18 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
         [] => None,
         curves => Some(learning(curves)?),
     };
-    let markup = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="generator" content=(GENERATOR);
-                title { "SpaceOctopus: the paper's experiments" }
-                style { (PreEscaped(include_str!("../page.css"))) }
-            }
-            body {
-                (head(content))
-                (table(content))
-                @for section in &sections { (section) }
-                @if let Some(learning) = &learning { (learning) }
-            }
-        }
+    let body = html! {
+        (head(content))
+        (table(content))
+        @for section in &sections { (section) }
+        @if let Some(learning) = &learning { (learning) }
     };
-    Ok(markup.into_string())
+    Ok(document(GENERATOR, "the paper's experiments", &body))
 }
 
 /// What this is, and what it was made with.
 fn head(content: &Content<'_>) -> Markup {
     let report = &content.reports.reassembly;
-    let Provenance { version, commit, build, system, processor, processors, .. } =
-        &report.provenance;
     let protocol = &report.protocol;
     html! {
         h1 { "SpaceOctopus: the paper's experiments" }
@@ -108,9 +94,7 @@ fn head(content: &Content<'_>) -> Markup {
             p { strong { "Quick: " } "few episodes and coarse settings. Leave " code { "--quick" } " out for the protocol's numbers." }
         }
         dl {
-            dt { "made" } dd { (Utc::now()) }
-            dt { "program" } dd { (version) ", commit " code { (commit) } ", " (build) " build" }
-            dt { "machine" } dd { (processor) ", " (output::counted(*processors as u64, "processor")) ", " (system) }
+            (made(&report.provenance))
             dt { "robot" } dd { (report.robot.name) ", " code { (report.robot.blake3) } }
             dt { "episodes" } dd { (protocol.steps) " control steps of " (protocol.control_period_s) " s; seed of goals and noise: " (protocol.seed) }
             @for policy in &report.policies {
@@ -121,7 +105,7 @@ fn head(content: &Content<'_>) -> Markup {
     }
 }
 
-fn identity(policy: &PolicyIdentity) -> Markup {
+fn identity(policy: &Identity) -> Markup {
     if policy.controller.is_some() {
         return html! { (policy.shown()) ", not learned: damped least squares with the generalised Jacobian" };
     }

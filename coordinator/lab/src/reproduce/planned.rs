@@ -20,7 +20,7 @@ use crate::experiments::lab::Lab;
 use crate::experiments::report::RobotIdentity;
 use crate::experiments::{Experiment, Name, ReportOf, perform};
 use crate::experiments::{arm_failure, base_mass, disturbance, noise, precision, reassembly};
-use crate::trained::PolicyIdentity;
+use crate::identity::Identity;
 
 /// All of them.
 pub(super) struct Planned {
@@ -179,8 +179,8 @@ fn find<E: Experiment>(
 }
 
 /// Whether two policies are the same, wherever they lie.
-fn same_policy(a: &PolicyIdentity, b: &PolicyIdentity) -> bool {
-    let PolicyIdentity { checkpoint: _, ref policy_blake3, task, iteration, .. } = *a;
+fn same_policy(a: &Identity, b: &Identity) -> bool {
+    let Identity { checkpoint: _, ref policy_blake3, task, iteration, .. } = *a;
     (policy_blake3, task, iteration) == (&b.policy_blake3, b.task, b.iteration)
         && (a.digest, a.action_scale) == (b.digest, b.action_scale)
 }

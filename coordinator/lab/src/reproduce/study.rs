@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::experiments::common::Common;
 use crate::experiments::{base_mass, noise};
-use crate::trained::ControllerName;
+use crate::identity::ControllerName;
 
 /// Episodes of a setting with `--quick`.
 const QUICK_EPISODES: u32 = 10;

@@ -3,12 +3,13 @@
 
 use std::path::PathBuf;
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 use output::grouped;
-use store::provenance::{Provenance, Utc};
+use store::provenance::Provenance;
 
 use super::outcome::{ConfigurationOutcome, Outcome, TrialOutcome, minutes};
 use super::study::Study;
+use crate::document::{document, made};
 use crate::figures::families::{Over, families};
 use crate::figures::learning::learning;
 use crate::figures::recorded;
@@ -21,40 +22,25 @@ const DRAWN: usize = 8;
 
 /// The page as HTML.
 pub fn page(title: &str, study: &Study, outcome: &Outcome) -> anyhow::Result<String> {
-    let markup = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="generator" content=(GENERATOR);
-                title { "SpaceOctopus: sweep " (title) }
-                style { (PreEscaped(include_str!("../page.css"))) }
-            }
-            body {
-                h1 { "Sweep " (title) }
-                (head(study, outcome))
-                (configurations(outcome))
-                (curves(outcome)?)
-                (trials(outcome))
-                h2 { "The sweep" }
-                pre { (study.text) }
-            }
-        }
+    let body = html! {
+        h1 { "Sweep " (title) }
+        (head(study, outcome))
+        (configurations(outcome))
+        (curves(outcome)?)
+        (trials(outcome))
+        h2 { "The sweep" }
+        pre { (study.text) }
     };
-    Ok(markup.into_string())
+    Ok(document(GENERATOR, &format!("sweep {title}"), &body))
 }
 
 fn head(study: &Study, outcome: &Outcome) -> Markup {
-    let Provenance { version, commit, build, system, processor, processors, .. } =
-        Provenance::gather();
+    let provenance = Provenance::gather();
     let sum = |read: fn(&TrialOutcome) -> f64| outcome.trials.iter().map(read).sum::<f64>();
     let env_steps = outcome.trials.iter().map(|trial| trial.env_steps).sum();
     html! {
         dl {
-            dt { "made" } dd { (Utc::now()) }
-            dt { "program" } dd { (version) ", commit " code { (commit) } ", " (build) " build" }
-            dt { "machine" } dd { (processor) ", " (output::counted(processors as u64, "processor")) ", " (system) }
+            (made(&provenance))
             dt { "trials" } dd {
                 (output::counted(study.trials.len() as u64, "trial")) " of "
                 (output::counted(study.configurations.len() as u64, "configuration"))
