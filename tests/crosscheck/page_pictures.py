@@ -32,24 +32,26 @@ def keep(page, folder, name, clip=None):
     print(name, picture.size, out.tell(), flush=True)
 
 
+def paused(opened, path, step, **context):
+    """The page of the file, at a control step of its episode."""
+    page = Held(opened.new_context(**{"viewport": WIDE, **context}), "file://" + path)
+    page.ready()
+    page.wait("timeline.head >= %d" % step)
+    page.pause()
+    page.room("timeline.seek(%d)" % step)
+    return page
+
+
 def robot(opened, path, folder):
     """The robot on its way, in a form that is not square."""
-    page = Held(opened.new_context(viewport=WIDE), "file://" + path)
-    page.ready()
-    page.wait("timeline.head >= 24")
-    page.pause()
-    page.room("timeline.seek(22)")
+    page = paused(opened, path, 22)
     time.sleep(1)
     keep(page, folder, "robot")
 
 
 def handles(opened, path, folder):
     """A goal that is turned, in the dark."""
-    page = Held(opened.new_context(viewport=WIDE, color_scheme="dark"), "file://" + path)
-    page.ready()
-    page.wait("timeline.head >= 70")
-    page.pause()
-    page.room("timeline.seek(70)")
+    page = paused(opened, path, 70, color_scheme="dark")
     page.press("2")
     page.press("r")
     page.turn("1", 60)
@@ -63,11 +65,7 @@ def handles(opened, path, folder):
 
 def push(opened, path, folder):
     """A base that is pulled, seen from nearer."""
-    page = Held(opened.new_context(viewport=WIDE), "file://" + path)
-    page.ready()
-    page.wait("timeline.head >= 40")
-    page.pause()
-    page.room("timeline.seek(40)")
+    page = paused(opened, path, 40)
     x, y = page.on_screen(page.now("bodies")[12:15])
     mouse = page.tab.mouse
     mouse.move(x, y - 20)
@@ -80,11 +78,7 @@ def push(opened, path, folder):
 
 
 def phone(opened, path, folder):
-    page = Held(opened.new_context(viewport={"width": 390, "height": 844}, device_scale_factor=1.5, is_mobile=True, has_touch=True), "file://" + path)
-    page.ready()
-    page.wait("timeline.head >= 30")
-    page.pause()
-    page.room("timeline.seek(28)")
+    page = paused(opened, path, 28, viewport={"width": 390, "height": 844}, device_scale_factor=1.5, is_mobile=True, has_touch=True)
     time.sleep(1)
     keep(page, folder, "phone")
 
