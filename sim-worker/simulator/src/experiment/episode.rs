@@ -12,7 +12,8 @@ use super::chunk::Chunk;
 use super::event::{
     Control, Event, EventError, GoalPurpose, LONGEST_DELAY, Script, Start, finite, within,
 };
-use super::stepper::{Aims, Group, Stepper, draw_goals};
+use super::group::Group;
+use super::stepper::{Aims, Stepper, draw_goals};
 use super::{Effect, FixedGoals, Player, SensorNoise};
 use crate::collision::Touching;
 use crate::dynamics::Hand;

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::stepper::Group;
+use super::group::Group;
 use crate::collision::Touching;
 use crate::model::ContactKind;
 use crate::robot::JOINTS_PER_ARM;
