@@ -3,7 +3,7 @@
     page_pictures.py CHROMIUM FILE.html ADDRESS FOLDER  `octopus view deploy/policies/trajectory --with deploy/policies/reorientation --out FILE.html`;
                                                         ADDRESS is that of a run that trains and has kept some checkpoints
 
-Writes page-*.webp.
+Writes page-robot.webp, -goal, -push, -phone and -run, for deploy/pictures.
 """
 
 import io
@@ -20,8 +20,8 @@ from page_run import RunPage, death
 WIDE = {"width": 1360, "height": 850}
 
 
-def keep(page, folder, name, clip=None):
-    picture = Image.open(io.BytesIO(page.tab.screenshot(clip=clip))).convert("RGB")
+def keep(page, folder, name):
+    picture = Image.open(io.BytesIO(page.tab.screenshot())).convert("RGB")
     for quality in (90, 84, 78, 70, 60):
         out = io.BytesIO()
         picture.save(out, "WEBP", quality=quality, method=6)
@@ -84,7 +84,7 @@ def phone(opened, path, folder):
 
 
 def run(opened, address, folder):
-    """A run that trains, with a worker that has died; then a block made again and two checkpoints side by side."""
+    """A run that trains, with a worker that has died."""
     page = RunPage(opened.new_context(viewport={"width": 1360, "height": 980}), address.replace("#", "#run=1&"))
     page.ready()
     page.hears("f.metrics.lines.length > 12 && f.checkpoints.length > 2")
@@ -92,18 +92,6 @@ def run(opened, address, folder):
     page.tab.wait_for_selector(".notice", state="detached")
     time.sleep(4)
     keep(page, folder, "run")
-    page.tab.click(".blocks button")
-    page.tab.wait_for_selector(".made[data-verdict=same]")
-    for row in (0, 2):
-        page.tab.click(".checkpoints tr >> nth=%d >> button[aria-label^=Compare]" % row)
-    page.tab.wait_for_selector(".comparison tbody tr:has-text('Iterations')")
-    page.tab.click(".comparison summary")
-    page.tab.set_viewport_size({"width": 1360, "height": 1700})
-    time.sleep(1)
-    boxes = [page.tab.locator(selector).bounding_box() for selector in (".checkpoints", ".blocks")]
-    left, top = boxes[0]["x"] - 34, boxes[0]["y"] - 62
-    clip = {"x": left, "y": top, "width": boxes[0]["width"] + 68, "height": boxes[1]["y"] + boxes[1]["height"] + 16 - top}
-    keep(page, folder, "block", clip)
 
 
 def main():
