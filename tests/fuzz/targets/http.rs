@@ -9,6 +9,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use libfuzzer_sys::fuzz_target;
+use nix::sys::signal::{SigSet, Signal};
 use proto::Digest;
 use service::http::{Limits, Service, ServiceSpec, Token};
 use store::checkpoint::Snapshot;
@@ -76,6 +77,9 @@ fn is_events(answer: &[u8]) -> bool {
 fuzz_target!(
     init: {
         fuzz::write_seeds(seeds);
+        // As in every Rust program, whose `main` libFuzzer takes the place of: who writes to a client that has gone gets an error. The
+        // threads of the service inherit it.
+        SigSet::from(Signal::SIGPIPE).thread_block().expect("a valid signal");
         address();
     },
     |bytes: &[u8]| {
