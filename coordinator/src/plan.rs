@@ -19,7 +19,6 @@ use store::outputs::{Input, Output};
 
 use crate::joint_commands;
 use crate::names::{Named, Names};
-use crate::record;
 use crate::trajectories::{MARK, last_state, write_table};
 use crate::values::{duration, whole};
 
@@ -294,7 +293,7 @@ fn check_outputs(args: &PlanArgs) -> Result<(), ExitError> {
         ("--out", &args.out, b""),
         ("--trajectory", &args.trajectory, MARK),
         ("--picture", &args.picture, SVG),
-        ("--recording", &args.recording, record::MARK),
+        ("--recording", &args.recording, Recording::MARK),
     ];
     for (flag, path, mark) in outputs {
         let Some(path) = path else { continue };

@@ -95,8 +95,6 @@ pub struct RecordArgs {
     pub json: bool,
 }
 
-/// What a recording begins with.
-pub(crate) const MARK: &[u8] = b"\x89MCAP0\r\n";
 /// What its columns begin with.
 const CSV_MARK: &[u8] = b"t,base_x,base_y,base_z,base_qw,";
 
@@ -118,7 +116,8 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<()> {
     inputs.extend(args.plan.as_deref().map(|path| ("--plan", path)));
     inputs.extend(args.state.as_deref().map(|path| ("--state", path)));
     inputs.push(("--robot", Path::new(&args.robot)));
-    Output { flag: "--out", path: &args.out, mark: MARK, force: args.force }.check(&inputs)?;
+    Output { flag: "--out", path: &args.out, mark: Recording::MARK, force: args.force }
+        .check(&inputs)?;
     if let Some(path) = &args.csv {
         Output { flag: "--csv", path, mark: CSV_MARK, force: args.force }.check(&inputs)?;
         if is_same_place(path, &args.out) {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use export::{Block, Recorded, Replay, replay_block, replay_motion};
+use export::{Block, Recorded, Recording, Replay, replay_block, replay_motion};
 use lab::threads::Threads;
 use output::grouped;
 use proto::{ExitCode, ExitError};
@@ -11,7 +11,6 @@ use serde::Serialize;
 use store::regular_files;
 
 use crate::not_the_same::NotTheSame;
-use crate::record::MARK;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -58,7 +57,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let bad = |what: String| ExitError::new(ExitCode::BadInput, format!("{shown}: {what}"));
     let bytes = regular_files::read(&args.file, LONGEST)
         .map_err(|error| bad(format!("cannot be read: {error}")))?;
-    let (kind, replay) = if bytes.starts_with(MARK) {
+    let (kind, replay) = if bytes.starts_with(Recording::MARK) {
         ("recording", replay_motion(&Recorded::read(&bytes).map_err(bad)?)?)
     } else {
         let block = Block::read(&bytes).map_err(|what| {

@@ -61,6 +61,9 @@ fn quaternion(frame: &Frame) -> Quaternion {
 }
 
 impl Recording {
+    /// What its file begins with, as every MCAP file does.
+    pub const MARK: &[u8] = origin::MAGIC;
+
     /// Executes commands. `origin` says whose they are, in words for the file.
     ///
     /// # Errors

@@ -9,7 +9,7 @@ use mcap::read::metadata;
 pub(super) const ABOUT: &str = "spaceoctopus";
 
 /// What every MCAP file begins with.
-const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+pub(super) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 /// The episode of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
