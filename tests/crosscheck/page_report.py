@@ -45,7 +45,8 @@ class Report(Page):
         points = link.locator("polyline")
         is_line = points.count() > 0
         if is_line:
-            at = points.evaluate("(line) => { const p = line.getPointAtLength(line.getTotalLength() * 0.6).matrixTransform(line.getScreenCTM()); return [p.x, p.y]; }")
+            # One with gaps is several lines.
+            at = points.evaluate_all("(lines) => { const line = lines.reduce((a, b) => a.getTotalLength() >= b.getTotalLength() ? a : b); const p = line.getPointAtLength(line.getTotalLength() * 0.6).matrixTransform(line.getScreenCTM()); return [p.x, p.y]; }")
         else:
             at = [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]
         self.tab.mouse.click(*at)
