@@ -47,6 +47,8 @@ const KILLS_IN_A_ROW: u32 = 3;
 pub struct Report {
     /// What was done, by name, and how often.
     pub acts: BTreeMap<&'static str, usize>,
+    /// Events that came when the run had done its last iteration: nothing was left to do them to.
+    pub late: usize,
     /// Iterations of the run.
     pub iterations: usize,
     /// Coordinators that the run had.
@@ -62,6 +64,7 @@ impl Report {
     pub fn to_json(&self) -> Value {
         json!({
             "acts": self.acts,
+            "late": self.late,
             "iterations": self.iterations,
             "coordinators": self.coordinators,
             "learner_recovery": self.recoveries.to_json(),
@@ -134,6 +137,11 @@ impl<'a> Chaos<'a> {
             }
             let done =
                 chaos.act(event).with_context(|| format!("event {}: {event}", number + 1))?;
+            match &done {
+                Some(_) => *chaos.report.acts.entry(event.act.name()).or_default() += 1,
+                None => chaos.report.late += 1,
+            }
+            let done = done.as_deref().unwrap_or("too late, the run is done");
             narrate(&format!("{:3}/{} {event}: {done}", number + 1, plan.events.len()));
         }
         chaos.reach(plan.iterations)?;
@@ -174,34 +182,38 @@ impl<'a> Chaos<'a> {
         }
     }
 
-    fn act(&mut self, event: &Event) -> Result<String> {
-        let count = |report: &mut Report, name| *report.acts.entry(name).or_default() += 1;
+    /// Whether the run has done all that it was to do.
+    fn is_done(&mut self) -> bool {
+        matches!(self.run.ended(), Some(Some(0)))
+    }
+
+    /// Does what is due and says what was done; nothing if the run is done.
+    fn act(&mut self, event: &Event) -> Result<Option<String>> {
+        if self.is_done() {
+            return Ok(None);
+        }
         match event.act {
             Act::KillWorker => {
-                count(&mut self.report, "workers_killed");
-                let worker = self.choose_worker(event.victim)?;
+                let Some(worker) = self.choose_worker(event.victim)? else { return Ok(None) };
                 let first_block = FirstBlock::of_successor(&self.run, worker);
                 kill(worker.pid, Signal::KILL);
                 let in_a_row = self.unproven.get(&worker.worker).map_or(0, |(kills, _)| *kills) + 1;
                 self.unproven.insert(worker.worker, (in_a_row, first_block));
-                Ok(format!("worker {} process {}", worker.worker, worker.pid))
+                Ok(Some(format!("worker {} process {}", worker.worker, worker.pid)))
             }
             Act::HangWorker => {
-                count(&mut self.report, "workers_hung");
                 // Also one that is not ready yet, which costs the deadline for starting.
-                let worker = self.choose_worker(event.victim)?;
+                let Some(worker) = self.choose_worker(event.victim)? else { return Ok(None) };
                 kill(worker.pid, Signal::STOP);
-                Ok(format!("worker {} process {}", worker.worker, worker.pid))
+                Ok(Some(format!("worker {} process {}", worker.worker, worker.pid)))
             }
             Act::KillLearner => {
-                count(&mut self.report, "learners_killed");
-                let learner = self.learner()?;
+                let Some(learner) = self.learner()? else { return Ok(None) };
                 self.recovering = Some((Instant::now(), iterations(&self.run)));
                 kill(learner, Signal::KILL);
-                Ok(format!("process {learner}"))
+                Ok(Some(format!("process {learner}")))
             }
             Act::KillCoordinator(workers) => {
-                count(&mut self.report, "coordinators_killed");
                 self.wait_until_begun()?;
                 let pid = self.run.pid();
                 self.run.signal(Signal::KILL);
@@ -211,16 +223,14 @@ impl<'a> Chaos<'a> {
                 self.domains.dedup();
                 self.wait_until_gone()?;
                 self.resume(workers);
-                Ok(format!("process {pid} ended with {code:?}"))
+                Ok(Some(format!("process {pid} ended with {code:?}")))
             }
             Act::Interrupt(workers) => {
-                count(&mut self.report, "interrupts");
                 self.wait_until_begun()?;
                 self.run.signal(Signal::INT);
-                self.stopped("Ctrl-C", workers)
+                self.stopped("Ctrl-C", workers).map(Some)
             }
             Act::SignalAll(signal, workers) => {
-                count(&mut self.report, "signals_to_all");
                 self.wait_until_begun()?;
                 let coordinator = self.run.pid();
                 self.domains.extend(domain_of(&self.run, coordinator));
@@ -231,20 +241,15 @@ impl<'a> Chaos<'a> {
                 for pid in everybody.into_iter().chain([coordinator]) {
                     kill(pid, signal);
                 }
-                self.stopped("a signal to all", workers)
+                self.stopped("a signal to all", workers).map(Some)
             }
             Act::FreezeCoordinator(time) => {
-                count(&mut self.report, "coordinators_frozen");
                 self.run.signal(Signal::STOP);
                 std::thread::sleep(time);
                 self.run.signal(Signal::CONT);
-                Ok(format!("process {}", self.run.pid()))
+                Ok(Some(format!("process {}", self.run.pid())))
             }
-            Act::Scale(workers) => {
-                count(&mut self.report, "scalings");
-                self.scale(workers)?;
-                Ok("accepted".to_owned())
-            }
+            Act::Scale(workers) => Ok(self.scale(workers)?.then(|| "accepted".to_owned())),
         }
     }
 
@@ -277,21 +282,24 @@ impl<'a> Chaos<'a> {
         Ok(format!("process {pid} ended with {code:?}"))
     }
 
-    /// The learner, as soon as there is one.
-    fn learner(&mut self) -> Result<u32> {
+    /// The learner, as soon as there is one; none if the run is done.
+    fn learner(&mut self) -> Result<Option<u32>> {
         let mut watch = Watch::new(self.stop);
         loop {
             self.tend()?;
             if let Some(&learner) = self.run.children("learner").first() {
-                return Ok(learner);
+                return Ok(Some(learner));
+            }
+            if self.is_done() {
+                return Ok(None);
             }
             watch.pause(0, &self.run)?;
         }
     }
 
     /// A worker to be killed, as soon as there is one that has sent a block since the last kill or
-    /// was not killed too often in a row.
-    fn choose_worker(&mut self, victim: u32) -> Result<observe::WorkerProcess> {
+    /// was not killed too often in a row; none if the run is done.
+    fn choose_worker(&mut self, victim: u32) -> Result<Option<observe::WorkerProcess>> {
         let mut watch = Watch::new(self.stop);
         loop {
             self.tend()?;
@@ -302,20 +310,26 @@ impl<'a> Chaos<'a> {
                 killed.is_none_or(|(kills, _)| *kills < KILLS_IN_A_ROW)
             });
             if let Some(index) = (victim as usize).checked_rem(candidates.len()) {
-                return Ok(candidates[index]);
+                return Ok(Some(candidates[index]));
+            }
+            if self.is_done() {
+                return Ok(None);
             }
             watch.pause(0, &self.run)?;
         }
     }
 
-    /// Scales, again and again until the run is there to hear it.
-    fn scale(&mut self, workers: usize) -> Result<()> {
+    /// Scales, again and again until the run is there to hear it; false if the run is done.
+    fn scale(&mut self, workers: usize) -> Result<bool> {
         let path = self.run.path().display().to_string();
         let mut watch = Watch::new(self.stop);
         loop {
             let output = octopus(&["scale", &path, &workers.to_string()]);
             if output.status.success() {
-                return Ok(());
+                return Ok(true);
+            }
+            if self.is_done() {
+                return Ok(false);
             }
             let refused = stderr(&output);
             self.tend()?;

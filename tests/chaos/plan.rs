@@ -30,6 +30,20 @@ pub enum Act {
 }
 
 impl Act {
+    /// What reports call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::KillWorker => "workers_killed",
+            Self::KillLearner => "learners_killed",
+            Self::KillCoordinator(_) => "coordinators_killed",
+            Self::HangWorker => "workers_hung",
+            Self::FreezeCoordinator(_) => "coordinators_frozen",
+            Self::Scale(_) => "scalings",
+            Self::Interrupt(_) => "interrupts",
+            Self::SignalAll(..) => "signals_to_all",
+        }
+    }
+
     /// Whether a process is killed with signal 9.
     pub fn is_kill(self) -> bool {
         matches!(self, Self::KillWorker | Self::KillLearner | Self::KillCoordinator(_))
@@ -92,7 +106,7 @@ const FREEZE: (usize, usize) = (500, 6000);
 /// Signals that ask a run to stop.
 const STOPS: [Signal; 3] = [Signal::TERM, Signal::INT, Signal::HUP];
 /// Iterations after the last event: the run must be seen to go on.
-const CALM_END: usize = 10;
+const CALM_END: usize = 30;
 
 impl Plan {
     /// A plan with `kills` kills: of every ten, six of workers, two of the learner, two of the

@@ -14,7 +14,10 @@ fn survives(seed: u64, overlap: usize) {
     let mut narrate = |line: &str| story = format!("{story}\n{line}");
     let report = Chaos::run(&plan, overlap, &expected, &stop, &mut narrate);
     let report = report.unwrap_or_else(|error| panic!("{error:#}\n{story}"));
-    assert_eq!(report.acts.values().sum::<usize>(), plan.events.len());
+    let done: usize = report.acts.values().sum();
+    assert_eq!(done + report.late, plan.events.len(), "{report:?}");
+    // A fast run may be done before its last events; all but those must have been seen.
+    assert!(done > plan.events.len() / 2, "{report:?}\n{story}");
 }
 
 #[test]
