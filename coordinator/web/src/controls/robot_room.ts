@@ -359,7 +359,9 @@ export class RobotRoom {
     }
 
     private tick(): void {
-        requestAnimationFrame(() => this.tick());
+        // Pictures that nobody sees cost as much as others.
+        if (this.element.hidden) setTimeout(() => this.tick(), 100);
+        else requestAnimationFrame(() => this.tick());
         const now = performance.now();
         const seconds = Math.min((now - this.last) / 1000, 0.25);
         this.last = now;

@@ -2,10 +2,14 @@
 
 import uPlot from "uplot";
 import { h } from "../page/dom";
+import { GPU } from "../page/gpu";
 import { colour } from "../page/theme";
 import { ofArm } from "../scene/colours";
 import type { Timeline } from "../simulation/timeline";
 import type { Description, Frame } from "../simulation/types";
+
+/** Curves are drawn anew at most so often (ms). */
+const REST = GPU ? 80 : 250;
 
 interface Kind {
     title: string;
@@ -102,7 +106,7 @@ export class Curves {
         }
         this.valid = frames.length;
         const time = performance.now();
-        if (!now && (!changed || time - this.drawnAt < 80)) {
+        if (!now && (!changed || time - this.drawnAt < REST)) {
             this.late ||= changed;
             return;
         }
@@ -124,7 +128,7 @@ export class Curves {
 
     /** Draws the line of now, and what has come too soon after the last time. */
     tick(): void {
-        if (this.late && performance.now() - this.drawnAt >= 80) this.update(true);
+        if (this.late && performance.now() - this.drawnAt >= REST) this.update(true);
         for (const { plot } of this.plots) this.mark(plot);
     }
 

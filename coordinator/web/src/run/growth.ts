@@ -2,10 +2,14 @@
 
 import uPlot from "uplot";
 import { h } from "../page/dom";
+import { GPU } from "../page/gpu";
 import { colour } from "../page/theme";
 import { ARMS } from "../scene/colours";
 import type { Feed } from "./feed";
 import type { Evaluation, Metrics } from "./status";
+
+/** Curves are drawn anew at most so often (ms): a training on the same machine wants its processor. */
+const REST = GPU ? 500 : 2000;
 
 interface Drawn {
     title: string;
@@ -47,6 +51,8 @@ export class Growth {
     readonly element = h("section", { class: "growth", aria: { label: "Learning curves" } });
     private plots: { plot: uPlot; kind: Kind; box: HTMLElement }[] = [];
     private task = "";
+    private drawnAt = -REST;
+    private waiting = false;
 
     constructor(private readonly pick: (iteration: number) => void) {
         new ResizeObserver(() => this.resize()).observe(this.element);
@@ -63,8 +69,21 @@ export class Growth {
         });
     }
 
-    show({ metrics, evaluations }: Feed, task: string): void {
+    /** Draws what there is, or says that it shall be drawn as soon as it is time. */
+    show(feed: Feed, task: string): void {
         if (task !== this.task || this.plots.length === 0) this.begin(task);
+        const rest = REST - (performance.now() - this.drawnAt);
+        if (rest <= 0) {
+            this.draw(feed);
+        } else if (!this.waiting) {
+            this.waiting = true;
+            setTimeout(() => this.draw(feed), rest);
+        }
+    }
+
+    private draw({ metrics, evaluations }: Feed): void {
+        this.waiting = false;
+        this.drawnAt = performance.now();
         const iterations = metrics.lines.map(({ iteration }) => iteration);
         const held = evaluations.lines.map(({ iteration }) => iteration);
         for (const { plot, kind, box } of this.plots) {
@@ -82,7 +101,7 @@ export class Growth {
     restyle(feed: Feed): void {
         const { task } = this;
         this.begin(task);
-        this.show(feed, task);
+        this.draw(feed);
     }
 
     private make(box: HTMLElement, kind: Kind, stroke: string): uPlot {

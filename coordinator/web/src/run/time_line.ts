@@ -1,6 +1,7 @@
 // Who made what, who waited, who died: a strip for the learner and for each worker, over the last minute.
 
 import { h } from "../page/dom";
+import { GPU } from "../page/gpu";
 import { colour } from "../page/theme";
 import { CONTACT, ofArm } from "../scene/colours";
 import type { Feed } from "./feed";
@@ -8,6 +9,8 @@ import type { Happening } from "./status";
 
 /** Seconds that a strip is long. */
 const SPANS = [5, 20, 60];
+/** It is drawn anew so often (ms). */
+const REST = GPU ? 100 : 500;
 const ROW = 22;
 const NAMES = 74;
 const AXIS = 18;
@@ -43,7 +46,7 @@ export class TimeLine {
     private tick(): void {
         if (!this.shown) return;
         if (this.feed.heard) this.draw();
-        setTimeout(() => requestAnimationFrame(() => this.tick()), 100);
+        setTimeout(() => requestAnimationFrame(() => this.tick()), REST);
     }
 
     /** Rows by what has been heard: the learner, then workers; who is gone for longer than the strip has none. */

@@ -76,7 +76,7 @@ function meshOf(shape: Shape, material: THREE.Material): THREE.Mesh {
     if ("capsule" in shape) {
         const { from, to, radius } = shape.capsule;
         const [a, b] = [new THREE.Vector3(...from), new THREE.Vector3(...to)];
-        const mesh = new THREE.Mesh(new THREE.CapsuleGeometry(radius, a.distanceTo(b), 8, 24), material);
+        const mesh = new THREE.Mesh(new THREE.CapsuleGeometry(radius, a.distanceTo(b), 6, 20), material);
         along(mesh, b.clone().sub(a));
         mesh.position.copy(a.add(b).multiplyScalar(0.5));
         return mesh;
