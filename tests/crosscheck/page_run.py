@@ -56,7 +56,7 @@ def grows(page):
     check(page.feed("f.metrics.lines[0].iteration") == 0, "the first iteration is missing")
     count = page.consecutive()
     page.hears("f.metrics.lines.length > %d" % (count + 3))
-    check(page.painted(".growth .curve canvas") > 500, "the curve of the return is not drawn")
+    page.until(lambda: page.painted(".growth .curve canvas") > 500, "the curve of the return is drawn")
     page.hears("new Set(f.happened.filter((h) => h.what === 'block').map((h) => h.worker)).size === 2")
     page.hears("f.happened.some((h) => h.what === 'update')")
     page.until(lambda: page.painted(".time-line canvas") > 2000, "the time line is drawn")
@@ -237,7 +237,7 @@ def rest(chromium, address):
         page.ready()
         page.tab.wait_for_selector(".checkpoints tr")
         page.hears("f.metrics.lines.length > 3")
-        check(page.painted(".growth .curve canvas") > 500, "the curve of the return is not drawn")
+        page.until(lambda: page.painted(".growth .curve canvas") > 500, "the curve of the return is drawn")
         check(not page.tab.is_visible("button:has-text('Commit now')"), "who may only look is offered to commit")
         for what in ("Pin", "Tag"):
             check(page.tab.locator("button[aria-label^=%s]" % what).count() == 0, "who may only look is offered to %s" % what)

@@ -8,7 +8,7 @@ use simulator::evaluate::Course;
 use simulator::robot::Robot;
 use tests::controllers::{CDriver, Controlled, OnnxDriver, compile};
 use tests::guide::repository;
-use tests::{crosscheck, octopus, python, stderr};
+use tests::{Run, crosscheck, octopus, python, stderr};
 
 /// Says that everything is to be tried at its full length: thirty episodes of 200 steps with every policy.
 const WHOLE: &str = "SPACEOCTOPUS_CONTROLLERS";
@@ -148,6 +148,41 @@ fn whatever_can_be_trained_can_be_exported() {
     }
     assert!(dirs.len() > 20);
     check_onnx(&dirs);
+}
+
+/// A run that has just trained, one of its checkpoints by selector, and arms of two runs that were put together.
+#[test]
+fn what_was_trained_or_put_together_is_exported() {
+    let place = tempfile::tempdir().expect("tempdir");
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let train = |seed: &str| {
+        let mut run =
+            Run::train(&["--iterations=4", "--set=run.checkpoint_every=2", "--workers=1", seed]);
+        run.succeed();
+        run
+    };
+    let (first, second) = (train("--set=run.seed=1"), train("--set=run.seed=2"));
+    let [a, b] = [&first, &second].map(|run| run.path().display().to_string());
+    let team = at("team");
+    let arms = [format!("1,2={a}"), format!("3,4={b}")];
+    let words = ["checkpoints", "compose", "--arm", &arms[0], "--arm", &arms[1], "--out", &team];
+    let composed = octopus(&words);
+    assert!(composed.status.success(), "{}", stderr(&composed));
+    let mut dirs = Vec::new();
+    let mut digests = std::collections::BTreeSet::new();
+    for (name, source) in [("run", &a), ("earlier", &format!("{a}:2")), ("composed", &team)] {
+        let out = at(name);
+        let made = octopus(&["export", source, "--out", &out, "--episodes=2", "--json"]);
+        assert!(made.status.success(), "{source}: {}", stderr(&made));
+        let report: serde_json::Value = serde_json::from_slice(&made.stdout).expect("JSON");
+        digests.insert(report["policy"]["digest"].as_str().expect("a digest").to_owned());
+        check_c(Path::new(&out), &["-O1"]);
+        dirs.push(PathBuf::from(out));
+    }
+    assert_eq!(digests.len(), 3, "{digests:?}");
+    check_onnx(&dirs);
+    let (episodes, steps) = if whole() { (30, 200) } else { (2, 12) };
+    drive(&Controlled::of_checkpoint(Path::new(&team)).expect("read"), &dirs[2], episodes, steps);
 }
 
 /// What is wrong with a state or a goal is said by a number, and the joints hold.

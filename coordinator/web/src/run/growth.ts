@@ -51,7 +51,8 @@ export class Growth {
     readonly element = h("section", { class: "growth", aria: { label: "Learning curves" } });
     private plots: { plot: uPlot; kind: Kind; box: HTMLElement }[] = [];
     private task = "";
-    private drawnAt = -REST;
+    private drawnAt = 0;
+    private drawnLines = 0;
     private waiting = false;
 
     constructor(private readonly pick: (iteration: number) => void) {
@@ -69,11 +70,12 @@ export class Growth {
         });
     }
 
-    /** Draws what there is, or says that it shall be drawn as soon as it is time. */
+    /** Draws what there is: at once if it is much that is new, else as soon as it is time. */
     show(feed: Feed, task: string): void {
         if (task !== this.task || this.plots.length === 0) this.begin(task);
+        const { length } = feed.metrics.lines;
         const rest = REST - (performance.now() - this.drawnAt);
-        if (rest <= 0) {
+        if (rest <= 0 || length > 2 * this.drawnLines || length < this.drawnLines) {
             this.draw(feed);
         } else if (!this.waiting) {
             this.waiting = true;
@@ -84,6 +86,7 @@ export class Growth {
     private draw({ metrics, evaluations }: Feed): void {
         this.waiting = false;
         this.drawnAt = performance.now();
+        this.drawnLines = metrics.lines.length;
         const iterations = metrics.lines.map(({ iteration }) => iteration);
         const held = evaluations.lines.map(({ iteration }) => iteration);
         for (const { plot, kind, box } of this.plots) {
