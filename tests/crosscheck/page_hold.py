@@ -179,7 +179,7 @@ def weighed(page):
         at = page.run(10)
         ways[mass] = math.dist(page.frame(at, "state")[:3], start)
         pushes = page.room("timeline.events.filter(({ event }) => event.effect !== undefined).map(({ event }) => event.effect.effect.wrench.force)")
-        check(len(pushes) == 1, "there are %d pushes" % len(pushes))
+        check(len(pushes) == 1, "there are %d pushes: %s" % (len(pushes), page.room("timeline.events")))
         forces[mass] = math.hypot(*pushes[0])
         check(page.room("timeline.events.filter(({ event }) => event.base_mass !== undefined).length") == 1, "another future keeps the mass of the first")
     check(abs(forces[100] / forces[1000] - 1) < 1e-3, "the pushes are %s N" % forces)

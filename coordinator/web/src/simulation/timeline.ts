@@ -1,7 +1,7 @@
 // An episode in time: what has been simulated, where in it the page stands, and what its user did.
 
 import type { Simulation } from "./simulation";
-import type { Control, Description, Event, Frame, PolicyFiles, Script, Start } from "./types";
+import { type Control, type Description, type Event, type Frame, isEffect, type PolicyFiles, type Script, type Start } from "./types";
 
 /** Steps after which an episode pauses: an hour of the robot's time. */
 const LONGEST = 9000;
@@ -170,7 +170,7 @@ export class Timeline {
     /** Forgets what was simulated after a control step, so that it is simulated anew. */
     cutAt(step: number): void {
         this.frames.length = step + 1;
-        this.events = this.events.filter((event) => event.step <= step);
+        this.events = this.events.filter((it) => it.step < step || (it.step === step && !isEffect(it.event)));
         this.cursor = Math.min(this.cursor, step);
     }
 

@@ -22,6 +22,11 @@ export type Event =
     | { base_mass: { mass: number } }
     | { delay: { steps: number } };
 
+/** Whether an event acts over time. What it does to the moment before which it happens is nothing. */
+export function isEffect(event: Event): boolean {
+    return event === "clear_effects" || "effect" in event;
+}
+
 /** How an episode begins. */
 export interface Start {
     seed?: number;

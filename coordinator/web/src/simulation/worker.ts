@@ -2,6 +2,7 @@
 
 import type { Answer, FromWorker, Request, ToWorker } from "./messages";
 import { Simulator } from "./module";
+import { isEffect } from "./types";
 
 let module: WebAssembly.Module | undefined;
 let simulator: Simulator | undefined;
@@ -44,12 +45,15 @@ async function handle(request: Request): Promise<Answer> {
                 now = request.from;
                 it.forget(now + 1);
             }
-            if (request.events.length > 0) {
-                for (const event of request.events) it.event(event);
-                // The moment as the events have made it takes the place of the one before them.
+            const settings = request.events.filter((event) => !isEffect(event));
+            if (settings.length > 0) {
+                for (const event of settings) it.event(event);
+                // The moment as it has been set takes the place of the one before.
                 it.forget(now);
                 it.snapshot();
             }
+            // Whoever comes back to this moment begins another future, without what was pushed in this one.
+            for (const event of request.events.filter(isEffect)) it.event(event);
             const frames = [it.frame()];
             const begin = performance.now();
             for (let i = 0; i < request.steps; i++) {
