@@ -125,7 +125,9 @@ def click_block(page, name):
         iteration,
     )
     check(clicked is not None, "iteration %d is not on the time line" % iteration)
-    page.tab.wait_for_selector(".made[data-verdict=same]:has-text('iteration %d,')" % iteration)
+    page.tab.wait_for_selector(".made:not([data-verdict=busy]):not(:empty)")
+    said = page.tab.inner_text(".made")
+    check(page.tab.get_attribute(".made", "data-verdict") == "same" and "iteration %d," % iteration in said, "of iteration %d the page says: %s" % (iteration, said))
 
 
 def made_again(page):
@@ -172,10 +174,11 @@ def compared(page):
 def click_curve(page, name):
     """The policy of an iteration, or the nearest that is kept."""
     over = page.tab.locator(".growth .u-over").first
+    over.scroll_into_view_if_needed()
     box = over.bounding_box()
     page.tab.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.5 * box["height"])
     page.tab.mouse.click(box["x"] + 0.4 * box["width"], box["y"] + 0.5 * box["height"])
-    page.tab.wait_for_selector(".notice:has-text('plays')")
+    # What is said of it goes away again; that it plays stays.
     page.wait("room.element.hidden === false && room.current === '%s'" % name)
     page.tab_named("Run")
 

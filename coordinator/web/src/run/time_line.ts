@@ -124,7 +124,12 @@ export class TimeLine {
     private under(event: MouseEvent): Happening | undefined {
         const place = this.canvas.getBoundingClientRect();
         const [x, row] = [event.clientX - place.left, Math.floor((event.clientY - place.top) / ROW)];
-        return this.boxes.findLast((box) => box.row === row && x >= box.x && x <= box.x + box.width)?.it;
+        // Pointers are as exact as a pixel, and a pixel may be many blocks: one that can be made again is meant, or else
+        // the one that begins last.
+        const hit = this.boxes.filter((box) => box.row === row && x >= box.x - 1 && x <= box.x + box.width);
+        const kept = new Set((this.feed.checkpoints ?? []).map(({ iteration }) => iteration));
+        const known = ({ it }: { it: Happening }): number => Number(it.what === "block" && it.iteration !== undefined && kept.has(it.iteration));
+        return hit.sort((a, b) => known(a) - known(b) || a.x - b.x).at(-1)?.it;
     }
 }
 
