@@ -28,6 +28,7 @@ commands_run! {
     experiments_run: "deploy/guide/src/experiments.md",
     configuration_runs: "deploy/guide/src/configuration.md",
     sweeps_run: "deploy/guide/src/sweeps.md",
+    jobs_run: "deploy/guide/src/jobs.md",
     plans_run: "deploy/guide/src/plans.md",
     robots_run: "deploy/guide/src/robots.md",
     the_environment_runs: "deploy/guide/src/environment.md",

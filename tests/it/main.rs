@@ -19,6 +19,7 @@ mod golden;
 mod guide;
 mod http;
 mod imports;
+mod jobs;
 mod mujoco;
 mod other_users;
 mod page;

@@ -1,0 +1,234 @@
+//! What supervisors and clusters start: `deploy/jobs`.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+use tests::guide::repository;
+use tests::{Owned, Run, SMALL, crosscheck, kill, program, stderr};
+
+const ITERATIONS: &str = "--iterations=300";
+
+fn calm() -> Vec<String> {
+    let mut run = Run::train(&[ITERATIONS]);
+    run.succeed();
+    run.digests()
+}
+
+fn jobs() -> PathBuf {
+    repository().join("deploy/jobs")
+}
+
+/// Waits until `run` has `n` lines of metrics; says how many there are.
+fn wait_for_lines(metrics: &Path, n: usize) -> usize {
+    let watchdog = Instant::now() + Duration::from_mins(2);
+    loop {
+        let lines = std::fs::read_to_string(metrics).unwrap_or_default().lines().count();
+        if lines >= n {
+            return lines;
+        }
+        assert!(Instant::now() < watchdog, "{}: {lines} of {n} lines", metrics.display());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// A job that is asked to stop, and is started again until the run is done, has the bits of one that was left alone.
+fn stopped_and_started_again(job: &dyn Fn(&Path) -> Command, requeued: &dyn Fn() -> usize) {
+    let place = tempfile::tempdir().expect("tempdir");
+    let run = place.path().join("run");
+    for (starts, lines) in [(1, 5), (2, 40)] {
+        let mut started = Owned::spawn(job(&run).stdout(Stdio::null()).stderr(Stdio::null()));
+        let before = wait_for_lines(&run.join("metrics.jsonl"), lines);
+        kill(started.id(), Signal::TERM);
+        assert!(started.succeeded(), "start {starts} at {before} lines");
+        assert!(
+            wait_for_lines(&run.join("metrics.jsonl"), before) < 300,
+            "it was to be stopped before its end"
+        );
+        assert_eq!(requeued(), starts);
+    }
+    // To its end; and once more, when there is nothing to do.
+    for _ in 0..2 {
+        let ended = job(&run).output().expect("it starts");
+        assert!(ended.status.success(), "{}", stderr(&ended));
+    }
+    assert_eq!(requeued(), 2, "who is done is not started again");
+    let metrics = std::fs::read_to_string(run.join("metrics.jsonl")).expect("read");
+    let lines = metrics.lines().map(|line| serde_json::from_str::<serde_json::Value>(line));
+    let digests: Vec<String> = lines
+        .map(|line| line.expect("JSON")["digest"].as_str().expect("a digest").to_owned())
+        .collect();
+    assert_eq!(digests, calm());
+}
+
+#[test]
+fn a_supervisor_may_stop_and_start_a_training() {
+    let job = |run: &Path| {
+        let mut command = Command::new(jobs().join("train-or-resume.sh"));
+        command.arg(run).arg("trajectory").args(SMALL).arg(ITERATIONS);
+        command.env("OCTOPUS", program("octopus"));
+        command
+    };
+    let stops = std::cell::Cell::new(0);
+    // Nobody is told: whoever stopped it starts it.
+    stopped_and_started_again(&job, &|| {
+        stops.set(stops.get() + 1);
+        stops.get().min(2)
+    });
+}
+
+/// With a stand-in for `scontrol` that counts: a job that Slurm asks to stop asks Slurm to be started again.
+#[test]
+fn a_job_of_slurm_goes_on_after_its_time_limit() {
+    let place = tempfile::tempdir().expect("tempdir");
+    let counted = place.path().join("requeued");
+    let scontrol = place.path().join("scontrol");
+    std::fs::write(&scontrol, format!("#!/bin/sh\necho \"$@\" >> '{}'\n", counted.display()))
+        .expect("written");
+    let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    std::fs::set_permissions(&scontrol, executable).expect("own file");
+    let path = std::env::var("PATH").expect("a path");
+    let job = |run: &Path| {
+        let mut command = Command::new("bash");
+        command.arg(jobs().join("slurm/train.sh")).arg(run).arg("trajectory").args(SMALL);
+        command.arg(ITERATIONS).env("OCTOPUS", program("octopus")).env("SLURM_JOB_ID", "4711");
+        command.env("SPACEOCTOPUS", repository());
+        command.env("PATH", format!("{}:{path}", place.path().display()));
+        command
+    };
+    let requeued = || {
+        let text = std::fs::read_to_string(&counted).unwrap_or_default();
+        assert!(text.lines().all(|line| line == "requeue 4711"), "{text}");
+        text.lines().count()
+    };
+    stopped_and_started_again(&job, &requeued);
+
+    // What a person must mend is not tried again.
+    let wrong = Command::new("bash")
+        .arg(jobs().join("slurm/train.sh"))
+        .arg(place.path().join("wrong"))
+        .arg("no-task")
+        .env("OCTOPUS", program("octopus"))
+        .env("SPACEOCTOPUS", repository())
+        .output()
+        .expect("it starts");
+    assert_eq!(wrong.status.code(), Some(2), "{}", stderr(&wrong));
+    assert_eq!(requeued(), 2);
+}
+
+/// A systemd in namespaces of its own.
+struct Systemd {
+    namespaces: Owned,
+    init: u32,
+}
+
+impl Systemd {
+    /// `None` where it cannot be: without root, namespaces or systemd.
+    fn start(options: &str) -> Option<Self> {
+        // The units hide these, and with them the libtorch that the programs were built with.
+        let hidden = ["/home", "/root", "/tmp", "/var", "/run", "/opt"];
+        let there = Path::new("/lib/systemd/systemd").exists()
+            && rustix::process::geteuid().is_root()
+            && !hidden.iter().any(|hidden| repository().starts_with(hidden));
+        if !there {
+            return None;
+        }
+        let programs = program("octopus").parent().expect("a directory").to_owned();
+        // With the test it goes, too, and with the first of its processes all of them.
+        let mut command = Command::new("setpriv");
+        command.args([
+            "--pdeathsig",
+            "KILL",
+            "unshare",
+            "--pid",
+            "--fork",
+            "--kill-child",
+            "--mount",
+            "--cgroup",
+            "--ipc",
+        ]);
+        command.arg("--mount-proc").arg(crosscheck("systemd.sh"));
+        command.arg(&programs).arg(repository()).arg(options);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut namespaces = Owned::spawn(&mut command);
+        let watchdog = Instant::now() + Duration::from_secs(30);
+        while namespaces.ended().is_none() && Instant::now() < watchdog {
+            let children = format!("/proc/{0}/task/{0}/children", namespaces.id());
+            let children = std::fs::read_to_string(children).unwrap_or_default();
+            if let Some(init) = children.split_whitespace().next().and_then(|pid| pid.parse().ok())
+            {
+                let systemd = Self { namespaces, init };
+                let state = systemd.run(&["systemctl", "is-system-running"]);
+                if state.stdout.starts_with(b"running") {
+                    return Some(systemd);
+                }
+                namespaces = systemd.namespaces;
+            }
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        None
+    }
+
+    fn run(&self, words: &[&str]) -> Output {
+        let init = self.init.to_string();
+        let mut command = Command::new("nsenter");
+        command.args(["-t", &init, "-m", "-p", "-C", "-i"]).args(words);
+        command.output().expect("nsenter starts")
+    }
+
+    fn succeed(&self, words: &[&str]) -> String {
+        let output = self.run(words);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{words:?}: {said}{}", stderr(&output));
+        said
+    }
+}
+
+/// The units as they are, with everything that they forbid, under a real systemd.
+#[test]
+fn units_of_systemd_train_go_on_and_leave_nothing() {
+    const UNIT: &str = "spaceoctopus-train@trial";
+    let options = ["trajectory"].iter().chain(SMALL).chain(&[ITERATIONS]);
+    let options: Vec<&str> = options.copied().collect();
+    let Some(systemd) = Systemd::start(&options.join(" ")) else {
+        return eprintln!(
+            "not tried: it takes root, unshare, systemd, and a repository that units may see"
+        );
+    };
+    for unit in ["spaceoctopus-train@.service", "spaceoctopus-serve.service"] {
+        systemd.succeed(&["systemd-analyze", "verify", &format!("/etc/systemd/system/{unit}")]);
+        // Of 10: 1.2 when it was written. "OK" ends at 5.
+        systemd.succeed(&["systemd-analyze", "security", "--threshold=20", "--no-pager", unit]);
+    }
+    let run = "/var/lib/private/spaceoctopus/trial";
+    let lines = |n: usize| {
+        let watchdog = Instant::now() + Duration::from_mins(2);
+        loop {
+            let text = systemd.run(&["cat", &format!("{run}/metrics.jsonl")]).stdout;
+            let text = String::from_utf8(text).expect("UTF-8");
+            if text.lines().count() >= n {
+                return text;
+            }
+            let state = systemd.run(&["systemctl", "status", "--no-pager", UNIT]).stdout;
+            assert!(Instant::now() < watchdog, "{}", String::from_utf8_lossy(&state));
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    systemd.succeed(&["systemctl", "start", UNIT, "spaceoctopus-serve"]);
+    let before = lines(5).lines().count();
+    systemd.succeed(&["systemctl", "restart", UNIT]);
+    assert!(lines(before + 3).lines().count() < 300, "it was to be restarted before its end");
+    let ended = lines(300);
+    let digests: Vec<String> = ended
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"))
+        .map(|line| line["digest"].as_str().expect("a digest").to_owned())
+        .collect();
+    assert_eq!(digests, calm());
+    let shown = systemd.succeed(&["systemctl", "is-active", "spaceoctopus-serve"]);
+    assert_eq!(shown.trim(), "active");
+    systemd.succeed(&["systemctl", "stop", UNIT, "spaceoctopus-serve"]);
+    assert_eq!(systemd.succeed(&["ls", "/dev/shm"]), "");
+    assert_eq!(systemd.succeed(&["systemctl", "--failed", "--no-legend"]), "");
+}
