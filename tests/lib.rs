@@ -10,6 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::{NamedTempFile, TempDir};
 
+pub mod bucket;
 pub mod chaos;
 pub mod controllers;
 pub mod golden;

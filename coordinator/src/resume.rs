@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use bucket::restore::{Restored, restore};
+use bucket::{Bucket, BucketError};
 use channels::Domain;
 use clap::Args;
 use proto::config::{Config, Precision};
@@ -10,16 +12,17 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::preflight::{self, Remedy};
 use run::report::promised::Promised;
-use run::start::directory::record;
+use run::start::bucket as start_bucket;
+use run::start::directory::{RUNS, check_vacant, record};
 use run::start::session::{Ended, Start, run_session};
 use run::supervisor::Programs;
 use run::{errors, precision, report, resume_point};
 use store::budgets::{self, Budgets};
 use store::checkpoint::{Checkpoint, CheckpointStore, MANIFEST, Name};
-use store::files;
 use store::lock::RunLock;
 use store::provenance::Provenance;
 use store::recorded::Recorded;
+use store::{files, outputs};
 
 use crate::conclusion::{conclude, print_json, recorded_evaluation};
 use crate::train;
@@ -31,7 +34,10 @@ Examples:
   octopus resume runs/trajectory-20260101-120000
   octopus resume runs/trajectory-20260101-120000 --workers 4
   octopus resume runs/trajectory-20260101-120000 --env-steps 4e6
+  octopus resume s3://bucket/prefix --run-dir runs/a
 
+A bucket that a run has sent its checkpoints to (run.checkpoints) is enough to go on from it on \
+another machine: the newest checkpoint there becomes a run directory first. \
 --iterations, --env-steps and --pause-at are those of the whole run, not of what is left; --time-limit is \
 that of this session. The number of workers changes nothing that is learned; another budget does \
 when the learning rate falls over it.";
@@ -40,8 +46,12 @@ when the learning rate falls over it.";
 #[derive(Debug, Clone, Args)]
 #[command(after_help = RESUME_EXAMPLES)]
 pub struct ResumeArgs {
-    /// The run directory.
-    pub run_dir: PathBuf,
+    /// The run directory, or the bucket of a run: s3://…, gs://…, az://…, file:///….
+    #[arg(value_name = "RUN_DIR|BUCKET")]
+    pub run: PathBuf,
+    /// Where a run from a bucket lands; must not exist yet, or be empty [default: runs/PREFIX].
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: Option<PathBuf>,
     /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
     #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers)]
     pub workers: Option<u64>,
@@ -101,8 +111,41 @@ impl Resumed {
 /// Resumes.
 pub(super) fn resume(args: &ResumeArgs) -> anyhow::Result<Resumed> {
     args.parent.tie()?;
-    let run_dir = store::run_files::run_directory(&args.run_dir)?;
+    let place = restored(args)?;
+    let run_dir = store::run_files::run_directory(place.as_deref().unwrap_or(&args.run))?;
     go_on(args, run_dir.clone()).map_err(|error| errors::name_what_goes_on(error, &run_dir))
+}
+
+/// Where the run of a bucket lies now, if the command names one.
+fn restored(args: &ResumeArgs) -> anyhow::Result<Option<PathBuf>> {
+    if !Bucket::is_named_by(&args.run) {
+        return match &args.run_dir {
+            Some(_) => Err(ExitError::new(
+                ExitCode::Usage,
+                "--run-dir is for a run from a bucket; one that is here goes on in its own directory",
+            )
+            .into()),
+            None => Ok(None),
+        };
+    }
+    let bucket = Bucket::open(&args.run.to_string_lossy()).map_err(BucketError::exit)?;
+    let path = args.run_dir.clone().unwrap_or_else(|| Path::new(RUNS).join(bucket.name()));
+    check_vacant(&path)?;
+    outputs::check_outside("--run-dir", &path)?;
+    if let Some(parent) = path.parent() {
+        std::fs::create_dir_all(parent).map_err(|error| {
+            let message = format!("{}: cannot be created: {error}", parent.display());
+            ExitError::new(ExitCode::RunDirectory, message)
+        })?;
+    }
+    let Restored { name, passed_over, bytes } =
+        restore(&bucket, &path).map_err(BucketError::exit)?;
+    for passed in passed_over {
+        output::note(&format!("warning: {passed}; going on from {name} instead"));
+    }
+    let (shown, size) = (path.display(), output::size(bytes));
+    output::note(&format!("note: {name} of {} is in {shown} now ({size})", bucket.address()));
+    Ok(Some(path))
 }
 
 fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
@@ -142,12 +185,17 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
             output::counted(done, "iteration"),
             if done == 1 { "is" } else { "are" },
         ));
+        let mirror = start_bucket::start(&config, &run_dir)?;
+        if let Some(note) = start_bucket::finish(mirror, &config, &run_dir, || true) {
+            output::note(&note);
+        }
         return Ok(Resumed::Done(Ended::before(run_dir, last)));
     }
     for change in &overrides {
         output::note(&format!("note: {change}"));
     }
 
+    start_bucket::check(&config)?;
     let programs = Programs::find()?;
     preflight::check_machine(&config, &robot, &run_dir, &programs.learner, &REMEDY)?;
     let service = args.http.open(&run_dir)?;

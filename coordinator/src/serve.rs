@@ -2,9 +2,13 @@
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::Context as _;
+use bucket::replica::Replica;
+use bucket::{Bucket, BucketError};
 use clap::Args;
 use output::counted;
 use proto::run_dir::RunDir;
@@ -15,6 +19,7 @@ use service::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, To
 use store::checkpoint::CheckpointStore;
 
 use crate::checkpoints::common::store_to_fill;
+use crate::checkpoints::from_bucket;
 use crate::values::{address, positive};
 
 const SERVE_EXAMPLES: &str = "\
@@ -22,6 +27,7 @@ Examples:
   octopus serve --store checkpoints --create
   octopus serve --store runs/trajectory-20260101-120000
   octopus serve --runs runs
+  octopus serve --store s3://bucket/prefix
   octopus serve --store checkpoints --listen 0.0.0.0:8270 --token-file token.txt
   curl -s -H \"Authorization: Bearer $(cat checkpoints/.http.token)\" \\
       http://127.0.0.1:8270/v1/checkpoints | jq .
@@ -30,14 +36,15 @@ GET /openapi.json describes all requests. They need a token in the header `Autho
 TOKEN`: the one that the service makes for itself and keeps in the store's file .http.token, which \
 only you can read, or yours, from --token-file or the environment variable SPACEOCTOPUS_TOKEN. \
 Beyond this machine it must be yours. There is no TLS: beyond a network that you trust, put a \
-proxy with TLS in front. Ctrl-C ends the service.";
+proxy with TLS in front. Of a bucket a copy is shown, which follows it and which nobody can \
+change. Ctrl-C ends the service.";
 
 /// Options of `octopus serve`.
 #[derive(Debug, Clone, Args)]
 #[command(after_help = SERVE_EXAMPLES)]
 pub struct ServeArgs {
-    /// A directory of checkpoints, an empty one, or a run directory.
-    #[arg(long, value_name = "DIR", required_unless_present = "runs")]
+    /// A directory of checkpoints, an empty one, a run directory, or a bucket.
+    #[arg(long, value_name = "DIR|BUCKET", required_unless_present = "runs")]
     pub store: Option<PathBuf>,
     /// Make the directory if it does not exist.
     #[arg(long, conflicts_with = "runs")]
@@ -68,7 +75,7 @@ const TICK: Duration = Duration::from_millis(50);
 /// Serves until Ctrl-C.
 pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     let token = Token::find(args.token_file.as_deref())?;
-    let Served { store, root, runs, holds } = served(args)?;
+    let Served { store, root, runs, holds, replica } = served(args)?;
     let stop = StopRequests::new();
     stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     let mut own = OwnToken::prepare(root.join(STORE_TOKEN_FILE))?;
@@ -76,29 +83,34 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
         address: args.listen,
         token,
         runs,
-        read_only: args.read_only,
+        read_only: args.read_only || replica.is_some(),
         limits: Limits { upload_bytes: args.max_upload, ..Limits::default() },
         ..ServiceSpec::new(store, own.token())
     })?;
     own.keep()?;
     let address = service.address();
     let (what, count) = holds;
+    let shown = match &replica {
+        Some(replica) => PathBuf::from(replica.bucket().address()),
+        None => root,
+    };
     if args.json {
         let place = if args.runs.is_some() { "runs_dir" } else { "store" };
         output::json_line(&json!({
             "address": address,
-            place: root,
+            place: shown,
             (format!("{what}s")): count,
             "token_file": own.path(),
         }))?;
     } else {
         output::line(&format!(
             "http://{address} serves {}: {}; the token is in {}",
-            root.display(),
+            shown.display(),
             counted(count as u64, what),
             own.path().display()
         ))?;
     }
+    let follower = replica.map(Follower::start);
     while stop.count() == 0 {
         if !service.is_running() {
             return Err(ExitError::new(
@@ -110,7 +122,47 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
         std::thread::sleep(TICK);
     }
     service.stop();
+    drop(follower);
     Ok(())
+}
+
+/// How often a bucket is looked at.
+const FOLLOW: Duration = Duration::from_secs(10);
+
+/// The thread that keeps a copy of a bucket as the bucket is. It ends when this is dropped.
+struct Follower(Option<(Sender<()>, JoinHandle<()>)>);
+
+impl Follower {
+    fn start(mut replica: Replica) -> Self {
+        let (end, ended) = channel();
+        let thread = std::thread::spawn(move || {
+            let mut trouble = None;
+            while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(FOLLOW) {
+                let now = match replica.refresh() {
+                    Ok(damaged) => damaged.first().map(ToString::to_string),
+                    Err(error) => Some(error.to_string()),
+                };
+                // Once each.
+                if now != trouble
+                    && let Some(told) = &now
+                {
+                    tracing::warn!("the bucket is not shown as it is now: {told}");
+                }
+                trouble = now;
+            }
+        });
+        Self(Some((end, thread)))
+    }
+}
+
+impl Drop for Follower {
+    fn drop(&mut self) {
+        if let Some((end, thread)) = self.0.take() {
+            drop(end);
+            // Its copy goes away with it; a panic was its own.
+            let _ = thread.join();
+        }
+    }
 }
 
 /// What is served.
@@ -120,6 +172,8 @@ struct Served {
     runs: Option<PathBuf>,
     /// How many of what it is.
     holds: (&'static str, usize),
+    /// The bucket that the store is a copy of.
+    replica: Option<Replica>,
 }
 
 fn served(args: &ServeArgs) -> anyhow::Result<Served> {
@@ -131,13 +185,24 @@ fn served(args: &ServeArgs) -> anyhow::Result<Served> {
             root: dir.clone(),
             runs: Some(dir.clone()),
             holds: ("run", count),
+            replica: None,
         });
     }
     let path = args.store.as_ref().context("clap wants one of the two")?;
+    if Bucket::is_named_by(path) {
+        let mut replica = from_bucket::look(path)?;
+        for damaged in replica.fetch_all().map_err(BucketError::exit)? {
+            output::note(&format!("warning: {damaged}; it is not shown"));
+        }
+        let store = replica.store();
+        let (root, count) = (store.root().to_owned(), store.survey()?.entries.len());
+        let holds = ("checkpoint", count);
+        return Ok(Served { store, root, runs: None, holds, replica: Some(replica) });
+    }
     let store = store(path, args.create)?;
     let root = store.root().to_owned();
     let count = store.survey()?.entries.len();
-    Ok(Served { store, root, runs: None, holds: ("checkpoint", count) })
+    Ok(Served { store, root, runs: None, holds: ("checkpoint", count), replica: None })
 }
 
 /// How many runs a directory holds.

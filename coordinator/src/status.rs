@@ -4,8 +4,11 @@ use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use bucket::BucketError;
+use bucket::sent::Sent;
 use clap::Args;
 use output::grouped;
+use proto::config::Config;
 use proto::run_dir::RunDir;
 use run::errors;
 use run::preflight::mib;
@@ -69,12 +72,52 @@ pub struct RunStatus {
     pub last: Option<Value>,
     /// The newest checkpoint of its own.
     pub checkpoint: Option<PathBuf>,
+    /// The bucket that its checkpoints are sent to, if there is one.
+    pub bucket: Option<BucketStatus>,
     /// Where the training has diverged, unless it has recovered.
     pub divergence: Option<Diverged>,
     /// Its processes and stages, while it runs and its HTTP service answers.
     pub live: Option<LiveStatus>,
     /// Why there is no `live`, although the run goes on.
     pub live_error: Option<String>,
+}
+
+/// What of a run is in its bucket.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BucketStatus {
+    /// Its address.
+    pub address: String,
+    /// Checkpoints that are here and not there, the newest first.
+    pub waiting: Vec<Name>,
+    /// What keeps them from being sent, if anything does.
+    pub trouble: Option<String>,
+}
+
+impl BucketStatus {
+    /// Reads what the run has written down; asks nobody.
+    fn of(run_dir: &RunDir, config: &Config) -> anyhow::Result<Option<Self>> {
+        if config.run.checkpoints.is_empty() {
+            return Ok(None);
+        }
+        let address = config.run.checkpoints.trim_end_matches('/').to_owned();
+        let entries = CheckpointStore::new(run_dir.checkpoints()).survey()?.entries;
+        let sent = Sent::read(run_dir).map_err(BucketError::exit)?;
+        let sent =
+            sent.filter(|sent| sent.address == address).unwrap_or_else(|| Sent::none(&address));
+        Ok(Some(Self { address, waiting: sent.waiting(&entries), trouble: sent.trouble }))
+    }
+
+    /// What a person reads.
+    fn shown(&self) -> String {
+        let Self { address, waiting, trouble } = self;
+        let state = match waiting.as_slice() {
+            [] => "has all checkpoints".to_owned(),
+            [one] => format!("{one} is not sent yet"),
+            [newest, ..] => format!("{} are not sent yet, the newest {newest}", waiting.len()),
+        };
+        let why = trouble.as_ref().map_or_else(String::new, |trouble| format!(": {trouble}"));
+        format!("{address}: {state}{why}")
+    }
 }
 
 /// The token to show to runs instead of their own, and the file that it is from.
@@ -183,6 +226,9 @@ fn show(status: &RunStatus) -> String {
     }
     if let Some(checkpoint) = &status.checkpoint {
         lines.push(format!("{:14}{}", "checkpoint", checkpoint.display()));
+    }
+    if let Some(bucket) = &status.bucket {
+        lines.push(format!("{:14}{}", "bucket", bucket.shown()));
     }
     if let Some(diverged) = &status.divergence {
         lines.push(format!("{:14}{diverged}; {CURE}", "warning"));
@@ -356,6 +402,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         planned_iterations,
         last,
         checkpoint,
+        bucket: BucketStatus::of(&run_dir, &config)?,
         divergence: Divergence::recorded(&run_dir)?.found().cloned(),
         live: None,
         live_error: None,
@@ -395,6 +442,7 @@ mod tests {
             task: "reorientation",
             iterations: 1234,
             planned_iterations: 12_345,
+            bucket: None,
             divergence: None,
             last: Some(serde_json::json!({ "env_steps": 99_999_999, "return_mean": -1234.56 })),
             checkpoint: None,

@@ -8,6 +8,7 @@ use proto::config::{AlgorithmName, Config, Layers, Preset, TaskName};
 use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use run::preflight::{self, Remedy};
+use run::start::bucket;
 use run::start::directory::{RUNS, check_vacant, claim, create, default_name, record};
 use run::start::service::RunService;
 use run::start::session::{Ended, Start, run_session};
@@ -119,6 +120,7 @@ struct Plan {
 fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let config = precision::resolve(configure(args)?);
     check_token_file(&args.http)?;
+    bucket::check(&config)?;
     let robot = run::robots::load_fit_robot(&config.robot.description, &step_options(&config))?;
     match &args.run_dir {
         Some(path) => {

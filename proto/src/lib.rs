@@ -6,7 +6,7 @@
 //! * [`config`]: the typed configuration, its presets and how layers of it are merged;
 //! * [`layout`]: sizes, and the place of every number in the arrays that cross a process border;
 //! * [`message`]: the control messages and the course of an iteration;
-//! * [`run_dir`]: the files of a run directory;
+//! * [`run_dir`]: the files of a run directory; [`bucket_address`]: where its checkpoints go, too;
 //! * [`rng`]: random numbers that are pure functions of their address;
 //! * [`Digest`]: the fingerprint of a training state;
 //! * [`statistics`]: percentiles, means and intervals;
@@ -16,6 +16,7 @@
 //! does first. Read [`message`] next: it tells the story of an iteration.
 
 pub mod agents;
+pub mod bucket_address;
 pub mod config;
 mod digest;
 mod error;

@@ -34,6 +34,7 @@ commands_run! {
     the_environment_runs: "deploy/guide/src/environment.md",
     a_policy_on_a_robot_runs: "deploy/guide/src/robot-controller.md",
     checkpoints_run: "deploy/guide/src/checkpoints.md",
+    a_bucket_runs: "deploy/guide/src/bucket.md",
     exactness_runs: "deploy/guide/src/exactness.md",
     failures_run: "deploy/guide/src/failures.md",
     python_runs: "deploy/guide/src/python.md",

@@ -3,6 +3,7 @@
 mod algorithms;
 mod bad_input;
 mod bench;
+mod bucket;
 mod chaos;
 mod checkpoints;
 mod command_line;

@@ -1,9 +1,11 @@
 //! `verify` and `diff`.
 
+use bucket::{Bucket, BucketError};
 use output::{counted, size};
 use proto::{ExitCode, ExitError};
-use store::checkpoint::{Difference, Selector, Verification, compare, store_at};
+use store::checkpoint::{Checkpoint, Difference, Name, Selector, Verification, compare, store_at};
 
+use crate::checkpoints::from_bucket::{self, Found};
 use crate::checkpoints::options::{DiffArgs, VerifyArgs};
 use crate::not_the_same::NotTheSame;
 
@@ -35,6 +37,9 @@ pub(super) fn verify(args: &VerifyArgs) -> anyhow::Result<()> {
 
 /// Checks what a selector means: one checkpoint, or all of a store.
 fn examine(selector: &Selector) -> anyhow::Result<Vec<Verification>> {
+    if Bucket::is_named_by(selector.path()) {
+        return examine_bucket(selector);
+    }
     if selector.is_explicit() {
         let (store, name) = selector.locate()?;
         return Ok(vec![store.verify(&name)?]);
@@ -48,6 +53,39 @@ fn examine(selector: &Selector) -> anyhow::Result<Vec<Verification>> {
         return Err(ExitError::new(ExitCode::RunDirectory, message).into());
     }
     Ok(names.into_iter().map(|name| store.verify(name)).collect::<Result<_, _>>()?)
+}
+
+/// The same of a bucket: every file is brought, and what is not as it was sent is a problem.
+fn examine_bucket(selector: &Selector) -> anyhow::Result<Vec<Verification>> {
+    let mut replica = from_bucket::look(selector.path())?;
+    let survey = replica.survey().map_err(BucketError::exit)?;
+    let names: Vec<Name> = match selector.choice() {
+        Some(_) => vec![replica.locate(selector).map_err(BucketError::exit)?],
+        None => survey.entries.iter().map(|entry| entry.name.clone()).collect(),
+    };
+    let unreadable = survey.damaged.iter().filter(|_| selector.choice().is_none());
+    let problem = |dir, problem| Verification {
+        dir,
+        files: 0,
+        bytes: 0,
+        tensors: 0,
+        problems: vec![problem],
+    };
+    let mut found: Vec<Verification> =
+        unreadable.map(|entry| problem(entry.dir.clone(), entry.reason.clone())).collect();
+    for name in names {
+        let dir = replica.bucket().place(&name);
+        match replica.fetch(&name) {
+            Ok(()) => found.push(Verification { dir, ..replica.store().verify(&name)? }),
+            Err(error @ BucketError::Away { .. }) => return Err(error.exit().into()),
+            Err(error) => found.push(problem(dir, error.to_string())),
+        }
+    }
+    if found.is_empty() {
+        let message = format!("{}: holds no checkpoint", selector.path().display());
+        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+    }
+    Ok(found)
 }
 
 fn describe(found: &Verification) -> String {
@@ -67,8 +105,9 @@ fn describe(found: &Verification) -> String {
 
 /// Shows what differs between two checkpoints.
 pub(super) fn diff(args: &DiffArgs) -> anyhow::Result<()> {
-    let (a, b) = (args.a.open()?, args.b.open()?);
-    let difference = compare(&a, &b)?;
+    let (found_a, found_b) = (open(&args.a)?, open(&args.b)?);
+    let (a, b) = (&found_a.0, &found_b.0);
+    let difference = compare(a, b)?;
     if args.json {
         output::json(&difference)?;
     } else {
@@ -78,6 +117,15 @@ pub(super) fn diff(args: &DiffArgs) -> anyhow::Result<()> {
         return Ok(());
     }
     Err(NotTheSame.into())
+}
+
+/// A checkpoint, and what was brought for it.
+fn open(selector: &Selector) -> anyhow::Result<(Checkpoint, Option<Found>)> {
+    if !Bucket::is_named_by(selector.path()) {
+        return Ok((selector.open()?, None));
+    }
+    let found = Found::of(selector)?;
+    Ok((found.store.load(&found.store.dir(&found.name))?, Some(found)))
 }
 
 /// What differs: first in a sentence, then key by key and tensor by tensor.

@@ -1,13 +1,16 @@
 //! `prune`, `rebuild` and `delete`.
 
+use bucket::Bucket;
 use output::counted;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{CATALOGUE, Name, Retention, store_at};
 
+use crate::checkpoints::from_bucket;
 use crate::checkpoints::options::{DeleteArgs, PruneArgs, RebuildArgs};
 
 /// Removes old checkpoints.
 pub(super) fn prune(args: &PruneArgs) -> anyhow::Result<()> {
+    from_bucket::refuse(&args.store)?;
     let store = store_at(&args.store)?;
     let retention = Retention {
         latest: args.keep_latest as usize,
@@ -29,6 +32,7 @@ pub(super) fn prune(args: &PruneArgs) -> anyhow::Result<()> {
 
 /// Rebuilds the catalogue.
 pub(super) fn rebuild(args: &RebuildArgs) -> anyhow::Result<()> {
+    from_bucket::refuse(&args.store)?;
     let store = store_at(&args.store)?;
     let catalogue = store.root().join(CATALOGUE);
     if !catalogue.exists() && store.survey()?.is_empty() {
@@ -52,6 +56,12 @@ pub(super) fn delete(args: &DeleteArgs) -> anyhow::Result<()> {
             "{selector}: say which checkpoint to remove, as {selector}:50 or as its directory"
         );
         return Err(ExitError::new(ExitCode::Usage, message).into());
+    }
+    if let Some((entry, name)) = from_bucket::change(selector, Bucket::delete)? {
+        if args.json {
+            return output::json(&serde_json::json!({ "removed": name }));
+        }
+        return output::line(&format!("removed {}", entry.dir.display()));
     }
     let (store, name) = selector.locate()?;
     if args.force {

@@ -1,16 +1,22 @@
 //! `pin`, `unpin`, `tag` and `untag`.
 
+use bucket::{Bucket, BucketError};
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{BEST, CheckpointError, store_at};
 
 use super::common::{refused, report};
+use crate::checkpoints::from_bucket;
 use crate::checkpoints::options::{PinArgs, TagArgs, UntagArgs};
 
 /// Pins a checkpoint or lets it go.
 pub(super) fn pin(args: &PinArgs, pinned: bool) -> anyhow::Result<()> {
+    let done = if pinned { "pinned" } else { "not pinned" };
+    let there = from_bucket::change(&args.checkpoint, |bucket, name| bucket.pin(name, pinned))?;
+    if let Some((entry, _)) = there {
+        return report(&entry, args.json, done);
+    }
     let (store, name) = args.checkpoint.locate()?;
     store.pin(&name, pinned)?;
-    let done = if pinned { "pinned" } else { "not pinned" };
     match store.entry(&name) {
         Ok(entry) => report(&entry, args.json, done),
         // A damaged checkpoint can be unpinned, to be deleted, but there is no more to say of it.
@@ -21,13 +27,24 @@ pub(super) fn pin(args: &PinArgs, pinned: bool) -> anyhow::Result<()> {
 
 /// Gives a checkpoint a tag.
 pub(super) fn tag(args: &TagArgs) -> anyhow::Result<()> {
+    let done = format!("tagged {}", args.tag);
+    let there = from_bucket::change(&args.checkpoint, |bucket, name| {
+        from_bucket::check_tag(&args.tag)?;
+        bucket.tag(name, &args.tag)
+    })?;
+    if let Some((entry, _)) = there {
+        return report(&entry, args.json, &done);
+    }
     let (store, name) = args.checkpoint.locate()?;
     store.tag(&name, args.tag.as_str()).map_err(refused(ExitCode::Usage))?;
-    report(&store.entry(&name)?, args.json, &format!("tagged {}", args.tag))
+    report(&store.entry(&name)?, args.json, &done)
 }
 
 /// Takes a tag from whichever checkpoint has it.
 pub(super) fn untag(args: &UntagArgs) -> anyhow::Result<()> {
+    if Bucket::is_named_by(&args.store) {
+        return untag_in_bucket(args);
+    }
     let store = store_at(&args.store)?;
     let mut holders = store.entries()?;
     holders.retain(|entry| entry.labels.has_tag(args.tag.as_str()));
@@ -43,4 +60,18 @@ pub(super) fn untag(args: &UntagArgs) -> anyhow::Result<()> {
         store.untag(&holder.name, args.tag.as_str())?;
     }
     report(&store.entry(&first.name)?, args.json, &format!("not tagged {} any more", args.tag))
+}
+
+fn untag_in_bucket(args: &UntagArgs) -> anyhow::Result<()> {
+    let replica = from_bucket::look(&args.store)?;
+    from_bucket::check_tag(&args.tag).map_err(BucketError::exit)?;
+    let bucket = replica.bucket();
+    let Some(first) = bucket.untag(&args.tag).map_err(BucketError::exit)?.into_iter().next() else {
+        let what = format!("has no checkpoint with the tag `{}`", args.tag);
+        return Err(CheckpointError::NotFound { path: args.store.clone(), what }.into());
+    };
+    let mut entry = replica.store().entry(&first)?;
+    entry.labels.tags.retain(|tag| *tag != args.tag);
+    entry.dir = bucket.place(&first);
+    report(&entry, args.json, &format!("not tagged {} any more", args.tag))
 }

@@ -10,17 +10,21 @@ use store::checkpoint::{
 };
 use store::provenance::Utc;
 
+use crate::checkpoints::from_bucket::{self, Found};
 use crate::checkpoints::options::{ListArgs, ShowArgs};
 
 /// Lists a store.
 pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
+    if let Some(survey) = from_bucket::survey(&args.store)? {
+        if survey.is_empty() && !args.json {
+            return output::line(&format!("no checkpoints in {}", args.store.display()));
+        }
+        return print(&survey, args.json);
+    }
     let store = store_at(&args.store)?;
     let survey = store.survey()?;
     store.heal_catalogue();
-    if args.json {
-        return output::json(&survey);
-    }
-    if survey.is_empty() {
+    if survey.is_empty() && !args.json {
         let root = store.root().display();
         return output::line(&match runs_in(store.root()) {
             0 => format!("no checkpoints in {root}"),
@@ -31,7 +35,14 @@ pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
             ),
         });
     }
-    let Survey { entries, damaged } = &survey;
+    print(&survey, args.json)
+}
+
+fn print(survey: &Survey, json: bool) -> anyhow::Result<()> {
+    if json {
+        return output::json(survey);
+    }
+    let Survey { entries, damaged } = survey;
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_secs());
     let mut lines = Vec::new();
     if !entries.is_empty() {
@@ -81,17 +92,18 @@ struct Shown {
 
 /// Shows one checkpoint.
 pub(super) fn show(args: &ShowArgs) -> anyhow::Result<()> {
-    let (store, name) = args.checkpoint.locate()?;
-    let entry = store.entry(&name)?;
-    let manifest = Manifest::read(&entry.dir)?;
-    let problems = store.verify(&name)?.problems;
+    let found = Found::of(&args.checkpoint)?;
+    let entry = found.entry()?;
+    let dir = found.store.dir(&found.name);
+    let manifest = Manifest::read(&dir)?;
+    let problems = found.store.verify(&found.name)?.problems;
     let mut tensors = Vec::new();
     for file in [POLICY, STATE] {
         if !manifest.files.contains_key(file) {
             continue;
         }
         // What cannot be read is among the problems.
-        let Ok(found) = shapes(&entry.dir.join(file)) else { continue };
+        let Ok(found) = shapes(&dir.join(file)) else { continue };
         tensors.extend(found.into_iter().map(|(name, info)| Tensor {
             file,
             name,

@@ -2,6 +2,7 @@
 
 pub(crate) mod common;
 mod compose;
+pub(crate) mod from_bucket;
 mod inspect;
 mod keep;
 mod label;

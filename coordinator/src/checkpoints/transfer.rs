@@ -12,10 +12,12 @@ use store::outputs::Output;
 use store::{files, regular_files};
 
 use super::common::{refused, report, store_to_fill};
+use crate::checkpoints::from_bucket::{self, Found};
 use crate::checkpoints::options::{ExportArgs, ImportArgs};
 
 /// Unpacks an archive into a store.
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
+    from_bucket::refuse(&args.store)?;
     let store = store_to_fill("--store", &args.store, Some(args.force))?;
     let name = args.name.clone();
     let imported = if args.archive == Path::new("-") {
@@ -40,16 +42,17 @@ pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
 
 /// Packs a checkpoint into an archive.
 pub(super) fn export(args: &ExportArgs) -> anyhow::Result<()> {
-    let (store, name) = args.checkpoint.locate()?;
+    let found = Found::of(&args.checkpoint)?;
+    let (store, name) = (&found.store, &found.name);
     if args.out == Path::new("-") {
         let mut stdout = BufWriter::new(std::io::stdout().lock());
-        store.export(&name, &mut stdout)?;
+        store.export(name, &mut stdout)?;
         return stdout.flush().context("standard output cannot be written");
     }
     let output = Output { flag: "--out", path: &args.out, mark: b"", force: args.force };
-    output.check(&[("CHECKPOINT", &store.dir(&name))])?;
-    write(&store, &name, &args.out)?;
-    report(&store.entry(&name)?, args.json, &format!("exported to {}", args.out.display()))
+    output.check(&[("CHECKPOINT", &store.dir(name))])?;
+    write(store, name, &args.out)?;
+    report(&found.entry()?, args.json, &format!("exported to {}", args.out.display()))
 }
 
 /// Writes the archive beside its place first: a reader finds a whole one or none.

@@ -42,6 +42,10 @@ pub struct Run {
     pub checkpoint_every_s: f64,
     /// Newest checkpoints kept. The best, pinned and tagged ones and milestones are kept beside them.
     pub checkpoints_kept: usize,
+    /// Bucket that checkpoints are sent to beside the training, as `s3://bucket/prefix`, `gs://…`, `az://…` or
+    /// `file:///…`; empty sends none.
+    #[serde(default)]
+    pub checkpoints: String,
     /// Keeps every checkpoint whose iteration is a multiple of this; 0 turns it off.
     pub keep_every: u64,
     /// Keeps one checkpoint in every such stretch of time, as a milestone (s); 0 turns it off.
@@ -67,10 +71,11 @@ impl Run {
     /// Two runs that differ in nothing else end with the same bits, and a run may change them when
     /// it is resumed. All other keys matter, new ones too until they are listed here; `env_steps`
     /// does where the learning rate falls over it.
-    pub const HARMLESS: [&str; 13] = [
+    pub const HARMLESS: [&str; 14] = [
         "best_after",
         "checkpoint_every",
         "checkpoint_every_s",
+        "checkpoints",
         "checkpoints_kept",
         "evaluate_every",
         "evaluation_episodes",
@@ -100,13 +105,14 @@ impl Run {
     }
 
     /// The same without those [harmless](Self::HARMLESS) things that only cost time: checkpoints and
-    /// evaluations on the way, and a time limit.
+    /// evaluations on the way, a bucket for them, and a time limit.
     #[must_use]
     pub fn without_housekeeping(self) -> Self {
         Self {
             time_limit_s: 0.0,
             checkpoint_every: 0,
             checkpoint_every_s: 0.0,
+            checkpoints: String::new(),
             evaluate_every: 0,
             keep_every: 0,
             milestone_every_s: 0.0,

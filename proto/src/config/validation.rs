@@ -8,6 +8,7 @@ use super::network::{CriticState, ParameterSharing};
 use super::resolved::Config;
 use super::task::{Reward, RewardWeights};
 use crate::ConfigError;
+use crate::bucket_address;
 use crate::message::HEARTBEAT;
 
 /// Least of `run.order_deadline_s`: two signs of life in a row may come late.
@@ -197,6 +198,16 @@ impl Config {
                     "choose {} s or more; the presets have 60",
                     SHORTEST_SILENCE.as_secs_f64()
                 ),
+            });
+        }
+        if !run.checkpoints.is_empty()
+            && let Some(problem) = bucket_address::problem(&run.checkpoints)
+        {
+            // What may be a secret in it is not repeated.
+            return Err(ConfigError::Invalid {
+                key: "run.checkpoints",
+                problem: format!("is no address of a bucket: it {problem}"),
+                cure: format!("write one as in {}, or nothing", bucket_address::examples()),
             });
         }
         let device_index = run.device.strip_prefix("cuda:").map(str::parse::<u8>);

@@ -10,6 +10,7 @@ use store::checkpoint::Checkpoint;
 use store::lock::RunLock;
 use store::provenance::Provenance;
 
+use super::bucket;
 use super::service::{Listening, RunService};
 use crate::report::Reporter;
 use crate::session::{self, RunResult, SessionSpec, StoppedBy};
@@ -65,6 +66,7 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
     if let Some(note) = idle_workers(&config) {
         reporter.note(&note);
     }
+    let mirror = bucket::start(&config, &run_dir)?;
     let RunService { live, mut listening } = service;
     if let Some(Listening { service, token }) = &mut listening {
         // Whoever reads the address finds the token.
@@ -94,6 +96,10 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
     let result = session::run(&spec, &mut reporter);
     if let Some(Listening { service, .. }) = listening {
         service.stop();
+    }
+    // What was committed until then is worth sending, whatever ended the run.
+    if let Some(note) = bucket::finish(mirror, &spec.config, &run_dir, || stop.count() < 2) {
+        reporter.note(&note);
     }
     // Also after a failure: what was measured until then is worth keeping.
     let finished = reporter.finish();

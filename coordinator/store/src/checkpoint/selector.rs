@@ -17,6 +17,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use proto::bucket_address;
 use proto::run_dir::RunDir;
 
 use super::CheckpointError;
@@ -46,6 +47,17 @@ impl Selector {
     /// The path that it begins with: a run, a directory of checkpoints, or a checkpoint.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Which checkpoint of a run it says, by name, tag or iteration.
+    pub fn choice(&self) -> Option<&Name> {
+        self.choice.as_ref()
+    }
+
+    /// The same choice in another run or directory.
+    #[must_use]
+    pub fn elsewhere(&self, path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into(), choice: self.choice.clone() }
     }
 
     /// Whether it says which checkpoint of a run it means, or is a checkpoint's directory.
@@ -112,6 +124,15 @@ impl FromStr for Selector {
             return Err("wants a run directory, a checkpoint, or RUN:NAME".to_owned());
         }
         let path = PathBuf::from(text);
+        if bucket_address::is_address(text) {
+            // The first colon is the address's own.
+            let (address, choice) = match text.rsplit_once(':') {
+                Some((address, choice)) if !choice.contains('/') => (address, Some(choice)),
+                _ => (text, None),
+            };
+            let choice = choice.map(str::parse).transpose().map_err(|error| format!("{error}"))?;
+            return Ok(Self { path: address.into(), choice });
+        }
         match text.rsplit_once(':') {
             Some((run, choice)) if !path.exists() => {
                 if run.is_empty() {
@@ -138,8 +159,14 @@ pub fn store_at(path: &Path) -> Result<CheckpointStore, CheckpointError> {
     if store.root().is_dir() || path.is_dir() {
         return Ok(store);
     }
-    let is = if path.exists() { "is no directory" } else { "does not exist" };
-    let what = format!("{is}; `octopus status` lists the runs");
+    let what = if path.to_str().is_some_and(bucket_address::is_address) {
+        "is a bucket, which this command does not read; `octopus checkpoints export` brings a checkpoint from \
+         it, `octopus resume` a run"
+            .to_owned()
+    } else {
+        let is = if path.exists() { "is no directory" } else { "does not exist" };
+        format!("{is}; `octopus status` lists the runs")
+    };
     Err(CheckpointError::NotFound { path: path.to_owned(), what })
 }
 

@@ -1,0 +1,95 @@
+//! Addresses of buckets, as a configuration and a command line hold them: `s3://bucket/prefix`.
+//!
+//! Only how they are written is known here. Credentials are in the environment and nowhere else: an address is written
+//! into files and logs, so one that could hold a secret is refused.
+
+/// What an address may begin with, and an example of each.
+pub const SCHEMES: [(&str, &str); 4] = [
+    ("s3", "s3://bucket/prefix"),
+    ("gs", "gs://bucket/prefix"),
+    ("az", "az://container/prefix"),
+    ("file", "file:///mnt/shared/prefix"),
+];
+
+/// Whether `text` is meant to be an address, right or wrong, and no path.
+pub fn is_address(text: &str) -> bool {
+    text.split_once("://").is_some_and(|(scheme, _)| {
+        !scheme.is_empty() && scheme.bytes().all(|byte| byte.is_ascii_alphanumeric())
+    })
+}
+
+/// What is wrong with an address; nothing if it is one.
+pub fn problem(text: &str) -> Option<String> {
+    let Some((scheme, rest)) = text.split_once("://") else {
+        return Some("has no `://`".to_owned());
+    };
+    if !SCHEMES.iter().any(|(known, _)| *known == scheme) {
+        return Some(format!(
+            "begins with `{}`, which is no kind of bucket",
+            scheme.escape_debug()
+        ));
+    }
+    let (host, path) = rest.split_once('/').unwrap_or((rest, ""));
+    if rest.contains(['@', '?', '#']) {
+        return Some(
+            "holds `@`, `?` or `#`: credentials belong into the environment, never into an address"
+                .to_owned(),
+        );
+    }
+    if rest.chars().any(|c| c.is_control() || c.is_whitespace() || c == '\\' || c == ':') {
+        return Some("holds a colon, a backslash, white space or control characters".to_owned());
+    }
+    if scheme == "file" && !host.is_empty() {
+        return Some(format!("names the host `{host}`: a directory's address has three slashes"));
+    }
+    if scheme != "file" && host.is_empty() {
+        return Some("names no bucket".to_owned());
+    }
+    let path = path.trim_end_matches('/');
+    if path.is_empty() {
+        return Some("has no prefix: a run keeps what is its own below one".to_owned());
+    }
+    if path.split('/').any(|part| ["", ".", ".."].contains(&part)) {
+        return Some("has an empty part, or one that is `.` or `..`".to_owned());
+    }
+    None
+}
+
+/// How an address is written, for whoever has written another.
+pub fn examples() -> String {
+    let examples: Vec<String> = SCHEMES.iter().map(|(_, example)| format!("`{example}`")).collect();
+    examples.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_told_from_paths_and_from_wrong_ones() {
+        for (_, example) in SCHEMES {
+            assert!(is_address(example));
+            assert_eq!(problem(example), None, "{example}");
+            assert_eq!(problem(&format!("{example}/")), None, "{example}/");
+        }
+        for path in ["runs/a", "runs/a:best", "/tmp/x://y", "://x", "a b://c"] {
+            assert!(!is_address(path), "{path}");
+        }
+        for wrong in [
+            "s3://",
+            "s3:///prefix",
+            "s3://bucket",
+            "s3://bucket/",
+            "s3://key:secret@bucket/prefix",
+            "s3://bucket/prefix?X-Amz-Signature=1",
+            "s3://bucket/a//b",
+            "s3://bucket/../b",
+            "s3://bucket/a b",
+            "http://host/prefix",
+            "file://host/prefix",
+            "file:///",
+        ] {
+            assert!(problem(wrong).is_some(), "{wrong}");
+        }
+    }
+}
