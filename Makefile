@@ -90,6 +90,11 @@ build: libtorch ## build the programs: octopus, learner, sim-worker
 	@$(MAKE) page || $(PAGELESS)
 	$(CARGO) build --release --bins -p coordinator -p learner -p sim-worker $(FEATURES)
 
+# What carries a run to other machines is large, and nobody who trains on one needs it.
+.PHONY: gateway
+gateway: build ## build the program that lets other machines help: octopus join
+	$(CARGO) build --release --bins -p gateway
+
 .PHONY: train
 train: build ## train, with ARGS="..." for octopus train
 	$(TARGET)/release/octopus train $(ARGS)

@@ -4,6 +4,7 @@
 //! It links no libtorch and starts in milliseconds.
 
 pub mod cli;
+pub mod endpoint;
 pub mod names;
 pub mod training_options;
 pub mod values;
@@ -17,6 +18,7 @@ pub mod experiment;
 pub mod export;
 pub mod film;
 pub mod janitor;
+pub mod join;
 pub mod mjcf;
 pub mod plan;
 pub mod plot;
@@ -87,6 +89,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Urdf(args) => urdf::run(&args),
         Command::Doctor(args) => doctor::run(args),
         Command::Bench(args) => bench::run(&args),
+        Command::Join(args) => join::run(&args),
         Command::Sweep(args) => sweep::run(&args),
         Command::Status(args) => status::run(&args),
         Command::Scale(args) => scale::run(&args),

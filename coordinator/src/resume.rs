@@ -25,6 +25,7 @@ use store::recorded::Recorded;
 use store::{files, outputs};
 
 use crate::conclusion::{conclude, print_json, recorded_evaluation};
+use crate::endpoint::HostArgs;
 use crate::train;
 use crate::training_options::{Ending, HttpArgs, Limits, Parent, Pause};
 use crate::values::workers;
@@ -64,6 +65,9 @@ pub struct ResumeArgs {
     /// The run's HTTP service.
     #[command(flatten)]
     pub http: HttpArgs,
+    /// Help from other machines.
+    #[command(flatten)]
+    pub hosts: HostArgs,
     /// What happens around the training.
     #[command(flatten)]
     pub ending: Ending,
@@ -197,6 +201,7 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
 
     start_bucket::check(&config)?;
     let programs = Programs::find()?;
+    let gateway = args.hosts.gateway()?;
     preflight::check_machine(&config, &robot, &run_dir, &programs.learner, &REMEDY)?;
     let service = args.http.open(&run_dir)?;
     let provenance = Provenance::gather();
@@ -224,8 +229,18 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
             format!("{}: cannot be created: {error}", run_dir.logs().display()),
         )
     })?;
-    let start =
-        Start { run_dir, config, robot, resume, programs, domain, provenance, service, pause_at };
+    let start = Start {
+        run_dir,
+        config,
+        robot,
+        resume,
+        programs,
+        gateway,
+        domain,
+        provenance,
+        service,
+        pause_at,
+    };
     run_session(start, lock, args.ending.quiet).map(Resumed::Trained)
 }
 

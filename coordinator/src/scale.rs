@@ -18,7 +18,8 @@ Examples:
 
 The number of workers changes nothing that is learned. New workers start at once; surplus ones \
 leave after the shards that they have begun. A run has room for 16 workers, or for twice as many \
-as it was started or resumed with if that is more.";
+as it was started or resumed with if that is more; one that is open to other machines can do with \
+none of its own.";
 
 /// Options of `octopus scale`.
 #[derive(Debug, Clone, Args)]
@@ -64,10 +65,11 @@ pub fn run(args: &ScaleArgs) -> anyhow::Result<()> {
 
 /// How many workers the run can have, and why not `wanted`.
 fn room(client: &Client, wanted: u64) -> Option<String> {
-    let most = client.status().ok()?.max_workers as u64;
-    (!(1..=most).contains(&wanted)).then(|| {
+    let status = client.status().ok()?;
+    let (least, most) = (status.min_workers as u64, status.max_workers as u64);
+    (!(least..=most).contains(&wanted)).then(|| {
         format!(
-            "{wanted} workers cannot be had: this run can have 1 to {most}, for which it made room \
+            "{wanted} workers cannot be had: this run can have {least} to {most}, for which it made room \
              in shared memory when it started; resumed with --workers N it makes room for 2 N, at \
              least 16"
         )

@@ -19,7 +19,7 @@ use serde::Serialize;
 use serde_json::Value;
 use service::client::Client;
 use service::http::Token;
-use service::live::{Best, LiveStatus, ProcessStatus, Role, Stages};
+use service::live::{Best, HostStatus, LiveStatus, ProcessStatus, Role, Stages};
 use store::checkpoint::{CheckpointStore, Name};
 use store::jsonl;
 use store::lock::RunLock;
@@ -292,6 +292,10 @@ fn show_live(live: &LiveStatus) -> String {
     );
     lines.push(String::new());
     lines.push(processes(&live.processes, output::columns()));
+    if !live.hosts.is_empty() {
+        lines.push(String::new());
+        lines.push(hosts(&live.hosts, output::columns()));
+    }
     lines.join("\n")
 }
 
@@ -302,6 +306,7 @@ fn processes(processes: &[ProcessStatus], columns: usize) -> String {
             (Role::Coordinator, _) => "coordinator".to_owned(),
             (Role::Learner, _) => "learner".to_owned(),
             (Role::Worker, worker) => format!("worker {}", worker.unwrap_or_default()),
+            (Role::Gateway, _) => "gateway".to_owned(),
         };
         let rate = process.env_steps as f64 / process.rollout_s;
         [
@@ -316,6 +321,22 @@ fn processes(processes: &[ProcessStatus], columns: usize) -> String {
         ]
     });
     let header = ["process", "pid", "state", "replaced", "cpu", "memory", "steps/s", "shards"];
+    output::table_within(columns, header, rows)
+}
+
+/// The machines that help a run as a table.
+fn hosts(hosts: &[HostStatus], columns: usize) -> String {
+    let rows = hosts.iter().map(|host| {
+        [
+            format!("{} {}", host.host, host.name),
+            host.workers.len().to_string(),
+            grouped(host.blocks),
+            mib(host.bytes),
+            host.missing.to_string(),
+            host.shards.join(" "),
+        ]
+    });
+    let header = ["host", "workers", "blocks", "came", "missing pieces", "shards"];
     output::table_within(columns, header, rows)
 }
 

@@ -12,7 +12,7 @@ use run::start::bucket;
 use run::start::directory::{RUNS, check_vacant, claim, create, default_name, record};
 use run::start::service::RunService;
 use run::start::session::{Ended, Start, run_session};
-use run::supervisor::Programs;
+use run::supervisor::{GatewaySpec, Programs};
 use run::{errors, precision};
 use service::http::Token;
 use simulator::env::step_options;
@@ -22,6 +22,7 @@ use store::provenance::Provenance;
 use store::{files, outputs, regular_files};
 
 use crate::conclusion::conclude;
+use crate::endpoint::HostArgs;
 use crate::names::Named;
 use crate::training_options::{Ending, HttpArgs, Limits, Parent, Pause};
 use crate::values::{assignment, whole, workers};
@@ -93,6 +94,9 @@ pub struct TrainArgs {
     /// The run's HTTP service.
     #[command(flatten)]
     pub http: HttpArgs,
+    /// Help from other machines.
+    #[command(flatten)]
+    pub hosts: HostArgs,
     /// Check what is asked for, print the whole configuration as TOML (or JSON), and train nothing.
     #[arg(long)]
     pub dry_run: bool,
@@ -114,6 +118,7 @@ struct Plan {
     config: Config,
     robot: Robot,
     programs: Programs,
+    gateway: Option<GatewaySpec>,
 }
 
 /// Everything that is asked for, checked, but for the address of the service; nothing is written.
@@ -130,9 +135,10 @@ fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
         None => outputs::check_outside("--run-dir", &Path::new(RUNS).join("new"))?,
     }
     let programs = Programs::find()?;
+    let gateway = args.hosts.gateway()?;
     let place = args.run_dir.as_deref().unwrap_or(Path::new(RUNS));
     preflight::check_machine(&config, &robot, &RunDir::new(place), &programs.learner, &REMEDY)?;
-    Ok(Plan { config, robot, programs })
+    Ok(Plan { config, robot, programs, gateway })
 }
 
 /// Prints the configuration of a training that could start.
@@ -147,7 +153,7 @@ fn show(args: &TrainArgs) -> anyhow::Result<()> {
 /// Trains.
 pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     args.parent.tie()?;
-    let Plan { config, robot, programs } = plan(args)?;
+    let Plan { config, robot, programs, gateway } = plan(args)?;
     let (run_dir, service) = open(args, &config)?;
 
     create(&run_dir)?;
@@ -159,8 +165,18 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     record(&run_dir, &provenance, &[])?;
     let (resume, dir) = (None, run_dir.clone());
     let pause_at = args.pause.pause_at;
-    let start =
-        Start { run_dir, config, robot, resume, programs, domain, provenance, service, pause_at };
+    let start = Start {
+        run_dir,
+        config,
+        robot,
+        resume,
+        programs,
+        gateway,
+        domain,
+        provenance,
+        service,
+        pause_at,
+    };
     run_session(start, lock, args.ending.quiet)
         .map_err(|error| errors::name_what_goes_on(error, &dir))
 }

@@ -6,6 +6,7 @@
 //! * [`config`]: the typed configuration, its presets and how layers of it are merged;
 //! * [`layout`]: sizes, and the place of every number in the arrays that cross a process border;
 //! * [`message`]: the control messages and the course of an iteration;
+//! * [`gateway`]: what a gateway of a host says to who started it;
 //! * [`run_dir`]: the files of a run directory; [`bucket_address`]: where its checkpoints go, too;
 //! * [`rng`]: random numbers that are pure functions of their address;
 //! * [`Digest`]: the fingerprint of a training state;
@@ -20,6 +21,7 @@ pub mod bucket_address;
 pub mod config;
 mod digest;
 mod error;
+pub mod gateway;
 pub mod layout;
 pub mod message;
 pub mod rng;

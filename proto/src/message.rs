@@ -23,6 +23,12 @@ use crate::Digest;
 /// Numbers a worker process; stays the same when the process is replaced.
 pub type WorkerId = u32;
 
+/// Numbers a host: another machine whose workers help a run.
+pub type HostId = u32;
+
+/// Workers of this machine have numbers below this one; those of host h, which counts from 1, begin at h times this.
+pub const WORKERS_OF_A_HOST: WorkerId = 1000;
+
 /// Names one end of a channel, of one process.
 pub type PortId = u128;
 
@@ -224,6 +230,33 @@ pub enum Status {
         /// The block and the environment, if it is about one.
         fault: Option<Box<Fault>>,
     },
+    /// The gateway is alive, and these hosts are there: sent every [`HEARTBEAT`] or so and at each change. It is always
+    /// the whole list, so that one that is lost takes nothing with it.
+    Hosts {
+        /// The gateway's incarnation.
+        incarnation: u32,
+        /// Where it takes the orders for all workers of hosts.
+        orders: PortId,
+        /// The hosts that have workers now.
+        hosts: Vec<HostReport>,
+    },
+}
+
+/// A host as the gateway sees it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HostReport {
+    /// Its number.
+    pub host: HostId,
+    /// What it calls itself.
+    pub name: String,
+    /// Its workers that take orders, with their incarnations.
+    pub workers: Vec<(WorkerId, u32)>,
+    /// Blocks that came from it whole.
+    pub blocks: u64,
+    /// Bytes of these.
+    pub bytes: u64,
+    /// Pieces of blocks that were waited for and did not come.
+    pub missing: u64,
 }
 
 /// What an iteration did. Becomes a line of `metrics.jsonl`.

@@ -29,6 +29,7 @@ commands_run! {
     configuration_runs: "deploy/guide/src/configuration.md",
     sweeps_run: "deploy/guide/src/sweeps.md",
     jobs_run: "deploy/guide/src/jobs.md",
+    machines_run: "deploy/guide/src/machines.md",
     plans_run: "deploy/guide/src/plans.md",
     robots_run: "deploy/guide/src/robots.md",
     the_environment_runs: "deploy/guide/src/environment.md",

@@ -21,6 +21,7 @@ mod guide;
 mod http;
 mod imports;
 mod jobs;
+mod join;
 mod mujoco;
 mod other_users;
 mod page;

@@ -9,12 +9,14 @@
 //! * [`preflight`], [`precision`], [`shakedown`]: what is checked and decided before a run begins;
 //! * [`signals`], [`signal_isolation`], [`environment`], [`janitor`]: Ctrl-C once and twice; what children inherit;
 //!   cleaning up after a kill;
+//! * [`join`]: this machine helps a run of another one;
 //! * [`robots`]: robots as commands name them; [`errors`]: words and exit codes of errors.
 
 pub mod committer;
 pub mod environment;
 pub mod errors;
 pub mod janitor;
+pub mod join;
 pub mod precision;
 pub mod preflight;
 pub mod report;

@@ -25,6 +25,27 @@ pub enum Role {
     Learner,
     /// Rolls out.
     Worker,
+    /// Carries orders, blocks and policies to other machines and back.
+    Gateway,
+}
+
+/// Another machine whose workers help a run.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct HostStatus {
+    /// Its number in this run.
+    pub host: u32,
+    /// What it calls itself.
+    pub name: String,
+    /// Numbers of its workers that take orders.
+    pub workers: Vec<u32>,
+    /// Shards that they have been ordered to make, `iteration/shard`.
+    pub shards: Vec<String>,
+    /// Blocks that came from it.
+    pub blocks: u64,
+    /// Bytes of these.
+    pub bytes: u64,
+    /// Pieces of blocks that were waited for and did not come.
+    pub missing: u64,
 }
 
 /// One process of a run.
@@ -146,10 +167,14 @@ pub struct LiveStatus {
     pub eta_s: Option<f64>,
     /// Workers wanted.
     pub workers: usize,
+    /// Fewest workers that the run can be told to have: none, if it is open to other machines.
+    pub min_workers: usize,
     /// Most workers that the channels of the run allow.
     pub max_workers: usize,
-    /// Coordinator, learner and workers.
+    /// Coordinator, learner, workers of this machine, and the gateway to others if the run has one.
     pub processes: Vec<ProcessStatus>,
+    /// Other machines that help now.
+    pub hosts: Vec<HostStatus>,
     /// Shards that nobody has been ordered to make yet.
     pub shards_open: usize,
     /// Shards ordered and not yet at the learner.

@@ -82,8 +82,9 @@ impl Channels {
             .create::<Ipc>()
             .map_err(|error| open_error(domain.as_str(), &error))?;
         let max_workers = sizes.max_workers;
-        // The coordinator, the learner and its replacement beside the workers.
-        let max_nodes = max_workers + 4;
+        // The coordinator, the learner and its replacement beside the workers, and two of a gateway, which opens
+        // the services once for each of its threads that wait for a bell.
+        let max_nodes = max_workers + 6;
         let messages = Limits {
             publishers: 2,
             subscribers: 2,
@@ -131,14 +132,15 @@ impl Channels {
                 "orders",
                 u8,
                 (),
-                Limits { subscribers: max_workers + 2, buffer: sizes.order_buffer, ..messages }
+                Limits { subscribers: max_workers + 3, buffer: sizes.order_buffer, ..messages }
             ),
             progress: service!("progress", u8, (), messages),
             status: service!(
                 "status",
                 u8,
                 (),
-                Limits { publishers: max_workers, overflow: true, ..messages }
+                // A gateway speaks for all workers of hosts.
+                Limits { publishers: max_workers + 1, overflow: true, ..messages }
             ),
             policy: service!(
                 "policy",
@@ -146,8 +148,8 @@ impl Channels {
                 Shared<PolicyHeader>,
                 Limits {
                     publishers: 2,
-                    // The coordinator, too: it keeps the policy of a block that cannot be made.
-                    subscribers: max_workers + 1,
+                    // The coordinator, too: it keeps the policy of a block that cannot be made. And a gateway.
+                    subscribers: max_workers + 2,
                     buffer: POLICY_BUFFER,
                     borrowed: POLICY_BORROWED,
                     history: POLICY_BUFFER,
@@ -159,7 +161,7 @@ impl Channels {
                 Line,
                 Shared<BlockHeader>,
                 Limits {
-                    publishers: max_workers,
+                    publishers: max_workers + 1,
                     subscribers: 1,
                     buffer: sizes.block_buffer,
                     borrowed: sizes.block_borrowed,

@@ -80,7 +80,7 @@ impl ChannelSizes {
     /// of which each holds others, which grows with the square of the workers. Where all slots are taken all the
     /// same an order is missed by all, and sent again when there is room.
     pub(crate) fn order_slots(&self) -> usize {
-        let worst = (self.max_workers + 2) * (self.order_buffer + 1) + 1;
+        let worst = (self.max_workers + 3) * (self.order_buffer + 1) + 1;
         worst.min(STANDING_STILL * self.order_buffer)
     }
 

@@ -228,6 +228,7 @@ fn train_again(
         robot,
         resume: checkpoint,
         programs,
+        gateway: None,
         provenance,
         domain: Domain::fresh(),
         stop,

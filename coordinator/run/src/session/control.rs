@@ -2,7 +2,7 @@
 
 use proto::ExitError;
 use proto::message::Order;
-use service::live::{Best, Command, LiveStatus};
+use service::live::{Best, Command, LiveStatus, Role};
 
 use super::Session;
 use super::monitor::Monitor;
@@ -53,13 +53,19 @@ impl Session<'_> {
 
     fn may_scale(&self, workers: usize) -> Result<(), String> {
         let most = self.channels.sizes().max_workers;
-        if !(1..=most).contains(&workers) {
+        let least = self.min_workers();
+        if !(least..=most).contains(&workers) {
             return Err(format!(
-                "{workers} workers: this run can have 1 to {most}; a run that is started or \
+                "{workers} workers: this run can have {least} to {most}; a run that is started or \
                  resumed with more can have twice as many as that"
             ));
         }
         preflight::scale(self.channels.sizes(), self.workers, workers)
+    }
+
+    /// Fewest workers that this machine can have: who is open to others can leave all work to them.
+    fn min_workers(&self) -> usize {
+        usize::from(self.spec.gateway.is_none())
     }
 
     /// What the run looks like from outside.
@@ -75,9 +81,10 @@ impl Session<'_> {
         };
         let processes: Vec<_> = std::iter::once(Monitor::coordinator())
             .chain(supervisor.processes().iter().map(|view| {
-                let ready = match view.worker {
-                    None => scheduler.is_some(),
-                    Some(worker) => self.heard.contains_key(&worker),
+                let ready = match (view.role, view.worker) {
+                    (Role::Gateway, _) => self.hosts.is_ready(),
+                    (_, None) => scheduler.is_some(),
+                    (_, Some(worker)) => self.heard.contains_key(&worker),
                 };
                 let tasks = view.worker.zip(scheduler);
                 let shards = tasks.map(|(worker, scheduler)| {
@@ -102,9 +109,11 @@ impl Session<'_> {
             wall_s: self.started.elapsed().as_secs_f64(),
             eta_s: eta.map(|eta| eta.as_secs_f64().max(1.0)),
             workers: self.workers,
+            min_workers: self.min_workers(),
             max_workers: self.channels.sizes().max_workers,
             resident_bytes: processes.iter().map(|process| process.resident_bytes).sum(),
             processes,
+            hosts: self.hosts.look(scheduler),
             shards_open: scheduler.map_or(0, Scheduler::open),
             shards_in_flight: scheduler.map_or(0, Scheduler::in_flight),
             orders_missed: self.monitor.orders_missed,

@@ -24,7 +24,7 @@ fn unwritten(error: &anyhow::Error) -> ExitError {
 const LAST_WORD: Duration = Duration::from_secs(2);
 
 /// Has a living worker get orders, now or as soon as the learner is ready, unless it does already.
-fn employ(
+pub(super) fn employ(
     scheduler: Option<&mut Scheduler>,
     early: &mut Vec<(WorkerId, u32)>,
     worker: WorkerId,
@@ -85,12 +85,15 @@ impl Session<'_> {
                     reporter.note(&format!("worker {worker}: {message}"));
                     let Some(fault) = fault else { continue };
                     let address = (fault.iteration, fault.shard);
-                    if supervisor.is_current(worker, incarnation)
-                        && let Some(scheduler) = &mut self.scheduler
-                    {
+                    let is_current = supervisor.is_current(worker, incarnation)
+                        || self.hosts.has(worker, incarnation);
+                    if is_current && let Some(scheduler) = &mut self.scheduler {
                         scheduler.give_back(worker, address, now);
                         self.failures.failed(address, &message, Some(&fault))?;
                     }
+                }
+                Status::Hosts { incarnation, orders, hosts } => {
+                    self.hear_hosts(incarnation, orders, hosts, supervisor, reporter);
                 }
                 other => tracing::warn!(?other, "status of an unknown kind"),
             }

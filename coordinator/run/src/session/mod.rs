@@ -14,6 +14,8 @@ pub mod failures;
 mod accounting;
 mod control;
 mod events;
+mod host_list;
+mod hosts;
 mod monitor;
 mod order_queue;
 mod recovery;
@@ -39,6 +41,7 @@ use store::checkpoint::{Checkpoint, CheckpointStore, LockTimeout};
 
 use self::accounting::StepAccounts;
 use self::failures::Failures;
+use self::host_list::Hosts;
 use self::monitor::Monitor;
 use self::order_queue::OrderQueue;
 use self::reserved_memory::ReservedMemory;
@@ -47,7 +50,7 @@ use self::stall_allowance::{LoopClock, STANDSTILL};
 use crate::report::Reporter;
 use crate::scheduler::Scheduler;
 use crate::signals::StopRequests;
-use crate::supervisor::{Deaths, Programs, Supervisor};
+use crate::supervisor::{Deaths, GatewaySpec, Programs, Supervisor};
 
 /// Everything that a run needs to start or to go on. The run directory exists, holds
 /// `config.toml` and `robot.toml`, and is locked.
@@ -63,6 +66,8 @@ pub struct SessionSpec {
     pub resume: Option<Checkpoint>,
     /// The children's programs.
     pub programs: Programs,
+    /// Where it is open to other machines, if it is.
+    pub gateway: Option<GatewaySpec>,
     /// Written into every checkpoint.
     pub provenance: serde_json::Value,
     /// The name of the run's shared memory.
@@ -122,6 +127,9 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<RunResult, Exi
         &spec.config.run,
         sizes.max_workers,
     )?;
+    if let Some(gateway) = &spec.gateway {
+        supervisor.open_to_hosts(gateway.clone(), spec.robot.n_arms);
+    }
     let result = Session::start(spec, &dimensions, sizes, &mut supervisor, reporter).and_then(
         |mut session| {
             let result = session.run(&mut supervisor, reporter);
@@ -159,6 +167,8 @@ struct Session<'a> {
     scheduler: Option<Scheduler>,
     /// When each worker was last heard.
     heard: BTreeMap<WorkerId, Instant>,
+    /// Other machines, and their workers.
+    hosts: Hosts,
     /// When the learner was last heard, or was started.
     learner_heard: Instant,
     /// Workers that are ready before the learner is.
@@ -226,6 +236,7 @@ impl<'a> Session<'a> {
             channels,
             scheduler: None,
             heard: BTreeMap::new(),
+            hosts: Hosts::default(),
             learner_heard: now,
             early: Vec::new(),
             origin: 0,
@@ -260,7 +271,7 @@ impl<'a> Session<'a> {
         let state = from.map(Checkpoint::state);
         supervisor.start_learner(state.as_deref())?;
         supervisor.scale(self.workers)?;
-        Ok(())
+        supervisor.start_gateway()
     }
 
     fn run(
@@ -314,6 +325,7 @@ impl<'a> Session<'a> {
             *heard += late;
         }
         self.learner_heard += late;
+        self.hosts.postpone(late);
         if let Some(deadline) = &mut self.finishing {
             *deadline += late;
         }

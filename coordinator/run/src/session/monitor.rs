@@ -90,7 +90,7 @@ impl Monitor {
             view.worker.and_then(|worker| self.workers.get(&worker).copied()).unwrap_or_default();
         let usage = view.pid.map(usage).unwrap_or_default();
         ProcessStatus {
-            role: if view.worker.is_some() { Role::Worker } else { Role::Learner },
+            role: view.role,
             worker: view.worker,
             pid: view.pid,
             state: state.to_owned(),

@@ -1,6 +1,7 @@
 //! Who has died or fallen silent, and how the run goes on without what was lost.
 //!
 //! * A worker dies: its shards are open again, a successor starts after a back-off.
+//! * The gateway dies: hosts lose it and join its successor; what they had to make is open again.
 //! * A worker or the learner is silent for too long: it is killed, and so has died.
 //! * The learner dies: everything since the last checkpoint is gone with it. All children are
 //!   started anew from that checkpoint, the metrics are wound back, and every iteration that is
@@ -57,8 +58,10 @@ impl Session<'_> {
                     self.hear_learner(supervisor, reporter)?;
                     return self.recover(cause, supervisor, reporter);
                 }
+                Death::Gateway(cause) => self.gateway_died(cause, supervisor, reporter)?,
                 Death::Left(worker) => {
                     self.heard.remove(&worker);
+                    self.early.retain(|(early, _)| *early != worker);
                     self.spec.live.tell(What::Left { worker: Some(worker) });
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.worker_gone(worker);
@@ -193,6 +196,7 @@ impl Session<'_> {
         for (worker, _) in std::mem::take(&mut self.heard) {
             self.spec.live.tell(What::Left { worker: Some(worker) });
         }
+        self.forget_hosts();
         self.orders.forget_all();
         self.finishing = None;
 
@@ -264,6 +268,7 @@ impl Session<'_> {
                 ));
             }
         }
+        self.check_gateway(deadline, start_deadline, supervisor, reporter);
         let deadline = if self.scheduler.is_some() { deadline } else { start_deadline };
         if now.saturating_duration_since(self.learner_heard) > deadline {
             let seconds = deadline.as_secs_f64();

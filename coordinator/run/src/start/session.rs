@@ -15,7 +15,7 @@ use super::service::{Listening, RunService};
 use crate::report::Reporter;
 use crate::session::{self, RunResult, SessionSpec, StoppedBy};
 use crate::signals::StopRequests;
-use crate::supervisor::Programs;
+use crate::supervisor::{GatewaySpec, Programs};
 
 /// What a session starts from, of a new run or of an old one.
 #[derive(Debug)]
@@ -30,6 +30,8 @@ pub struct Start {
     pub resume: Option<Checkpoint>,
     /// The children's programs.
     pub programs: Programs,
+    /// Where it is open to other machines, if it is.
+    pub gateway: Option<GatewaySpec>,
     /// The name of the run's shared memory.
     pub domain: Domain,
     /// Which program and machine this is.
@@ -53,8 +55,18 @@ pub struct Ended {
 
 /// Runs a session to its end.
 pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Result<Ended> {
-    let Start { run_dir, config, robot, resume, programs, domain, provenance, service, pause_at } =
-        start;
+    let Start {
+        run_dir,
+        config,
+        robot,
+        resume,
+        programs,
+        gateway,
+        domain,
+        provenance,
+        service,
+        pause_at,
+    } = start;
     let stop = StopRequests::new();
     stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
     let resume_from = resume.as_ref().map(|checkpoint| checkpoint.manifest.iteration);
@@ -67,6 +79,14 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
         reporter.note(&note);
     }
     let mirror = bucket::start(&config, &run_dir)?;
+    if let Some(gateway) = &gateway
+        && !quiet
+    {
+        reporter.note(&format!(
+            "other machines help by `octopus join {}`, with the address of this one",
+            gateway.listen
+        ));
+    }
     let RunService { live, mut listening } = service;
     if let Some(Listening { service, token }) = &mut listening {
         // Whoever reads the address finds the token.
@@ -87,6 +107,7 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
         robot,
         resume,
         programs,
+        gateway,
         provenance: serde_json::to_value(provenance).context("provenance has no JSON form")?,
         domain,
         stop: stop.clone(),

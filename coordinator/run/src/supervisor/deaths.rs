@@ -10,6 +10,8 @@ use super::cause::Cause;
 pub(super) const MAX_CRASHES: u32 = 5;
 /// The same for deaths by a signal from outside, which say less.
 pub(super) const MAX_KILLS: u32 = 50;
+/// First back-off; doubles with every failure in a row.
+const BACK_OFF: Duration = Duration::from_millis(50);
 /// Who has lived for this long did not die of what killed its predecessors.
 const SETTLED: Duration = Duration::from_mins(1);
 /// Deaths of a process and its successors in a row, with nothing achieved in between. Those by a
@@ -38,6 +40,11 @@ impl Deaths {
         deaths
     }
 
+    /// How long a successor waits.
+    pub(super) fn back_off(self) -> Duration {
+        BACK_OFF * 2_u32.pow(self.total().saturating_sub(1).min(6))
+    }
+
     /// All of them.
     pub fn total(self) -> u32 {
         self.crashes + self.kills
@@ -58,4 +65,6 @@ pub enum Death {
     Worker(WorkerId, Cause),
     /// A worker that had been asked to.
     Left(WorkerId),
+    /// The gateway, and with it all workers of hosts; it will have a successor.
+    Gateway(Cause),
 }

@@ -15,18 +15,25 @@ use proto::config::Run;
 use proto::message::WorkerId;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
+use service::live::Role;
 use store::regular_files::{self, Links};
 
 use self::deaths::{MAX_CRASHES, MAX_KILLS};
+use self::gateway::Gateway;
 use crate::janitor::Janitor;
 use crate::{environment, signal_isolation};
 
 mod cause;
 mod deaths;
+mod gateway;
+mod gateway_child;
+mod process_view;
 mod programs;
 
 pub use self::cause::{Cause, child_exit_code, log_tail};
 pub use self::deaths::{Death, Deaths};
+pub use self::gateway::GatewaySpec;
+pub use self::process_view::ProcessView;
 pub use self::programs::Programs;
 
 /// What there is of a worker.
@@ -48,19 +55,6 @@ struct WorkerSlot {
     deaths: Deaths,
 }
 
-/// A process of the run, for its status.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ProcessView {
-    /// The worker; none for the learner.
-    pub worker: Option<WorkerId>,
-    /// Process id; none while a successor waits for its back-off.
-    pub pid: Option<u32>,
-    /// How often it has died and been replaced.
-    pub replaced: u32,
-    /// Whether it has been asked to go.
-    pub leaving: bool,
-}
-
 /// All children of a run. [`Self::close`] ends them. Without it they die with the thread that started
 /// them, as they asked the kernel to kill them then, and the janitor removes what is left.
 #[derive(Debug)]
@@ -77,6 +71,8 @@ pub struct Supervisor {
     learner: Option<Child>,
     learner_hung: bool,
     learner_replaced: u32,
+    /// What carries the run to other machines, if it is open to them.
+    gateway: Option<Gateway>,
     workers: BTreeMap<WorkerId, WorkerSlot>,
     /// Incarnations that workers will have when they start next; never used twice in a run.
     incarnations: BTreeMap<WorkerId, u32>,
@@ -85,8 +81,6 @@ pub struct Supervisor {
     restarts: u64,
 }
 
-/// First back-off; doubles with every failure in a row.
-const BACK_OFF: Duration = Duration::from_millis(50);
 /// How long a worker that was asked to go may take for the block at hand.
 const LEAVE_DEADLINE: Duration = Duration::from_secs(30);
 
@@ -113,6 +107,7 @@ impl Supervisor {
             learner: None,
             learner_hung: false,
             learner_replaced: 0,
+            gateway: None,
             workers: BTreeMap::new(),
             incarnations: BTreeMap::new(),
             replaced: BTreeMap::new(),
@@ -224,6 +219,7 @@ impl Supervisor {
             deaths.push(Death::Learner(Cause::of(status, self.learner_hung)));
         }
         let now = Instant::now();
+        deaths.extend(self.reap_gateway(now));
         let mut gone = Vec::new();
         for (&worker, slot) in &mut self.workers {
             match &mut slot.state {
@@ -240,7 +236,7 @@ impl Supervisor {
                     let Ok(Some(status)) = child.try_wait() else { continue };
                     let cause = Cause::of(status, *hung);
                     slot.deaths = slot.deaths.and(cause, started.elapsed());
-                    let delay = BACK_OFF * 2_u32.pow((slot.deaths.total() - 1).min(6));
+                    let delay = slot.deaths.back_off();
                     slot.state = WorkerState::Due { after: now + delay };
                     deaths.push(Death::Worker(worker, cause));
                 }
@@ -276,6 +272,7 @@ impl Supervisor {
                 replaced.push(worker);
             }
         }
+        self.start_gateway_if_due(now)?;
         Ok(replaced)
     }
 
@@ -313,6 +310,9 @@ impl Supervisor {
                 WorkerState::Leaving { until, .. } => *until += late,
                 WorkerState::Due { .. } => {}
             }
+        }
+        if let Some(gateway) = &mut self.gateway {
+            gateway.postpone(late);
         }
     }
 
@@ -382,6 +382,7 @@ impl Supervisor {
     /// Every process, and every one to come.
     pub fn processes(&self) -> Vec<ProcessView> {
         let learner = ProcessView {
+            role: Role::Learner,
             worker: None,
             pid: self.learner.as_ref().map(Child::id),
             replaced: self.learner_replaced,
@@ -394,9 +395,10 @@ impl Supervisor {
                 WorkerState::Due { .. } => (None, false),
             };
             let replaced = self.replaced.get(&worker).copied().unwrap_or(0);
-            ProcessView { worker: Some(worker), pid, replaced, leaving }
+            ProcessView { role: Role::Worker, worker: Some(worker), pid, replaced, leaving }
         });
-        std::iter::once(learner).chain(workers).collect()
+        let gateway = self.gateway.as_ref().map(Gateway::view);
+        std::iter::once(learner).chain(gateway).chain(workers).collect()
     }
 
     /// Waits up to `patience` for all children to end by themselves, then kills the rest.
@@ -413,7 +415,8 @@ impl Supervisor {
             WorkerState::Running { child, .. } | WorkerState::Leaving { child, .. } => Some(child),
             WorkerState::Due { .. } => None,
         });
-        self.learner.iter_mut().chain(workers)
+        let gateway = self.gateway.as_mut().and_then(Gateway::child);
+        self.learner.iter_mut().chain(gateway).chain(workers)
     }
 
     fn anybody_lives(&mut self) -> bool {
@@ -427,6 +430,9 @@ impl Supervisor {
             let _ = child.wait();
         }
         self.learner = None;
+        if let Some(gateway) = &mut self.gateway {
+            gateway.is_dead();
+        }
         self.workers.clear();
     }
 

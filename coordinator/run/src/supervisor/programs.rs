@@ -7,7 +7,7 @@ use proto::{ExitCode, ExitError};
 /// Where the programs of a run are.
 #[derive(Debug, Clone)]
 pub struct Programs {
-    /// `learner`.
+    /// `learner`; nothing where nobody learns.
     pub learner: PathBuf,
     /// `sim-worker`.
     pub sim_worker: PathBuf,
@@ -17,6 +17,16 @@ impl Programs {
     /// Looks beside this program, then along `PATH`.
     pub fn find() -> Result<Self, ExitError> {
         Ok(Self { learner: find("learner")?, sim_worker: find("sim-worker")? })
+    }
+
+    /// The same on a machine where nobody learns.
+    pub fn without_learner() -> Result<Self, ExitError> {
+        Ok(Self { learner: PathBuf::new(), sim_worker: find("sim-worker")? })
+    }
+
+    /// The program that carries a run to other machines, which not everybody has built.
+    pub fn gateway() -> Result<PathBuf, ExitError> {
+        find("gateway")
     }
 }
 
@@ -30,7 +40,10 @@ fn find(name: &str) -> Result<PathBuf, ExitError> {
         .ok_or_else(|| {
             ExitError::new(
                 ExitCode::Environment,
-                format!("program `{name}` is neither beside octopus nor on PATH; run `make build`"),
+                format!(
+                    "program `{name}` is neither beside octopus nor on PATH; run `make {}`",
+                    if name == "gateway" { name } else { "build" }
+                ),
             )
         })
 }

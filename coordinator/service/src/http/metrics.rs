@@ -166,6 +166,7 @@ fn processes(page: &mut Exposition, processes: &[ProcessStatus]) {
                 Role::Coordinator => "coordinator",
                 Role::Learner => "learner",
                 Role::Worker => "worker",
+                Role::Gateway => "gateway",
             };
             let worker = process.worker.map_or_else(String::new, |worker| worker.to_string());
             page.sample(name, &[("role", role), ("worker", &worker)], value(process));

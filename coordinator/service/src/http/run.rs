@@ -66,10 +66,11 @@ pub(super) async fn scale(
     let limits = &context.limits;
     let wish: ScaleRequest = RequestBody::new(request, limits.json_bytes, limits).json().await?;
     let workers = wish.workers;
-    let most = live.status().max_workers;
+    let status = live.status();
+    let (least, most) = (status.min_workers, status.max_workers);
     // A run that has not begun to speak has no limit yet, and refuses itself.
-    if workers == 0 || (most > 0 && workers > most) {
-        let message = format!("{workers} workers, expected 1 to {}", most.max(1));
+    if workers < least || (most > 0 && workers > most) {
+        let message = format!("{workers} workers, expected {least} to {}", most.max(1));
         return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message));
     }
     let answer = ask(&context, |reply| Command::Scale { workers, reply }).await?;

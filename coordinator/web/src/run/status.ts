@@ -1,7 +1,7 @@
 // A live run as the service tells it.
 
 export interface Process {
-    role: "coordinator" | "learner" | "worker";
+    role: "coordinator" | "learner" | "worker" | "gateway";
     worker: number | null;
     pid: number | null;
     state: string;

@@ -83,6 +83,7 @@ fn status() -> LiveStatus {
         env_steps: 12345,
         env_steps_per_s: 1e6,
         workers: 2,
+        min_workers: 1,
         max_workers: 8,
         processes: vec![
             process(Role::Learner, None, Some(10)),

@@ -1,0 +1,324 @@
+//! The workers' end: coordinator and learner of the workers of its machine, as far as they can tell.
+
+mod join;
+mod ports;
+mod workers;
+
+use std::io::BufRead as _;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
+
+use channels::Role;
+use proto::gateway::{Place, Said};
+use proto::message::{self, HEARTBEAT, PortId, Status};
+use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Subscriber;
+use zenoh::query::{Query, Queryable};
+use zenoh::{Session, Wait as _};
+
+use self::ports::{HostPorts, Made};
+use self::workers::Workers;
+use crate::arguments::HostArguments;
+use crate::network::{self, Asked, End};
+use crate::orders::{Single, Task};
+use crate::pieces::Content;
+use crate::wire::{HostBeat, HubBeat, Welcome};
+use crate::{bells, keys};
+
+/// How long a policy may take on its way.
+const POLICY_DEADLINE: Duration = Duration::from_secs(30);
+
+/// What other threads put down for the one that owns the ports.
+enum Event {
+    /// Blocks or words of workers may have come.
+    Bell,
+    /// The run wants something to be done.
+    Order(Query),
+    /// The hub is there.
+    Beat(HubBeat),
+    /// What came of the question for a policy.
+    Policy(u64, Box<Asked>),
+}
+
+/// Joins a run and works for it until it is over.
+pub fn run(arguments: &HostArguments) -> Result<(), ExitError> {
+    process::child::die_with_parent(arguments.parent)?;
+    let wait = Duration::from_secs_f64(arguments.wait);
+    let result = network::open(End::Connect(&arguments.connect, wait)).and_then(|session| {
+        let result = work(arguments, &session);
+        if let Err(error) = session.close().wait() {
+            tracing::warn!(%error, "the network was not left in order");
+        }
+        result
+    });
+    if let Err(error) = &result {
+        // Who started this one may be gone.
+        let _ = join::say(&Said::Failed(error.message.clone()));
+    }
+    result
+}
+
+fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
+    let welcome = join::join(arguments, session)?;
+    join::say(&Said::Joined(welcome.host))?;
+    let mut line = String::new();
+    let read = std::io::stdin().lock().read_line(&mut line);
+    let place = read.ok().and_then(|_| serde_json::from_str::<Place>(&line).ok());
+    let Some(place) = place else {
+        let message = "who started this gateway did not say where the services are";
+        return Err(ExitError::new(ExitCode::Failure, message));
+    };
+    let (events, inbox) = mpsc::channel();
+    let ports = HostPorts::open(&place, &RunDir::new(&arguments.run_dir))?;
+    for role in [Role::Learner, Role::Coordinator] {
+        bells::listen(&ports.domain, ports.sizes, role, events.clone(), || Event::Bell)?;
+    }
+    let doors = Doors::open(session, &welcome, &events).map_err(|error| {
+        ExitError::new(ExitCode::Failure, format!("the network cannot be used: {error}"))
+    })?;
+    let mut host = Host {
+        session,
+        welcome,
+        events,
+        ports,
+        workers: Workers::default(),
+        policies: Vec::new(),
+        asking: false,
+        heard: Instant::now(),
+        wait: Duration::from_secs_f64(arguments.wait),
+        said: None,
+    };
+    let result = host.serve(&inbox);
+    drop(doors);
+    result
+}
+
+/// Where the network's callbacks put events down, while this lives.
+struct Doors {
+    _orders: Queryable<()>,
+    _beats: Subscriber<()>,
+    _token: LivelinessToken,
+}
+
+impl Doors {
+    fn open(session: &Session, welcome: &Welcome, events: &Sender<Event>) -> zenoh::Result<Self> {
+        let (orders, beats) = (events.clone(), events.clone());
+        let key = |what| keys::of_host(&welcome.session, welcome.host, what);
+        Ok(Self {
+            // Nobody takes events any more when the host ends; what comes then is for nobody.
+            _orders: session
+                .declare_queryable(key("order"))
+                .callback(move |query| drop(orders.send(Event::Order(query))))
+                .wait()?,
+            _beats: session
+                .declare_subscriber(keys::BEAT)
+                .callback(move |sample| {
+                    if let Ok(beat) = message::decode(&sample.payload().to_bytes()) {
+                        let _ = beats.send(Event::Beat(beat));
+                    }
+                })
+                .wait()?,
+            _token: session.liveliness().declare_token(key("alive")).wait()?,
+        })
+    }
+}
+
+/// Whether the run goes on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Course {
+    GoesOn,
+    Over,
+}
+
+/// The one thread that owns the ports.
+struct Host<'a> {
+    session: &'a Session,
+    welcome: Welcome,
+    events: Sender<Event>,
+    ports: HostPorts,
+    workers: Workers<Query>,
+    /// Versions that workers have been given.
+    policies: Vec<u64>,
+    /// Whether a policy is on its way.
+    asking: bool,
+    /// When the hub was heard last.
+    heard: Instant,
+    wait: Duration,
+    /// When the hub heard of this host last.
+    said: Option<Instant>,
+}
+
+impl Host<'_> {
+    fn serve(&mut self, inbox: &Receiver<Event>) -> Result<(), ExitError> {
+        loop {
+            match inbox.recv_timeout(HEARTBEAT / 2) {
+                Ok(event) => {
+                    if self.take(event)? == Course::Over {
+                        return Ok(());
+                    }
+                    for event in inbox.try_iter() {
+                        if self.take(event)? == Course::Over {
+                            return Ok(());
+                        }
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                // This thread has a sender itself.
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+            // Workers that have just come get the policies of before.
+            self.ports.policy.update_connections();
+            self.hear_workers()?;
+            self.take_blocks()?;
+            self.send_orders()?;
+            if self.heard.elapsed() > self.wait {
+                let message =
+                    format!("the run has not been heard for {} s", self.wait.as_secs_f64());
+                return Err(ExitError::new(ExitCode::Failure, message));
+            }
+            if self.said.is_none_or(|said| said.elapsed() >= HEARTBEAT) {
+                self.said = Some(Instant::now());
+                self.say();
+            }
+        }
+    }
+
+    fn take(&mut self, event: Event) -> Result<Course, ExitError> {
+        match event {
+            // What has come is looked at after all events.
+            Event::Bell => {}
+            Event::Order(query) => self.take_order(query),
+            Event::Beat(beat) => return self.hear_hub(&beat),
+            Event::Policy(version, asked) => {
+                self.asking = false;
+                if self.ports.policy(version, &asked)? {
+                    self.policies.push(version);
+                } else {
+                    tracing::warn!(version, missing = asked.answer.missing(), trouble = ?asked.trouble, "no policy");
+                }
+            }
+        }
+        Ok(Course::GoesOn)
+    }
+
+    fn hear_hub(&mut self, beat: &HubBeat) -> Result<Course, ExitError> {
+        self.heard = Instant::now();
+        if beat.session != self.welcome.session || !beat.hosts.contains(&self.welcome.host) {
+            let message = "the run has begun anew; this machine has to join again";
+            return Err(ExitError::new(ExitCode::Failure, message));
+        }
+        if beat.over {
+            return Ok(Course::Over);
+        }
+        // Oldest first: workers take the order in which they come for that of the versions.
+        let wanted = beat.policies.iter().find(|version| !self.policies.contains(version));
+        if let Some(&version) = wanted
+            && !self.asking
+        {
+            self.ask_for_policy(version);
+        }
+        Ok(Course::GoesOn)
+    }
+
+    /// Asks for a policy, on a thread of its own.
+    fn ask_for_policy(&mut self, version: u64) {
+        self.asking = true;
+        let key = keys::policy(&self.welcome.session, version);
+        let (session, events) = (self.session.clone(), self.events.clone());
+        let most = 4 * self.ports.sizes.policy_len;
+        let ask = move || {
+            let asked = network::ask(&session, &key, Vec::new(), POLICY_DEADLINE, most);
+            let _ = events.send(Event::Policy(version, Box::new(asked)));
+        };
+        if let Err(error) = std::thread::Builder::new().name("policy".to_owned()).spawn(ask) {
+            tracing::error!(%error, "cannot start a thread");
+            self.asking = false;
+        }
+    }
+
+    fn take_order(&mut self, query: Query) {
+        let bytes = query.payload().map(|payload| payload.to_bytes().into_owned());
+        let order = match message::decode(&bytes.unwrap_or_default()) {
+            Ok(order) => order,
+            Err(error) => return tracing::error!(error, "an order cannot be read"),
+        };
+        if let Some(single) = Single::all(&order).pop() {
+            self.workers.ordered(single, query);
+        }
+    }
+
+    /// Sends what workers have not been sent.
+    fn send_orders(&mut self) -> Result<(), ExitError> {
+        for (order, port) in self.workers.unsent() {
+            let missed = self.ports.orders.send(&order.order())?;
+            if missed.includes(port) {
+                self.workers.missed(&order);
+            }
+        }
+        Ok(())
+    }
+
+    fn hear_workers(&mut self) -> Result<(), ExitError> {
+        while let Some(status) = self.ports.status()? {
+            match &status {
+                Status::Ready { worker, incarnation, orders }
+                | Status::Heartbeat { worker, incarnation, orders } => {
+                    self.worker_lives(*worker, *incarnation, *orders);
+                }
+                Status::EvaluationDone { worker, chunk, .. } => {
+                    self.answer(
+                        *worker,
+                        Task::Evaluation(*chunk),
+                        &Content::Status,
+                        &message::encode(&status),
+                    );
+                }
+                Status::Failed { worker, message: text, fault, .. } => {
+                    tracing::error!(worker, text);
+                    if let Some(fault) = fault {
+                        let task = Task::Block { iteration: fault.iteration, shard: fault.shard };
+                        self.answer(*worker, task, &Content::Status, &message::encode(&status));
+                    }
+                }
+                // The block speaks for itself.
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// A worker says that it is there. One that the run does not know is told to it at once.
+    fn worker_lives(&mut self, worker: u32, incarnation: u32, orders: PortId) {
+        if self.workers.lives(worker, incarnation, orders) {
+            self.said = None;
+        }
+    }
+
+    fn take_blocks(&mut self) -> Result<(), ExitError> {
+        while let Some(block) = self.ports.blocks.try_receive()? {
+            let Made { worker, task, content } = Made::of(block.header());
+            let bytes: &[u8] = bytemuck::cast_slice(block.payload());
+            if let Some(query) = self.workers.done(worker, task) {
+                network::answer(query, network::cut(&content, bytes));
+            }
+        }
+        Ok(())
+    }
+
+    fn answer(&mut self, worker: u32, task: Task, content: &Content, bytes: &[u8]) {
+        if let Some(query) = self.workers.done(worker, task) {
+            network::answer(query, network::cut(content, bytes));
+        }
+    }
+
+    /// Tells the hub which workers there are. What is lost on the way comes again soon.
+    fn say(&self) {
+        let key = keys::of_host(&self.welcome.session, self.welcome.host, "beat");
+        let beat = HostBeat { workers: self.workers.numbers() };
+        if let Err(error) = self.session.put(key, message::encode(&beat)).wait() {
+            tracing::warn!(%error, "the run could not be told that this host is there");
+        }
+    }
+}

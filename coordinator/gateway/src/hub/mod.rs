@@ -1,0 +1,327 @@
+//! The learner's end: stands for all workers of all hosts.
+
+mod hosts;
+mod ports;
+mod reception;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
+
+use channels::Role;
+use proto::message::{self, HEARTBEAT, HostId, Order, Status, WORKERS_OF_A_HOST};
+use proto::{ExitCode, ExitError};
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::CongestionControl;
+use zenoh::query::{Query, Queryable};
+use zenoh::sample::SampleKind;
+use zenoh::{Session, Wait as _};
+
+use self::hosts::Hosts;
+use self::ports::Ports;
+use self::reception::Reception;
+use crate::arguments::HubArguments;
+use crate::network::{self, Asked, End};
+use crate::orders::{InFlight, Single};
+use crate::pieces::Content;
+use crate::wire::{HostBeat, HubBeat};
+use crate::{bells, keys};
+
+/// Policies that hosts can have: with overlap workers act with the one before the newest, and an evaluation may still
+/// be at the one before that.
+const KEPT_POLICIES: usize = 3;
+/// How long the last word to hosts may take to get away.
+const LAST_WORD: Duration = Duration::from_millis(100);
+
+/// What other threads put down for the one that owns the ports.
+enum Event {
+    /// Orders or policies may have come.
+    Bell,
+    /// A host wants to join.
+    Hello(Query),
+    /// A host wants a policy.
+    Policy(Query),
+    /// A host is there.
+    Beat(HostId, HostBeat),
+    /// A host is not there any more.
+    Gone(HostId),
+    /// What came of an order.
+    Answered(Single, Box<Asked>),
+}
+
+/// Works until the run is over.
+pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
+    process::child::die_with_parent(arguments.parent)?;
+    let reception = Reception::read(arguments)?;
+    let (events, inbox) = mpsc::channel();
+    let ports = Ports::open(arguments, &reception.config)?;
+    bells::listen(&ports.domain, ports.sizes, Role::Workers, events.clone(), || Event::Bell)?;
+    let session = network::open(End::Listen(&arguments.listen))?;
+    let doors = Doors::open(&session, &reception.session, &events).map_err(|error| {
+        ExitError::new(ExitCode::Failure, format!("the network cannot be used: {error}"))
+    })?;
+    let deadline = Duration::from_secs_f64(reception.config.run.order_deadline_s);
+    let mut hub = Hub {
+        session,
+        events,
+        hosts: Hosts::new(arguments.incarnation),
+        in_flight: InFlight::default(),
+        policies: VecDeque::new(),
+        incarnation: arguments.incarnation,
+        deadline,
+        said: None,
+        reception,
+        ports,
+    };
+    tracing::info!(endpoint = arguments.listen, "waiting for hosts");
+    let result = hub.serve(&inbox);
+    drop(doors);
+    if let Err(error) = hub.session.close().wait() {
+        tracing::warn!(%error, "the network was not left in order");
+    }
+    result
+}
+
+/// Where the network's callbacks put events down, while this lives.
+struct Doors {
+    _hello: Queryable<()>,
+    _policies: Queryable<()>,
+    _beats: Subscriber<()>,
+    _alive: Subscriber<()>,
+}
+
+impl Doors {
+    fn open(session: &Session, name: &str, events: &Sender<Event>) -> zenoh::Result<Self> {
+        // Nobody takes events any more when the hub ends; what comes then is for nobody.
+        let put = |event: Event, events: &Sender<Event>| drop(events.send(event));
+        let to = || events.clone();
+        let (hello, policies, beats, alive) = (to(), to(), to(), to());
+        Ok(Self {
+            _hello: session
+                .declare_queryable(keys::HELLO)
+                .callback(move |query| put(Event::Hello(query), &hello))
+                .wait()?,
+            _policies: session
+                .declare_queryable(keys::policies(name))
+                .callback(move |query| put(Event::Policy(query), &policies))
+                .wait()?,
+            _beats: session
+                .declare_subscriber(keys::of_hosts(name, "beat"))
+                .callback(move |sample| {
+                    let beat = message::decode(&sample.payload().to_bytes());
+                    if let (Some(host), Ok(beat)) = (keys::host(sample.key_expr()), beat) {
+                        put(Event::Beat(host, beat), &beats);
+                    }
+                })
+                .wait()?,
+            _alive: session
+                .liveliness()
+                .declare_subscriber(keys::of_hosts(name, "alive"))
+                .callback(move |sample| {
+                    if let (SampleKind::Delete, Some(host)) =
+                        (sample.kind(), keys::host(sample.key_expr()))
+                    {
+                        put(Event::Gone(host), &alive);
+                    }
+                })
+                .wait()?,
+        })
+    }
+}
+
+/// A policy that hosts can have.
+struct Policy {
+    version: u64,
+    bytes: Vec<u8>,
+}
+
+/// The one thread that owns the ports.
+struct Hub {
+    session: Session,
+    events: Sender<Event>,
+    reception: Reception,
+    hosts: Hosts,
+    in_flight: InFlight,
+    /// Oldest first.
+    policies: VecDeque<Arc<Policy>>,
+    incarnation: u32,
+    /// How long an order may take.
+    deadline: Duration,
+    /// When hosts and coordinator heard of this hub last.
+    said: Option<Instant>,
+    ports: Ports,
+}
+
+impl Hub {
+    fn serve(&mut self, inbox: &Receiver<Event>) -> Result<(), ExitError> {
+        loop {
+            match inbox.recv_timeout(HEARTBEAT / 2) {
+                Ok(event) => {
+                    self.take(event)?;
+                    for event in inbox.try_iter() {
+                        self.take(event)?;
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                // This thread has a sender itself.
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+            self.take_policies()?;
+            if self.take_orders()? {
+                self.tell_hosts(true);
+                std::thread::sleep(LAST_WORD);
+                return Ok(());
+            }
+            for host in self.hosts.expire(Instant::now()) {
+                tracing::warn!(host, "has not been heard for too long");
+                self.said = None;
+            }
+            if self.said.is_none_or(|said| said.elapsed() >= HEARTBEAT) {
+                self.said = Some(Instant::now());
+                self.tell_hosts(false);
+                self.ports.say(&Status::Hosts {
+                    incarnation: self.incarnation,
+                    orders: self.ports.orders.port(),
+                    hosts: self.hosts.report(),
+                })?;
+            }
+        }
+    }
+
+    fn take(&mut self, event: Event) -> Result<(), ExitError> {
+        match event {
+            // What has come is looked at after all events.
+            Event::Bell => {}
+            Event::Hello(query) => self.reception.receive(query, &mut self.hosts),
+            Event::Policy(query) => self.hand_out(query),
+            Event::Beat(host, beat) => {
+                if self.hosts.heard(host, &beat.workers, Instant::now()) {
+                    self.said = None;
+                }
+            }
+            Event::Gone(host) => {
+                if self.hosts.gone(host) {
+                    tracing::warn!(host, "is gone");
+                    self.said = None;
+                }
+            }
+            Event::Answered(order, asked) => self.deliver(&order, &asked)?,
+        }
+        Ok(())
+    }
+
+    /// Tells hosts which policies there are. What is lost on the way comes again soon.
+    fn tell_hosts(&self, over: bool) {
+        let beat = HubBeat {
+            session: self.reception.session.clone(),
+            policies: self.policies.iter().map(|policy| policy.version).collect(),
+            hosts: self.hosts.numbers(),
+            over,
+        };
+        let congestion = if over { CongestionControl::Block } else { CongestionControl::Drop };
+        let put = self.session.put(keys::BEAT, message::encode(&beat));
+        if let Err(error) = put.congestion_control(congestion).wait() {
+            tracing::warn!(%error, "hosts could not be told what there is");
+        }
+    }
+
+    fn take_policies(&mut self) -> Result<(), ExitError> {
+        while let Some(sample) = self.ports.policy.try_receive()? {
+            let version = sample.header().version;
+            let bytes = bytemuck::cast_slice(sample.payload()).to_vec();
+            self.policies.retain(|policy| policy.version != version);
+            self.policies.push_back(Arc::new(Policy { version, bytes }));
+            while self.policies.len() > KEPT_POLICIES {
+                self.policies.pop_front();
+            }
+            self.tell_hosts(false);
+        }
+        Ok(())
+    }
+
+    /// Answers with a policy; a question for one that is gone has no answer.
+    fn hand_out(&self, query: Query) {
+        let version = keys::version(query.key_expr());
+        let known = |policy: &&Arc<Policy>| Some(policy.version) == version;
+        if let Some(policy) = self.policies.iter().find(known) {
+            let pieces = network::cut(&Content::Policy(policy.version), &policy.bytes);
+            network::answer(query, pieces);
+        }
+    }
+
+    /// Takes all orders that have come; whether the run is over.
+    fn take_orders(&mut self) -> Result<bool, ExitError> {
+        loop {
+            let order = match self.ports.orders.try_receive() {
+                Ok(Some(order)) => order,
+                Ok(None) => return Ok(false),
+                // A garbled one is passed over; it will be sent again.
+                Err(error @ channels::ChannelError::Decode { .. }) => {
+                    tracing::error!("{error}");
+                    continue;
+                }
+                Err(error) => return Err(error.into()),
+            };
+            if matches!(order, Order::Stop) {
+                return Ok(true);
+            }
+            for single in Single::all(&order) {
+                if single.worker >= WORKERS_OF_A_HOST {
+                    self.ask(single);
+                }
+            }
+        }
+    }
+
+    /// Asks a host for what one of its workers is ordered, on a thread of its own.
+    fn ask(&mut self, order: Single) {
+        let Some((host, local)) = self.hosts.find(order.worker, order.incarnation) else { return };
+        if !self.in_flight.begin(&order) {
+            return;
+        }
+        let question = message::encode(&Single { worker: local, ..order }.order());
+        let key = keys::of_host(&self.reception.session, host, "order");
+        let (session, events) = (self.session.clone(), self.events.clone());
+        let (patience, most) = (self.deadline, self.ports.longest_answer());
+        let ask = move || {
+            let asked = network::ask(&session, &key, question, patience, most);
+            let _ = events.send(Event::Answered(order, Box::new(asked)));
+        };
+        if let Err(error) = std::thread::Builder::new().name("order".to_owned()).spawn(ask) {
+            // The order is repeated when it is overdue.
+            tracing::error!(%error, "cannot start a thread");
+        }
+    }
+
+    /// Gives on what came of an order, if its worker is still one.
+    fn deliver(&mut self, order: &Single, asked: &Asked) -> Result<(), ExitError> {
+        self.in_flight.end(order);
+        let Single { worker, incarnation, task, .. } = *order;
+        self.hosts.missed(worker, asked.answer.missing());
+        if let Some(trouble) = &asked.trouble {
+            tracing::warn!(worker, ?task, trouble, "an answer is not what it should be");
+        }
+        if self.hosts.find(worker, incarnation).is_none() {
+            tracing::debug!(worker, ?task, "comes too late and is dropped");
+            return Ok(());
+        }
+        let done = match asked.answer.whole() {
+            Some((Content::Block(header), len)) => {
+                let sent = self.ports.block(order, header, &asked.answer, len)?;
+                if sent {
+                    self.hosts.delivered(worker, len);
+                }
+                sent
+            }
+            Some((Content::Status, len)) => self.ports.status(order, &asked.answer, len)?,
+            Some((Content::Policy(_), _)) | None => false,
+        };
+        if !done {
+            tracing::warn!(worker, ?task, "an order has not come back and is given up");
+            self.hosts.dismiss(worker);
+            self.said = None;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,57 @@
+//! What is known of other machines.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use proto::message::{HostReport, WorkerId};
+use service::live::HostStatus;
+
+use crate::scheduler::Scheduler;
+
+/// The hosts of a session.
+#[derive(Debug, Default)]
+pub(super) struct Hosts {
+    /// Incarnations of the workers that take orders.
+    pub(super) workers: BTreeMap<WorkerId, u32>,
+    /// What the gateway said last.
+    pub(super) reports: Vec<HostReport>,
+    /// When the gateway was heard last; none if the one that runs now has not been.
+    pub(super) heard: Option<Instant>,
+}
+
+impl Hosts {
+    /// Nobody could be heard for so long.
+    pub(super) fn postpone(&mut self, late: Duration) {
+        if let Some(heard) = &mut self.heard {
+            *heard += late;
+        }
+    }
+
+    /// Whether the gateway has been heard.
+    pub(super) fn is_ready(&self) -> bool {
+        self.heard.is_some()
+    }
+
+    /// Whether this worker takes orders in this incarnation.
+    pub(super) fn has(&self, worker: WorkerId, incarnation: u32) -> bool {
+        self.workers.get(&worker) == Some(&incarnation)
+    }
+
+    /// The hosts for the status of the run.
+    pub(super) fn look(&self, scheduler: Option<&Scheduler>) -> Vec<HostStatus> {
+        let look = |report: &HostReport| {
+            let workers: Vec<_> = report.workers.iter().map(|(worker, _)| *worker).collect();
+            let tasks = workers.iter().filter_map(|&worker| Some(scheduler?.tasks(worker)));
+            HostStatus {
+                host: report.host,
+                name: report.name.clone(),
+                shards: tasks.flatten().map(ToString::to_string).collect(),
+                workers,
+                blocks: report.blocks,
+                bytes: report.bytes,
+                missing: report.missing,
+            }
+        };
+        self.reports.iter().map(look).collect()
+    }
+}

@@ -1,0 +1,25 @@
+//! What the gateway of a host and `octopus join`, which starts it, say to each other: a line of JSON each.
+
+use serde::{Deserialize, Serialize};
+
+use crate::message::HostId;
+
+/// What a gateway says on its standard output.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Said {
+    /// It has joined as this host, and `config.toml` and `robot.toml` of the run are there; now it waits for a
+    /// [`Place`].
+    Joined(HostId),
+    /// It ends, and why.
+    Failed(String),
+}
+
+/// What it is told on its standard input when the services are there.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Place {
+    /// Name under which the shared memory lives.
+    pub domain: String,
+    /// Arms of the robot.
+    pub arms: usize,
+}

@@ -1,0 +1,496 @@
+//! Other machines help: the same bits, whoever makes the blocks and whatever becomes of them.
+//!
+//! All of them are this machine, by the loopback address; a cable is a forwarder of this program, which can be pulled.
+
+use std::io::{Read as _, Write as _};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+use tempfile::TempDir;
+use tests::{
+    Owned, Run, assert_nothing_left, kill, leftovers, octopus, processes_with, program, stderr,
+};
+
+/// An endpoint at which nobody listens.
+fn free_endpoint() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    format!("tcp/{}", listener.local_addr().expect("bound"))
+}
+
+/// A machine that helps: `octopus join` with a directory of its own.
+struct Machine {
+    dir: TempDir,
+    process: Owned,
+}
+
+impl Machine {
+    fn join(endpoint: &str, more: &[&str]) -> Self {
+        Self::with(&program("octopus"), endpoint, more)
+    }
+
+    fn with(octopus: &Path, endpoint: &str, more: &[&str]) -> Self {
+        Self::behind(Command::new(octopus), endpoint, more)
+    }
+
+    /// Joins by `command`, which is `octopus` or becomes it.
+    fn behind(mut command: Command, endpoint: &str, more: &[&str]) -> Self {
+        let dir = tempfile::tempdir().expect("a temporary directory");
+        let log = std::fs::File::create(dir.path().join("log")).expect("writable");
+        command.args(["join", endpoint]).args(more).env("TMPDIR", dir.path());
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
+        let process = Owned::spawn(&mut command);
+        Self { dir, process }
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.dir.path().join("log")).unwrap_or_default()
+    }
+
+    /// Its processes, by program name.
+    fn children(&self, name: &str) -> Vec<u32> {
+        let of = processes_with(self.dir.path().to_str().expect("UTF-8")).into_iter();
+        of.filter(|(_, program)| program == name).map(|(pid, _)| pid).collect()
+    }
+
+    /// The name of its shared memory, from the command line of its workers.
+    fn domain(&self) -> String {
+        let worker = self.until("it has a worker", |machine| machine.children("sim-worker").pop());
+        let line = std::fs::read(format!("/proc/{worker}/cmdline")).expect("it lives");
+        let line = String::from_utf8_lossy(&line).into_owned();
+        let mut words = line.split('\0').skip_while(|word| *word != "--domain");
+        words.nth(1).expect("its domain").to_owned()
+    }
+
+    fn until<T>(&self, what: &str, seen: impl Fn(&Self) -> Option<T>) -> T {
+        let watchdog = Instant::now() + Duration::from_mins(1);
+        loop {
+            if let Some(seen) = seen(self) {
+                return seen;
+            }
+            assert!(Instant::now() < watchdog, "never: {what}; its log:\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Waits until the run is over and it has ended in order.
+    fn succeed(&mut self) {
+        let watchdog = Instant::now() + Duration::from_mins(1);
+        while self.process.ended().is_none() {
+            assert!(Instant::now() < watchdog, "it does not end; its log:\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        assert!(self.process.succeeded(), "its log:\n{}", self.log());
+        assert!(self.log().contains("the run is over"), "{}", self.log());
+    }
+}
+
+/// A run that other machines may join.
+fn open(endpoint: &str, more: &[&str]) -> Run {
+    let listen = format!("--listen-workers={endpoint}");
+    let flags: Vec<_> = [listen.as_str()].into_iter().chain(more.iter().copied()).collect();
+    Run::train(&flags)
+}
+
+/// Digests of a run on one machine.
+fn alone(iterations: u32) -> Vec<String> {
+    let mut run = Run::train(&["--workers=2", &format!("--iterations={iterations}")]);
+    run.succeed();
+    run.digests()
+}
+
+/// Waits until the run's log says something, so many times.
+fn wait_for(run: &mut Run, said: &str, times: usize) {
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    while run.log().matches(said).count() < times {
+        let log = run.log();
+        assert!(run.ended().is_none(), "the run ended without {said:?}; its log:\n{log}");
+        assert!(Instant::now() < watchdog, "never said {said:?}; its log:\n{log}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn assert_adds_up(run: &Run) {
+    for line in run.metrics() {
+        let steps = |key: &str| line["accounting"][key].as_u64().expect("a count");
+        let known = steps("trained") + steps("duplicate") + steps("lost");
+        assert_eq!(steps("produced"), known, "{line}");
+        assert_eq!(steps("trained"), 128);
+    }
+}
+
+/// The learner stands still, and with it the run: machines have time to come.
+fn hold(run: &mut Run) -> u32 {
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    loop {
+        if let Some(&learner) = run.children("learner").first() {
+            kill(learner, Signal::STOP);
+            return learner;
+        }
+        assert!(Instant::now() < watchdog, "no learner; log:\n{}", run.log());
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn machines_that_help_change_no_bit() {
+    for (machines, overlap) in [(1, "--overlap=0"), (2, "--overlap=1")] {
+        let mut calm = Run::train(&["--workers=2", "--iterations=30", overlap]);
+        calm.succeed();
+        let endpoint = free_endpoint();
+        let mut run = open(&endpoint, &["--workers=1", "--iterations=30", overlap]);
+        let learner = hold(&mut run);
+        let domain = run.domain_when_there();
+        let mut helpers: Vec<_> =
+            (0..machines).map(|_| Machine::join(&endpoint, &["--workers=2"])).collect();
+        let domains: Vec<_> = helpers.iter().map(Machine::domain).collect();
+        wait_for(&mut run, "helps with 2 workers", machines);
+        kill(learner, Signal::CONT);
+        run.succeed();
+        helpers.iter_mut().for_each(Machine::succeed);
+        assert_eq!(run.digests(), calm.digests(), "{machines} machines, {overlap}");
+        assert_adds_up(&run);
+        domains.iter().chain([&domain]).for_each(|domain| assert_nothing_left(domain));
+    }
+}
+
+#[test]
+fn a_run_without_workers_of_its_own_is_made_by_others_alone() {
+    let expected = alone(20);
+    let endpoint = free_endpoint();
+    let more = ["--workers=1", "--iterations=20", "--set=run.evaluate_every=10"];
+    let mut run = open(&endpoint, &more);
+    let learner = hold(&mut run);
+    run.domain_when_there();
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    let mut helper = Machine::join(&endpoint, &["--workers=2", "--name=lab"]);
+    wait_for(&mut run, "(lab) helps with 2 workers", 1);
+    let scaled = octopus(&["scale", path, "0"]);
+    assert!(scaled.status.success(), "{}", stderr(&scaled));
+    wait_for(&mut run, "worker 0 has left", 1);
+    // The status is a fraction of a second old.
+    let host = helper.until("its run shows it", |_| {
+        let status = octopus(&["status", path, "--json"]);
+        let status: serde_json::Value = serde_json::from_slice(&status.stdout).ok()?;
+        status.pointer("/live/hosts/0").cloned()
+    });
+    assert_eq!(host["name"], "lab", "{host}");
+    let shown = octopus(&["status", path]);
+    assert!(String::from_utf8_lossy(&shown.stdout).contains("1 lab"), "{}", stderr(&shown));
+    kill(learner, Signal::CONT);
+    run.succeed();
+    helper.succeed();
+    assert_eq!(run.digests(), expected);
+    let evaluations = std::fs::read_to_string(run.path().join("evaluations.jsonl"));
+    assert!(!evaluations.expect("was evaluated").is_empty());
+}
+
+#[test]
+fn machines_that_come_and_go_change_no_bit() {
+    let expected = alone(400);
+    let endpoint = free_endpoint();
+    let deadline = "--set=run.order_deadline_s=3.0";
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=400", deadline]);
+    let domain = run.domain_when_there();
+    let helper = Machine::join(&endpoint, &["--workers=2"]);
+    wait_for(&mut run, "helps with 2 workers", 1);
+    let first = helper.domain();
+    // Its worker is killed, which only itself notices.
+    kill(helper.children("sim-worker")[0], Signal::KILL);
+    helper.until("its worker is replaced", |it| it.log().contains("is replaced").then_some(()));
+    // Its gateway is killed: it joins again, with workers of another domain.
+    kill(helper.children("gateway")[0], Signal::KILL);
+    wait_for(&mut run, "helps with 0 workers, before 2", 1);
+    wait_for(&mut run, "helps with 2 workers", 2);
+    assert_nothing_left(&first);
+    let second = helper.domain();
+    // Its gateway stands still: nobody waits for it, and it is taken back.
+    let frozen = helper.children("gateway");
+    for &pid in &frozen {
+        kill(pid, Signal::STOP);
+    }
+    wait_for(&mut run, "helps with 0 workers, before 2", 2);
+    for &pid in &frozen {
+        kill(pid, Signal::CONT);
+    }
+    wait_for(&mut run, "helps with 2 workers", 3);
+    // The whole machine is gone.
+    let third = helper.domain();
+    kill(helper.process.id(), Signal::KILL);
+    wait_for(&mut run, "helps with 0 workers, before 2", 3);
+    let mut another = Machine::join(&endpoint, &["--workers=1"]);
+    wait_for(&mut run, "helps with 1 worker", 1);
+    // The gateway of the run itself: machines join its successor.
+    kill(run.children("gateway")[0], Signal::KILL);
+    wait_for(&mut run, "helps with 1 worker", 2);
+    let fourth = another.domain();
+    // And the learner, with which all starts anew.
+    kill(run.children("learner")[0], Signal::KILL);
+    wait_for(&mut run, "helps with 1 worker", 3);
+    run.succeed();
+    another.succeed();
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+    for domain in [&domain, &first, &second, &third, &fourth] {
+        assert_nothing_left(domain);
+    }
+}
+
+/// A cable between a machine and the run.
+struct Cable {
+    endpoint: String,
+    pulled: Arc<AtomicBool>,
+}
+
+impl Cable {
+    fn to(endpoint: &str) -> Self {
+        let far = endpoint.trim_start_matches("tcp/").to_owned();
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let endpoint = format!("tcp/{}", listener.local_addr().expect("bound"));
+        let pulled = Arc::new(AtomicBool::new(false));
+        let of = Arc::clone(&pulled);
+        // Its threads end with the test program, or when both ends are closed.
+        std::thread::spawn(move || {
+            for near in listener.incoming().flatten() {
+                let Ok(far) = TcpStream::connect(&far) else { continue };
+                let ends = [(near.try_clone(), far.try_clone()), (Ok(far), Ok(near))];
+                for (from, to) in ends {
+                    let (from, to) = (from.expect("a socket"), to.expect("a socket"));
+                    let pulled = Arc::clone(&of);
+                    std::thread::spawn(move || carry(from, to, &pulled));
+                }
+            }
+        });
+        Self { endpoint, pulled }
+    }
+
+    /// From now on nothing comes through, and nobody is told.
+    fn pull(&self) {
+        self.pulled.store(true, Ordering::Relaxed);
+    }
+
+    fn plug_in(&self) {
+        self.pulled.store(false, Ordering::Relaxed);
+    }
+}
+
+fn carry(mut from: TcpStream, mut to: TcpStream, pulled: &AtomicBool) {
+    let mut bytes = vec![0; 64 << 10];
+    while let Ok(len) = from.read(&mut bytes) {
+        while pulled.load(Ordering::Relaxed) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if len == 0 || to.write_all(&bytes[..len]).is_err() {
+            break;
+        }
+    }
+    let _ = to.shutdown(Shutdown::Both);
+    let _ = from.shutdown(Shutdown::Both);
+}
+
+#[test]
+fn a_cable_pulled_in_the_middle_costs_time_and_nothing_else() {
+    let expected = alone(300);
+    let endpoint = free_endpoint();
+    let cable = Cable::to(&endpoint);
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=300"]);
+    let mut helper = Machine::join(&cable.endpoint, &["--workers=2"]);
+    wait_for(&mut run, "helps with 2 workers", 1);
+    cable.pull();
+    // The run goes on meanwhile, after a while without waiting for anybody.
+    wait_for(&mut run, "helps with 0 workers, before 2", 1);
+    let done = run.metrics().len();
+    run.wait_for_iterations(done + 5);
+    let learner = hold(&mut run);
+    std::thread::sleep(Duration::from_secs(2));
+    cable.plug_in();
+    wait_for(&mut run, "helps with 2 workers", 2);
+    kill(learner, Signal::CONT);
+    run.succeed();
+    helper.succeed();
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+}
+
+/// Two network namespaces with a link between them, which is as near to two machines as one machine comes.
+struct Lan {
+    names: [String; 2],
+}
+
+impl Lan {
+    /// None where they may not be made.
+    fn new() -> Option<Self> {
+        let id = std::process::id();
+        let lan = Self { names: ["a", "b"].map(|end| format!("octopus-{id}-{end}")) };
+        let [a, b] = &lan.names;
+        let (va, vb) = (format!("oct{id}a"), format!("oct{id}b"));
+        let made = [
+            format!("netns add {a}"),
+            format!("netns add {b}"),
+            format!("link add {va} netns {a} type veth peer name {vb} netns {b}"),
+            format!("-n {a} addr add 10.231.7.1/24 dev {va}"),
+            format!("-n {b} addr add 10.231.7.2/24 dev {vb}"),
+            format!("-n {a} link set lo up"),
+            format!("-n {b} link set lo up"),
+            format!("-n {a} link set {va} up"),
+            format!("-n {b} link set {vb} up"),
+        ]
+        .iter()
+        .all(|line| ip(line));
+        made.then_some(lan)
+    }
+
+    /// Sets the link up or down.
+    fn link(&self, state: &str) {
+        let vb = format!("oct{}b", std::process::id());
+        assert!(ip(&format!("-n {} link set {vb} {state}", self.names[1])));
+    }
+}
+
+impl Drop for Lan {
+    fn drop(&mut self) {
+        for name in &self.names {
+            ip(&format!("netns del {name}"));
+        }
+    }
+}
+
+fn ip(line: &str) -> bool {
+    let quiet = Command::new("ip").args(line.split(' ')).stderr(Stdio::null()).status();
+    quiet.is_ok_and(|status| status.success())
+}
+
+/// Where namespaces may not be made, the loopback address has to do.
+#[test]
+fn a_link_between_two_networks_that_is_cut_changes_no_bit() {
+    let Some(lan) = Lan::new() else { return };
+    let expected = alone(100);
+    let endpoint = "tcp/10.231.7.1:7447";
+    let mut run = Run::new();
+    run.start_behind(&["ip", "netns", "exec", &lan.names[0]]);
+    let listen = format!("--listen-workers={endpoint}");
+    run.start_training(&["--workers=1", "--iterations=100", &listen, "--insecure"]);
+    let learner = hold(&mut run);
+    let mut command = Command::new("ip");
+    command.args(["netns", "exec", &lan.names[1]]).arg(program("octopus"));
+    let mut helper = Machine::behind(command, endpoint, &["--workers=2", "--insecure"]);
+    wait_for(&mut run, "helps with 2 workers", 1);
+    kill(learner, Signal::CONT);
+    run.wait_for_iterations(5);
+    lan.link("down");
+    wait_for(&mut run, "helps with 0 workers, before 2", 1);
+    let learner = hold(&mut run);
+    std::thread::sleep(Duration::from_secs(2));
+    lan.link("up");
+    wait_for(&mut run, "helps with 2 workers", 2);
+    kill(learner, Signal::CONT);
+    run.succeed();
+    helper.succeed();
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+}
+
+/// The programs in a directory of their own, with a `sim-worker` that is another.
+fn another_build() -> (TempDir, PathBuf) {
+    let there = program("octopus");
+    let target = there.parent().expect("a directory");
+    let dir = tempfile::tempdir_in(target).expect("a directory beside the programs");
+    for name in ["octopus", "gateway"] {
+        std::fs::hard_link(target.join(name), dir.path().join(name)).expect("one disk");
+    }
+    let other = dir.path().join("sim-worker");
+    std::fs::copy(target.join("sim-worker"), &other).expect("room");
+    let mut file = std::fs::File::options().append(true).open(&other).expect("writable");
+    file.write_all(b"\0").expect("room");
+    let octopus = dir.path().join("octopus");
+    (dir, octopus)
+}
+
+#[test]
+fn a_machine_with_another_build_is_refused_with_what_differs() {
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=1000000"]);
+    run.wait_for_iterations(1);
+    let (_dir, other) = another_build();
+    let mut refused = Machine::with(&other, &endpoint, &["--workers=1"]);
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    let code = loop {
+        if let Some(status) = refused.process.ended() {
+            break status.code();
+        }
+        assert!(Instant::now() < watchdog, "it is not refused: {}", refused.log());
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    let log = refused.log();
+    assert_eq!(code, Some(4), "{log}");
+    assert!(log.contains("digest of the program sim-worker is"), "{log}");
+    assert!(log.contains("same build"), "{log}");
+    run.signal(Signal::INT);
+    run.succeed();
+}
+
+#[test]
+fn wrong_endpoints_are_refused_and_nobody_is_waited_for_for_ever() {
+    let said = |args: &[&str]| {
+        let output = octopus(args);
+        (output.status.code(), stderr(&output))
+    };
+    let (code, text) = said(&["join", "tcp/10.1.2.3:7447"]);
+    assert_eq!(code, Some(2), "{text}");
+    assert!(text.contains("--insecure"), "{text}");
+    let (code, text) = said(&["train", "--listen-workers=tcp/0.0.0.0:7447"]);
+    assert_eq!(code, Some(2), "{text}");
+    assert!(text.contains("neither encrypted"), "{text}");
+    for wrong in ["127.0.0.1:7447", "tcp/127.0.0.1", "quic/127.0.0.1:7447"] {
+        let (code, text) = said(&["join", wrong]);
+        assert_eq!(code, Some(2), "{wrong}: {text}");
+        assert!(text.contains("tcp/ADDRESS:PORT"), "{wrong}: {text}");
+    }
+    // Nobody listens there.
+    let endpoint = free_endpoint();
+    let (code, text) = said(&["join", &endpoint, "--workers=1", "--wait=1s"]);
+    assert_eq!(code, Some(1), "{text}");
+    assert!(text.contains(&endpoint) && text.contains("--listen-workers"), "{text}");
+    // Somebody does, but no run, and says nothing.
+    let silent = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let endpoint = format!("tcp/{}", silent.local_addr().expect("bound"));
+    let (code, text) = said(&["join", &endpoint, "--workers=1", "--wait=1s"]);
+    assert_eq!(code, Some(1), "{text}");
+    // And a run cannot listen there.
+    let (code, text) =
+        said(&["train", &format!("--listen-workers={endpoint}"), "--iterations=1", "--workers=1"]);
+    assert_eq!(code, Some(4), "{text}");
+    assert!(text.contains("cannot be listened at"), "{text}");
+}
+
+#[test]
+fn a_killed_run_is_found_again_when_it_is_resumed() {
+    let expected = alone(40);
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=40"]);
+    let learner = hold(&mut run);
+    let mut helper = Machine::join(&endpoint, &["--workers=1"]);
+    wait_for(&mut run, "helps with 1 worker", 1);
+    kill(learner, Signal::CONT);
+    run.wait_for_iterations(12);
+    let domain = run.domain();
+    run.signal(Signal::KILL);
+    run.wait();
+    assert_nothing_left(&domain);
+    run.resume(&[&format!("--listen-workers={endpoint}")]);
+    run.succeed();
+    assert_eq!(run.digests(), expected);
+    // It has joined again, or came too late and gives up.
+    kill(helper.process.id(), Signal::INT);
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    while helper.process.ended().is_none() {
+        assert!(Instant::now() < watchdog, "{}", helper.log());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!(leftovers(&domain).is_empty());
+}
