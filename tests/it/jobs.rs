@@ -55,7 +55,7 @@ fn stopped_and_started_again(job: &dyn Fn(&Path) -> Command, requeued: &dyn Fn()
     }
     assert_eq!(requeued(), 2, "who is done is not started again");
     let metrics = std::fs::read_to_string(run.join("metrics.jsonl")).expect("read");
-    let lines = metrics.lines().map(|line| serde_json::from_str::<serde_json::Value>(line));
+    let lines = metrics.lines().map(serde_json::from_str::<serde_json::Value>);
     let digests: Vec<String> = lines
         .map(|line| line.expect("JSON")["digest"].as_str().expect("a digest").to_owned())
         .collect();

@@ -65,7 +65,10 @@ mod tests {
 
     #[test]
     fn sigint_alone_reaches_a_child_that_may_be_interrupted() {
-        let mut child = spawn_interruptible(Command::new("sleep").arg("60")).expect("sleep starts");
+        // A shell that starts the tests in the background has them ignore SIGINT, and so would the child.
+        let mut command = Command::new("env");
+        command.args(["--default-signal=INT", "sleep", "60"]);
+        let mut child = spawn_interruptible(&mut command).expect("env starts");
         let pid = Pid::from_raw(child.id().cast_signed()).expect("a process");
         for signal in [Signal::TERM, Signal::HUP] {
             kill_process(pid, signal).expect("own child");
