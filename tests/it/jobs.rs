@@ -198,7 +198,7 @@ fn units_of_systemd_train_go_on_and_leave_nothing() {
     };
     for unit in ["spaceoctopus-train@.service", "spaceoctopus-serve.service"] {
         systemd.succeed(&["systemd-analyze", "verify", &format!("/etc/systemd/system/{unit}")]);
-        // Of 10: 1.2 when it was written. "OK" ends at 5.
+        // 20 is an exposure of 2.0, of 10.
         systemd.succeed(&["systemd-analyze", "security", "--threshold=20", "--no-pager", unit]);
     }
     let run = "/var/lib/private/spaceoctopus/trial";
