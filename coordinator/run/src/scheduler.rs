@@ -104,17 +104,17 @@ impl Scheduler {
     /// A worker is no more; its orders are open again.
     pub fn worker_gone(&mut self, worker: WorkerId) -> UnfinishedWork {
         let Some(gone) = self.workers.remove(&worker) else { return UnfinishedWork::default() };
-        let mut estate = UnfinishedWork::default();
+        let mut unfinished = UnfinishedWork::default();
         for (place, task) in gone.queue.into_iter().enumerate() {
             if let Task::Rollout(address) = task
                 && self.is_wanted(address)
             {
-                estate.at_hand = (place == 0).then_some(address).or(estate.at_hand);
-                estate.undelivered.push(address);
+                unfinished.at_hand = (place == 0).then_some(address).or(unfinished.at_hand);
+                unfinished.undelivered.push(address);
             }
             self.reopen(task);
         }
-        estate
+        unfinished
     }
 
     /// A worker shall finish what it is busy with; the rest of its orders is open again.
@@ -405,8 +405,8 @@ mod tests {
         scheduler.worker_ready(0, 0, now);
         scheduler.assign(now);
         scheduler.block_received((0, 0), now);
-        let estate = UnfinishedWork { at_hand: Some((0, 1)), undelivered: vec![(0, 1)] };
-        assert_eq!(scheduler.worker_gone(0), estate);
+        let unfinished = UnfinishedWork { at_hand: Some((0, 1)), undelivered: vec![(0, 1)] };
+        assert_eq!(scheduler.worker_gone(0), unfinished);
         scheduler.worker_ready(0, 1, now);
         let orders = scheduler.assign(now);
         assert_eq!(addresses(&orders), [(0, 0, 1)]);

@@ -57,8 +57,8 @@ impl Session<'_> {
         for &worker in workers {
             self.hosts.workers.remove(&worker);
             self.early.retain(|(early, _)| *early != worker);
-            let tasks = self.scheduler.as_mut().map(|scheduler| scheduler.worker_gone(worker));
-            let undelivered = tasks.unwrap_or_default().undelivered;
+            let unfinished = self.scheduler.as_mut().map(|scheduler| scheduler.worker_gone(worker));
+            let undelivered = unfinished.unwrap_or_default().undelivered;
             // What its host has begun is dropped by the gateway, should it come all the same.
             if let Some((iteration, _)) = undelivered.first() {
                 self.books.lost(*iteration, self.steps_per_block);

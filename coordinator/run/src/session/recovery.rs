@@ -73,20 +73,20 @@ impl Session<'_> {
                     let died = What::Died { worker: Some(worker), cause: cause.to_string() };
                     self.spec.live.tell(died);
                     self.early.retain(|(early, _)| *early != worker);
-                    let estate = self
+                    let unfinished = self
                         .scheduler
                         .as_mut()
                         .map(|scheduler| scheduler.worker_gone(worker))
                         .unwrap_or_default();
                     // The worker was busy with the oldest; the others it had not begun.
-                    if let Some((iteration, _)) = estate.undelivered.first() {
+                    if let Some((iteration, _)) = unfinished.undelivered.first() {
                         self.books.lost(*iteration, self.steps_per_block);
                     }
                     reporter.note(&format!(
                         "worker {worker} died ({cause}); {} open shards are ordered again",
-                        estate.undelivered.len()
+                        unfinished.undelivered.len()
                     ));
-                    if let Some(address) = estate.at_hand
+                    if let Some(address) = unfinished.at_hand
                         && cause.blames_its_work()
                     {
                         let message = format!("its worker died ({cause})");
