@@ -192,21 +192,21 @@ fn a_run_without_workers_of_its_own_is_made_by_others_alone() {
 
 #[test]
 fn machines_that_come_and_go_change_no_bit() {
-    let expected = alone(400);
+    let expected = alone(1000);
     let endpoint = free_endpoint();
     let deadline = "--set=run.order_deadline_s=3.0";
-    let mut run = open(&endpoint, &["--workers=1", "--iterations=400", deadline]);
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=1000", deadline]);
     let domain = run.domain_when_there();
-    let helper = Machine::join(&endpoint, &["--workers=2"]);
-    wait_for(&mut run, "helps with 2 workers", 1);
+    let helper = Machine::join(&endpoint, &["--workers=2", "--name=helper"]);
+    wait_for(&mut run, "host 1 (helper) helps with 2 workers", 1);
     let first = helper.domain();
     // Its worker is killed, which only itself notices.
     kill(helper.children("sim-worker")[0], Signal::KILL);
     helper.until("its worker is replaced", |it| it.log().contains("is replaced").then_some(()));
     // Its gateway is killed: it joins again, with workers of another domain.
     kill(helper.children("gateway")[0], Signal::KILL);
-    wait_for(&mut run, "helps with 0 workers, before 2", 1);
-    wait_for(&mut run, "helps with 2 workers", 2);
+    wait_for(&mut run, "host 1 (helper) helps with 0 workers", 1);
+    wait_for(&mut run, "host 2 (helper) helps with 2 workers", 1);
     assert_nothing_left(&first);
     let second = helper.domain();
     // Its gateway stands still: nobody waits for it, and it is taken back.
@@ -214,24 +214,24 @@ fn machines_that_come_and_go_change_no_bit() {
     for &pid in &frozen {
         kill(pid, Signal::STOP);
     }
-    wait_for(&mut run, "helps with 0 workers, before 2", 2);
+    wait_for(&mut run, "host 2 (helper) helps with 0 workers", 1);
     for &pid in &frozen {
         kill(pid, Signal::CONT);
     }
-    wait_for(&mut run, "helps with 2 workers", 3);
+    wait_for(&mut run, "host 2 (helper) helps with 2 workers", 2);
     // The whole machine is gone.
     let third = helper.domain();
     kill(helper.process.id(), Signal::KILL);
-    wait_for(&mut run, "helps with 0 workers, before 2", 3);
-    let mut another = Machine::join(&endpoint, &["--workers=1"]);
-    wait_for(&mut run, "helps with 1 worker", 1);
+    wait_for(&mut run, "host 2 (helper) helps with 0 workers", 2);
+    let mut another = Machine::join(&endpoint, &["--workers=1", "--name=another"]);
+    wait_for(&mut run, "(another) helps with 1 worker", 1);
     // The gateway of the run itself: machines join its successor.
     kill(run.children("gateway")[0], Signal::KILL);
-    wait_for(&mut run, "helps with 1 worker", 2);
+    wait_for(&mut run, "(another) helps with 1 worker", 2);
     let fourth = another.domain();
     // And the learner, with which all starts anew.
     kill(run.children("learner")[0], Signal::KILL);
-    wait_for(&mut run, "helps with 1 worker", 3);
+    wait_for(&mut run, "(another) helps with 1 worker", 3);
     run.succeed();
     another.succeed();
     assert_eq!(run.digests(), expected);
