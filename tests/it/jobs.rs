@@ -1,12 +1,14 @@
 //! What supervisors and clusters start: `deploy/jobs`.
 
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
+use tempfile::TempDir;
 use tests::guide::repository;
-use tests::{Owned, Run, SMALL, crosscheck, kill, program, stderr};
+use tests::{Owned, Run, SMALL, crosscheck, kill, program, python, stderr};
 
 const ITERATIONS: &str = "--iterations=300";
 
@@ -78,43 +80,144 @@ fn a_supervisor_may_stop_and_start_a_training() {
     });
 }
 
-/// With a stand-in for `scontrol` that counts: a job that Slurm asks to stop asks Slurm to be started again.
+/// A supervisor that takes status 0 for "done" hears 143 from a run that is not.
 #[test]
-fn a_job_of_slurm_goes_on_after_its_time_limit() {
+fn who_is_stopped_before_the_end_says_so() {
     let place = tempfile::tempdir().expect("tempdir");
-    let counted = place.path().join("requeued");
-    let scontrol = place.path().join("scontrol");
-    std::fs::write(&scontrol, format!("#!/bin/sh\necho \"$@\" >> '{}'\n", counted.display()))
-        .expect("written");
-    let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
-    std::fs::set_permissions(&scontrol, executable).expect("own file");
-    let path = std::env::var("PATH").expect("a path");
-    let job = |run: &Path| {
+    let run = place.path().join("run");
+    let job = || {
+        let mut command = Command::new(jobs().join("until-done.sh"));
+        command.arg(&run).arg("trajectory").args(SMALL).arg(ITERATIONS);
+        command.env("OCTOPUS", program("octopus")).env("OCTOPUS_ALWAYS", "--listen 127.0.0.1:0");
+        command
+    };
+    let mut started = Owned::spawn(job().stdout(Stdio::null()).stderr(Stdio::null()));
+    wait_for_lines(&run.join("metrics.jsonl"), 5);
+    kill(started.id(), Signal::TERM);
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    let status = loop {
+        if let Some(status) = started.ended() {
+            break status;
+        }
+        assert!(Instant::now() < watchdog, "it does not end");
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert_eq!(status.code(), Some(143));
+    for _ in 0..2 {
+        let ended = job().output().expect("it starts");
+        assert!(ended.status.success(), "{}", stderr(&ended));
+    }
+}
+
+/// Stand-ins for the commands of Slurm that write down how they were called.
+struct Slurm {
+    place: TempDir,
+}
+
+impl Slurm {
+    fn new() -> Self {
+        let place = tempfile::tempdir().expect("tempdir");
+        let slurm = Self { place };
+        slurm.command("scontrol", "");
+        // As many tasks as it is asked for, all on this machine.
+        slurm.command(
+            "srun",
+            r#"for word; do case $word in --ntasks=*) tasks=${word#*=} ;; -*) ;; *) break ;; esac; shift; done
+pids=
+for task in $(seq "$tasks"); do "$@" --workers 1 --name "task-$task" & pids="$pids $!"; done
+trap 'kill -TERM $pids' TERM
+wait; wait
+"#,
+        );
+        slurm
+    }
+
+    fn command(&self, name: &str, script: &str) {
+        let path = self.place.path().join(name);
+        let called = self.place.path().join(format!("{name}.called"));
+        let text = format!("#!/bin/sh\necho \"$@\" >> '{}'\n{script}", called.display());
+        std::fs::write(&path, text).expect("written");
+        let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+        std::fs::set_permissions(&path, executable).expect("own file");
+    }
+
+    /// How a command was called, a line each time.
+    fn called(&self, name: &str) -> Vec<String> {
+        let called = self.place.path().join(format!("{name}.called"));
+        let text = std::fs::read_to_string(called).unwrap_or_default();
+        text.lines().map(ToOwned::to_owned).collect()
+    }
+
+    fn requeued(&self) -> usize {
+        let called = self.called("scontrol");
+        assert!(called.iter().all(|line| line == "requeue 4711"), "{called:?}");
+        called.len()
+    }
+
+    /// A job of `deploy/jobs/slurm/train.sh`.
+    fn job(&self, run: &Path) -> Command {
         let mut command = Command::new("bash");
         command.arg(jobs().join("slurm/train.sh")).arg(run).arg("trajectory").args(SMALL);
         command.arg(ITERATIONS).env("OCTOPUS", program("octopus")).env("SLURM_JOB_ID", "4711");
         command.env("SPACEOCTOPUS", repository());
-        command.env("PATH", format!("{}:{path}", place.path().display()));
+        let path = std::env::var("PATH").expect("a path");
+        command.env("PATH", format!("{}:{path}", self.place.path().display()));
         command
-    };
-    let requeued = || {
-        let text = std::fs::read_to_string(&counted).unwrap_or_default();
-        assert!(text.lines().all(|line| line == "requeue 4711"), "{text}");
-        text.lines().count()
-    };
-    stopped_and_started_again(&job, &requeued);
+    }
+}
+
+/// A job that Slurm asks to stop asks Slurm to be started again.
+#[test]
+fn a_job_of_slurm_goes_on_after_its_time_limit() {
+    let slurm = Slurm::new();
+    stopped_and_started_again(&|run| slurm.job(run), &|| slurm.requeued());
+    assert!(slurm.called("srun").is_empty(), "there is one machine");
 
     // What a person must mend is not tried again.
     let wrong = Command::new("bash")
         .arg(jobs().join("slurm/train.sh"))
-        .arg(place.path().join("wrong"))
+        .arg(slurm.place.path().join("wrong"))
         .arg("no-task")
         .env("OCTOPUS", program("octopus"))
         .env("SPACEOCTOPUS", repository())
         .output()
         .expect("it starts");
     assert_eq!(wrong.status.code(), Some(2), "{}", stderr(&wrong));
-    assert_eq!(requeued(), 2);
+    assert_eq!(slurm.requeued(), 2);
+}
+
+#[test]
+fn machines_of_a_job_of_slurm_help_the_first() {
+    let slurm = Slurm::new();
+    let port = {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        listener.local_addr().expect("bound").port().to_string()
+    };
+    let job = |run: &Path| {
+        let mut command = slurm.job(run);
+        command.env("SLURM_JOB_NUM_NODES", "3").env("SLURMD_NODENAME", "127.0.0.1");
+        command.env("PORT", &port);
+        command
+    };
+    stopped_and_started_again(&job, &|| slurm.requeued());
+    let called = slurm.called("srun");
+    assert_eq!(called.len(), 4, "once a start: {called:?}");
+    let first = "--nodes=2 --relative=1 --ntasks=2 ";
+    let join = format!("join tcp/127.0.0.1:{port} --insecure --wait 10m");
+    assert!(
+        called.iter().all(|line| line.starts_with(first) && line.ends_with(&join)),
+        "{called:?}"
+    );
+}
+
+#[test]
+fn manifests_of_kubernetes_fit_its_schemas() {
+    let mut command = Command::new(python());
+    command.arg(crosscheck("kubernetes.py")).arg(jobs().join("kubernetes/training.yaml"));
+    let checked = command.output().expect("make venv was run");
+    assert!(checked.status.success(), "{}", stderr(&checked));
+    let said = String::from_utf8_lossy(&checked.stdout);
+    assert_eq!(said, "PersistentVolumeClaim training-runs\nJobSet training\n");
 }
 
 /// A systemd in namespaces of its own.

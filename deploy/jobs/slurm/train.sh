@@ -1,13 +1,19 @@
 #!/bin/bash
-# One training on one machine of a cluster with Slurm. It goes on by itself after a time limit, a preemption or a crash of
-# the machine, until the run has done its budget.
+# One training on one machine of a cluster with Slurm, or on several. It goes on by itself after a time limit, a
+# preemption or a crash of a machine, until the run has done its budget.
 #
 #   sbatch deploy/jobs/slurm/train.sh RUN [OPTIONS OF octopus train]
+#   sbatch --nodes=4 deploy/jobs/slurm/train.sh RUN [OPTIONS OF octopus train]
 #
 # RUN must be where every machine of the partition sees it. Submit it from the root of the repository, or say where that
 # is in SPACEOCTOPUS. A sweep is an array: deploy/sweeps/slurm-array.sh.
+#
+# The first machine trains, the others help with their workers (`octopus join`) on port PORT, 7447 unless it is set.
+# With CERTIFICATES, a directory of `octopus certificates` that has all machines of the partition, links are encrypted
+# and machines are known by name. Without, they are plain: then nobody else may reach the network of the machines.
 
 #SBATCH --job-name=spaceoctopus
+#SBATCH --ntasks-per-node=1
 #SBATCH --cpus-per-task=2
 #SBATCH --mem=4G
 #SBATCH --time=01:00:00
@@ -23,10 +29,28 @@ set -eu
 root=${SPACEOCTOPUS:-$PWD}
 export OCTOPUS=${OCTOPUS:-$root/target/release/octopus}
 
-asked=no
-"$root/deploy/jobs/train-or-resume.sh" "$@" &
+others=$((${SLURM_JOB_NUM_NODES:-1} - 1))
+helpers=
+if [ "$others" -gt 0 ]; then
+    place=${SLURMD_NODENAME:?is for a job of Slurm}:${PORT:-7447}
+    if [ -n "${CERTIFICATES:-}" ]; then
+        endpoint=quic/$place
+        secured=(--certificates "$CERTIFICATES")
+    else
+        endpoint=tcp/$place
+        secured=(--insecure)
+    fi
+    export OCTOPUS_ALWAYS="--listen-workers $endpoint ${secured[*]}"
+    # The first machine of the job is the one that runs this file. The others wait until the run is there, and end
+    # with it. The training needs none of them.
+    srun --nodes="$others" --relative=1 --ntasks="$others" \
+        "$OCTOPUS" join "$endpoint" "${secured[@]}" --wait 10m &
+    helpers=$!
+fi
+
+"$root/deploy/jobs/until-done.sh" "$@" &
 pid=$!
-trap 'asked=yes; kill -TERM "$pid"' TERM
+trap 'kill -TERM "$pid"' TERM
 status=0
 wait "$pid" || status=$?
 # A signal ends the first wait, not the training.
@@ -34,7 +58,12 @@ while kill -0 "$pid" 2>/dev/null; do
     status=0
     wait "$pid" || status=$?
 done
-if [ "$asked" = yes ] && [ "$status" = 0 ]; then
+if [ -n "$helpers" ]; then
+    # They have been told that the run is over; one that could not hear it is told to leave.
+    kill -TERM "$helpers" 2>/dev/null || true
+    wait "$helpers" || true
+fi
+if [ "$status" = 143 ]; then
     # Whatever is left to do is done when the job is started again; a finished run then ends at once.
     exec scontrol requeue "${SLURM_JOB_ID:?is for a job of Slurm}"
 fi
