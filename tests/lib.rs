@@ -3,7 +3,7 @@
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, Command, ExitStatus, Output, Stdio};
+use std::process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -16,6 +16,7 @@ pub mod controllers;
 pub mod golden;
 pub mod guide;
 pub mod imports;
+pub mod network;
 pub mod reference;
 pub mod wheel;
 pub mod worked_example;
@@ -92,6 +93,11 @@ impl Owned {
     /// The writing end of its standard input, if that is a pipe and was not taken before.
     pub fn stdin(&mut self) -> Option<ChildStdin> {
         self.0.stdin.take()
+    }
+
+    /// The reading end of its standard output, likewise.
+    pub fn stdout(&mut self) -> Option<ChildStdout> {
+        self.0.stdout.take()
     }
 
     /// Waits for its end; says whether it was a good one.

@@ -18,7 +18,7 @@ use tracing_subscriber::registry::LookupSpan;
 /// Without `RUST_LOG` these are warnings and errors, and read like the program's own: `warning: …`.
 /// Who sets it wants a log, and gets times, levels and fields.
 pub fn init() {
-    let logs = tracing_subscriber::fmt().with_writer(|| LogWriter);
+    let logs = tracing_subscriber::fmt().with_writer(|| LogWriter).log_internal_errors(false);
     match EnvFilter::try_from_default_env() {
         Ok(filter) => logs
             .with_env_filter(filter)

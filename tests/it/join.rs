@@ -23,9 +23,9 @@ fn free_endpoint() -> String {
 }
 
 /// A machine that helps: `octopus join` with a directory of its own.
-struct Machine {
+pub(crate) struct Machine {
     dir: TempDir,
-    process: Owned,
+    pub(crate) process: Owned,
 }
 
 impl Machine {
@@ -38,7 +38,7 @@ impl Machine {
     }
 
     /// Joins by `command`, which is `octopus` or becomes it.
-    fn behind(mut command: Command, endpoint: &str, more: &[&str]) -> Self {
+    pub(crate) fn behind(mut command: Command, endpoint: &str, more: &[&str]) -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let log = std::fs::File::create(dir.path().join("log")).expect("writable");
         command.args(["join", endpoint]).args(more).env("TMPDIR", dir.path());
@@ -47,7 +47,7 @@ impl Machine {
         Self { dir, process }
     }
 
-    fn log(&self) -> String {
+    pub(crate) fn log(&self) -> String {
         std::fs::read_to_string(self.dir.path().join("log")).unwrap_or_default()
     }
 
@@ -78,7 +78,7 @@ impl Machine {
     }
 
     /// Waits until the run is over and it has ended in order.
-    fn succeed(&mut self) {
+    pub(crate) fn succeed(&mut self) {
         let watchdog = Instant::now() + Duration::from_mins(1);
         while self.process.ended().is_none() {
             assert!(Instant::now() < watchdog, "it does not end; its log:\n{}", self.log());
@@ -86,6 +86,18 @@ impl Machine {
         }
         assert!(self.process.succeeded(), "its log:\n{}", self.log());
         assert!(self.log().contains("the run is over"), "{}", self.log());
+    }
+
+    /// Its exit code, once it has ended by itself.
+    pub(crate) fn code(&mut self) -> Option<i32> {
+        let watchdog = Instant::now() + Duration::from_mins(1);
+        loop {
+            if let Some(status) = self.process.ended() {
+                return status.code();
+            }
+            assert!(Instant::now() < watchdog, "it does not end; its log:\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(10));
+        }
     }
 }
 
@@ -97,14 +109,14 @@ fn open(endpoint: &str, more: &[&str]) -> Run {
 }
 
 /// Digests of a run on one machine.
-fn alone(iterations: u32) -> Vec<String> {
+pub(crate) fn alone(iterations: u32) -> Vec<String> {
     let mut run = Run::train(&["--workers=2", &format!("--iterations={iterations}")]);
     run.succeed();
     run.digests()
 }
 
 /// Waits until the run's log says something, so many times.
-fn wait_for(run: &mut Run, said: &str, times: usize) {
+pub(crate) fn wait_for(run: &mut Run, said: &str, times: usize) {
     let watchdog = Instant::now() + Duration::from_mins(1);
     while run.log().matches(said).count() < times {
         let log = run.log();
@@ -114,7 +126,7 @@ fn wait_for(run: &mut Run, said: &str, times: usize) {
     }
 }
 
-fn assert_adds_up(run: &Run) {
+pub(crate) fn assert_adds_up(run: &Run) {
     for line in run.metrics() {
         let steps = |key: &str| line["accounting"][key].as_u64().expect("a count");
         let known = steps("trained") + steps("duplicate") + steps("lost");
@@ -124,7 +136,7 @@ fn assert_adds_up(run: &Run) {
 }
 
 /// The learner stands still, and with it the run: machines have time to come.
-fn hold(run: &mut Run) -> u32 {
+pub(crate) fn hold(run: &mut Run) -> u32 {
     let watchdog = Instant::now() + Duration::from_mins(1);
     loop {
         if let Some(&learner) = run.children("learner").first() {
@@ -418,14 +430,7 @@ fn a_machine_with_another_build_is_refused_with_what_differs() {
     run.wait_for_iterations(1);
     let (_dir, other) = another_build();
     let mut refused = Machine::with(&other, &endpoint, &["--workers=1"]);
-    let watchdog = Instant::now() + Duration::from_mins(1);
-    let code = loop {
-        if let Some(status) = refused.process.ended() {
-            break status.code();
-        }
-        assert!(Instant::now() < watchdog, "it is not refused: {}", refused.log());
-        std::thread::sleep(Duration::from_millis(10));
-    };
+    let code = refused.code();
     let log = refused.log();
     assert_eq!(code, Some(4), "{log}");
     assert!(log.contains("digest of the program sim-worker is"), "{log}");

@@ -23,6 +23,7 @@ mod imports;
 mod jobs;
 mod join;
 mod mujoco;
+mod network;
 mod other_users;
 mod page;
 mod plan;

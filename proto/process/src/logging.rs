@@ -10,5 +10,7 @@ pub fn init() {
         .with_writer(std::io::stderr)
         .with_ansi(false)
         .with_env_filter(filter)
+        // It would be said on standard error, where a disk that is full makes a panic of it.
+        .log_internal_errors(false)
         .init();
 }

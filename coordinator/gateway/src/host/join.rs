@@ -58,8 +58,11 @@ pub(super) fn join(arguments: &HostArguments, session: &Session) -> Result<Welco
     let run_dir = RunDir::new(&arguments.run_dir);
     let put = |path: PathBuf, text: &str| {
         std::fs::write(&path, text).map_err(|error| {
-            let message = format!("{}: cannot be written: {error}", path.display());
-            ExitError::new(ExitCode::RunDirectory, message)
+            let message = format!(
+                "{}: cannot be written: {error}; TMPDIR names another place",
+                path.display()
+            );
+            ExitError::new(ExitCode::Environment, message)
         })
     };
     put(run_dir.config(), &welcome.config)?;

@@ -1,0 +1,154 @@
+//! Several machines, each in a network of its own: what links and machines do, and that no bit changes by it.
+//!
+//! Where namespaces may not be made, nothing is tried, and what `join` tries on the loopback address has to do. With
+//! `SPACEOCTOPUS_NET_TEST=1`, as `make net-test` does, cables stay pulled for longer than anything waits.
+
+use std::process::Command;
+use std::time::Duration;
+
+use rustix::process::Signal;
+use tests::network::{Cable, Network};
+use tests::{Run, assert_nothing_left, kill, program};
+
+use crate::join::{Machine, alone, assert_adds_up, hold, wait_for};
+
+/// A run of a few iterations on machine 0.
+fn run_on(network: &Network, iterations: u32, more: &[&str]) -> Run {
+    let mut run = Run::new();
+    let launcher = network.on(0);
+    run.start_behind(&launcher.each_ref().map(String::as_str));
+    let [listen, iterations] =
+        [format!("--listen-workers={}", Network::endpoint()), format!("--iterations={iterations}")];
+    let flags = ["--workers=1", &iterations, &listen, "--insecure"];
+    run.start_training(&[&flags, more].concat());
+    run
+}
+
+/// A machine of one worker that helps it.
+fn helper(network: &Network, machine: usize) -> Machine {
+    let [first, rest @ ..] = network.on(machine);
+    let mut command = Command::new(first);
+    command.args(rest).arg(program("octopus"));
+    let name = format!("--name=machine-{machine}");
+    Machine::behind(command, &Network::endpoint(), &["--workers=1", "--insecure", &name])
+}
+
+fn helps(machine: usize) -> String {
+    format!("(machine-{machine}) helps with 1 worker")
+}
+
+fn is_gone(machine: usize) -> String {
+    format!("(machine-{machine}) helps with 0 workers")
+}
+
+/// Something that must end well, and does.
+fn end(mut run: Run, helpers: &mut [Machine], expected: &[String]) {
+    run.succeed();
+    helpers.iter_mut().for_each(Machine::succeed);
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+}
+
+#[test]
+fn delay_loss_and_narrow_links_change_no_bit() {
+    let Some(mut network) = Network::new(4) else { return };
+    let expected = alone(60);
+    network.cable(1, Cable { delay_ms: 20.0, loss: 1.0, ..Cable::default() });
+    network.cable(2, Cable { mbit: 20.0, ..Cable::default() });
+    // Hosts have nothing to say to each other.
+    network.part(1, 2);
+    let mut run = run_on(&network, 60, &[]);
+    let learner = hold(&mut run);
+    let mut helpers = [1, 2, 3].map(|machine| helper(&network, machine));
+    for machine in 1..=3 {
+        wait_for(&mut run, &helps(machine), 1);
+    }
+    kill(learner, Signal::CONT);
+    end(run, &mut helpers, &expected);
+}
+
+/// A block takes seconds on its way here, so that the cut is in the middle of one.
+#[test]
+fn a_cable_pulled_in_the_middle_of_a_block_costs_time_and_nothing_else() {
+    let Some(mut network) = Network::new(2) else { return };
+    let expected = alone(40);
+    network.cable(1, Cable { mbit: 0.5, ..Cable::default() });
+    let mut run = run_on(&network, 40, &["--set=run.order_deadline_s=6.0"]);
+    let mut helpers = [helper(&network, 1)];
+    wait_for(&mut run, &helps(1), 1);
+    run.wait_for_iterations(run.metrics().len() + 1);
+    network.link(1, false);
+    wait_for(&mut run, &is_gone(1), 1);
+    let learner = hold(&mut run);
+    let long = std::env::var_os("SPACEOCTOPUS_NET_TEST").is_some();
+    std::thread::sleep(Duration::from_secs(if long { 25 } else { 2 }));
+    network.cable(1, Cable { delay_ms: 1.0, ..Cable::default() });
+    wait_for(&mut run, &helps(1), 2);
+    kill(learner, Signal::CONT);
+    end(run, &mut helpers, &expected);
+}
+
+/// Longer than a host waits for a run that it does not hear.
+#[test]
+fn a_machine_that_is_cut_off_for_good_leaves_and_the_run_goes_on() {
+    let Some(network) = Network::new(2) else { return };
+    let expected = alone(30);
+    let mut run = run_on(&network, 30, &[]);
+    let learner = hold(&mut run);
+    let mut machine = {
+        let [first, rest @ ..] = network.on(1);
+        let mut command = Command::new(first);
+        command.args(rest).arg(program("octopus"));
+        let more = ["--workers=1", "--insecure", "--name=machine-1", "--wait=3s"];
+        Machine::behind(command, &Network::endpoint(), &more)
+    };
+    wait_for(&mut run, &helps(1), 1);
+    network.link(1, false);
+    wait_for(&mut run, &is_gone(1), 1);
+    kill(learner, Signal::CONT);
+    end(run, &mut [], &expected);
+    let code = machine.code();
+    assert_eq!(code, Some(1), "{}", machine.log());
+}
+
+#[test]
+fn machines_stay_while_the_run_is_killed_and_resumed() {
+    let Some(network) = Network::new(3) else { return };
+    let expected = alone(300);
+    let mut run = run_on(&network, 300, &["--set=run.checkpoint_every_s=0.5"]);
+    let mut helpers = [1, 2].map(|machine| helper(&network, machine));
+    wait_for(&mut run, &helps(1), 1);
+    wait_for(&mut run, &helps(2), 1);
+    let domain = run.domain();
+    run.signal(Signal::KILL);
+    run.wait();
+    assert_nothing_left(&domain);
+    // One of them is killed meanwhile, too, and joins again.
+    kill(helpers[0].process.id(), Signal::KILL);
+    helpers[0] = helper(&network, 1);
+    let listen = format!("--listen-workers={}", Network::endpoint());
+    run.resume(&[&listen, "--insecure"]);
+    end(run, &mut helpers, &expected);
+}
+
+#[test]
+fn a_full_disk_on_a_machine_is_its_own_trouble() {
+    let Some(network) = Network::new(2) else { return };
+    let mut run = run_on(&network, 1_000_000, &[]);
+    run.wait_for_iterations(1);
+    let [first, rest @ ..] = network.on(1);
+    let mut command = Command::new(first);
+    // A place for temporary files that is full before it begins. The mount is that of the namespace alone.
+    let script = "mount -t tmpfs -o size=4k tmpfs /mnt && : > /mnt/full \
+                  && head -c 4096 /dev/zero > /mnt/full; export TMPDIR=/mnt; exec \"$0\" \"$@\"";
+    command.args(rest).args(["sh", "-c", script]).arg(program("octopus"));
+    let mut machine =
+        Machine::behind(command, &Network::endpoint(), &["--workers=1", "--insecure", "--wait=5s"]);
+    let code = machine.code();
+    assert_eq!(code, Some(4), "{}", machine.log());
+    assert!(machine.log().contains("/mnt"), "{}", machine.log());
+    let done = run.metrics().len();
+    run.wait_for_iterations(done + 2);
+    run.signal(Signal::INT);
+    run.succeed();
+}
