@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use lab::bench::{Study, Subject, measure};
+use lab::scale::{Machines, Scale};
 use proto::config::Preset;
 use proto::{ExitCode, ExitError};
 
 use crate::names::{Named, Names};
-use crate::values::{assignment, measuring_time, workers};
+use crate::values::{above_zero, amount, assignment, measuring_time, whole, workers};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -18,6 +19,7 @@ Examples:
   octopus bench learner --preset tuned --set network.hidden=[128,128]
   octopus bench growth --seconds 2 --pictures pictures
   octopus bench python
+  octopus bench scale --preset tuned --hosts 1,8,100 --gbit 25
 
 Rates of physics and rollout are per second of processor time of one thread, so that other load \
 on the machine hardly matters; all others are per second of wall time and want a machine that is \
@@ -40,6 +42,11 @@ idle.
   growth     the same over environments (episodes of 16 steps), workers, arms
              (more than the robot has are its own, mirrored) and hidden width;
              not part of `all`
+  scale      a training on many machines, simulated event by event from what a
+             rollout and an update take here: env-steps/s, what goes over the
+             network, what holds it back and what to buy; a run takes 24 hosts
+             with 256 workers at most, and one learner: what is beyond is to
+             come; not part of `all`
 
 Floor is what this machine allows at best: for physics and rollout, the operations counted in the \
 source at the rate of fused multiply-adds of one core; for the learner, its matrix products at \
@@ -86,6 +93,9 @@ pub struct BenchArgs {
     /// The Python that has the peers.
     #[arg(long, value_name = "FILE", default_value = ".venv-benches/bin/python")]
     pub python: PathBuf,
+    /// The machines of `scale`.
+    #[command(flatten)]
+    pub scale: ScaleArgs,
     /// Draw the curves of `growth` there, as SVG.
     #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
@@ -97,6 +107,50 @@ pub struct BenchArgs {
     pub json: bool,
 }
 
+/// Options of `octopus bench scale`.
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Options of scale")]
+pub struct ScaleArgs {
+    /// Numbers of hosts.
+    #[arg(long, value_name = "N,…", value_delimiter = ',', allow_negative_numbers = true, value_parser = whole::<u32>(0, 10_000), default_values_t = [1, 2, 4, 8, 16, 32, 100, 300, 1000])]
+    pub hosts: Vec<u32>,
+    /// Workers of each host.
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<u32>(1, 1024), default_value_t = 8)]
+    pub host_workers: u32,
+    /// Workers on the learner's machine, which take nothing from the learner.
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<u32>(0, 1024), default_value_t = 0)]
+    pub local_workers: u32,
+    /// Numbers of learners, each a machine with its share of the agents.
+    #[arg(long, value_name = "N,…", value_delimiter = ',', allow_negative_numbers = true, value_parser = whole::<u32>(1, 8), default_values_t = [1, 2, 4, 8])]
+    pub learners: Vec<u32>,
+    /// What the link of a machine carries, each way (Gbit/s).
+    #[arg(long, value_name = "GBIT", allow_negative_numbers = true, value_parser = above_zero, default_value_t = 10.0)]
+    pub gbit: f64,
+    /// From one machine to another (ms).
+    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = amount, default_value_t = 0.1)]
+    pub delay: f64,
+    /// What gateways take at the learner and at a host: ms of a core for a MB of blocks.
+    #[arg(long, value_name = "MS", num_args = 2, value_names = ["HUB", "HOST"], allow_negative_numbers = true, value_parser = amount, default_values_t = [1.8, 2.8])]
+    pub gateways: Vec<f64>,
+}
+
+impl ScaleArgs {
+    fn scale(&self) -> Scale {
+        Scale {
+            hosts: self.hosts.clone(),
+            learners: self.learners.clone(),
+            machines: Machines {
+                local_workers: self.local_workers,
+                hosts: 0,
+                host_workers: self.host_workers,
+                learners: 1,
+                bandwidth: 1e9 / 8.0 * self.gbit,
+                delay: 1e-3 * self.delay,
+            },
+        }
+    }
+}
+
 impl Names for Subject {
     const ALL: &'static [Named<Self>] = &[
         Named(Self::Physics),
@@ -106,6 +160,7 @@ impl Names for Subject {
         Named(Self::Train),
         Named(Self::Python),
         Named(Self::Growth),
+        Named(Self::Scale),
         Named(Self::All),
     ];
 
@@ -118,6 +173,7 @@ impl Names for Subject {
             Self::Train => "train",
             Self::Python => "python",
             Self::Growth => "growth",
+            Self::Scale => "scale",
             Self::All => "all",
         }
     }
@@ -130,8 +186,9 @@ impl Names for Subject {
             Self::Transport => "Blocks from process to process",
             Self::Train => "A whole training, and its memory",
             Self::Growth => "How all of it grows",
+            Self::Scale => "How a training grows with machines, simulated",
             Self::Python => "Batches of the module for Python",
-            Self::All => "All but python and growth",
+            Self::All => "All but python, growth and scale",
         }
     }
 }
@@ -140,8 +197,9 @@ impl Names for Subject {
 pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let growth = args.subject.0 == Subject::Growth;
     let in_python = args.subject.0 == Subject::Python;
+    let scale = args.subject.0 == Subject::Scale;
     for (given, flag, cure) in [
-        ((growth || in_python) && args.peer, "--peer", "leave it out"),
+        ((growth || in_python || scale) && args.peer, "--peer", "leave it out"),
         (!growth && args.pictures.is_some(), "--pictures", "it is for `octopus bench growth`"),
     ] {
         if given {
@@ -158,6 +216,8 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         peers: (args.peer || in_python).then(|| args.python.clone()),
         pictures: args.pictures.clone(),
         force: args.force,
+        scale: args.scale.scale(),
+        gateways: [0, 1].map(|end| args.scale.gateways[end]),
     })?;
     if args.json { output::json(&measured.json) } else { output::line(&measured.table) }
 }

@@ -102,6 +102,14 @@ pub(crate) fn amount(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "wants a number, 0 or more".to_owned())
 }
 
+/// A number that is positive.
+pub(crate) fn above_zero(text: &str) -> Result<f64, String> {
+    amount(text)
+        .ok()
+        .filter(|value| *value > 0.0)
+        .ok_or_else(|| "wants a number above 0".to_owned())
+}
+
 /// Numbers that are not negative, with commas between them.
 pub(crate) fn amounts(text: &str) -> Result<Amounts, String> {
     let values: Result<Vec<f64>, String> = text.split(',').map(amount).collect();

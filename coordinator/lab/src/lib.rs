@@ -23,6 +23,7 @@ pub mod goals;
 pub mod identity;
 pub mod planning;
 pub mod reproduce;
+pub mod scale;
 pub mod script;
 pub mod standalone;
 pub mod statistics;

@@ -13,6 +13,7 @@ mod picture;
 mod processor;
 mod python;
 mod rollout;
+mod scale;
 mod study;
 mod train;
 mod transport;
@@ -52,6 +53,15 @@ pub fn measure(study: &Study) -> anyhow::Result<Measured> {
         bench.stages.end();
         let table = bench.framed(&growth::table(&curves), &load);
         return Ok(Measured { table, json: bench.with_context(growth::to_json(&curves), &load) });
+    }
+    if study.subject == Subject::Scale {
+        let (table, json) = scale::measure(&bench, study)?;
+        bench.stages.end();
+        let load = load.so_far();
+        return Ok(Measured {
+            table: bench.framed(&table, &load),
+            json: bench.with_context(json, &load),
+        });
     }
     let mut figures = Figures::default();
     let wants = |subject| study.subject == Subject::All || study.subject == subject;

@@ -4,13 +4,15 @@ use std::path::PathBuf;
 
 use proto::config::Preset;
 
+use crate::scale::Scale;
+
 /// What `octopus train` trains unless told otherwise.
 pub const TRAINED: Preset = Preset::Tuned;
 
 /// What is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Subject {
-    /// Everything but Python and growth.
+    /// Everything but Python, growth and scale.
     All,
     /// The simulator alone.
     Physics,
@@ -26,6 +28,8 @@ pub enum Subject {
     Python,
     /// How the figures change with sizes.
     Growth,
+    /// How a training grows with machines, simulated.
+    Scale,
 }
 
 /// What is asked of a measurement.
@@ -43,6 +47,10 @@ pub struct Study {
     pub seconds: f64,
     /// The Python that has the peers, if these are measured, too.
     pub peers: Option<PathBuf>,
+    /// The machines of `scale`.
+    pub scale: Scale,
+    /// What gateways take at the learner and at a host (ms of a core for a MB).
+    pub gateways: [f64; 2],
     /// Where pictures of growth go.
     pub pictures: Option<PathBuf>,
     /// Whether pictures may replace what others made.
