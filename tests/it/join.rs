@@ -37,6 +37,13 @@ impl Machine {
         Self::behind(Command::new(octopus), endpoint, more)
     }
 
+    /// Its workers have a fault, see `sim-worker`'s `fault_injection.rs`.
+    fn with_fault(endpoint: &str, fault: &str, more: &[&str]) -> Self {
+        let mut command = Command::new(program("octopus"));
+        command.env("SPACEOCTOPUS_TEST_FAULT", fault);
+        Self::behind(command, endpoint, more)
+    }
+
     /// Joins by `command`, which is `octopus` or becomes it.
     fn behind(mut command: Command, endpoint: &str, more: &[&str]) -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
@@ -395,6 +402,78 @@ fn a_link_between_two_networks_that_is_cut_changes_no_bit() {
     assert_adds_up(&run);
 }
 
+/// Waits until a machine has ended by itself; its exit code.
+fn refused(machine: &mut Machine) -> Option<i32> {
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    loop {
+        if let Some(status) = machine.process.ended() {
+            return status.code();
+        }
+        assert!(Instant::now() < watchdog, "it is not refused: {}", machine.log());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// A processor that computes otherwise: its first block is compared before anything of it counts.
+#[test]
+fn a_machine_that_makes_other_bits_is_thrown_out_and_nothing_of_it_is_trained_on() {
+    let expected = alone(100);
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=100"]);
+    let learner = hold(&mut run);
+    let domain = run.domain_when_there();
+    let mut good = Machine::join(&endpoint, &["--workers=1", "--name=good"]);
+    let mut bad =
+        Machine::with_fault(&endpoint, "distort@*/*", &["--workers=2", "--name=bad"]);
+    wait_for(&mut run, "(good) helps with 1 worker", 1);
+    wait_for(&mut run, "(bad) helps with 2 workers", 1);
+    kill(learner, Signal::CONT);
+    wait_for(&mut run, "It is thrown out", 1);
+    wait_for(&mut run, "(good) has made its first block", 1);
+    let (path, learner) = (run.path(), hold(&mut run));
+    let path = path.to_str().expect("UTF-8");
+    let seen = good.until("the run says whom it has thrown out", |_| {
+        let status = octopus(&["status", path, "--json"]);
+        let status: serde_json::Value = serde_json::from_slice(&status.stdout).ok()?;
+        let live = status["live"].clone();
+        (live["refused_hosts"][0]["name"] == "bad").then_some(live)
+    });
+    assert_eq!(seen["hosts"].as_array().map(Vec::len), Some(1), "{seen}");
+    assert_eq!(seen["hosts"][0]["compared"], 1, "{seen}");
+    let shown = octopus(&["status", path]);
+    let shown = String::from_utf8_lossy(&shown.stdout).into_owned();
+    assert!(shown.contains("bad was thrown out"), "{shown}");
+    kill(learner, Signal::CONT);
+    assert_eq!(refused(&mut bad), Some(4), "{}", bad.log());
+    assert!(bad.log().contains("other bits"), "{}", bad.log());
+    run.succeed();
+    good.succeed();
+    let log = run.log();
+    assert!(log.contains("warning: host") && log.contains("(bad) made block"), "{log}");
+    assert!(log.contains("nothing of it has been trained on"), "{log}");
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+    assert_nothing_left(&domain);
+}
+
+/// A machine that is broken later is found by the share of its blocks that is compared, here all of them.
+#[test]
+fn a_machine_that_makes_other_bits_later_is_found_and_its_blocks_are_made_again() {
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=200", "--set=run.audit=1"]);
+    let learner = hold(&mut run);
+    let more = ["--workers=2", "--name=tired"];
+    let mut helper = Machine::with_fault(&endpoint, "distort@20+/*", &more);
+    wait_for(&mut run, "(tired) helps with 2 workers", 1);
+    kill(learner, Signal::CONT);
+    wait_for(&mut run, "(tired) has made its first block", 1);
+    wait_for(&mut run, "It is thrown out", 1);
+    assert_eq!(refused(&mut helper), Some(4), "{}", helper.log());
+    run.succeed();
+    assert_eq!(run.metrics().len(), 200);
+    assert_adds_up(&run);
+}
+
 /// The programs in a directory of their own, with a `sim-worker` that is another.
 fn another_build() -> (TempDir, PathBuf) {
     let there = program("octopus");
@@ -418,14 +497,7 @@ fn a_machine_with_another_build_is_refused_with_what_differs() {
     run.wait_for_iterations(1);
     let (_dir, other) = another_build();
     let mut refused = Machine::with(&other, &endpoint, &["--workers=1"]);
-    let watchdog = Instant::now() + Duration::from_mins(1);
-    let code = loop {
-        if let Some(status) = refused.process.ended() {
-            break status.code();
-        }
-        assert!(Instant::now() < watchdog, "it is not refused: {}", refused.log());
-        std::thread::sleep(Duration::from_millis(10));
-    };
+    let code = self::refused(&mut refused);
     let log = refused.log();
     assert_eq!(code, Some(4), "{log}");
     assert!(log.contains("digest of the program sim-worker is"), "{log}");

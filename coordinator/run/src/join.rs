@@ -298,6 +298,7 @@ impl Gateway {
             .args(["host", "--connect", &spec.endpoint])
             .args(["--workers", &spec.workers.to_string()])
             .arg(format!("--name={}", spec.name))
+            .arg(format!("--processor={}", store::provenance::processor_type()))
             .args(["--wait", &spec.wait.as_secs_f64().to_string()])
             .arg("--sim-worker")
             .arg(&spec.programs.sim_worker)

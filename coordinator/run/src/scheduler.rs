@@ -2,13 +2,16 @@
 //!
 //! The scheduler knows the shards and evaluations that are open, the workers that are ready, and what
 //! each of them has been ordered. Any worker may make any shard and making one twice is harmless, so
-//! all it has to guarantee is that every shard is ordered until the learner has it.
+//! all it has to guarantee is that every shard is ordered until the learner has it. Whose work counts, and what is
+//! made for comparison alone, is what [`trials`](crate::trials) says.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
 use channels::ORDERS_PER_WORKER;
-use proto::message::{EvaluationChunk, Order, WorkerId, policy_version_for};
+use proto::message::{EvaluationChunk, HostId, Order, WorkerId, host_of, policy_version_for};
+
+use crate::trials::{Standing, Trials};
 
 /// Iteration and shard: the address of a block.
 pub type ShardAddress = (u64, u32);
@@ -18,6 +21,8 @@ pub type ShardAddress = (u64, u32);
 pub enum Task {
     /// Make a block.
     Rollout(ShardAddress),
+    /// Make a block for comparison: it is open all the same.
+    Audit(ShardAddress),
     /// Play episodes of an evaluation.
     Evaluation(EvaluationChunk),
 }
@@ -26,6 +31,7 @@ impl std::fmt::Display for Task {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Rollout((iteration, shard)) => write!(f, "{iteration}/{shard}"),
+            Self::Audit((iteration, shard)) => write!(f, "audit {iteration}/{shard}"),
             Self::Evaluation(chunk) => write!(f, "evaluation {}", chunk.policy_version),
         }
     }
@@ -70,6 +76,7 @@ pub struct Scheduler {
     /// First iteration whose shards are not open yet.
     next_iteration: u64,
     workers: BTreeMap<WorkerId, Worker>,
+    trials: Trials,
 }
 
 impl Scheduler {
@@ -85,7 +92,14 @@ impl Scheduler {
             received: BTreeSet::new(),
             next_iteration: trained,
             workers: BTreeMap::new(),
+            trials: Trials::new(0, 0.0),
         }
+    }
+
+    /// The same where, in a run of this seed, this share of the blocks of other machines is for comparison.
+    #[must_use]
+    pub fn with_audits(self, seed: u64, share: f64) -> Self {
+        Self { trials: Trials::new(seed, share), ..self }
     }
 
     /// A worker is up and has no orders.
@@ -111,6 +125,9 @@ impl Scheduler {
             {
                 unfinished.at_hand = (place == 0).then_some(address).or(unfinished.at_hand);
                 unfinished.undelivered.push(address);
+            }
+            if let (Task::Audit(_), Some(host)) = (task, host_of(worker)) {
+                self.trials.begin_again(host);
             }
             self.reopen(task);
         }
@@ -140,7 +157,8 @@ impl Scheduler {
             Task::Rollout(address) if self.is_wanted(address) => {
                 self.pending.insert(address);
             }
-            Task::Rollout(_) => {}
+            // What was to be compared has stayed open.
+            Task::Rollout(_) | Task::Audit(_) => {}
             Task::Evaluation(chunk) => {
                 self.evaluations.insert(chunk);
             }
@@ -156,6 +174,35 @@ impl Scheduler {
         for worker in self.workers.values_mut() {
             worker.done(&Task::Rollout(address), now);
         }
+    }
+
+    /// The learner has dropped a block that it had; it is open again.
+    pub fn block_discarded(&mut self, address: ShardAddress) {
+        if self.received.remove(&address) {
+            self.reopen(Task::Rollout(address));
+        }
+    }
+
+    /// A worker has made a block for comparison, or cannot.
+    pub fn audit_made(&mut self, worker: WorkerId, address: ShardAddress, now: Instant) {
+        if let Some(worker) = self.workers.get_mut(&worker) {
+            worker.done(&Task::Audit(address), now);
+        }
+    }
+
+    /// A block of a host was the same as this machine's. Whether the host is trusted only from now on.
+    pub fn trust(&mut self, host: HostId) -> bool {
+        self.trials.trust(host)
+    }
+
+    /// A block of a host could not be compared: if it was its first, another one will be.
+    pub fn try_again(&mut self, host: HostId) {
+        self.trials.begin_again(host);
+    }
+
+    /// Whether the work of a worker counts.
+    pub fn trusts(&self, worker: WorkerId) -> bool {
+        self.trials.standing(worker) == Standing::Trusted
     }
 
     /// Episodes are to be played, before any further rollout: the policy does not stay for ever.
@@ -177,6 +224,7 @@ impl Scheduler {
         let trained = self.trained;
         self.received.retain(|address| address.0 >= trained);
         self.pending.retain(|address| address.0 >= trained);
+        self.trials.iterations_done(trained);
     }
 
     /// Orders no iteration from now on that has not been begun.
@@ -216,23 +264,48 @@ impl Scheduler {
         let mut orders = Vec::new();
         // One order a worker and round: the shards spread evenly however few there are.
         for depth in 0..ORDERS_PER_WORKER {
-            for (&id, worker) in &mut self.workers {
+            let ids: Vec<_> = self.workers.keys().copied().collect();
+            for id in ids {
+                let worker = &self.workers[&id];
                 if worker.leaving || worker.queue.len() > depth {
                     continue;
                 }
-                let evaluation = self.evaluations.pop_first().map(Task::Evaluation);
-                let Some(task) = evaluation.or_else(|| self.pending.pop_first().map(Task::Rollout))
-                else {
-                    return orders;
-                };
+                let Some(task) = self.next_task(id) else { continue };
+                let overlap = self.overlap;
+                let Some(worker) = self.workers.get_mut(&id) else { continue };
                 if worker.queue.is_empty() {
                     worker.since = now;
                 }
                 worker.queue.push_back(task);
-                orders.push(order(id, worker.incarnation, task, self.overlap));
+                orders.push(order(id, worker.incarnation, task, overlap));
             }
         }
         orders
+    }
+
+    /// What a worker is to do next, if there is anything for it.
+    fn next_task(&mut self, id: WorkerId) -> Option<Task> {
+        match (self.trials.standing(id), host_of(id)) {
+            (Standing::OnTrial, _) => return None,
+            (Standing::Unknown, Some(host)) => {
+                let address = *self.pending.first()?;
+                self.trials.begin(host);
+                return Some(Task::Audit(address));
+            }
+            (Standing::Unknown, None) | (Standing::Trusted, _) => {}
+        }
+        if let Some(chunk) = self.evaluations.pop_first() {
+            return Some(Task::Evaluation(chunk));
+        }
+        // Two orders for one block could not be told apart.
+        let queue = &self.workers[&id].queue;
+        let is_free = |address: &&ShardAddress| !queue.contains(&Task::Audit(**address));
+        let address = *self.pending.iter().find(is_free)?;
+        if self.trials.takes(id, address) {
+            return Some(Task::Audit(address));
+        }
+        self.pending.remove(&address);
+        Some(Task::Rollout(address))
     }
 
     /// Repeats the orders of workers that have delivered nothing for `deadline`: an order or a
@@ -265,6 +338,9 @@ impl Scheduler {
             Order::Rollout { worker, incarnation, iteration, shards, .. } => {
                 let Some(&shard) = shards.first() else { return false };
                 (worker, incarnation, Task::Rollout((*iteration, shard)))
+            }
+            Order::Audit { worker, incarnation, iteration, shard, .. } => {
+                (worker, incarnation, Task::Audit((*iteration, *shard)))
             }
             Order::Evaluate { worker, incarnation, episodes } => {
                 (worker, incarnation, Task::Evaluation(*episodes))
@@ -317,6 +393,13 @@ fn order(worker: WorkerId, incarnation: u32, task: Task, overlap: usize) -> Orde
             iteration,
             policy_version: policy_version_for(iteration, overlap),
             shards: vec![shard],
+        },
+        Task::Audit((iteration, shard)) => Order::Audit {
+            worker,
+            incarnation,
+            iteration,
+            policy_version: policy_version_for(iteration, overlap),
+            shard,
         },
         Task::Evaluation(episodes) => Order::Evaluate { worker, incarnation, episodes },
     }
@@ -509,5 +592,57 @@ mod tests {
         scheduler.give_back(0, (0, 0), now);
         assert_eq!((scheduler.open(), scheduler.in_flight()), (1, 0));
         assert_eq!(addresses(&scheduler.assign(now)), [(0, 0, 0)]);
+    }
+
+    #[test]
+    fn a_host_makes_one_block_for_comparison_before_it_is_given_work() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(3, 0, 0, 1).with_audits(1, 0.0);
+        let chunk = EvaluationChunk { policy_version: 0, first: 0, episodes: 16 };
+        scheduler.evaluate([chunk]);
+        for worker in [2000, 2001] {
+            scheduler.worker_ready(worker, 9, now);
+        }
+        let audit = |worker| Order::Audit {
+            worker,
+            incarnation: 9,
+            iteration: 0,
+            policy_version: 0,
+            shard: 0,
+        };
+        assert_eq!(scheduler.assign(now), [audit(2000)]);
+        assert!(scheduler.awaits(&audit(2000)) && !scheduler.trusts(2001));
+        // Its worker is lost: another one makes it.
+        assert_eq!(scheduler.worker_gone(2000).undelivered, []);
+        assert_eq!(scheduler.assign(now), [audit(2001)]);
+        scheduler.audit_made(2001, (0, 0), now);
+        assert!(scheduler.assign(now).is_empty(), "it is being compared");
+        // This machine cannot tell: once more.
+        scheduler.try_again(2);
+        assert_eq!(scheduler.assign(now), [audit(2001)]);
+        scheduler.audit_made(2001, (0, 0), now);
+        assert!(scheduler.trust(2) && scheduler.trusts(2000));
+        let orders = scheduler.assign(now);
+        assert!(matches!(orders[0], Order::Evaluate { worker: 2001, .. }));
+        assert_eq!(addresses(&orders[1..]), [(2001, 0, 0)], "the block that was compared is open");
+    }
+
+    #[test]
+    fn what_is_compared_stays_open_and_is_not_given_to_the_same_worker_meanwhile() {
+        let now = Instant::now();
+        let mut scheduler = Scheduler::new(2, 0, 0, 1).with_audits(1, 1.0);
+        scheduler.worker_ready(1000, 1, now);
+        scheduler.trust(1);
+        let audits = scheduler.assign(now);
+        assert!(audits.iter().all(|order| matches!(order, Order::Audit { worker: 1000, .. })));
+        assert_eq!((audits.len(), scheduler.open()), (2, 2));
+        scheduler.worker_ready(0, 0, now);
+        assert_eq!(addresses(&scheduler.assign(now)), [(0, 0, 0), (0, 0, 1)]);
+        scheduler.block_received((0, 0), now);
+        scheduler.block_received((0, 1), now);
+        assert_eq!(scheduler.tasks(1000).count(), 2, "it is compared all the same");
+        // One of them turns out to have come from a machine that makes other bits.
+        scheduler.block_discarded((0, 1));
+        assert_eq!(addresses(&scheduler.assign(now)), [(0, 0, 1)]);
     }
 }

@@ -40,12 +40,23 @@ pub struct HostStatus {
     pub workers: Vec<u32>,
     /// Shards that they have been ordered to make, `iteration/shard`.
     pub shards: Vec<String>,
+    /// Blocks of it that were made a second time and were the same; it works for the run from the first one on.
+    pub compared: u64,
     /// Blocks that came from it.
     pub blocks: u64,
     /// Bytes of these.
     pub bytes: u64,
     /// Pieces of blocks that were waited for and did not come.
     pub missing: u64,
+}
+
+/// Another machine that was thrown out, because it made a block with other bits than this one.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct RefusedHost {
+    /// What it calls itself.
+    pub name: String,
+    /// Which block, both digests, and what was trained on.
+    pub reason: String,
 }
 
 /// One process of a run.
@@ -112,13 +123,13 @@ pub struct Stages {
 pub struct Totals {
     /// Sent by workers.
     pub produced: u64,
-    /// Arrived at the learner.
+    /// Arrived at the learner, or were compared.
     pub received: u64,
     /// Trained on.
     pub trained: u64,
-    /// Arrived twice and dropped.
+    /// Arrived twice, or were made by other machines for comparison, and dropped.
     pub duplicate: u64,
-    /// Died with a process.
+    /// Died with a process, or came from a machine that makes other bits.
     pub lost: u64,
 }
 
@@ -175,6 +186,8 @@ pub struct LiveStatus {
     pub processes: Vec<ProcessStatus>,
     /// Other machines that help now.
     pub hosts: Vec<HostStatus>,
+    /// Other machines that were thrown out, because they make other bits.
+    pub refused_hosts: Vec<RefusedHost>,
     /// Shards that nobody has been ordered to make yet.
     pub shards_open: usize,
     /// Shards ordered and not yet at the learner.

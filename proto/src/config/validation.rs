@@ -184,6 +184,7 @@ impl Config {
         within("run.milestone_every_s", run.milestone_every_s, 0.0, 1e9)?;
         within("run.evaluation_episodes", f64::from(run.evaluation_episodes), 1.0, 10_000.0)?;
         within("run.evaluation_steps", f64::from(run.evaluation_steps), 1.0, 10_000.0)?;
+        within("run.audit", run.audit, 0.0, 1.0)?;
         within("run.order_deadline_s", run.order_deadline_s, 0.0, 1e6)?;
         if run.order_deadline_s < SHORTEST_SILENCE.as_secs_f64() {
             return Err(ConfigError::Invalid {

@@ -1,9 +1,11 @@
 //! Which hosts there are, and which of their workers take orders: no network, clock or channel of its own.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
-use proto::message::{HostId, HostReport, WORKERS_OF_A_HOST, WorkerId};
+use proto::message::{
+    HostId, HostReport, INCARNATIONS_OF_A_GATEWAY, WORKERS_OF_A_HOST, WorkerId,
+};
 
 use crate::SILENCE;
 
@@ -13,13 +15,13 @@ const MAX_HOSTS: usize = 24;
 const MAX_WORKERS: usize = 256;
 /// Longest name of a host that is kept (bytes).
 const NAME_LEN: usize = 40;
-/// Incarnations that one hub gives.
-const INCARNATIONS: u32 = 1 << 20;
 
 /// A host that has joined.
 #[derive(Debug)]
 struct Host {
     name: String,
+    /// Whether its processor is of another type than that of this machine.
+    is_other_processor: bool,
     /// Workers that it wants to have.
     wanted: u32,
     /// When it was heard last; none if it is known to be gone.
@@ -39,13 +41,15 @@ pub(super) struct Hosts {
     next: HostId,
     /// The incarnation of the next worker, likewise, also by the next hub.
     incarnation: u32,
+    /// Names of machines that are taken in no more.
+    refused: BTreeSet<String>,
 }
 
 impl Hosts {
     /// None, of the hub that is `incarnation`.
     pub(super) fn new(incarnation: u32) -> Self {
-        let incarnation = incarnation.wrapping_mul(INCARNATIONS);
-        Self { joined: BTreeMap::new(), next: 1, incarnation }
+        let incarnation = incarnation.wrapping_mul(INCARNATIONS_OF_A_GATEWAY);
+        Self { joined: BTreeMap::new(), next: 1, incarnation, refused: BTreeSet::new() }
     }
 
     /// Takes a host in, whose workers follow when they are ready. The error is for it to read.
@@ -53,8 +57,16 @@ impl Hosts {
         &mut self,
         name: &str,
         workers: u32,
+        is_other_processor: bool,
         now: Instant,
     ) -> Result<HostId, String> {
+        let name = &name[..name.floor_char_boundary(NAME_LEN)];
+        if self.refused.contains(name) {
+            return Err(format!(
+                "`{name}` has made a block with other bits than the run's own machine, and is taken back no more; if this \
+                 is another machine, join with another --name"
+            ));
+        }
         let wanted = |hosts: &BTreeMap<HostId, Host>| hosts.values().map(|host| host.wanted).sum();
         let is_full = |hosts: &BTreeMap<HostId, Host>| {
             let others: u32 = wanted(hosts);
@@ -77,9 +89,9 @@ impl Hosts {
         }
         let host = self.next;
         self.next += 1;
-        let name = name[..name.floor_char_boundary(NAME_LEN)].to_owned();
         let joined = Host {
-            name,
+            name: name.to_owned(),
+            is_other_processor,
             wanted: workers,
             heard: Some(now),
             workers: BTreeMap::new(),
@@ -89,6 +101,17 @@ impl Hosts {
         };
         self.joined.insert(host, joined);
         Ok(host)
+    }
+
+    /// Machines of this name are hosts no more. Whether that is news.
+    pub(super) fn refuse(&mut self, name: &str) -> bool {
+        self.joined.retain(|_, host| host.name != name);
+        self.refused.insert(name.to_owned())
+    }
+
+    /// How many names are refused.
+    pub(super) fn refused(&self) -> u32 {
+        self.refused.len() as u32
     }
 
     /// A host says which of its workers are there. Whether that changes anything.
@@ -169,6 +192,7 @@ impl Hosts {
         let report = there.map(|(&number, host)| HostReport {
             host: number,
             name: host.name.clone(),
+            is_other_processor: host.is_other_processor,
             workers: host.workers.iter().map(|(&worker, &inc)| (worker, inc)).collect(),
             blocks: host.blocks,
             bytes: host.bytes,
@@ -190,7 +214,7 @@ mod tests {
     fn workers_of_a_host_come_and_go_and_no_incarnation_comes_back() {
         let now = Instant::now();
         let mut hosts = Hosts::new(0);
-        let host = hosts.join("lab", 2, now).expect("room");
+        let host = hosts.join("lab", 2, false, now).expect("room");
         assert!(hosts.report().is_empty(), "its workers are not ready");
         assert!(hosts.heard(host, &[0, 1, 7], now), "7 is none of its");
         assert!(!hosts.heard(host, &[0, 1], now));
@@ -210,7 +234,7 @@ mod tests {
         assert!(hosts.gone(host) && !hosts.gone(host));
         // Those of the next hub are others still.
         let mut next = Hosts::new(1);
-        let host = next.join("lab", 2, now).expect("room");
+        let host = next.join("lab", 2, false, now).expect("room");
         next.heard(host, &[0], now);
         assert!(next.report()[0].workers[0].1 > second[1].1);
     }
@@ -222,14 +246,14 @@ mod tests {
         let mut hosts = Hosts::new(100);
         for _ in 0..MAX_HOSTS {
             let workers = (MAX_WORKERS / MAX_HOSTS) as u32;
-            let host = hosts.join(&"ü".repeat(50), workers, now).expect("room");
+            let host = hosts.join(&"ü".repeat(50), workers, true, now).expect("room");
             hosts.heard(host, &(0..workers).collect::<Vec<_>>(), now);
             hosts.delivered(host * WORKERS_OF_A_HOST, usize::MAX / 2);
             hosts.missed(host * WORKERS_OF_A_HOST, u64::MAX / 2);
         }
-        assert!(hosts.join("one more", 1, now).is_err());
+        assert!(hosts.join("one more", 1, false, now).is_err());
         let hosts = hosts.report();
-        let status = Status::Hosts { incarnation: u32::MAX, orders: u128::MAX, hosts };
+        let status = Status::Hosts { incarnation: u32::MAX, orders: u128::MAX, refused: u32::MAX, hosts };
         let len = message::encode(&status).len();
         assert!(len <= 4 << 10, "{len}");
     }
@@ -238,8 +262,25 @@ mod tests {
     fn a_host_with_too_many_workers_is_told_how_many_there_is_room_for() {
         let now = Instant::now();
         let mut hosts = Hosts::new(0);
-        hosts.join("one", 250, now).expect("room");
-        let told = hosts.join("two", 7, now).expect_err("too many");
+        hosts.join("one", 250, false, now).expect("room");
+        let told = hosts.join("two", 7, false, now).expect_err("too many");
         assert!(told.contains("room for 6 more"), "{told}");
+    }
+
+    #[test]
+    fn who_makes_other_bits_is_gone_and_does_not_come_back() {
+        let now = Instant::now();
+        let mut hosts = Hosts::new(0);
+        let name = "a-name-that-is-longer-than-what-is-kept-of-it";
+        let host = hosts.join(name, 1, false, now).expect("room");
+        let other = hosts.join("other", 1, true, now).expect("room");
+        hosts.heard(host, &[0], now);
+        hosts.heard(other, &[0], now);
+        let known = hosts.report()[0].name.clone();
+        assert!(hosts.refuse(&known) && !hosts.refuse(&known));
+        assert_eq!((hosts.refused(), hosts.numbers()), (1, vec![other]));
+        assert!(hosts.report()[0].is_other_processor);
+        let told = hosts.join(name, 1, false, now).expect_err("refused");
+        assert!(told.contains("other bits") && told.contains("another --name"), "{told}");
     }
 }

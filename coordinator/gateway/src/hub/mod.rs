@@ -4,13 +4,13 @@ mod hosts;
 mod ports;
 mod reception;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use channels::Role;
-use proto::message::{self, HEARTBEAT, HostId, Order, Status, WORKERS_OF_A_HOST};
+use proto::message::{self, HEARTBEAT, HostId, Order, Status, WORKERS_OF_A_HOST, WorkerId};
 use proto::{ExitCode, ExitError};
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
@@ -23,7 +23,7 @@ use self::ports::Ports;
 use self::reception::Reception;
 use crate::arguments::HubArguments;
 use crate::network::{self, Asked, End};
-use crate::orders::{InFlight, Single};
+use crate::orders::{InFlight, Single, Task};
 use crate::pieces::Content;
 use crate::wire::{HostBeat, HubBeat};
 use crate::{bells, keys};
@@ -67,6 +67,7 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
         events,
         hosts: Hosts::new(arguments.incarnation),
         in_flight: InFlight::default(),
+        audits: BTreeSet::new(),
         policies: VecDeque::new(),
         incarnation: arguments.incarnation,
         deadline,
@@ -143,6 +144,8 @@ struct Hub {
     reception: Reception,
     hosts: Hosts,
     in_flight: InFlight,
+    /// Those of them whose blocks are for comparison, and not for the learner.
+    audits: BTreeSet<(WorkerId, u32, Task)>,
     /// Oldest first.
     policies: VecDeque<Arc<Policy>>,
     incarnation: u32,
@@ -183,6 +186,7 @@ impl Hub {
                 self.ports.say(&Status::Hosts {
                     incarnation: self.incarnation,
                     orders: self.ports.orders.port(),
+                    refused: self.hosts.refused(),
                     hosts: self.hosts.report(),
                 })?;
             }
@@ -263,11 +267,20 @@ impl Hub {
                 }
                 Err(error) => return Err(error.into()),
             };
-            if matches!(order, Order::Stop) {
-                return Ok(true);
+            match &order {
+                Order::Stop => return Ok(true),
+                Order::Refuse { name } if self.hosts.refuse(name) => {
+                    tracing::warn!(name, "makes other bits and is refused");
+                    self.said = None;
+                }
+                _ => {}
             }
+            let is_audit = matches!(order, Order::Audit { .. });
             for single in Single::all(&order) {
                 if single.worker >= WORKERS_OF_A_HOST {
+                    if is_audit {
+                        self.audits.insert(single.key());
+                    }
                     self.ask(single);
                 }
             }
@@ -276,7 +289,10 @@ impl Hub {
 
     /// Asks a host for what one of its workers is ordered, on a thread of its own.
     fn ask(&mut self, order: Single) {
-        let Some((host, local)) = self.hosts.find(order.worker, order.incarnation) else { return };
+        let Some((host, local)) = self.hosts.find(order.worker, order.incarnation) else {
+            self.audits.remove(&order.key());
+            return;
+        };
         if !self.in_flight.begin(&order) {
             return;
         }
@@ -297,6 +313,7 @@ impl Hub {
     /// Gives on what came of an order, if its worker is still one.
     fn deliver(&mut self, order: &Single, asked: &Asked) -> Result<(), ExitError> {
         self.in_flight.end(order);
+        let is_audit = self.audits.remove(&order.key());
         let Single { worker, incarnation, task, .. } = *order;
         self.hosts.missed(worker, asked.answer.missing());
         if let Some(trouble) = &asked.trouble {
@@ -307,6 +324,13 @@ impl Hub {
             return Ok(());
         }
         let done = match asked.answer.whole() {
+            Some((Content::Block(header), len)) if is_audit => {
+                let said = self.ports.audited(order, header, &asked.answer, len)?;
+                if said {
+                    self.hosts.delivered(worker, len);
+                }
+                said
+            }
             Some((Content::Block(header), len)) => {
                 let sent = self.ports.block(order, header, &asked.answer, len)?;
                 if sent {
