@@ -21,6 +21,7 @@
 //! | `digest` | | fingerprint of the training state after the iteration, 32 hexadecimal digits |
 //! | `policy_version` | | version of the policy that collected the samples |
 //! | `blocks` | | fingerprints of the blocks trained on, a shard each; `octopus rollout` and the page make them again |
+//! | `hosts` | | how many of `blocks` other machines made, by their names; only where some did, and not in the table |
 //! | `wall_s` | s | time since the run began, over all its sessions |
 //! | `env_steps_per_s` | 1/s | env-steps trained on a second, of late |
 //! | `workers`, `restarts` | | workers wanted; workers and learners replaced so far |

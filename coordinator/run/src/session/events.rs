@@ -168,8 +168,9 @@ impl Session<'_> {
                 Progress::BlockReceived { iteration, shard, worker, duplicate, digest } => {
                     if !duplicate {
                         self.audits.received(worker, (iteration, shard));
+                        let of_iteration = self.blocks.entry(iteration).or_default();
+                        of_iteration.insert(shard, (digest, worker));
                     }
-                    self.blocks.entry(iteration).or_default().insert(shard, digest);
                     self.failures.made((iteration, shard));
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.block_received((iteration, shard), now);
@@ -245,7 +246,8 @@ impl Session<'_> {
         reporter.check_promised(iteration, report.digest)?;
         let elapsed = self.last_report.elapsed().as_secs_f64();
         self.last_report = Instant::now();
-        let blocks = self.blocks.remove(&iteration).unwrap_or_default().into_values().collect();
+        let blocks = self.blocks.remove(&iteration).unwrap_or_default().into_values();
+        let (blocks, makers): (Vec<_>, Vec<_>) = blocks.unzip();
         // Late duplicates of iterations that are over.
         self.blocks.retain(|other, _| *other > iteration);
         let live = Live {
@@ -254,6 +256,7 @@ impl Session<'_> {
             workers: self.workers,
             restarts: supervisor.restarts() + self.learner_restarts,
             blocks,
+            hosts: self.hosts.shares(&makers),
         };
         let line = reporter.iteration(&report, &live).map_err(|error| unwritten(&error))?;
         let Timing { update_s, publish_s, digest_s, copy_s, .. } = report.timing;

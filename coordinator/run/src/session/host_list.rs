@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use proto::message::{HostId, HostReport, WorkerId};
+use proto::message::{HostId, HostReport, WorkerId, host_of};
 use service::live::HostStatus;
 
 use crate::scheduler::Scheduler;
@@ -42,6 +42,15 @@ impl Hosts {
     /// What a host calls itself.
     pub(super) fn name(&self, host: HostId) -> &str {
         self.names.get(&host).map_or("unknown", String::as_str)
+    }
+
+    /// How many of the blocks of these workers each host has made, by the hosts' names.
+    pub(super) fn shares(&self, makers: &[WorkerId]) -> BTreeMap<String, u64> {
+        let mut shares = BTreeMap::new();
+        for host in makers.iter().filter_map(|&worker| host_of(worker)) {
+            *shares.entry(self.name(host).to_owned()).or_default() += 1;
+        }
+        shares
     }
 
     /// The hosts for the status of the run; `same` says how many of their blocks were compared.

@@ -162,8 +162,8 @@ struct Session<'a> {
     snapshots: Snapshots,
     failures: Failures,
     books: StepAccounts,
-    /// Digests of the blocks that the learner has received, by iteration and shard.
-    blocks: BTreeMap<u64, BTreeMap<u32, Digest>>,
+    /// Digests of the blocks that the learner has received and who made them, by iteration and shard.
+    blocks: BTreeMap<u64, BTreeMap<u32, (Digest, WorkerId)>>,
     monitor: Monitor,
     /// Present while the learner is ready.
     scheduler: Option<Scheduler>,
