@@ -202,6 +202,36 @@ fn a_run_without_workers_of_its_own_is_made_by_others_alone() {
 }
 
 #[test]
+fn a_run_that_begins_without_workers_waits_for_machines() {
+    let expected = alone(20);
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=0", "--iterations=20"]);
+    wait_for(&mut run, "the run waits until a machine has joined", 1);
+    let domain = run.domain_when_there();
+    let path = run.path();
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    loop {
+        let status = octopus(&["status", path.to_str().expect("UTF-8"), "--json"]);
+        let status = serde_json::from_slice::<serde_json::Value>(&status.stdout);
+        if status.is_ok_and(|status| status["live"]["state"] == "waiting") {
+            break;
+        }
+        assert!(Instant::now() < watchdog, "it does not wait; log:\n{}", run.log());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let mut helper = Machine::join(&endpoint, &["--workers=2"]);
+    run.succeed();
+    helper.succeed();
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+    assert_nothing_left(&domain);
+    // Without anybody who could join it, it would wait for ever.
+    let refused = octopus(&["train", "--workers=0"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("--listen-workers"), "{}", stderr(&refused));
+}
+
+#[test]
 fn machines_that_come_and_go_change_no_bit() {
     let expected = alone(1000);
     let endpoint = free_endpoint();

@@ -127,7 +127,7 @@ fn membership(
     };
     let (config, robot) = settle(spec, &run_dir)?;
     let dimensions = Dimensions::new(&config, robot.n_arms);
-    let room = preflight::shared_memory(&config, &dimensions, &["--workers"]);
+    let room = preflight::shared_memory(&config, &dimensions, 0, &["--workers"]);
     if room.verdict == Verdict::Failure {
         return Err(ExitError::new(ExitCode::Environment, room.sentence()));
     }

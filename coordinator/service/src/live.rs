@@ -159,7 +159,8 @@ pub struct LiveStatus {
     /// Its directory.
     #[schema(value_type = String)]
     pub run_dir: PathBuf,
-    /// `starting`, `training`, `recovering`, `stopping` or `finishing`.
+    /// `starting`, `training`, `recovering`, `stopping` or `finishing`; `waiting` where it has no workers until another
+    /// machine joins.
     pub state: String,
     /// The task.
     pub task: String,

@@ -24,7 +24,7 @@ pub struct Run {
     pub env_steps: u64,
     /// Wall-clock limit in seconds; only stops, never changes what is learned. 0 means none.
     pub time_limit_s: f64,
-    /// Simulator processes at the start; a live run can be scaled.
+    /// Simulator processes at the start; a live run can be scaled. 0 leaves all rollouts to other machines.
     pub workers: usize,
     /// Fixes worker i to the i-th processor that the run may use.
     pub pin: bool,

@@ -176,7 +176,7 @@ impl Config {
 
         within("run.env_steps", run.env_steps as f64, 1.0, 1e15)?;
         within("run.time_limit_s", run.time_limit_s, 0.0, 1e9)?;
-        within("run.workers", run.workers as f64, 1.0, 256.0)?;
+        within("run.workers", run.workers as f64, 0.0, 256.0)?;
         within("run.overlap", run.overlap as f64, 0.0, 1.0)?;
         within("run.learner_threads", run.learner_threads as f64, 1.0, 1024.0)?;
         within("run.checkpoint_every_s", run.checkpoint_every_s, 0.0, 1e9)?;

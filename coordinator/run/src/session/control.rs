@@ -77,6 +77,7 @@ impl Session<'_> {
             (None, _, _) => "starting",
             (_, Some(_), _) => "finishing",
             (_, _, Some(_)) => "stopping",
+            _ if self.workers == 0 && self.hosts.workers.is_empty() => "waiting",
             _ => "training",
         };
         let processes: Vec<_> = std::iter::once(Monitor::coordinator())
