@@ -99,6 +99,13 @@ pub enum Order {
         /// Its incarnation.
         incarnation: u32,
     },
+    /// The gateway shall have a host have so many workers.
+    ScaleHost {
+        /// The host.
+        host: HostId,
+        /// Workers wanted.
+        workers: u32,
+    },
     /// The gateway shall have no host of this name from now on.
     Refuse {
         /// What the host calls itself.
@@ -311,6 +318,10 @@ pub struct HostReport {
     pub name: String,
     /// Whether its processor is of another type than that of the run's machine.
     pub is_other_processor: bool,
+    /// How many workers it is to have.
+    pub wanted: u32,
+    /// How many it can have at most.
+    pub most: u32,
     /// Its workers that take orders, with their incarnations.
     pub workers: Vec<(WorkerId, u32)>,
     /// Blocks that came from it whole.

@@ -202,6 +202,47 @@ fn a_run_without_workers_of_its_own_is_made_by_others_alone() {
 }
 
 #[test]
+fn a_machine_can_be_given_more_workers_and_fewer_while_it_helps() {
+    let expected = alone(30);
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=30"]);
+    let learner = hold(&mut run);
+    run.domain_when_there();
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    let mut helper = Machine::join(&endpoint, &["--workers=2", "--name=lab"]);
+    let domain = helper.domain();
+    wait_for(&mut run, "(lab) helps with 2 workers", 1);
+    let scale = |count: &str, host: &str| {
+        // The status, by which it is found, is a fraction of a second old.
+        helper.until("its run takes it", |_| {
+            let scaled = octopus(&["scale", path, count, "--host", host]);
+            scaled.status.success().then(|| String::from_utf8_lossy(&scaled.stdout).into_owned())
+        })
+    };
+    assert_eq!(scale("3", "lab").trim(), "3 workers of host lab instead of 2");
+    wait_for(&mut run, "host 1 (lab) helps with 3 workers", 1);
+    assert_eq!(scale("1", "1").trim(), "1 worker of host 1 instead of 3");
+    wait_for(&mut run, "host 1 (lab) helps with 1 worker, before", 1);
+    helper.until("two have left", |it| (it.log().matches("has left").count() == 2).then_some(()));
+    for (args, said) in [
+        (["scale", path, "2", "--host", "attic"], "there are 1 (lab)"),
+        (["scale", path, "17", "--host", "lab"], "expected 1 to 16"),
+        (["scale", path, "0", "--host", "lab"], "expected 1 to 16"),
+    ] {
+        let refused = octopus(&args);
+        assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+        assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
+    }
+    kill(learner, Signal::CONT);
+    run.succeed();
+    helper.succeed();
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+    assert_nothing_left(&domain);
+}
+
+#[test]
 fn a_run_that_begins_without_workers_waits_for_machines() {
     let expected = alone(20);
     let endpoint = free_endpoint();

@@ -99,8 +99,8 @@ pub struct HubBeat {
     pub session: String,
     /// Policies that can be had, oldest first.
     pub policies: Vec<u64>,
-    /// Hosts that it knows; one that finds itself forgotten has to join again.
-    pub hosts: Vec<HostId>,
+    /// Hosts that it knows, and how many workers each is to have; one that finds itself forgotten has to join again.
+    pub hosts: Vec<(HostId, u32)>,
     /// Whether the run is over.
     pub over: bool,
 }

@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 
 use channels::{ChannelSizes, Channels, Domain, Role};
 use proto::config::Config;
-use proto::gateway::{Place, Said};
+use proto::gateway::{Place, Said, Told};
 use proto::layout::Dimensions;
 use proto::message::{HostId, Status};
 use proto::run_dir::RunDir;
@@ -121,6 +121,7 @@ fn membership(
         match gateway.wait(TICK) {
             Some(Word::Joined(host)) => break host,
             Some(Word::Ended(code, why)) => return Err(ExitError::new(code, why)),
+            Some(Word::Scale(_)) => {}
             None if spec.stop.count() > 0 => return Ok(Ended::Left(Left::Asked)),
             None => {}
         }
@@ -142,7 +143,8 @@ fn membership(
         output::counted(spec.workers as u64, "worker")
     ));
     let place = Place { domain: domain.as_str().to_owned(), arms: robot.n_arms };
-    let mut host = Host { spec, config: &config, heard: BTreeMap::new(), blocks };
+    let (workers, heard) = (spec.workers, BTreeMap::new());
+    let mut host = Host { spec, config: &config, workers, heard, blocks };
     let result = Channels::create(&domain, sizes)
         .map_err(ExitError::from)
         .and_then(|channels| host.serve(&channels, &place, &mut gateway, &mut supervisor, note));
@@ -174,6 +176,8 @@ fn settle(spec: &JoinSpec, run_dir: &RunDir) -> Result<(Config, Robot), ExitErro
 struct Host<'a> {
     spec: &'a JoinSpec,
     config: &'a Config,
+    /// How many workers there are to be.
+    workers: usize,
     /// When each worker was last heard.
     heard: BTreeMap<u32, Instant>,
     blocks: &'a mut u64,
@@ -195,11 +199,15 @@ impl Host<'_> {
         loop {
             bell.wait(TICK);
             while let Some(status) = words.try_receive()? {
-                self.hear(&status, supervisor, note);
+                self.hear(&status, gateway, supervisor, note);
             }
             self.replace_the_dead(channels, supervisor, note)?;
             match gateway.wait(Duration::ZERO) {
                 None | Some(Word::Joined(_)) => {}
+                Some(Word::Scale(workers)) => {
+                    let sizes = channels.sizes();
+                    self.scale(workers as usize, sizes, gateway, supervisor, note)?;
+                }
                 Some(Word::Ended(ExitCode::Success, _)) => return Ok(Ended::Left(Left::Over)),
                 // It may be better the next time, but not where this machine lacks something.
                 Some(Word::Ended(ExitCode::Environment, why)) => {
@@ -213,8 +221,45 @@ impl Host<'_> {
         }
     }
 
-    fn hear(&mut self, status: &Status, supervisor: &mut Supervisor, note: &mut dyn FnMut(&str)) {
+    /// The run wants another number of workers.
+    fn scale(
+        &mut self,
+        workers: usize,
+        sizes: &ChannelSizes,
+        gateway: &mut Gateway,
+        supervisor: &mut Supervisor,
+        note: &mut dyn FnMut(&str),
+    ) -> Result<(), ExitError> {
+        let before = self.workers;
+        if let Err(why) = preflight::scale(sizes, before, workers) {
+            note(&format!("the run wants {workers} workers, and {before} stay: {why}"));
+            return Ok(());
+        }
+        self.workers = workers;
+        for (worker, incarnation) in supervisor.scale(workers)? {
+            self.heard.remove(&worker);
+            gateway.tell(&Told::Leave { worker, incarnation });
+        }
+        let wanted = output::counted(workers as u64, "worker");
+        note(&format!("the run wants {wanted} of this machine, before {before}"));
+        Ok(())
+    }
+
+    fn hear(
+        &mut self,
+        status: &Status,
+        gateway: &mut Gateway,
+        supervisor: &mut Supervisor,
+        note: &mut dyn FnMut(&str),
+    ) {
         match status {
+            // It has not heard that it shall go.
+            Status::Ready { worker, incarnation, .. }
+            | Status::Heartbeat { worker, incarnation, .. }
+                if supervisor.is_leaving(*worker, *incarnation) =>
+            {
+                gateway.tell(&Told::Leave { worker: *worker, incarnation: *incarnation });
+            }
             Status::Ready { worker, incarnation, .. }
             | Status::Heartbeat { worker, incarnation, .. }
                 if supervisor.is_current(*worker, *incarnation) =>
@@ -243,10 +288,17 @@ impl Host<'_> {
             channels.clean_up_after_the_dead();
         }
         for death in deaths {
-            if let Death::Worker(worker, cause) = death {
-                self.heard.remove(&worker);
-                note(&format!("worker {worker} died ({cause}) and is replaced"));
-                supervisor.check_deaths(worker, cause)?;
+            match death {
+                Death::Worker(worker, cause) => {
+                    self.heard.remove(&worker);
+                    note(&format!("worker {worker} died ({cause}) and is replaced"));
+                    supervisor.check_deaths(worker, cause)?;
+                }
+                Death::Left(worker) => {
+                    self.heard.remove(&worker);
+                    note(&format!("worker {worker} has left"));
+                }
+                Death::Learner(_) | Death::Gateway(_) => {}
             }
         }
         supervisor.start_due()?;
@@ -271,6 +323,8 @@ impl Host<'_> {
 /// What is heard of the gateway.
 enum Word {
     Joined(HostId),
+    /// So many workers are wanted.
+    Scale(u32),
     /// It has ended with this code, and why.
     Ended(ExitCode, String),
 }
@@ -330,9 +384,9 @@ impl Gateway {
         Ok(gateway)
     }
 
-    /// Says where the services are. A gateway that is no more is noticed by itself.
-    fn tell(&mut self, place: &Place) {
-        if let (Some(pipe), Ok(text)) = (&mut self.child.stdin, serde_json::to_string(place)) {
+    /// Says something to it. A gateway that is no more is noticed by itself.
+    fn tell(&mut self, what: &impl serde::Serialize) {
+        if let (Some(pipe), Ok(text)) = (&mut self.child.stdin, serde_json::to_string(what)) {
             let _ = writeln!(pipe, "{text}");
         }
     }
@@ -341,6 +395,7 @@ impl Gateway {
     fn wait(&mut self, patience: Duration) -> Option<Word> {
         match self.words.recv_timeout(patience) {
             Ok(Said::Joined(host)) => return Some(Word::Joined(host)),
+            Ok(Said::Scale(workers)) => return Some(Word::Scale(workers)),
             Ok(Said::Failed(why)) => {
                 self.why = Some(why);
                 return None;

@@ -38,6 +38,10 @@ pub struct HostStatus {
     pub name: String,
     /// Numbers of its workers that take orders.
     pub workers: Vec<u32>,
+    /// How many it is to have.
+    pub wanted: usize,
+    /// How many it can have at most.
+    pub max_workers: usize,
     /// Shards that they have been ordered to make, `iteration/shard`.
     pub shards: Vec<String>,
     /// Blocks of it that were made a second time and were the same; it works for the run from the first one on.
@@ -223,11 +227,47 @@ pub struct LiveStatus {
     pub last: serde_json::Value,
 }
 
+impl LiveStatus {
+    /// The host of this name or number. The error says which hosts there are.
+    pub fn host(&self, wanted: &str) -> Result<&HostStatus, String> {
+        let named: Vec<_> = self.hosts.iter().filter(|host| host.name == wanted).collect();
+        let numbered = || self.hosts.iter().find(|host| host.host.to_string() == wanted);
+        let all: Vec<_> =
+            self.hosts.iter().map(|host| format!("{} ({})", host.host, host.name)).collect();
+        match (named.as_slice(), numbered()) {
+            ([host], _) => Ok(*host),
+            ([], Some(host)) => Ok(host),
+            ([], None) if all.is_empty() => {
+                Err(format!("no host is called `{wanted}`: no other machine helps this run now"))
+            }
+            ([], None) => {
+                Err(format!("no host is called `{wanted}`; there are {}", all.join(", ")))
+            }
+            (several, _) => {
+                let numbers: Vec<_> = several.iter().map(|host| host.host.to_string()).collect();
+                Err(format!(
+                    "several hosts are called `{wanted}`: give its number, {}",
+                    numbers.join(" or ")
+                ))
+            }
+        }
+    }
+}
+
 /// What a live run can be asked to do.
 #[derive(Debug)]
 pub enum Command {
     /// Have this many workers from now on; answers with the number before.
     Scale {
+        /// Workers wanted.
+        workers: usize,
+        /// Where the answer goes.
+        reply: oneshot::Sender<Result<usize, String>>,
+    },
+    /// Have a host have this many workers from now on; answers with the number before.
+    ScaleHost {
+        /// The host.
+        host: u32,
         /// Workers wanted.
         workers: usize,
         /// Where the answer goes.

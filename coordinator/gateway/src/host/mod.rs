@@ -9,8 +9,8 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use channels::Role;
-use proto::gateway::{Place, Said};
-use proto::message::{self, HEARTBEAT, PortId, Status};
+use proto::gateway::{Place, Said, Told};
+use proto::message::{self, HEARTBEAT, Order, PortId, Status};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use zenoh::liveliness::LivelinessToken;
@@ -38,6 +38,8 @@ enum Event {
     Order(Query),
     /// The hub is there.
     Beat(HubBeat),
+    /// `octopus join` wants something.
+    Told(Told),
     /// What came of the question for a policy.
     Policy(u64, Box<Asked>),
 }
@@ -75,6 +77,7 @@ fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
     for role in [Role::Learner, Role::Coordinator] {
         bells::listen(&ports.domain, ports.sizes, role, events.clone(), || Event::Bell)?;
     }
+    listen(events.clone())?;
     let doors = Doors::open(session, &welcome, &events).map_err(|error| {
         ExitError::new(ExitCode::Failure, format!("the network cannot be used: {error}"))
     })?;
@@ -83,6 +86,7 @@ fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
         welcome,
         events,
         ports,
+        wanted: arguments.workers,
         workers: Workers::default(),
         policies: Vec::new(),
         asking: false,
@@ -93,6 +97,22 @@ fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
     let result = host.serve(&inbox);
     drop(doors);
     result
+}
+
+/// Puts down what `octopus join` says on standard input, until that is closed.
+fn listen(events: Sender<Event>) -> Result<(), ExitError> {
+    let listen = move || {
+        for line in std::io::stdin().lines().map_while(Result::ok) {
+            let Ok(told) = serde_json::from_str(&line) else { continue };
+            if events.send(Event::Told(told)).is_err() {
+                return;
+            }
+        }
+    };
+    let thread = std::thread::Builder::new().name("input".to_owned()).spawn(listen);
+    thread.map(drop).map_err(|error| {
+        ExitError::new(ExitCode::Environment, format!("cannot start a thread: {error}"))
+    })
 }
 
 /// Where the network's callbacks put events down, while this lives.
@@ -138,6 +158,8 @@ struct Host<'a> {
     welcome: Welcome,
     events: Sender<Event>,
     ports: HostPorts,
+    /// How many workers the run wants of this machine.
+    wanted: u32,
     workers: Workers<Query>,
     /// Versions that workers have been given.
     policies: Vec<u64>,
@@ -191,6 +213,9 @@ impl Host<'_> {
             Event::Bell => {}
             Event::Order(query) => self.take_order(query),
             Event::Beat(beat) => return self.hear_hub(&beat),
+            Event::Told(Told::Leave { worker, incarnation }) => {
+                self.send_home(worker, incarnation)?;
+            }
             Event::Policy(version, asked) => {
                 self.asking = false;
                 if self.ports.policy(version, &asked)? {
@@ -205,12 +230,18 @@ impl Host<'_> {
 
     fn hear_hub(&mut self, beat: &HubBeat) -> Result<Course, ExitError> {
         self.heard = Instant::now();
-        if beat.session != self.welcome.session || !beat.hosts.contains(&self.welcome.host) {
+        let mut hosts = beat.hosts.iter();
+        let known = hosts.find(|(host, _)| *host == self.welcome.host);
+        let Some((_, wanted)) = known.filter(|_| beat.session == self.welcome.session) else {
             let message = "the run has begun anew; this machine has to join again";
             return Err(ExitError::new(ExitCode::Failure, message));
-        }
+        };
         if beat.over {
             return Ok(Course::Over);
+        }
+        if *wanted != self.wanted {
+            self.wanted = *wanted;
+            join::say(&Said::Scale(*wanted))?;
         }
         // Oldest first: workers take the order in which they come for that of the versions.
         let wanted = beat.policies.iter().find(|version| !self.policies.contains(version));
@@ -294,6 +325,18 @@ impl Host<'_> {
         if self.workers.lives(worker, incarnation, orders) {
             self.said = None;
         }
+    }
+
+    /// Has a worker go. The run is told first, so that nothing is asked of it any more; what it had to make is made by
+    /// others.
+    fn send_home(&mut self, worker: u32, incarnation: u32) -> Result<(), ExitError> {
+        if self.workers.leaves(worker, incarnation) {
+            self.say();
+            self.workers.forget(worker);
+        }
+        // One that has no room for it is sent home again when it is heard again.
+        self.ports.orders.send(&Order::Leave { worker, incarnation })?;
+        Ok(())
     }
 
     fn take_blocks(&mut self) -> Result<(), ExitError> {

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
+use channels::ChannelSizes;
 use proto::message::{
     HostId, HostReport, INCARNATIONS_OF_A_GATEWAY, WORKERS_OF_A_HOST, WorkerId,
 };
@@ -22,8 +23,10 @@ struct Host {
     name: String,
     /// Whether its processor is of another type than that of this machine.
     is_other_processor: bool,
-    /// Workers that it wants to have.
+    /// Workers that it is to have.
     wanted: u32,
+    /// Workers that its channels have room for.
+    room: u32,
     /// When it was heard last; none if it is known to be gone.
     heard: Option<Instant>,
     /// Workers that take orders, with their incarnations.
@@ -93,6 +96,7 @@ impl Hosts {
             name: name.to_owned(),
             is_other_processor,
             wanted: workers,
+            room: ChannelSizes::most_workers(workers as usize) as u32,
             heard: Some(now),
             workers: BTreeMap::new(),
             blocks: 0,
@@ -101,6 +105,24 @@ impl Hosts {
         };
         self.joined.insert(host, joined);
         Ok(host)
+    }
+
+    /// A host shall have so many workers from now on. Whether it can.
+    pub(super) fn scale(&mut self, host: HostId, workers: u32) -> bool {
+        let can = (1..=self.most(host)).contains(&workers);
+        match self.joined.get_mut(&host) {
+            Some(known) if can => known.wanted = workers,
+            _ => return false,
+        }
+        true
+    }
+
+    /// Workers that a host can have at most, with those of all others.
+    fn most(&self, host: HostId) -> u32 {
+        let others = self.joined.iter().filter(|(number, _)| **number != host);
+        let others: u32 = others.map(|(_, host)| host.wanted).sum();
+        let room = self.joined.get(&host).map_or(0, |host| host.room);
+        room.min((MAX_WORKERS as u32).saturating_sub(others))
     }
 
     /// Machines of this name are hosts no more. Whether that is news.
@@ -118,7 +140,7 @@ impl Hosts {
     pub(super) fn heard(&mut self, host: HostId, workers: &[u32], now: Instant) -> bool {
         let Some(known) = self.joined.get_mut(&host) else { return false };
         known.heard = Some(now);
-        let said = workers.iter().filter(|&&worker| worker < known.wanted);
+        let said = workers.iter().filter(|&&worker| worker < known.room);
         let there: Vec<_> = said.map(|worker| host * WORKERS_OF_A_HOST + worker).collect();
         let before = known.workers.len();
         known.workers.retain(|worker, _| there.contains(worker));
@@ -181,9 +203,9 @@ impl Hosts {
         }
     }
 
-    /// All hosts that may be heard again.
-    pub(super) fn numbers(&self) -> Vec<HostId> {
-        self.joined.keys().copied().collect()
+    /// All hosts that may be heard again, and how many workers each is to have.
+    pub(super) fn wanted(&self) -> Vec<(HostId, u32)> {
+        self.joined.iter().map(|(&number, host)| (number, host.wanted)).collect()
     }
 
     /// The hosts that have workers.
@@ -193,6 +215,8 @@ impl Hosts {
             host: number,
             name: host.name.clone(),
             is_other_processor: host.is_other_processor,
+            wanted: host.wanted,
+            most: self.most(number),
             workers: host.workers.iter().map(|(&worker, &inc)| (worker, inc)).collect(),
             blocks: host.blocks,
             bytes: host.bytes,
@@ -216,7 +240,7 @@ mod tests {
         let mut hosts = Hosts::new(0);
         let host = hosts.join("lab", 2, false, now).expect("room");
         assert!(hosts.report().is_empty(), "its workers are not ready");
-        assert!(hosts.heard(host, &[0, 1, 7], now), "7 is none of its");
+        assert!(hosts.heard(host, &[0, 1, 16], now), "16 is none of its");
         assert!(!hosts.heard(host, &[0, 1], now));
         let first = hosts.report().remove(0).workers;
         assert_eq!(first.iter().map(|(worker, _)| *worker).collect::<Vec<_>>(), [1000, 1001]);
@@ -278,9 +302,23 @@ mod tests {
         hosts.heard(other, &[0], now);
         let known = hosts.report()[0].name.clone();
         assert!(hosts.refuse(&known) && !hosts.refuse(&known));
-        assert_eq!((hosts.refused(), hosts.numbers()), (1, vec![other]));
+        assert_eq!((hosts.refused(), hosts.wanted()), (1, vec![(other, 1)]));
         assert!(hosts.report()[0].is_other_processor);
         let told = hosts.join(name, 1, false, now).expect_err("refused");
         assert!(told.contains("other bits") && told.contains("another --name"), "{told}");
+    }
+
+    #[test]
+    fn a_host_can_have_as_many_workers_as_there_is_room_for_on_both_machines() {
+        let now = Instant::now();
+        let mut hosts = Hosts::new(0);
+        let [small, large] = [2, 120].map(|n| hosts.join("lab", n, false, now).expect("room"));
+        assert!(!hosts.scale(small, 0) && !hosts.scale(small, 17) && !hosts.scale(9, 1));
+        assert!(hosts.scale(small, 16) && hosts.heard(small, &[0, 15], now));
+        assert_eq!((hosts.report()[0].wanted, hosts.report()[0].most), (16, 16));
+        // Its channels have room for 240, and all machines together for 256.
+        assert!(hosts.scale(large, 240) && !hosts.scale(large, 241));
+        assert_eq!(hosts.wanted(), [(small, 16), (large, 240)]);
+        assert_eq!(hosts.report()[0].most, 16);
     }
 }

@@ -220,7 +220,7 @@ impl Hub {
         let beat = HubBeat {
             session: self.reception.session.clone(),
             policies: self.policies.iter().map(|policy| policy.version).collect(),
-            hosts: self.hosts.numbers(),
+            hosts: self.hosts.wanted(),
             over,
         };
         let congestion = if over { CongestionControl::Block } else { CongestionControl::Drop };
@@ -271,6 +271,11 @@ impl Hub {
                 Order::Stop => return Ok(true),
                 Order::Refuse { name } if self.hosts.refuse(name) => {
                     tracing::warn!(name, "makes other bits and is refused");
+                    self.said = None;
+                }
+                Order::ScaleHost { host, workers } => {
+                    let done = self.hosts.scale(*host, *workers);
+                    tracing::info!(host, workers, done, "is to have another number of workers");
                     self.said = None;
                 }
                 _ => {}

@@ -1,7 +1,7 @@
 //! What others ask of a live run, and what they see of it.
 
 use proto::ExitError;
-use proto::message::Order;
+use proto::message::{HostId, Order};
 use service::live::{Best, Command, LiveStatus, Role};
 
 use super::Session;
@@ -45,6 +45,20 @@ impl Session<'_> {
                     // Who asked may have gone.
                     let _ = reply.send(answer);
                 }
+                Command::ScaleHost { host, workers, reply } => {
+                    let answer = self.scale_host(host, workers);
+                    if let Ok(before) = &answer
+                        && *before != workers
+                    {
+                        reporter.note(&format!(
+                            "host {host} ({}) is to have {} from now on, before {before}",
+                            self.hosts.name(host),
+                            output::counted(workers as u64, "worker")
+                        ));
+                    }
+                    let _ = reply.send(answer);
+                    self.scale_hosts()?;
+                }
                 Command::Checkpoint { reply } => self.snapshots.ask_for(self.reported, reply),
             }
         }
@@ -61,6 +75,22 @@ impl Session<'_> {
             ));
         }
         preflight::scale(self.channels.sizes(), self.workers, workers)
+    }
+
+    /// Notes how many workers a host is to have; returns how many it was to have before.
+    fn scale_host(&mut self, host: HostId, workers: usize) -> Result<usize, String> {
+        let report = self.hosts.reports.iter().find(|report| report.host == host);
+        let report = report.ok_or_else(|| format!("host {host} is not there any more"))?;
+        let (before, most) = (report.wanted as usize, report.most as usize);
+        if !(1..=most).contains(&workers) {
+            return Err(format!(
+                "{workers} workers: host {host} ({}) can have 1 to {most}; one that joins with more --workers can have \
+                 twice as many as that, and Ctrl-C at its `octopus join` takes it away",
+                report.name
+            ));
+        }
+        self.hosts.wanted.insert(host, workers as u32);
+        Ok(before)
     }
 
     /// Fewest workers that this machine can have: who is open to others can leave all work to them.

@@ -103,6 +103,7 @@ impl Session<'_> {
                         self.refuse_hosts()?;
                     }
                     self.hear_hosts(incarnation, orders, hosts, supervisor, reporter);
+                    self.scale_hosts()?;
                 }
                 other => tracing::warn!(?other, "status of an unknown kind"),
             }

@@ -17,6 +17,8 @@ pub(super) struct Hosts {
     pub(super) reports: Vec<HostReport>,
     /// What hosts call themselves, those that have gone included.
     pub(super) names: BTreeMap<HostId, String>,
+    /// How many workers a host is to have, where somebody has changed that.
+    pub(super) wanted: BTreeMap<HostId, u32>,
     /// When the gateway was heard last; none if the one that runs now has not been.
     pub(super) heard: Option<Instant>,
 }
@@ -67,6 +69,8 @@ impl Hosts {
                 name: report.name.clone(),
                 shards: tasks.flatten().map(ToString::to_string).collect(),
                 workers,
+                wanted: report.wanted as usize,
+                max_workers: report.most as usize,
                 compared: same.get(&report.host).copied().unwrap_or(0),
                 blocks: report.blocks,
                 bytes: report.bytes,

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::ExitError;
-use proto::message::{HostReport, PortId, WorkerId};
+use proto::message::{HostReport, Order, PortId, WorkerId};
 use service::history::What;
 
 use super::Session;
@@ -52,6 +52,17 @@ impl Session<'_> {
             }
         }
         self.note_changes(&reports, open, reporter);
+    }
+
+    /// Tells the gateway which hosts are to have other numbers of workers, as long as it says otherwise.
+    pub(super) fn scale_hosts(&mut self) -> Result<(), ExitError> {
+        for report in &self.hosts.reports {
+            let wanted = self.hosts.wanted.get(&report.host);
+            if let Some(&workers) = wanted.filter(|wanted| **wanted != report.wanted) {
+                self.orders.send(Order::ScaleHost { host: report.host, workers })?;
+            }
+        }
+        Ok(())
     }
 
     /// Workers of hosts are no more; returns how many shards are open again.
