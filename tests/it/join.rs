@@ -498,8 +498,7 @@ fn a_machine_that_makes_other_bits_is_thrown_out_and_nothing_of_it_is_trained_on
     let learner = hold(&mut run);
     let domain = run.domain_when_there();
     let mut good = Machine::join(&endpoint, &["--workers=1", "--name=good"]);
-    let mut bad =
-        Machine::with_fault(&endpoint, "distort@*/*", &["--workers=2", "--name=bad"]);
+    let mut bad = Machine::with_fault(&endpoint, "distort@*/*", &["--workers=2", "--name=bad"]);
     wait_for(&mut run, "(good) helps with 1 worker", 1);
     wait_for(&mut run, "(bad) helps with 2 workers", 1);
     kill(learner, Signal::CONT);

@@ -11,7 +11,7 @@ use proto::config::Config;
 use simulator::robot::Robot;
 use simulator::rollout::{RolloutSpec, World, rollout};
 
-use crate::scheduler::ShardAddress;
+use crate::task::ShardAddress;
 
 /// Its stack (bytes): what a program's first thread has, on which workers simulate.
 const STACK: usize = 8 << 20;

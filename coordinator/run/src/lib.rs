@@ -31,4 +31,5 @@ pub mod signal_isolation;
 pub mod signals;
 pub mod start;
 pub mod supervisor;
+mod task;
 mod trials;

@@ -11,31 +11,8 @@ use std::time::{Duration, Instant};
 use channels::ORDERS_PER_WORKER;
 use proto::message::{EvaluationChunk, HostId, Order, WorkerId, host_of, policy_version_for};
 
+pub use crate::task::{ShardAddress, Task};
 use crate::trials::{Standing, Trials};
-
-/// Iteration and shard: the address of a block.
-pub type ShardAddress = (u64, u32);
-
-/// What a worker can be ordered to do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Task {
-    /// Make a block.
-    Rollout(ShardAddress),
-    /// Make a block for comparison: it is open all the same.
-    Audit(ShardAddress),
-    /// Play episodes of an evaluation.
-    Evaluation(EvaluationChunk),
-}
-
-impl std::fmt::Display for Task {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Rollout((iteration, shard)) => write!(f, "{iteration}/{shard}"),
-            Self::Audit((iteration, shard)) => write!(f, "audit {iteration}/{shard}"),
-            Self::Evaluation(chunk) => write!(f, "evaluation {}", chunk.policy_version),
-        }
-    }
-}
 
 /// What the scheduler knows of a worker.
 #[derive(Debug)]
@@ -198,6 +175,11 @@ impl Scheduler {
     /// A block of a host could not be compared: if it was its first, another one will be.
     pub fn try_again(&mut self, host: HostId) {
         self.trials.begin_again(host);
+    }
+
+    /// Another gateway gives the numbers of hosts to others: nobody is trusted any more.
+    pub fn forget_hosts(&mut self) {
+        self.trials.forget_hosts();
     }
 
     /// Whether the work of a worker counts.

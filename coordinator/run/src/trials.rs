@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use proto::message::{HostId, WorkerId, host_of};
 use proto::rng::{Address, Purpose};
 
-use crate::scheduler::ShardAddress;
+use crate::task::ShardAddress;
 
 /// How far a host is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,6 +63,11 @@ impl Trials {
     /// A block of a host was the same as this machine's. Whether it was its first.
     pub(crate) fn trust(&mut self, host: HostId) -> bool {
         self.hosts.insert(host, Standing::Trusted) != Some(Standing::Trusted)
+    }
+
+    /// Nothing is known of any host.
+    pub(crate) fn forget_hosts(&mut self) {
+        self.hosts.clear();
     }
 
     /// Whether a block that a worker of a trusted host is about to make is for comparison; once at most.

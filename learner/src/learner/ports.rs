@@ -93,8 +93,7 @@ impl Ports {
                 Receipt::Duplicate => true,
                 Receipt::Unwanted => continue,
             };
-            let received =
-                Progress::BlockReceived { iteration, shard, worker, duplicate, digest };
+            let received = Progress::BlockReceived { iteration, shard, worker, duplicate, digest };
             self.progress.send(&received)?;
         }
         self.send_piece()

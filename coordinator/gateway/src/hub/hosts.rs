@@ -4,9 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 use channels::ChannelSizes;
-use proto::message::{
-    HostId, HostReport, INCARNATIONS_OF_A_GATEWAY, WORKERS_OF_A_HOST, WorkerId,
-};
+use proto::message::{HostId, HostReport, INCARNATIONS_OF_A_GATEWAY, WORKERS_OF_A_HOST, WorkerId};
 
 use crate::SILENCE;
 
@@ -277,7 +275,8 @@ mod tests {
         }
         assert!(hosts.join("one more", 1, false, now).is_err());
         let hosts = hosts.report();
-        let status = Status::Hosts { incarnation: u32::MAX, orders: u128::MAX, refused: u32::MAX, hosts };
+        let status =
+            Status::Hosts { incarnation: u32::MAX, orders: u128::MAX, refused: u32::MAX, hosts };
         let len = message::encode(&status).len();
         assert!(len <= 4 << 10, "{len}");
     }

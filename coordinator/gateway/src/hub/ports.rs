@@ -4,10 +4,10 @@ use channels::{
     ArrayReceiver, ArraySender, ChannelSizes, Channels, Domain, MessageReceiver, MessageSender,
     WHILE_THE_PARENT_LIVES,
 };
-use proto::{Digest, ExitError};
 use proto::config::Config;
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader};
 use proto::message::{self, Order, Status};
+use proto::{Digest, ExitError};
 use zenoh::bytes::ZBytes;
 
 use crate::arguments::HubArguments;

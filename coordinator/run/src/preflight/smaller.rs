@@ -121,7 +121,10 @@ mod tests {
                 assert!(needed(&config, &dimensions) <= free, "{remedy} for {free} of {all}");
             }
         }
-        assert!(fitting(&config, &dimensions, 0, 1000, &BOTH).is_empty(), "nothing is small enough");
+        assert!(
+            fitting(&config, &dimensions, 0, 1000, &BOTH).is_empty(),
+            "nothing is small enough"
+        );
     }
 
     /// It sends blocks as a worker does, and so has as much room for them.

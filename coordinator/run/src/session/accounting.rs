@@ -86,3 +86,31 @@ impl StepAccounts {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_hosts_made_for_comparison_is_a_duplicate_or_lost() {
+        let mut books = StepAccounts::default();
+        books.produced(3, 128);
+        books.produced(3, 32);
+        books.compared(3, 64);
+        books.differs(3, 16);
+        books.lost(3, 8);
+        let mut report = IterationReport { iteration: 3, ..IterationReport::default() };
+        report.accounting = Accounting { received: 128, trained: 128, ..Accounting::default() };
+        books.close(&mut report, 128).expect("adds up");
+        // Of what was said to be sent 32 did not arrive, and of the comparisons 16 were wrong.
+        let Accounting { produced, received, trained, duplicate, lost } = report.accounting;
+        assert_eq!((received, trained, duplicate, lost), (192, 128, 64, 48));
+        assert_eq!(produced, trained + duplicate + lost);
+        assert_eq!(books.totals.produced, produced);
+        // Once.
+        let mut next = IterationReport { iteration: 4, ..IterationReport::default() };
+        next.accounting = Accounting { received: 128, trained: 128, ..Accounting::default() };
+        books.close(&mut next, 128).expect("adds up");
+        assert_eq!(next.accounting.produced, 128);
+    }
+}

@@ -6,62 +6,15 @@
 //! learner drops what it has of it and has not begun to train on. What the learner has trained on since the last
 //! comparison that was good cannot be taken back; it is said.
 
-use std::collections::BTreeMap;
-
 use proto::message::{HostId, Order, WorkerId, host_of, policy_version_for};
 use proto::{Digest, ExitError};
-use service::live::RefusedHost;
 
 use super::Session;
+use super::audit_list::{BlockId, Pair, Span};
 use crate::auditor::Auditor;
 use crate::report::Reporter;
 use crate::scheduler::ShardAddress;
 use crate::supervisor::Supervisor;
-
-/// Both digests of a block, or why it could not be made.
-#[derive(Debug, Default)]
-struct Pair {
-    here: Option<Result<Digest, String>>,
-    there: Option<Result<Digest, String>>,
-}
-
-/// What is being compared, and what came of it.
-#[derive(Debug, Default)]
-pub(super) struct Audits {
-    auditor: Option<Auditor>,
-    open: BTreeMap<(WorkerId, u32, ShardAddress), Pair>,
-    /// Blocks that were the same, by host.
-    pub(super) same: BTreeMap<HostId, u64>,
-    /// Blocks of a host that the learner has received since the last one that was the same.
-    since: BTreeMap<HostId, Vec<ShardAddress>>,
-    /// Names of hosts that are thrown out, and why.
-    pub(super) refused: BTreeMap<String, String>,
-}
-
-impl Audits {
-    /// The learner has received a block, and will train on it.
-    pub(super) fn received(&mut self, worker: WorkerId, address: ShardAddress) {
-        if let Some(host) = host_of(worker) {
-            self.since.entry(host).or_default().push(address);
-        }
-    }
-
-    /// Another gateway gives the numbers of hosts to others.
-    pub(super) fn forget_hosts(&mut self) {
-        self.open.clear();
-        self.same.clear();
-        self.since.clear();
-    }
-
-    /// Those that are thrown out, for the run's status.
-    pub(super) fn look(&self) -> Vec<RefusedHost> {
-        let look = |(name, reason): (&String, &String)| RefusedHost {
-            name: name.clone(),
-            reason: reason.clone(),
-        };
-        self.refused.iter().map(look).collect()
-    }
-}
 
 impl Session<'_> {
     /// A host has been ordered a block for comparison: it is made here, too.
@@ -78,7 +31,8 @@ impl Session<'_> {
             tracing::warn!(version, "the policy of a block that is to be compared is not here");
             return Ok(());
         };
-        let wanted = self.audits.auditor.as_ref().is_some_and(|one| one.want(address, policy.clone()));
+        let wanted =
+            self.audits.auditor.as_ref().is_some_and(|one| one.want(address, policy.clone()));
         if !wanted {
             let failed = |error| {
                 let message = format!("cannot start a thread: {error}");
@@ -106,7 +60,13 @@ impl Session<'_> {
             scheduler.audit_made(worker, address, now);
         }
         let open = self.audits.open.get_mut(&(worker, incarnation, address));
-        open.map(|pair| pair.there = Some(made)).is_some()
+        let is_open = open.map(|pair| pair.there = Some(made)).is_some();
+        if let (false, Some(scheduler), Some(host)) =
+            (is_open, &mut self.scheduler, host_of(worker))
+        {
+            scheduler.try_again(host);
+        }
+        is_open
     }
 
     /// Compares what has been made twice.
@@ -122,9 +82,7 @@ impl Session<'_> {
                 pair.here = Some(result.clone());
             }
         }
-        let whole = |_: &(WorkerId, u32, ShardAddress), pair: &mut Pair| {
-            pair.here.is_some() && pair.there.is_some()
-        };
+        let whole = |_: &BlockId, pair: &mut Pair| pair.here.is_some() && pair.there.is_some();
         let whole: Vec<_> = self.audits.open.extract_if(.., whole).collect();
         for ((worker, _, address), pair) in whole {
             let (Some(host), Some(here), Some(there)) = (host_of(worker), pair.here, pair.there)
@@ -185,23 +143,23 @@ impl Session<'_> {
         reporter: &mut Reporter,
     ) -> Result<(), ExitError> {
         let name = self.hosts.name(host).to_owned();
-        let since = self.audits.since.remove(&host).unwrap_or_default();
+        if self.audits.refused.contains_key(&name) {
+            return Ok(());
+        }
+        let since = self.audits.since.remove(&host);
         // Those of an iteration that is being trained on count as trained on.
-        let trained = since.iter().filter(|(iteration, _)| *iteration <= self.reported).count();
-        let (first, last) = (since.first(), since.last());
-        let harm = match (first, last) {
-            (Some((first, _)), Some((last, _))) if trained > 0 => format!(
-                "up to {} of it, of iterations {first} to {last}, may have been trained on since its last block that was \
-                 the same",
-                output::counted(trained as u64, "block")
+        let harm = match since.filter(|since| since.first <= self.reported) {
+            Some(Span { blocks, first, last }) => format!(
+                "up to {} of it, of iterations {first} to {}, may have been trained on since its last block that was the same",
+                output::counted(blocks, "block"),
+                last.min(self.reported)
             ),
-            _ => "nothing of it has been trained on".to_owned(),
+            None => "nothing of it has been trained on".to_owned(),
         };
         reporter.note(&format!(
             "warning: host {host} ({name}) {what}. It is thrown out and not taken back; {harm}"
         ));
         self.audits.refused.insert(name, format!("{what}; {harm}"));
-        self.audits.open.retain(|(worker, ..), _| host_of(*worker) != Some(host));
         let workers = self.hosts.workers.keys().copied();
         let workers: Vec<_> = workers.filter(|worker| host_of(*worker) == Some(host)).collect();
         self.let_go(&workers);

@@ -168,7 +168,7 @@ impl Session<'_> {
                 Progress::Heartbeat => {}
                 Progress::BlockReceived { iteration, shard, worker, duplicate, digest } => {
                     if !duplicate {
-                        self.audits.received(worker, (iteration, shard));
+                        self.audits.received(worker, iteration);
                         let of_iteration = self.blocks.entry(iteration).or_default();
                         of_iteration.insert(shard, (digest, worker));
                     }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::ExitError;
-use proto::message::{HostReport, Order, PortId, WorkerId};
+use proto::message::{HostReport, Order, PortId, WorkerId, host_of};
 use service::history::What;
 
 use super::Session;
@@ -70,6 +70,11 @@ impl Session<'_> {
         let mut open = 0;
         for &worker in workers {
             self.hosts.workers.remove(&worker);
+            if let (true, Some(scheduler), Some(host)) =
+                (self.audits.forget_worker(worker), &mut self.scheduler, host_of(worker))
+            {
+                scheduler.try_again(host);
+            }
             self.early.retain(|(early, _)| *early != worker);
             let unfinished = self.scheduler.as_mut().map(|scheduler| scheduler.worker_gone(worker));
             let undelivered = unfinished.unwrap_or_default().undelivered;
@@ -123,6 +128,9 @@ impl Session<'_> {
         let open = self.let_go(&workers);
         self.hosts = Hosts::default();
         self.audits.forget_hosts();
+        if let Some(scheduler) = &mut self.scheduler {
+            scheduler.forget_hosts();
+        }
         reporter.note(&format!(
             "the gateway died ({cause}) and is replaced; {} of hosts ordered again",
             output::counted(open as u64, "open shard")

@@ -12,6 +12,7 @@
 pub mod failures;
 
 mod accounting;
+mod audit_list;
 mod audits;
 mod control;
 mod events;
@@ -41,7 +42,7 @@ use simulator::robot::Robot;
 use store::checkpoint::{Checkpoint, CheckpointStore, LockTimeout};
 
 use self::accounting::StepAccounts;
-use self::audits::Audits;
+use self::audit_list::Audits;
 use self::failures::Failures;
 use self::host_list::Hosts;
 use self::monitor::Monitor;
