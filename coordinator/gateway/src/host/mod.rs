@@ -1,5 +1,6 @@
 //! The workers' end: coordinator and learner of the workers of its machine, as far as they can tell.
 
+mod doors;
 mod join;
 mod ports;
 mod workers;
@@ -13,15 +14,14 @@ use proto::gateway::{Place, Said, Told};
 use proto::message::{self, HEARTBEAT, Order, PortId, Status};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use zenoh::liveliness::LivelinessToken;
-use zenoh::pubsub::Subscriber;
-use zenoh::query::{Query, Queryable};
+use zenoh::query::Query;
 use zenoh::{Session, Wait as _};
 
+use self::doors::{Doors, Event, listen};
 use self::ports::{HostPorts, Made};
 use self::workers::Workers;
 use crate::arguments::HostArguments;
-use crate::network::{self, Asked, End};
+use crate::network::{self, End};
 use crate::orders::{Single, Task};
 use crate::pieces::Content;
 use crate::wire::{HostBeat, HubBeat, Welcome};
@@ -29,20 +29,6 @@ use crate::{bells, keys};
 
 /// How long a policy may take on its way.
 const POLICY_DEADLINE: Duration = Duration::from_secs(30);
-
-/// What other threads put down for the one that owns the ports.
-enum Event {
-    /// Blocks or words of workers may have come.
-    Bell,
-    /// The run wants something to be done.
-    Order(Query),
-    /// The hub is there.
-    Beat(HubBeat),
-    /// `octopus join` wants something.
-    Told(Told),
-    /// What came of the question for a policy.
-    Policy(u64, Box<Asked>),
-}
 
 /// Joins a run and works for it until it is over.
 pub fn run(arguments: &HostArguments) -> Result<(), ExitError> {
@@ -97,52 +83,6 @@ fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
     let result = host.serve(&inbox);
     drop(doors);
     result
-}
-
-/// Puts down what `octopus join` says on standard input, until that is closed.
-fn listen(events: Sender<Event>) -> Result<(), ExitError> {
-    let listen = move || {
-        for line in std::io::stdin().lines().map_while(Result::ok) {
-            let Ok(told) = serde_json::from_str(&line) else { continue };
-            if events.send(Event::Told(told)).is_err() {
-                return;
-            }
-        }
-    };
-    let thread = std::thread::Builder::new().name("input".to_owned()).spawn(listen);
-    thread.map(drop).map_err(|error| {
-        ExitError::new(ExitCode::Environment, format!("cannot start a thread: {error}"))
-    })
-}
-
-/// Where the network's callbacks put events down, while this lives.
-struct Doors {
-    _orders: Queryable<()>,
-    _beats: Subscriber<()>,
-    _token: LivelinessToken,
-}
-
-impl Doors {
-    fn open(session: &Session, welcome: &Welcome, events: &Sender<Event>) -> zenoh::Result<Self> {
-        let (orders, beats) = (events.clone(), events.clone());
-        let key = |what| keys::of_host(&welcome.session, welcome.host, what);
-        Ok(Self {
-            // Nobody takes events any more when the host ends; what comes then is for nobody.
-            _orders: session
-                .declare_queryable(key("order"))
-                .callback(move |query| drop(orders.send(Event::Order(query))))
-                .wait()?,
-            _beats: session
-                .declare_subscriber(keys::BEAT)
-                .callback(move |sample| {
-                    if let Ok(beat) = message::decode(&sample.payload().to_bytes()) {
-                        let _ = beats.send(Event::Beat(beat));
-                    }
-                })
-                .wait()?,
-            _token: session.liveliness().declare_token(key("alive")).wait()?,
-        })
-    }
 }
 
 /// Whether the run goes on.
