@@ -492,9 +492,9 @@ fn refused(machine: &mut Machine) -> Option<i32> {
 /// A processor that computes otherwise: its first block is compared before anything of it counts.
 #[test]
 fn a_machine_that_makes_other_bits_is_thrown_out_and_nothing_of_it_is_trained_on() {
-    let expected = alone(100);
+    let expected = alone(300);
     let endpoint = free_endpoint();
-    let mut run = open(&endpoint, &["--workers=1", "--iterations=100"]);
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=300"]);
     let learner = hold(&mut run);
     let domain = run.domain_when_there();
     let mut good = Machine::join(&endpoint, &["--workers=1", "--name=good"]);
@@ -513,7 +513,7 @@ fn a_machine_that_makes_other_bits_is_thrown_out_and_nothing_of_it_is_trained_on
         (live["refused_hosts"][0]["name"] == "bad").then_some(live)
     });
     assert_eq!(seen["hosts"].as_array().map(Vec::len), Some(1), "{seen}");
-    assert_eq!(seen["hosts"][0]["compared"], 1, "{seen}");
+    assert!(seen["hosts"][0]["compared"].as_u64() >= Some(1), "{seen}");
     let shown = octopus(&["status", path]);
     let shown = String::from_utf8_lossy(&shown.stdout).into_owned();
     assert!(shown.contains("bad was thrown out"), "{shown}");
