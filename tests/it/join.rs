@@ -162,7 +162,8 @@ fn machines_that_help_change_no_bit() {
         assert_eq!(run.digests(), calm.digests(), "{machines} machines, {overlap}");
         let metrics = run.metrics();
         let made = metrics.iter().filter_map(|line| line["hosts"].as_object());
-        let made: u64 = made.flat_map(|hosts| hosts.values()).filter_map(|n| n.as_u64()).sum();
+        let made: u64 =
+            made.flat_map(|hosts| hosts.values()).filter_map(serde_json::Value::as_u64).sum();
         assert!(made > 0, "the metrics name no machine");
         assert_adds_up(&run);
         domains.iter().chain([&domain]).for_each(|domain| assert_nothing_left(domain));

@@ -3,7 +3,7 @@
 //! The scheduler knows the shards and evaluations that are open, the workers that are ready, and what
 //! each of them has been ordered. Any worker may make any shard and making one twice is harmless, so
 //! all it has to guarantee is that every shard is ordered until the learner has it. Whose work counts, and what is
-//! made for comparison alone, is what [`trials`](crate::trials) says.
+//! made for comparison alone, is what `trials` says.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
