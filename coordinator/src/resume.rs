@@ -28,7 +28,7 @@ use crate::conclusion::{conclude, print_json, recorded_evaluation};
 use crate::endpoint::HostArgs;
 use crate::train;
 use crate::training_options::{Ending, HttpArgs, Limits, Parent, Pause};
-use crate::values::workers;
+use crate::values::workers_if_any;
 
 const RESUME_EXAMPLES: &str = "\
 Examples:
@@ -54,7 +54,7 @@ pub struct ResumeArgs {
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
     /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
-    #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers)]
+    #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers_if_any)]
     pub workers: Option<u64>,
     /// When to stop.
     #[command(flatten)]
@@ -202,7 +202,14 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
     start_bucket::check(&config)?;
     let programs = Programs::find()?;
     let gateway = args.hosts.gateway()?;
-    preflight::check_machine(&config, &robot, &run_dir, &programs.learner, &REMEDY)?;
+    preflight::check_machine(
+        &config,
+        &robot,
+        &run_dir,
+        &programs.learner,
+        gateway.as_ref(),
+        &REMEDY,
+    )?;
     let service = args.http.open(&run_dir)?;
     let provenance = Provenance::gather();
     if budgets.last().is_none() {

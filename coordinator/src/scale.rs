@@ -15,11 +15,13 @@ Examples:
   octopus scale runs/trajectory-20260101-120000 auto
   octopus scale runs/trajectory-20260101-120000 1 --json
   octopus scale runs/trajectory-20260101-120000 4 --token-file token.txt
+  octopus scale runs/trajectory-20260101-120000 2 --host lab-2
 
 The number of workers changes nothing that is learned. New workers start at once; surplus ones \
 leave after the shards that they have begun. A run has room for 16 workers, or for twice as many \
 as it was started or resumed with if that is more; one that is open to other machines can do with \
-none of its own.";
+none of its own. With --host it is another machine that has so many workers from now on, until it \
+leaves; `octopus status` shows names and numbers of those that help.";
 
 /// Options of `octopus scale`.
 #[derive(Debug, Clone, Args)]
@@ -30,6 +32,9 @@ pub struct ScaleArgs {
     /// Workers from now on, `auto` for one a processor.
     #[arg(value_name = "N|auto", allow_negative_numbers = true, value_parser = workers_wanted)]
     pub workers: u64,
+    /// Name or number of the other machine that shall have them [default: this one].
+    #[arg(long, value_name = "HOST", allow_negative_numbers = true)]
+    pub host: Option<String>,
     /// A file with the token to show [default: http.token of the run directory].
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -44,10 +49,11 @@ pub fn run(args: &ScaleArgs) -> anyhow::Result<()> {
     let token = token_file.map(Token::from_file).transpose()?;
     let client = Client::of_run(&args.run_dir, token)?;
     let workers = usize::try_from(args.workers).unwrap_or(usize::MAX);
-    let answer = client.scale(workers).map_err(|error| match error {
-        // A number that the run cannot have is the command line's fault.
+    let answer = client.scale(workers, args.host.as_deref()).map_err(|error| match error {
+        // A number that the run cannot have is the command line's fault, as is a host that is not there.
         ClientError::Refused { status: 422, message } => {
-            let message = room(&client, args.workers).unwrap_or(message);
+            let known = if args.host.is_some() { None } else { room(&client, args.workers) };
+            let message = known.unwrap_or(message);
             ExitError::new(ExitCode::Usage, message)
         }
         error => error.explained(token_file),
@@ -56,10 +62,11 @@ pub fn run(args: &ScaleArgs) -> anyhow::Result<()> {
         return output::json(&answer);
     }
     let (before, workers) = (answer.before, output::counted(answer.workers as u64, "worker"));
+    let of = args.host.as_ref().map_or_else(String::new, |host| format!(" of host {host}"));
     output::line(&if before == answer.workers {
-        format!("{workers}, as before")
+        format!("{workers}{of}, as before")
     } else {
-        format!("{workers} instead of {before}")
+        format!("{workers}{of} instead of {before}")
     })
 }
 

@@ -19,7 +19,7 @@ use serde::Serialize;
 use serde_json::Value;
 use service::client::Client;
 use service::http::Token;
-use service::live::{Best, HostStatus, LiveStatus, ProcessStatus, Role, Stages};
+use service::live::{Best, HostStatus, LiveStatus, ProcessStatus, RefusedHost, Role, Stages};
 use store::checkpoint::{CheckpointStore, Name};
 use store::jsonl;
 use store::lock::RunLock;
@@ -296,6 +296,10 @@ fn show_live(live: &LiveStatus) -> String {
         lines.push(String::new());
         lines.push(hosts(&live.hosts, output::columns()));
     }
+    for RefusedHost { name, reason } in &live.refused_hosts {
+        lines.push(String::new());
+        lines.push(format!("{name} was thrown out: it {reason}"));
+    }
     lines.join("\n")
 }
 
@@ -331,12 +335,13 @@ fn hosts(hosts: &[HostStatus], columns: usize) -> String {
             format!("{} {}", host.host, host.name),
             host.workers.len().to_string(),
             grouped(host.blocks),
+            grouped(host.compared),
             mib(host.bytes),
             host.missing.to_string(),
             host.shards.join(" "),
         ]
     });
-    let header = ["host", "workers", "blocks", "came", "missing pieces", "shards"];
+    let header = ["host", "workers", "blocks", "compared", "came", "missing pieces", "shards"];
     output::table_within(columns, header, rows)
 }
 

@@ -25,7 +25,7 @@ use crate::conclusion::conclude;
 use crate::endpoint::HostArgs;
 use crate::names::Named;
 use crate::training_options::{Ending, HttpArgs, Limits, Parent, Pause};
-use crate::values::{assignment, whole, workers};
+use crate::values::{assignment, whole, workers_if_any};
 
 const TRAIN_EXAMPLES: &str = "\
 Examples:
@@ -62,7 +62,7 @@ pub struct TrainArgs {
     #[arg(long = "set", value_name = "KEY=VALUE", allow_hyphen_values = true, value_parser = assignment)]
     pub sets: Vec<String>,
     /// Simulator processes, `auto` for one a processor; changes nothing that is learned.
-    #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers)]
+    #[arg(long, value_name = "N|auto", allow_hyphen_values = true, value_parser = workers_if_any)]
     pub workers: Option<u64>,
     /// Fix each worker to a processor.
     #[arg(long)]
@@ -137,7 +137,14 @@ fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let programs = Programs::find()?;
     let gateway = args.hosts.gateway()?;
     let place = args.run_dir.as_deref().unwrap_or(Path::new(RUNS));
-    preflight::check_machine(&config, &robot, &RunDir::new(place), &programs.learner, &REMEDY)?;
+    preflight::check_machine(
+        &config,
+        &robot,
+        &RunDir::new(place),
+        &programs.learner,
+        gateway.as_ref(),
+        &REMEDY,
+    )?;
     Ok(Plan { config, robot, programs, gateway })
 }
 

@@ -45,6 +45,14 @@ pub(crate) fn workers(text: &str) -> Result<u64, String> {
     })
 }
 
+/// A number of workers that a run can begin with, or none, which leaves all work to other machines.
+pub(crate) fn workers_if_any(text: &str) -> Result<u64, String> {
+    let wanted = workers_wanted(text).ok().filter(|wanted| *wanted <= MAX_WORKERS);
+    wanted.ok_or_else(|| {
+        format!("wants a whole number from 0 to {MAX_WORKERS}, or `auto` for one a processor")
+    })
+}
+
 /// A number of workers for a live run, which alone knows how many it has room for.
 pub(crate) fn workers_wanted(text: &str) -> Result<u64, String> {
     if text == "auto" {
@@ -202,6 +210,11 @@ mod tests {
         assert!(workers("auto").is_ok_and(|workers| workers >= 1));
         for wrong in ["0", "257", "-1", "all"] {
             assert!(workers(wrong).is_err_and(|wanted| wanted.contains("1 to 256")), "{wrong}");
+        }
+        assert_eq!(workers_if_any("0"), Ok(0));
+        for wrong in ["257", "-1", "all"] {
+            let refused = workers_if_any(wrong);
+            assert!(refused.is_err_and(|wanted| wanted.contains("0 to 256")), "{wrong}");
         }
         assert_eq!(workers_wanted("0"), Ok(0), "the run says how many it can have");
         assert!(workers_wanted("-1").is_err());

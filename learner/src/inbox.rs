@@ -4,12 +4,14 @@
 //! What is trained on does not depend on who sent a block, or when: a block that is there already
 //! is dropped, after a look whether it really is the same.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use channels::ArraySample;
 use proto::config::Config;
 use proto::layout::{BlockHeader, BlockLayout, Dimensions, EpisodeMetrics};
-use proto::message::{Accounting, Errors, policy_version_for};
+use proto::message::{
+    Accounting, Errors, HostId, INCARNATIONS_OF_A_GATEWAY, host_of, policy_version_for,
+};
 
 use crate::LearnerError;
 
@@ -38,6 +40,8 @@ pub enum Receipt {
     Fresh,
     /// It was there already, or its iteration is over; it is dropped.
     Duplicate,
+    /// It came from a host whose blocks are not wanted; it is dropped, and does not count as received.
+    Unwanted,
 }
 
 /// Blocks of the iteration to be trained on next and, with overlap, of the one after.
@@ -49,6 +53,8 @@ pub struct Inbox<B> {
     iteration: u64,
     blocks: BTreeMap<(u64, u32), B>,
     accounting: BTreeMap<u64, Accounting>,
+    /// Hosts whose blocks are not wanted, by their gateway and number.
+    unwanted: BTreeSet<(u32, HostId)>,
 }
 
 impl<B: Block> Inbox<B> {
@@ -61,6 +67,7 @@ impl<B: Block> Inbox<B> {
             iteration,
             blocks: BTreeMap::new(),
             accounting: BTreeMap::new(),
+            unwanted: BTreeSet::new(),
         }
     }
 
@@ -72,6 +79,9 @@ impl<B: Block> Inbox<B> {
     /// Takes a block in.
     pub fn receive(&mut self, block: B) -> Result<Receipt, LearnerError> {
         let header = *block.header();
+        if origin(&header).is_some_and(|origin| self.unwanted.contains(&origin)) {
+            return Ok(Receipt::Unwanted);
+        }
         self.check_header(&header, block.payload().len())?;
         let steps = self.block_steps();
         let account = self.accounting.entry(header.iteration.max(self.iteration)).or_default();
@@ -96,6 +106,23 @@ impl<B: Block> Inbox<B> {
         self.check_numbers(&header, block.payload())?;
         self.blocks.insert((header.iteration, header.shard), block);
         Ok(Receipt::Fresh)
+    }
+
+    /// Drops the blocks of a host that is not wanted any more, as far as they have not been taken, and all that come later.
+    /// Iterations and shards of those that were here.
+    pub fn discard(&mut self, gateway: u32, host: HostId) -> Vec<(u64, u32)> {
+        self.unwanted.insert((gateway, host));
+        let of_host = |block: &B| origin(block.header()) == Some((gateway, host));
+        let here = self.blocks.iter().filter(|(_, block)| of_host(block));
+        let here: Vec<_> = here.map(|(address, _)| *address).collect();
+        let steps = self.block_steps();
+        for address in &here {
+            self.blocks.remove(address);
+            if let Some(account) = self.accounting.get_mut(&address.0) {
+                account.received -= steps;
+            }
+        }
+        here
     }
 
     fn check_header(&self, header: &BlockHeader, len: usize) -> Result<(), LearnerError> {
@@ -200,6 +227,11 @@ impl<B: Block> Inbox<B> {
     }
 }
 
+/// Gateway and host that a block came by; none if it was made on this machine.
+fn origin(header: &BlockHeader) -> Option<(u32, HostId)> {
+    Some((header.incarnation / INCARNATIONS_OF_A_GATEWAY, host_of(header.worker)?))
+}
+
 /// Means of the episodes' errors over hands and episodes of all blocks.
 pub fn errors(dimensions: &Dimensions, shards: &[&[f32]]) -> Errors {
     let layout = BlockLayout::new(dimensions);
@@ -293,6 +325,31 @@ mod tests {
         inbox.take();
         let second = inbox.account(1);
         assert_eq!((second.received, second.trained, second.duplicate), (18, 12, 6));
+    }
+
+    #[test]
+    fn blocks_of_a_host_that_is_not_wanted_are_dropped_and_can_be_made_by_others() {
+        let (mut inbox, layout, _) = inbox(1);
+        let from = |worker, incarnation, iteration, shard| {
+            let mut block = block(&layout, iteration, shard, 1);
+            (block.header.worker, block.header.incarnation) = (worker, incarnation);
+            // What it makes differs, and may not even be compared.
+            block.data[3] = worker as f32;
+            block
+        };
+        let second = INCARNATIONS_OF_A_GATEWAY + 7;
+        inbox.receive(from(2001, 7, 0, 0)).expect("a block");
+        inbox.receive(from(3000, 8, 0, 1)).expect("of another host");
+        inbox.receive(from(2000, 7, 1, 1)).expect("early");
+        assert_eq!(inbox.discard(0, 2), [(0, 0), (1, 1)]);
+        assert_eq!(inbox.receive(from(2001, 7, 0, 1)).expect("late"), Receipt::Unwanted);
+        assert_eq!(inbox.receive(from(5, 0, 0, 0)).expect("made again"), Receipt::Fresh);
+        assert!(inbox.is_complete());
+        inbox.take();
+        let account = inbox.account(0);
+        assert_eq!((account.received, account.trained, account.duplicate), (12, 12, 0));
+        // The next gateway's host of that number is another one.
+        assert_eq!(inbox.receive(from(2001, second, 1, 1)).expect("good"), Receipt::Fresh);
     }
 
     #[test]

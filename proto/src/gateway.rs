@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::message::HostId;
+use crate::message::{HostId, WorkerId};
 
 /// What a gateway says on its standard output.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -11,6 +11,8 @@ pub enum Said {
     /// It has joined as this host, and `config.toml` and `robot.toml` of the run are there; now it waits for a
     /// [`Place`].
     Joined(HostId),
+    /// The run wants so many workers of this machine.
+    Scale(u32),
     /// It ends, and why.
     Failed(String),
 }
@@ -22,4 +24,17 @@ pub struct Place {
     pub domain: String,
     /// Arms of the robot.
     pub arms: usize,
+}
+
+/// What it is told on its standard input from then on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Told {
+    /// A worker shall go: it is to be sent home, and is none of the run any more.
+    Leave {
+        /// Its number on this machine.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+    },
 }

@@ -29,6 +29,15 @@ pub type HostId = u32;
 /// Workers of this machine have numbers below this one; those of host h, which counts from 1, begin at h times this.
 pub const WORKERS_OF_A_HOST: WorkerId = 1000;
 
+/// Incarnations that one gateway gives to workers of hosts: those of the gateway that is the i-th, from 0, begin at i times
+/// this.
+pub const INCARNATIONS_OF_A_GATEWAY: u32 = 1 << 20;
+
+/// The host of a worker; none if it is one of this machine.
+pub fn host_of(worker: WorkerId) -> Option<HostId> {
+    (worker >= WORKERS_OF_A_HOST).then_some(worker / WORKERS_OF_A_HOST)
+}
+
 /// Names one end of a channel, of one process.
 pub type PortId = u128;
 
@@ -60,6 +69,20 @@ pub enum Order {
         /// The shards.
         shards: Vec<u32>,
     },
+    /// Worker `worker`, one of a host, shall roll out a shard for comparison: its block does not go to the learner, and the
+    /// gateway answers with [`Status::Audited`]. The host is not told what it is for.
+    Audit {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+        /// The iteration.
+        iteration: u64,
+        /// The policy version to act with.
+        policy_version: u64,
+        /// The shard.
+        shard: u32,
+    },
     /// Worker `worker` shall play episodes of an evaluation with the policy's mean actions.
     Evaluate {
         /// The worker.
@@ -75,6 +98,26 @@ pub enum Order {
         worker: WorkerId,
         /// Its incarnation.
         incarnation: u32,
+    },
+    /// The gateway shall have a host have so many workers.
+    ScaleHost {
+        /// The host.
+        host: HostId,
+        /// Workers wanted.
+        workers: u32,
+    },
+    /// The gateway shall have no host of this name from now on.
+    Refuse {
+        /// What the host calls itself.
+        name: String,
+    },
+    /// The learner shall drop the blocks of a host that it has not begun to train on, and all that come later: it has been
+    /// found to make other bits.
+    Discard {
+        /// The host.
+        host: HostId,
+        /// Incarnation of the gateway that it came by; another one gives its number to another host.
+        gateway: u32,
     },
     /// The learner shall send a snapshot of its state beside those that the configuration plans: at
     /// once if it is between iterations, otherwise after the iteration that it trains on.
@@ -156,10 +199,19 @@ pub enum Progress {
         iteration: u64,
         /// Its shard.
         shard: u32,
+        /// Who made it.
+        worker: WorkerId,
         /// Whether it was there already.
         duplicate: bool,
         /// Digest of its numbers.
         digest: Digest,
+    },
+    /// A block that had arrived was dropped, as [`Order::Discard`] said.
+    BlockDiscarded {
+        /// Its iteration.
+        iteration: u64,
+        /// Its shard.
+        shard: u32,
     },
     /// An iteration is trained on, and policy `iteration + 1` is published.
     IterationDone(Box<IterationReport>),
@@ -208,6 +260,19 @@ pub enum Status {
         /// Time that the rollout took (ns).
         rollout_ns: u64,
     },
+    /// What a worker of a host has made for [`Order::Audit`].
+    Audited {
+        /// The worker.
+        worker: WorkerId,
+        /// Its incarnation.
+        incarnation: u32,
+        /// The iteration.
+        iteration: u64,
+        /// The shard.
+        shard: u32,
+        /// Digest of the block's numbers.
+        digest: Digest,
+    },
     /// Episodes of an evaluation have been played.
     EvaluationDone {
         /// The worker.
@@ -237,6 +302,8 @@ pub enum Status {
         incarnation: u32,
         /// Where it takes the orders for all workers of hosts.
         orders: PortId,
+        /// How many names it refuses, see [`Order::Refuse`].
+        refused: u32,
         /// The hosts that have workers now.
         hosts: Vec<HostReport>,
     },
@@ -249,6 +316,12 @@ pub struct HostReport {
     pub host: HostId,
     /// What it calls itself.
     pub name: String,
+    /// Whether its processor is of another type than that of the run's machine.
+    pub is_other_processor: bool,
+    /// How many workers it is to have.
+    pub wanted: u32,
+    /// How many it can have at most.
+    pub most: u32,
     /// Its workers that take orders, with their incarnations.
     pub workers: Vec<(WorkerId, u32)>,
     /// Blocks that came from it whole.
@@ -328,13 +401,14 @@ pub struct Errors {
 pub struct Accounting {
     /// Sent by workers, as far as the coordinator was told; filled in by the coordinator.
     pub produced: u64,
-    /// Arrived at the learner.
+    /// Arrived at the learner, and what hosts made for comparison.
     pub received: u64,
     /// Trained on.
     pub trained: u64,
-    /// Arrived twice, identical, dropped.
+    /// Arrived twice or made for comparison; identical, dropped.
     pub duplicate: u64,
-    /// Died with a worker, or belonged to an iteration that was over; filled in by the coordinator.
+    /// Died with a worker, belonged to an iteration that was over, or came from a host that makes other bits; filled in by
+    /// the coordinator.
     pub lost: u64,
 }
 

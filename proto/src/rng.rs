@@ -38,6 +38,8 @@ pub enum Purpose {
     Bootstrap = 11,
     /// Detours that a planner tries.
     Detour = 12,
+    /// Which blocks of other machines are made a second time and compared; no number that trains.
+    Audit = 13,
 }
 
 /// The address of four 32-bit random words.

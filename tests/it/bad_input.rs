@@ -54,9 +54,9 @@ fn values_that_are_none() {
     let run = "/no/such/run";
     let seed = "from 0 to 9,223,372,036,854,775,807";
     for (args, wanted) in [
-        (&["train", "--workers", "0"][..], "1 to 256, or `auto`"),
-        (&["train", "--workers", "xx"], "1 to 256, or `auto`"),
-        (&["resume", run, "--workers", "-1"], "1 to 256, or `auto`"),
+        (&["train", "--workers", "257"][..], "0 to 256, or `auto`"),
+        (&["train", "--workers", "xx"], "0 to 256, or `auto`"),
+        (&["resume", run, "--workers", "-1"], "0 to 256, or `auto`"),
         (&["train", "--seed", "-1"], seed),
         (&["train", "--iterations", "-1"], "1 or more"),
         (&["train", "--time-limit", "-3"], "such as 90s"),

@@ -37,6 +37,13 @@ impl Machine {
         Self::behind(Command::new(octopus), endpoint, more)
     }
 
+    /// Its workers have a fault, see `sim-worker`'s `fault_injection.rs`.
+    fn with_fault(endpoint: &str, fault: &str, more: &[&str]) -> Self {
+        let mut command = Command::new(program("octopus"));
+        command.env("SPACEOCTOPUS_TEST_FAULT", fault);
+        Self::behind(command, endpoint, more)
+    }
+
     /// Joins by `command`, which is `octopus` or becomes it.
     pub(crate) fn behind(mut command: Command, endpoint: &str, more: &[&str]) -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
@@ -165,6 +172,11 @@ fn machines_that_help_change_no_bit() {
         run.succeed();
         helpers.iter_mut().for_each(Machine::succeed);
         assert_eq!(run.digests(), calm.digests(), "{machines} machines, {overlap}");
+        let metrics = run.metrics();
+        let made = metrics.iter().filter_map(|line| line["hosts"].as_object());
+        let made: u64 =
+            made.flat_map(|hosts| hosts.values()).filter_map(serde_json::Value::as_u64).sum();
+        assert!(made > 0, "the metrics name no machine");
         assert_adds_up(&run);
         domains.iter().chain([&domain]).for_each(|domain| assert_nothing_left(domain));
     }
@@ -200,6 +212,77 @@ fn a_run_without_workers_of_its_own_is_made_by_others_alone() {
     assert_eq!(run.digests(), expected);
     let evaluations = std::fs::read_to_string(run.path().join("evaluations.jsonl"));
     assert!(!evaluations.expect("was evaluated").is_empty());
+}
+
+#[test]
+fn a_machine_can_be_given_more_workers_and_fewer_while_it_helps() {
+    let expected = alone(30);
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=30"]);
+    let learner = hold(&mut run);
+    run.domain_when_there();
+    let path = run.path();
+    let path = path.to_str().expect("UTF-8");
+    let mut helper = Machine::join(&endpoint, &["--workers=2", "--name=lab"]);
+    let domain = helper.domain();
+    wait_for(&mut run, "(lab) helps with 2 workers", 1);
+    let scale = |count: &str, host: &str| {
+        // The status, by which it is found, is a fraction of a second old.
+        helper.until("its run takes it", |_| {
+            let scaled = octopus(&["scale", path, count, "--host", host]);
+            scaled.status.success().then(|| String::from_utf8_lossy(&scaled.stdout).into_owned())
+        })
+    };
+    assert_eq!(scale("3", "lab").trim(), "3 workers of host lab instead of 2");
+    wait_for(&mut run, "host 1 (lab) helps with 3 workers", 1);
+    assert_eq!(scale("1", "1").trim(), "1 worker of host 1 instead of 3");
+    wait_for(&mut run, "host 1 (lab) helps with 1 worker, before", 1);
+    helper.until("two have left", |it| (it.log().matches("has left").count() == 2).then_some(()));
+    for (args, said) in [
+        (["scale", path, "2", "--host", "attic"], "there are 1 (lab)"),
+        (["scale", path, "17", "--host", "lab"], "expected 1 to 16"),
+        (["scale", path, "0", "--host", "lab"], "expected 1 to 16"),
+    ] {
+        let refused = octopus(&args);
+        assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+        assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
+    }
+    kill(learner, Signal::CONT);
+    run.succeed();
+    helper.succeed();
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+    assert_nothing_left(&domain);
+}
+
+#[test]
+fn a_run_that_begins_without_workers_waits_for_machines() {
+    let expected = alone(20);
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=0", "--iterations=20"]);
+    wait_for(&mut run, "the run waits until a machine has joined", 1);
+    let domain = run.domain_when_there();
+    let path = run.path();
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    loop {
+        let status = octopus(&["status", path.to_str().expect("UTF-8"), "--json"]);
+        let status = serde_json::from_slice::<serde_json::Value>(&status.stdout);
+        if status.is_ok_and(|status| status["live"]["state"] == "waiting") {
+            break;
+        }
+        assert!(Instant::now() < watchdog, "it does not wait; log:\n{}", run.log());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let mut helper = Machine::join(&endpoint, &["--workers=2"]);
+    run.succeed();
+    helper.succeed();
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+    assert_nothing_left(&domain);
+    // Without anybody who could join it, it would wait for ever.
+    let refused = octopus(&["train", "--workers=0"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("--listen-workers"), "{}", stderr(&refused));
 }
 
 #[test]
@@ -404,6 +487,65 @@ fn a_link_between_two_networks_that_is_cut_changes_no_bit() {
     run.succeed();
     helper.succeed();
     assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+}
+
+/// A processor that computes otherwise: its first block is compared before anything of it counts.
+#[test]
+fn a_machine_that_makes_other_bits_is_thrown_out_and_nothing_of_it_is_trained_on() {
+    let expected = alone(300);
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=300"]);
+    let learner = hold(&mut run);
+    let domain = run.domain_when_there();
+    let mut good = Machine::join(&endpoint, &["--workers=1", "--name=good"]);
+    let mut bad = Machine::with_fault(&endpoint, "distort@*/*", &["--workers=2", "--name=bad"]);
+    wait_for(&mut run, "(good) helps with 1 worker", 1);
+    wait_for(&mut run, "(bad) helps with 2 workers", 1);
+    kill(learner, Signal::CONT);
+    wait_for(&mut run, "It is thrown out", 1);
+    wait_for(&mut run, "(good) has made its first block", 1);
+    let (path, learner) = (run.path(), hold(&mut run));
+    let path = path.to_str().expect("UTF-8");
+    let seen = good.until("the run says whom it has thrown out", |_| {
+        let status = octopus(&["status", path, "--json"]);
+        let status: serde_json::Value = serde_json::from_slice(&status.stdout).ok()?;
+        let live = status["live"].clone();
+        (live["refused_hosts"][0]["name"] == "bad").then_some(live)
+    });
+    assert_eq!(seen["hosts"].as_array().map(Vec::len), Some(1), "{seen}");
+    assert!(seen["hosts"][0]["compared"].as_u64() >= Some(1), "{seen}");
+    let shown = octopus(&["status", path]);
+    let shown = String::from_utf8_lossy(&shown.stdout).into_owned();
+    assert!(shown.contains("bad was thrown out"), "{shown}");
+    kill(learner, Signal::CONT);
+    assert_eq!(bad.code(), Some(4), "{}", bad.log());
+    assert!(bad.log().contains("other bits"), "{}", bad.log());
+    run.succeed();
+    good.succeed();
+    let log = run.log();
+    assert!(log.contains("warning: host") && log.contains("(bad) made block"), "{log}");
+    assert!(log.contains("nothing of it has been trained on"), "{log}");
+    assert_eq!(run.digests(), expected);
+    assert_adds_up(&run);
+    assert_nothing_left(&domain);
+}
+
+/// A machine that is broken later is found by the share of its blocks that is compared, here all of them.
+#[test]
+fn a_machine_that_makes_other_bits_later_is_found_and_its_blocks_are_made_again() {
+    let endpoint = free_endpoint();
+    let mut run = open(&endpoint, &["--workers=1", "--iterations=200", "--set=run.audit=1"]);
+    let learner = hold(&mut run);
+    let more = ["--workers=2", "--name=tired"];
+    let mut helper = Machine::with_fault(&endpoint, "distort@20+/*", &more);
+    wait_for(&mut run, "(tired) helps with 2 workers", 1);
+    kill(learner, Signal::CONT);
+    wait_for(&mut run, "(tired) has made its first block", 1);
+    wait_for(&mut run, "It is thrown out", 1);
+    assert_eq!(helper.code(), Some(4), "{}", helper.log());
+    run.succeed();
+    assert_eq!(run.metrics().len(), 200);
     assert_adds_up(&run);
 }
 

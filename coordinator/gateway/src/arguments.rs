@@ -32,6 +32,9 @@ pub struct HubArguments {
     /// The program that hosts must have, too.
     #[arg(long, value_name = "FILE")]
     pub sim_worker: PathBuf,
+    /// The type of this machine's processor.
+    #[arg(long, value_name = "TEXT")]
+    pub processor: String,
     /// How often this gateway was started before.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub incarnation: u32,
@@ -58,6 +61,9 @@ pub struct HostArguments {
     /// What this machine calls itself.
     #[arg(long, value_name = "NAME")]
     pub name: String,
+    /// The type of this machine's processor.
+    #[arg(long, value_name = "TEXT")]
+    pub processor: String,
     /// How long the run may be silent (s).
     #[arg(long, value_name = "S")]
     pub wait: f64,

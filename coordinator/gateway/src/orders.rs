@@ -51,6 +51,13 @@ impl Single {
                 };
                 shards.iter().map(single).collect()
             }
+            // What it is for is nothing that its host has to know.
+            Order::Audit { worker, incarnation, iteration, policy_version, shard } => vec![Self {
+                worker: *worker,
+                incarnation: *incarnation,
+                task: Task::Block { iteration: *iteration, shard: *shard },
+                policy_version: *policy_version,
+            }],
             Order::Evaluate { worker, incarnation, episodes } => vec![Self {
                 worker: *worker,
                 incarnation: *incarnation,
@@ -59,6 +66,11 @@ impl Single {
             }],
             _ => Vec::new(),
         }
+    }
+
+    /// What tells it from others.
+    pub(crate) fn key(&self) -> (WorkerId, u32, Task) {
+        (self.worker, self.incarnation, self.task)
     }
 
     /// The order.
@@ -84,12 +96,12 @@ pub(crate) struct InFlight(BTreeSet<(WorkerId, u32, Task)>);
 impl InFlight {
     /// Notes an order. Whether it is new.
     pub(crate) fn begin(&mut self, order: &Single) -> bool {
-        self.0.insert((order.worker, order.incarnation, order.task))
+        self.0.insert(order.key())
     }
 
     /// It has been answered, or will not be.
     pub(crate) fn end(&mut self, order: &Single) {
-        self.0.remove(&(order.worker, order.incarnation, order.task));
+        self.0.remove(&order.key());
     }
 }
 

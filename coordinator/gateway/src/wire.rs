@@ -15,6 +15,9 @@ pub struct Hello {
     pub workers: u32,
     /// Which programs it has.
     pub build: Build,
+    /// The type of its processor: name and vector instructions.
+    #[serde(default)]
+    pub processor: String,
 }
 
 /// What must be the same on both ends, so that they understand each other and make the same bits.
@@ -96,8 +99,8 @@ pub struct HubBeat {
     pub session: String,
     /// Policies that can be had, oldest first.
     pub policies: Vec<u64>,
-    /// Hosts that it knows; one that finds itself forgotten has to join again.
-    pub hosts: Vec<HostId>,
+    /// Hosts that it knows, and how many workers each is to have; one that finds itself forgotten has to join again.
+    pub hosts: Vec<(HostId, u32)>,
     /// Whether the run is over.
     pub over: bool,
 }
@@ -128,11 +131,11 @@ mod tests {
     #[test]
     fn the_first_words_are_json() {
         let build = Build { version: "1".into(), layout: "ab".into(), sim_worker: "c".into() };
-        let hello = Hello { name: "n".into(), workers: 2, build };
+        let hello = Hello { name: "n".into(), workers: 2, build, processor: "p".into() };
         let text = serde_json::to_string(&hello).expect("JSON");
         assert_eq!(
             text,
-            r#"{"name":"n","workers":2,"build":{"version":"1","layout":"ab","sim_worker":"c"}}"#
+            r#"{"name":"n","workers":2,"build":{"version":"1","layout":"ab","sim_worker":"c"},"processor":"p"}"#
         );
         let refused = serde_json::to_string(&Answer::Refused("why".into())).expect("JSON");
         assert_eq!(refused, r#"{"refused":"why"}"#);

@@ -2,7 +2,7 @@
 //!
 //! * [`session`]: the loop of a run; read it first;
 //! * [`start`]: its directory, its HTTP service, and the session from its first word to its last;
-//! * [`scheduler`], [`supervisor`]: who rolls out what; processes;
+//! * [`scheduler`], `trials`, `auditor`, [`supervisor`]: who rolls out what; what of it is compared; processes;
 //! * [`resume_point`]: which checkpoint a run goes on from;
 //! * [`committer`], [`selection`]: the thread that writes checkpoints; which one is the best;
 //! * [`report`]: metrics, TensorBoard events, progress;
@@ -12,6 +12,7 @@
 //! * [`join`]: this machine helps a run of another one;
 //! * [`robots`]: robots as commands name them; [`errors`]: words and exit codes of errors.
 
+mod auditor;
 pub mod committer;
 pub mod environment;
 pub mod errors;
@@ -30,3 +31,5 @@ pub mod signal_isolation;
 pub mod signals;
 pub mod start;
 pub mod supervisor;
+mod task;
+mod trials;

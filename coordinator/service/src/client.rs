@@ -131,9 +131,10 @@ impl Client {
         answer(&url, self.send(request, ANSWER_TIME, ()))
     }
 
-    /// Has the run work with this many workers from now on.
-    pub fn scale(&self, workers: usize) -> Result<ScaleAnswer, ClientError> {
-        let body = serde_json::to_vec(&ScaleRequest { workers }).expect("a number has a JSON form");
+    /// Has the run work with this many workers from now on, of `host` if one is named.
+    pub fn scale(&self, workers: usize, host: Option<&str>) -> Result<ScaleAnswer, ClientError> {
+        let wish = ScaleRequest { workers, host: host.map(str::to_owned) };
+        let body = serde_json::to_vec(&wish).expect("it has a JSON form");
         let (url, request) = self.request("PUT", "/v1/workers");
         let request = request.header("content-type", "application/json");
         answer(&url, self.send(request, COMMAND_TIME, &body[..]))

@@ -38,14 +38,29 @@ pub struct HostStatus {
     pub name: String,
     /// Numbers of its workers that take orders.
     pub workers: Vec<u32>,
+    /// How many it is to have.
+    pub wanted: usize,
+    /// How many it can have at most.
+    pub max_workers: usize,
     /// Shards that they have been ordered to make, `iteration/shard`.
     pub shards: Vec<String>,
+    /// Blocks of it that were made a second time and were the same; it works for the run from the first one on.
+    pub compared: u64,
     /// Blocks that came from it.
     pub blocks: u64,
     /// Bytes of these.
     pub bytes: u64,
     /// Pieces of blocks that were waited for and did not come.
     pub missing: u64,
+}
+
+/// Another machine that was thrown out, because it made a block with other bits than this one.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct RefusedHost {
+    /// What it calls itself.
+    pub name: String,
+    /// Which block, both digests, and what was trained on.
+    pub reason: String,
 }
 
 /// One process of a run.
@@ -112,13 +127,13 @@ pub struct Stages {
 pub struct Totals {
     /// Sent by workers.
     pub produced: u64,
-    /// Arrived at the learner.
+    /// Arrived at the learner, or were compared.
     pub received: u64,
     /// Trained on.
     pub trained: u64,
-    /// Arrived twice and dropped.
+    /// Arrived twice, or were made by other machines for comparison, and dropped.
     pub duplicate: u64,
-    /// Died with a process.
+    /// Died with a process, or came from a machine that makes other bits.
     pub lost: u64,
 }
 
@@ -148,7 +163,8 @@ pub struct LiveStatus {
     /// Its directory.
     #[schema(value_type = String)]
     pub run_dir: PathBuf,
-    /// `starting`, `training`, `recovering`, `stopping` or `finishing`.
+    /// `starting`, `training`, `recovering`, `stopping` or `finishing`; `waiting` where it has no workers until another
+    /// machine joins.
     pub state: String,
     /// The task.
     pub task: String,
@@ -175,6 +191,8 @@ pub struct LiveStatus {
     pub processes: Vec<ProcessStatus>,
     /// Other machines that help now.
     pub hosts: Vec<HostStatus>,
+    /// Other machines that were thrown out, because they make other bits.
+    pub refused_hosts: Vec<RefusedHost>,
     /// Shards that nobody has been ordered to make yet.
     pub shards_open: usize,
     /// Shards ordered and not yet at the learner.
@@ -209,11 +227,47 @@ pub struct LiveStatus {
     pub last: serde_json::Value,
 }
 
+impl LiveStatus {
+    /// The host of this name or number. The error says which hosts there are.
+    pub fn host(&self, wanted: &str) -> Result<&HostStatus, String> {
+        let named: Vec<_> = self.hosts.iter().filter(|host| host.name == wanted).collect();
+        let numbered = || self.hosts.iter().find(|host| host.host.to_string() == wanted);
+        let all: Vec<_> =
+            self.hosts.iter().map(|host| format!("{} ({})", host.host, host.name)).collect();
+        match (named.as_slice(), numbered()) {
+            ([host], _) => Ok(*host),
+            ([], Some(host)) => Ok(host),
+            ([], None) if all.is_empty() => {
+                Err(format!("no host is called `{wanted}`: no other machine helps this run now"))
+            }
+            ([], None) => {
+                Err(format!("no host is called `{wanted}`; there are {}", all.join(", ")))
+            }
+            (several, _) => {
+                let numbers: Vec<_> = several.iter().map(|host| host.host.to_string()).collect();
+                Err(format!(
+                    "several hosts are called `{wanted}`: give its number, {}",
+                    numbers.join(" or ")
+                ))
+            }
+        }
+    }
+}
+
 /// What a live run can be asked to do.
 #[derive(Debug)]
 pub enum Command {
     /// Have this many workers from now on; answers with the number before.
     Scale {
+        /// Workers wanted.
+        workers: usize,
+        /// Where the answer goes.
+        reply: oneshot::Sender<Result<usize, String>>,
+    },
+    /// Have a host have this many workers from now on; answers with the number before.
+    ScaleHost {
+        /// The host.
+        host: u32,
         /// Workers wanted.
         workers: usize,
         /// Where the answer goes.

@@ -93,6 +93,12 @@ pub fn vector_extensions() -> Vec<&'static str> {
         .collect()
 }
 
+/// Name and vector instructions in one line: what two machines can be compared by.
+pub fn processor_type() -> String {
+    let extensions = vector_extensions().join(", ");
+    format!("{} ({})", processor_name(), if extensions.is_empty() { "plain" } else { &extensions })
+}
+
 /// Memory of the machine, or what the container may use of it (bytes).
 pub fn memory() -> u64 {
     let info = rustix::system::sysinfo();

@@ -77,14 +77,23 @@ impl Ports {
             match order {
                 Order::Snapshot => self.wants_snapshot = true,
                 Order::Stop => self.wants_stop = true,
+                Order::Discard { host, gateway } => {
+                    for (iteration, shard) in self.inbox.discard(gateway, host) {
+                        self.progress.send(&Progress::BlockDiscarded { iteration, shard })?;
+                    }
+                }
                 _ => {}
             }
         }
         while let Some(block) = self.blocks.try_receive()? {
-            let BlockHeader { iteration, shard, .. } = *block.header();
+            let BlockHeader { iteration, shard, worker, .. } = *block.header();
             let digest = Digest::of_block(block.payload());
-            let duplicate = self.inbox.receive(block)? == Receipt::Duplicate;
-            let received = Progress::BlockReceived { iteration, shard, duplicate, digest };
+            let duplicate = match self.inbox.receive(block)? {
+                Receipt::Fresh => false,
+                Receipt::Duplicate => true,
+                Receipt::Unwanted => continue,
+            };
+            let received = Progress::BlockReceived { iteration, shard, worker, duplicate, digest };
             self.progress.send(&received)?;
         }
         self.send_piece()

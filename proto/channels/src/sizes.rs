@@ -55,7 +55,7 @@ pub(crate) const PIECE_BUFFER: usize = 4;
 impl ChannelSizes {
     /// The sizes for a configuration on a robot with `dimensions`.
     pub fn new(config: &Config, dimensions: &Dimensions) -> Self {
-        let max_workers = (2 * config.run.workers).max(16);
+        let max_workers = Self::most_workers(config.run.workers);
         Self {
             max_workers,
             // When an iteration begins, all workers are sent their fill before any of them has read.
@@ -65,6 +65,11 @@ impl ChannelSizes {
             block_buffer: dimensions.n_shards,
             block_borrowed: 2 * dimensions.n_shards + 1,
         }
+    }
+
+    /// How many workers may be connected at once where `workers` were wanted at the start.
+    pub fn most_workers(workers: usize) -> usize {
+        (2 * workers).max(16)
     }
 
     /// Policies that exist at once, at most. All receivers' queues hold the same, the newest; beside them

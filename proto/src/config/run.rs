@@ -24,7 +24,7 @@ pub struct Run {
     pub env_steps: u64,
     /// Wall-clock limit in seconds; only stops, never changes what is learned. 0 means none.
     pub time_limit_s: f64,
-    /// Simulator processes at the start; a live run can be scaled.
+    /// Simulator processes at the start; a live run can be scaled. 0 leaves all rollouts to other machines.
     pub workers: usize,
     /// Fixes worker i to the i-th processor that the run may use.
     pub pin: bool,
@@ -59,9 +59,18 @@ pub struct Run {
     pub evaluation_steps: u32,
     /// A policy trained on fewer env-steps is never the best: early luck is no merit.
     pub best_after: u64,
+    /// Share of the blocks of other machines that are made a second time on this one and compared; of each machine the
+    /// first one always is.
+    #[serde(default = "default_audit")]
+    pub audit: f64,
     /// A process that is silent this long is replaced and its work is ordered again (s); 1.5 at least,
     /// three signs of life.
     pub order_deadline_s: f64,
+}
+
+/// `run.audit` of runs that were begun before there was such a key.
+fn default_audit() -> f64 {
+    0.01
 }
 
 impl Run {
@@ -71,7 +80,8 @@ impl Run {
     /// Two runs that differ in nothing else end with the same bits, and a run may change them when
     /// it is resumed. All other keys matter, new ones too until they are listed here; `env_steps`
     /// does where the learning rate falls over it.
-    pub const HARMLESS: [&str; 14] = [
+    pub const HARMLESS: [&str; 15] = [
+        "audit",
         "best_after",
         "checkpoint_every",
         "checkpoint_every_s",

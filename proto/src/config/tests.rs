@@ -160,8 +160,8 @@ fn errors_name_the_layer_the_key_and_the_cure() {
     let shards = message(&["env.n_envs=10", "env.n_shards=4"]);
     assert!(shards.contains("divides env.n_envs"), "{shards}");
 
-    let range = message(&["run.workers=0"]);
-    assert!(range.contains("run.workers") && range.contains("1 to 256"), "{range}");
+    let range = message(&["run.workers=257"]);
+    assert!(range.contains("run.workers") && range.contains("0 to 256"), "{range}");
 
     let word = message(&["network.activation=sigmoid"]);
     assert!(word.contains("relu") && word.contains("sigmoid"), "{word}");

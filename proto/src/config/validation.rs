@@ -176,7 +176,7 @@ impl Config {
 
         within("run.env_steps", run.env_steps as f64, 1.0, 1e15)?;
         within("run.time_limit_s", run.time_limit_s, 0.0, 1e9)?;
-        within("run.workers", run.workers as f64, 1.0, 256.0)?;
+        within("run.workers", run.workers as f64, 0.0, 256.0)?;
         within("run.overlap", run.overlap as f64, 0.0, 1.0)?;
         within("run.learner_threads", run.learner_threads as f64, 1.0, 1024.0)?;
         within("run.checkpoint_every_s", run.checkpoint_every_s, 0.0, 1e9)?;
@@ -184,6 +184,7 @@ impl Config {
         within("run.milestone_every_s", run.milestone_every_s, 0.0, 1e9)?;
         within("run.evaluation_episodes", f64::from(run.evaluation_episodes), 1.0, 10_000.0)?;
         within("run.evaluation_steps", f64::from(run.evaluation_steps), 1.0, 10_000.0)?;
+        within("run.audit", run.audit, 0.0, 1.0)?;
         within("run.order_deadline_s", run.order_deadline_s, 0.0, 1e6)?;
         if run.order_deadline_s < SHORTEST_SILENCE.as_secs_f64() {
             return Err(ConfigError::Invalid {

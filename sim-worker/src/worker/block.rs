@@ -10,7 +10,7 @@ use simulator::env::{EpisodeError, Moment};
 use simulator::rollout::{RolloutError, RolloutSpec, rollout};
 
 use super::assignment::Block;
-use super::fault_injection::inject_fault;
+use super::fault_injection::{distort, inject_fault};
 use super::process::{Worker, failure, say_alive};
 
 /// What became of a block.
@@ -40,6 +40,7 @@ pub(super) fn make_block(worker: &mut Worker<'_>, block: Block) -> Result<Delive
         return Ok(Delivery::Done);
     }
     let rollout_ns = start.elapsed().as_nanos() as u64;
+    distort(iteration, shard, sample.payload_mut());
     *sample.header_mut() = BlockHeader {
         iteration,
         policy_version,

@@ -26,7 +26,12 @@ pub(super) fn join(arguments: &HostArguments, session: &Session) -> Result<Welco
         let message = format!("{}: cannot be read: {error}", arguments.sim_worker.display());
         ExitError::new(ExitCode::Environment, message)
     })?;
-    let hello = Hello { name: arguments.name.clone(), workers: arguments.workers, build };
+    let hello = Hello {
+        name: arguments.name.clone(),
+        workers: arguments.workers,
+        build,
+        processor: arguments.processor.clone(),
+    };
     let hello = serde_json::to_vec(&hello).map_err(|error| {
         ExitError::new(ExitCode::Failure, format!("the first words have no JSON form: {error}"))
     })?;

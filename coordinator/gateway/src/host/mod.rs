@@ -1,5 +1,6 @@
 //! The workers' end: coordinator and learner of the workers of its machine, as far as they can tell.
 
+mod doors;
 mod join;
 mod ports;
 mod workers;
@@ -9,19 +10,18 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use channels::Role;
-use proto::gateway::{Place, Said};
-use proto::message::{self, HEARTBEAT, PortId, Status};
+use proto::gateway::{Place, Said, Told};
+use proto::message::{self, HEARTBEAT, Order, PortId, Status};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
-use zenoh::liveliness::LivelinessToken;
-use zenoh::pubsub::Subscriber;
-use zenoh::query::{Query, Queryable};
+use zenoh::query::Query;
 use zenoh::{Session, Wait as _};
 
+use self::doors::{Doors, Event, listen};
 use self::ports::{HostPorts, Made};
 use self::workers::Workers;
 use crate::arguments::HostArguments;
-use crate::network::{self, Asked, End};
+use crate::network::{self, End};
 use crate::orders::{Single, Task};
 use crate::pieces::Content;
 use crate::wire::{HostBeat, HubBeat, Welcome};
@@ -29,18 +29,6 @@ use crate::{bells, keys};
 
 /// How long a policy may take on its way.
 const POLICY_DEADLINE: Duration = Duration::from_secs(30);
-
-/// What other threads put down for the one that owns the ports.
-enum Event {
-    /// Blocks or words of workers may have come.
-    Bell,
-    /// The run wants something to be done.
-    Order(Query),
-    /// The hub is there.
-    Beat(HubBeat),
-    /// What came of the question for a policy.
-    Policy(u64, Box<Asked>),
-}
 
 /// Joins a run and works for it until it is over.
 pub fn run(arguments: &HostArguments) -> Result<(), ExitError> {
@@ -75,6 +63,7 @@ fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
     for role in [Role::Learner, Role::Coordinator] {
         bells::listen(&ports.domain, ports.sizes, role, events.clone(), || Event::Bell)?;
     }
+    listen(events.clone())?;
     let doors = Doors::open(session, &welcome, &events).map_err(|error| {
         ExitError::new(ExitCode::Failure, format!("the network cannot be used: {error}"))
     })?;
@@ -83,6 +72,7 @@ fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
         welcome,
         events,
         ports,
+        wanted: arguments.workers,
         workers: Workers::default(),
         policies: Vec::new(),
         asking: false,
@@ -93,36 +83,6 @@ fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
     let result = host.serve(&inbox);
     drop(doors);
     result
-}
-
-/// Where the network's callbacks put events down, while this lives.
-struct Doors {
-    _orders: Queryable<()>,
-    _beats: Subscriber<()>,
-    _token: LivelinessToken,
-}
-
-impl Doors {
-    fn open(session: &Session, welcome: &Welcome, events: &Sender<Event>) -> zenoh::Result<Self> {
-        let (orders, beats) = (events.clone(), events.clone());
-        let key = |what| keys::of_host(&welcome.session, welcome.host, what);
-        Ok(Self {
-            // Nobody takes events any more when the host ends; what comes then is for nobody.
-            _orders: session
-                .declare_queryable(key("order"))
-                .callback(move |query| drop(orders.send(Event::Order(query))))
-                .wait()?,
-            _beats: session
-                .declare_subscriber(keys::BEAT)
-                .callback(move |sample| {
-                    if let Ok(beat) = message::decode(&sample.payload().to_bytes()) {
-                        let _ = beats.send(Event::Beat(beat));
-                    }
-                })
-                .wait()?,
-            _token: session.liveliness().declare_token(key("alive")).wait()?,
-        })
-    }
 }
 
 /// Whether the run goes on.
@@ -138,6 +98,8 @@ struct Host<'a> {
     welcome: Welcome,
     events: Sender<Event>,
     ports: HostPorts,
+    /// How many workers the run wants of this machine.
+    wanted: u32,
     workers: Workers<Query>,
     /// Versions that workers have been given.
     policies: Vec<u64>,
@@ -191,6 +153,9 @@ impl Host<'_> {
             Event::Bell => {}
             Event::Order(query) => self.take_order(query),
             Event::Beat(beat) => return self.hear_hub(&beat),
+            Event::Told(Told::Leave { worker, incarnation }) => {
+                self.send_home(worker, incarnation)?;
+            }
             Event::Policy(version, asked) => {
                 self.asking = false;
                 if self.ports.policy(version, &asked)? {
@@ -205,12 +170,18 @@ impl Host<'_> {
 
     fn hear_hub(&mut self, beat: &HubBeat) -> Result<Course, ExitError> {
         self.heard = Instant::now();
-        if beat.session != self.welcome.session || !beat.hosts.contains(&self.welcome.host) {
+        let mut hosts = beat.hosts.iter();
+        let known = hosts.find(|(host, _)| *host == self.welcome.host);
+        let Some((_, wanted)) = known.filter(|_| beat.session == self.welcome.session) else {
             let message = "the run has begun anew; this machine has to join again";
             return Err(ExitError::new(ExitCode::Failure, message));
-        }
+        };
         if beat.over {
             return Ok(Course::Over);
+        }
+        if *wanted != self.wanted {
+            self.wanted = *wanted;
+            join::say(&Said::Scale(*wanted))?;
         }
         // Oldest first: workers take the order in which they come for that of the versions.
         let wanted = beat.policies.iter().find(|version| !self.policies.contains(version));
@@ -294,6 +265,18 @@ impl Host<'_> {
         if self.workers.lives(worker, incarnation, orders) {
             self.said = None;
         }
+    }
+
+    /// Has a worker go. The run is told first, so that nothing is asked of it any more; what it had to make is made by
+    /// others.
+    fn send_home(&mut self, worker: u32, incarnation: u32) -> Result<(), ExitError> {
+        if self.workers.leaves(worker, incarnation) {
+            self.say();
+            self.workers.forget(worker);
+        }
+        // One that has no room for it is sent home again when it is heard again.
+        self.ports.orders.send(&Order::Leave { worker, incarnation })?;
+        Ok(())
     }
 
     fn take_blocks(&mut self) -> Result<(), ExitError> {

@@ -29,18 +29,23 @@ struct Open<Q> {
 #[derive(Debug)]
 pub(super) struct Workers<Q> {
     workers: BTreeMap<u32, Worker>,
+    /// Incarnations of those that were sent home.
+    gone: BTreeMap<u32, u32>,
     open: BTreeMap<(u32, Task), Open<Q>>,
 }
 
 impl<Q> Default for Workers<Q> {
     fn default() -> Self {
-        Self { workers: BTreeMap::new(), open: BTreeMap::new() }
+        Self { workers: BTreeMap::new(), gone: BTreeMap::new(), open: BTreeMap::new() }
     }
 }
 
 impl<Q> Workers<Q> {
     /// A worker says that it is there. Whether the run does not know that yet.
     pub(super) fn lives(&mut self, worker: u32, incarnation: u32, orders: PortId) -> bool {
+        if self.gone.get(&worker).is_some_and(|gone| *gone >= incarnation) {
+            return false;
+        }
         match self.workers.get(&worker) {
             // A late word of the dead.
             Some(known) if known.incarnation > incarnation => false,
@@ -50,6 +55,17 @@ impl<Q> Workers<Q> {
                 is_new
             }
         }
+    }
+
+    /// A worker is sent home. Whether the run has it.
+    pub(super) fn leaves(&mut self, worker: u32, incarnation: u32) -> bool {
+        self.gone.insert(worker, incarnation);
+        self.workers.remove(&worker).is_some()
+    }
+
+    /// Nobody waits for what a worker was to do.
+    pub(super) fn forget(&mut self, worker: u32) {
+        self.open.retain(|(of, _), _| *of != worker);
     }
 
     /// Numbers of the workers that have been ready.
@@ -140,5 +156,19 @@ mod tests {
         assert!(sent(&mut workers).is_empty());
         assert_eq!(workers.done(3, order(3, 0).task), Some("asked again"));
         assert_eq!(workers.numbers(), [3]);
+    }
+
+    #[test]
+    fn one_that_is_sent_home_is_none_any_more_but_its_number_may_come_back() {
+        let mut workers = Workers::default();
+        workers.lives(0, 0, 1);
+        workers.lives(1, 4, 2);
+        workers.ordered(order(1, 0), "open");
+        assert!(workers.leaves(1, 4) && !workers.leaves(1, 4));
+        workers.forget(1);
+        assert!(!workers.lives(1, 4, 2), "a late word");
+        assert_eq!((workers.numbers(), workers.unsent()), (vec![0], vec![]));
+        assert!(workers.lives(1, 5, 3));
+        assert_eq!(workers.numbers(), [0, 1]);
     }
 }

@@ -1,9 +1,10 @@
 //! Which hosts there are, and which of their workers take orders: no network, clock or channel of its own.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
-use proto::message::{HostId, HostReport, WORKERS_OF_A_HOST, WorkerId};
+use channels::ChannelSizes;
+use proto::message::{HostId, HostReport, INCARNATIONS_OF_A_GATEWAY, WORKERS_OF_A_HOST, WorkerId};
 
 use crate::SILENCE;
 
@@ -13,15 +14,17 @@ const MAX_HOSTS: usize = 24;
 const MAX_WORKERS: usize = 256;
 /// Longest name of a host that is kept (bytes).
 const NAME_LEN: usize = 40;
-/// Incarnations that one hub gives.
-const INCARNATIONS: u32 = 1 << 20;
 
 /// A host that has joined.
 #[derive(Debug)]
 struct Host {
     name: String,
-    /// Workers that it wants to have.
+    /// Whether its processor is of another type than that of this machine.
+    is_other_processor: bool,
+    /// Workers that it is to have.
     wanted: u32,
+    /// Workers that its channels have room for.
+    room: u32,
     /// When it was heard last; none if it is known to be gone.
     heard: Option<Instant>,
     /// Workers that take orders, with their incarnations.
@@ -39,13 +42,15 @@ pub(super) struct Hosts {
     next: HostId,
     /// The incarnation of the next worker, likewise, also by the next hub.
     incarnation: u32,
+    /// Names of machines that are taken in no more.
+    refused: BTreeSet<String>,
 }
 
 impl Hosts {
     /// None, of the hub that is `incarnation`.
     pub(super) fn new(incarnation: u32) -> Self {
-        let incarnation = incarnation.wrapping_mul(INCARNATIONS);
-        Self { joined: BTreeMap::new(), next: 1, incarnation }
+        let incarnation = incarnation.wrapping_mul(INCARNATIONS_OF_A_GATEWAY);
+        Self { joined: BTreeMap::new(), next: 1, incarnation, refused: BTreeSet::new() }
     }
 
     /// Takes a host in, whose workers follow when they are ready. The error is for it to read.
@@ -53,8 +58,16 @@ impl Hosts {
         &mut self,
         name: &str,
         workers: u32,
+        is_other_processor: bool,
         now: Instant,
     ) -> Result<HostId, String> {
+        let name = &name[..name.floor_char_boundary(NAME_LEN)];
+        if self.refused.contains(name) {
+            return Err(format!(
+                "`{name}` has made a block with other bits than the run's own machine, and is taken back no more; if this \
+                 is another machine, join with another --name"
+            ));
+        }
         let wanted = |hosts: &BTreeMap<HostId, Host>| hosts.values().map(|host| host.wanted).sum();
         let is_full = |hosts: &BTreeMap<HostId, Host>| {
             let others: u32 = wanted(hosts);
@@ -77,10 +90,11 @@ impl Hosts {
         }
         let host = self.next;
         self.next += 1;
-        let name = name[..name.floor_char_boundary(NAME_LEN)].to_owned();
         let joined = Host {
-            name,
+            name: name.to_owned(),
+            is_other_processor,
             wanted: workers,
+            room: ChannelSizes::most_workers(workers as usize) as u32,
             heard: Some(now),
             workers: BTreeMap::new(),
             blocks: 0,
@@ -91,11 +105,40 @@ impl Hosts {
         Ok(host)
     }
 
+    /// A host shall have so many workers from now on. Whether it can.
+    pub(super) fn scale(&mut self, host: HostId, workers: u32) -> bool {
+        let can = (1..=self.most(host)).contains(&workers);
+        match self.joined.get_mut(&host) {
+            Some(known) if can => known.wanted = workers,
+            _ => return false,
+        }
+        true
+    }
+
+    /// Workers that a host can have at most, with those of all others.
+    fn most(&self, host: HostId) -> u32 {
+        let others = self.joined.iter().filter(|(number, _)| **number != host);
+        let others: u32 = others.map(|(_, host)| host.wanted).sum();
+        let room = self.joined.get(&host).map_or(0, |host| host.room);
+        room.min((MAX_WORKERS as u32).saturating_sub(others))
+    }
+
+    /// Machines of this name are hosts no more. Whether that is news.
+    pub(super) fn refuse(&mut self, name: &str) -> bool {
+        self.joined.retain(|_, host| host.name != name);
+        self.refused.insert(name.to_owned())
+    }
+
+    /// How many names are refused.
+    pub(super) fn refused(&self) -> u32 {
+        self.refused.len() as u32
+    }
+
     /// A host says which of its workers are there. Whether that changes anything.
     pub(super) fn heard(&mut self, host: HostId, workers: &[u32], now: Instant) -> bool {
         let Some(known) = self.joined.get_mut(&host) else { return false };
         known.heard = Some(now);
-        let said = workers.iter().filter(|&&worker| worker < known.wanted);
+        let said = workers.iter().filter(|&&worker| worker < known.room);
         let there: Vec<_> = said.map(|worker| host * WORKERS_OF_A_HOST + worker).collect();
         let before = known.workers.len();
         known.workers.retain(|worker, _| there.contains(worker));
@@ -158,9 +201,9 @@ impl Hosts {
         }
     }
 
-    /// All hosts that may be heard again.
-    pub(super) fn numbers(&self) -> Vec<HostId> {
-        self.joined.keys().copied().collect()
+    /// All hosts that may be heard again, and how many workers each is to have.
+    pub(super) fn wanted(&self) -> Vec<(HostId, u32)> {
+        self.joined.iter().map(|(&number, host)| (number, host.wanted)).collect()
     }
 
     /// The hosts that have workers.
@@ -169,6 +212,9 @@ impl Hosts {
         let report = there.map(|(&number, host)| HostReport {
             host: number,
             name: host.name.clone(),
+            is_other_processor: host.is_other_processor,
+            wanted: host.wanted,
+            most: self.most(number),
             workers: host.workers.iter().map(|(&worker, &inc)| (worker, inc)).collect(),
             blocks: host.blocks,
             bytes: host.bytes,
@@ -190,9 +236,9 @@ mod tests {
     fn workers_of_a_host_come_and_go_and_no_incarnation_comes_back() {
         let now = Instant::now();
         let mut hosts = Hosts::new(0);
-        let host = hosts.join("lab", 2, now).expect("room");
+        let host = hosts.join("lab", 2, false, now).expect("room");
         assert!(hosts.report().is_empty(), "its workers are not ready");
-        assert!(hosts.heard(host, &[0, 1, 7], now), "7 is none of its");
+        assert!(hosts.heard(host, &[0, 1, 16], now), "16 is none of its");
         assert!(!hosts.heard(host, &[0, 1], now));
         let first = hosts.report().remove(0).workers;
         assert_eq!(first.iter().map(|(worker, _)| *worker).collect::<Vec<_>>(), [1000, 1001]);
@@ -210,7 +256,7 @@ mod tests {
         assert!(hosts.gone(host) && !hosts.gone(host));
         // Those of the next hub are others still.
         let mut next = Hosts::new(1);
-        let host = next.join("lab", 2, now).expect("room");
+        let host = next.join("lab", 2, false, now).expect("room");
         next.heard(host, &[0], now);
         assert!(next.report()[0].workers[0].1 > second[1].1);
     }
@@ -222,14 +268,15 @@ mod tests {
         let mut hosts = Hosts::new(100);
         for _ in 0..MAX_HOSTS {
             let workers = (MAX_WORKERS / MAX_HOSTS) as u32;
-            let host = hosts.join(&"ü".repeat(50), workers, now).expect("room");
+            let host = hosts.join(&"ü".repeat(50), workers, true, now).expect("room");
             hosts.heard(host, &(0..workers).collect::<Vec<_>>(), now);
             hosts.delivered(host * WORKERS_OF_A_HOST, usize::MAX / 2);
             hosts.missed(host * WORKERS_OF_A_HOST, u64::MAX / 2);
         }
-        assert!(hosts.join("one more", 1, now).is_err());
+        assert!(hosts.join("one more", 1, false, now).is_err());
         let hosts = hosts.report();
-        let status = Status::Hosts { incarnation: u32::MAX, orders: u128::MAX, hosts };
+        let status =
+            Status::Hosts { incarnation: u32::MAX, orders: u128::MAX, refused: u32::MAX, hosts };
         let len = message::encode(&status).len();
         assert!(len <= 4 << 10, "{len}");
     }
@@ -238,8 +285,39 @@ mod tests {
     fn a_host_with_too_many_workers_is_told_how_many_there_is_room_for() {
         let now = Instant::now();
         let mut hosts = Hosts::new(0);
-        hosts.join("one", 250, now).expect("room");
-        let told = hosts.join("two", 7, now).expect_err("too many");
+        hosts.join("one", 250, false, now).expect("room");
+        let told = hosts.join("two", 7, false, now).expect_err("too many");
         assert!(told.contains("room for 6 more"), "{told}");
+    }
+
+    #[test]
+    fn who_makes_other_bits_is_gone_and_does_not_come_back() {
+        let now = Instant::now();
+        let mut hosts = Hosts::new(0);
+        let name = "a-name-that-is-longer-than-what-is-kept-of-it";
+        let host = hosts.join(name, 1, false, now).expect("room");
+        let other = hosts.join("other", 1, true, now).expect("room");
+        hosts.heard(host, &[0], now);
+        hosts.heard(other, &[0], now);
+        let known = hosts.report()[0].name.clone();
+        assert!(hosts.refuse(&known) && !hosts.refuse(&known));
+        assert_eq!((hosts.refused(), hosts.wanted()), (1, vec![(other, 1)]));
+        assert!(hosts.report()[0].is_other_processor);
+        let told = hosts.join(name, 1, false, now).expect_err("refused");
+        assert!(told.contains("other bits") && told.contains("another --name"), "{told}");
+    }
+
+    #[test]
+    fn a_host_can_have_as_many_workers_as_there_is_room_for_on_both_machines() {
+        let now = Instant::now();
+        let mut hosts = Hosts::new(0);
+        let [small, large] = [2, 120].map(|n| hosts.join("lab", n, false, now).expect("room"));
+        assert!(!hosts.scale(small, 0) && !hosts.scale(small, 17) && !hosts.scale(9, 1));
+        assert!(hosts.scale(small, 16) && hosts.heard(small, &[0, 15], now));
+        assert_eq!((hosts.report()[0].wanted, hosts.report()[0].most), (16, 16));
+        // Its channels have room for 240, and all machines together for 256.
+        assert!(hosts.scale(large, 240) && !hosts.scale(large, 241));
+        assert_eq!(hosts.wanted(), [(small, 16), (large, 240)]);
+        assert_eq!(hosts.report()[0].most, 16);
     }
 }

@@ -1,54 +1,36 @@
 //! The learner's end: stands for all workers of all hosts.
 
+mod doors;
 mod hosts;
+mod policies;
 mod ports;
 mod reception;
 
-use std::collections::VecDeque;
-use std::sync::Arc;
+use std::collections::BTreeSet;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use channels::Role;
-use proto::message::{self, HEARTBEAT, HostId, Order, Status, WORKERS_OF_A_HOST};
+use proto::message::{self, HEARTBEAT, Order, Status, WORKERS_OF_A_HOST, WorkerId};
 use proto::{ExitCode, ExitError};
-use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
-use zenoh::query::{Query, Queryable};
-use zenoh::sample::SampleKind;
+use zenoh::query::Query;
 use zenoh::{Session, Wait as _};
 
+use self::doors::{Doors, Event};
 use self::hosts::Hosts;
+use self::policies::Policies;
 use self::ports::Ports;
 use self::reception::Reception;
 use crate::arguments::HubArguments;
 use crate::network::{self, Asked, End};
-use crate::orders::{InFlight, Single};
+use crate::orders::{InFlight, Single, Task};
 use crate::pieces::Content;
-use crate::wire::{HostBeat, HubBeat};
+use crate::wire::HubBeat;
 use crate::{bells, keys};
 
-/// Policies that hosts can have: with overlap workers act with the one before the newest, and an evaluation may still
-/// be at the one before that.
-const KEPT_POLICIES: usize = 3;
 /// How long the last word to hosts may take to get away.
 const LAST_WORD: Duration = Duration::from_millis(100);
-
-/// What other threads put down for the one that owns the ports.
-enum Event {
-    /// Orders or policies may have come.
-    Bell,
-    /// A host wants to join.
-    Hello(Query),
-    /// A host wants a policy.
-    Policy(Query),
-    /// A host is there.
-    Beat(HostId, HostBeat),
-    /// A host is not there any more.
-    Gone(HostId),
-    /// What came of an order.
-    Answered(Single, Box<Asked>),
-}
 
 /// Works until the run is over.
 pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
@@ -67,7 +49,8 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
         events,
         hosts: Hosts::new(arguments.incarnation),
         in_flight: InFlight::default(),
-        policies: VecDeque::new(),
+        audits: BTreeSet::new(),
+        policies: Policies::default(),
         incarnation: arguments.incarnation,
         deadline,
         said: None,
@@ -83,59 +66,6 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
     result
 }
 
-/// Where the network's callbacks put events down, while this lives.
-struct Doors {
-    _hello: Queryable<()>,
-    _policies: Queryable<()>,
-    _beats: Subscriber<()>,
-    _alive: Subscriber<()>,
-}
-
-impl Doors {
-    fn open(session: &Session, name: &str, events: &Sender<Event>) -> zenoh::Result<Self> {
-        // Nobody takes events any more when the hub ends; what comes then is for nobody.
-        let put = |event: Event, events: &Sender<Event>| drop(events.send(event));
-        let to = || events.clone();
-        let (hello, policies, beats, alive) = (to(), to(), to(), to());
-        Ok(Self {
-            _hello: session
-                .declare_queryable(keys::HELLO)
-                .callback(move |query| put(Event::Hello(query), &hello))
-                .wait()?,
-            _policies: session
-                .declare_queryable(keys::policies(name))
-                .callback(move |query| put(Event::Policy(query), &policies))
-                .wait()?,
-            _beats: session
-                .declare_subscriber(keys::of_hosts(name, "beat"))
-                .callback(move |sample| {
-                    let beat = message::decode(&sample.payload().to_bytes());
-                    if let (Some(host), Ok(beat)) = (keys::host(sample.key_expr()), beat) {
-                        put(Event::Beat(host, beat), &beats);
-                    }
-                })
-                .wait()?,
-            _alive: session
-                .liveliness()
-                .declare_subscriber(keys::of_hosts(name, "alive"))
-                .callback(move |sample| {
-                    if let (SampleKind::Delete, Some(host)) =
-                        (sample.kind(), keys::host(sample.key_expr()))
-                    {
-                        put(Event::Gone(host), &alive);
-                    }
-                })
-                .wait()?,
-        })
-    }
-}
-
-/// A policy that hosts can have.
-struct Policy {
-    version: u64,
-    bytes: Vec<u8>,
-}
-
 /// The one thread that owns the ports.
 struct Hub {
     session: Session,
@@ -143,8 +73,9 @@ struct Hub {
     reception: Reception,
     hosts: Hosts,
     in_flight: InFlight,
-    /// Oldest first.
-    policies: VecDeque<Arc<Policy>>,
+    /// Those of them whose blocks are for comparison, and not for the learner.
+    audits: BTreeSet<(WorkerId, u32, Task)>,
+    policies: Policies,
     incarnation: u32,
     /// How long an order may take.
     deadline: Duration,
@@ -183,6 +114,7 @@ impl Hub {
                 self.ports.say(&Status::Hosts {
                     incarnation: self.incarnation,
                     orders: self.ports.orders.port(),
+                    refused: self.hosts.refused(),
                     hosts: self.hosts.report(),
                 })?;
             }
@@ -215,8 +147,8 @@ impl Hub {
     fn tell_hosts(&self, over: bool) {
         let beat = HubBeat {
             session: self.reception.session.clone(),
-            policies: self.policies.iter().map(|policy| policy.version).collect(),
-            hosts: self.hosts.numbers(),
+            policies: self.policies.versions(),
+            hosts: self.hosts.wanted(),
             over,
         };
         let congestion = if over { CongestionControl::Block } else { CongestionControl::Drop };
@@ -229,12 +161,7 @@ impl Hub {
     fn take_policies(&mut self) -> Result<(), ExitError> {
         while let Some(sample) = self.ports.policy.try_receive()? {
             let version = sample.header().version;
-            let bytes = bytemuck::cast_slice(sample.payload()).to_vec();
-            self.policies.retain(|policy| policy.version != version);
-            self.policies.push_back(Arc::new(Policy { version, bytes }));
-            while self.policies.len() > KEPT_POLICIES {
-                self.policies.pop_front();
-            }
+            self.policies.add(version, bytemuck::cast_slice(sample.payload()).to_vec());
             self.tell_hosts(false);
         }
         Ok(())
@@ -242,11 +169,9 @@ impl Hub {
 
     /// Answers with a policy; a question for one that is gone has no answer.
     fn hand_out(&self, query: Query) {
-        let version = keys::version(query.key_expr());
-        let known = |policy: &&Arc<Policy>| Some(policy.version) == version;
-        if let Some(policy) = self.policies.iter().find(known) {
-            let pieces = network::cut(&Content::Policy(policy.version), &policy.bytes);
-            network::answer(query, pieces);
+        let Some(version) = keys::version(query.key_expr()) else { return };
+        if let Some(bytes) = self.policies.get(version) {
+            network::answer(query, network::cut(&Content::Policy(version), bytes));
         }
     }
 
@@ -263,11 +188,25 @@ impl Hub {
                 }
                 Err(error) => return Err(error.into()),
             };
-            if matches!(order, Order::Stop) {
-                return Ok(true);
+            match &order {
+                Order::Stop => return Ok(true),
+                Order::Refuse { name } if self.hosts.refuse(name) => {
+                    tracing::warn!(name, "makes other bits and is refused");
+                    self.said = None;
+                }
+                Order::ScaleHost { host, workers } => {
+                    let done = self.hosts.scale(*host, *workers);
+                    tracing::info!(host, workers, done, "is to have another number of workers");
+                    self.said = None;
+                }
+                _ => {}
             }
+            let is_audit = matches!(order, Order::Audit { .. });
             for single in Single::all(&order) {
                 if single.worker >= WORKERS_OF_A_HOST {
+                    if is_audit {
+                        self.audits.insert(single.key());
+                    }
                     self.ask(single);
                 }
             }
@@ -276,7 +215,10 @@ impl Hub {
 
     /// Asks a host for what one of its workers is ordered, on a thread of its own.
     fn ask(&mut self, order: Single) {
-        let Some((host, local)) = self.hosts.find(order.worker, order.incarnation) else { return };
+        let Some((host, local)) = self.hosts.find(order.worker, order.incarnation) else {
+            self.audits.remove(&order.key());
+            return;
+        };
         if !self.in_flight.begin(&order) {
             return;
         }
@@ -297,6 +239,7 @@ impl Hub {
     /// Gives on what came of an order, if its worker is still one.
     fn deliver(&mut self, order: &Single, asked: &Asked) -> Result<(), ExitError> {
         self.in_flight.end(order);
+        let is_audit = self.audits.remove(&order.key());
         let Single { worker, incarnation, task, .. } = *order;
         self.hosts.missed(worker, asked.answer.missing());
         if let Some(trouble) = &asked.trouble {
@@ -307,6 +250,13 @@ impl Hub {
             return Ok(());
         }
         let done = match asked.answer.whole() {
+            Some((Content::Block(header), len)) if is_audit => {
+                let said = self.ports.audited(order, header, &asked.answer, len)?;
+                if said {
+                    self.hosts.delivered(worker, len);
+                }
+                said
+            }
             Some((Content::Block(header), len)) => {
                 let sent = self.ports.block(order, header, &asked.answer, len)?;
                 if sent {

@@ -4,10 +4,10 @@ use channels::{
     ArrayReceiver, ArraySender, ChannelSizes, Channels, Domain, MessageReceiver, MessageSender,
     WHILE_THE_PARENT_LIVES,
 };
-use proto::ExitError;
 use proto::config::Config;
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader};
 use proto::message::{self, Order, Status};
+use proto::{Digest, ExitError};
 use zenoh::bytes::ZBytes;
 
 use crate::arguments::HubArguments;
@@ -65,13 +65,8 @@ impl Ports {
         answer: &Assembly<ZBytes>,
         len: usize,
     ) -> Result<bool, ExitError> {
-        let Ok(header) = bytemuck::try_pod_read_unaligned::<BlockHeader>(header) else {
-            return Ok(false);
-        };
+        let Some(header) = self.ordered(order, header, len) else { return Ok(false) };
         let BlockHeader { iteration, shard, rollout_ns, .. } = header;
-        if !order.task.is_block(iteration, shard) || len != 4 * self.sizes.block_len {
-            return Ok(false);
-        }
         let (worker, incarnation) = (order.worker, order.incarnation);
         let mut sample = self.blocks.loan()?;
         answer.copy_to(bytemuck::cast_slice_mut(sample.payload_mut()));
@@ -84,6 +79,31 @@ impl Ports {
             Status::BlockDone { worker, incarnation, iteration, shard, env_steps, rollout_ns };
         self.say(&done)?;
         Ok(true)
+    }
+
+    /// Says to the coordinator what a block is that is for comparison alone. Whether it was the one that was ordered.
+    pub(super) fn audited(
+        &self,
+        order: &Single,
+        header: &[u8],
+        answer: &Assembly<ZBytes>,
+        len: usize,
+    ) -> Result<bool, ExitError> {
+        let Some(header) = self.ordered(order, header, len) else { return Ok(false) };
+        let BlockHeader { iteration, shard, .. } = header;
+        let mut numbers = vec![0.0_f32; self.sizes.block_len];
+        answer.copy_to(bytemuck::cast_slice_mut(&mut numbers));
+        let digest = Digest::of_block(&numbers);
+        let (worker, incarnation) = (order.worker, order.incarnation);
+        self.say(&Status::Audited { worker, incarnation, iteration, shard, digest })?;
+        Ok(true)
+    }
+
+    /// The header of an answer of `len` bytes, if it is the block that was ordered.
+    fn ordered(&self, order: &Single, header: &[u8], len: usize) -> Option<BlockHeader> {
+        let header = bytemuck::try_pod_read_unaligned::<BlockHeader>(header).ok()?;
+        let is_it = order.task.is_block(header.iteration, header.shard);
+        (is_it && len == 4 * self.sizes.block_len).then_some(header)
     }
 
     /// Says to the coordinator what a worker has said. Whether it belongs to what was ordered.

@@ -22,6 +22,8 @@ pub(super) struct Reception {
     config_text: String,
     robot_text: String,
     build: Build,
+    /// The type of this machine's processor.
+    processor: String,
 }
 
 impl Reception {
@@ -45,7 +47,8 @@ impl Reception {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
         let seed = format!("{}-{}-{now}", arguments.domain, std::process::id());
         let session = blake3::hash(seed.as_bytes()).to_hex()[..12].to_owned();
-        Ok(Self { session, config, config_text, robot_text, build })
+        let processor = arguments.processor.clone();
+        Ok(Self { session, config, config_text, robot_text, build, processor })
     }
 
     /// Answers a host that wants to join.
@@ -76,8 +79,13 @@ impl Reception {
                  gateway and sim-worker from the machine of the run"
             ));
         }
-        match hosts.join(name, hello.workers, Instant::now()) {
+        let (here, there) = (&self.processor, &hello.processor);
+        let is_other = here != there;
+        match hosts.join(name, hello.workers, is_other, Instant::now()) {
             Ok(host) => {
+                if is_other {
+                    tracing::warn!(host, name, here, there, "has another type of processor");
+                }
                 tracing::info!(host, name, workers = hello.workers, "has joined");
                 Answer::Welcome(Welcome {
                     session: self.session.clone(),

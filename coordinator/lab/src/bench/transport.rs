@@ -19,7 +19,7 @@ const BLOCKS: &str = "2000";
 /// Figures `transport.*`.
 pub(super) fn measure(bench: &Bench, figures: &mut Figures) -> anyhow::Result<()> {
     bench.begin("transport")?;
-    let check = preflight::shared_memory(&bench.config, &bench.dimensions, &["--workers"]);
+    let check = preflight::shared_memory(&bench.config, &bench.dimensions, 0, &["--workers"]);
     if check.verdict == Verdict::Failure {
         return Err(child::environment(check.sentence()).into());
     }

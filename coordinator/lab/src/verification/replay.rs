@@ -206,6 +206,8 @@ fn train_again(
     if let Some(env_steps) = part.env_steps {
         config.run.env_steps = env_steps;
     }
+    // Other machines may have made all of the run.
+    config.run.workers = config.run.workers.max(1);
     if run.is_undecided() {
         output::note(&format!(
             "note: run.precision is auto, and no checkpoint says what was chosen; training again in {}",
@@ -214,7 +216,7 @@ fn train_again(
     }
 
     let programs = Programs::find()?;
-    run::preflight::check_machine(&config, &robot, scratch, &programs.learner, &REMEDY)?;
+    run::preflight::check_machine(&config, &robot, scratch, &programs.learner, None, &REMEDY)?;
     files::replace(&scratch.robot(), run.robot.as_bytes())?;
     files::replace(&scratch.config(), config.to_toml().as_bytes())?;
     // Progress is shown over what is repeated, not over the budget of the run.

@@ -16,16 +16,22 @@ use super::smaller;
 pub const MAKE_ROOM: &str = "`octopus clean` removes what killed runs left, `ls -l /dev/shm` shows what \
                              others have there, `mount -o remount,size=SIZE /dev/shm` enlarges it";
 
-/// Free shared memory against what the channels of the run reserve.
-pub fn shared_memory(config: &Config, dimensions: &Dimensions, flags: &[&str]) -> Check {
+/// Free shared memory against what the channels of the run reserve, whose blocks come from its workers and from
+/// `gateways` to other machines.
+pub fn shared_memory(
+    config: &Config,
+    dimensions: &Dimensions,
+    gateways: usize,
+    flags: &[&str],
+) -> Check {
     const NAME: &str = "shared memory";
     let directory = Path::new(SHARED_MEMORY);
     let free = match free_space(directory) {
         Ok(free) => free,
         Err(error) => return unmounted(NAME, directory, &error),
     };
-    let workers = config.run.workers;
-    let budget = ChannelSizes::new(config, dimensions).shared_memory(workers);
+    let senders = config.run.workers + gateways;
+    let budget = ChannelSizes::new(config, dimensions).shared_memory(senders);
     let needed: u64 = budget.iter().map(|(_, bytes)| bytes).sum();
     if needed <= free {
         let found = format!("{} free of {} needed", mib(free), mib(needed));
@@ -42,7 +48,7 @@ pub fn shared_memory(config: &Config, dimensions: &Dimensions, flags: &[&str]) -
             parts.join(", "),
             mib(free)
         ),
-        cures(needed, &smaller::fitting(config, dimensions, free, flags), directory),
+        cures(needed, &smaller::fitting(config, dimensions, gateways, free, flags), directory),
     )
 }
 
@@ -116,7 +122,7 @@ mod tests {
         let config =
             Config { run: proto::config::Run { workers: 256, ..config.run.clone() }, ..config };
         let flags = ["--workers", "--envs"];
-        let check = shared_memory(&config, &Dimensions::new(&config, 4), &flags);
+        let check = shared_memory(&config, &Dimensions::new(&config, 4), 0, &flags);
         assert_eq!(check.verdict, Verdict::Failure);
         let cure = check.cure.expect("a failure has a cure");
         assert!(cure.contains("need less: --") && cure.ends_with("killed runs left"), "{cure}");

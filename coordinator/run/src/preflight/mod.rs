@@ -29,18 +29,20 @@ pub use self::hardware::{arithmetic, memory, processors};
 pub use self::learner::{device, gpu, libtorch};
 pub use self::limits::{descriptors, file_size, memory_maps};
 pub use self::run_directory::{Remedy, disk};
+use crate::supervisor::GatewaySpec;
 
 /// Refuses to start a run that this machine cannot carry; logs what could be better. What the command that asks has of
 /// [`Remedy::flags`] is in `flags`.
-pub fn check_run(
+fn check_run(
     config: &Config,
     dimensions: &Dimensions,
     learner: &Path,
+    gateways: usize,
     flags: &[&str],
 ) -> Result<(), ExitError> {
     let workers = config.run.workers;
     let checks: [&dyn Fn() -> Check; 8] = [
-        &|| shared_memory(config, dimensions, flags),
+        &|| shared_memory(config, dimensions, gateways, flags),
         &|| file_size(config, dimensions),
         &|| descriptors(workers, flags),
         &|| memory_maps(workers),
@@ -62,16 +64,23 @@ pub fn check_run(
     Ok(())
 }
 
-/// Refuses what the machine cannot carry; `remedy` is what helps.
+/// Refuses what the machine cannot carry, and a run that nobody would work for; `gateway` is where other machines may
+/// join it, `remedy` is what helps.
 pub fn check_machine(
     config: &Config,
     robot: &Robot,
     run_dir: &RunDir,
     learner: &Path,
+    gateway: Option<&GatewaySpec>,
     remedy: &Remedy,
 ) -> Result<(), ExitError> {
+    if config.run.workers == 0 && gateway.is_none() {
+        let message = "run.workers is 0: a run without workers of its own needs --listen-workers, so that other machines \
+                       can join it; or give --workers 1 or more";
+        return Err(ExitError::new(ExitCode::Usage, message));
+    }
     let dimensions = Dimensions::new(config, robot.n_arms);
-    check_run(config, &dimensions, learner, remedy.flags)?;
+    check_run(config, &dimensions, learner, gateway.iter().len(), remedy.flags)?;
     let there = CheckpointStore::new(run_dir.checkpoints()).list().map_or(0, |there| there.len());
     let disk = disk(run_dir.path(), config, &dimensions, there, remedy);
     if disk.verdict == Verdict::Failure {

@@ -17,13 +17,14 @@ const ENVS: &str = "--envs";
 pub(super) fn fitting(
     config: &Config,
     dimensions: &Dimensions,
+    gateways: usize,
     free: u64,
     flags: &[&str],
 ) -> Vec<String> {
     let n_arms = dimensions.n_agents / AGENTS_PER_ARM;
     let fits = |config: &Config| {
         let sizes = ChannelSizes::new(config, &Dimensions::new(config, n_arms));
-        let budget = sizes.shared_memory(config.run.workers);
+        let budget = sizes.shared_memory(config.run.workers + gateways);
         budget.iter().map(|(_, bytes)| bytes).sum::<u64>() <= free
     };
     let with_workers = |workers: &usize| {
@@ -113,14 +114,31 @@ mod tests {
         let (config, dimensions) = of(&sets);
         let all = needed(&config, &dimensions);
         for free in [all - 1, all / 2, all / 1000] {
-            let remedies = fitting(&config, &dimensions, free, &BOTH);
+            let remedies = fitting(&config, &dimensions, 0, free, &BOTH);
             assert!(!remedies.is_empty(), "{free} of {all}");
             for remedy in &remedies {
                 let (config, dimensions) = applied(&sets, remedy);
                 assert!(needed(&config, &dimensions) <= free, "{remedy} for {free} of {all}");
             }
         }
-        assert!(fitting(&config, &dimensions, 1000, &BOTH).is_empty(), "nothing is small enough");
+        assert!(
+            fitting(&config, &dimensions, 0, 1000, &BOTH).is_empty(),
+            "nothing is small enough"
+        );
+    }
+
+    /// It sends blocks as a worker does, and so has as much room for them.
+    #[test]
+    fn a_gateway_needs_what_a_worker_needs() {
+        let fit = |workers: &str, gateways| {
+            let (config, dimensions) = of(&[workers, "env.n_envs=1000000", "env.n_shards=16"]);
+            let free = needed(&config, &dimensions) / 2;
+            fitting(&config, &dimensions, gateways, free, &[WORKERS])
+        };
+        let [alone, open] = [0, 1].map(|gateways| fit("run.workers=8", gateways));
+        let number = |fits: &[String]| fits[0].split(' ').nth(1)?.parse::<usize>().ok();
+        let alone = number(&alone).expect("some fit");
+        assert_eq!(number(&open), Some(alone - 1));
     }
 
     #[test]
@@ -128,7 +146,7 @@ mod tests {
         let (config, dimensions) = of(&["run.workers=8", "env.n_envs=1000000", "env.n_shards=16"]);
         let free = needed(&config, &dimensions) / 2;
         for flags in [&BOTH[..], &[WORKERS], &[]] {
-            let mut proposed = fitting(&config, &dimensions, free, flags);
+            let mut proposed = fitting(&config, &dimensions, 0, free, flags);
             let files = open_files(300, 256, Some(256), flags);
             proposed.extend(files.split(", or ").skip(1).map(str::to_owned));
             assert_eq!(proposed.is_empty(), flags.is_empty(), "{proposed:?}");
@@ -140,7 +158,7 @@ mod tests {
     #[test]
     fn what_this_machine_cannot_hold_is_not_made_room_for() {
         let (config, dimensions) = of(&["env.n_envs=1000000", "env.n_shards=1"]);
-        let check = shared_memory(&config, &dimensions, &BOTH);
+        let check = shared_memory(&config, &dimensions, 0, &BOTH);
         assert_eq!(check.verdict, Verdict::Failure);
         let cure = check.cure.expect("there is one");
         assert!(!cure.contains("remount") && cure.contains("--envs "), "{cure}");

@@ -1,6 +1,7 @@
 //! The metrics of one iteration, flat.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::fmt;
 
 use proto::message::{Accounting, Errors, IterationReport, Timing};
@@ -18,6 +19,8 @@ pub struct Line {
     pub digest: Digest,
     pub policy_version: u64,
     pub blocks: Vec<Digest>,
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub hosts: BTreeMap<String, u64>,
     pub wall_s: f64,
     pub env_steps_per_s: f64,
     pub workers: usize,
@@ -97,6 +100,7 @@ impl Line {
             digest: report.digest,
             policy_version: report.policy_version,
             blocks: live.blocks.clone(),
+            hosts: live.hosts.clone(),
             wall_s: milliseconds(live.wall_s),
             env_steps_per_s: live.env_steps_per_s.round(),
             workers: live.workers,

@@ -1,5 +1,7 @@
 //! What only the coordinator knows about an iteration.
 
+use std::collections::BTreeMap;
+
 use proto::Digest;
 
 /// What only the coordinator knows about the iteration that has just ended.
@@ -15,4 +17,6 @@ pub struct Live {
     pub restarts: u64,
     /// Digests of the blocks trained on, in the order of shards.
     pub blocks: Vec<Digest>,
+    /// How many of them other machines have made, by their names.
+    pub hosts: BTreeMap<String, u64>,
 }

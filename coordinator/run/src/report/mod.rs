@@ -21,6 +21,7 @@
 //! | `digest` | | fingerprint of the training state after the iteration, 32 hexadecimal digits |
 //! | `policy_version` | | version of the policy that collected the samples |
 //! | `blocks` | | fingerprints of the blocks trained on, a shard each; `octopus rollout` and the page make them again |
+//! | `hosts` | | how many of `blocks` other machines made, by their names; only where some did, and not in the table |
 //! | `wall_s` | s | time since the run began, over all its sessions |
 //! | `env_steps_per_s` | 1/s | env-steps trained on a second, of late |
 //! | `workers`, `restarts` | | workers wanted; workers and learners replaced so far |
@@ -39,10 +40,10 @@
 //! | `actor_lr`, `critic_lr` | | learning rates in force |
 //! | `action_std` | | mean standard deviation of the actions |
 //! | `accounting.produced` | | env-steps that workers sent |
-//! | `accounting.received` | | env-steps that arrived at the learner: `trained + duplicate` |
+//! | `accounting.received` | | env-steps that arrived at the learner, or were compared: `trained + duplicate` |
 //! | `accounting.trained` | | env-steps trained on |
-//! | `accounting.duplicate` | | env-steps that arrived twice and were dropped |
-//! | `accounting.lost` | | env-steps that died with a worker: `produced - received` |
+//! | `accounting.duplicate` | | env-steps that arrived twice, or that other machines made for comparison, and were dropped |
+//! | `accounting.lost` | | env-steps that died with a worker, or came from a machine that makes other bits: `produced - received` |
 //! | `timing.wait_s`, `.update_s`, `.publish_s`, `.digest_s`, `.copy_s` | s | where the learner's time went |
 //! | `timing.rollout_s` | s | the workers' time for the blocks trained on, summed |
 //!

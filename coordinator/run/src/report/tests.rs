@@ -25,7 +25,7 @@ fn report(iteration: u64) -> IterationReport {
 
 fn live(wall_s: f64) -> Live {
     let blocks = vec![Digest([1; 16]), Digest([2; 16])];
-    Live { wall_s, env_steps_per_s: 9000.4, workers: 2, restarts: 0, blocks }
+    Live { wall_s, env_steps_per_s: 9000.4, workers: 2, blocks, ..Live::default() }
 }
 
 fn config() -> Config {

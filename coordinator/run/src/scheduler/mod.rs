@@ -2,34 +2,17 @@
 //!
 //! The scheduler knows the shards and evaluations that are open, the workers that are ready, and what
 //! each of them has been ordered. Any worker may make any shard and making one twice is harmless, so
-//! all it has to guarantee is that every shard is ordered until the learner has it.
+//! all it has to guarantee is that every shard is ordered until the learner has it. Whose work counts, and what is
+//! made for comparison alone, is what `trials` says.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
 use channels::ORDERS_PER_WORKER;
-use proto::message::{EvaluationChunk, Order, WorkerId, policy_version_for};
+use proto::message::{EvaluationChunk, HostId, Order, WorkerId, host_of, policy_version_for};
 
-/// Iteration and shard: the address of a block.
-pub type ShardAddress = (u64, u32);
-
-/// What a worker can be ordered to do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Task {
-    /// Make a block.
-    Rollout(ShardAddress),
-    /// Play episodes of an evaluation.
-    Evaluation(EvaluationChunk),
-}
-
-impl std::fmt::Display for Task {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Rollout((iteration, shard)) => write!(f, "{iteration}/{shard}"),
-            Self::Evaluation(chunk) => write!(f, "evaluation {}", chunk.policy_version),
-        }
-    }
-}
+pub use crate::task::{ShardAddress, Task};
+use crate::trials::{Standing, Trials};
 
 /// What the scheduler knows of a worker.
 #[derive(Debug)]
@@ -70,6 +53,7 @@ pub struct Scheduler {
     /// First iteration whose shards are not open yet.
     next_iteration: u64,
     workers: BTreeMap<WorkerId, Worker>,
+    trials: Trials,
 }
 
 impl Scheduler {
@@ -85,7 +69,14 @@ impl Scheduler {
             received: BTreeSet::new(),
             next_iteration: trained,
             workers: BTreeMap::new(),
+            trials: Trials::new(0, 0.0),
         }
+    }
+
+    /// The same where, in a run of this seed, this share of the blocks of other machines is for comparison.
+    #[must_use]
+    pub fn with_audits(self, seed: u64, share: f64) -> Self {
+        Self { trials: Trials::new(seed, share), ..self }
     }
 
     /// A worker is up and has no orders.
@@ -111,6 +102,9 @@ impl Scheduler {
             {
                 unfinished.at_hand = (place == 0).then_some(address).or(unfinished.at_hand);
                 unfinished.undelivered.push(address);
+            }
+            if let (Task::Audit(_), Some(host)) = (task, host_of(worker)) {
+                self.trials.begin_again(host);
             }
             self.reopen(task);
         }
@@ -140,7 +134,8 @@ impl Scheduler {
             Task::Rollout(address) if self.is_wanted(address) => {
                 self.pending.insert(address);
             }
-            Task::Rollout(_) => {}
+            // What was to be compared has stayed open.
+            Task::Rollout(_) | Task::Audit(_) => {}
             Task::Evaluation(chunk) => {
                 self.evaluations.insert(chunk);
             }
@@ -156,6 +151,40 @@ impl Scheduler {
         for worker in self.workers.values_mut() {
             worker.done(&Task::Rollout(address), now);
         }
+    }
+
+    /// The learner has dropped a block that it had; it is open again.
+    pub fn block_discarded(&mut self, address: ShardAddress) {
+        if self.received.remove(&address) {
+            self.reopen(Task::Rollout(address));
+        }
+    }
+
+    /// A worker has made a block for comparison, or cannot.
+    pub fn audit_made(&mut self, worker: WorkerId, address: ShardAddress, now: Instant) {
+        if let Some(worker) = self.workers.get_mut(&worker) {
+            worker.done(&Task::Audit(address), now);
+        }
+    }
+
+    /// A block of a host was the same as this machine's. Whether the host is trusted only from now on.
+    pub fn trust(&mut self, host: HostId) -> bool {
+        self.trials.trust(host)
+    }
+
+    /// A block of a host could not be compared: if it was its first, another one will be.
+    pub fn try_again(&mut self, host: HostId) {
+        self.trials.begin_again(host);
+    }
+
+    /// Another gateway gives the numbers of hosts to others: nobody is trusted any more.
+    pub fn forget_hosts(&mut self) {
+        self.trials.forget_hosts();
+    }
+
+    /// Whether the work of a worker counts.
+    pub fn trusts(&self, worker: WorkerId) -> bool {
+        self.trials.standing(worker) == Standing::Trusted
     }
 
     /// Episodes are to be played, before any further rollout: the policy does not stay for ever.
@@ -177,6 +206,7 @@ impl Scheduler {
         let trained = self.trained;
         self.received.retain(|address| address.0 >= trained);
         self.pending.retain(|address| address.0 >= trained);
+        self.trials.iterations_done(trained);
     }
 
     /// Orders no iteration from now on that has not been begun.
@@ -216,23 +246,48 @@ impl Scheduler {
         let mut orders = Vec::new();
         // One order a worker and round: the shards spread evenly however few there are.
         for depth in 0..ORDERS_PER_WORKER {
-            for (&id, worker) in &mut self.workers {
+            let ids: Vec<_> = self.workers.keys().copied().collect();
+            for id in ids {
+                let worker = &self.workers[&id];
                 if worker.leaving || worker.queue.len() > depth {
                     continue;
                 }
-                let evaluation = self.evaluations.pop_first().map(Task::Evaluation);
-                let Some(task) = evaluation.or_else(|| self.pending.pop_first().map(Task::Rollout))
-                else {
-                    return orders;
-                };
+                let Some(task) = self.next_task(id) else { continue };
+                let overlap = self.overlap;
+                let Some(worker) = self.workers.get_mut(&id) else { continue };
                 if worker.queue.is_empty() {
                     worker.since = now;
                 }
                 worker.queue.push_back(task);
-                orders.push(order(id, worker.incarnation, task, self.overlap));
+                orders.push(order(id, worker.incarnation, task, overlap));
             }
         }
         orders
+    }
+
+    /// What a worker is to do next, if there is anything for it.
+    fn next_task(&mut self, id: WorkerId) -> Option<Task> {
+        match (self.trials.standing(id), host_of(id)) {
+            (Standing::OnTrial, _) => return None,
+            (Standing::Unknown, Some(host)) => {
+                let address = *self.pending.first()?;
+                self.trials.begin(host);
+                return Some(Task::Audit(address));
+            }
+            (Standing::Unknown, None) | (Standing::Trusted, _) => {}
+        }
+        if let Some(chunk) = self.evaluations.pop_first() {
+            return Some(Task::Evaluation(chunk));
+        }
+        // Two orders for one block could not be told apart.
+        let queue = &self.workers[&id].queue;
+        let is_free = |address: &&ShardAddress| !queue.contains(&Task::Audit(**address));
+        let address = *self.pending.iter().find(is_free)?;
+        if self.trials.takes(id, address) {
+            return Some(Task::Audit(address));
+        }
+        self.pending.remove(&address);
+        Some(Task::Rollout(address))
     }
 
     /// Repeats the orders of workers that have delivered nothing for `deadline`: an order or a
@@ -265,6 +320,9 @@ impl Scheduler {
             Order::Rollout { worker, incarnation, iteration, shards, .. } => {
                 let Some(&shard) = shards.first() else { return false };
                 (worker, incarnation, Task::Rollout((*iteration, shard)))
+            }
+            Order::Audit { worker, incarnation, iteration, shard, .. } => {
+                (worker, incarnation, Task::Audit((*iteration, *shard)))
             }
             Order::Evaluate { worker, incarnation, episodes } => {
                 (worker, incarnation, Task::Evaluation(*episodes))
@@ -317,6 +375,13 @@ fn order(worker: WorkerId, incarnation: u32, task: Task, overlap: usize) -> Orde
             iteration,
             policy_version: policy_version_for(iteration, overlap),
             shards: vec![shard],
+        },
+        Task::Audit((iteration, shard)) => Order::Audit {
+            worker,
+            incarnation,
+            iteration,
+            policy_version: policy_version_for(iteration, overlap),
+            shard,
         },
         Task::Evaluation(episodes) => Order::Evaluate { worker, incarnation, episodes },
     }

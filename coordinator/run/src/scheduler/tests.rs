@@ -181,3 +181,50 @@ fn a_block_that_cannot_be_made_is_open_again() {
     assert_eq!((scheduler.open(), scheduler.in_flight()), (1, 0));
     assert_eq!(addresses(&scheduler.assign(now)), [(0, 0, 0)]);
 }
+
+#[test]
+fn a_host_makes_one_block_for_comparison_before_it_is_given_work() {
+    let now = Instant::now();
+    let mut scheduler = Scheduler::new(3, 0, 0, 1).with_audits(1, 0.0);
+    let chunk = EvaluationChunk { policy_version: 0, first: 0, episodes: 16 };
+    scheduler.evaluate([chunk]);
+    for worker in [2000, 2001] {
+        scheduler.worker_ready(worker, 9, now);
+    }
+    let audit =
+        |worker| Order::Audit { worker, incarnation: 9, iteration: 0, policy_version: 0, shard: 0 };
+    assert_eq!(scheduler.assign(now), [audit(2000)]);
+    assert!(scheduler.awaits(&audit(2000)) && !scheduler.trusts(2001));
+    // Its worker is lost: another one makes it.
+    assert_eq!(scheduler.worker_gone(2000).undelivered, []);
+    assert_eq!(scheduler.assign(now), [audit(2001)]);
+    scheduler.audit_made(2001, (0, 0), now);
+    assert!(scheduler.assign(now).is_empty(), "it is being compared");
+    // This machine cannot tell: once more.
+    scheduler.try_again(2);
+    assert_eq!(scheduler.assign(now), [audit(2001)]);
+    scheduler.audit_made(2001, (0, 0), now);
+    assert!(scheduler.trust(2) && scheduler.trusts(2000));
+    let orders = scheduler.assign(now);
+    assert!(matches!(orders[0], Order::Evaluate { worker: 2001, .. }));
+    assert_eq!(addresses(&orders[1..]), [(2001, 0, 0)], "the block that was compared is open");
+}
+
+#[test]
+fn what_is_compared_stays_open_and_is_not_given_to_the_same_worker_meanwhile() {
+    let now = Instant::now();
+    let mut scheduler = Scheduler::new(2, 0, 0, 1).with_audits(1, 1.0);
+    scheduler.worker_ready(1000, 1, now);
+    scheduler.trust(1);
+    let audits = scheduler.assign(now);
+    assert!(audits.iter().all(|order| matches!(order, Order::Audit { worker: 1000, .. })));
+    assert_eq!((audits.len(), scheduler.open()), (2, 2));
+    scheduler.worker_ready(0, 0, now);
+    assert_eq!(addresses(&scheduler.assign(now)), [(0, 0, 0), (0, 0, 1)]);
+    scheduler.block_received((0, 0), now);
+    scheduler.block_received((0, 1), now);
+    assert_eq!(scheduler.tasks(1000).count(), 2, "it is compared all the same");
+    // One of them turns out to have come from a machine that makes other bits.
+    scheduler.block_discarded((0, 1));
+    assert_eq!(addresses(&scheduler.assign(now)), [(0, 0, 1)]);
+}

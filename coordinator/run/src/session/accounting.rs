@@ -13,6 +13,9 @@ pub(super) struct StepAccounts {
     produced: BTreeMap<u64, u64>,
     /// Env-steps that died with workers.
     lost: BTreeMap<u64, u64>,
+    /// Env-steps that hosts made for comparison: those that were the same, and the others.
+    compared: BTreeMap<u64, u64>,
+    differing: BTreeMap<u64, u64>,
     /// Sums of this session.
     pub(super) totals: Totals,
 }
@@ -28,15 +31,28 @@ impl StepAccounts {
         *self.lost.entry(iteration).or_default() += env_steps;
     }
 
+    /// A host has made a block for comparison, with the same bits: a second copy, and dropped.
+    pub(super) fn compared(&mut self, iteration: u64, env_steps: u64) {
+        *self.compared.entry(iteration).or_default() += env_steps;
+    }
+
+    /// A host has made a block for comparison with other bits.
+    pub(super) fn differs(&mut self, iteration: u64, env_steps: u64) {
+        *self.differing.entry(iteration).or_default() += env_steps;
+    }
+
     /// All processes are gone, and with them `env_steps` that the learner had received and not
     /// trained on.
     pub(super) fn all_lost(&mut self, env_steps: u64) {
-        let died: u64 = self.lost.values().sum();
-        self.totals.produced += env_steps + died;
-        self.totals.received += env_steps;
+        let died: u64 = self.lost.values().chain(self.differing.values()).sum();
+        let compared: u64 = self.compared.values().sum();
+        self.totals.produced += env_steps + died + compared;
+        self.totals.received += env_steps + compared;
+        self.totals.duplicate += compared;
         self.totals.lost += env_steps + died;
-        self.produced.clear();
-        self.lost.clear();
+        for map in [&mut self.produced, &mut self.lost, &mut self.compared, &mut self.differing] {
+            map.clear();
+        }
     }
 
     /// Completes an iteration's account, which must add up to `planned` trained env-steps.
@@ -52,6 +68,11 @@ impl StepAccounts {
         // A worker that died between sending a block and saying so produced it all the same; one
         // that said so but whose block never arrived lost it.
         accounting.lost = died.max(said.saturating_sub(accounting.received));
+        // What was compared did not go by the learner.
+        accounting.lost += self.differing.remove(&iteration).unwrap_or(0);
+        let compared = self.compared.remove(&iteration).unwrap_or(0);
+        accounting.received += compared;
+        accounting.duplicate += compared;
         accounting.produced = accounting.received + accounting.lost;
         if accounting.trained != planned
             || accounting.received != accounting.trained + accounting.duplicate
@@ -63,5 +84,33 @@ impl StepAccounts {
         }
         self.totals.add(accounting);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_hosts_made_for_comparison_is_a_duplicate_or_lost() {
+        let mut books = StepAccounts::default();
+        books.produced(3, 128);
+        books.produced(3, 32);
+        books.compared(3, 64);
+        books.differs(3, 16);
+        books.lost(3, 8);
+        let mut report = IterationReport { iteration: 3, ..IterationReport::default() };
+        report.accounting = Accounting { received: 128, trained: 128, ..Accounting::default() };
+        books.close(&mut report, 128).expect("adds up");
+        // Of what was said to be sent 32 did not arrive, and of the comparisons 16 were wrong.
+        let Accounting { produced, received, trained, duplicate, lost } = report.accounting;
+        assert_eq!((received, trained, duplicate, lost), (192, 128, 64, 48));
+        assert_eq!(produced, trained + duplicate + lost);
+        assert_eq!(books.totals.produced, produced);
+        // Once.
+        let mut next = IterationReport { iteration: 4, ..IterationReport::default() };
+        next.accounting = Accounting { received: 128, trained: 128, ..Accounting::default() };
+        books.close(&mut next, 128).expect("adds up");
+        assert_eq!(next.accounting.produced, 128);
     }
 }

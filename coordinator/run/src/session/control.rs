@@ -1,7 +1,7 @@
 //! What others ask of a live run, and what they see of it.
 
 use proto::ExitError;
-use proto::message::Order;
+use proto::message::{HostId, Order};
 use service::live::{Best, Command, LiveStatus, Role};
 
 use super::Session;
@@ -45,6 +45,20 @@ impl Session<'_> {
                     // Who asked may have gone.
                     let _ = reply.send(answer);
                 }
+                Command::ScaleHost { host, workers, reply } => {
+                    let answer = self.scale_host(host, workers);
+                    if let Ok(before) = &answer
+                        && *before != workers
+                    {
+                        reporter.note(&format!(
+                            "host {host} ({}) is to have {} from now on, before {before}",
+                            self.hosts.name(host),
+                            output::counted(workers as u64, "worker")
+                        ));
+                    }
+                    let _ = reply.send(answer);
+                    self.scale_hosts()?;
+                }
                 Command::Checkpoint { reply } => self.snapshots.ask_for(self.reported, reply),
             }
         }
@@ -63,6 +77,22 @@ impl Session<'_> {
         preflight::scale(self.channels.sizes(), self.workers, workers)
     }
 
+    /// Notes how many workers a host is to have; returns how many it was to have before.
+    fn scale_host(&mut self, host: HostId, workers: usize) -> Result<usize, String> {
+        let report = self.hosts.reports.iter().find(|report| report.host == host);
+        let report = report.ok_or_else(|| format!("host {host} is not there any more"))?;
+        let (before, most) = (report.wanted as usize, report.most as usize);
+        if !(1..=most).contains(&workers) {
+            return Err(format!(
+                "{workers} workers: host {host} ({}) can have 1 to {most}; one that joins with more --workers can have \
+                 twice as many as that, and Ctrl-C at its `octopus join` takes it away",
+                report.name
+            ));
+        }
+        self.hosts.wanted.insert(host, workers as u32);
+        Ok(before)
+    }
+
     /// Fewest workers that this machine can have: who is open to others can leave all work to them.
     fn min_workers(&self) -> usize {
         usize::from(self.spec.gateway.is_none())
@@ -77,6 +107,7 @@ impl Session<'_> {
             (None, _, _) => "starting",
             (_, Some(_), _) => "finishing",
             (_, _, Some(_)) => "stopping",
+            _ if self.workers == 0 && self.hosts.workers.is_empty() => "waiting",
             _ => "training",
         };
         let processes: Vec<_> = std::iter::once(Monitor::coordinator())
@@ -113,7 +144,8 @@ impl Session<'_> {
             max_workers: self.channels.sizes().max_workers,
             resident_bytes: processes.iter().map(|process| process.resident_bytes).sum(),
             processes,
-            hosts: self.hosts.look(scheduler),
+            hosts: self.hosts.look(scheduler, &self.audits.same),
+            refused_hosts: self.audits.look(),
             shards_open: scheduler.map_or(0, Scheduler::open),
             shards_in_flight: scheduler.map_or(0, Scheduler::in_flight),
             orders_missed: self.monitor.orders_missed,

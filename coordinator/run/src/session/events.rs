@@ -70,6 +70,9 @@ impl Session<'_> {
                         supervisor.worker_delivered(worker);
                     }
                 }
+                Status::Audited { worker, incarnation, iteration, shard, digest } => {
+                    self.audited(worker, incarnation, (iteration, shard), Ok(digest));
+                }
                 Status::EvaluationDone { chunk, errors, .. } => {
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.evaluation_done(chunk, now);
@@ -85,6 +88,9 @@ impl Session<'_> {
                     reporter.note(&format!("worker {worker}: {message}"));
                     let Some(fault) = fault else { continue };
                     let address = (fault.iteration, fault.shard);
+                    if self.audited(worker, incarnation, address, Err(message.clone())) {
+                        continue;
+                    }
                     let is_current = supervisor.is_current(worker, incarnation)
                         || self.hosts.has(worker, incarnation);
                     if is_current && let Some(scheduler) = &mut self.scheduler {
@@ -92,8 +98,12 @@ impl Session<'_> {
                         self.failures.failed(address, &message, Some(&fault))?;
                     }
                 }
-                Status::Hosts { incarnation, orders, hosts } => {
+                Status::Hosts { incarnation, orders, refused, hosts } => {
+                    if (refused as usize) < self.audits.refused.len() {
+                        self.refuse_hosts()?;
+                    }
                     self.hear_hosts(incarnation, orders, hosts, supervisor, reporter);
+                    self.scale_hosts()?;
                 }
                 other => tracing::warn!(?other, "status of an unknown kind"),
             }
@@ -156,11 +166,23 @@ impl Session<'_> {
                     self.learner_ready(iteration, now, reporter)?;
                 }
                 Progress::Heartbeat => {}
-                Progress::BlockReceived { iteration, shard, digest, .. } => {
-                    self.blocks.entry(iteration).or_default().insert(shard, digest);
+                Progress::BlockReceived { iteration, shard, worker, duplicate, digest } => {
+                    if !duplicate {
+                        self.audits.received(worker, iteration);
+                        let of_iteration = self.blocks.entry(iteration).or_default();
+                        of_iteration.insert(shard, (digest, worker));
+                    }
                     self.failures.made((iteration, shard));
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.block_received((iteration, shard), now);
+                    }
+                }
+                Progress::BlockDiscarded { iteration, shard } => {
+                    if let Some(blocks) = self.blocks.get_mut(&iteration) {
+                        blocks.remove(&shard);
+                    }
+                    if let Some(scheduler) = &mut self.scheduler {
+                        scheduler.block_discarded((iteration, shard));
                     }
                 }
                 Progress::IterationDone(report) => {
@@ -197,7 +219,8 @@ impl Session<'_> {
             config.run.overlap,
             iteration,
             end.max(iteration),
-        );
+        )
+        .with_audits(config.run.seed, config.run.audit);
         for (worker, incarnation) in self.early.drain(..) {
             scheduler.worker_ready(worker, incarnation, now);
         }
@@ -224,7 +247,8 @@ impl Session<'_> {
         reporter.check_promised(iteration, report.digest)?;
         let elapsed = self.last_report.elapsed().as_secs_f64();
         self.last_report = Instant::now();
-        let blocks = self.blocks.remove(&iteration).unwrap_or_default().into_values().collect();
+        let blocks = self.blocks.remove(&iteration).unwrap_or_default().into_values();
+        let (blocks, makers): (Vec<_>, Vec<_>) = blocks.unzip();
         // Late duplicates of iterations that are over.
         self.blocks.retain(|other, _| *other > iteration);
         let live = Live {
@@ -233,6 +257,7 @@ impl Session<'_> {
             workers: self.workers,
             restarts: supervisor.restarts() + self.learner_restarts,
             blocks,
+            hosts: self.hosts.shares(&makers),
         };
         let line = reporter.iteration(&report, &live).map_err(|error| unwritten(&error))?;
         let Timing { update_s, publish_s, digest_s, copy_s, .. } = report.timing;

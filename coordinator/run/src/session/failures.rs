@@ -79,6 +79,12 @@ impl Failures {
         Ok(())
     }
 
+    /// Parameters of a policy, if it is one of the newest.
+    pub(super) fn policy(&self, version: u64) -> Option<Vec<f32>> {
+        let policy = self.policies.iter().find(|policy| policy.header().version == version)?;
+        Some(policy.payload().to_vec())
+    }
+
     /// Lets go of the policies of a learner that is no more.
     pub(super) fn forget_policies(&mut self) {
         self.policies.clear();

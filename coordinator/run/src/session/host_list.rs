@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use proto::message::{HostReport, WorkerId};
+use proto::message::{HostId, HostReport, WorkerId, host_of};
 use service::live::HostStatus;
 
 use crate::scheduler::Scheduler;
@@ -15,6 +15,10 @@ pub(super) struct Hosts {
     pub(super) workers: BTreeMap<WorkerId, u32>,
     /// What the gateway said last.
     pub(super) reports: Vec<HostReport>,
+    /// What hosts call themselves, those that have gone included.
+    pub(super) names: BTreeMap<HostId, String>,
+    /// How many workers a host is to have, where somebody has changed that.
+    pub(super) wanted: BTreeMap<HostId, u32>,
     /// When the gateway was heard last; none if the one that runs now has not been.
     pub(super) heard: Option<Instant>,
 }
@@ -37,8 +41,26 @@ impl Hosts {
         self.workers.get(&worker) == Some(&incarnation)
     }
 
-    /// The hosts for the status of the run.
-    pub(super) fn look(&self, scheduler: Option<&Scheduler>) -> Vec<HostStatus> {
+    /// What a host calls itself.
+    pub(super) fn name(&self, host: HostId) -> &str {
+        self.names.get(&host).map_or("unknown", String::as_str)
+    }
+
+    /// How many of the blocks of these workers each host has made, by the hosts' names.
+    pub(super) fn shares(&self, makers: &[WorkerId]) -> BTreeMap<String, u64> {
+        let mut shares = BTreeMap::new();
+        for host in makers.iter().filter_map(|&worker| host_of(worker)) {
+            *shares.entry(self.name(host).to_owned()).or_default() += 1;
+        }
+        shares
+    }
+
+    /// The hosts for the status of the run; `same` says how many of their blocks were compared.
+    pub(super) fn look(
+        &self,
+        scheduler: Option<&Scheduler>,
+        same: &BTreeMap<HostId, u64>,
+    ) -> Vec<HostStatus> {
         let look = |report: &HostReport| {
             let workers: Vec<_> = report.workers.iter().map(|(worker, _)| *worker).collect();
             let tasks = workers.iter().filter_map(|&worker| Some(scheduler?.tasks(worker)));
@@ -47,6 +69,9 @@ impl Hosts {
                 name: report.name.clone(),
                 shards: tasks.flatten().map(ToString::to_string).collect(),
                 workers,
+                wanted: report.wanted as usize,
+                max_workers: report.most as usize,
+                compared: same.get(&report.host).copied().unwrap_or(0),
                 blocks: report.blocks,
                 bytes: report.bytes,
                 missing: report.missing,

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use proto::ExitError;
-use proto::message::{HostReport, PortId, WorkerId};
+use proto::message::{HostReport, Order, PortId, WorkerId, host_of};
 use service::history::What;
 
 use super::Session;
@@ -23,7 +23,7 @@ impl Session<'_> {
         &mut self,
         incarnation: u32,
         orders: PortId,
-        hosts: Vec<HostReport>,
+        mut hosts: Vec<HostReport>,
         supervisor: &mut Supervisor,
         reporter: &mut Reporter,
     ) {
@@ -34,6 +34,9 @@ impl Session<'_> {
         supervisor.gateway_lives();
         let now = self.attention.now();
         self.hosts.heard = Some(now);
+        // The gateway may not have heard yet whom it is to refuse.
+        hosts.retain(|host| !self.audits.refused.contains_key(&host.name));
+        self.hosts.names.extend(hosts.iter().map(|host| (host.host, host.name.clone())));
         let there: BTreeMap<_, _> = hosts.iter().flat_map(|host| host.workers.clone()).collect();
         let reports = std::mem::replace(&mut self.hosts.reports, hosts);
         let is_gone =
@@ -51,11 +54,27 @@ impl Session<'_> {
         self.note_changes(&reports, open, reporter);
     }
 
+    /// Tells the gateway which hosts are to have other numbers of workers, as long as it says otherwise.
+    pub(super) fn scale_hosts(&mut self) -> Result<(), ExitError> {
+        for report in &self.hosts.reports {
+            let wanted = self.hosts.wanted.get(&report.host);
+            if let Some(&workers) = wanted.filter(|wanted| **wanted != report.wanted) {
+                self.orders.send(Order::ScaleHost { host: report.host, workers })?;
+            }
+        }
+        Ok(())
+    }
+
     /// Workers of hosts are no more; returns how many shards are open again.
-    fn let_go(&mut self, workers: &[WorkerId]) -> usize {
+    pub(super) fn let_go(&mut self, workers: &[WorkerId]) -> usize {
         let mut open = 0;
         for &worker in workers {
             self.hosts.workers.remove(&worker);
+            if let (true, Some(scheduler), Some(host)) =
+                (self.audits.forget_worker(worker), &mut self.scheduler, host_of(worker))
+            {
+                scheduler.try_again(host);
+            }
             self.early.retain(|(early, _)| *early != worker);
             let unfinished = self.scheduler.as_mut().map(|scheduler| scheduler.worker_gone(worker));
             let undelivered = unfinished.unwrap_or_default().undelivered;
@@ -83,6 +102,12 @@ impl Session<'_> {
             let workers = output::counted(has as u64, "worker");
             if has > had {
                 reporter.note(&format!("host {host} ({name}) helps with {workers}"));
+                if had == 0 && now.iter().any(|it| it.host == host && it.is_other_processor) {
+                    reporter.note(&format!(
+                        "host {host} ({name}) has another type of processor, which logs/gateway.log names; it must make \
+                         the same bits all the same, and its first block is compared"
+                    ));
+                }
             } else if has < had {
                 reporter.note(&format!(
                     "host {host} ({name}) helps with {workers}, before {had}; {} ordered again",
@@ -102,6 +127,10 @@ impl Session<'_> {
         let workers: Vec<_> = self.hosts.workers.keys().copied().collect();
         let open = self.let_go(&workers);
         self.hosts = Hosts::default();
+        self.audits.forget_hosts();
+        if let Some(scheduler) = &mut self.scheduler {
+            scheduler.forget_hosts();
+        }
         reporter.note(&format!(
             "the gateway died ({cause}) and is replaced; {} of hosts ordered again",
             output::counted(open as u64, "open shard")
@@ -111,6 +140,7 @@ impl Session<'_> {
 
     /// Everything starts anew, and hosts join again.
     pub(super) fn forget_hosts(&mut self) {
+        self.audits.forget_hosts();
         for worker in std::mem::take(&mut self.hosts).workers.into_keys() {
             self.spec.live.tell(What::Left { worker: Some(worker) });
         }

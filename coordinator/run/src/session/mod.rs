@@ -12,6 +12,8 @@
 pub mod failures;
 
 mod accounting;
+mod audit_list;
+mod audits;
 mod control;
 mod events;
 mod host_list;
@@ -40,6 +42,7 @@ use simulator::robot::Robot;
 use store::checkpoint::{Checkpoint, CheckpointStore, LockTimeout};
 
 use self::accounting::StepAccounts;
+use self::audit_list::Audits;
 use self::failures::Failures;
 use self::host_list::Hosts;
 use self::monitor::Monitor;
@@ -160,8 +163,8 @@ struct Session<'a> {
     snapshots: Snapshots,
     failures: Failures,
     books: StepAccounts,
-    /// Digests of the blocks that the learner has received, by iteration and shard.
-    blocks: BTreeMap<u64, BTreeMap<u32, Digest>>,
+    /// Digests of the blocks that the learner has received and who made them, by iteration and shard.
+    blocks: BTreeMap<u64, BTreeMap<u32, (Digest, WorkerId)>>,
     monitor: Monitor,
     /// Present while the learner is ready.
     scheduler: Option<Scheduler>,
@@ -169,6 +172,8 @@ struct Session<'a> {
     heard: BTreeMap<WorkerId, Instant>,
     /// Other machines, and their workers.
     hosts: Hosts,
+    /// What of theirs is made a second time.
+    audits: Audits,
     /// When the learner was last heard, or was started.
     learner_heard: Instant,
     /// Workers that are ready before the learner is.
@@ -237,6 +242,7 @@ impl<'a> Session<'a> {
             scheduler: None,
             heard: BTreeMap::new(),
             hosts: Hosts::default(),
+            audits: Audits::default(),
             learner_heard: now,
             early: Vec::new(),
             origin: 0,
@@ -351,6 +357,7 @@ impl<'a> Session<'a> {
         // Before the deaths: what a process said before it died still counts.
         self.hear_workers(supervisor, reporter)?;
         self.hear_learner(supervisor, reporter)?;
+        self.compare(supervisor, reporter)?;
         self.leave_resume_point(supervisor, reporter)?;
         self.collect_pieces(supervisor, reporter)?;
         self.hear_committer(reporter)?;
@@ -371,6 +378,7 @@ impl<'a> Session<'a> {
         let missed = self.orders.retry(|order| match order {
             Order::Snapshot => snapshots.is_awaited(),
             Order::Leave { worker, incarnation } => supervisor.is_leaving(*worker, *incarnation),
+            Order::Discard { gateway, .. } => supervisor.is_gateway(*gateway),
             order => scheduler.awaits(order),
         })?;
         self.monitor.orders_missed += missed as u64;
@@ -378,14 +386,24 @@ impl<'a> Session<'a> {
             self.orders.send(Order::Snapshot)?;
         }
         let now = self.attention.now();
+        let mut audits = Vec::new();
         let deadline = Duration::from_secs_f64(self.spec.config.run.order_deadline_s);
         let repeated = scheduler.repeat_overdue(now, deadline);
         if !repeated.is_empty() {
             tracing::warn!(orders = repeated.len(), "orders are overdue and sent again");
             self.monitor.orders_overdue += repeated.len() as u64;
         }
-        for order in scheduler.assign(now).into_iter().chain(repeated) {
+        for order in scheduler.assign(now) {
+            if let Order::Audit { worker, incarnation, iteration, shard, .. } = order {
+                audits.push((worker, incarnation, (iteration, shard)));
+            }
             self.orders.send(order)?;
+        }
+        for order in repeated {
+            self.orders.send(order)?;
+        }
+        for (worker, incarnation, address) in audits {
+            self.audit(worker, incarnation, address)?;
         }
         Ok(())
     }

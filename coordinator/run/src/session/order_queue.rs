@@ -26,9 +26,10 @@ impl Addressee {
     fn of(order: &Order) -> Option<Self> {
         match order {
             Order::Rollout { worker, .. }
+            | Order::Audit { worker, .. }
             | Order::Evaluate { worker, .. }
             | Order::Leave { worker, .. } => Some(Self::Worker(*worker)),
-            Order::Snapshot => Some(Self::Learner),
+            Order::Snapshot | Order::Discard { .. } => Some(Self::Learner),
             _ => None,
         }
     }

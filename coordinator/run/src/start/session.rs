@@ -86,6 +86,9 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
             "other machines help by `octopus join {}`, with the address of this one",
             gateway.listen
         ));
+        if config.run.workers == 0 {
+            reporter.note("there are no workers here: the run waits until a machine has joined");
+        }
     }
     let RunService { live, mut listening } = service;
     if let Some(Listening { service, token }) = &mut listening {

@@ -27,6 +27,7 @@ impl Supervisor {
         environment::clean(&mut command);
         command.args(["hub", "--listen", &gateway.spec.listen]);
         command.args(["--arms", &gateway.arms.to_string()]);
+        command.arg(format!("--processor={}", store::provenance::processor_type()));
         command.args(["--incarnation", &incarnation.to_string()]);
         command.arg("--sim-worker").arg(&self.programs.sim_worker);
         let child = self.spawn(command, "gateway.log")?;
@@ -42,6 +43,12 @@ impl Supervisor {
         self.gateway.as_ref().is_some_and(|gateway| {
             gateway.incarnation == incarnation && matches!(gateway.state, State::Running { .. })
         })
+    }
+
+    /// Which gateway runs now.
+    pub fn gateway_incarnation(&self) -> Option<u32> {
+        let gateway = self.gateway.as_ref()?;
+        matches!(gateway.state, State::Running { .. }).then_some(gateway.incarnation)
     }
 
     /// When the gateway that runs now was started.

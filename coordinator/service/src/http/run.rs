@@ -14,12 +14,15 @@ use super::request_body::RequestBody;
 use crate::live::{Command, LiveStatus};
 
 /// How many workers a run shall have.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScaleRequest {
     /// Workers wanted; at least one, at most the run's limit.
     #[schema(minimum = 1)]
     pub workers: usize,
+    /// Name or number of the other machine that shall have them; this one, if it is not there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub host: Option<String>,
 }
 
 /// How many workers a run has been told to have.
@@ -67,13 +70,22 @@ pub(super) async fn scale(
     let wish: ScaleRequest = RequestBody::new(request, limits.json_bytes, limits).json().await?;
     let workers = wish.workers;
     let status = live.status();
-    let (least, most) = (status.min_workers, status.max_workers);
+    let refuse = |message| Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message);
+    let host = wish.host.as_deref().map(|host| status.host(host)).transpose().map_err(refuse)?;
+    let (least, most) = match host {
+        Some(host) => (1, host.max_workers),
+        None => (status.min_workers, status.max_workers),
+    };
     // A run that has not begun to speak has no limit yet, and refuses itself.
     if workers < least || (most > 0 && workers > most) {
-        let message = format!("{workers} workers, expected {least} to {}", most.max(1));
-        return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message));
+        return Err(refuse(format!("{workers} workers, expected {least} to {}", most.max(1))));
     }
-    let answer = ask(&context, |reply| Command::Scale { workers, reply }).await?;
+    let host = host.map(|host| host.host);
+    let answer = ask(&context, |reply| match host {
+        Some(host) => Command::ScaleHost { host, workers, reply },
+        None => Command::Scale { workers, reply },
+    })
+    .await?;
     let before = answer.ok_or_else(|| {
         Problem::new(
             StatusCode::GATEWAY_TIMEOUT,

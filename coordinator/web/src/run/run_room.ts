@@ -10,7 +10,7 @@ import { Checkpoints } from "./checkpoints";
 import type { Feed } from "./feed";
 import { Growth } from "./growth";
 import { Logs } from "./logs";
-import { bytes, duration, grouped, type Process } from "./status";
+import { bytes, duration, grouped, type Host, type Process } from "./status";
 import { TimeLine } from "./time_line";
 
 export class RunRoom {
@@ -102,7 +102,7 @@ export class RunRoom {
             tile("Lost env-steps", grouped(live.accounting.lost)),
         );
         if (this.slider === undefined && live.max_workers > 1 && !this.readOnly) {
-            this.slider = slider("Workers", [1, live.max_workers, 1], live.workers, String, (count) => void this.scale(count));
+            this.slider = slider("Workers", [live.min_workers, live.max_workers, 1], live.workers, String, (count) => void this.scale(count));
             this.workers.append(this.slider.element);
         }
         if (live.workers !== this.wanted) {
@@ -112,7 +112,8 @@ export class RunRoom {
         const deaths = live.worker_restarts + live.learner_restarts;
         if (deaths > this.deaths) notice("A process has died and was replaced; what is learned does not change");
         this.deaths = deaths;
-        this.processes.replaceChildren(table(live.processes));
+        const refused = live.refused_hosts.map(({ name, reason }) => h("p", { class: "refused" }, `${name} was thrown out: it ${reason}`));
+        this.processes.replaceChildren(table(live.processes), ...hosts(live.hosts), ...refused);
     }
 
     private async scale(workers: number): Promise<void> {
@@ -138,4 +139,15 @@ function table(processes: Process[]): HTMLElement {
         ),
     );
     return h("table", {}, ...rows);
+}
+
+/** Other machines, if there are any. */
+function hosts(all: Host[]): HTMLElement[] {
+    if (all.length === 0) return [];
+    const head = h("tr", {}, ...["Machine", "Workers", "Blocks", "Compared", "Came", "Missing pieces"].map((name) => h("th", {}, name)));
+    const rows = all.map((host) => {
+        const numbers = [grouped(host.workers.length), grouped(host.blocks), grouped(host.compared), bytes(host.bytes), grouped(host.missing)];
+        return h("tr", { data: { host: String(host.host) } }, h("td", {}, `${host.host} ${host.name}`), ...numbers.map((text) => h("td", { class: "number" }, text)));
+    });
+    return [h("h3", {}, "Other machines"), h("table", { class: "hosts" }, head, ...rows)];
 }

@@ -12,6 +12,19 @@ export interface Process {
     env_steps: number;
 }
 
+/** Another machine that helps. */
+export interface Host {
+    host: number;
+    name: string;
+    workers: number[];
+    blocks: number;
+    /** Blocks that were made a second time here, and were the same. */
+    compared: number;
+    bytes: number;
+    /** Pieces of blocks that were waited for and did not come. */
+    missing: number;
+}
+
 export interface LiveStatus {
     run_dir: string;
     state: string;
@@ -24,7 +37,10 @@ export interface LiveStatus {
     eta_s: number | null;
     workers: number;
     max_workers: number;
+    min_workers: number;
     processes: Process[];
+    hosts: Host[];
+    refused_hosts: { name: string; reason: string }[];
     worker_restarts: number;
     learner_restarts: number;
     accounting: { produced: number; received: number; trained: number; duplicate: number; lost: number };

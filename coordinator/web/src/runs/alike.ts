@@ -15,7 +15,7 @@ export interface Family {
 }
 
 /** What changes nothing that is learned. */
-const HOUSEKEEPING = ["run.seed", "run.workers", "run.pin", "run.time_limit_s", "run.checkpoints", "run.checkpoints_kept", "run.checkpoint_every", "run.order_deadline_s", "run.learner_threads"];
+const HOUSEKEEPING = ["run.seed", "run.workers", "run.pin", "run.time_limit_s", "run.checkpoints", "run.checkpoints_kept", "run.checkpoint_every", "run.audit", "run.order_deadline_s", "run.learner_threads"];
 
 /** Runs that differ in their seeds alone belong together. */
 export function families(runs: Run[]): Family[] {

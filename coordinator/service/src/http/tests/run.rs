@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::Bench;
 use crate::http::limits::Limits;
-use crate::live::{Best, Command, LiveRun, LiveStatus, ProcessStatus, Role, Totals};
+use crate::live::{Best, Command, HostStatus, LiveRun, LiveStatus, ProcessStatus, Role, Totals};
 
 /// A run's loop that does what it is asked at once.
 struct FakeRun {
@@ -36,6 +36,10 @@ impl FakeRun {
                     Some(Command::Scale { workers: 6, .. }) => {}
                     Some(Command::Scale { workers: wanted, reply }) => {
                         let _ = reply.send(Ok(std::mem::replace(&mut workers, wanted)));
+                    }
+                    Some(Command::ScaleHost { host, workers: wanted, reply }) => {
+                        assert_eq!((host, wanted), (3, 4));
+                        let _ = reply.send(Ok(2));
                     }
                     Some(Command::Checkpoint { reply }) => {
                         let _ = reply.send(Ok("iteration-00000042".to_owned()));
@@ -90,6 +94,14 @@ fn status() -> LiveStatus {
             process(Role::Worker, Some(0), Some(11)),
             process(Role::Worker, Some(1), None),
         ],
+        hosts: [(3, "lab"), (5, "twin"), (6, "twin")]
+            .map(|(host, name)| HostStatus {
+                host,
+                name: name.to_owned(),
+                max_workers: 16,
+                ..HostStatus::default()
+            })
+            .to_vec(),
         accounting: Totals { produced: 10, received: 9, trained: 8, duplicate: 1, lost: 1 },
         best: Some(Best { name: "iteration-00000001".to_owned(), score: 0.5 }),
         eta_s: Some(3.0),
@@ -138,10 +150,17 @@ async fn workers_are_scaled_within_the_limit() {
         ("", 422, "EOF"),
         (r#"{"workers": 7}"#, 409, "ending"),
         (r#"{"workers": 6}"#, 409, "no more requests"),
+        (r#"{"workers": 4, "host": "attic"}"#, 422, "there are 3 (lab), 5 (twin), 6 (twin)"),
+        (r#"{"workers": 4, "host": "twin"}"#, 422, "its number, 5 or 6"),
+        (r#"{"workers": 17, "host": "lab"}"#, 422, "1 to 16"),
     ] {
         let answer = bench.put_json("/v1/workers", body).await;
         assert_eq!(answer.status.as_u16(), status, "{body}: {answer:?}");
         assert!(answer.error().contains(word), "{body}: {}", answer.error());
+    }
+    for body in [r#"{"workers": 4, "host": "lab"}"#, r#"{"workers": 4, "host": "3"}"#] {
+        let answer = bench.put_json("/v1/workers", body).await;
+        assert_eq!(answer.json(), json!({ "workers": 4, "before": 2 }), "{body}");
     }
     let long = format!("{{\"workers\": {}1}}", " ".repeat(70_000));
     let answer = bench.put_json("/v1/workers", &long).await;

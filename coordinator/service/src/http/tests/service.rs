@@ -201,7 +201,7 @@ fn the_client_understands_the_service() {
     let client = client.with_token(Some(token()));
     assert_eq!(client.status().expect("answers").iterations, 3);
     live.close();
-    let error = client.scale(2).expect_err("the run has ended");
+    let error = client.scale(2, None).expect_err("the run has ended");
     assert!(error.to_string().contains("ending"), "{error}");
     let error = client.checkpoint_now().expect_err("the run has ended");
     assert!(error.to_string().contains("ending"), "{error}");

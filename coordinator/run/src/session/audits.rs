@@ -1,0 +1,180 @@
+//! Blocks of other machines that are made a second time here, and compared.
+//!
+//! The processor of another machine may compute otherwise than its type promises, or be broken. What its workers make
+//! for comparison (see [`trials`](crate::trials)) is made here as well, by the [auditor](crate::auditor), and both
+//! digests must be equal. A host whose block differs is thrown out: its name is refused, its workers are let go, and the
+//! learner drops what it has of it and has not begun to train on. What the learner has trained on since the last
+//! comparison that was good cannot be taken back; it is said.
+
+use proto::message::{HostId, Order, WorkerId, host_of, policy_version_for};
+use proto::{Digest, ExitError};
+
+use super::Session;
+use super::audit_list::{BlockId, Pair, Span};
+use crate::auditor::Auditor;
+use crate::report::Reporter;
+use crate::scheduler::ShardAddress;
+use crate::supervisor::Supervisor;
+
+impl Session<'_> {
+    /// A host has been ordered a block for comparison: it is made here, too.
+    pub(super) fn audit(
+        &mut self,
+        worker: WorkerId,
+        incarnation: u32,
+        address: ShardAddress,
+    ) -> Result<(), ExitError> {
+        let version = policy_version_for(address.0, self.spec.config.run.overlap);
+        // It may have come since the last look.
+        self.failures.take_policies()?;
+        let Some(policy) = self.failures.policy(version) else {
+            tracing::warn!(version, "the policy of a block that is to be compared is not here");
+            return Ok(());
+        };
+        let wanted =
+            self.audits.auditor.as_ref().is_some_and(|one| one.want(address, policy.clone()));
+        if !wanted {
+            let failed = |error| {
+                let message = format!("cannot start a thread: {error}");
+                ExitError::new(proto::ExitCode::Environment, message)
+            };
+            let auditor = Auditor::start(&self.spec.config, &self.spec.robot).map_err(failed)?;
+            auditor.want(address, policy);
+            self.audits.auditor = Some(auditor);
+        }
+        // One that is ordered again is the same.
+        self.audits.open.entry((worker, incarnation, address)).or_default();
+        Ok(())
+    }
+
+    /// A host has made a block for comparison, or says why it cannot. Whether it was to.
+    pub(super) fn audited(
+        &mut self,
+        worker: WorkerId,
+        incarnation: u32,
+        address: ShardAddress,
+        made: Result<Digest, String>,
+    ) -> bool {
+        let now = self.attention.now();
+        if let Some(scheduler) = &mut self.scheduler {
+            scheduler.audit_made(worker, address, now);
+        }
+        let open = self.audits.open.get_mut(&(worker, incarnation, address));
+        let is_open = open.map(|pair| pair.there = Some(made)).is_some();
+        if let (false, Some(scheduler), Some(host)) =
+            (is_open, &mut self.scheduler, host_of(worker))
+        {
+            scheduler.try_again(host);
+        }
+        is_open
+    }
+
+    /// Compares what has been made twice.
+    pub(super) fn compare(
+        &mut self,
+        supervisor: &Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
+        let made = self.audits.auditor.as_ref().map(Auditor::made).unwrap_or_default();
+        for (address, result) in made {
+            let open = self.audits.open.iter_mut();
+            for (_, pair) in open.filter(|((_, _, of), _)| *of == address) {
+                pair.here = Some(result.clone());
+            }
+        }
+        let whole = |_: &BlockId, pair: &mut Pair| pair.here.is_some() && pair.there.is_some();
+        let whole: Vec<_> = self.audits.open.extract_if(.., whole).collect();
+        for ((worker, _, address), pair) in whole {
+            let (Some(host), Some(here), Some(there)) = (host_of(worker), pair.here, pair.there)
+            else {
+                continue;
+            };
+            let steps = self.steps_per_block;
+            let iteration = address.0.max(self.reported);
+            match (here, there) {
+                (Ok(here), Ok(there)) if here == there => {
+                    self.books.compared(iteration, steps);
+                    *self.audits.same.entry(host).or_default() += 1;
+                    self.audits.since.remove(&host);
+                    if let Some(scheduler) = &mut self.scheduler
+                        && scheduler.trust(host)
+                    {
+                        let name = self.hosts.name(host);
+                        reporter.note(&format!(
+                            "host {host} ({name}) has made its first block, {}/{}, with the same bits as this machine",
+                            address.0, address.1
+                        ));
+                    }
+                }
+                // What cannot be made here cannot be made there: the failures of the run say more.
+                (Err(_), Err(_)) => {
+                    if let Some(scheduler) = &mut self.scheduler {
+                        scheduler.try_again(host);
+                    }
+                }
+                (here, there) => {
+                    if there.is_ok() {
+                        self.books.differs(iteration, steps);
+                    }
+                    let shown = |made: Result<Digest, String>| match made {
+                        Ok(digest) => digest.to_string(),
+                        Err(why) => format!("none ({why})"),
+                    };
+                    let what = format!(
+                        "made block {}/{} with digest {}; this machine makes it with {}",
+                        address.0,
+                        address.1,
+                        shown(there),
+                        shown(here)
+                    );
+                    self.throw_out(host, &what, supervisor, reporter)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Has nothing to do any more with a host that makes other bits.
+    fn throw_out(
+        &mut self,
+        host: HostId,
+        what: &str,
+        supervisor: &Supervisor,
+        reporter: &mut Reporter,
+    ) -> Result<(), ExitError> {
+        let name = self.hosts.name(host).to_owned();
+        if self.audits.refused.contains_key(&name) {
+            return Ok(());
+        }
+        let since = self.audits.since.remove(&host);
+        // Those of an iteration that is being trained on count as trained on.
+        let harm = match since.filter(|since| since.first <= self.reported) {
+            Some(Span { blocks, first, last }) => format!(
+                "up to {} of it, of iterations {first} to {}, may have been trained on since its last block that was the same",
+                output::counted(blocks, "block"),
+                last.min(self.reported)
+            ),
+            None => "nothing of it has been trained on".to_owned(),
+        };
+        reporter.note(&format!(
+            "warning: host {host} ({name}) {what}. It is thrown out and not taken back; {harm}"
+        ));
+        self.audits.refused.insert(name, format!("{what}; {harm}"));
+        let workers = self.hosts.workers.keys().copied();
+        let workers: Vec<_> = workers.filter(|worker| host_of(*worker) == Some(host)).collect();
+        self.let_go(&workers);
+        self.hosts.reports.retain(|report| report.host != host);
+        if let Some(gateway) = supervisor.gateway_incarnation() {
+            self.orders.send(Order::Discard { host, gateway })?;
+        }
+        self.refuse_hosts()
+    }
+
+    /// Tells the gateway whom it is to refuse.
+    pub(super) fn refuse_hosts(&mut self) -> Result<(), ExitError> {
+        for name in self.audits.refused.keys() {
+            self.orders.send(Order::Refuse { name: name.clone() })?;
+        }
+        Ok(())
+    }
+}
