@@ -34,8 +34,10 @@ use crate::{environment, signal_isolation};
 /// What is needed to join.
 #[derive(Debug)]
 pub struct JoinSpec {
-    /// Where the run is: `tcp/ADDRESS:PORT`.
+    /// Where the run is: `quic/HOST:PORT` or `tcp/ADDRESS:PORT`.
     pub endpoint: String,
+    /// Certificates, for `quic`.
+    pub certificates: Option<PathBuf>,
     /// Workers of this machine.
     pub workers: usize,
     /// What it calls itself.
@@ -294,8 +296,11 @@ impl Gateway {
             .map_err(|error| fail(&format!("{}: cannot be written", log.display()), &error))?;
         let mut command = Command::new(&spec.gateway);
         environment::clean(&mut command);
+        command.args(["host", "--connect", &spec.endpoint]);
+        if let Some(dir) = &spec.certificates {
+            command.arg("--certificates").arg(dir);
+        }
         command
-            .args(["host", "--connect", &spec.endpoint])
             .args(["--workers", &spec.workers.to_string()])
             .arg(format!("--name={}", spec.name))
             .args(["--wait", &spec.wait.as_secs_f64().to_string()])

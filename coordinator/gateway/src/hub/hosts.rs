@@ -3,16 +3,15 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
+use proto::certificates::NAME_LEN;
 use proto::message::{HostId, HostReport, WORKERS_OF_A_HOST, WorkerId};
 
-use crate::SILENCE;
+use crate::{SILENCE, keys};
 
 /// Most hosts that may have joined at once. Their list is one status message, which has 4 KiB.
 const MAX_HOSTS: usize = 24;
 /// Most workers that they may have together, likewise.
 const MAX_WORKERS: usize = 256;
-/// Longest name of a host that is kept (bytes).
-const NAME_LEN: usize = 40;
 /// Incarnations that one hub gives.
 const INCARNATIONS: u32 = 1 << 20;
 
@@ -77,9 +76,8 @@ impl Hosts {
         }
         let host = self.next;
         self.next += 1;
-        let name = name[..name.floor_char_boundary(NAME_LEN)].to_owned();
         let joined = Host {
-            name,
+            name: name.to_owned(),
             wanted: workers,
             heard: Some(now),
             workers: BTreeMap::new(),
@@ -143,6 +141,16 @@ impl Hosts {
         (*known == incarnation).then_some((host, worker % WORKERS_OF_A_HOST))
     }
 
+    /// The name of a host.
+    pub(super) fn name(&self, host: HostId) -> Option<&str> {
+        self.joined.get(&host).map(|host| host.name.as_str())
+    }
+
+    /// Whether a host has this name, as keys have it.
+    pub(super) fn is_called(&self, host: HostId, chunk: &str) -> bool {
+        self.name(host).is_some_and(|name| keys::chunk(name) == chunk)
+    }
+
     /// A block of `bytes` has come whole from a worker.
     pub(super) fn delivered(&mut self, worker: WorkerId, bytes: usize) {
         if let Some(host) = self.joined.get_mut(&(worker / WORKERS_OF_A_HOST)) {
@@ -168,7 +176,7 @@ impl Hosts {
         let there = self.joined.iter().filter(|(_, host)| !host.workers.is_empty());
         let report = there.map(|(&number, host)| HostReport {
             host: number,
-            name: host.name.clone(),
+            name: host.name[..host.name.floor_char_boundary(NAME_LEN)].to_owned(),
             workers: host.workers.iter().map(|(&worker, &inc)| (worker, inc)).collect(),
             blocks: host.blocks,
             bytes: host.bytes,
@@ -197,6 +205,7 @@ mod tests {
         let first = hosts.report().remove(0).workers;
         assert_eq!(first.iter().map(|(worker, _)| *worker).collect::<Vec<_>>(), [1000, 1001]);
         assert_eq!(hosts.find(1001, first[1].1), Some((host, 1)));
+        assert!(hosts.is_called(host, "lab") && !hosts.is_called(host, "other"));
         // Cut off, and heard again.
         assert!(hosts.expire(now + SILENCE).is_empty());
         assert_eq!(hosts.expire(now + SILENCE + Duration::from_millis(1)), [host]);

@@ -1,5 +1,7 @@
 //! The learner's end: stands for all workers of all hosts.
 
+mod admission;
+mod doors;
 mod hosts;
 mod ports;
 mod reception;
@@ -10,22 +12,22 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use channels::Role;
-use proto::message::{self, HEARTBEAT, HostId, Order, Status, WORKERS_OF_A_HOST};
+use proto::gateway::pieces::Content;
+use proto::gateway::wire::HubBeat;
+use proto::message::{self, HEARTBEAT, Order, Status, WORKERS_OF_A_HOST};
 use proto::{ExitCode, ExitError};
-use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
-use zenoh::query::{Query, Queryable};
-use zenoh::sample::SampleKind;
+use zenoh::query::Query;
 use zenoh::{Session, Wait as _};
 
+use self::admission::Admission;
+use self::doors::{Doors, Event};
 use self::hosts::Hosts;
 use self::ports::Ports;
 use self::reception::Reception;
 use crate::arguments::HubArguments;
-use crate::network::{self, Asked, End};
+use crate::network::{self, Asked};
 use crate::orders::{InFlight, Single};
-use crate::pieces::Content;
-use crate::wire::{HostBeat, HubBeat};
 use crate::{bells, keys};
 
 /// Policies that hosts can have: with overlap workers act with the one before the newest, and an evaluation may still
@@ -34,22 +36,6 @@ const KEPT_POLICIES: usize = 3;
 /// How long the last word to hosts may take to get away.
 const LAST_WORD: Duration = Duration::from_millis(100);
 
-/// What other threads put down for the one that owns the ports.
-enum Event {
-    /// Orders or policies may have come.
-    Bell,
-    /// A host wants to join.
-    Hello(Query),
-    /// A host wants a policy.
-    Policy(Query),
-    /// A host is there.
-    Beat(HostId, HostBeat),
-    /// A host is not there any more.
-    Gone(HostId),
-    /// What came of an order.
-    Answered(Single, Box<Asked>),
-}
-
 /// Works until the run is over.
 pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
     process::child::die_with_parent(arguments.parent)?;
@@ -57,13 +43,13 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
     let (events, inbox) = mpsc::channel();
     let ports = Ports::open(arguments, &reception.config)?;
     bells::listen(&ports.domain, ports.sizes, Role::Workers, events.clone(), || Event::Bell)?;
-    let session = network::open(End::Listen(&arguments.listen))?;
-    let doors = Doors::open(&session, &reception.session, &events).map_err(|error| {
-        ExitError::new(ExitCode::Failure, format!("the network cannot be used: {error}"))
-    })?;
+    let admission = Admission::read(arguments)?;
+    let session = network::open(admission.end(&arguments.listen))?;
+    let doors = Doors::open(&session, &reception.session, &events)?;
     let deadline = Duration::from_secs_f64(reception.config.run.order_deadline_s);
     let mut hub = Hub {
         session,
+        admission,
         events,
         hosts: Hosts::new(arguments.incarnation),
         in_flight: InFlight::default(),
@@ -83,53 +69,6 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
     result
 }
 
-/// Where the network's callbacks put events down, while this lives.
-struct Doors {
-    _hello: Queryable<()>,
-    _policies: Queryable<()>,
-    _beats: Subscriber<()>,
-    _alive: Subscriber<()>,
-}
-
-impl Doors {
-    fn open(session: &Session, name: &str, events: &Sender<Event>) -> zenoh::Result<Self> {
-        // Nobody takes events any more when the hub ends; what comes then is for nobody.
-        let put = |event: Event, events: &Sender<Event>| drop(events.send(event));
-        let to = || events.clone();
-        let (hello, policies, beats, alive) = (to(), to(), to(), to());
-        Ok(Self {
-            _hello: session
-                .declare_queryable(keys::HELLO)
-                .callback(move |query| put(Event::Hello(query), &hello))
-                .wait()?,
-            _policies: session
-                .declare_queryable(keys::policies(name))
-                .callback(move |query| put(Event::Policy(query), &policies))
-                .wait()?,
-            _beats: session
-                .declare_subscriber(keys::of_hosts(name, "beat"))
-                .callback(move |sample| {
-                    let beat = message::decode(&sample.payload().to_bytes());
-                    if let (Some(host), Ok(beat)) = (keys::host(sample.key_expr()), beat) {
-                        put(Event::Beat(host, beat), &beats);
-                    }
-                })
-                .wait()?,
-            _alive: session
-                .liveliness()
-                .declare_subscriber(keys::of_hosts(name, "alive"))
-                .callback(move |sample| {
-                    if let (SampleKind::Delete, Some(host)) =
-                        (sample.kind(), keys::host(sample.key_expr()))
-                    {
-                        put(Event::Gone(host), &alive);
-                    }
-                })
-                .wait()?,
-        })
-    }
-}
-
 /// A policy that hosts can have.
 struct Policy {
     version: u64,
@@ -139,6 +78,7 @@ struct Policy {
 /// The one thread that owns the ports.
 struct Hub {
     session: Session,
+    admission: Admission,
     events: Sender<Event>,
     reception: Reception,
     hosts: Hosts,
@@ -179,6 +119,11 @@ impl Hub {
             }
             if self.said.is_none_or(|said| said.elapsed() >= HEARTBEAT) {
                 self.said = Some(Instant::now());
+                if self.admission.has_changed() {
+                    // The network takes its rules when it opens, and keeps its port as long as its process lives.
+                    let message = "others may join now; a gateway with their names takes over";
+                    return Err(ExitError::new(ExitCode::Failure, message));
+                }
                 self.tell_hosts(false);
                 self.ports.say(&Status::Hosts {
                     incarnation: self.incarnation,
@@ -195,13 +140,15 @@ impl Hub {
             Event::Bell => {}
             Event::Hello(query) => self.reception.receive(query, &mut self.hosts),
             Event::Policy(query) => self.hand_out(query),
-            Event::Beat(host, beat) => {
+            Event::Stranger(query) => Reception::explain(query, &self.admission.names),
+            Event::Beat(host, name, _) if !self.hosts.is_called(host, &name) => {}
+            Event::Beat(host, _, beat) => {
                 if self.hosts.heard(host, &beat.workers, Instant::now()) {
                     self.said = None;
                 }
             }
-            Event::Gone(host) => {
-                if self.hosts.gone(host) {
+            Event::Gone(host, name) => {
+                if self.hosts.is_called(host, &name) && self.hosts.gone(host) {
                     tracing::warn!(host, "is gone");
                     self.said = None;
                 }
@@ -281,7 +228,8 @@ impl Hub {
             return;
         }
         let question = message::encode(&Single { worker: local, ..order }.order());
-        let key = keys::of_host(&self.reception.session, host, "order");
+        let name = self.hosts.name(host).unwrap_or_default();
+        let key = keys::of_host(&self.reception.session, name, host, "order");
         let (session, events) = (self.session.clone(), self.events.clone());
         let (patience, most) = (self.deadline, self.ports.longest_answer());
         let ask = move || {

@@ -6,13 +6,13 @@ use channels::{
 };
 use proto::ExitError;
 use proto::config::Config;
+use proto::gateway::pieces::{Assembly, PIECE_LEN};
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader};
 use proto::message::{self, Order, Status};
-use zenoh::bytes::ZBytes;
 
 use crate::arguments::HubArguments;
+use crate::network::Piece;
 use crate::orders::{Single, Task};
-use crate::pieces::{Assembly, PIECE_LEN};
 
 /// See the module.
 pub(super) struct Ports {
@@ -62,7 +62,7 @@ impl Ports {
         &self,
         order: &Single,
         header: &[u8],
-        answer: &Assembly<ZBytes>,
+        answer: &Assembly<Piece>,
         len: usize,
     ) -> Result<bool, ExitError> {
         let Ok(header) = bytemuck::try_pod_read_unaligned::<BlockHeader>(header) else {
@@ -90,7 +90,7 @@ impl Ports {
     pub(super) fn status(
         &self,
         order: &Single,
-        answer: &Assembly<ZBytes>,
+        answer: &Assembly<Piece>,
         len: usize,
     ) -> Result<bool, ExitError> {
         let mut bytes = vec![0; len];
