@@ -3,9 +3,9 @@
 use clap::{Parser, Subcommand};
 
 use crate::{
-    bench, checkpoints, clean, doctor, eval, experiment, export, film, janitor, join, mjcf, plan,
-    plot, record, replay, reproduce, resume, rollout, scale, serve, simulate, status, sweep, train,
-    urdf, verify, view,
+    bench, certificates, checkpoints, clean, doctor, eval, experiment, export, film, janitor, join,
+    mjcf, plan, plot, record, replay, reproduce, resume, rollout, scale, serve, simulate, status,
+    sweep, train, urdf, verify, view,
 };
 
 /// Exit codes, as `octopus --help` lists them.
@@ -17,7 +17,8 @@ Exit codes:
   2    the command line is wrong
   3    a configuration, robot, actions or other input file is wrong
   4    the machine lacks something: shared memory, descriptors, libtorch, a
-       device, a free port, programs of the same build as the run that it joins
+       device, a free port, programs of the same build as the run that it
+       joins, a certificate that this run accepts
   5    a run directory, checkpoint or result exists already, is in use, is
        missing or is damaged
   6    the learner or a worker failed for good
@@ -77,6 +78,8 @@ pub enum Command {
     Status(status::StatusArgs),
     /// Help a run of another machine with workers of this one.
     Join(join::JoinArgs),
+    /// Make certificates by which the machines of a run know each other.
+    Certificates(certificates::CertificatesArgs),
     /// Change the number of workers of a live run.
     Scale(scale::ScaleArgs),
     /// Make one block of a run again, alone.

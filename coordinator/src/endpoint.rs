@@ -1,62 +1,135 @@
 //! Endpoints of the network between machines, and what must be said to open one.
 
-use std::net::{SocketAddr, TcpListener};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::path::PathBuf;
+use std::time::SystemTime;
 
+use ::certificates::examine;
 use clap::Args;
+use proto::certificates::LEARNER;
 use proto::{ExitCode, ExitError};
 use run::supervisor::{GatewaySpec, Programs};
 
+use crate::certificates;
 use crate::values::address;
 
-/// Where a run meets other machines.
+/// How a link is carried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Endpoint(SocketAddr);
+pub enum Carrier {
+    /// Encrypted, and both ends show certificates.
+    Quic,
+    /// As it is.
+    Tcp,
+}
+
+/// Where a run meets other machines.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Endpoint {
+    /// How links are carried.
+    pub carrier: Carrier,
+    /// HOST:PORT as it was given: a certificate is for a name or an address.
+    place: String,
+    address: SocketAddr,
+}
 
 impl std::fmt::Display for Endpoint {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "tcp/{}", self.0)
+        match self.carrier {
+            Carrier::Quic => write!(f, "quic/{}", self.place),
+            Carrier::Tcp => write!(f, "tcp/{}", self.address),
+        }
     }
 }
 
 /// Reads an endpoint.
 pub(crate) fn endpoint(text: &str) -> Result<Endpoint, String> {
-    let wanted = "wants tcp/ADDRESS:PORT, such as tcp/192.168.1.2:7447";
-    match text.split_once('/') {
-        Some(("tcp", rest)) => {
-            let address = address(rest).map_err(|error| format!("{wanted}: {rest}: {error}"))?;
-            if address.port() == 0 {
-                return Err(format!("{wanted}: others must know the port, it cannot be 0"));
-            }
-            Ok(Endpoint(address))
+    let wanted = "wants quic/HOST:PORT or tcp/HOST:PORT, such as quic/192.168.1.2:7447";
+    let (carrier, place) = match text.split_once('/') {
+        Some(("quic", place)) => (Carrier::Quic, place),
+        Some(("tcp", place)) => (Carrier::Tcp, place),
+        Some(("tls", _)) => {
+            return Err(format!(
+                "{wanted}: TLS over TCP is not offered, because the network's links of that kind are \
+                 known to damage memory; quic is as safe, over UDP"
+            ));
         }
-        Some(("quic" | "tls", _)) => Err(format!("{wanted}: encrypted links are not there yet")),
-        _ => Err(wanted.to_owned()),
+        _ => return Err(wanted.to_owned()),
+    };
+    let address = address(place).map_err(|error| format!("{wanted}: {place}: {error}"))?;
+    if address.port() == 0 {
+        return Err(format!("{wanted}: others must know the port, it cannot be 0"));
     }
+    Ok(Endpoint { carrier, place: place.to_owned(), address })
 }
 
 impl Endpoint {
-    /// Refuses one beyond this machine, unless that was said to be wanted.
-    pub(crate) fn check(self, insecure: bool) -> Result<(), ExitError> {
-        if insecure || self.0.ip().is_loopback() {
+    /// Refuses a plain one beyond this machine, unless that was said to be wanted, and options that are the other
+    /// kind's.
+    pub(crate) fn check(
+        &self,
+        insecure: bool,
+        certificates: Option<&PathBuf>,
+    ) -> Result<(), ExitError> {
+        let message = match (self.carrier, certificates) {
+            (Carrier::Quic, _) if insecure => {
+                format!("{self}: is encrypted; --insecure is for tcp/HOST:PORT")
+            }
+            (Carrier::Tcp, Some(_)) => {
+                format!("{self}: shows no certificates; --certificates is for quic/HOST:PORT")
+            }
+            (Carrier::Tcp, None) if !insecure && !self.address.ip().is_loopback() => format!(
+                "{self}: leads beyond this machine, where links over TCP are neither encrypted nor is \
+                 anybody asked who they are: whoever reaches it can read the run and send it blocks. \
+                 Use quic/{} with --certificates, see `octopus certificates`; within a network that \
+                 you trust, --insecure allows TCP",
+                self.place
+            ),
+            _ => return Ok(()),
+        };
+        Err(ExitError::new(ExitCode::Usage, message))
+    }
+
+    /// Refuses what cannot be connected to with certificates: the network has no way to name an address of IPv6 in a
+    /// certificate.
+    pub(crate) fn check_name(&self) -> Result<(), ExitError> {
+        if self.carrier == Carrier::Tcp || !self.place.starts_with('[') {
             return Ok(());
         }
         let message = format!(
-            "{self}: leads beyond this machine, where links are neither encrypted nor is anybody asked who \
-             they are: whoever reaches it can read the run and send it blocks. Within a network that you \
-             trust, --insecure allows that; elsewhere use a tunnel (ssh -L, WireGuard) to an endpoint on \
-             127.0.0.1"
+            "{self}: an encrypted link has a name or an address of IPv4; give the machine a name \
+             (/etc/hosts) that its certificate has, too (octopus certificates --learner NAME)"
         );
         Err(ExitError::new(ExitCode::Usage, message))
+    }
+
+    /// Whether it can be listened at.
+    fn try_to_listen(&self) -> std::io::Result<()> {
+        match self.carrier {
+            Carrier::Quic => UdpSocket::bind(self.address).map(drop),
+            Carrier::Tcp => TcpListener::bind(self.address).map(drop),
+        }
+    }
+
+    /// Where it listens.
+    fn listen(&self) -> String {
+        match self.carrier {
+            Carrier::Quic => format!("quic/{}", self.address),
+            Carrier::Tcp => format!("tcp/{}", self.address),
+        }
     }
 }
 
 /// Help from other machines.
 #[derive(Debug, Clone, Default, Args)]
 pub struct HostArgs {
-    /// Let other machines help by `octopus join`: wait for them at tcp/ADDRESS:PORT.
+    /// Let other machines help by `octopus join`: wait for them at quic/HOST:PORT, or, unencrypted, at
+    /// tcp/HOST:PORT.
     #[arg(long, value_name = "ENDPOINT", allow_hyphen_values = true, value_parser = endpoint, help_heading = "Other machines")]
     pub listen_workers: Option<Endpoint>,
-    /// Let that be beyond this machine, although links are neither encrypted nor authenticated yet.
+    /// A directory of `octopus certificates`, for quic: the learner's pair, and the hosts that may join.
+    #[arg(long, value_name = "DIR", requires = "listen_workers", help_heading = "Other machines")]
+    pub certificates: Option<PathBuf>,
+    /// Let tcp be beyond this machine, although nobody is asked who they are and nothing is encrypted.
     #[arg(long, requires = "listen_workers", help_heading = "Other machines")]
     pub insecure: bool,
 }
@@ -64,17 +137,29 @@ pub struct HostArgs {
 impl HostArgs {
     /// The gateway that they ask for, if they do; whether it can listen is tried.
     pub(crate) fn gateway(&self) -> Result<Option<GatewaySpec>, ExitError> {
-        let Some(endpoint) = self.listen_workers else { return Ok(None) };
-        endpoint.check(self.insecure)?;
+        let Some(endpoint) = &self.listen_workers else { return Ok(None) };
+        endpoint.check(self.insecure, self.certificates.as_ref())?;
+        if endpoint.carrier == Carrier::Quic {
+            let dir = certificates::wanted(self.certificates.as_ref(), &endpoint.to_string())?;
+            examine::check(&dir, LEARNER, SystemTime::now())?;
+            if examine::hosts(&dir)?.is_empty() {
+                output::note(&format!(
+                    "note: {0}: has no certificate of a host yet; `octopus certificates {0} --host NAME` \
+                     makes one, also while the run goes on",
+                    dir.path().display()
+                ));
+            }
+        }
         let program = Programs::gateway()?;
-        if let Err(error) = TcpListener::bind(endpoint.0) {
+        if let Err(error) = endpoint.try_to_listen() {
             let message = format!(
                 "--listen-workers {endpoint}: cannot be listened at: {error}; choose another port, or an \
                  address of this machine"
             );
             return Err(ExitError::new(ExitCode::Environment, message));
         }
-        Ok(Some(GatewaySpec { program, listen: endpoint.to_string() }))
+        let certificates = self.certificates.clone();
+        Ok(Some(GatewaySpec { program, listen: endpoint.listen(), certificates }))
     }
 }
 
@@ -83,29 +168,38 @@ mod tests {
     use super::*;
 
     #[test]
-    fn endpoints_are_tcp_with_an_address_and_a_port() {
-        assert_eq!(
-            endpoint("tcp/127.0.0.1:7447").expect("valid").to_string(),
-            "tcp/127.0.0.1:7447"
-        );
-        assert_eq!(endpoint("tcp/[::1]:7447").expect("valid").to_string(), "tcp/[::1]:7447");
-        for wrong in ["127.0.0.1:7447", "tcp/127.0.0.1", "tcp/", "udp/1.2.3.4:5", "tcp/1.2.3.4:0"] {
+    fn endpoints_have_a_carrier_an_address_and_a_port() {
+        for text in ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "quic/127.0.0.1:7447"] {
+            assert_eq!(endpoint(text).expect("valid").to_string(), text);
+        }
+        let named = endpoint("quic/localhost:7447").expect("every machine has this name");
+        assert_eq!(named.to_string(), "quic/localhost:7447", "a certificate is for a name");
+        assert!(named.listen().starts_with("quic/127.0.0.1"), "{named:?}");
+        for wrong in ["127.0.0.1:7447", "tcp/127.0.0.1", "tcp/", "udp/1.2.3.4:5", "quic/1.2.3.4:0"]
+        {
             assert!(
-                endpoint(wrong).is_err_and(|wanted| wanted.contains("tcp/ADDRESS:PORT")),
+                endpoint(wrong).is_err_and(|wanted| wanted.contains("quic/HOST:PORT")),
                 "{wrong}"
             );
         }
-        let later = endpoint("quic/10.0.0.1:7447").expect_err("later");
-        assert!(later.contains("not there yet"), "{later}");
+        let never = endpoint("tls/10.0.0.1:7447").expect_err("not offered");
+        assert!(never.contains("damage memory") && never.contains("quic"), "{never}");
     }
 
     #[test]
-    fn beyond_this_machine_needs_a_word() {
-        let here = endpoint("tcp/127.0.0.1:7447").expect("valid");
-        let everywhere = endpoint("tcp/0.0.0.0:7447").expect("valid");
-        assert!(here.check(false).is_ok() && everywhere.check(true).is_ok());
-        let refused = everywhere.check(false).expect_err("beyond");
+    fn beyond_this_machine_needs_a_word_or_certificates() {
+        let of = |text| endpoint(text).expect("valid");
+        let (here, everywhere) = (of("tcp/127.0.0.1:7447"), of("tcp/0.0.0.0:7447"));
+        assert!(here.check(false, None).is_ok() && everywhere.check(true, None).is_ok());
+        let refused = everywhere.check(false, None).expect_err("beyond");
         assert_eq!(refused.code, ExitCode::Usage);
         assert!(refused.message.contains("--insecure"), "{refused}");
+        assert!(refused.message.contains("quic/0.0.0.0:7447"), "{refused}");
+        let dir = PathBuf::from("certs");
+        let encrypted = of("quic/0.0.0.0:7447");
+        assert!(encrypted.check(false, Some(&dir)).is_ok());
+        assert!(encrypted.check(true, Some(&dir)).is_err(), "--insecure is for tcp");
+        assert!(here.check(false, Some(&dir)).is_err(), "--certificates are for quic");
+        assert!(of("quic/[::1]:7447").check_name().is_err() && here.check_name().is_ok());
     }
 }

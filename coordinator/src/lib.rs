@@ -10,6 +10,7 @@ pub mod training_options;
 pub mod values;
 
 pub mod bench;
+pub mod certificates;
 pub mod checkpoints;
 pub mod clean;
 pub mod doctor;
@@ -90,6 +91,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Doctor(args) => doctor::run(args),
         Command::Bench(args) => bench::run(&args),
         Command::Join(args) => join::run(&args),
+        Command::Certificates(args) => certificates::run(&args),
         Command::Sweep(args) => sweep::run(&args),
         Command::Status(args) => status::run(&args),
         Command::Scale(args) => scale::run(&args),

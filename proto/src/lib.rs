@@ -6,7 +6,7 @@
 //! * [`config`]: the typed configuration, its presets and how layers of it are merged;
 //! * [`layout`]: sizes, and the place of every number in the arrays that cross a process border;
 //! * [`message`]: the control messages and the course of an iteration;
-//! * [`gateway`]: what a gateway of a host says to who started it;
+//! * [`gateway`]: what gateways say to each other and to who started them; [`certificates`]: by what they are known;
 //! * [`run_dir`]: the files of a run directory; [`bucket_address`]: where its checkpoints go, too;
 //! * [`rng`]: random numbers that are pure functions of their address;
 //! * [`Digest`]: the fingerprint of a training state;
@@ -18,6 +18,7 @@
 
 pub mod agents;
 pub mod bucket_address;
+pub mod certificates;
 pub mod config;
 mod digest;
 mod error;

@@ -4,7 +4,7 @@
 
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, TcpListener, TcpStream};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,148 +12,9 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use tempfile::TempDir;
-use tests::{
-    Owned, Run, assert_nothing_left, kill, leftovers, octopus, processes_with, program, stderr,
-};
+use tests::{Run, assert_nothing_left, kill, leftovers, octopus, program, stderr};
 
-/// An endpoint at which nobody listens.
-fn free_endpoint() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    format!("tcp/{}", listener.local_addr().expect("bound"))
-}
-
-/// A machine that helps: `octopus join` with a directory of its own.
-pub(crate) struct Machine {
-    dir: TempDir,
-    pub(crate) process: Owned,
-}
-
-impl Machine {
-    fn join(endpoint: &str, more: &[&str]) -> Self {
-        Self::with(&program("octopus"), endpoint, more)
-    }
-
-    fn with(octopus: &Path, endpoint: &str, more: &[&str]) -> Self {
-        Self::behind(Command::new(octopus), endpoint, more)
-    }
-
-    /// Its workers have a fault, see `sim-worker`'s `fault_injection.rs`.
-    fn with_fault(endpoint: &str, fault: &str, more: &[&str]) -> Self {
-        let mut command = Command::new(program("octopus"));
-        command.env("SPACEOCTOPUS_TEST_FAULT", fault);
-        Self::behind(command, endpoint, more)
-    }
-
-    /// Joins by `command`, which is `octopus` or becomes it.
-    pub(crate) fn behind(mut command: Command, endpoint: &str, more: &[&str]) -> Self {
-        let dir = tempfile::tempdir().expect("a temporary directory");
-        let log = std::fs::File::create(dir.path().join("log")).expect("writable");
-        command.args(["join", endpoint]).args(more).env("TMPDIR", dir.path());
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
-        let process = Owned::spawn(&mut command);
-        Self { dir, process }
-    }
-
-    pub(crate) fn log(&self) -> String {
-        std::fs::read_to_string(self.dir.path().join("log")).unwrap_or_default()
-    }
-
-    /// Its processes, by program name.
-    fn children(&self, name: &str) -> Vec<u32> {
-        let of = processes_with(self.dir.path().to_str().expect("UTF-8")).into_iter();
-        of.filter(|(_, program)| program == name).map(|(pid, _)| pid).collect()
-    }
-
-    /// The name of its shared memory, from the command line of its workers.
-    fn domain(&self) -> String {
-        let worker = self.until("it has a worker", |machine| machine.children("sim-worker").pop());
-        let line = std::fs::read(format!("/proc/{worker}/cmdline")).expect("it lives");
-        let line = String::from_utf8_lossy(&line).into_owned();
-        let mut words = line.split('\0').skip_while(|word| *word != "--domain");
-        words.nth(1).expect("its domain").to_owned()
-    }
-
-    fn until<T>(&self, what: &str, seen: impl Fn(&Self) -> Option<T>) -> T {
-        let watchdog = Instant::now() + Duration::from_mins(1);
-        loop {
-            if let Some(seen) = seen(self) {
-                return seen;
-            }
-            assert!(Instant::now() < watchdog, "never: {what}; its log:\n{}", self.log());
-            std::thread::sleep(Duration::from_millis(5));
-        }
-    }
-
-    /// Waits until the run is over and it has ended in order.
-    pub(crate) fn succeed(&mut self) {
-        let watchdog = Instant::now() + Duration::from_mins(1);
-        while self.process.ended().is_none() {
-            assert!(Instant::now() < watchdog, "it does not end; its log:\n{}", self.log());
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        assert!(self.process.succeeded(), "its log:\n{}", self.log());
-        assert!(self.log().contains("the run is over"), "{}", self.log());
-    }
-
-    /// Its exit code, once it has ended by itself.
-    pub(crate) fn code(&mut self) -> Option<i32> {
-        let watchdog = Instant::now() + Duration::from_mins(1);
-        loop {
-            if let Some(status) = self.process.ended() {
-                return status.code();
-            }
-            assert!(Instant::now() < watchdog, "it does not end; its log:\n{}", self.log());
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-}
-
-/// A run that other machines may join.
-fn open(endpoint: &str, more: &[&str]) -> Run {
-    let listen = format!("--listen-workers={endpoint}");
-    let flags: Vec<_> = [listen.as_str()].into_iter().chain(more.iter().copied()).collect();
-    Run::train(&flags)
-}
-
-/// Digests of a run on one machine.
-pub(crate) fn alone(iterations: u32) -> Vec<String> {
-    let mut run = Run::train(&["--workers=2", &format!("--iterations={iterations}")]);
-    run.succeed();
-    run.digests()
-}
-
-/// Waits until the run's log says something, so many times.
-pub(crate) fn wait_for(run: &mut Run, said: &str, times: usize) {
-    let watchdog = Instant::now() + Duration::from_mins(1);
-    while run.log().matches(said).count() < times {
-        let log = run.log();
-        assert!(run.ended().is_none(), "the run ended without {said:?}; its log:\n{log}");
-        assert!(Instant::now() < watchdog, "never said {said:?}; its log:\n{log}");
-        std::thread::sleep(Duration::from_millis(5));
-    }
-}
-
-pub(crate) fn assert_adds_up(run: &Run) {
-    for line in run.metrics() {
-        let steps = |key: &str| line["accounting"][key].as_u64().expect("a count");
-        let known = steps("trained") + steps("duplicate") + steps("lost");
-        assert_eq!(steps("produced"), known, "{line}");
-        assert_eq!(steps("trained"), 128);
-    }
-}
-
-/// The learner stands still, and with it the run: machines have time to come.
-pub(crate) fn hold(run: &mut Run) -> u32 {
-    let watchdog = Instant::now() + Duration::from_mins(1);
-    loop {
-        if let Some(&learner) = run.children("learner").first() {
-            kill(learner, Signal::STOP);
-            return learner;
-        }
-        assert!(Instant::now() < watchdog, "no learner; log:\n{}", run.log());
-        std::thread::sleep(Duration::from_millis(1));
-    }
-}
+use crate::machines::{Machine, alone, assert_adds_up, free_endpoint, hold, open, wait_for};
 
 #[test]
 fn machines_that_help_change_no_bit() {
@@ -519,7 +380,7 @@ fn a_machine_that_makes_other_bits_is_thrown_out_and_nothing_of_it_is_trained_on
     let shown = String::from_utf8_lossy(&shown.stdout).into_owned();
     assert!(shown.contains("bad was thrown out"), "{shown}");
     kill(learner, Signal::CONT);
-    assert_eq!(bad.code(), Some(4), "{}", bad.log());
+    assert_eq!(bad.refused().0, Some(4), "{}", bad.log());
     assert!(bad.log().contains("other bits"), "{}", bad.log());
     run.succeed();
     good.succeed();
@@ -543,7 +404,7 @@ fn a_machine_that_makes_other_bits_later_is_found_and_its_blocks_are_made_again(
     kill(learner, Signal::CONT);
     wait_for(&mut run, "(tired) has made its first block", 1);
     wait_for(&mut run, "It is thrown out", 1);
-    assert_eq!(helper.code(), Some(4), "{}", helper.log());
+    assert_eq!(helper.refused().0, Some(4), "{}", helper.log());
     run.succeed();
     assert_eq!(run.metrics().len(), 200);
     assert_adds_up(&run);
@@ -572,8 +433,7 @@ fn a_machine_with_another_build_is_refused_with_what_differs() {
     run.wait_for_iterations(1);
     let (_dir, other) = another_build();
     let mut refused = Machine::with(&other, &endpoint, &["--workers=1"]);
-    let code = refused.code();
-    let log = refused.log();
+    let (code, log) = refused.refused();
     assert_eq!(code, Some(4), "{log}");
     assert!(log.contains("digest of the program sim-worker is"), "{log}");
     assert!(log.contains("same build"), "{log}");
@@ -593,10 +453,10 @@ fn wrong_endpoints_are_refused_and_nobody_is_waited_for_for_ever() {
     let (code, text) = said(&["train", "--listen-workers=tcp/0.0.0.0:7447"]);
     assert_eq!(code, Some(2), "{text}");
     assert!(text.contains("neither encrypted"), "{text}");
-    for wrong in ["127.0.0.1:7447", "tcp/127.0.0.1", "quic/127.0.0.1:7447"] {
+    for wrong in ["127.0.0.1:7447", "tcp/127.0.0.1", "tls/127.0.0.1:7447"] {
         let (code, text) = said(&["join", wrong]);
         assert_eq!(code, Some(2), "{wrong}: {text}");
-        assert!(text.contains("tcp/ADDRESS:PORT"), "{wrong}: {text}");
+        assert!(text.contains("tcp/HOST:PORT"), "{wrong}: {text}");
     }
     // Nobody listens there.
     let endpoint = free_endpoint();

@@ -10,7 +10,7 @@ use rustix::process::Signal;
 use tests::network::{Cable, Network};
 use tests::{Run, assert_nothing_left, kill, program};
 
-use crate::join::{Machine, alone, assert_adds_up, hold, wait_for};
+use crate::machines::{Machine, alone, assert_adds_up, hold, wait_for};
 
 /// A run of a few iterations on machine 0.
 fn run_on(network: &Network, iterations: u32, more: &[&str]) -> Run {
@@ -107,7 +107,7 @@ fn a_machine_that_is_cut_off_for_good_leaves_and_the_run_goes_on() {
     wait_for(&mut run, &is_gone(1), 1);
     kill(learner, Signal::CONT);
     end(run, &mut [], &expected);
-    let code = machine.code();
+    let (code, _) = machine.refused();
     assert_eq!(code, Some(1), "{}", machine.log());
 }
 
@@ -144,7 +144,7 @@ fn a_full_disk_on_a_machine_is_its_own_trouble() {
     command.args(rest).args(["sh", "-c", script]).arg(program("octopus"));
     let mut machine =
         Machine::behind(command, &Network::endpoint(), &["--workers=1", "--insecure", "--wait=5s"]);
-    let code = machine.code();
+    let (code, _) = machine.refused();
     assert_eq!(code, Some(4), "{}", machine.log());
     assert!(machine.log().contains("/mnt"), "{}", machine.log());
     let done = run.metrics().len();

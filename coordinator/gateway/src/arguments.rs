@@ -23,9 +23,12 @@ pub enum Role {
 /// Options of the learner's end.
 #[derive(Debug, Clone, clap::Args)]
 pub struct HubArguments {
-    /// Where hosts are waited for: tcp/ADDRESS:PORT.
+    /// Where hosts are waited for: quic/ADDRESS:PORT or tcp/ADDRESS:PORT.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: String,
+    /// Certificates of the run and of the hosts that may join, for quic.
+    #[arg(long, value_name = "DIR")]
+    pub certificates: Option<PathBuf>,
     /// Arms of the robot.
     #[arg(long, value_name = "N")]
     pub arms: usize,
@@ -52,9 +55,12 @@ pub struct HubArguments {
 /// Options of the workers' end. What it says to who started it stands in [`proto::gateway`].
 #[derive(Debug, Clone, clap::Args)]
 pub struct HostArguments {
-    /// Where the run is: tcp/ADDRESS:PORT.
+    /// Where the run is: quic/HOST:PORT or tcp/ADDRESS:PORT.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: String,
+    /// Certificates of the authority and of this machine, for quic.
+    #[arg(long, value_name = "DIR")]
+    pub certificates: Option<PathBuf>,
     /// Workers of this machine.
     #[arg(long, value_name = "N")]
     pub workers: u32,

@@ -36,23 +36,37 @@
 //! undone.
 //!
 //! The learner's side is a router and listens, hosts are clients and try to connect for ever. Nothing is looked for by
-//! multicast or gossip: whoever has not been told the endpoint does not find it. **Links are not encrypted and hosts not
-//! authenticated**; that is why `octopus` asks for `--insecure` beyond this machine.
+//! multicast or gossip: whoever has not been told the endpoint does not find it.
 //!
-//! [pieces]: pieces
+//! # Who may join
+//!
+//! Over QUIC both ends show certificates of one authority (TLS 1.3), and each host is confined to keys below the name in
+//! its own (`access.rs`). Who may join are the hosts whose certificates lie in the run's directory. The hub looks into it and
+//! ends when they become others, because the network takes its rules once: it is replaced by one that knows them. Before a host connects it shakes hands once by itself, to tell its
+//! owner what does not fit (`handshake.rs`). Certificates are made and judged by the crate `certificates`.
+//!
+//! Over TCP links are neither encrypted nor is anybody asked who they are; that is why `octopus` asks for `--insecure`
+//! beyond this machine. The network's third kind of link, TLS over TCP, is not built: it is known to damage memory.
+//!
+//! What the network leaves open: it takes one handshake at a time, so that whoever reaches the port and falls silent in
+//! the middle of one keeps others from joining for half a minute. Hosts that have joined are not concerned. And a host
+//! takes a run for its own, too, whose certificate a public authority has given for the endpoint's name.
+//!
+//! [pieces]: proto::gateway::pieces
 //! [events]: hub
-//! [session name]: wire::Welcome::session
+//! [session name]: proto::gateway::wire::Welcome::session
 
 pub mod arguments;
 pub mod host;
 pub mod hub;
-pub mod pieces;
-pub mod wire;
 
+mod access;
 mod bells;
+mod handshake;
 mod keys;
 mod network;
 mod orders;
+mod witness;
 
 use std::time::Duration;
 

@@ -3,6 +3,8 @@
 use std::sync::mpsc;
 use std::time::Duration;
 
+use proto::certificates::{AUTHORITY, CertificateDir, LEARNER};
+use proto::gateway::pieces::{Assembly, Content, Payload, split};
 use proto::message;
 use proto::{ExitCode, ExitError};
 use zenoh::bytes::ZBytes;
@@ -10,7 +12,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, Query};
 use zenoh::{Config, Session, Wait as _};
 
-use crate::pieces::{Assembly, Content, split};
+use crate::access;
 
 /// After so long without a sign of the other end a link is taken for cut (ms).
 const LEASE_MS: u64 = 3000;
@@ -18,34 +20,38 @@ const LEASE_MS: u64 = 3000;
 /// Which end of the network a session is.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum End<'a> {
-    /// Waits for hosts there.
-    Listen(&'a str),
-    /// Connects there, within this time, and again whenever the link was cut.
-    Connect(&'a str, Duration),
+    /// Waits for hosts there. With certificates only these are heard.
+    Listen(&'a str, Option<(&'a CertificateDir, &'a [String])>),
+    /// Connects there, within this time, and again whenever the link was cut. With certificates as this host.
+    Connect(&'a str, Duration, Option<(&'a CertificateDir, &'a str)>),
 }
 
 /// Opens a session.
 pub(crate) fn open(end: End<'_>) -> Result<Session, ExitError> {
     let config = configuration(end).map_err(|error| {
-        ExitError::new(ExitCode::Failure, format!("the network cannot be set up: {error}"))
+        let message = format!("the network cannot be set up: {}", plain(&error));
+        ExitError::new(ExitCode::Failure, message)
     })?;
     zenoh::open(config).wait().map_err(|error| {
         tracing::error!(%error, ?end, "no network");
         match end {
-            End::Listen(endpoint) => {
+            End::Listen(endpoint, _) => {
                 let message = format!("{endpoint}: cannot be listened at: {}", plain(&error));
                 ExitError::new(ExitCode::Environment, message)
             }
-            End::Connect(endpoint, wait) => {
-                let seconds = wait.as_secs_f64();
-                let message = format!(
-                    "{endpoint}: no run could be connected to for {seconds} s; it is started by \
-                     `octopus train --listen-workers`, and --wait says how long it is waited for"
-                );
-                ExitError::new(ExitCode::Failure, message)
-            }
+            End::Connect(endpoint, wait, _) => nobody(endpoint, wait),
         }
     })
+}
+
+/// Nobody was at `endpoint` for so long.
+pub(crate) fn nobody(endpoint: &str, wait: Duration) -> ExitError {
+    let seconds = wait.as_secs_f64();
+    let message = format!(
+        "{endpoint}: no run could be connected to for {seconds} s; it is started by `octopus train \
+         --listen-workers`, and --wait says how long it is waited for"
+    );
+    ExitError::new(ExitCode::Failure, message)
 }
 
 /// An error of the network without the place in its sources.
@@ -57,11 +63,10 @@ fn plain(error: &zenoh::Error) -> String {
 fn configuration(end: End<'_>) -> zenoh::Result<Config> {
     let mut config = Config::default();
     let (mode, place, endpoint, wait) = match end {
-        End::Listen(endpoint) => ("router", "listen/endpoints", endpoint, Duration::ZERO),
-        End::Connect(endpoint, wait) => ("client", "connect/endpoints", endpoint, wait),
+        End::Listen(endpoint, _) => ("router", "listen/endpoints", endpoint, Duration::ZERO),
+        End::Connect(endpoint, wait, _) => ("client", "connect/endpoints", endpoint, wait),
     };
     let wait = wait.as_millis().to_string();
-    let text = |value: &str| serde_json::Value::from(value).to_string();
     let lease = LEASE_MS.to_string();
     for (key, value) in [
         ("mode", text(mode).as_str()),
@@ -80,14 +85,64 @@ fn configuration(end: End<'_>) -> zenoh::Result<Config> {
     ] {
         config.insert_json5(key, value)?;
     }
+    match end {
+        End::Listen(_, Some((dir, hosts))) => {
+            let own = ("listen_certificate", "listen_private_key");
+            secure(&mut config, dir, LEARNER, own)?;
+            config.insert_json5("access_control", &access::rules(hosts).to_string())?;
+        }
+        End::Connect(_, _, Some((dir, name))) => {
+            secure(&mut config, dir, name, ("connect_certificate", "connect_private_key"))?;
+        }
+        End::Listen(_, None) | End::Connect(_, _, None) => {}
+    }
     Ok(config)
+}
+
+/// Both ends show a certificate and look at that of the other. Files are named and not quoted: what is quoted stands in
+/// the network's own log.
+fn secure(
+    config: &mut Config,
+    dir: &CertificateDir,
+    name: &str,
+    own: (&str, &str),
+) -> zenoh::Result<()> {
+    let (certificate, key) = own;
+    for (which, path) in [
+        ("root_ca_certificate", dir.certificate(AUTHORITY)),
+        (certificate, dir.certificate(name)),
+        (key, dir.key(name)),
+    ] {
+        let path = path.to_str().filter(|path| !path.contains(';'));
+        let path = path.ok_or("a path of certificates is no UTF-8 text or has a semicolon")?;
+        config.insert_json5(&format!("transport/link/tls/{which}"), &text(path))?;
+    }
+    for which in ["enable_mtls", "verify_name_on_connect"] {
+        config.insert_json5(&format!("transport/link/tls/{which}"), "true")?;
+    }
+    Ok(())
+}
+
+/// A text as JSON has it.
+fn text(value: &str) -> String {
+    serde_json::Value::from(value).to_string()
+}
+
+/// A piece of an answer, where the network has put it.
+#[derive(Debug)]
+pub(crate) struct Piece(ZBytes);
+
+impl Payload for Piece {
+    fn slices(&self) -> impl Iterator<Item = &[u8]> {
+        self.0.slices()
+    }
 }
 
 /// What came of a question.
 #[derive(Debug)]
 pub(crate) struct Asked {
     /// The answer, as far as it has come.
-    pub(crate) answer: Assembly<ZBytes>,
+    pub(crate) answer: Assembly<Piece>,
     /// What was wrong with what came, if anything was.
     pub(crate) trouble: Option<String>,
 }
@@ -121,7 +176,8 @@ pub(crate) fn ask(
         let taken = match reply.into_result() {
             Ok(sample) => {
                 let head = sample.attachment().map(|head| head.to_bytes().into_owned());
-                asked.answer.add(&head.unwrap_or_default(), sample.payload().clone(), most)
+                let piece = Piece(sample.payload().clone());
+                asked.answer.add(&head.unwrap_or_default(), piece, most)
             }
             Err(error) => Err(error.payload().try_to_string().map_or_else(
                 |_| "an error without words".to_owned(),
@@ -167,13 +223,27 @@ mod tests {
 
     #[test]
     fn the_network_knows_all_that_it_is_told() {
-        for end in [
-            End::Listen("tcp/127.0.0.1:7447"),
-            End::Connect("tcp/127.0.0.1:7447", Duration::from_secs(30)),
+        let dir = CertificateDir::new("some where");
+        let hosts = ["lab-2".to_owned()];
+        let wait = Duration::from_secs(30);
+        for (end, secured) in [
+            (End::Listen("tcp/127.0.0.1:7447", None), false),
+            (End::Connect("tcp/127.0.0.1:7447", wait, None), false),
+            (End::Listen("quic/127.0.0.1:7447", Some((&dir, &hosts))), true),
+            (End::Connect("quic/localhost:7447", wait, Some((&dir, "lab-2"))), true),
         ] {
             let config = configuration(end).expect("known keys");
             let multicast = config.get_json("scouting/multicast/enabled").expect("a key");
             assert_eq!(multicast, "false", "{end:?}");
+            let both = config.get_json("transport/link/tls/enable_mtls").expect("a key");
+            assert_eq!(both == "true", secured, "{end:?}");
         }
+    }
+
+    #[test]
+    fn a_path_that_the_network_would_cut_is_refused() {
+        let dir = CertificateDir::new("a;b");
+        let end = End::Connect("quic/localhost:7447", Duration::ZERO, Some((&dir, "lab-2")));
+        assert!(configuration(end).is_err_and(|error| error.to_string().contains("semicolon")));
     }
 }

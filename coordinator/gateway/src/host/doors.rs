@@ -3,6 +3,7 @@
 use std::sync::mpsc::Sender;
 
 use proto::gateway::Told;
+use proto::gateway::wire::{HubBeat, Welcome};
 use proto::message;
 use proto::{ExitCode, ExitError};
 use zenoh::liveliness::LivelinessToken;
@@ -12,7 +13,6 @@ use zenoh::{Session, Wait as _};
 
 use crate::keys;
 use crate::network::Asked;
-use crate::wire::{HubBeat, Welcome};
 
 /// What other threads put down for the one that owns the ports.
 pub(super) enum Event {
@@ -54,11 +54,12 @@ pub(super) struct Doors {
 impl Doors {
     pub(super) fn open(
         session: &Session,
+        name: &str,
         welcome: &Welcome,
         events: &Sender<Event>,
     ) -> zenoh::Result<Self> {
         let (orders, beats) = (events.clone(), events.clone());
-        let key = |what| keys::of_host(&welcome.session, welcome.host, what);
+        let key = |what| keys::of_host(&welcome.session, name, welcome.host, what);
         Ok(Self {
             // Nobody takes events any more when the host ends; what comes then is for nobody.
             _orders: session

@@ -1,11 +1,13 @@
 //! How a host becomes one.
 
+use std::fs::File;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use proto::gateway::Said;
+use proto::gateway::wire::{Answer, Build, Hello, Welcome};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use zenoh::query::ConsolidationMode;
@@ -13,7 +15,6 @@ use zenoh::{Session, Wait as _};
 
 use crate::arguments::HostArguments;
 use crate::keys;
-use crate::wire::{Answer, Build, Hello, Welcome};
 
 /// How long an answer may take.
 const ANSWER_DEADLINE: Duration = Duration::from_secs(2);
@@ -22,7 +23,7 @@ const PAUSE: Duration = Duration::from_millis(200);
 
 /// Asks to be taken in, until there is an answer or patience ends, and puts configuration and robot down.
 pub(super) fn join(arguments: &HostArguments, session: &Session) -> Result<Welcome, ExitError> {
-    let build = Build::of(&arguments.sim_worker).map_err(|error| {
+    let build = File::open(&arguments.sim_worker).and_then(Build::of).map_err(|error| {
         let message = format!("{}: cannot be read: {error}", arguments.sim_worker.display());
         ExitError::new(ExitCode::Environment, message)
     })?;
@@ -37,7 +38,9 @@ pub(super) fn join(arguments: &HostArguments, session: &Session) -> Result<Welco
     })?;
     let begun = Instant::now();
     let welcome = loop {
-        match ask(session, &hello) {
+        match ask(session, &keys::hello(&arguments.name), &hello)
+            .or_else(|| why(arguments, session))
+        {
             Some(Answer::Welcome(welcome)) => break welcome,
             Some(Answer::Refused(reason)) => {
                 let message =
@@ -75,10 +78,16 @@ pub(super) fn join(arguments: &HostArguments, session: &Session) -> Result<Welco
     Ok(welcome)
 }
 
-fn ask(session: &Session, hello: &[u8]) -> Option<Answer> {
+/// Asks why there is no answer: over QUIC whom the run does not know by name is not heard there.
+fn why(arguments: &HostArguments, session: &Session) -> Option<Answer> {
+    arguments.certificates.as_ref()?;
+    ask(session, &keys::stranger(&arguments.name), &[])
+}
+
+fn ask(session: &Session, key: &str, hello: &[u8]) -> Option<Answer> {
     let (replies, inbox) = mpsc::channel();
     let get = session
-        .get(keys::HELLO)
+        .get(key)
         .payload(hello)
         .consolidation(ConsolidationMode::None)
         .timeout(ANSWER_DEADLINE)

@@ -10,6 +10,9 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use channels::Role;
+use proto::certificates::CertificateDir;
+use proto::gateway::pieces::Content;
+use proto::gateway::wire::{HostBeat, HubBeat, Welcome};
 use proto::gateway::{Place, Said, Told};
 use proto::message::{self, HEARTBEAT, Order, PortId, Status};
 use proto::run_dir::RunDir;
@@ -23,18 +26,17 @@ use self::workers::Workers;
 use crate::arguments::HostArguments;
 use crate::network::{self, End};
 use crate::orders::{Single, Task};
-use crate::pieces::Content;
-use crate::wire::{HostBeat, HubBeat, Welcome};
-use crate::{bells, keys};
+use crate::{bells, handshake, keys};
 
 /// How long a policy may take on its way.
 const POLICY_DEADLINE: Duration = Duration::from_secs(30);
+/// How long it may take at least to connect to a run that is there.
+const LEAST_WAIT: Duration = Duration::from_secs(2);
 
 /// Joins a run and works for it until it is over.
 pub fn run(arguments: &HostArguments) -> Result<(), ExitError> {
     process::child::die_with_parent(arguments.parent)?;
-    let wait = Duration::from_secs_f64(arguments.wait);
-    let result = network::open(End::Connect(&arguments.connect, wait)).and_then(|session| {
+    let result = connect(arguments).and_then(|session| {
         let result = work(arguments, &session);
         if let Err(error) = session.close().wait() {
             tracing::warn!(%error, "the network was not left in order");
@@ -46,6 +48,19 @@ pub fn run(arguments: &HostArguments) -> Result<(), ExitError> {
         let _ = join::say(&Said::Failed(error.message.clone()));
     }
     result
+}
+
+/// Connects to the run, with certificates if there are any.
+fn connect(arguments: &HostArguments) -> Result<Session, ExitError> {
+    let HostArguments { connect, name, .. } = arguments;
+    let wait = Duration::from_secs_f64(arguments.wait);
+    let Some(path) = &arguments.certificates else {
+        return network::open(End::Connect(connect, wait, None));
+    };
+    let dir = CertificateDir::new(path);
+    // What is left is for the network to find the same again, which may be busy.
+    let left = handshake::shake(connect, &dir, name, wait)?.max(LEAST_WAIT);
+    network::open(End::Connect(connect, left, Some((&dir, name))))
 }
 
 fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
@@ -64,11 +79,12 @@ fn work(arguments: &HostArguments, session: &Session) -> Result<(), ExitError> {
         bells::listen(&ports.domain, ports.sizes, role, events.clone(), || Event::Bell)?;
     }
     listen(events.clone())?;
-    let doors = Doors::open(session, &welcome, &events).map_err(|error| {
+    let doors = Doors::open(session, &arguments.name, &welcome, &events).map_err(|error| {
         ExitError::new(ExitCode::Failure, format!("the network cannot be used: {error}"))
     })?;
     let mut host = Host {
         session,
+        name: &arguments.name,
         welcome,
         events,
         ports,
@@ -95,6 +111,7 @@ enum Course {
 /// The one thread that owns the ports.
 struct Host<'a> {
     session: &'a Session,
+    name: &'a str,
     welcome: Welcome,
     events: Sender<Event>,
     ports: HostPorts,
@@ -298,7 +315,7 @@ impl Host<'_> {
 
     /// Tells the hub which workers there are. What is lost on the way comes again soon.
     fn say(&self) {
-        let key = keys::of_host(&self.welcome.session, self.welcome.host, "beat");
+        let key = keys::of_host(&self.welcome.session, self.name, self.welcome.host, "beat");
         let beat = HostBeat { workers: self.workers.numbers() };
         if let Err(error) = self.session.put(key, message::encode(&beat)).wait() {
             tracing::warn!(%error, "the run could not be told that this host is there");

@@ -6,6 +6,7 @@ use channels::{
 };
 use proto::config::Config;
 use proto::gateway::Place;
+use proto::gateway::pieces::Content;
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader};
 use proto::message::Status;
 use proto::run_dir::RunDir;
@@ -13,7 +14,6 @@ use proto::{ExitCode, ExitError};
 
 use crate::network::Asked;
 use crate::orders::Task;
-use crate::pieces::Content;
 
 /// See the module.
 pub(super) struct HostPorts {

@@ -4,16 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 use channels::ChannelSizes;
+use proto::certificates::NAME_LEN;
 use proto::message::{HostId, HostReport, INCARNATIONS_OF_A_GATEWAY, WORKERS_OF_A_HOST, WorkerId};
 
-use crate::SILENCE;
+use crate::{SILENCE, keys};
 
 /// Most hosts that may have joined at once. Their list is one status message, which has 4 KiB.
 const MAX_HOSTS: usize = 24;
 /// Most workers that they may have together, likewise.
 const MAX_WORKERS: usize = 256;
-/// Longest name of a host that is kept (bytes).
-const NAME_LEN: usize = 40;
 
 /// A host that has joined.
 #[derive(Debug)]
@@ -61,8 +60,7 @@ impl Hosts {
         is_other_processor: bool,
         now: Instant,
     ) -> Result<HostId, String> {
-        let name = &name[..name.floor_char_boundary(NAME_LEN)];
-        if self.refused.contains(name) {
+        if self.refused.contains(shown(name)) {
             return Err(format!(
                 "`{name}` has made a block with other bits than the run's own machine, and is taken back no more; if this \
                  is another machine, join with another --name"
@@ -125,7 +123,8 @@ impl Hosts {
 
     /// Machines of this name are hosts no more. Whether that is news.
     pub(super) fn refuse(&mut self, name: &str) -> bool {
-        self.joined.retain(|_, host| host.name != name);
+        let name = shown(name);
+        self.joined.retain(|_, host| shown(&host.name) != name);
         self.refused.insert(name.to_owned())
     }
 
@@ -186,6 +185,16 @@ impl Hosts {
         (*known == incarnation).then_some((host, worker % WORKERS_OF_A_HOST))
     }
 
+    /// The name of a host.
+    pub(super) fn name(&self, host: HostId) -> Option<&str> {
+        self.joined.get(&host).map(|host| host.name.as_str())
+    }
+
+    /// Whether a host has this name, as keys have it.
+    pub(super) fn is_called(&self, host: HostId, chunk: &str) -> bool {
+        self.name(host).is_some_and(|name| keys::chunk(name) == chunk)
+    }
+
     /// A block of `bytes` has come whole from a worker.
     pub(super) fn delivered(&mut self, worker: WorkerId, bytes: usize) {
         if let Some(host) = self.joined.get_mut(&(worker / WORKERS_OF_A_HOST)) {
@@ -211,7 +220,7 @@ impl Hosts {
         let there = self.joined.iter().filter(|(_, host)| !host.workers.is_empty());
         let report = there.map(|(&number, host)| HostReport {
             host: number,
-            name: host.name.clone(),
+            name: shown(&host.name).to_owned(),
             is_other_processor: host.is_other_processor,
             wanted: host.wanted,
             most: self.most(number),
@@ -222,6 +231,11 @@ impl Hosts {
         });
         report.collect()
     }
+}
+
+/// As much of a name as the run is told.
+fn shown(name: &str) -> &str {
+    &name[..name.floor_char_boundary(NAME_LEN)]
 }
 
 #[cfg(test)]
@@ -243,6 +257,7 @@ mod tests {
         let first = hosts.report().remove(0).workers;
         assert_eq!(first.iter().map(|(worker, _)| *worker).collect::<Vec<_>>(), [1000, 1001]);
         assert_eq!(hosts.find(1001, first[1].1), Some((host, 1)));
+        assert!(hosts.is_called(host, "lab") && !hosts.is_called(host, "other"));
         // Cut off, and heard again.
         assert!(hosts.expire(now + SILENCE).is_empty());
         assert_eq!(hosts.expire(now + SILENCE + Duration::from_millis(1)), [host]);

@@ -1,5 +1,6 @@
 //! The learner's end: stands for all workers of all hosts.
 
+mod admission;
 mod doors;
 mod hosts;
 mod policies;
@@ -11,22 +12,23 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use channels::Role;
+use proto::gateway::pieces::Content;
+use proto::gateway::wire::HubBeat;
 use proto::message::{self, HEARTBEAT, Order, Status, WORKERS_OF_A_HOST, WorkerId};
 use proto::{ExitCode, ExitError};
 use zenoh::qos::CongestionControl;
 use zenoh::query::Query;
 use zenoh::{Session, Wait as _};
 
+use self::admission::Admission;
 use self::doors::{Doors, Event};
 use self::hosts::Hosts;
 use self::policies::Policies;
 use self::ports::Ports;
 use self::reception::Reception;
 use crate::arguments::HubArguments;
-use crate::network::{self, Asked, End};
+use crate::network::{self, Asked};
 use crate::orders::{InFlight, Single, Task};
-use crate::pieces::Content;
-use crate::wire::HubBeat;
 use crate::{bells, keys};
 
 /// How long the last word to hosts may take to get away.
@@ -39,13 +41,13 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
     let (events, inbox) = mpsc::channel();
     let ports = Ports::open(arguments, &reception.config)?;
     bells::listen(&ports.domain, ports.sizes, Role::Workers, events.clone(), || Event::Bell)?;
-    let session = network::open(End::Listen(&arguments.listen))?;
-    let doors = Doors::open(&session, &reception.session, &events).map_err(|error| {
-        ExitError::new(ExitCode::Failure, format!("the network cannot be used: {error}"))
-    })?;
+    let admission = Admission::read(arguments)?;
+    let session = network::open(admission.end(&arguments.listen))?;
+    let doors = Doors::open(&session, &reception.session, &events)?;
     let deadline = Duration::from_secs_f64(reception.config.run.order_deadline_s);
     let mut hub = Hub {
         session,
+        admission,
         events,
         hosts: Hosts::new(arguments.incarnation),
         in_flight: InFlight::default(),
@@ -69,6 +71,7 @@ pub fn run(arguments: &HubArguments) -> Result<(), ExitError> {
 /// The one thread that owns the ports.
 struct Hub {
     session: Session,
+    admission: Admission,
     events: Sender<Event>,
     reception: Reception,
     hosts: Hosts,
@@ -110,6 +113,11 @@ impl Hub {
             }
             if self.said.is_none_or(|said| said.elapsed() >= HEARTBEAT) {
                 self.said = Some(Instant::now());
+                if self.admission.has_changed() {
+                    // The network takes its rules when it opens, and keeps its port as long as its process lives.
+                    let message = "others may join now; a gateway with their names takes over";
+                    return Err(ExitError::new(ExitCode::Failure, message));
+                }
                 self.tell_hosts(false);
                 self.ports.say(&Status::Hosts {
                     incarnation: self.incarnation,
@@ -127,13 +135,15 @@ impl Hub {
             Event::Bell => {}
             Event::Hello(query) => self.reception.receive(query, &mut self.hosts),
             Event::Policy(query) => self.hand_out(query),
-            Event::Beat(host, beat) => {
+            Event::Stranger(query) => Reception::explain(query, &self.admission.names),
+            Event::Beat(host, name, _) if !self.hosts.is_called(host, &name) => {}
+            Event::Beat(host, _, beat) => {
                 if self.hosts.heard(host, &beat.workers, Instant::now()) {
                     self.said = None;
                 }
             }
-            Event::Gone(host) => {
-                if self.hosts.gone(host) {
+            Event::Gone(host, name) => {
+                if self.hosts.is_called(host, &name) && self.hosts.gone(host) {
                     tracing::warn!(host, "is gone");
                     self.said = None;
                 }
@@ -223,7 +233,8 @@ impl Hub {
             return;
         }
         let question = message::encode(&Single { worker: local, ..order }.order());
-        let key = keys::of_host(&self.reception.session, host, "order");
+        let name = self.hosts.name(host).unwrap_or_default();
+        let key = keys::of_host(&self.reception.session, name, host, "order");
         let (session, events) = (self.session.clone(), self.events.clone());
         let (patience, most) = (self.deadline, self.ports.longest_answer());
         let ask = move || {

@@ -5,14 +5,14 @@ use channels::{
     WHILE_THE_PARENT_LIVES,
 };
 use proto::config::Config;
+use proto::gateway::pieces::{Assembly, PIECE_LEN};
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader};
 use proto::message::{self, Order, Status};
 use proto::{Digest, ExitError};
-use zenoh::bytes::ZBytes;
 
 use crate::arguments::HubArguments;
+use crate::network::Piece;
 use crate::orders::{Single, Task};
-use crate::pieces::{Assembly, PIECE_LEN};
 
 /// See the module.
 pub(super) struct Ports {
@@ -62,7 +62,7 @@ impl Ports {
         &self,
         order: &Single,
         header: &[u8],
-        answer: &Assembly<ZBytes>,
+        answer: &Assembly<Piece>,
         len: usize,
     ) -> Result<bool, ExitError> {
         let Some(header) = self.ordered(order, header, len) else { return Ok(false) };
@@ -86,7 +86,7 @@ impl Ports {
         &self,
         order: &Single,
         header: &[u8],
-        answer: &Assembly<ZBytes>,
+        answer: &Assembly<Piece>,
         len: usize,
     ) -> Result<bool, ExitError> {
         let Some(header) = self.ordered(order, header, len) else { return Ok(false) };
@@ -110,7 +110,7 @@ impl Ports {
     pub(super) fn status(
         &self,
         order: &Single,
-        answer: &Assembly<ZBytes>,
+        answer: &Assembly<Piece>,
         len: usize,
     ) -> Result<bool, ExitError> {
         let mut bytes = vec![0; len];

@@ -1,9 +1,11 @@
 //! Whether a host may join.
 
+use std::fs::File;
 use std::path::PathBuf;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use proto::config::Config;
+use proto::gateway::wire::{Answer, Build, Hello, Welcome};
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use zenoh::Wait as _;
@@ -11,7 +13,10 @@ use zenoh::query::Query;
 
 use super::hosts::Hosts;
 use crate::arguments::HubArguments;
-use crate::wire::{Answer, Build, Hello, Welcome};
+use crate::keys;
+
+/// Longest name that a host may have (bytes).
+const LONGEST_NAME: usize = 255;
 
 /// What hosts must have, and what they are given.
 pub(super) struct Reception {
@@ -40,7 +45,8 @@ impl Reception {
         let config =
             Config::from_resolved_toml(&config_text, &run_dir.config().display().to_string())
                 .map_err(|error| ExitError::new(ExitCode::BadInput, error.to_string()))?;
-        let build = Build::of(&arguments.sim_worker)
+        let build = File::open(&arguments.sim_worker)
+            .and_then(Build::of)
             .map_err(|error| unread(arguments.sim_worker.clone(), &error))?;
         let robot_text = read(run_dir.robot())?;
         // No other hub has had the same domain, process and time.
@@ -55,19 +61,30 @@ impl Reception {
     pub(super) fn receive(&self, query: Query, hosts: &mut Hosts) {
         let bytes = query.payload().map(|payload| payload.to_bytes().into_owned());
         let answer = match serde_json::from_slice::<Hello>(&bytes.unwrap_or_default()) {
+            Ok(hello) if !keys::is_of_name(query.key_expr(), &hello.name) => {
+                Answer::Refused(format!("its name is not {}", hello.name))
+            }
+            Ok(hello) if hello.name.len() > LONGEST_NAME => {
+                Answer::Refused(format!("its name is longer than {LONGEST_NAME} bytes"))
+            }
             Ok(hello) => self.judge(&hello, hosts),
             Err(error) => Answer::Refused(format!("its first words cannot be read: {error}")),
         };
-        let Ok(text) = serde_json::to_vec(&answer) else { return };
-        let speak = move || {
-            let key = query.key_expr().clone();
-            if let Err(error) = query.reply(&key, text).wait() {
-                tracing::warn!(%error, "a host that wants to join has no answer");
-            }
+        speak(query, &answer);
+    }
+
+    /// Answers a host that asks why it has no answer. It is one whose certificate is good, and whose name is none of
+    /// `names`; one that is there has asked too early.
+    pub(super) fn explain(query: Query, names: &[String]) {
+        let Some(name) = names.iter().find(|name| keys::is_of_name(query.key_expr(), name)) else {
+            let key = query.key_expr().to_string();
+            tracing::warn!(key, "a host is refused that has no certificate in the directory");
+            let why = "its certificate is none of those in the directory that the run was given \
+                       by --certificates; its .pem file belongs there, and the run need not be \
+                       started again";
+            return speak(query, &Answer::Refused(why.to_owned()));
         };
-        if let Err(error) = std::thread::Builder::new().name("welcome".to_owned()).spawn(speak) {
-            tracing::error!(%error, "cannot start a thread");
-        }
+        tracing::debug!(name, "asks too early");
     }
 
     fn judge(&self, hello: &Hello, hosts: &mut Hosts) -> Answer {
@@ -100,5 +117,19 @@ impl Reception {
                 Answer::Refused(reason)
             }
         }
+    }
+}
+
+/// Answers a query, on a thread of its own: the network may have no room for a while.
+fn speak(query: Query, answer: &Answer) {
+    let Ok(text) = serde_json::to_vec(answer) else { return };
+    let speak = move || {
+        let key = query.key_expr().clone();
+        if let Err(error) = query.reply(&key, text).wait() {
+            tracing::warn!(%error, "a host that wants to join has no answer");
+        }
+    };
+    if let Err(error) = std::thread::Builder::new().name("welcome".to_owned()).spawn(speak) {
+        tracing::error!(%error, "cannot start a thread");
     }
 }

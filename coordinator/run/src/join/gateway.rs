@@ -45,8 +45,11 @@ impl Gateway {
             .map_err(|error| fail(&format!("{}: cannot be written", log.display()), &error))?;
         let mut command = Command::new(&spec.gateway);
         environment::clean(&mut command);
+        command.args(["host", "--connect", &spec.endpoint]);
+        if let Some(dir) = &spec.certificates {
+            command.arg("--certificates").arg(dir);
+        }
         command
-            .args(["host", "--connect", &spec.endpoint])
             .args(["--workers", &spec.workers.to_string()])
             .arg(format!("--name={}", spec.name))
             .arg(format!("--processor={}", store::provenance::processor_type()))

@@ -9,8 +9,10 @@ use crate::supervisor::Programs;
 /// What is needed to join.
 #[derive(Debug)]
 pub struct JoinSpec {
-    /// Where the run is: `tcp/ADDRESS:PORT`.
+    /// Where the run is: `quic/HOST:PORT` or `tcp/ADDRESS:PORT`.
     pub endpoint: String,
+    /// Certificates, for `quic`.
+    pub certificates: Option<PathBuf>,
     /// Workers of this machine.
     pub workers: usize,
     /// What it calls itself.

@@ -14,8 +14,10 @@ use super::process_view::ProcessView;
 pub struct GatewaySpec {
     /// The program `gateway`.
     pub program: PathBuf,
-    /// Where it listens: `tcp/ADDRESS:PORT`.
+    /// Where it listens: `quic/ADDRESS:PORT` or `tcp/ADDRESS:PORT`.
     pub listen: String,
+    /// Certificates, for `quic`.
+    pub certificates: Option<PathBuf>,
 }
 
 /// What there is of it.

@@ -26,6 +26,9 @@ impl Supervisor {
         let mut command = Command::new(&gateway.spec.program);
         environment::clean(&mut command);
         command.args(["hub", "--listen", &gateway.spec.listen]);
+        if let Some(dir) = &gateway.spec.certificates {
+            command.arg("--certificates").arg(dir);
+        }
         command.args(["--arms", &gateway.arms.to_string()]);
         command.arg(format!("--processor={}", store::provenance::processor_type()));
         command.args(["--incarnation", &incarnation.to_string()]);

@@ -5,8 +5,9 @@
 
 use std::collections::BTreeMap;
 
-use proto::message;
 use serde::{Deserialize, Serialize};
+
+use crate::message;
 
 /// Longest piece (bytes).
 pub const PIECE_LEN: usize = 256 << 10;
@@ -18,7 +19,7 @@ pub enum Content {
     Block(Vec<u8>),
     /// A policy of this version.
     Policy(u64),
-    /// An encoded [`Status`](proto::message::Status).
+    /// An encoded [`Status`](crate::message::Status).
     Status,
 }
 
@@ -63,12 +64,6 @@ pub trait Payload {
 impl Payload for Vec<u8> {
     fn slices(&self) -> impl Iterator<Item = &[u8]> {
         std::iter::once(self.as_slice())
-    }
-}
-
-impl Payload for zenoh::bytes::ZBytes {
-    fn slices(&self) -> impl Iterator<Item = &[u8]> {
-        Self::slices(self)
     }
 }
 

@@ -1,4 +1,10 @@
-//! What the gateway of a host and `octopus join`, which starts it, say to each other: a line of JSON each.
+//! What gateways say: to each other over the network, and to who started them.
+//!
+//! [`wire`] has the words between hub and host, [`pieces`] how large answers travel. What the gateway of a host and
+//! `octopus join`, which starts it, say to each other is here: a line of JSON each.
+
+pub mod pieces;
+pub mod wire;
 
 use serde::{Deserialize, Serialize};
 

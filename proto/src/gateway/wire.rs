@@ -1,10 +1,12 @@
 //! What hub and host say to each other beside orders and blocks.
 //!
 //! The first words of a host and the answer to them are JSON, so that programs of any two versions can tell that they
-//! do not fit; all else is the encoding of [`proto::message`], between programs of one build.
+//! do not fit; all else is the encoding of [`message`](crate::message), between programs of one build.
 
-use proto::message::HostId;
 use serde::{Deserialize, Serialize};
+
+use crate::layout::layout_hash;
+use crate::message::HostId;
 
 /// What a host says of itself when it wants to join.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,20 +27,20 @@ pub struct Hello {
 pub struct Build {
     /// Version of the programs.
     pub version: String,
-    /// [`proto::layout::layout_hash`] of blocks and messages.
+    /// [`layout_hash`] of blocks and messages.
     pub layout: String,
     /// BLAKE3 of the program `sim-worker`.
     pub sim_worker: String,
 }
 
 impl Build {
-    /// Of this program and the `sim-worker` beside it.
-    pub fn of(sim_worker: &std::path::Path) -> std::io::Result<Self> {
+    /// Of this program and a `sim-worker`, which is read to its end.
+    pub fn of(mut sim_worker: impl std::io::Read) -> std::io::Result<Self> {
         let mut hasher = blake3::Hasher::new();
-        std::io::copy(&mut std::fs::File::open(sim_worker)?, &mut hasher)?;
+        std::io::copy(&mut sim_worker, &mut hasher)?;
         Ok(Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            layout: proto::layout::layout_hash(),
+            layout: layout_hash(),
             sim_worker: hasher.finalize().to_hex().to_string(),
         })
     }
