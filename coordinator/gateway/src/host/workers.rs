@@ -28,7 +28,7 @@ struct Open<Q> {
 /// See the module. `Q` is a question of the run.
 #[derive(Debug)]
 pub(super) struct Workers<Q> {
-    workers: BTreeMap<u32, Worker>,
+    known: BTreeMap<u32, Worker>,
     /// Incarnations of those that were sent home.
     gone: BTreeMap<u32, u32>,
     open: BTreeMap<(u32, Task), Open<Q>>,
@@ -36,7 +36,7 @@ pub(super) struct Workers<Q> {
 
 impl<Q> Default for Workers<Q> {
     fn default() -> Self {
-        Self { workers: BTreeMap::new(), gone: BTreeMap::new(), open: BTreeMap::new() }
+        Self { known: BTreeMap::new(), gone: BTreeMap::new(), open: BTreeMap::new() }
     }
 }
 
@@ -46,12 +46,12 @@ impl<Q> Workers<Q> {
         if self.gone.get(&worker).is_some_and(|gone| *gone >= incarnation) {
             return false;
         }
-        match self.workers.get(&worker) {
+        match self.known.get(&worker) {
             // A late word of the dead.
             Some(known) if known.incarnation > incarnation => false,
             known => {
                 let is_new = known.is_none();
-                self.workers.insert(worker, Worker { incarnation, orders });
+                self.known.insert(worker, Worker { incarnation, orders });
                 is_new
             }
         }
@@ -60,7 +60,7 @@ impl<Q> Workers<Q> {
     /// A worker is sent home. Whether the run has it.
     pub(super) fn leaves(&mut self, worker: u32, incarnation: u32) -> bool {
         self.gone.insert(worker, incarnation);
-        self.workers.remove(&worker).is_some()
+        self.known.remove(&worker).is_some()
     }
 
     /// Nobody waits for what a worker was to do.
@@ -70,7 +70,7 @@ impl<Q> Workers<Q> {
 
     /// Numbers of the workers that have been ready.
     pub(super) fn numbers(&self) -> Vec<u32> {
-        self.workers.keys().copied().collect()
+        self.known.keys().copied().collect()
     }
 
     /// The run wants something done. What is being done already is not begun again, and answers this question.
@@ -84,7 +84,7 @@ impl<Q> Workers<Q> {
     pub(super) fn unsent(&mut self) -> Vec<(Single, PortId)> {
         let mut orders = Vec::new();
         for (&(worker, task), open) in &mut self.open {
-            let Some(&Worker { incarnation, orders: port }) = self.workers.get(&worker) else {
+            let Some(&Worker { incarnation, orders: port }) = self.known.get(&worker) else {
                 continue;
             };
             if open.sent != Some(incarnation) {

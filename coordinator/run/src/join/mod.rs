@@ -84,9 +84,8 @@ fn membership(
         match gateway.wait(WORD) {
             Some(Word::Joined(host)) => break host,
             Some(Word::Ended(code, why)) => return Err(ExitError::new(code, why)),
-            Some(Word::Scale(_)) => {}
             None if spec.stop.count() > 0 => return Ok(Ended::Left(Left::Asked)),
-            None => {}
+            Some(Word::Scale(_)) | None => {}
         }
     };
     let (config, robot) = settle(spec, &run_dir)?;
