@@ -120,6 +120,11 @@ web-test: setup venv page ## try the page in Chromium
 	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
 	SPACEOCTOPUS_WEB_TEST=1 $(CARGO) test $(LOCKED) --workspace --test it $(FEATURES) -- page:: --nocapture
 
+.PHONY: net-test
+net-test: setup venv ## machines in networks of their own, with cables that stay pulled for long (root)
+	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
+	SPACEOCTOPUS_NET_TEST=1 $(CARGO) test $(LOCKED) --workspace --test it $(FEATURES) -- network:: --nocapture
+
 # Arguments of the long chaos: kills at random, then restarts of workers and of the learner in one run, then
 # damaged files, foreign environments, requests to a live run, attempts of another user at one, and a disk or a
 # coordinator that stands still for one to two minutes a time. The last needs root and loop devices: without them
