@@ -70,7 +70,7 @@ fn gateway(endpoint: &str, name: &str, certificates: Option<&Path>) -> (Option<i
     let dir = tempfile::tempdir().expect("a directory");
     let mut command = Command::new(program("gateway"));
     command.args(["host", "--connect", endpoint, "--workers=1", "--wait=3"]);
-    command.arg(format!("--name={name}"));
+    command.arg(format!("--name={name}")).arg("--processor=another");
     command.arg("--sim-worker").arg(program("sim-worker")).arg("--run-dir").arg(dir.path());
     if let Some(path) = certificates {
         command.arg(flag(path));
