@@ -16,8 +16,7 @@ use crate::values::{duration, workers};
 const JOIN_EXAMPLES: &str = "\
 Examples:
   octopus join quic/192.168.1.2:7447 --certificates certs
-  octopus join quic/learner.example:7447 --certificates certs --workers 4 \
-      --wait 1h
+  octopus join quic/learner.example:7447 --certificates certs --wait 1h
   octopus join tcp/127.0.0.1:7447 --name lab-2
 
 The run is one that `octopus train --listen-workers` or `octopus resume --listen-workers` opened. \
