@@ -121,7 +121,7 @@ web-test: setup venv page ## try the page in Chromium
 	SPACEOCTOPUS_WEB_TEST=1 $(CARGO) test $(LOCKED) --workspace --test it $(FEATURES) -- page:: --nocapture
 
 .PHONY: net-test
-net-test: setup venv ## machines in networks of their own, with cables that stay pulled for long (root)
+net-test: setup venv ## machines in networks of their own, cut off for long (root)
 	@$(CARGO) build $(LOCKED) --workspace --bins --tests $(FEATURES)
 	SPACEOCTOPUS_NET_TEST=1 $(CARGO) test $(LOCKED) --workspace --test it $(FEATURES) -- network:: --nocapture
 

@@ -105,6 +105,18 @@ impl Owned {
         self.0.wait().expect("own child").success()
     }
 
+    /// Waits until it has ended by itself, and not for ever: its exit code.
+    pub fn code(&mut self) -> Option<i32> {
+        let watchdog = Instant::now() + Duration::from_mins(1);
+        loop {
+            if let Some(status) = self.ended() {
+                return status.code();
+            }
+            assert!(Instant::now() < watchdog, "process {} does not end", self.id());
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
     /// How it ended, if it has.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         self.0.try_wait().expect("own child")

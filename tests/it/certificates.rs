@@ -147,7 +147,7 @@ fn who_has_no_certificate_that_fits_is_refused_and_the_run_goes_on() {
         let dir = flag(dir);
         let args = ["--workers=1", "--wait=20s", &dir];
         let args: Vec<_> = args.into_iter().chain(more.iter().copied()).collect();
-        Machine::join(&endpoint, &args).refused()
+        Machine::join(&endpoint, &args).ended()
     };
     // Of another authority, although its name is known.
     let others = Certificates::made(&["lab-2"]);
@@ -191,7 +191,7 @@ fn who_has_no_certificate_that_fits_is_refused_and_the_run_goes_on() {
     // A host cannot be the learner, and is reached by no name that its certificate has not.
     let elsewhere = endpoint.replace("127.0.0.1", "127.0.0.2");
     let mut lost = Machine::join(&elsewhere, &["--workers=1", &flag(given.path()), "--name=lab-2"]);
-    let (code, text) = lost.refused();
+    let (code, text) = lost.ended();
     assert_eq!(code, Some(4), "{text}");
     assert!(text.contains("is for other addresses"), "{text}");
     // The run has heard nothing of all that, and those who may join still do.
@@ -224,7 +224,7 @@ fn who_may_join_changes_while_the_run_goes_on() {
     let wanted = Wanted { hosts, days: 30, ..Wanted::default() };
     issue(&CertificateDir::new(elsewhere.path()), &wanted, SystemTime::now()).expect("made");
     let third = flag(elsewhere.path());
-    let (code, text) = Machine::join(&endpoint, &["--workers=1", &third]).refused();
+    let (code, text) = Machine::join(&endpoint, &["--workers=1", &third]).ended();
     assert_eq!(code, Some(4), "{text}");
     assert!(text.contains("none of those in the directory"), "{text}");
     // Now it is, and the other one goes on.
@@ -236,7 +236,7 @@ fn who_may_join_changes_while_the_run_goes_on() {
     // And the first is none any more.
     fs::remove_file(certificates.path().join("lab-2.pem")).expect("there");
     // It hears no more of the run, and is told why.
-    let (code, text) = helper.refused();
+    let (code, text) = helper.ended();
     assert_eq!(code, Some(4), "{text}");
     assert!(text.contains("none of those in the directory"), "{text}");
     let done = run.metrics().len();

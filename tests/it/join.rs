@@ -5,7 +5,6 @@
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -273,84 +272,6 @@ fn a_cable_pulled_in_the_middle_costs_time_and_nothing_else() {
     assert_adds_up(&run);
 }
 
-/// Two network namespaces with a link between them, which is as near to two machines as one machine comes.
-struct Lan {
-    names: [String; 2],
-}
-
-impl Lan {
-    /// None where they may not be made.
-    fn new() -> Option<Self> {
-        let id = std::process::id();
-        let lan = Self { names: ["a", "b"].map(|end| format!("octopus-{id}-{end}")) };
-        let [a, b] = &lan.names;
-        let (va, vb) = (format!("oct{id}a"), format!("oct{id}b"));
-        let made = [
-            format!("netns add {a}"),
-            format!("netns add {b}"),
-            format!("link add {va} netns {a} type veth peer name {vb} netns {b}"),
-            format!("-n {a} addr add 10.231.7.1/24 dev {va}"),
-            format!("-n {b} addr add 10.231.7.2/24 dev {vb}"),
-            format!("-n {a} link set lo up"),
-            format!("-n {b} link set lo up"),
-            format!("-n {a} link set {va} up"),
-            format!("-n {b} link set {vb} up"),
-        ]
-        .iter()
-        .all(|line| ip(line));
-        made.then_some(lan)
-    }
-
-    /// Sets the link up or down.
-    fn link(&self, state: &str) {
-        let vb = format!("oct{}b", std::process::id());
-        assert!(ip(&format!("-n {} link set {vb} {state}", self.names[1])));
-    }
-}
-
-impl Drop for Lan {
-    fn drop(&mut self) {
-        for name in &self.names {
-            ip(&format!("netns del {name}"));
-        }
-    }
-}
-
-fn ip(line: &str) -> bool {
-    let quiet = Command::new("ip").args(line.split(' ')).stderr(Stdio::null()).status();
-    quiet.is_ok_and(|status| status.success())
-}
-
-/// Where namespaces may not be made, the loopback address has to do.
-#[test]
-fn a_link_between_two_networks_that_is_cut_changes_no_bit() {
-    let Some(lan) = Lan::new() else { return };
-    let expected = alone(100);
-    let endpoint = "tcp/10.231.7.1:7447";
-    let mut run = Run::new();
-    run.start_behind(&["ip", "netns", "exec", &lan.names[0]]);
-    let listen = format!("--listen-workers={endpoint}");
-    run.start_training(&["--workers=1", "--iterations=100", &listen, "--insecure"]);
-    let learner = hold(&mut run);
-    let mut command = Command::new("ip");
-    command.args(["netns", "exec", &lan.names[1]]).arg(program("octopus"));
-    let mut helper = Machine::behind(command, endpoint, &["--workers=2", "--insecure"]);
-    wait_for(&mut run, "helps with 2 workers", 1);
-    kill(learner, Signal::CONT);
-    run.wait_for_iterations(5);
-    lan.link("down");
-    wait_for(&mut run, "helps with 0 workers, before 2", 1);
-    let learner = hold(&mut run);
-    std::thread::sleep(Duration::from_secs(2));
-    lan.link("up");
-    wait_for(&mut run, "helps with 2 workers", 2);
-    kill(learner, Signal::CONT);
-    run.succeed();
-    helper.succeed();
-    assert_eq!(run.digests(), expected);
-    assert_adds_up(&run);
-}
-
 /// A processor that computes otherwise: its first block is compared before anything of it counts.
 #[test]
 fn a_machine_that_makes_other_bits_is_thrown_out_and_nothing_of_it_is_trained_on() {
@@ -380,7 +301,7 @@ fn a_machine_that_makes_other_bits_is_thrown_out_and_nothing_of_it_is_trained_on
     let shown = String::from_utf8_lossy(&shown.stdout).into_owned();
     assert!(shown.contains("bad was thrown out"), "{shown}");
     kill(learner, Signal::CONT);
-    assert_eq!(bad.refused().0, Some(4), "{}", bad.log());
+    assert_eq!(bad.ended().0, Some(4), "{}", bad.log());
     assert!(bad.log().contains("other bits"), "{}", bad.log());
     run.succeed();
     good.succeed();
@@ -404,7 +325,7 @@ fn a_machine_that_makes_other_bits_later_is_found_and_its_blocks_are_made_again(
     kill(learner, Signal::CONT);
     wait_for(&mut run, "(tired) has made its first block", 1);
     wait_for(&mut run, "It is thrown out", 1);
-    assert_eq!(helper.refused().0, Some(4), "{}", helper.log());
+    assert_eq!(helper.ended().0, Some(4), "{}", helper.log());
     run.succeed();
     assert_eq!(run.metrics().len(), 200);
     assert_adds_up(&run);
@@ -433,7 +354,7 @@ fn a_machine_with_another_build_is_refused_with_what_differs() {
     run.wait_for_iterations(1);
     let (_dir, other) = another_build();
     let mut refused = Machine::with(&other, &endpoint, &["--workers=1"]);
-    let (code, log) = refused.refused();
+    let (code, log) = refused.ended();
     assert_eq!(code, Some(4), "{log}");
     assert!(log.contains("digest of the program sim-worker is"), "{log}");
     assert!(log.contains("same build"), "{log}");

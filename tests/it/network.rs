@@ -1,7 +1,7 @@
 //! Several machines, each in a network of its own: what links and machines do, and that no bit changes by it.
 //!
 //! Where namespaces may not be made, nothing is tried, and what `join` tries on the loopback address has to do. With
-//! `SPACEOCTOPUS_NET_TEST=1`, as `make net-test` does, cables stay pulled for longer than anything waits.
+//! `SPACEOCTOPUS_NET_TEST=1`, as `make net-test` does, a cable stays pulled for 25 s instead of 2.
 
 use std::process::Command;
 use std::time::Duration;
@@ -24,13 +24,19 @@ fn run_on(network: &Network, iterations: u32, more: &[&str]) -> Run {
     run
 }
 
-/// A machine of one worker that helps it.
-fn helper(network: &Network, machine: usize) -> Machine {
+/// A machine that helps it, started by `launcher` on that machine.
+fn join_behind(network: &Network, machine: usize, launcher: &[&str], more: &[&str]) -> Machine {
     let [first, rest @ ..] = network.on(machine);
     let mut command = Command::new(first);
-    command.args(rest).arg(program("octopus"));
+    command.args(rest).args(launcher).arg(program("octopus"));
     let name = format!("--name=machine-{machine}");
-    Machine::behind(command, &Network::endpoint(), &["--workers=1", "--insecure", &name])
+    let flags = ["--insecure", &name];
+    Machine::behind(command, &Network::endpoint(), &[&flags, more].concat())
+}
+
+/// One with a worker.
+fn helper(network: &Network, machine: usize) -> Machine {
+    join_behind(network, machine, &[], &["--workers=1"])
 }
 
 fn helps(machine: usize) -> String {
@@ -67,6 +73,26 @@ fn delay_loss_and_narrow_links_change_no_bit() {
     end(run, &mut helpers, &expected);
 }
 
+#[test]
+fn a_link_between_two_networks_that_is_cut_changes_no_bit() {
+    let Some(network) = Network::new(2) else { return };
+    let expected = alone(100);
+    let mut run = run_on(&network, 100, &[]);
+    let learner = hold(&mut run);
+    let mut helpers = [join_behind(&network, 1, &[], &["--workers=2"])];
+    wait_for(&mut run, "helps with 2 workers", 1);
+    kill(learner, Signal::CONT);
+    run.wait_for_iterations(5);
+    network.link(1, false);
+    wait_for(&mut run, "helps with 0 workers, before 2", 1);
+    let learner = hold(&mut run);
+    std::thread::sleep(Duration::from_secs(2));
+    network.link(1, true);
+    wait_for(&mut run, "helps with 2 workers", 2);
+    kill(learner, Signal::CONT);
+    end(run, &mut helpers, &expected);
+}
+
 /// A block takes seconds on its way here, so that the cut is in the middle of one.
 #[test]
 fn a_cable_pulled_in_the_middle_of_a_block_costs_time_and_nothing_else() {
@@ -95,19 +121,13 @@ fn a_machine_that_is_cut_off_for_good_leaves_and_the_run_goes_on() {
     let expected = alone(30);
     let mut run = run_on(&network, 30, &[]);
     let learner = hold(&mut run);
-    let mut machine = {
-        let [first, rest @ ..] = network.on(1);
-        let mut command = Command::new(first);
-        command.args(rest).arg(program("octopus"));
-        let more = ["--workers=1", "--insecure", "--name=machine-1", "--wait=3s"];
-        Machine::behind(command, &Network::endpoint(), &more)
-    };
+    let mut machine = join_behind(&network, 1, &[], &["--workers=1", "--wait=3s"]);
     wait_for(&mut run, &helps(1), 1);
     network.link(1, false);
     wait_for(&mut run, &is_gone(1), 1);
     kill(learner, Signal::CONT);
     end(run, &mut [], &expected);
-    let (code, _) = machine.refused();
+    let (code, _) = machine.ended();
     assert_eq!(code, Some(1), "{}", machine.log());
 }
 
@@ -136,15 +156,12 @@ fn a_full_disk_on_a_machine_is_its_own_trouble() {
     let Some(network) = Network::new(2) else { return };
     let mut run = run_on(&network, 1_000_000, &[]);
     run.wait_for_iterations(1);
-    let [first, rest @ ..] = network.on(1);
-    let mut command = Command::new(first);
     // A place for temporary files that is full before it begins. The mount is that of the namespace alone.
     let script = "mount -t tmpfs -o size=4k tmpfs /mnt && : > /mnt/full \
                   && head -c 4096 /dev/zero > /mnt/full; export TMPDIR=/mnt; exec \"$0\" \"$@\"";
-    command.args(rest).args(["sh", "-c", script]).arg(program("octopus"));
     let mut machine =
-        Machine::behind(command, &Network::endpoint(), &["--workers=1", "--insecure", "--wait=5s"]);
-    let (code, _) = machine.refused();
+        join_behind(&network, 1, &["sh", "-c", script], &["--workers=1", "--wait=5s"]);
+    let (code, _) = machine.ended();
     assert_eq!(code, Some(4), "{}", machine.log());
     assert!(machine.log().contains("/mnt"), "{}", machine.log());
     let done = run.metrics().len();
