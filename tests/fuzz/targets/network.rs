@@ -114,11 +114,16 @@ fn seeds() -> Vec<Vec<u8>> {
         word(encode(&HubBeat {
             session: "0123456789ab".to_owned(),
             policies: vec![3, 4],
-            hosts: vec![1, 2],
+            hosts: vec![(1, 4), (2, 1)],
             over: false,
         })),
         word(encode(&HostBeat { workers: vec![0, 1, 7] })),
-        json(&Hello { name: "lab-2".to_owned(), workers: 2, build: build() }),
+        json(&Hello {
+            name: "lab-2".to_owned(),
+            workers: 2,
+            build: build(),
+            processor: "a processor".to_owned(),
+        }),
         json(&Answer::Refused("why".to_owned())),
         json(&Answer::Welcome(Welcome {
             session: "0123456789ab".to_owned(),
