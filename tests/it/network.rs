@@ -47,6 +47,19 @@ fn is_gone(machine: usize) -> String {
     format!("(machine-{machine}) helps with 0 workers")
 }
 
+/// Its first block has been compared: from now on its work counts.
+fn is_trusted(machine: usize) -> String {
+    format!("(machine-{machine}) has made its first block")
+}
+
+/// A run that stands still after its first iteration, so that machines have time to come; and its learner.
+fn held(network: &Network, iterations: u32, more: &[&str]) -> (Run, u32) {
+    let mut run = run_on(network, iterations, more);
+    run.wait_for_iterations(1);
+    let learner = hold(&mut run);
+    (run, learner)
+}
+
 /// Something that must end well, and does.
 fn end(mut run: Run, helpers: &mut [Machine], expected: &[String]) {
     run.succeed();
@@ -63,11 +76,10 @@ fn delay_loss_and_narrow_links_change_no_bit() {
     network.cable(2, Cable { mbit: 20.0, ..Cable::default() });
     // Hosts have nothing to say to each other.
     network.part(1, 2);
-    let mut run = run_on(&network, 60, &[]);
-    let learner = hold(&mut run);
+    let (mut run, learner) = held(&network, 60, &[]);
     let mut helpers = [1, 2, 3].map(|machine| helper(&network, machine));
     for machine in 1..=3 {
-        wait_for(&mut run, &helps(machine), 1);
+        wait_for(&mut run, &is_trusted(machine), 1);
     }
     kill(learner, Signal::CONT);
     end(run, &mut helpers, &expected);
@@ -77,10 +89,10 @@ fn delay_loss_and_narrow_links_change_no_bit() {
 fn a_link_between_two_networks_that_is_cut_changes_no_bit() {
     let Some(network) = Network::new(2) else { return };
     let expected = alone(100);
-    let mut run = run_on(&network, 100, &[]);
-    let learner = hold(&mut run);
+    let (mut run, learner) = held(&network, 100, &[]);
     let mut helpers = [join_behind(&network, 1, &[], &["--workers=2"])];
     wait_for(&mut run, "helps with 2 workers", 1);
+    wait_for(&mut run, &is_trusted(1), 1);
     kill(learner, Signal::CONT);
     run.wait_for_iterations(5);
     network.link(1, false);
@@ -97,11 +109,12 @@ fn a_link_between_two_networks_that_is_cut_changes_no_bit() {
 #[test]
 fn a_cable_pulled_in_the_middle_of_a_block_costs_time_and_nothing_else() {
     let Some(mut network) = Network::new(2) else { return };
-    let expected = alone(40);
+    let expected = alone(200);
     network.cable(1, Cable { mbit: 0.5, ..Cable::default() });
-    let mut run = run_on(&network, 40, &["--set=run.order_deadline_s=6.0"]);
+    let (mut run, learner) = held(&network, 200, &["--set=run.order_deadline_s=6.0"]);
     let mut helpers = [helper(&network, 1)];
-    wait_for(&mut run, &helps(1), 1);
+    wait_for(&mut run, &is_trusted(1), 1);
+    kill(learner, Signal::CONT);
     run.wait_for_iterations(run.metrics().len() + 1);
     network.link(1, false);
     wait_for(&mut run, &is_gone(1), 1);
@@ -135,10 +148,12 @@ fn a_machine_that_is_cut_off_for_good_leaves_and_the_run_goes_on() {
 fn machines_stay_while_the_run_is_killed_and_resumed() {
     let Some(network) = Network::new(3) else { return };
     let expected = alone(300);
-    let mut run = run_on(&network, 300, &["--set=run.checkpoint_every_s=0.5"]);
+    let (mut run, learner) = held(&network, 300, &["--set=run.checkpoint_every_s=0.5"]);
     let mut helpers = [1, 2].map(|machine| helper(&network, machine));
-    wait_for(&mut run, &helps(1), 1);
-    wait_for(&mut run, &helps(2), 1);
+    wait_for(&mut run, &is_trusted(1), 1);
+    wait_for(&mut run, &is_trusted(2), 1);
+    kill(learner, Signal::CONT);
+    run.wait_for_iterations(run.metrics().len() + 1);
     let domain = run.domain();
     run.signal(Signal::KILL);
     run.wait();
