@@ -120,7 +120,9 @@ macro_rules! pairs_side_by_side {
             w: crate::scalar::WeightPair,
             by: P,
         ) -> Self {
-            let [first, second] = w.widened().map(|w| Self::splat(f64::from(w)));
+            // Not by `map`: a closure that is not inlined is compiled without the processor features of its caller.
+            let [first, second] = w.widened();
+            let (first, second) = (Self::splat(f64::from(first)), Self::splat(f64::from(second)));
             if by.rounded_apart() {
                 return x[0] * first + (x[1] * second + self);
             }

@@ -72,8 +72,8 @@ impl Real for Counted {
         [first, second]
     }
     fn add_pair_product<P: PairProducts>(self, x: [Self; 2], w: WeightPair, _: P) -> Self {
-        let [first, second] = w.widened().map(Self);
-        x[0].mul_add(first, x[1].mul_add(second, self))
+        let [first, second] = w.widened();
+        x[0].mul_add(Self(first), x[1].mul_add(Self(second), self))
     }
 
     fn splat(x: f64) -> Self {

@@ -153,7 +153,8 @@ pub fn quaternion_exp<S: Real>(phi: Vec3<S>) -> [S; 4] {
 /// The rotation Rx(a) Ry(b) Rz(c) of the angles (a, b, c) (rad); [`euler_xyz`] takes it apart again.
 #[inline(always)]
 pub fn euler_xyz_to_rotation<S: Real>(angles: Vec3<S>) -> Mat3<S> {
-    let [(sa, ca), (sb, cb), (sc, cc)] = angles.map(S::sin_cos);
+    let [a, b, c] = angles;
+    let [(sa, ca), (sb, cb), (sc, cc)] = [a.sin_cos(), b.sin_cos(), c.sin_cos()];
     let (sa_sb, ca_sb) = (sa * sb, ca * sb);
     [
         [cb * cc, -(cb * sc), sb],

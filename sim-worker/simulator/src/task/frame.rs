@@ -38,11 +38,16 @@ impl ArmFrame {
     /// A vector in the base's axes.
     #[inline(always)]
     pub(super) fn vector<S: Real>(&self, v: [S; 3]) -> [S; 3] {
-        self.axes.map(|axis| {
-            let [x, y, z] = axis.map(S::splat);
-            x.mul_add(v[0], y.mul_add(v[1], z * v[2]))
-        })
+        let [x, y, z] = self.axes;
+        [along(x, v), along(y, v), along(z, v)]
     }
+}
+
+/// How far `v` reaches along an axis.
+#[inline(always)]
+fn along<S: Real>(axis: [f64; 3], v: [S; 3]) -> S {
+    let [x, y, z] = axis;
+    S::splat(x).mul_add(v[0], S::splat(y).mul_add(v[1], S::splat(z) * v[2]))
 }
 
 #[cfg(test)]

@@ -94,16 +94,20 @@ impl<'a, S: Real> Writer<'a, S> {
     #[inline(always)]
     pub(super) fn put_joints(&mut self, task: &Task, readings: &Readings<S>, arm: usize) {
         let first = arm * JOINTS_PER_ARM;
-        let mut angles = task.goals.home.arms[arm].q.map(S::splat);
-        for (angle, &q) in angles.iter_mut().zip(&readings.q[first..]) {
-            *angle = q - *angle;
+        let mut angles = [S::default(); JOINTS_PER_ARM];
+        let home = &task.goals.home.arms[arm].q;
+        for ((angle, &home), &q) in angles.iter_mut().zip(home).zip(&readings.q[first..]) {
+            *angle = q - S::splat(home);
         }
         match task.joint_angles {
             JointAngles::Unwound => self.put(&angles),
             JointAngles::SinCos => {
-                let turned = angles.map(Real::sin_cos);
-                self.put(&turned.map(|(sin, _)| sin));
-                self.put(&turned.map(|(_, cos)| cos));
+                let mut cosines = angles;
+                for (angle, cosine) in angles.iter_mut().zip(&mut cosines) {
+                    (*angle, *cosine) = angle.sin_cos();
+                }
+                self.put(&angles);
+                self.put(&cosines);
             }
         }
         self.put(&readings.qd[first..first + JOINTS_PER_ARM]);

@@ -104,7 +104,8 @@ macro_rules! back_end {
                         ))
                     } else {
                         let upper = set1_epi32(0xffff_0000_u32 as i32);
-                        let [first, second] = w.widened().map(|w| set1_ps(w));
+                        let [first, second] = w.widened();
+                        let (first, second) = (set1_ps(first), set1_ps(second));
                         let x_first = castsi_ps(slli_epi32::<16>(x.0));
                         let x_second = castsi_ps(and_si(x.0, upper));
                         Self(fmadd_ps(x_first, first, fmadd_ps(x_second, second, self.0)))
