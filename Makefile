@@ -105,10 +105,9 @@ bench: build venv-benches ## measure this machine and the peers, with ARGS="..."
 
 .PHONY: test
 test: setup venv page ## everything that must hold: format, lints, documentation, tests
-	$(call step,'format',$(CARGO) fmt --all --check && $(CARGO) fmt --manifest-path tests/fuzz/Cargo.toml --check)
-	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets $(FEATURES) -- -D warnings)
+	$(call step,'format',$(CARGO) fmt --all --check)
+	$(call step,'lints',$(CARGO) clippy $(LOCKED) --workspace --all-targets --features fuzz/targets $(FEATURES) -- -D warnings)
 	$(call step,'the simulator for browsers',{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } && RUSTFLAGS='-D warnings' $(CARGO) check $(LOCKED) -p simulator -p browser --target wasm32-unknown-unknown)
-	$(call step,'fuzz targets',$(CARGO) clippy $(LOCKED) --manifest-path tests/fuzz/Cargo.toml --target-dir $(TARGET)/fuzz/check --bins -- -D warnings)
 	$(call step,'documentation',RUSTDOCFLAGS='-D warnings' $(CARGO) doc $(LOCKED) --workspace --no-deps $(FEATURES))
 	# With the tests in one call: features of dependencies are united over what is built together, and
 	# sim-worker, which takes minutes, would be built twice otherwise.
@@ -167,20 +166,16 @@ fuzz: ## fuzz everything that reads bytes from outside (SECONDS=60 for each targ
 # A clone of https://github.com/RustSec/advisory-db; without one known defects are not looked for.
 ADVISORY_DB ?=
 DENY = $(CARGO) deny --locked
-DENY_FUZZ = $(DENY) --manifest-path tests/fuzz/Cargo.toml --config deny.toml
-# The exception is that of the fuzz targets, which have a lock file of their own.
-DENY_QUIET = -A license-exception-not-encountered
 
 .PHONY: deny
 deny: ## check what is linked: bans, licences, sources (ADVISORY_DB=CLONE: known defects, too)
 	@$(CARGO) deny --version >/dev/null 2>&1 || \
 		{ echo 'cargo-deny is missing: cargo install cargo-deny --locked' >&2; exit 1; }
-	@$(DENY) check $(DENY_QUIET) bans licenses sources
-	@$(DENY_FUZZ) check bans licenses sources
+	@$(DENY) check bans licenses sources
 ifneq ($(ADVISORY_DB),)
 	@export GIT_CONFIG_COUNT=1 GIT_CONFIG_KEY_0='url.file://$(abspath $(ADVISORY_DB)).insteadOf'; \
 		export GIT_CONFIG_VALUE_0=https://github.com/RustSec/advisory-db; \
-		$(DENY) check advisories && $(DENY_FUZZ) check -A advisory-not-detected advisories
+		$(DENY) check advisories
 endif
 
 # Of the code that is unsafe or beside it what Miri can run: no other process, no shared memory, no vector

@@ -7,33 +7,30 @@ set -euo pipefail
 seconds=${1:-60}
 shift || true
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-root=$here/../..
-base=${CARGO_TARGET_DIR:-$root/target}/fuzz
-mkdir -p "$base"
+cd "$here/../.."
+base=${CARGO_TARGET_DIR:-target}
+mkdir -p "$base/fuzz"
 base=$(cd "$base" && pwd)
 cargo=${CARGO:-cargo}
-# Named even though it is this machine's: the flags then stay out of build scripts and macros.
-host=$(cd "$here" && rustc -vV | sed -n 's/^host: //p')
-flags=(
-    --cfg fuzzing
-    -Cpasses=sancov-module
-    -Cllvm-args=-sanitizer-coverage-level=4
-    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters
-    -Cllvm-args=-sanitizer-coverage-pc-table
-    -Ccodegen-units=1
-)
-# In CI compiling takes longer than running: optimised less, and without lines for backtraces.
+
+mapfile -t known < <(cd "$here/targets" && printf '%s\n' *.rs | sed 's/\.rs$//')
+build=("$cargo" build --features fuzz/targets)
 if [ -n "${CI:-}" ]; then
-    export CARGO_PROFILE_RELEASE_OPT_LEVEL=1 CARGO_PROFILE_RELEASE_DEBUG=none
+    # Compiling takes longer than running: counters in our own crates alone, what they depend on as tests have
+    # it. Features of dependencies are those of the whole workspace for the same reason.
+    build+=(--locked --workspace --config 'profile.dev.package.simulator.opt-level=1')
+    RUSTC_WORKSPACE_WRAPPER=$here/rustc-coverage "${build[@]}" "${known[@]/#/--bin=}"
+    programs=$base/debug
+else
+    # Named even though it is this machine's: the flags then stay out of build scripts and macros.
+    host=$(rustc -vV | sed -n 's/^host: //p')
+    RUSTFLAGS="--cfg fuzzing $("$here/rustc-coverage" --flags)" "${build[@]}" -p fuzz --profile fuzz --bins \
+        --target "$host" --target-dir "$base/fuzz/build"
+    programs=$base/fuzz/build/$host/fuzz
 fi
-(cd "$here" && RUSTFLAGS="${flags[*]}" "$cargo" build --release --bins \
-    ${CI:+--locked} --target "$host" --target-dir "$base/build")
-programs=$base/build/$host/release
 
 targets=("$@")
-if [ ${#targets[@]} -eq 0 ]; then
-    mapfile -t targets < <(cd "$here/targets" && printf '%s\n' *.rs | sed 's/\.rs$//')
-fi
+[ ${#targets[@]} -gt 0 ] || targets=("${known[@]}")
 
 # Files that targets read and write lie in memory: commits wait for the disk otherwise.
 scratch=$(mktemp -d "$([ -w /dev/shm ] && echo /dev/shm || echo /tmp)/spaceoctopus-fuzz-XXXXXX")
@@ -48,9 +45,9 @@ export TMPDIR=$scratch
 
 failed=()
 for target in "${targets[@]}"; do
-    corpus=$base/corpus/$target
-    artifacts=$base/artifacts/$target
-    log=$base/$target.log
+    corpus=$base/fuzz/corpus/$target
+    artifacts=$base/fuzz/artifacts/$target
+    log=$base/fuzz/$target.log
     mkdir -p "$corpus" "$artifacts"
     kept=()
     [ ! -d "$here/corpus/$target" ] || kept=("$here/corpus/$target")
@@ -86,7 +83,7 @@ if [ ${#failed[@]} -gt 0 ]; then
     # Once more at the end, where logs that are cut off are read.
     for target in "${failed[@]}"; do
         printf '==> %s said\n' "$target"
-        grep -aE 'panicked|ERROR:|^assertion|SUMMARY|Base64' -A2 "$base/$target.log" | cut -c1-300 | tail -12
+        grep -aE 'panicked|ERROR:|^assertion|SUMMARY|Base64' -A2 "$base/fuzz/$target.log" | cut -c1-300 | tail -12
     done
     printf '==> failed: %s\n' "${failed[*]}"
     exit 1
