@@ -83,7 +83,9 @@ impl<P: Payload> Assembly<P> {
             return Err(format!("piece at {} is damaged: its checksum is another", head.offset));
         }
         let expected = (head.total.saturating_sub(head.offset)).min(PIECE_LEN as u64);
+        // An empty piece would fit anywhere beyond the end.
         if head.total > most as u64
+            || expected == 0
             || !head.offset.is_multiple_of(PIECE_LEN as u64)
             || len != expected
         {
@@ -178,6 +180,8 @@ mod tests {
         assert!(assembly.add(&message::encode(&other), rest.clone(), len).is_err());
         let beyond = PieceHead { offset: len as u64 * 2, ..other };
         assert!(assembly.add(&message::encode(&beyond), rest.clone(), len).is_err());
+        let empty = PieceHead { content: Content::Policy(3), checksum: 0, ..beyond };
+        assert!(assembly.add(&message::encode(&empty), Vec::new(), len).is_err());
         assert_eq!((assembly.missing(), assembly.whole()), (1, None));
     }
 }
