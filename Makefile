@@ -165,7 +165,8 @@ fuzz: ## fuzz everything that reads bytes from outside (SECONDS=60 for each targ
 
 # A clone of https://github.com/RustSec/advisory-db; without one known defects are not looked for.
 ADVISORY_DB ?=
-DENY = $(CARGO) deny --locked
+# With all features, among them that of the fuzz targets.
+DENY = $(CARGO) deny --locked --all-features
 
 .PHONY: deny
 deny: ## check what is linked: bans, licences, sources (ADVISORY_DB=CLONE: known defects, too)
