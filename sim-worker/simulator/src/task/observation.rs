@@ -102,11 +102,11 @@ impl<'a, S: Real> Writer<'a, S> {
         match task.joint_angles {
             JointAngles::Unwound => self.put(&angles),
             JointAngles::SinCos => {
-                let mut cosines = angles;
-                for (angle, cosine) in angles.iter_mut().zip(&mut cosines) {
-                    (*angle, *cosine) = angle.sin_cos();
+                let (mut sines, mut cosines) = (angles, angles);
+                for (sine, cosine) in sines.iter_mut().zip(&mut cosines) {
+                    (*sine, *cosine) = sine.sin_cos();
                 }
-                self.put(&angles);
+                self.put(&sines);
                 self.put(&cosines);
             }
         }
