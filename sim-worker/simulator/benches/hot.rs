@@ -1,4 +1,4 @@
-//! The hot functions of a rollout, one group of sixteen environments at a time unless said otherwise.
+//! The hot functions of a rollout, one lane group of environments at a time unless said otherwise.
 //!
 //! `cargo bench -p sim-worker`; `-- --save-baseline before` and `-- --baseline before` compare a change.
 
@@ -15,7 +15,7 @@ use simulator::model::Model;
 use simulator::policy::{Policy, Scratch};
 use simulator::robot::Robot;
 use simulator::rollout::{RolloutSpec, World, rollout};
-use simulator::scalar::{Kernel, LANES, LaneFn, Real, dispatch};
+use simulator::scalar::{Kernel, LaneFn, Real, dispatch};
 use simulator::state::State;
 use simulator::step::{StepOptions, step};
 use simulator::workspace::Workspace;
@@ -53,6 +53,7 @@ impl LaneFn for Physics<'_, '_> {
         let mut ws = Workspace::new(&model);
         let mut state = State::<S>::home(&robot);
         let command = vec![S::splat(0.3); robot.n_joints()];
+        self.group.throughput(Throughput::Elements(S::LANES as u64));
         match self.options {
             Some(options) => self.group.bench_function(self.name, |bencher| {
                 bencher.iter_batched_ref(
@@ -71,7 +72,6 @@ impl LaneFn for Physics<'_, '_> {
 
 fn physics(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("physics");
-    group.throughput(Throughput::Elements(LANES as u64));
     let with = StepOptions::default();
     let without = StepOptions { contacts: false, ..with };
     for (name, options) in [
@@ -97,6 +97,7 @@ impl LaneFn for Inference<'_, '_> {
         let mut scratch = Scratch::<S>::new(&policy, GROUPS);
         let observations = vec![S::splat(0.5); GROUPS * world.dimensions.observation];
         let mut means = vec![S::zero(); GROUPS * JOINTS_PER_AGENT];
+        self.0.throughput(Throughput::Elements((GROUPS * S::LANES) as u64));
         self.0.bench_function("one_agent/2x512", |bencher| {
             bencher.iter(|| {
                 let (scratch, means) = (&mut scratch, &mut means);
@@ -125,7 +126,6 @@ impl<S: Real> Kernel<S> for Mean<'_, S> {
 
 fn policy(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("policy");
-    group.throughput(Throughput::Elements((GROUPS * LANES) as u64));
     dispatch(Inference(&mut group));
     group.finish();
 }

@@ -310,8 +310,15 @@ pub(crate) struct PlanarMotion<S> {
 fn permute_sym<S: Real>(place: [usize; 3], sign: [S; 3], m: &Sym3<S>) -> Sym3<S> {
     // Where the element (i, j) stands.
     const AT: [[usize; 3]; 3] = [[0, 3, 4], [3, 1, 5], [4, 5, 2]];
-    let off = |i: usize, j: usize| sign[i] * sign[j] * m[AT[place[i]][place[j]]];
-    [m[place[0]], m[place[1]], m[place[2]], off(0, 1), off(0, 2), off(1, 2)]
+    let [x, y, z] = place;
+    [
+        m[x],
+        m[y],
+        m[z],
+        sign[0] * sign[1] * m[AT[x][y]],
+        sign[0] * sign[2] * m[AT[x][z]],
+        sign[1] * sign[2] * m[AT[y][z]],
+    ]
 }
 
 /// R M Rᵀ of a symmetric matrix.

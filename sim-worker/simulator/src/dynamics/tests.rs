@@ -359,36 +359,31 @@ impl LaneFn for Lanes {
     type Output = Vec<State<f64>>;
     #[inline(always)]
     fn call<S: Real>(self) -> Vec<State<f64>> {
+        const STEPS: usize = 5;
         let robot = Robot::builtin("paper").unwrap();
         let model = Model::<S>::new(&robot);
         let mut ws = Workspace::new(&model);
-        let mut state = State::<S>::home(&robot);
-        let mut noise = Noise(5);
-        for i in 0..S::LANES {
-            let s = random_state(&robot, &mut noise);
-            if i == 3 || !self.replace_others {
-                state.set_lane(i, &s);
-            }
-        }
-        let mut command = vec![S::zero(); 24];
-        for _ in 0..5 {
-            for c in &mut command {
-                for i in 0..S::LANES {
-                    c.set_lane(i, noise.next());
+        let mut out = Vec::new();
+        for first in (0..LANES).step_by(S::LANES) {
+            let mut state = State::<S>::home(&robot);
+            let mut commands = vec![vec![S::zero(); 24]; STEPS];
+            for lane in 0..S::LANES {
+                let env = first + lane;
+                let given = env == 3 || !self.replace_others;
+                let mut noise = Noise(5 + env as u64);
+                if given {
+                    state.set_lane(lane, &random_state(&robot, &mut noise));
+                }
+                for command in commands.iter_mut().flatten() {
+                    command.set_lane(lane, if given { noise.next() } else { 0.1 * noise_of(env) });
                 }
             }
-            if self.replace_others {
-                for c in &mut command {
-                    let keep = c.lane(3);
-                    for i in 0..S::LANES {
-                        c.set_lane(i, 0.1 * noise_of(i));
-                    }
-                    c.set_lane(3, keep);
-                }
+            for command in &commands {
+                step(&model, &mut ws, &mut state, command, &StepOptions::default());
             }
-            step(&model, &mut ws, &mut state, &command, &StepOptions::default());
+            out.extend((0..S::LANES).map(|lane| state.lane(lane)));
         }
-        (0..S::LANES).map(|i| state.lane(i)).collect()
+        out
     }
 }
 

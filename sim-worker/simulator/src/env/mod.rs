@@ -1,6 +1,6 @@
 //! What the loops over episodes have in common ([`crate::rollout`], [`crate::experiment`]): the robot with its sensors, and what can go wrong.
 //!
-//! Environments stand in lanes, sixteen to a group, or eight if there are no more; everything from the
+//! Environments stand in lanes, sixteen or eight to a group; everything from the
 //! equations of motion to the reward is evaluated for a group at a time, and the policy for all
 //! groups. Lanes never mix, so what happens to an environment does not depend on its neighbours; the
 //! lanes beyond the last environment repeat it and are never written.

@@ -1,7 +1,7 @@
 //! Episodes with deterministic actions in which things happen: other policies take over, arms fail, bodies are pushed.
 //!
 //! A [`Trial`] says what is played: which [`Player`] moves which arm from which step on ([`Phase`]), where hands and base shall go, what disturbs
-//! ([`Intervention`], [`SensorNoise`], a delay, another robot than the policies know). [`play`] plays its episodes, sixteen side by side, and
+//! ([`Intervention`], [`SensorNoise`], a delay, another robot than the policies know). [`play`] plays its episodes, several side by side, and
 //! returns a [`Recording`] of every error and pose after every step. An evaluation is a trial in which nothing happens (see [`crate::evaluate`]).
 //!
 //! Everything random is addressed by seed, episode and step, so a recording depends neither on threads nor on how episodes lie in lanes.

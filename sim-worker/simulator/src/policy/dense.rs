@@ -5,7 +5,8 @@ use crate::scalar::{Fused, Mask, PairKernel, PairProducts, Real, WeightPair, bf1
 /// Units of a panel: what one pass over the inputs accumulates in registers.
 ///
 /// Sixteen accumulators (8 units × 2 lane groups, or 2 panels × 1 group) cover the latency of the
-/// multiply-add on current processors and leave room for operands among 32 vector registers.
+/// multiply-add on current processors and leave room for operands among 32 vector registers; where
+/// there are 16 ([`Real::SUMS`]), eight (4 units × 2 groups, or 8 × 1) do so just about.
 pub(super) const PANEL: usize = 8;
 
 /// Weights of one layer, cut into panels: `W` is `f32`, or a [`WeightPair`] of two inputs' weights in bfloat16.
@@ -159,33 +160,44 @@ impl<W: Copy> Dense<W> {
             let (mut group, mut left) = (0, groups);
             while left > 0 {
                 let at = group * stride;
-                if left >= 2 {
-                    self.multiply::<S, X, A, 1, 2>(panel, &x[at..], &mut out[at..], accumulate);
-                    if pair {
-                        self.multiply::<S, X, A, 1, 2>(
-                            panel + 1,
-                            &x[at..],
-                            &mut out[at..],
-                            accumulate,
-                        );
+                let (x, out) = (&x[at..], &mut out[at..]);
+                let width = if left >= 2 { 2 } else { 1 };
+                match (width, pair) {
+                    (1, true) if S::SUMS >= 2 * PANEL => {
+                        self.multiply::<S, X, A, 2, 1, PANEL>(panel, x, out, accumulate);
                     }
-                    (group, left) = (group + 2, left - 2);
-                } else {
-                    if pair {
-                        self.multiply::<S, X, A, 2, 1>(panel, &x[at..], &mut out[at..], accumulate);
-                    } else {
-                        self.multiply::<S, X, A, 1, 1>(panel, &x[at..], &mut out[at..], accumulate);
+                    (1, _) => {
+                        for panel in panel..=panel + usize::from(pair) {
+                            self.multiply::<S, X, A, 1, 1, PANEL>(panel, x, out, accumulate);
+                        }
                     }
-                    (group, left) = (group + 1, left - 1);
+                    _ => {
+                        for panel in panel..=panel + usize::from(pair) {
+                            if S::SUMS >= 2 * PANEL {
+                                self.multiply::<S, X, A, 1, 2, PANEL>(panel, x, out, accumulate);
+                            } else {
+                                const HALF: usize = PANEL / 2;
+                                self.multiply::<S, X, A, 1, 2, HALF>(panel, x, out, accumulate);
+                            }
+                        }
+                    }
                 }
+                (group, left) = (group + width, left - width);
             }
             panel += 2;
         }
     }
 
-    /// `Q` panels from `panel` on for one tile of `G` groups, all sums in registers.
+    /// `Q` panels from `panel` on for one tile of `G` groups, `U` units of each at a time, all their sums in registers.
     #[inline(always)]
-    fn multiply<S: Real, X: Copy, A: Accumulate<S, X, W>, const Q: usize, const G: usize>(
+    fn multiply<
+        S: Real,
+        X: Copy,
+        A: Accumulate<S, X, W>,
+        const Q: usize,
+        const G: usize,
+        const U: usize,
+    >(
         &self,
         panel: usize,
         x: &[X],
@@ -196,28 +208,33 @@ impl<W: Copy> Dense<W> {
         let x = &x.as_chunks::<G>().0[..n];
         let weights: [&[[W; PANEL]]; Q] =
             std::array::from_fn(|q| &self.weights[(panel + q) * n..(panel + q + 1) * n]);
-        let mut sums = [[[S::zero(); G]; PANEL]; Q];
-        for q in 0..Q {
-            for unit in 0..PANEL {
-                sums[q][unit] = [S::splat(f64::from(self.bias[panel + q][unit])); G];
-            }
-        }
-        for k in 0..n {
-            let x = x[k];
+        let out = &mut out.as_chunks_mut::<G>().0[panel * PANEL..(panel + Q) * PANEL];
+        let mut first = 0;
+        while first < PANEL {
+            let mut sums = [[[S::zero(); G]; U]; Q];
             for q in 0..Q {
-                let row = &weights[q][k];
-                for unit in 0..PANEL {
-                    for g in 0..G {
-                        sums[q][unit][g] = accumulate.add(sums[q][unit][g], x[g], row[unit]);
+                for unit in 0..U {
+                    let bias = self.bias[panel + q][first + unit];
+                    sums[q][unit] = [S::splat(f64::from(bias)); G];
+                }
+            }
+            for k in 0..n {
+                let x = x[k];
+                for q in 0..Q {
+                    let row = &weights[q][k][first..first + U];
+                    for unit in 0..U {
+                        for g in 0..G {
+                            sums[q][unit][g] = accumulate.add(sums[q][unit][g], x[g], row[unit]);
+                        }
                     }
                 }
             }
-        }
-        let out = &mut out.as_chunks_mut::<G>().0[panel * PANEL..(panel + Q) * PANEL];
-        for q in 0..Q {
-            for unit in 0..PANEL {
-                out[q * PANEL + unit] = sums[q][unit];
+            for q in 0..Q {
+                for unit in 0..U {
+                    out[q * PANEL + first + unit] = sums[q][unit];
+                }
             }
+            first += U;
         }
     }
 }

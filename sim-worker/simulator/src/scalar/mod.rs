@@ -1,7 +1,7 @@
 //! Scalars the simulator is generic over.
 //!
 //! One text of the dynamics serves three purposes: `f64` is the reference, `f32` the lone single-precision twin, and the lane types
-//! advance sixteen environments side by side, one per lane, or eight where there are no more. The lane types come in three back ends ([`Backend`]) that compute
+//! advance sixteen or eight environments side by side, one per lane. The lane types come in three back ends ([`Backend`]) that compute
 //! **the same bits**: every operation is an IEEE operation with one rounding (fused multiply-add included), and every elementary
 //! function is one polynomial written once, in [`elementary`].
 //!

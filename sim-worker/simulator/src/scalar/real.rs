@@ -7,7 +7,7 @@ use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub
 use super::bf16::Sums;
 use super::bf16::{Fused, PairProducts, WeightPair};
 
-/// Lanes of the lane types; where there are few environments, [`dispatch_for`](super::dispatch_for) has one of eight.
+/// The most lanes of a lane type. Some have eight, and all numbers of lanes divide this one.
 pub const LANES: usize = 16;
 
 /// One truth value per lane.
@@ -57,6 +57,9 @@ pub trait Real:
 {
     /// Number of lanes.
     const LANES: usize;
+
+    /// Sums that a product of matrices keeps in registers: 16 or 8.
+    const SUMS: usize = 16;
 
     /// Result of comparisons.
     type Mask: Mask;
@@ -186,7 +189,7 @@ pub trait Kernel<S: Real> {
 pub trait LaneFn {
     /// What the computation returns.
     type Output;
-    /// Runs the computation with lane type `S`: sixteen lanes, or eight if [`dispatch_for`](super::dispatch_for) chose so.
+    /// Runs the computation with lane type `S`: sixteen lanes or eight.
     fn call<S: Real>(self) -> Self::Output;
 }
 

@@ -15,7 +15,7 @@
 //! reinforcement learning", appendix G). Shoulder and wrist reach one pose together, and a shoulder that
 //! cares for position alone leaves the wrist where it cannot turn without touching the arm.
 
-use proto::config::{RewardWeights, TaskName};
+use proto::config::{Reward, RewardWeights, TaskName};
 use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 
 use super::{Errors, Task};
@@ -55,13 +55,6 @@ pub fn rewards<S: Real>(
     out: &mut [S],
 ) {
     let reward = &task.reward;
-    let collision = |pairs: S| {
-        if reward.count_collisions {
-            pairs
-        } else {
-            S::select(pairs.gt(S::zero()), S::one(), S::zero())
-        }
-    };
     match task.name {
         TaskName::Trajectory => {
             for (agent, out) in out.iter_mut().enumerate() {
@@ -75,7 +68,7 @@ pub fn rewards<S: Real>(
                 let (change, effort) = squared_norms(&action[joints.clone()], &last_action[joints]);
                 let pairs =
                     if reward.own_collisions { touching.by_arm[arm] } else { touching.pairs };
-                *out = formula(weights, reward.epsilon, error, change, effort, collision(pairs));
+                *out = formula(weights, reward.epsilon, error, change, effort, collision(reward, pairs));
             }
             if reward.team_spirit > 0.0 {
                 let share = S::splat(0.5 * reward.team_spirit);
@@ -89,12 +82,21 @@ pub fn rewards<S: Real>(
         }
         TaskName::Reorientation => {
             let (change, effort) = squared_norms(action, last_action);
-            let collision = collision(touching.pairs);
+            let collision = collision(reward, touching.pairs);
             let shared =
                 formula(&reward.base, reward.epsilon, errors.base_norm, change, effort, collision);
             out.fill(shared);
         }
     }
+}
+
+/// What `pairs` that touch count: each of them, or one for all.
+#[inline(always)]
+fn collision<S: Real>(reward: &Reward, pairs: S) -> S {
+    if reward.count_collisions {
+        return pairs;
+    }
+    S::select(pairs.gt(S::zero()), S::one(), S::zero())
 }
 
 /// ‖u − u⁻‖² and ‖u‖².

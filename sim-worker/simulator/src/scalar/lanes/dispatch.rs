@@ -25,7 +25,7 @@ use crate::scalar::LaneFn;
 pub enum Backend {
     /// One register of 512 or 256 bits (AVX-512 F, DQ, VL, BW).
     Avx512,
-    /// Two 256-bit registers (AVX2, FMA).
+    /// One register of 256 bits (AVX2, FMA).
     Avx2,
     /// Plain Rust; in WebAssembly one lone number.
     Portable,
