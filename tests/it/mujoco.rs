@@ -15,7 +15,7 @@ use simulator::dynamics::reference_dynamics::inertia_matrix;
 use simulator::dynamics::{Hand, forward_dynamics, hands};
 use simulator::model::Model;
 use simulator::robot::{MjcfOptions, Robot, mjcf::mjcf};
-use simulator::scalar::{LANES, LaneFn, Real, dispatch};
+use simulator::scalar::{LaneFn, Real, dispatch};
 use simulator::simulate::{Precision, simulate};
 use simulator::state::State;
 use simulator::step::{Disturbance, Integrator, StepOptions, step, step_disturbed};
@@ -305,7 +305,7 @@ fn authors() -> StepOptions {
     }
 }
 
-/// Sixteen episodes a lane group: base and hands after each control step, `[episode][step][3 · (1 + arms)]`.
+/// Episodes in lanes: base and hands after each control step, `[episode][step][3 · (1 + arms)]`.
 struct Episodes<'a> {
     robot: &'a Robot,
     commands: &'a [Vec<Vec<f64>>],
@@ -321,7 +321,7 @@ impl LaneFn for Episodes<'_> {
         let mut ws = Workspace::new(&model);
         let mut hand = vec![Hand::default(); robot.n_arms];
         let mut out = vec![Vec::new(); self.commands.len()];
-        for (group, commands) in self.commands.chunks(LANES).enumerate() {
+        for (group, commands) in self.commands.chunks(S::LANES).enumerate() {
             let mut state = State::<S>::home(robot);
             let mut command = vec![S::zero(); robot.n_joints()];
             for t in 0..commands[0].len() {
@@ -335,7 +335,7 @@ impl LaneFn for Episodes<'_> {
                 for i in 0..commands.len() {
                     let points = std::iter::once(&state.base_position)
                         .chain(hand.iter().map(|h| &h.position));
-                    out[group * LANES + i].push(points.flatten().map(|x| x.lane(i)).collect());
+                    out[group * S::LANES + i].push(points.flatten().map(|x| x.lane(i)).collect());
                 }
             }
         }
