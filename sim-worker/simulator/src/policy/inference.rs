@@ -32,9 +32,9 @@ impl<S: Real> Scratch<S> {
 }
 
 impl Policy {
-    /// Mean actions of `actor`.
+    /// Mean actions of `actor`, or of all that share its network.
     ///
-    /// Shape: `observations` is `[group][input]`, `means` is `[group][output]`.
+    /// Shape: `observations` is `[group][input]`, `means` is `[group][output]`; groups of several actors stand one after the other.
     #[inline(always)]
     pub fn mean<S: Real>(
         &self,
@@ -48,7 +48,7 @@ impl Policy {
         let groups = means.len() / output;
         assert_eq!(observations.len(), groups * input, "one row of inputs a lane group");
         assert!(scratch.ping.len() >= groups * scratch.stride, "scratch is made for fewer groups");
-        let actor = &self.actors[actor];
+        let network = &self.networks[self.network_of[actor]];
         let Scratch { stride, ping, pong, pairs } = scratch;
         let stride = *stride;
         let mut group = 0;
@@ -63,7 +63,7 @@ impl Policy {
             }
             group += width;
         }
-        if let Some(affine) = &actor.input {
+        if let Some(affine) = &network.input {
             let mut group = 0;
             while group < groups {
                 let width = tile_groups(group, groups);
@@ -76,7 +76,7 @@ impl Policy {
             }
         }
         let mut features = input;
-        for hidden in &actor.hidden {
+        for hidden in &network.hidden {
             match &hidden.product {
                 Product::Single(dense) => dense.apply(ping, pong, groups, stride),
                 Product::Pairs(dense) => {
@@ -103,7 +103,7 @@ impl Policy {
             }
             std::mem::swap(ping, pong);
         }
-        actor.head.apply(ping, pong, groups, stride);
+        network.head.apply(ping, pong, groups, stride);
         let mut group = 0;
         while group < groups {
             let width = tile_groups(group, groups);

@@ -6,6 +6,9 @@ use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
 use super::dense::Dense;
 use crate::scalar::{WeightPair, elementary};
 
+/// Name of the tensor with the deviations, the only one that is not of a network.
+const LOG_STD: &str = "log_std";
+
 /// Why flat parameters are no policy of this run.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -72,15 +75,12 @@ pub(super) struct Hidden {
     pub(super) norm: Option<Affine>,
 }
 
-/// One actor's network.
+/// A network: of one actor, or of several that share it.
 #[derive(Debug, Clone)]
-pub(super) struct Actor {
+pub(super) struct Network {
     pub(super) input: Option<Affine>,
     pub(super) hidden: Vec<Hidden>,
     pub(super) head: Dense<f32>,
-    /// One entry an agent of the actor; none if it is deterministic.
-    pub(super) log_std: Vec<[f32; JOINTS_PER_AGENT]>,
-    pub(super) std: Vec<[f32; JOINTS_PER_AGENT]>,
 }
 
 /// All actors' networks of one policy version, packed for inference.
@@ -96,7 +96,14 @@ pub struct Policy {
     pub(super) squash_mean: bool,
     /// Factor on squashed outputs.
     pub(super) action_limit: f64,
-    pub(super) actors: Vec<Actor>,
+    pub(super) networks: Vec<Network>,
+    /// Which actors each network is of.
+    sharing: Vec<Vec<usize>>,
+    /// Which network each actor has.
+    pub(super) network_of: Vec<usize>,
+    /// One entry an agent; none if actors are deterministic.
+    log_std: Vec<[f32; JOINTS_PER_AGENT]>,
+    std: Vec<[f32; JOINTS_PER_AGENT]>,
 }
 
 impl Policy {
@@ -131,14 +138,25 @@ impl Policy {
             first: row(first, actor).to_vec(),
             second: row(second, actor).to_vec(),
         };
+        let sharing = sharing(n_actors, |one, other| {
+            let of_network = layout.tensors.iter().filter(|tensor| tensor.name != LOG_STD);
+            of_network.into_iter().all(|tensor| {
+                let bits = |actor| row(&tensor.name, actor).iter().map(|value| value.to_bits());
+                bits(one).eq(bits(other))
+            })
+        });
+        let mut network_of = vec![0; n_actors];
+        for (network, actors) in sharing.iter().enumerate() {
+            for &actor in actors {
+                network_of[actor] = network;
+            }
+        }
         let network = &config.network;
-        let actors = (0..n_actors)
-            .map(|actor| {
-                let log_std = match layout.get("log_std") {
-                    Some(_) => row("log_std", actor).as_chunks().0,
-                    None => &[],
-                };
-                Actor {
+        let networks = sharing
+            .iter()
+            .map(|actors| {
+                let actor = actors[0];
+                Network {
                     input: match network.input_norm {
                         InputNorm::None => None,
                         InputNorm::LayerNorm => Some(affine("input.gain", "input.bias", actor)),
@@ -167,11 +185,12 @@ impl Policy {
                         })
                         .collect(),
                     head: Dense::pack(row("head.weight", actor), row("head.bias", actor)),
-                    log_std: log_std.to_vec(),
-                    std: log_std.iter().map(|log_std| log_std.map(elementary::exp)).collect(),
                 }
             })
             .collect();
+        // Actors one after the other are their agents one after the other.
+        let log_std = layout.get(LOG_STD).map_or(&[][..], |tensor| &parameters[tensor.range()]);
+        let log_std = log_std.as_chunks().0.to_vec();
         Ok(Self {
             input: dimensions.actor_input(),
             output: dimensions.actor_output(),
@@ -184,13 +203,22 @@ impl Policy {
             } else {
                 config.algorithm.maddpg.action_limit
             },
-            actors,
+            networks,
+            sharing,
+            network_of,
+            std: log_std.iter().map(|log_std| log_std.map(elementary::exp)).collect(),
+            log_std,
         })
     }
 
     /// P: actors of the policy.
     pub fn n_actors(&self) -> usize {
-        self.actors.len()
+        self.network_of.len()
+    }
+
+    /// The actors by network: those of a list have the same one, so their environments go through it together.
+    pub fn sharing(&self) -> &[Vec<usize>] {
+        &self.sharing
     }
 
     /// Numbers that each actor's network takes.
@@ -208,8 +236,7 @@ impl Policy {
     /// # Panics
     /// If actors are deterministic.
     pub fn std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
-        let per_actor = self.output / JOINTS_PER_AGENT;
-        self.actors[agent / per_actor].std[agent % per_actor]
+        self.std[agent]
     }
 
     /// Logarithm of the standard deviation of each action of `agent`.
@@ -217,16 +244,27 @@ impl Policy {
     /// # Panics
     /// If actors are deterministic.
     pub fn log_std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
-        let per_actor = self.output / JOINTS_PER_AGENT;
-        self.actors[agent / per_actor].log_std[agent % per_actor]
+        self.log_std[agent]
     }
 
     /// Numbers that one lane group needs between two layers: the widest layer, in whole panels.
     pub(super) fn stride(&self) -> usize {
-        let widths = self.actors.iter().flat_map(|actor| {
-            let hidden = actor.hidden.iter().map(|hidden| hidden.product.padded_outputs());
-            hidden.chain([actor.head.padded_outputs()])
+        let widths = self.networks.iter().flat_map(|network| {
+            let hidden = network.hidden.iter().map(|hidden| hidden.product.padded_outputs());
+            hidden.chain([network.head.padded_outputs()])
         });
         widths.max().unwrap_or(0).max(self.input)
     }
+}
+
+/// Actors in lists of those that are `same`, in the order of their first ones.
+fn sharing(n_actors: usize, same: impl Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
+    let mut lists: Vec<Vec<usize>> = Vec::new();
+    for actor in 0..n_actors {
+        match lists.iter_mut().find(|list| same(list[0], actor)) {
+            Some(list) => list.push(actor),
+            None => lists.push(vec![actor]),
+        }
+    }
+    lists
 }

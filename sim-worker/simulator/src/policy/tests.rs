@@ -261,3 +261,28 @@ fn wrong_parameters_are_named() {
     let message = Policy::new(&config, &dimensions, &flat).expect_err("infinite").to_string();
     assert!(message.contains("`head.bias` of actor 6 holds inf"), "{message}");
 }
+
+#[test]
+fn actors_of_the_same_network_are_found() {
+    let config = configurations().remove(0);
+    let dimensions = Dimensions::new(&config, 4);
+    let mut flat = parameters(&config, &dimensions, 3);
+    let sharing = |flat: &[f32]| {
+        Policy::new(&config, &dimensions, flat).expect("a policy").sharing().to_vec()
+    };
+    assert_eq!(sharing(&flat), (0..8).map(|actor| vec![actor]).collect::<Vec<_>>());
+    let layout = ActorLayout::new(&config, &dimensions);
+    for tensor in layout.tensors.iter().filter(|tensor| tensor.name != "log_std") {
+        let length = tensor.len() / 8;
+        let rows = &mut flat[tensor.range()];
+        for actor in 2..8 {
+            rows.copy_within(actor % 2 * length..(actor % 2 + 1) * length, actor * length);
+        }
+    }
+    assert_eq!(sharing(&flat), [[0, 2, 4, 6], [1, 3, 5, 7]]);
+    // One bit of one weight.
+    let head = layout.get("head.weight").expect("every network has one");
+    let last = &mut flat[head.range().end - 1];
+    *last = f32::from_bits(last.to_bits() ^ 1);
+    assert_eq!(sharing(&flat), [vec![0, 2, 4, 6], vec![1, 3, 5], vec![7]]);
+}

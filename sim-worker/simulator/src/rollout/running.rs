@@ -20,9 +20,11 @@ pub(super) struct Running<'a, S: Real> {
     noise: Noise,
     output: Output<'a>,
     environments: Environments<S>,
-    /// `[P, group, input]`.
+    /// Where each actor's observations stand: actors that share a network stand side by side.
+    places: Vec<usize>,
+    /// `[place, group, input]`.
     observations: Vec<S>,
-    /// `[group, output]` of one actor.
+    /// `[actor, group, output]` of the actors of one network.
     means: Vec<S>,
     scratch: Scratch<S>,
 }
@@ -39,10 +41,16 @@ impl<'a, S: Real> Running<'a, S> {
         environments.begin((robot, task), &config.task.start, goals, batch.n_envs);
         output.begin();
         let zeros = |n: usize| vec![S::zero(); n];
+        let mut places = vec![0; dimensions.n_actors];
+        for (place, &actor) in policy.sharing().iter().flatten().enumerate() {
+            places[actor] = place;
+        }
+        let most = policy.sharing().iter().map(Vec::len).max().unwrap_or(0) * n_groups;
         let running = Self {
+            places,
             observations: zeros(dimensions.n_actors * n_groups * dimensions.actor_input()),
-            means: zeros(n_groups * dimensions.actor_output()),
-            scratch: Scratch::new(policy, n_groups),
+            means: zeros(most * dimensions.actor_output()),
+            scratch: Scratch::new(policy, most),
             task,
             dimensions,
             policy,
@@ -72,7 +80,7 @@ impl<'a, S: Real> Running<'a, S> {
             for (agent, of_agent) in seen.observations.chunks_exact(o).enumerate() {
                 // An actor sees its agents' observations one after the other.
                 let (actor, part) = (agent / agents_per_actor, agent % agents_per_actor);
-                let at = (actor * n_groups + index) * input + part * o;
+                let at = (self.places[actor] * n_groups + index) * input + part * o;
                 self.observations[at..at + o].copy_from_slice(of_agent);
             }
             output.look(row, step, &seen.observations, &seen.critic);
@@ -93,27 +101,35 @@ impl<'a, S: Real> Running<'a, S> {
         let n_groups = environments.groups.len();
         let (input, output_len) = (dimensions.actor_input(), dimensions.actor_output());
         let agents_per_actor = dimensions.agents_per_actor();
-        for agent in 0..dimensions.n_agents {
-            let (actor, part) = (agent / agents_per_actor, agent % agents_per_actor);
-            if part == 0 {
-                let of_actor = actor * n_groups * input..(actor + 1) * n_groups * input;
-                policy.mean(actor, &self.observations[of_actor], scratch, means);
-            }
-            for index in 0..n_groups {
-                let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
-                let at = index * output_len + part * JOINTS_PER_AGENT;
-                let mean = &means[at..at + JOINTS_PER_AGENT];
-                let env = first + row.group as u32;
-                if let Err(error) = check_means(mean, env, step, agent) {
-                    let group = &environments.groups[index];
-                    return Err(error.keep(env, &group.state, &group.goals, &group.command));
+        let mut place = 0;
+        for actors in policy.sharing() {
+            let groups = actors.len() * n_groups;
+            let seen = &self.observations[place * n_groups * input..][..groups * input];
+            let means = &mut means[..groups * output_len];
+            policy.mean(actors[0], seen, scratch, means);
+            place += actors.len();
+            let of_actors = means.chunks_exact(n_groups * output_len);
+            for (&actor, means) in actors.iter().zip(of_actors) {
+                for part in 0..agents_per_actor {
+                    let agent = actor * agents_per_actor + part;
+                    for index in 0..n_groups {
+                        let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
+                        let at = index * output_len + part * JOINTS_PER_AGENT;
+                        let mean = &means[at..at + JOINTS_PER_AGENT];
+                        let env = first + row.group as u32;
+                        if let Err(error) = check_means(mean, env, step, agent) {
+                            let group = &environments.groups[index];
+                            let (state, goals) = (&group.state, &group.goals);
+                            return Err(error.keep(env, state, goals, &group.command));
+                        }
+                        let mut sample = [S::zero(); JOINTS_PER_AGENT];
+                        sample.copy_from_slice(mean);
+                        let place = Place { agent, first, row, step };
+                        let log_prob = explore(policy, *noise, place, &mut sample);
+                        output.act(row, step, agent, &sample, log_prob);
+                        environments.command(index, agent, &sample);
+                    }
                 }
-                let mut sample = [S::zero(); JOINTS_PER_AGENT];
-                sample.copy_from_slice(mean);
-                let place = Place { agent, first, row, step };
-                let log_prob = explore(policy, *noise, place, &mut sample);
-                output.act(row, step, agent, &sample, log_prob);
-                environments.command(index, agent, &sample);
             }
         }
         Ok(())

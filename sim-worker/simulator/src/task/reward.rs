@@ -68,7 +68,14 @@ pub fn rewards<S: Real>(
                 let (change, effort) = squared_norms(&action[joints.clone()], &last_action[joints]);
                 let pairs =
                     if reward.own_collisions { touching.by_arm[arm] } else { touching.pairs };
-                *out = formula(weights, reward.epsilon, error, change, effort, collision(reward, pairs));
+                *out = formula(
+                    weights,
+                    reward.epsilon,
+                    error,
+                    change,
+                    effort,
+                    collision(reward, pairs),
+                );
             }
             if reward.team_spirit > 0.0 {
                 let share = S::splat(0.5 * reward.team_spirit);
