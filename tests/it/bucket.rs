@@ -162,13 +162,23 @@ fn checkpoints_of_a_bucket_are_shown_compared_labelled_exported_served_and_remov
     let store = store.to_str().expect("UTF-8");
     at(port, 0, &["checkpoints", "import", archive, "--store", store]);
     at(port, 2, &["checkpoints", "import", archive, "--store", ADDRESS]);
-    at(port, 2, &["checkpoints", "prune", ADDRESS]);
 
+    let prune = ["checkpoints", "prune", ADDRESS, "--keep-latest=1", "--json"];
+    let pruned = |more: &[&str]| -> Value {
+        serde_json::from_str(&at(port, 0, &[&prune[..], more].concat())).expect("JSON")
+    };
+    assert_eq!(pruned(&[])["removed"], serde_json::json!([]), "pinned and tagged ones stay");
     serves(port);
 
     at(port, 5, &["checkpoints", "delete", &five]);
     at(port, 0, &["checkpoints", "unpin", &five]);
-    at(port, 0, &["checkpoints", "delete", &five]);
+    for tag in &tags[1..] {
+        at(port, 0, &["checkpoints", "untag", ADDRESS, tag]);
+    }
+    let doomed = serde_json::json!(["iteration-00000005"]);
+    assert_eq!(pruned(&["--dry-run"])["removed"], doomed);
+    assert_eq!(names(port, ADDRESS).len(), 2, "a dry run removes nothing");
+    assert_eq!(pruned(&[])["removed"], doomed);
     assert_eq!(names(port, ADDRESS), ["iteration-00000007"]);
     let left = server.ask("GET", "/bucket?prefix=runs/a/checkpoints/iteration-00000005", "");
     assert!(!left.contains("<Key>"), "nothing of it is left: {left}");

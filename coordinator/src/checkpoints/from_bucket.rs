@@ -5,7 +5,9 @@ use std::path::Path;
 use bucket::replica::Replica;
 use bucket::{Bucket, BucketError};
 use proto::{ExitCode, ExitError};
-use store::checkpoint::{BEST, CheckpointStore, Entry, LATEST, Name, Selector, Survey};
+use store::checkpoint::{
+    BEST, CheckpointError, CheckpointStore, Entry, LATEST, Name, Retention, Selector, Survey,
+};
 
 /// A checkpoint that is here now, whether it lies here or in a bucket.
 pub(crate) struct Found {
@@ -72,6 +74,27 @@ pub(crate) fn change(
     }
     entry.dir = replica.bucket().place(&name);
     Ok(Some((entry, name)))
+}
+
+/// Removes what `retention` does not keep; returns it. One that somebody has pinned meanwhile stays.
+pub(crate) fn prune(
+    address: &Path,
+    retention: &Retention,
+    dry_run: bool,
+) -> anyhow::Result<Vec<Name>> {
+    let replica = look(address)?;
+    let mut removed = Vec::new();
+    // A checkpoint of a bucket is whole, or there is none; what is damaged there is for people to look at.
+    let survey = Survey { damaged: Vec::new(), ..replica.survey().map_err(BucketError::exit)? };
+    for name in retention.doomed(&survey, |_| true) {
+        let left = if dry_run { Ok(()) } else { replica.bucket().delete(&name) };
+        match left {
+            Ok(()) => removed.push(name),
+            Err(BucketError::Local(CheckpointError::Pinned { .. })) => {}
+            Err(error) => return Err(BucketError::exit(error).into()),
+        }
+    }
+    Ok(removed)
 }
 
 /// Refuses a tag that moves by itself, or would select another checkpoint.

@@ -10,15 +10,17 @@ use crate::checkpoints::options::{DeleteArgs, PruneArgs, RebuildArgs};
 
 /// Removes old checkpoints.
 pub(super) fn prune(args: &PruneArgs) -> anyhow::Result<()> {
-    from_bucket::refuse(&args.store)?;
-    let store = store_at(&args.store)?;
     let retention = Retention {
         latest: args.keep_latest as usize,
         every: args.keep_every.unwrap_or(0),
         best: true,
     };
-    let removed =
-        if args.dry_run { store.doomed(&retention)? } else { store.retain(&retention)? };
+    let removed = if Bucket::is_named_by(&args.store) {
+        from_bucket::prune(&args.store, &retention, args.dry_run)?
+    } else {
+        let store = store_at(&args.store)?;
+        if args.dry_run { store.doomed(&retention)? } else { store.retain(&retention)? }
+    };
     if args.json {
         return output::json(&serde_json::json!({ "dry_run": args.dry_run, "removed": removed }));
     }

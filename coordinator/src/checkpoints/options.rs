@@ -82,6 +82,7 @@ const PRUNE_EXAMPLES: &str = "\
 Examples:
   octopus checkpoints prune runs/a --keep-latest 2 --dry-run
   octopus checkpoints prune runs/a --keep-latest 1 --keep-every 100
+  octopus checkpoints prune s3://bucket/runs/a --keep-latest 5
 
 Always kept: the newest whole one, the best, pinned and tagged ones, milestones, and everything \
 that is not named iteration-N.";
@@ -288,7 +289,7 @@ pub struct UntagArgs {
 #[derive(Debug, Clone, Args)]
 #[command(after_help = PRUNE_EXAMPLES)]
 pub struct PruneArgs {
-    /// A run directory or a directory of checkpoints.
+    /// A run directory, a directory of checkpoints, or a bucket.
     #[arg(value_name = "STORE")]
     pub store: PathBuf,
     /// How many of the newest stay.

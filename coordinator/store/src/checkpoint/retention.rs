@@ -26,6 +26,42 @@ pub struct Retention {
     pub best: bool,
 }
 
+impl Retention {
+    /// Names of the run's own checkpoints that go; `is_whole` says of which all files are there.
+    pub fn doomed(self, survey: &Survey, is_whole: impl Fn(&Entry) -> bool) -> Vec<Name> {
+        let own = || {
+            let entries = survey.entries.iter();
+            entries.filter(|entry| entry.name.iteration().is_some() && !entry.labels.imported)
+        };
+        let mut whole: Vec<u64> = own()
+            .filter(|entry| entry.kind == Kind::Training && is_whole(entry))
+            .filter_map(|entry| entry.name.iteration())
+            .collect();
+        whole.sort_unstable_by(|a, b| b.cmp(a));
+        whole.truncate(self.latest.max(1));
+        // Whatever is newer than the oldest of these is one of them, or damaged and worth a look.
+        let Some(&oldest_kept) = whole.last() else { return Vec::new() };
+        let kept = |entry: &Entry| {
+            let Labels { pinned, milestone, tags, .. } = &entry.labels;
+            let periodic = self.every > 0 && entry.iteration.is_multiple_of(self.every);
+            let tagged = tags.iter().any(|tag| self.best || tag.as_str() != BEST);
+            periodic || *pinned || *milestone || tagged
+        };
+        let old = |name: &Name| name.iteration().is_some_and(|iteration| iteration < oldest_kept);
+        let mut names: Vec<Name> = own()
+            .filter(|entry| old(&entry.name) && !kept(entry))
+            .map(|entry| entry.name.clone())
+            .collect();
+        let damaged = survey.damaged.iter().filter(|damaged| {
+            let Labels { pinned, milestone, tags, imported, .. } = Labels::read(&damaged.dir);
+            old(&damaged.name) && !(pinned || milestone || imported) && tags.is_empty()
+        });
+        names.extend(damaged.map(|damaged| damaged.name.clone()));
+        names.sort();
+        names
+    }
+}
+
 impl CheckpointStore {
     /// Removes the run's own checkpoints that `retention` does not keep, and what killed processes
     /// have left; returns the names of the former.
@@ -34,7 +70,7 @@ impl CheckpointStore {
             return Ok(Vec::new());
         }
         let guard = self.guard()?;
-        let doomed = doomed(&self.survey()?, retention);
+        let doomed = retention.doomed(&self.survey()?, |entry| looks_whole(&entry.dir));
         for name in &doomed {
             self.put_away(&guard, name)?;
         }
@@ -50,7 +86,7 @@ impl CheckpointStore {
 
     /// What [`Self::retain`] would remove.
     pub fn doomed(&self, retention: &Retention) -> Result<Vec<Name>, CheckpointError> {
-        Ok(doomed(&self.survey()?, retention))
+        Ok(retention.doomed(&self.survey()?, |entry| looks_whole(&entry.dir)))
     }
 
     /// Removes a checkpoint, damaged or not; refuses a pinned one, and the one from which the run
@@ -112,38 +148,4 @@ impl CheckpointStore {
         self.disk.rename(&self.dir(name), &away)?;
         Ok(away)
     }
-}
-
-/// Names of the run's own checkpoints that go.
-fn doomed(survey: &Survey, retention: &Retention) -> Vec<Name> {
-    let own = || {
-        let entries = survey.entries.iter();
-        entries.filter(|entry| entry.name.iteration().is_some() && !entry.labels.imported)
-    };
-    let mut whole: Vec<u64> = own()
-        .filter(|entry| entry.kind == Kind::Training && looks_whole(&entry.dir))
-        .filter_map(|entry| entry.name.iteration())
-        .collect();
-    whole.sort_unstable_by(|a, b| b.cmp(a));
-    whole.truncate(retention.latest.max(1));
-    // Whatever is newer than the oldest of these is one of them, or damaged and worth a look.
-    let Some(&oldest_kept) = whole.last() else { return Vec::new() };
-    let kept = |entry: &Entry| {
-        let Labels { pinned, milestone, tags, .. } = &entry.labels;
-        let periodic = retention.every > 0 && entry.iteration.is_multiple_of(retention.every);
-        let tagged = tags.iter().any(|tag| retention.best || tag.as_str() != BEST);
-        periodic || *pinned || *milestone || tagged
-    };
-    let old = |name: &Name| name.iteration().is_some_and(|iteration| iteration < oldest_kept);
-    let mut names: Vec<Name> = own()
-        .filter(|entry| old(&entry.name) && !kept(entry))
-        .map(|entry| entry.name.clone())
-        .collect();
-    let damaged = survey.damaged.iter().filter(|damaged| {
-        let Labels { pinned, milestone, tags, imported, .. } = Labels::read(&damaged.dir);
-        old(&damaged.name) && !(pinned || milestone || imported) && tags.is_empty()
-    });
-    names.extend(damaged.map(|damaged| damaged.name.clone()));
-    names.sort();
-    names
 }
