@@ -1,11 +1,11 @@
 //! Parameters of an untrained policy.
 
-use proto::config::Config;
-use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::config::{Config, ParameterSharing};
+use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions, JOINTS_PER_AGENT};
 use proto::rng::{Address, Purpose};
 
 /// Actors like those that a training begins with: weights of the learner's scale, normal instead of
-/// orthogonal, so that actions are of the same size.
+/// orthogonal, so that actions are of the same size. Actors that learn as one network begin as one.
 pub fn initial_parameters(config: &Config, dimensions: &Dimensions, seed: u64) -> Vec<f32> {
     let layout = ActorLayout::new(config, dimensions);
     let mut parameters = vec![0.0; layout.len];
@@ -25,6 +25,15 @@ pub fn initial_parameters(config: &Config, dimensions: &Dimensions, seed: u64) -
             (_, "weight") => fill(part, (seed, index), (2.0 / fan_in).sqrt()),
             (_, "gain" | "inverse_std") => part.fill(1.0),
             _ => {}
+        }
+        let networks = match config.network.parameter_sharing {
+            ParameterSharing::All => 1,
+            ParameterSharing::Roles => AGENTS_PER_ARM,
+            ParameterSharing::None => dimensions.n_actors,
+        };
+        let row = part.len() / dimensions.n_actors;
+        for actor in networks..dimensions.n_actors {
+            part.copy_within(actor % networks * row..(actor % networks + 1) * row, actor * row);
         }
     }
     parameters
@@ -61,5 +70,15 @@ mod tests {
         assert!((square("head.weight") * 512.0 * 1e4 - 1.0).abs() < 0.065);
         assert_eq!(square("input.gain"), 1.0);
         assert_eq!(square("hidden.0.bias") + square("log_std"), 0.0);
+    }
+
+    #[test]
+    fn actors_that_share_a_network_begin_as_one() {
+        let config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+        let dimensions = Dimensions::new(&config, 4);
+        let parameters = initial_parameters(&config, &dimensions, 1);
+        let policy = crate::policy::Policy::new(&config, &dimensions, &parameters);
+        let policy = policy.expect("of this configuration");
+        assert_eq!(policy.sharing(), [[0, 2, 4, 6], [1, 3, 5, 7]]);
     }
 }
