@@ -4,8 +4,8 @@ use clap::{Parser, Subcommand};
 
 use crate::{
     bench, certificates, checkpoints, clean, doctor, eval, experiment, export, film, janitor, join,
-    mjcf, plan, plot, record, replay, reproduce, resume, rollout, scale, serve, simulate, status,
-    sweep, train, urdf, verify, view,
+    mjcf, plan, plot, record, replay, reproduce, resume, robot, rollout, scale, serve, simulate,
+    status, sweep, train, urdf, verify, view,
 };
 
 /// Exit codes, as `octopus --help` lists them.
@@ -66,6 +66,8 @@ pub enum Command {
     Simulate(simulate::SimulateArgs),
     /// Put a policy on a robot: write it as ONNX and as C.
     Export(export::ExportArgs),
+    /// Bring a robot of your own from URDF, and check it.
+    Robot(robot::RobotArgs),
     /// Write a robot as a MuJoCo model file.
     Mjcf(mjcf::MjcfArgs),
     /// Write a robot as a URDF file.

@@ -27,6 +27,7 @@ pub mod record;
 pub mod replay;
 pub mod reproduce;
 pub mod resume;
+pub mod robot;
 pub mod rollout;
 pub mod scale;
 pub mod serve;
@@ -86,6 +87,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Record(args) => record::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Robot(args) => robot::run(&args),
         Command::Mjcf(args) => mjcf::run(&args),
         Command::Urdf(args) => urdf::run(&args),
         Command::Doctor(args) => doctor::run(args),

@@ -33,6 +33,7 @@ mod precision;
 mod python;
 mod record;
 mod reproduce;
+mod robot;
 mod run_directory;
 mod shared_memory;
 mod signals;

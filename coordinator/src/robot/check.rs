@@ -1,0 +1,93 @@
+//! `octopus robot check`: what a robot is, and whether it can be trained.
+
+use clap::Args;
+use lab::threads::Threads;
+use output::counted;
+use proto::config::{Layers, Preset, TaskName};
+use run::report::progress::Parts;
+use run::robots::load_robot;
+use run::shakedown::shakedown;
+use serde_json::json;
+use simulator::env::step_options;
+use simulator::experiment::EvaluationGoals;
+use simulator::reach::reach;
+use simulator::rollout::World;
+
+use crate::values::whole;
+
+const EXAMPLES: &str = "\
+Examples:
+  octopus robot check my-robot.toml
+  octopus robot check paper --episodes 300 --json
+
+The robot moves a little from home, in single precision as it would be trained and in double \
+precision with finer steps. It must touch nothing at home, keep its momentum and follow its \
+servos; if not, the message says which part is to blame, and the exit code is 3. Then a \
+controller that knows the robot tries held-out goals of task `trajectory`, with every set of \
+joint angles that an arm has for them.";
+
+/// Options of `octopus robot check`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct CheckArgs {
+    /// `paper`, `release`, or a robot file.
+    #[arg(value_name = "NAME|FILE")]
+    pub robot: String,
+    /// Episodes whose goals are tried, one goal for each arm.
+    #[arg(long, value_name = "N", default_value_t = 30, allow_hyphen_values = true, value_parser = whole::<u32>(1, 100_000))]
+    pub episodes: u32,
+    /// Seed of the goals.
+    #[arg(long, value_name = "S", default_value_t = 0, allow_hyphen_values = true, value_parser = whole::<u64>(0, u64::MAX))]
+    pub seed: u64,
+    /// Print as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Checks and says.
+pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
+    let robot = load_robot(&args.robot)?;
+    let config = Layers::new(Preset::Tuned, Some(TaskName::Trajectory)).resolve()?;
+    shakedown(&robot, &args.robot, &step_options(&config))?;
+    let world = World::new(&config, &robot);
+    let progress = Parts::new();
+    progress.begin("which goals can be reached", u64::from(args.episodes));
+    let goals = EvaluationGoals::drawn(args.seed);
+    let on_episodes = |n| (0..n).for_each(|_| progress.advance());
+    let hands =
+        reach(&world, goals, args.episodes as usize, &Threads::available(), &on_episodes)?.concat();
+    progress.end();
+    let reached = hands.iter().filter(|hand| hand.reached).count();
+    let of_arm: f64 = robot.links.iter().map(|link| link.body.mass).sum();
+    let length: f64 = robot.links.iter().map(|link| link.shift.norm()).sum();
+    if args.json {
+        return output::json(&json!({
+            "robot": robot.name,
+            "arms": robot.n_arms,
+            "joints": robot.n_joints(),
+            "mass": robot.total_mass(),
+            "base_mass": robot.base.mass,
+            "arm_mass": of_arm,
+            "arm_length": length,
+            "touches_at_home": false,
+            "goals": hands.len(),
+            "reachable": reached,
+        }));
+    }
+    let rows = [
+        ("robot".to_owned(), robot.name.clone()),
+        (
+            "arms".to_owned(),
+            format!("{}, {}", robot.n_arms, counted(robot.n_joints() as u64, "joint")),
+        ),
+        (
+            "mass".to_owned(),
+            format!("{:.1} kg, {:.1} of them the base", robot.total_mass(), robot.base.mass),
+        ),
+        ("an arm".to_owned(), format!("{of_arm:.1} kg, stretched {length:.2} m")),
+        ("at home".to_owned(), "touches nothing, and moves as finer steps say".to_owned()),
+        ("goals".to_owned(), format!("{reached} of {} can be reached", hands.len())),
+    ];
+    let lines: Vec<String> = rows.iter().map(|(what, value)| format!("{what:10}{value}")).collect();
+    output::line(&lines.join("\n"))
+}

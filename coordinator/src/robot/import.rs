@@ -1,0 +1,85 @@
+//! `octopus robot import`: a robot file from a URDF.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use proto::{ExitCode, ExitError};
+use simulator::robot::Robot;
+use store::outputs::Output;
+use store::{files, regular_files};
+
+use crate::values::amount;
+
+const EXAMPLES: &str = "\
+Examples:
+  octopus robot import satellite.urdf --out satellite.toml
+  octopus robot import satellite.urdf --hand gripper --out satellite.toml
+  octopus robot check satellite.toml
+  octopus train --robot satellite.toml
+
+The root link is the base, which floats. Every chain of six joints that turn, revolute or \
+continuous, is an arm, and all arms must be built alike. What is fixed to a link belongs to it. The \
+URDF's zero is the home pose; joint angles of the robot file count from the zero of its \
+Denavit-Hartenberg rows. Joints have no ends. What is left out or added is said, and stands in \
+the file as comments.";
+
+/// Options of `octopus robot import`.
+#[derive(Debug, Clone, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct ImportArgs {
+    /// The URDF.
+    #[arg(value_name = "FILE.urdf")]
+    pub urdf: PathBuf,
+    /// The robot file [default: standard output].
+    #[arg(long, value_name = "FILE.toml")]
+    pub out: Option<PathBuf>,
+    /// The link at each arm's end that is its hand, or how its name ends [default: the last link].
+    #[arg(long, value_name = "LINK")]
+    pub hand: Option<String>,
+    /// Where the base is at home: its height (m) in the world.
+    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = amount, default_value_t = 4.0)]
+    pub height: f64,
+    /// Write over a file that is there already, and into a run's directory; what is read stays.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// What such a file begins with.
+const MARK: &[u8] = b"# Made by `octopus robot import`";
+
+/// Reads, says what was lost, writes.
+pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
+    if let Some(path) = &args.out {
+        Output { flag: "--out", path, mark: MARK, force: args.force }
+            .check(&[("FILE.urdf", &args.urdf)])?;
+    }
+    let shown = args.urdf.display();
+    let refused = |reason: &dyn std::fmt::Display| {
+        ExitError::new(ExitCode::BadInput, format!("{shown}: {reason}"))
+    };
+    let text = regular_files::read_text(&args.urdf, regular_files::TEXT)
+        .map_err(|error| refused(&error))?;
+    let home = [0.0, 0.0, args.height];
+    let imported =
+        ::urdf::import(&text, args.hand.as_deref(), home).map_err(|error| refused(&error))?;
+    let name = args.urdf.file_name().unwrap_or_default().to_string_lossy();
+    let mut file = format!(
+        "{} from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
+        String::from_utf8_lossy(MARK),
+        name.escape_debug()
+    );
+    for note in &imported.notes {
+        writeln!(file, "# * {}", note.escape_debug())?;
+    }
+    let robot = Robot::from_description(imported.description, &args.urdf)?;
+    file.push('\n');
+    file.push_str(&robot.to_toml());
+    for note in &imported.notes {
+        output::note(note);
+    }
+    match args.out.as_deref() {
+        Some(path) if path != Path::new("-") => Ok(files::replace_output(path, file.as_bytes())?),
+        _ => output::write(file.as_bytes()),
+    }
+}

@@ -1,0 +1,318 @@
+//! The whole way: from a text to a description, and what was lost on it.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Isometry3;
+use simulator::robot::description::{
+    ArmDescription, BoxDescription, LinkDescription, MountDescription, PedestalDescription,
+    RobotDescription, ServoDescription, ToolDescription,
+};
+use simulator::robot::{JOINTS_PER_ARM, MAX_ARMS};
+
+use crate::bodies::{Mass, Shapes, euler_deg};
+use crate::chain::{Chain, chain};
+use crate::document::{Document, Joint};
+use crate::error::UrdfError;
+use crate::tree::{Arm, Tree};
+
+/// Relative differences below this are rounding.
+const SAME: f64 = 1e-4;
+/// What stands for the mount and the pedestal of an arm, which URDF has not: a milligram, a millimetre.
+const NOTHING: (f64, f64) = (1e-6, 1e-3);
+/// Drives, of which URDF says little: as those of the built-in robots (kg m², N m s/rad, rad/s, N m).
+const ARMATURE: f64 = 1.0;
+const GAIN: f64 = 100.0;
+const VELOCITY: f64 = 2.0942;
+const EFFORT: f64 = 150.0;
+
+/// A robot, and what of the URDF it does not have.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Imported {
+    /// The robot.
+    pub description: RobotDescription,
+    /// What was left out, added or taken for something else, a sentence each.
+    pub notes: Vec<String>,
+}
+
+/// Makes a robot of a URDF.
+///
+/// `hand` is the link whose frame is the hand of an arm, by the end of its name; without one it is the last link that is fixed to the last
+/// joint's. `home_position` is where the base begins (m).
+///
+/// # Errors
+/// If the text is no URDF, or its robot is none of ours: a base with one to eight like arms of six joints that turn.
+pub fn import(
+    text: &str,
+    hand: Option<&str>,
+    home_position: [f64; 3],
+) -> Result<Imported, UrdfError> {
+    let document = Document::parse(text)?;
+    let tree = Tree::of(&document)?;
+    if tree.arms.len() > MAX_ARMS {
+        let found = format!("{} arms hang on the base", tree.arms.len());
+        return Err(UrdfError::robot(found, format!("a robot has 1 to {MAX_ARMS}")));
+    }
+    let names = names(&tree.arms);
+    let mut notes = Notes::default();
+    let mut arms = Vec::new();
+    let mut like: Option<(Chain, Vec<LinkDescription>, [f64; 3])> = None;
+    for (arm, (arm_name, link_names)) in tree.arms.iter().zip(&names) {
+        let pose = hand_pose(arm, arm_name, hand)?;
+        let chain = chain(&arm.joints, &pose);
+        let links = (0..JOINTS_PER_ARM)
+            .map(|i| link(arm, &chain, i, &link_names[i], &mut notes))
+            .collect::<Result<Vec<_>, _>>()?;
+        let tool = chain.frames[JOINTS_PER_ARM].inverse() * pose;
+        let tool = tool.translation.vector.map(|x| (x * 1e9).round() / 1e9 + 0.0).into();
+        let mount = &chain.frames[0];
+        arms.push(ArmDescription {
+            name: arm_name.clone(),
+            mount_position: mount.translation.vector.into(),
+            mount_euler_deg: euler_deg(mount.rotation.to_rotation_matrix().matrix()),
+            home: chain.zeros.to_vec(),
+        });
+        if chain.left_over.abs() > 1e-3 {
+            notes.add(format!(
+                "the frame of a hand is turned by {:.1}° about its z axis, as six rows hold no more",
+                -chain.left_over.to_degrees()
+            ));
+        }
+        match &like {
+            None => like = Some((chain, links, tool)),
+            Some((first, of_first, tool_of_first)) => {
+                alike(
+                    (&names[0].0, first, of_first, tool_of_first),
+                    (arm_name, &chain, &links, &tool),
+                )?;
+            }
+        }
+    }
+    let (_, links, tool) = like.expect("a tree has arms");
+    notes.add("mounts and pedestals of arms, which URDF has not, are a milligram each".to_owned());
+    notes.add(format!(
+        "armatures, which URDF has not, are {ARMATURE} kg m², and gains of servos {GAIN} N m s/rad"
+    ));
+    for what in &document.ignored {
+        notes.add(format!("passed over: {what}"));
+    }
+    let description = RobotDescription {
+        name: plain(&document.name),
+        home_position,
+        base: vec![base(&tree, &mut notes)?],
+        mount: MountDescription { size: [NOTHING.1; 3], mass: NOTHING.0, position: [0.0; 3] },
+        pedestal: PedestalDescription {
+            euler_deg: [0.0; 3],
+            mass: NOTHING.0,
+            com: [0.0; 3],
+            inertia: [1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0],
+            capsules: Vec::new(),
+            discs: Vec::new(),
+        },
+        links,
+        tool: ToolDescription { position: tool },
+        angle_contacts: Vec::new(),
+        arms,
+    };
+    Ok(Imported { description, notes: notes.sentences() })
+}
+
+/// Each kind of remark once, with how often it was made.
+#[derive(Default)]
+struct Notes(Vec<(String, usize)>);
+
+impl Notes {
+    fn add(&mut self, note: String) {
+        match self.0.iter_mut().find(|(there, _)| *there == note) {
+            Some((_, times)) => *times += 1,
+            None => self.0.push((note, 1)),
+        }
+    }
+
+    fn sentences(self) -> Vec<String> {
+        let sentence = |(note, times)| match times {
+            1 => note,
+            _ => format!("{note} ({times} times)"),
+        };
+        self.0.into_iter().map(sentence).collect()
+    }
+}
+
+/// The base as the solid box with its mass and inertia.
+fn base(tree: &Tree<'_>, notes: &mut Notes) -> Result<BoxDescription, UrdfError> {
+    let root = &tree.base[0].0.name;
+    let mass = Mass::of(&tree.base, &Isometry3::identity()).ok_or_else(|| {
+        let found = format!("the base, link `{root}`, has no mass");
+        UrdfError::robot(found, "give it an <inertial>: the robot floats")
+    })?;
+    let shapes: usize = tree.base.iter().map(|(link, _)| link.collisions.len()).sum();
+    if shapes > 0 {
+        notes.add("arms touch the base's equivalent box, not its own shapes".to_owned());
+    }
+    mass.solid_box("base").ok_or_else(|| {
+        let found = format!("the base, link `{root}`, has the moments of no solid body");
+        UrdfError::robot(found, "each principal moment must be less than the two others together")
+    })
+}
+
+fn link(
+    arm: &Arm<'_>,
+    chain: &Chain,
+    i: usize,
+    name: &str,
+    notes: &mut Notes,
+) -> Result<LinkDescription, UrdfError> {
+    let frame = &chain.frames[i + 1];
+    let body = &arm.bodies[i];
+    let joint = arm.joints[i].joint;
+    let mass = Mass::of(body, frame).ok_or_else(|| {
+        let found = format!("link `{}` has no mass", body[0].0.name);
+        UrdfError::robot(found, format!("give it an <inertial>: joint `{}` moves it", joint.name))
+    })?;
+    let Shapes { capsules, discs, notes: lost } = Shapes::of(body, frame);
+    for (what, times) in lost {
+        (0..times).for_each(|_| notes.add(what.to_owned()));
+    }
+    Ok(LinkDescription {
+        name: name.to_owned(),
+        dh: chain.rows[i],
+        mass: mass.mass,
+        com: mass.com.into(),
+        inertia: mass.elements(),
+        armature: ARMATURE,
+        servo: servo(joint, notes),
+        capsules,
+        discs,
+    })
+}
+
+fn servo(joint: &Joint, notes: &mut Notes) -> ServoDescription {
+    let mut or = |value: Option<f64>, default: f64, what: &str, unit: &str| {
+        value.unwrap_or_else(|| {
+            notes.add(format!("a joint without a limit of {what} has {default} {unit}"));
+            default
+        })
+    };
+    ServoDescription {
+        gain: GAIN,
+        max_rate: or(joint.velocity, VELOCITY, "velocity", "rad/s"),
+        max_torque: or(joint.effort, EFFORT, "effort", "N m"),
+    }
+}
+
+/// Where an arm's hand is while all angles are zero.
+fn hand_pose(arm: &Arm<'_>, name: &str, hand: Option<&str>) -> Result<Isometry3<f64>, UrdfError> {
+    let last = &arm.bodies[JOINTS_PER_ARM - 1];
+    let Some(wanted) = hand else {
+        return Ok(last.last().expect("a body has a link").1);
+    };
+    let found = last.iter().find(|(link, _)| link.name.ends_with(wanted));
+    found.map(|(_, pose)| *pose).ok_or_else(|| {
+        let links: Vec<&str> = last.iter().map(|(link, _)| link.name.as_str()).collect();
+        UrdfError::robot(
+            format!("arm `{name}` has no link at its end whose name ends in `{wanted}`"),
+            format!("its last joint moves {links:?}"),
+        )
+    })
+}
+
+/// An arm with its rows, links and hand.
+type Like<'a> = (&'a str, &'a Chain, &'a [LinkDescription], &'a [f64; 3]);
+
+/// Refuses arms that are not built alike.
+fn alike(one: Like<'_>, other: Like<'_>) -> Result<(), UrdfError> {
+    let differ = |what: String| {
+        let found = format!("arms `{}` and `{}` differ: {what}", one.0, other.0);
+        Err(UrdfError::robot(found, "all arms of a robot must be built alike"))
+    };
+    let size = |values: &[f64]| values.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
+    let same = |a: &[f64], b: &[f64], scale: f64| {
+        a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME * scale.max(size(&[*a, *b])))
+    };
+    for (i, (a, b)) in one.2.iter().zip(other.2).enumerate() {
+        let row = |link: &LinkDescription| [link.dh.a, link.dh.d];
+        let (degrees, number) = ((a.dh.alpha_deg - b.dh.alpha_deg).abs(), i + 1);
+        if !same(&row(a), &row(b), 1.0) || degrees.min(360.0 - degrees) > 0.01 {
+            return differ(format!(
+                "joint {number} stands at {:?} here and at {:?} there",
+                a.dh, b.dh
+            ));
+        }
+        if !same(&[a.mass], &[b.mass], 0.0) {
+            return differ(format!("link {number} has {} kg here and {} kg there", a.mass, b.mass));
+        }
+        if !same(&a.com, &b.com, 1.0) || !same(&a.inertia, &b.inertia, size(&a.inertia)) {
+            return differ(format!("the masses of link {number} are spread otherwise"));
+        }
+        let limits = |link: &LinkDescription| [link.servo.max_rate, link.servo.max_torque];
+        if !same(&limits(a), &limits(b), 0.0) {
+            return differ(format!("joint {number} has other limits"));
+        }
+    }
+    if !same(one.3, other.3, 1.0) {
+        return differ(format!("hands stand at {:?} and {:?} on the last link", one.3, other.3));
+    }
+    Ok(())
+}
+
+/// Names of arms, and of the links of each: what the links of an arm have in common at the front is the arm's.
+fn names(arms: &[Arm<'_>]) -> Vec<(String, Vec<String>)> {
+    let own: Vec<Vec<&str>> = arms
+        .iter()
+        .map(|arm| arm.bodies.iter().map(|body| body[0].0.name.as_str()).collect())
+        .collect();
+    let fronts: Vec<&str> = own.iter().map(|links| common_front(links)).collect();
+    let arm_names = distinct(
+        fronts.iter().map(|front| plain(front.trim_end_matches(['_', '-']))).collect(),
+        "arm",
+    );
+    own.iter()
+        .zip(&fronts)
+        .zip(arm_names)
+        .map(|((links, front), arm)| {
+            let links = links.iter().map(|link| plain(&link[front.len()..])).collect();
+            (arm, distinct(links, "link"))
+        })
+        .collect()
+}
+
+/// The longest beginning that all have, which leaves something of each.
+fn common_front<'a>(names: &[&'a str]) -> &'a str {
+    let first = names[0];
+    let mut end = 0;
+    for (at, c) in first.char_indices() {
+        let next = at + c.len_utf8();
+        if names.iter().any(|name| !name.starts_with(&first[..next]) || name.len() == next) {
+            break;
+        }
+        // Not in the middle of a word.
+        if matches!(c, '_' | '-' | '/' | ':' | '.') {
+            end = next;
+        }
+    }
+    &first[..end]
+}
+
+/// Letters, digits, `-` and `_` of a name.
+fn plain(name: &str) -> String {
+    let c = |c: char| if c.is_ascii_alphanumeric() || c == '_' || c == '-' { c } else { '_' };
+    let name: String = name.chars().map(c).collect();
+    if name.is_empty() { "robot".to_owned() } else { name }
+}
+
+/// The names if each is another one, and numbered ones otherwise.
+fn distinct(names: Vec<String>, kind: &str) -> Vec<String> {
+    let mut seen = BTreeMap::new();
+    for name in &names {
+        *seen.entry(name.as_str()).or_insert(0) += 1;
+    }
+    let taken = ["mount", "pedestal", "robot"];
+    if seen.values().all(|&times| times == 1)
+        && !names.iter().any(|name| taken.contains(&name.as_str()))
+    {
+        return names;
+    }
+    (1..=names.len()).map(|number| format!("{kind}_{number}")).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,182 @@
+//! What our own exporter writes comes back as the same robot, and what is no robot of ours is refused in words.
+
+use std::path::Path;
+
+use simulator::robot::Robot;
+use simulator::robot::urdf::urdf;
+use simulator::simulate::{Precision, simulate};
+use simulator::step::StepOptions;
+
+use super::*;
+
+const TWO_ARM: &str = include_str!("../../../../sim-worker/simulator/robots/two-arm.toml");
+
+fn robots() -> Vec<Robot> {
+    let skew = TWO_ARM
+        .replace("alpha_deg = 90.0", "alpha_deg = 73.0")
+        .replace("a = -0.425, d = 0.0", "a = -0.425, d = 0.05");
+    let of = |text: &str| Robot::from_toml(text, Path::new("test")).expect("a robot");
+    vec![
+        Robot::builtin("paper").expect("built in"),
+        Robot::builtin("release").expect("built in"),
+        of(TWO_ARM),
+        of(&skew),
+    ]
+}
+
+fn read(robot: &Robot) -> Imported {
+    import(&urdf(robot), Some("_hand"), robot.home_position).expect("our own URDF")
+}
+
+/// With what URDF does not hold, and with the home of `robot`, whose angles the URDF's are.
+fn completed(robot: &Robot, mut d: RobotDescription) -> Robot {
+    for (link, own) in d.links.iter_mut().zip(&robot.links) {
+        link.armature = own.armature;
+        link.servo.gain = own.gain;
+    }
+    for (arm, own) in d.arms.iter_mut().zip(&robot.arms) {
+        for (angle, own) in arm.home.iter_mut().zip(own.home) {
+            *angle += own;
+        }
+    }
+    Robot::from_description(d, Path::new("imported")).expect("a robot")
+}
+
+#[test]
+fn a_robot_that_was_exported_moves_as_it_did() {
+    for robot in robots() {
+        let back = completed(&robot, read(&robot).description);
+        assert!((back.total_mass() / robot.total_mass() - 1.0).abs() < 1e-6);
+        let commands: Vec<Vec<f64>> = (0..10)
+            .map(|step| {
+                let rate = |joint: usize| ((step * 7 + joint * 13) as f64).sin() * 0.8;
+                (0..robot.n_joints()).map(rate).collect()
+            })
+            .collect();
+        let options = StepOptions { contacts: false, ..StepOptions::default() };
+        let [one, other] =
+            [&robot, &back].map(|robot| simulate(robot, &commands, Precision::F64, &options));
+        for (one, other) in one.iter().zip(&other) {
+            for (a, b) in one.hands.iter().flatten().zip(other.hands.iter().flatten()) {
+                assert!((a - b).abs() < 1e-5, "{}: {a} {b} after {} s", robot.name, one.t);
+            }
+            let base = one.state.base_position.iter().zip(&other.state.base_position);
+            assert!(
+                base.clone().all(|(a, b)| (a - b).abs() < 1e-6),
+                "{:?}",
+                base.collect::<Vec<_>>()
+            );
+        }
+    }
+}
+
+#[test]
+fn names_and_shapes_come_back() {
+    let robot = Robot::builtin("paper").expect("built in");
+    let Imported { description: d, notes } = read(&robot);
+    let own = robot.description();
+    let names = |d: &RobotDescription| -> Vec<String> {
+        let links = d.links.iter().map(|link| link.name.clone());
+        links.chain(d.arms.iter().map(|arm| arm.name.clone())).collect()
+    };
+    assert_eq!(names(&d), names(own));
+    let counts = |d: &RobotDescription| -> Vec<[usize; 2]> {
+        d.links.iter().map(|link| [link.capsules.len(), link.discs.len()]).collect()
+    };
+    assert_eq!(counts(&d), counts(own));
+    assert!(notes.iter().any(|note| note.contains("armatures")), "{notes:?}");
+    assert!(notes.iter().all(|note| !note.contains("frame of a hand")), "{notes:?}");
+}
+
+/// A base with one arm of `joints` joints, each of `kind`.
+fn one_arm(joints: usize, kind: &str) -> String {
+    let inertial =
+        "<inertial><mass value=\"2\"/><inertia ixx=\"0.1\" iyy=\"0.1\" izz=\"0.1\"/></inertial>";
+    let mut text = format!("<robot name=\"r\"><link name=\"base\">{inertial}</link>");
+    for i in 1..=joints {
+        let parent = if i == 1 { "base".to_owned() } else { format!("l{}", i - 1) };
+        let axis = if i % 2 == 0 { "0 1 0" } else { "0 0 1" };
+        text += &format!(
+            "<link name=\"l{i}\">{inertial}</link>\n<joint name=\"j{i}\" type=\"{kind}\"><origin xyz=\"0.1 0 0.3\"/>\
+             <parent link=\"{parent}\"/><child link=\"l{i}\"/><axis xyz=\"{axis}\"/></joint>"
+        );
+    }
+    text + "</robot>"
+}
+
+#[test]
+fn what_is_no_robot_of_ours_is_refused_in_words() {
+    let said = |text: &str| import(text, None, [0.0; 3]).expect_err("no robot").to_string();
+    let six = one_arm(6, "revolute");
+    import(&six, None, [0.0; 3]).expect("six joints that turn");
+    for (text, words) in [
+        ("<robot".to_owned(), "no XML"),
+        ("<sdf/>".to_owned(), "expected <robot"),
+        (one_arm(7, "revolute"), "begins with joint `j1` has 7; an arm has 6 joints"),
+        (one_arm(5, "continuous"), "has 5; an arm has 6"),
+        (one_arm(0, "fixed"), "nothing moves on the base `base`"),
+        (
+            one_arm(6, "prismatic"),
+            "line 2, <joint name=\"j1\">: type=\"prismatic\", expected `revolute`",
+        ),
+        (
+            six.replace("<parent link=\"l3\"/>", "<parent link=\"l9\"/>"),
+            "joint `j4` names the link `l9`",
+        ),
+        (
+            six.replace("<parent link=\"l3\"/>", "<parent link=\"l6\"/>"),
+            "hang on each other in a circle",
+        ),
+        (six.replace("<parent link=\"l3\"/>", "<parent link=\"l2\"/>"), "joints move on link `l2`"),
+        (six.replace("<child link=\"l6\"/>", "<child link=\"l2\"/>"), "hangs on two joints"),
+        (six.replace("xyz=\"0.1 0 0.3\"", "xyz=\"0.1 0\""), "expected three numbers"),
+        (six.replace("value=\"2\"", "value=\"nan\""), "expected a finite number"),
+        (six.replace("<mass value=\"2\"/>", ""), "no <mass>"),
+        (six.replace("ixx=\"0.1\" ", ""), "no `ixx`"),
+        (six.replace("<axis xyz=\"0 1 0\"/>", "<axis xyz=\"0 0 0\"/>"), "an axis of no length"),
+        (
+            six.replacen("<mass value=\"2\"/>", "<mass value=\"0\"/>", 1),
+            "the base, link `base`, has no mass",
+        ),
+    ] {
+        let message = said(&text);
+        assert!(message.contains(words), "{words:?} is not in {message:?}");
+    }
+    let message = import(&six, Some("claw"), [0.0; 3]).expect_err("no such hand").to_string();
+    assert!(message.contains("no link at its end whose name ends in `claw`"), "{message}");
+}
+
+#[test]
+fn arms_that_are_not_alike_are_refused() {
+    let robot = Robot::builtin("paper").expect("built in");
+    let text = urdf(&robot);
+    // The mass of one forearm.
+    let place = text.find("link name=\"minus_z_forearm\"").expect("there");
+    let (before, after) = text.split_at(place);
+    let other =
+        format!("{before}{}", after.replacen("mass value=\"2.275\"", "mass value=\"2.3\"", 1));
+    let message = import(&other, None, [0.0; 3]).expect_err("unlike").to_string();
+    assert!(message.contains("differ: link 3 has 2.275 kg here and 2.3 kg there"), "{message}");
+}
+
+#[test]
+fn axes_that_are_almost_parallel_are_parallel() {
+    // 1.5708 is 3.7e-6 more than a right angle, which many files write.
+    let exact = one_arm(6, "revolute");
+    let turned = |angle: &str| {
+        exact.replace(
+            "<origin xyz=\"0.1 0 0.3\"/>",
+            &format!("<origin xyz=\"0.1 0 0.3\" rpy=\"{angle} 0 0\"/>"),
+        )
+    };
+    for text in [turned("1.5708"), turned("1.57"), turned("-1.5707963267948966")] {
+        let Imported { description: d, .. } = import(&text, None, [0.0; 3]).expect("a robot");
+        let longest =
+            d.links.iter().map(|link| link.dh.a.abs().max(link.dh.d.abs())).fold(0.0, f64::max);
+        assert!(
+            longest < 10.0,
+            "{longest} m: {:?}",
+            d.links.iter().map(|link| link.dh).collect::<Vec<_>>()
+        );
+    }
+}

@@ -1,0 +1,166 @@
+//! Robots of other programs: brought from URDF, and what MuJoCo reads in the same file.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use tests::{crosscheck, octopus, python, stderr};
+
+/// Uniform numbers in ±1, the same on every machine.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+
+    fn three(&mut self, scale: f64) -> String {
+        let [x, y, z] = [self.next(), self.next(), self.next()].map(|x| scale * x);
+        format!("{x} {y} {z}")
+    }
+}
+
+/// A body whose moments are those of a box.
+fn inertial(noise: &mut Noise) -> String {
+    let mass = 3.0 + 2.0 * noise.next();
+    let [x, y, z] = [0.3 + 0.2 * noise.next(), 0.2, 0.1].map(|edge: f64| edge * edge);
+    let moment = |a: f64, b: f64| mass / 12.0 * (a + b);
+    format!(
+        "<inertial><origin xyz=\"{}\" rpy=\"{}\"/><mass value=\"{mass}\"/>\
+         <inertia ixx=\"{}\" iyy=\"{}\" izz=\"{}\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>",
+        noise.three(0.1),
+        noise.three(3.0),
+        moment(y, z),
+        moment(x, z),
+        moment(x, y)
+    )
+}
+
+/// Arms in which nothing is parallel and nothing meets, on a base with a box fixed to it; tools are fixed to their ends.
+fn random_urdf(seed: u64, arms: usize) -> String {
+    let mut noise = Noise(seed);
+    let mut text = "<robot name=\"random robot\">\n".to_owned();
+    let base = inertial(&mut noise).replace("mass value=\"", "mass value=\"4");
+    write!(text, "<link name=\"body\">{base}</link>\n").expect("text");
+    let panel = inertial(&mut noise);
+    write!(
+        text,
+        "<link name=\"panel\">{panel}</link>\n<joint name=\"panel\" type=\"fixed\"><origin xyz=\"{}\" rpy=\"{}\"/>\
+         <parent link=\"body\"/><child link=\"panel\"/></joint>\n",
+        noise.three(0.3),
+        noise.three(3.0)
+    )
+    .expect("text");
+    // Alike, but for where they stand.
+    let links: Vec<String> = (0..7).map(|_| inertial(&mut noise)).collect();
+    let places: Vec<[String; 3]> =
+        (0..7).map(|_| [noise.three(0.4), noise.three(3.0), noise.three(1.0)]).collect();
+    for arm in 0..arms {
+        let mut parent = "body".to_owned();
+        for (i, (inertial, [xyz, rpy, axis])) in links.iter().zip(&places).enumerate() {
+            let (name, kind) = match i {
+                6 => (format!("arm{arm}_tool"), "fixed"),
+                _ => (format!("arm{arm}_link{i}"), "revolute"),
+            };
+            let [xyz, rpy] = match i {
+                0 => [noise.three(0.5), noise.three(3.0)],
+                _ => [xyz.clone(), rpy.clone()],
+            };
+            write!(
+                text,
+                "<link name=\"{name}\">{inertial}<collision><geometry><cylinder radius=\"0.04\" length=\"0.2\"/></geometry>\
+                 </collision></link>\n<joint name=\"{name}\" type=\"{kind}\"><origin xyz=\"{xyz}\" rpy=\"{rpy}\"/>\
+                 <parent link=\"{parent}\"/><child link=\"{name}\"/><axis xyz=\"{axis}\"/>\
+                 <limit lower=\"-3\" upper=\"3\" effort=\"90\" velocity=\"1.5\"/></joint>\n"
+            )
+            .expect("text");
+            parent = name;
+        }
+    }
+    text + "</robot>\n"
+}
+
+#[test]
+fn what_is_brought_from_urdf_is_what_mujoco_reads_in_it() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let at = |name: &str| dir.path().join(name).to_str().expect("UTF-8").to_owned();
+    let ours = octopus(&["urdf", "--robot=paper", "--out", &at("paper.urdf")]);
+    assert!(ours.status.success(), "{}", stderr(&ours));
+    let random: Vec<String> = (1..=4)
+        .map(|arms| {
+            let name = format!("random-{arms}.urdf");
+            std::fs::write(at(&name), random_urdf(arms as u64, arms)).expect("written");
+            name
+        })
+        .collect();
+    for name in ["paper.urdf".to_owned()].into_iter().chain(random) {
+        let [urdf, toml, mjcf] =
+            ["urdf", "toml", "xml"].map(|end| at(&name).replace(".urdf", &format!(".{end}")));
+        let imported = octopus(&["robot", "import", &urdf, "--out", &toml]);
+        assert!(imported.status.success(), "{}", stderr(&imported));
+        let made = octopus(&["mjcf", "--robot", &toml, "--contacts=off", "--out", &mjcf]);
+        assert!(made.status.success(), "{}", stderr(&made));
+        let output = Command::new(python())
+            .arg(crosscheck("urdf.py"))
+            .args([&urdf, &mjcf, &toml, "7"])
+            .output()
+            .expect("Python starts");
+        assert!(output.status.success(), "{}", stderr(&output));
+        let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let number = |key: &str| answer[key].as_f64().expect("a number");
+        // What stands for mount and pedestal is a milligram; files have sixteen digits, angles of rows nine.
+        assert!(number("inertia") < 1e-6, "{name}: {answer}");
+        assert!(number("masses") < 1e-6, "{name}: {answer}");
+    }
+}
+
+#[test]
+fn a_robot_of_ones_own_is_checked() {
+    let check = |robot: &str, more: &[&str]| {
+        octopus(&[&["robot", "check", robot, "--episodes=4"], more].concat())
+    };
+    let paper = check("paper", &["--json"]);
+    assert!(paper.status.success(), "{}", stderr(&paper));
+    let answer: Value = serde_json::from_slice(&paper.stdout).expect("JSON");
+    assert_eq!(
+        (&answer["arms"], &answer["joints"], &answer["goals"]),
+        (&4.into(), &24.into(), &16.into())
+    );
+    assert!(answer["reachable"].as_u64() > Some(8), "{answer}");
+    let dir = tempfile::tempdir().expect("a directory");
+    let inside = dir.path().join("inside.toml");
+    let text = include_str!("../../sim-worker/simulator/robots/two-arm.toml");
+    let at = text.find("mount_position").expect("an arm");
+    let end = text[at..].find('\n').expect("a line");
+    let moved = format!("{}mount_position = [0.0, 0.0, 0.0]{}", &text[..at], &text[at + end..]);
+    std::fs::write(&inside, moved).expect("written");
+    let refused = check(inside.to_str().expect("UTF-8"), &[]);
+    assert_eq!(refused.status.code(), Some(3), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("touch at home"), "{}", stderr(&refused));
+}
+
+#[test]
+fn what_an_import_leaves_out_is_said_and_stands_in_the_file() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let at = |name: &str| dir.path().join(name).to_str().expect("UTF-8").to_owned();
+    std::fs::write(at("r.urdf"), random_urdf(3, 2)).expect("written");
+    let imported = octopus(&["robot", "import", &at("r.urdf"), "--out", &at("r.toml")]);
+    assert!(imported.status.success(), "{}", stderr(&imported));
+    let (said, file) = (stderr(&imported), std::fs::read_to_string(at("r.toml")).expect("written"));
+    for words in ["ends of joints", "armatures", "taken for a capsule"] {
+        assert!(said.contains(words) && file.contains(words), "{words}: {said}\n{file}");
+    }
+    assert!(file.starts_with("# Made by `octopus robot import` from r.urdf"), "{file}");
+    // What it made itself it may write over, and nothing else.
+    assert!(octopus(&["robot", "import", &at("r.urdf"), "--out", &at("r.toml")]).status.success());
+    let over = octopus(&["robot", "import", &at("r.urdf"), "--out", &at("r.urdf")]);
+    assert_eq!(over.status.code(), Some(2), "{}", stderr(&over));
+    std::fs::write(at("broken.urdf"), "<robot name=\"x\"><link/></robot>").expect("written");
+    let broken = octopus(&["robot", "import", &at("broken.urdf")]);
+    assert_eq!(broken.status.code(), Some(3));
+    let said = stderr(&broken);
+    assert!(said.contains("broken.urdf: line 1, <link>") && said.contains("no `name`"), "{said}");
+    assert!(!Path::new(&at("broken.toml")).exists());
+}
