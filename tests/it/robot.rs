@@ -138,7 +138,7 @@ fn a_robot_of_ones_own_is_checked() {
     std::fs::write(&inside, moved).expect("written");
     let refused = check(inside.to_str().expect("UTF-8"), &[]);
     assert_eq!(refused.status.code(), Some(3), "{}", stderr(&refused));
-    assert!(stderr(&refused).contains("touch at home"), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("touches the base (`cube`) at home"), "{}", stderr(&refused));
 }
 
 #[test]

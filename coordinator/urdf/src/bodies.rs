@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, SymmetricEigen, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, SymmetricEigen, Vector3};
 use simulator::robot::description::{BoxDescription, CapsuleDescription, DiscDescription};
 
 use crate::document::Geometry;
@@ -213,6 +213,8 @@ impl Shapes {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Rotation3;
+
     use super::*;
 
     #[test]

@@ -15,8 +15,12 @@ use crate::tree::Axis;
 
 /// Lengths below this are zero (m).
 const ZERO: f64 = 1e-7;
-/// Sines below this are zero: many files write 1.5708 for a right angle, and a common normal of almost parallel axes would be far away.
-const PARALLEL: f64 = 2e-5;
+/// Sines below this are zero: many files write 1.57 for a right angle, and the common normal of almost parallel axes is far away.
+const PARALLEL: f64 = 2e-3;
+/// Sines below this are rounding, of which nothing is said.
+const ROUNDING: f64 = 1e-5;
+/// Degrees below this are the calculation's.
+const NOISE_DEG: f64 = 1e-6;
 
 /// An arm's rows, and its frames while the URDF's angles are zero.
 #[derive(Debug, Clone)]
@@ -28,6 +32,8 @@ pub(crate) struct Chain {
     pub(crate) frames: [Isometry3<f64>; JOINTS_PER_ARM + 1],
     /// The hand's turn against the last frame that no row can hold (rad).
     pub(crate) left_over: f64,
+    /// By how much axes that were taken for parallel are not, the worst of them (rad).
+    pub(crate) straightened: f64,
 }
 
 /// A point and a direction.
@@ -86,13 +92,19 @@ pub(crate) fn chain(joints: &[Axis<'_>], hand: &Isometry3<f64>) -> Chain {
         }
     });
     let frames = std::array::from_fn(|i| {
-        let (x, z) = (x[i], z(i));
-        let rotation = Matrix3::from_columns(&[x, z.cross(&x), z]);
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&rotation));
+        // Across the axis to the last digit, also where one was taken for parallel.
+        let z = z(i);
+        let y = z.cross(&x[i]).normalize();
+        let rotation = Matrix3::from_columns(&[y.cross(&z), y, z]);
+        let rotation = Rotation3::from_matrix_unchecked(rotation);
+        let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
         Isometry3::from_parts(Translation3::from(origin[i]), rotation)
     });
     let left_over = angle(&last_z, &x[last + 1], &hand_x);
-    Chain { rows, zeros, frames, left_over }
+    let sines = lines.windows(2).map(|pair| pair[0].along.cross(&pair[1].along).norm());
+    let taken = sines.filter(|&sine| (ROUNDING..PARALLEL).contains(&sine));
+    let straightened = taken.fold(0.0, f64::max);
+    Chain { rows, zeros, frames, left_over, straightened }
 }
 
 /// Direction from a line to the next along their common normal, and where it meets the next; of parallel lines the normal through
@@ -143,7 +155,7 @@ fn tidy(x: f64) -> f64 {
 /// Likewise, of degrees.
 fn tidy_degrees(x: f64) -> f64 {
     let rounded = x.round();
-    if (x - rounded).abs() < PARALLEL.to_degrees() { rounded + 0.0 } else { x }
+    if (x - rounded).abs() < NOISE_DEG { rounded + 0.0 } else { x }
 }
 
 #[cfg(test)]

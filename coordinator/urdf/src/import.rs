@@ -77,6 +77,12 @@ pub fn import(
                 -chain.left_over.to_degrees()
             ));
         }
+        if chain.straightened > 0.0 {
+            notes.add(format!(
+                "axes that are {:.1} mrad from parallel are taken for parallel",
+                1e3 * chain.straightened
+            ));
+        }
         match &like {
             None => like = Some((chain, links, tool)),
             Some((first, of_first, tool_of_first)) => {
@@ -240,8 +246,16 @@ fn alike(one: Like<'_>, other: Like<'_>) -> Result<(), UrdfError> {
         if !same(&[a.mass], &[b.mass], 0.0) {
             return differ(format!("link {number} has {} kg here and {} kg there", a.mass, b.mass));
         }
-        if !same(&a.com, &b.com, 1.0) || !same(&a.inertia, &b.inertia, size(&a.inertia)) {
-            return differ(format!("the masses of link {number} are spread otherwise"));
+        if !same(&a.com, &b.com, 1.0) {
+            let what =
+                format!("the centre of link {number} is at {:?} here and {:?} there", a.com, b.com);
+            return differ(what);
+        }
+        if !same(&a.inertia, &b.inertia, size(&a.inertia)) {
+            let [here, there] = [a.inertia, b.inertia];
+            return differ(format!(
+                "link {number} has the inertia {here:?} here and {there:?} there"
+            ));
         }
         let limits = |link: &LinkDescription| [link.servo.max_rate, link.servo.max_torque];
         if !same(&limits(a), &limits(b), 0.0) {

@@ -70,15 +70,13 @@ impl<'d> Tree<'d> {
             return Err(UrdfError::robot(found, "exactly one link, the base, hangs on none"));
         };
         let walk = Walk { links, children };
-        let (base, first) = walk.body(root, Isometry3::identity());
-        let arms = first.into_iter().map(|joint| walk.arm(joint)).collect::<Result<Vec<_>, _>>()?;
-        let reached =
-            base.len() + arms.iter().flat_map(|arm| &arm.bodies).map(Vec::len).sum::<usize>();
-        if reached != walk.links.len() {
-            let found =
-                format!("{} links hang on each other in a circle", walk.links.len() - reached);
+        let apart = walk.links.len() - walk.below(root);
+        if apart > 0 {
+            let found = format!("{apart} links hang on each other in a circle");
             return Err(UrdfError::robot(found, "a robot must be a tree"));
         }
+        let (base, first) = walk.body(root, Isometry3::identity());
+        let arms = first.into_iter().map(|joint| walk.arm(joint)).collect::<Result<Vec<_>, _>>()?;
         if arms.is_empty() {
             return Err(UrdfError::robot(
                 format!("nothing moves on the base `{root}`"),
@@ -95,6 +93,18 @@ struct Walk<'d> {
 }
 
 impl<'d> Walk<'d> {
+    /// How many links there are from a link on.
+    fn below(&self, link: &'d str) -> usize {
+        let mut waiting = vec![link];
+        let mut count = 0;
+        while let Some(link) = waiting.pop() {
+            count += 1;
+            let joints = self.children.get(link).into_iter().flatten();
+            waiting.extend(joints.map(|joint| joint.child.as_str()));
+        }
+        count
+    }
+
     /// What is fixed to a link, and the joints by which others move on it.
     fn body(&self, link: &str, pose: Isometry3<f64>) -> (Body<'d>, Vec<Axis<'d>>) {
         let (mut body, mut moving) = (Vec::new(), Vec::new());
