@@ -10,7 +10,9 @@ use roxmltree::{Document as Xml, Node, ParsingOptions};
 use crate::error::UrdfError;
 
 /// More elements than any robot has.
-const MOST_NODES: u32 = 1_000_000;
+const MOST_NODES: u32 = 100_000;
+/// More metres, kilograms or newtons than any robot has.
+const LARGEST: f64 = 1e9;
 
 /// A robot as it is written down.
 #[derive(Debug, Clone)]
@@ -263,8 +265,8 @@ fn attribute<'a>(node: Node<'a, '_>, key: &str) -> Result<&'a str, UrdfError> {
 }
 
 fn parsed(node: Node<'_, '_>, key: &str, word: &str) -> Result<f64, UrdfError> {
-    let value = word.parse::<f64>().ok().filter(|value| value.is_finite());
-    value.ok_or_else(|| wrong(node, format!("{key}={word:?}"), "a finite number"))
+    let value = word.parse::<f64>().ok().filter(|value| value.abs() < LARGEST);
+    value.ok_or_else(|| wrong(node, format!("{key}={word:?}"), "a number below 1e9"))
 }
 
 fn number(node: Node<'_, '_>, key: &str) -> Result<f64, UrdfError> {
