@@ -48,7 +48,8 @@ impl Controlled {
             layers = layers.set(setting)?;
         }
         let mut config: Config = layers.resolve()?;
-        config.network.head_gain = 0.3;
+        // Narrow networks: a unit whose rounding to bfloat16 goes the other way moves a command by more than in wide ones.
+        config.network.head_gain = 0.1;
         let world = World::new(&config, robot);
         let mut parameters = initial_parameters(&config, &world.dimensions, 3);
         // Means, gains and biases, which begin with zeros and ones, are told from each other.

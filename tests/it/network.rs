@@ -4,7 +4,7 @@
 //! `SPACEOCTOPUS_NET_TEST=1`, as `make net-test` does, a cable stays pulled for 25 s instead of 2.
 
 use std::process::Command;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use tests::network::{Cable, Network};
@@ -60,6 +60,20 @@ fn held(network: &Network, iterations: u32, more: &[&str]) -> (Run, u32) {
     (run, learner)
 }
 
+/// Waits until the first blocks of these machines have been compared. Others may have taken all that was open before a machine
+/// was there; then the run makes an iteration more.
+fn until_trusted(run: &mut Run, learner: u32, machines: &[usize]) {
+    let watchdog = Instant::now() + Duration::from_mins(1);
+    while !machines.iter().all(|&machine| run.log().contains(&is_trusted(machine))) {
+        assert!(run.ended().is_none(), "the run ended; its log:\n{}", run.log());
+        assert!(Instant::now() < watchdog, "not all are trusted; its log:\n{}", run.log());
+        std::thread::sleep(Duration::from_millis(500));
+        kill(learner, Signal::CONT);
+        run.wait_for_iterations(run.metrics().len() + 1);
+        kill(learner, Signal::STOP);
+    }
+}
+
 /// Something that must end well, and does.
 fn end(mut run: Run, helpers: &mut [Machine], expected: &[String]) {
     run.succeed();
@@ -78,9 +92,7 @@ fn delay_loss_and_narrow_links_change_no_bit() {
     network.part(1, 2);
     let (mut run, learner) = held(&network, 60, &[]);
     let mut helpers = [1, 2, 3].map(|machine| helper(&network, machine));
-    for machine in 1..=3 {
-        wait_for(&mut run, &is_trusted(machine), 1);
-    }
+    until_trusted(&mut run, learner, &[1, 2, 3]);
     kill(learner, Signal::CONT);
     end(run, &mut helpers, &expected);
 }
@@ -92,7 +104,7 @@ fn a_link_between_two_networks_that_is_cut_changes_no_bit() {
     let (mut run, learner) = held(&network, 100, &[]);
     let mut helpers = [join_behind(&network, 1, &[], &["--workers=2"])];
     wait_for(&mut run, "helps with 2 workers", 1);
-    wait_for(&mut run, &is_trusted(1), 1);
+    until_trusted(&mut run, learner, &[1]);
     kill(learner, Signal::CONT);
     run.wait_for_iterations(5);
     network.link(1, false);
@@ -113,7 +125,7 @@ fn a_cable_pulled_in_the_middle_of_a_block_costs_time_and_nothing_else() {
     network.cable(1, Cable { mbit: 0.5, ..Cable::default() });
     let (mut run, learner) = held(&network, 200, &["--set=run.order_deadline_s=6.0"]);
     let mut helpers = [helper(&network, 1)];
-    wait_for(&mut run, &is_trusted(1), 1);
+    until_trusted(&mut run, learner, &[1]);
     kill(learner, Signal::CONT);
     run.wait_for_iterations(run.metrics().len() + 1);
     network.link(1, false);
@@ -150,8 +162,7 @@ fn machines_stay_while_the_run_is_killed_and_resumed() {
     let expected = alone(300);
     let (mut run, learner) = held(&network, 300, &["--set=run.checkpoint_every_s=0.5"]);
     let mut helpers = [1, 2].map(|machine| helper(&network, machine));
-    wait_for(&mut run, &is_trusted(1), 1);
-    wait_for(&mut run, &is_trusted(2), 1);
+    until_trusted(&mut run, learner, &[1, 2]);
     kill(learner, Signal::CONT);
     run.wait_for_iterations(run.metrics().len() + 1);
     let domain = run.domain();

@@ -149,7 +149,7 @@ fn what_an_import_leaves_out_is_said_and_stands_in_the_file() {
     let imported = octopus(&["robot", "import", &at("r.urdf"), "--out", &at("r.toml")]);
     assert!(imported.status.success(), "{}", stderr(&imported));
     let (said, file) = (stderr(&imported), std::fs::read_to_string(at("r.toml")).expect("written"));
-    for words in ["ends of joints", "armatures", "taken for a capsule"] {
+    for words in ["position limits", "armatures", "taken for a capsule", "the hand of arm"] {
         assert!(said.contains(words) && file.contains(words), "{words}: {said}\n{file}");
     }
     assert!(file.starts_with("# Made by `octopus robot import` from r.urdf"), "{file}");

@@ -10,7 +10,6 @@ use run::shakedown::shakedown;
 use serde_json::json;
 use simulator::env::step_options;
 use simulator::experiment::EvaluationGoals;
-use simulator::reach::reach;
 use simulator::rollout::World;
 
 use crate::values::whole;
@@ -23,8 +22,8 @@ Examples:
 The robot moves a little from home, in single precision as it would be trained and in double \
 precision with finer steps. It must touch nothing at home, keep its momentum and follow its \
 servos; if not, the message says which part is to blame, and the exit code is 3. Then a \
-controller that knows the robot tries held-out goals of task `trajectory`, with every set of \
-joint angles that an arm has for them.";
+controller that knows the robot tries to reach held-out goals of task `trajectory`. For each goal \
+it tries the solutions of the arm's inverse kinematics, the nearest first.";
 
 /// Options of `octopus robot check`.
 #[derive(Debug, Clone, Args)]
@@ -54,12 +53,20 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
     progress.begin("which goals can be reached", u64::from(args.episodes));
     let goals = EvaluationGoals::drawn(args.seed);
     let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-    let hands =
-        reach(&world, goals, args.episodes as usize, &Threads::available(), &on_episodes)?.concat();
+    let hands = simulator::reach::reach(
+        &world,
+        goals,
+        args.episodes as usize,
+        &Threads::available(),
+        &on_episodes,
+    )?
+    .concat();
     progress.end();
     let reached = hands.iter().filter(|hand| hand.reached).count();
     let of_arm: f64 = robot.links.iter().map(|link| link.body.mass).sum();
-    let length: f64 = robot.links.iter().map(|link| link.shift.norm()).sum();
+    // From joint to joint, and on to the hand; the last link's own shift is in the tool's.
+    let links = robot.links.iter().take(robot.links.len() - 1).map(|link| link.shift.norm());
+    let reach: f64 = links.sum::<f64>() + robot.tool_position.norm();
     if args.json {
         return output::json(&json!({
             "robot": robot.name,
@@ -68,8 +75,7 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
             "mass": robot.total_mass(),
             "base_mass": robot.base.mass,
             "arm_mass": of_arm,
-            "arm_length": length,
-            "touches_at_home": false,
+            "reach_at_most": reach,
             "goals": hands.len(),
             "reachable": reached,
         }));
@@ -84,7 +90,7 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
             "mass".to_owned(),
             format!("{:.1} kg, {:.1} of them the base", robot.total_mass(), robot.base.mass),
         ),
-        ("an arm".to_owned(), format!("{of_arm:.1} kg, stretched {length:.2} m")),
+        ("an arm".to_owned(), format!("{of_arm:.1} kg, reaches {reach:.2} m at most")),
         ("at home".to_owned(), "touches nothing, and moves as finer steps say".to_owned()),
         ("goals".to_owned(), format!("{reached} of {} can be reached", hands.len())),
     ];

@@ -21,7 +21,7 @@ Examples:
 The root link is the base, which floats. Every chain of six joints that turn, revolute or \
 continuous, is an arm, and all arms must be built alike. What is fixed to a link belongs to it. The \
 URDF's zero is the home pose; joint angles of the robot file count from the zero of its \
-Denavit-Hartenberg rows. Joints have no ends. What is left out or added is said, and stands in \
+Denavit-Hartenberg rows. Joints turn without end: position limits are dropped. What is left out or added is said, and stands in \
 the file as comments.";
 
 /// Options of `octopus robot import`.
@@ -67,10 +67,10 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let mut file = format!(
         "{} from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
         String::from_utf8_lossy(MARK),
-        name.escape_debug()
+        output::printable::printable(&name)
     );
     for note in &imported.notes {
-        writeln!(file, "# * {}", note.escape_debug())?;
+        writeln!(file, "# * {}", output::printable::printable(note))?;
     }
     let robot = Robot::from_description(imported.description, &args.urdf)?;
     file.push('\n');

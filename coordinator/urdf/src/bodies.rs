@@ -59,32 +59,36 @@ impl Mass {
 
     /// The solid box with this mass, centre and inertia; none if there is none, because a moment is no less than the two others together.
     pub(crate) fn solid_box(&self, name: &str) -> Option<BoxDescription> {
-        let eigen = SymmetricEigen::new(self.inertia);
-        let mut turn = eigen.eigenvectors;
-        if turn.determinant() < 0.0 {
-            turn.column_mut(2).neg_mut();
-        }
-        let moments: [f64; 3] = eigen.eigenvalues.into();
+        let largest = self.inertia.diagonal().max();
+        let [_, _, _, xy, xz, yz] = self.elements();
+        // Of a square base every axis across is a principal one; products of inertia that are rounding would turn it by an eighth.
+        let straight = [xy, xz, yz].iter().all(|product| product.abs() < 1e-6 * largest);
+        let (axes, moments) = if straight {
+            (Matrix3::identity(), self.inertia.diagonal())
+        } else {
+            let eigen = SymmetricEigen::new(self.inertia);
+            (eigen.eigenvectors, eigen.eigenvalues)
+        };
+        let moments: [f64; 3] = moments.into();
         let sum: f64 = moments.iter().sum();
         let squares = moments.map(|moment| 6.0 * (sum - 2.0 * moment) / self.mass);
         // An edge of a millimetre at least.
         if squares.iter().any(|&square| square < 1e-6) {
             return None;
         }
-        let turn = nearest_to_none(turn);
-        let order = turn.1;
+        let (turn, order) = least_turned(axes);
         Some(BoxDescription {
             name: name.to_owned(),
             size: order.map(|axis| squares[axis].sqrt()),
             mass: self.mass,
             position: self.com.into(),
-            euler_deg: euler_deg(&turn.0),
+            euler_deg: euler_deg(&turn),
         })
     }
 }
 
 /// Of the 24 ways to name and point the axes of a box, the one that is turned least; and which axis comes first, second, third.
-fn nearest_to_none(axes: Matrix3<f64>) -> (Matrix3<f64>, [usize; 3]) {
+fn least_turned(axes: Matrix3<f64>) -> (Matrix3<f64>, [usize; 3]) {
     const ORDERS: [[usize; 3]; 6] =
         [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
     let mut best = (f64::NEG_INFINITY, axes, ORDERS[0]);
@@ -189,11 +193,20 @@ impl Shapes {
             self.discs.push(DiscDescription { radius, z: [low, high] });
             return;
         }
-        self.note(
-            "a cylinder across the joint's axis is taken for a capsule, which is round at its ends",
-        );
-        let half = axis * (length / 2.0 - radius).max(0.0);
-        self.capsule(centre - half, centre + half, radius.min(length / 2.0).max(ZERO));
+        if length < 2.0 * radius {
+            // Its rim is where it is: a ring of capsules as thick as it is.
+            self.note("a flat cylinder that is not about the next joint's axis is taken for four crossed capsules");
+            let (thick, reach) = (length / 2.0, radius - length / 2.0);
+            for turn in 0..4 {
+                let (sine, cosine) = (f64::from(turn) * std::f64::consts::FRAC_PI_4).sin_cos();
+                let rim = pose.rotation * Vector3::new(cosine, sine, 0.0) * reach;
+                self.capsule(centre - rim, centre + rim, thick);
+            }
+            return;
+        }
+        self.note("a cylinder that is not about the next joint's axis is taken for a capsule, which is round at its ends");
+        let half = axis * (length / 2.0 - radius);
+        self.capsule(centre - half, centre + half, radius);
     }
 
     fn solid(&mut self, pose: &Isometry3<f64>, size: [f64; 3]) {
@@ -228,6 +241,16 @@ mod tests {
         let solid = mass.solid_box("base").expect("a box");
         assert!(solid.size.iter().zip(size).all(|(a, b)| (a - b).abs() < 1e-9), "{:?}", solid.size);
         assert_eq!(solid.position, [1.0, 2.0, 3.0]);
+        let [a, b, c] = solid.euler_deg.map(f64::to_radians);
+        let about = |axis, angle| Rotation3::from_axis_angle(&axis, angle);
+        let turned =
+            about(Vector3::x_axis(), a) * about(Vector3::y_axis(), b) * about(Vector3::z_axis(), c);
+        let back = turned * inertia * turned.transpose();
+        assert!((back - mass.inertia).norm() < 1e-9, "{:?}", solid.euler_deg);
+        let noise = Matrix3::new(0.0, 1e-9, 0.0, 1e-9, 0.0, 0.0, 0.0, 0.0, 0.0);
+        let square =
+            Mass { inertia: Matrix3::from_diagonal(&Vector3::new(8.0, 8.0, 9.0)) + noise, ..mass };
+        assert_eq!(square.solid_box("base").expect("a box").euler_deg, [0.0; 3]);
         let rod = Mass { inertia: Matrix3::from_diagonal(&Vector3::new(0.0, 1.0, 1.0)), ..mass };
         assert!(rod.solid_box("base").is_none(), "a line is no box");
     }

@@ -73,6 +73,7 @@ pub(crate) fn chain(joints: &[Axis<'_>], hand: &Isometry3<f64>) -> Chain {
     let turned = hand.rotation.to_rotation_matrix();
     let (hand_x, hand_z) = (turned * Vector3::x(), turned * Vector3::z());
     let across = axis.cross(&hand_z);
+    let across = if across.dot(&hand_x) < 0.0 { -across } else { across };
     x[last + 1] = if across.norm() > PARALLEL { across.normalize() } else { hand_x };
     let last_z = if across.norm() > PARALLEL { hand_z } else { axis * axis.dot(&hand_z).signum() };
     origin[last + 1] =

@@ -11,6 +11,8 @@ use crate::error::UrdfError;
 
 /// More elements than any robot has.
 const MOST_NODES: u32 = 100_000;
+/// Kinds of what is passed over that are told.
+const MOST_IGNORED: usize = 20;
 /// More metres, kilograms or newtons than any robot has.
 const LARGEST: f64 = 1e9;
 
@@ -104,12 +106,17 @@ impl Document {
                     document.joints.push(joint);
                 }
                 "material" => {}
-                other => {
-                    document.ignored.insert(format!("<{other}>"));
-                }
+                other => document.ignore(&format!("<{other}>")),
             }
         }
         Ok(document)
+    }
+
+    /// Remembers what is passed over; of a file that has nothing else not all of it.
+    fn ignore(&mut self, what: &str) {
+        if self.ignored.len() < MOST_IGNORED {
+            self.ignored.insert(what.chars().take(60).collect());
+        }
     }
 
     fn link(&mut self, node: Node<'_, '_>) -> Result<Link, UrdfError> {
@@ -124,9 +131,7 @@ impl Document {
                 }),
                 // Seen, not touched.
                 "visual" => {}
-                other => {
-                    self.ignored.insert(format!("<{other}> of links"));
-                }
+                other => self.ignore(&format!("<{other}> of links")),
             }
         }
         Ok(Link { name, inertial, collisions })
@@ -138,15 +143,19 @@ impl Document {
         let moves = match kind {
             "fixed" => false,
             "revolute" | "continuous" => true,
+            "floating" => {
+                let cure = "no joint: leave out the world, the base floats by itself";
+                return Err(wrong(node, "type=\"floating\"", cure));
+            }
             _ => {
                 return Err(wrong(
                     node,
                     format!("type=\"{kind}\""),
-                    "`revolute`, `continuous` or `fixed`: joints that slide or float cannot be trained",
+                    "`revolute`, `continuous` or `fixed`: joints that slide cannot be trained",
                 ));
             }
         };
-        let axis = match optional_child(node, "axis") {
+        let axis = match optional_child(node, "axis").filter(|_| moves) {
             Some(axis) => {
                 let [x, y, z] = three(axis, "xyz")?;
                 Unit::try_new(Vector3::new(x, y, z), 1e-6)
@@ -154,9 +163,16 @@ impl Document {
             }
             None => Vector3::x_axis(),
         };
-        let limit = optional_child(node, "limit");
+        let limit = optional_child(node, "limit").filter(|_| moves);
+        // Zero is what some programs write where nobody has said anything.
         let of_limit = |key: &str| match limit {
-            Some(limit) if limit.has_attribute(key) => positive(limit, key).map(Some),
+            Some(limit) if limit.has_attribute(key) => {
+                let value = number(limit, key)?;
+                if value < 0.0 {
+                    return Err(wrong(limit, format!("{key}=\"{value}\""), "a number above zero"));
+                }
+                Ok((value > 0.0).then_some(value))
+            }
             _ => Ok(None),
         };
         let (effort, velocity) = (of_limit("effort")?, of_limit("velocity")?);
@@ -164,7 +180,7 @@ impl Document {
             && (limit.has_attribute("lower") || limit.has_attribute("upper"))
             && kind == "revolute"
         {
-            self.ignored.insert("ends of joints (`lower`, `upper`): joints turn on".to_owned());
+            self.ignore("position limits (`lower`, `upper`): joints turn without end");
         }
         for part in elements(node) {
             match part.tag_name().name() {
@@ -172,9 +188,7 @@ impl Document {
                 "mimic" => {
                     return Err(wrong(part, "a joint that follows another", "joints of their own"));
                 }
-                other => {
-                    self.ignored.insert(format!("<{other}> of joints"));
-                }
+                other => self.ignore(&format!("<{other}> of joints")),
             }
         }
         Ok(Joint {
@@ -266,7 +280,7 @@ fn attribute<'a>(node: Node<'a, '_>, key: &str) -> Result<&'a str, UrdfError> {
 
 fn parsed(node: Node<'_, '_>, key: &str, word: &str) -> Result<f64, UrdfError> {
     let value = word.parse::<f64>().ok().filter(|value| value.abs() < LARGEST);
-    value.ok_or_else(|| wrong(node, format!("{key}={word:?}"), "a number below 1e9"))
+    value.ok_or_else(|| wrong(node, format!("{key}={word:?}"), "a number between -1e9 and 1e9"))
 }
 
 fn number(node: Node<'_, '_>, key: &str) -> Result<f64, UrdfError> {

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::Isometry3;
 use simulator::robot::description::{
-    ArmDescription, BoxDescription, LinkDescription, MountDescription, PedestalDescription,
-    RobotDescription, ServoDescription, ToolDescription,
+    ArmDescription, BoxDescription, CapsuleDescription, DiscDescription, LinkDescription,
+    MountDescription, PedestalDescription, RobotDescription, ServoDescription, ToolDescription,
 };
 use simulator::robot::{JOINTS_PER_ARM, MAX_ARMS};
 
@@ -13,7 +13,7 @@ use crate::bodies::{Mass, Shapes, euler_deg};
 use crate::chain::{Chain, chain};
 use crate::document::{Document, Joint};
 use crate::error::UrdfError;
-use crate::tree::{Arm, Tree};
+use crate::tree::{Arm, Tree, shown};
 
 /// Relative differences below this are rounding.
 const SAME: f64 = 1e-4;
@@ -57,7 +57,8 @@ pub fn import(
     let mut arms = Vec::new();
     let mut like: Option<(Chain, Vec<LinkDescription>, [f64; 3])> = None;
     for (arm, (arm_name, link_names)) in tree.arms.iter().zip(&names) {
-        let pose = hand_pose(arm, arm_name, hand)?;
+        let (hand_link, pose) = hand_of(arm, arm_name, hand)?;
+        notes.push(format!("the hand of arm `{arm_name}` is link `{hand_link}`"));
         let chain = chain(&arm.joints, &pose);
         let links = (0..JOINTS_PER_ARM)
             .map(|i| link(arm, &chain, i, &link_names[i], &mut notes))
@@ -79,7 +80,7 @@ pub fn import(
         }
         if chain.straightened > 0.0 {
             notes.add(format!(
-                "axes that are {:.1} mrad from parallel are taken for parallel",
+                "axes that are {:.2} mrad from parallel are taken for parallel",
                 1e3 * chain.straightened
             ));
         }
@@ -94,12 +95,15 @@ pub fn import(
         }
     }
     let (_, links, tool) = like.expect("a tree has arms");
-    notes.add("mounts and pedestals of arms, which URDF has not, are a milligram each".to_owned());
-    notes.add(format!(
+    notes.push(
+        "mounts and pedestals of arms, which URDF has not, are a milligram each, the mount a box of a millimetre at the first joint"
+            .to_owned(),
+    );
+    notes.push(format!(
         "armatures, which URDF has not, are {ARMATURE} kg m², and gains of servos {GAIN} N m s/rad"
     ));
     for what in &document.ignored {
-        notes.add(format!("passed over: {what}"));
+        notes.push(format!("passed over: {what}"));
     }
     let description = RobotDescription {
         name: plain(&document.name),
@@ -134,6 +138,11 @@ impl Notes {
         }
     }
 
+    /// A remark that is made once.
+    fn push(&mut self, note: String) {
+        self.0.push((note, 1));
+    }
+
     fn sentences(self) -> Vec<String> {
         let sentence = |(note, times)| match times {
             1 => note,
@@ -150,14 +159,15 @@ fn base(tree: &Tree<'_>, notes: &mut Notes) -> Result<BoxDescription, UrdfError>
         let found = format!("the base, link `{root}`, has no mass");
         UrdfError::robot(found, "give it an <inertial>: the robot floats")
     })?;
-    let shapes: usize = tree.base.iter().map(|(link, _)| link.collisions.len()).sum();
-    if shapes > 0 {
-        notes.add("arms touch the base's equivalent box, not its own shapes".to_owned());
-    }
-    mass.solid_box("base").ok_or_else(|| {
+    let solid = mass.solid_box("base").ok_or_else(|| {
         let found = format!("the base, link `{root}`, has the moments of no solid body");
         UrdfError::robot(found, "each principal moment must be less than the two others together")
-    })
+    })?;
+    let [x, y, z] = solid.size;
+    notes.push(format!(
+        "the base is the solid box with its mass and inertia, {x:.3} by {y:.3} by {z:.3} m, which arms touch instead of its own shapes"
+    ));
+    Ok(solid)
 }
 
 fn link(
@@ -205,20 +215,31 @@ fn servo(joint: &Joint, notes: &mut Notes) -> ServoDescription {
     }
 }
 
-/// Where an arm's hand is while all angles are zero.
-fn hand_pose(arm: &Arm<'_>, name: &str, hand: Option<&str>) -> Result<Isometry3<f64>, UrdfError> {
-    let last = &arm.bodies[JOINTS_PER_ARM - 1];
-    let Some(wanted) = hand else {
-        return Ok(last.last().expect("a body has a link").1);
-    };
-    let found = last.iter().find(|(link, _)| link.name.ends_with(wanted));
-    found.map(|(_, pose)| *pose).ok_or_else(|| {
-        let links: Vec<&str> = last.iter().map(|(link, _)| link.name.as_str()).collect();
-        UrdfError::robot(
-            format!("arm `{name}` has no link at its end whose name ends in `{wanted}`"),
-            format!("its last joint moves {links:?}"),
-        )
-    })
+/// The link that is an arm's hand, and where it is while all angles are zero.
+fn hand_of<'d>(
+    arm: &Arm<'d>,
+    name: &str,
+    hand: Option<&str>,
+) -> Result<(&'d str, Isometry3<f64>), UrdfError> {
+    let last: Vec<(&str, Isometry3<f64>)> = arm.bodies[JOINTS_PER_ARM - 1]
+        .iter()
+        .map(|(link, pose)| (link.name.as_str(), *pose))
+        .collect();
+    let Some(wanted) = hand else { return Ok(*last.last().expect("a body has a link")) };
+    let exact: Vec<_> = last.iter().filter(|(link, _)| *link == wanted).collect();
+    let ending: Vec<_> = last.iter().filter(|(link, _)| link.ends_with(wanted)).collect();
+    let found = if exact.is_empty() { ending } else { exact };
+    if let [one] = found[..] {
+        return Ok(*one);
+    }
+    let links: Vec<&str> = last.iter().map(|(link, _)| *link).collect();
+    Err(UrdfError::robot(
+        match found.len() {
+            0 => format!("arm `{name}` has no link at its end whose name ends in `{wanted}`"),
+            n => format!("arm `{name}` has {n} links at its end whose names end in `{wanted}`"),
+        },
+        format!("its last joint moves {}", shown(&links)),
+    ))
 }
 
 /// An arm with its rows, links and hand.
@@ -261,6 +282,21 @@ fn alike(one: Like<'_>, other: Like<'_>) -> Result<(), UrdfError> {
         if !same(&limits(a), &limits(b), 0.0) {
             return differ(format!("joint {number} has other limits"));
         }
+    }
+    for (i, (a, b)) in one.2.iter().zip(other.2).enumerate() {
+        let capsule = |c: &CapsuleDescription| [&c.from[..], &c.to[..], &[c.radius]].concat();
+        let disc = |d: &DiscDescription| vec![d.radius, d.z[0], d.z[1]];
+        let numbers = |link: &LinkDescription| -> Vec<f64> {
+            let discs = link.discs.iter().flat_map(disc);
+            link.capsules.iter().flat_map(capsule).chain(discs).collect()
+        };
+        let counts = |link: &LinkDescription| (link.capsules.len(), link.discs.len());
+        if counts(a) != counts(b) || !same(&numbers(a), &numbers(b), 1.0) {
+            return differ(format!("link {} has other shapes", i + 1));
+        }
+    }
+    if (one.1.left_over - other.1.left_over).abs() > 1e-3 {
+        return differ("hands are turned otherwise on the last link".to_owned());
     }
     if !same(one.3, other.3, 1.0) {
         return differ(format!("hands stand at {:?} and {:?} on the last link", one.3, other.3));

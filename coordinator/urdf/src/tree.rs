@@ -60,6 +60,10 @@ impl<'d> Tree<'d> {
             }
             children.entry(&joint.parent).or_default().push(joint);
         }
+        if links.is_empty() {
+            let cure = "expand it first, if it is written in xacro";
+            return Err(UrdfError::robot("the robot has no link", cure));
+        }
         let roots: Vec<&str> =
             links.keys().copied().filter(|name| !parents.contains_key(name)).collect();
         let [root] = roots[..] else {
@@ -152,7 +156,7 @@ impl<'d> Walk<'d> {
 }
 
 /// A few names, and how many more there are.
-fn shown(names: &[&str]) -> String {
+pub(crate) fn shown(names: &[&str]) -> String {
     const MOST: usize = 5;
     let mut text = names.iter().take(MOST).map(|name| format!("`{name}`")).collect::<Vec<_>>();
     if names.len() > MOST {

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use simulator::robot::Robot;
+use nalgebra::{Rotation3, Vector3};
 use simulator::robot::urdf::urdf;
+use simulator::robot::{Robot, Shape};
 use simulator::simulate::{Precision, simulate};
 use simulator::step::StepOptions;
 
@@ -15,12 +16,20 @@ fn robots() -> Vec<Robot> {
     let skew = TWO_ARM
         .replace("alpha_deg = 90.0", "alpha_deg = 73.0")
         .replace("a = -0.425, d = 0.0", "a = -0.425, d = 0.05");
+    // The hand's axis is not that of the last joint.
+    let last = TWO_ARM.rfind("alpha_deg = 0.0").expect("the last row");
+    let turned = format!(
+        "{}alpha_deg = -90.0{}",
+        &TWO_ARM[..last],
+        &TWO_ARM[last + "alpha_deg = 0.0".len()..]
+    );
     let of = |text: &str| Robot::from_toml(text, Path::new("test")).expect("a robot");
     vec![
         Robot::builtin("paper").expect("built in"),
         Robot::builtin("release").expect("built in"),
         of(TWO_ARM),
         of(&skew),
+        of(&turned),
     ]
 }
 
@@ -45,7 +54,10 @@ fn completed(robot: &Robot, mut d: RobotDescription) -> Robot {
 #[test]
 fn a_robot_that_was_exported_moves_as_it_did() {
     for robot in robots() {
-        let back = completed(&robot, read(&robot).description);
+        let Imported { description, notes } = read(&robot);
+        assert!(notes.iter().all(|note| !note.contains("frame of a hand")), "{notes:?}");
+        let back = completed(&robot, description);
+        shapes_are_where_they_were(&robot, &back);
         assert!((back.total_mass() / robot.total_mass() - 1.0).abs() < 1e-6);
         let commands: Vec<Vec<f64>> = (0..10)
             .map(|step| {
@@ -67,6 +79,45 @@ fn a_robot_that_was_exported_moves_as_it_did() {
                 base.collect::<Vec<_>>()
             );
         }
+    }
+}
+
+/// Compares the shapes of each link by their places in the base's frame while the angles are those of home.
+fn shapes_are_where_they_were(robot: &Robot, back: &Robot) {
+    let places = |robot: &Robot| -> Vec<[f64; 7]> {
+        let mut places = Vec::new();
+        for arm in &robot.arms {
+            let (mut turn, mut at) = (arm.rotation, arm.position);
+            for (link, angle) in robot.links.iter().zip(arm.home) {
+                turn *= Rotation3::from_axis_angle(&Vector3::z_axis(), angle).matrix();
+                for shape in &link.shapes {
+                    let (from, to, radius) = match shape {
+                        Shape::Capsule { from, to, radius } => (*from, *to, *radius),
+                        Shape::Disc { centre, axis, radius, half_height } => {
+                            (centre - axis * *half_height, centre + axis * *half_height, *radius)
+                        }
+                    };
+                    let [from, to] = [from, to].map(|end| at + turn * end);
+                    places.push([from.x, from.y, from.z, to.x, to.y, to.z, radius]);
+                }
+                at += turn * link.shift;
+                turn *= link.twist;
+            }
+        }
+        // Shapes of a link may come in another order.
+        places.sort_by(|a, b| {
+            a.iter()
+                .map(|x| (x * 1e5).round())
+                .partial_cmp(b.iter().map(|x| (x * 1e5).round()))
+                .expect("numbers")
+        });
+        places
+    };
+    let (one, other) = (places(robot), places(back));
+    assert_eq!(one.len(), other.len());
+    for (a, b) in one.iter().zip(&other) {
+        let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(apart < 1e-5, "{a:?} {b:?}");
     }
 }
 
@@ -170,7 +221,7 @@ fn axes_that_are_almost_parallel_are_parallel() {
         )
     };
     for text in [turned("1.5708"), turned("1.57"), turned("-1.5707963267948966")] {
-        let Imported { description: d, .. } = import(&text, None, [0.0; 3]).expect("a robot");
+        let Imported { description: d, notes } = import(&text, None, [0.0; 3]).expect("a robot");
         let longest =
             d.links.iter().map(|link| link.dh.a.abs().max(link.dh.d.abs())).fold(0.0, f64::max);
         assert!(
