@@ -181,7 +181,7 @@ fn what_is_no_robot_of_ours_is_refused_in_words() {
         (six.replace("<parent link=\"l3\"/>", "<parent link=\"l2\"/>"), "joints move on link `l2`"),
         (six.replace("<child link=\"l6\"/>", "<child link=\"l2\"/>"), "hangs on two joints"),
         (six.replace("xyz=\"0.1 0 0.3\"", "xyz=\"0.1 0\""), "expected three numbers"),
-        (six.replace("value=\"2\"", "value=\"nan\""), "expected a number below 1e9"),
+        (six.replace("value=\"2\"", "value=\"nan\""), "expected a number between -1e9 and 1e9"),
         (six.replace("<mass value=\"2\"/>", ""), "no <mass>"),
         (six.replace("ixx=\"0.1\" ", ""), "no `ixx`"),
         (six.replace("<axis xyz=\"0 1 0\"/>", "<axis xyz=\"0 0 0\"/>"), "an axis of no length"),
@@ -224,6 +224,8 @@ fn axes_that_are_almost_parallel_are_parallel() {
         let Imported { description: d, notes } = import(&text, None, [0.0; 3]).expect("a robot");
         let longest =
             d.links.iter().map(|link| link.dh.a.abs().max(link.dh.d.abs())).fold(0.0, f64::max);
+        let said = notes.iter().any(|note| note.contains("taken for parallel"));
+        assert_eq!(said, text.contains("1.57 0 0"), "{notes:?}");
         assert!(
             longest < 10.0,
             "{longest} m: {:?}",
