@@ -11,15 +11,15 @@ use crate::tree::Body;
 /// Lengths below this are zero (m).
 const ZERO: f64 = 1e-6;
 
-/// Mass, centre, and inertia about it.
+/// Solid, centre, and inertia about it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Mass {
+pub(crate) struct Solid {
     pub(crate) mass: f64,
     pub(crate) com: Vector3<f64>,
     pub(crate) inertia: Matrix3<f64>,
 }
 
-impl Mass {
+impl Solid {
     /// Of all links together, in `frame`; none if they have none.
     pub(crate) fn of(body: &Body<'_>, frame: &Isometry3<f64>) -> Option<Self> {
         let parts: Vec<(f64, Isometry3<f64>, Matrix3<f64>)> = body
@@ -58,7 +58,7 @@ impl Mass {
     }
 
     /// The solid box with this mass, centre and inertia; none if there is none, because a moment is no less than the two others together.
-    pub(crate) fn solid_box(&self, name: &str) -> Option<BoxDescription> {
+    pub(crate) fn equivalent_box(&self, name: &str) -> Option<BoxDescription> {
         let largest = self.inertia.diagonal().max();
         let [_, _, _, xy, xz, yz] = self.elements();
         // Of a square base every axis across is a principal one; products of inertia that are rounding would turn it by an eighth.
@@ -170,7 +170,7 @@ impl Shapes {
                 }
                 Geometry::Box { size } => shapes.solid(pose, size),
                 Geometry::Mesh => {
-                    shapes.note("a mesh is left out: draw a cylinder or a box for it")
+                    shapes.note("a mesh is left out: draw a cylinder or a box for it");
                 }
             }
         }
@@ -237,8 +237,8 @@ mod tests {
         let inertia = Matrix3::from_diagonal(&Vector3::new(y + z, x + z, x + y)) * (50.0 / 12.0);
         let turn = Rotation3::from_euler_angles(0.2, -0.1, 0.3).into_inner();
         let com = Vector3::new(1.0, 2.0, 3.0);
-        let mass = Mass { mass: 50.0, com, inertia: turn * inertia * turn.transpose() };
-        let solid = mass.solid_box("base").expect("a box");
+        let mass = Solid { mass: 50.0, com, inertia: turn * inertia * turn.transpose() };
+        let solid = mass.equivalent_box("base").expect("a box");
         assert!(solid.size.iter().zip(size).all(|(a, b)| (a - b).abs() < 1e-9), "{:?}", solid.size);
         assert_eq!(solid.position, [1.0, 2.0, 3.0]);
         let [a, b, c] = solid.euler_deg.map(f64::to_radians);
@@ -249,10 +249,10 @@ mod tests {
         assert!((back - mass.inertia).norm() < 1e-9, "{:?}", solid.euler_deg);
         let noise = Matrix3::new(0.0, 1e-9, 0.0, 1e-9, 0.0, 0.0, 0.0, 0.0, 0.0);
         let square =
-            Mass { inertia: Matrix3::from_diagonal(&Vector3::new(8.0, 8.0, 9.0)) + noise, ..mass };
-        assert_eq!(square.solid_box("base").expect("a box").euler_deg, [0.0; 3]);
-        let rod = Mass { inertia: Matrix3::from_diagonal(&Vector3::new(0.0, 1.0, 1.0)), ..mass };
-        assert!(rod.solid_box("base").is_none(), "a line is no box");
+            Solid { inertia: Matrix3::from_diagonal(&Vector3::new(8.0, 8.0, 9.0)) + noise, ..mass };
+        assert_eq!(square.equivalent_box("base").expect("a box").euler_deg, [0.0; 3]);
+        let rod = Solid { inertia: Matrix3::from_diagonal(&Vector3::new(0.0, 1.0, 1.0)), ..mass };
+        assert!(rod.equivalent_box("base").is_none(), "a line is no box");
     }
 
     #[test]

@@ -250,10 +250,7 @@ fn geometry(node: Node<'_, '_>) -> Result<Geometry, UrdfError> {
 /// The pose in the `<origin>` of an element; none is the identity. Angles are those of Rz(yaw) Ry(pitch) Rx(roll).
 fn origin(node: Node<'_, '_>) -> Result<Isometry3<f64>, UrdfError> {
     let Some(origin) = optional_child(node, "origin") else { return Ok(Isometry3::identity()) };
-    let of = |key: &str| match origin.has_attribute(key) {
-        true => three(origin, key),
-        false => Ok([0.0; 3]),
-    };
+    let of = |key: &str| if origin.has_attribute(key) { three(origin, key) } else { Ok([0.0; 3]) };
     let ([x, y, z], [roll, pitch, yaw]) = (of("xyz")?, of("rpy")?);
     let rotation = Rotation3::from_euler_angles(roll, pitch, yaw);
     let rotation = UnitQuaternion::from_rotation_matrix(&rotation);

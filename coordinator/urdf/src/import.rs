@@ -9,7 +9,7 @@ use simulator::robot::description::{
 };
 use simulator::robot::{JOINTS_PER_ARM, MAX_ARMS};
 
-use crate::bodies::{Mass, Shapes, euler_deg};
+use crate::bodies::{Shapes, Solid, euler_deg};
 use crate::chain::{Chain, chain};
 use crate::document::{Document, Joint};
 use crate::error::UrdfError;
@@ -155,11 +155,11 @@ impl Notes {
 /// The base as the solid box with its mass and inertia.
 fn base(tree: &Tree<'_>, notes: &mut Notes) -> Result<BoxDescription, UrdfError> {
     let root = &tree.base[0].0.name;
-    let mass = Mass::of(&tree.base, &Isometry3::identity()).ok_or_else(|| {
+    let mass = Solid::of(&tree.base, &Isometry3::identity()).ok_or_else(|| {
         let found = format!("the base, link `{root}`, has no mass");
         UrdfError::robot(found, "give it an <inertial>: the robot floats")
     })?;
-    let solid = mass.solid_box("base").ok_or_else(|| {
+    let solid = mass.equivalent_box("base").ok_or_else(|| {
         let found = format!("the base, link `{root}`, has the moments of no solid body");
         UrdfError::robot(found, "each principal moment must be less than the two others together")
     })?;
@@ -180,7 +180,7 @@ fn link(
     let frame = &chain.frames[i + 1];
     let body = &arm.bodies[i];
     let joint = arm.joints[i].joint;
-    let mass = Mass::of(body, frame).ok_or_else(|| {
+    let mass = Solid::of(body, frame).ok_or_else(|| {
         let found = format!("link `{}` has no mass", body[0].0.name);
         UrdfError::robot(found, format!("give it an <inertial>: joint `{}` moves it", joint.name))
     })?;
