@@ -43,12 +43,12 @@ fn random_urdf(seed: u64, arms: usize) -> String {
     let mut noise = Noise(seed);
     let mut text = "<robot name=\"random robot\">\n".to_owned();
     let base = inertial(&mut noise).replace("mass value=\"", "mass value=\"4");
-    write!(text, "<link name=\"body\">{base}</link>\n").expect("text");
+    writeln!(text, "<link name=\"body\">{base}</link>").expect("text");
     let panel = inertial(&mut noise);
-    write!(
+    writeln!(
         text,
         "<link name=\"panel\">{panel}</link>\n<joint name=\"panel\" type=\"fixed\"><origin xyz=\"{}\" rpy=\"{}\"/>\
-         <parent link=\"body\"/><child link=\"panel\"/></joint>\n",
+         <parent link=\"body\"/><child link=\"panel\"/></joint>",
         noise.three(0.3),
         noise.three(3.0)
     )
@@ -68,12 +68,12 @@ fn random_urdf(seed: u64, arms: usize) -> String {
                 0 => [noise.three(0.5), noise.three(3.0)],
                 _ => [xyz.clone(), rpy.clone()],
             };
-            write!(
+            writeln!(
                 text,
                 "<link name=\"{name}\">{inertial}<collision><geometry><cylinder radius=\"0.04\" length=\"0.2\"/></geometry>\
                  </collision></link>\n<joint name=\"{name}\" type=\"{kind}\"><origin xyz=\"{xyz}\" rpy=\"{rpy}\"/>\
                  <parent link=\"{parent}\"/><child link=\"{name}\"/><axis xyz=\"{axis}\"/>\
-                 <limit lower=\"-3\" upper=\"3\" effort=\"90\" velocity=\"1.5\"/></joint>\n"
+                 <limit lower=\"-3\" upper=\"3\" effort=\"90\" velocity=\"1.5\"/></joint>"
             )
             .expect("text");
             parent = name;

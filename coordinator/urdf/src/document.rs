@@ -206,14 +206,11 @@ impl Document {
 
 fn read_inertial(node: Node<'_, '_>) -> Result<Inertial, UrdfError> {
     let tensor = child(node, "inertia")?;
-    let element = |key: &str| match tensor.has_attribute(key) {
-        true => number(tensor, key),
-        // The moments about the axes must be there, the products of inertia are zero unless they are said.
-        false if key.as_bytes()[1] == key.as_bytes()[2] => attribute(tensor, key).map(|_| 0.0),
-        false => Ok(0.0),
-    };
-    let (xx, yy, zz) = (element("ixx")?, element("iyy")?, element("izz")?);
-    let (xy, xz, yz) = (element("ixy")?, element("ixz")?, element("iyz")?);
+    let moment = |key: &str| number(tensor, key);
+    // Products of inertia are zero unless they are said.
+    let product = |key: &str| if tensor.has_attribute(key) { number(tensor, key) } else { Ok(0.0) };
+    let (xx, yy, zz) = (moment("ixx")?, moment("iyy")?, moment("izz")?);
+    let (xy, xz, yz) = (product("ixy")?, product("ixz")?, product("iyz")?);
     let mass = child(node, "mass")?;
     let value = number(mass, "value")?;
     if value < 0.0 {
