@@ -1,5 +1,6 @@
 //! What our own exporter writes comes back as the same robot, and what is no robot of ours is refused in words.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use nalgebra::{Rotation3, Vector3};
@@ -147,10 +148,11 @@ fn one_arm(joints: usize, kind: &str) -> String {
     for i in 1..=joints {
         let parent = if i == 1 { "base".to_owned() } else { format!("l{}", i - 1) };
         let axis = if i % 2 == 0 { "0 1 0" } else { "0 0 1" };
-        text += &format!(
+        write!(
+            text,
             "<link name=\"l{i}\">{inertial}</link>\n<joint name=\"j{i}\" type=\"{kind}\"><origin xyz=\"0.1 0 0.3\"/>\
              <parent link=\"{parent}\"/><child link=\"l{i}\"/><axis xyz=\"{axis}\"/></joint>"
-        );
+        ).expect("text");
     }
     text + "</robot>"
 }
