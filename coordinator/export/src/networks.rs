@@ -103,7 +103,7 @@ impl Networks {
 
 #[cfg(test)]
 mod tests {
-    use proto::config::{Layers, Preset};
+    use proto::config::{Layers, ParameterSharing, Preset};
     use simulator::policy::initial_parameters;
     use simulator::robot::Robot;
 
@@ -113,6 +113,7 @@ mod tests {
     fn rows_that_actors_share_are_stored_once_and_rounded_where_inference_rounds() {
         let mut config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
         config.network.hidden = vec![8, 6];
+        config.network.parameter_sharing = ParameterSharing::None;
         let robot = Robot::builtin("paper").expect("built in");
         let world = World::new(&config, &robot);
         let mut parameters = initial_parameters(&config, &world.dimensions, 1);

@@ -35,7 +35,7 @@ pub struct ImportArgs {
     #[arg(long, value_name = "FILE.toml")]
     pub out: Option<PathBuf>,
     /// The link at each arm's end that is its hand, or how its name ends [default: the last link].
-    #[arg(long, value_name = "LINK")]
+    #[arg(long, value_name = "LINK", allow_hyphen_values = true)]
     pub hand: Option<String>,
     /// Where the base is at home: its height (m) in the world.
     #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = amount, default_value_t = 4.0)]

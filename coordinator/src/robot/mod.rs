@@ -5,8 +5,14 @@ mod import;
 
 use clap::{Args, Subcommand};
 
+const EXAMPLES: &str = "\
+Examples:
+  octopus robot import satellite.urdf --out satellite.toml
+  octopus robot check satellite.toml";
+
 /// Options of `octopus robot`.
 #[derive(Debug, Clone, Args)]
+#[command(after_help = EXAMPLES)]
 pub struct RobotArgs {
     /// What to do.
     #[command(subcommand)]
