@@ -6,7 +6,7 @@ use super::*;
 use crate::dynamics::reference_dynamics::{Momentum, kinetic_energy, momentum};
 use crate::dynamics::tests::Noise;
 use crate::robot::Robot;
-use crate::scalar::{LANES, LaneFn, dispatch};
+use crate::scalar::{LaneFn, dispatch};
 use crate::state::State;
 use crate::step::{StepOptions, step, step_disturbed};
 
@@ -241,7 +241,7 @@ impl LaneFn for Lanes<'_> {
 fn lanes_follow_the_f64_twin_each_with_its_own() {
     let robot = paper();
     let lanes = dispatch(Lanes(&robot));
-    assert_eq!(lanes.len(), LANES);
+    assert!(lanes.len() >= 8, "{} lanes", lanes.len());
     let model = Model::<f64>::new(&robot);
     for (lane, ours) in lanes.iter().enumerate() {
         let force = 5.0 * lane as f64;
@@ -267,5 +267,5 @@ fn lanes_follow_the_f64_twin_each_with_its_own() {
         }
     }
     let turned = |state: &State<f64>| state.base_angular_velocity[1];
-    assert!(turned(&lanes[15]) > 2.0 * turned(&lanes[4]), "a lane has its own");
+    assert!(turned(&lanes[7]) > turned(&lanes[4]), "a lane has its own");
 }
