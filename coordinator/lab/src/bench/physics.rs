@@ -1,4 +1,4 @@
-//! The dynamics alone: control steps under random commands, sixteen environments to a group.
+//! The dynamics alone: control steps under random commands, a lane group of environments at a time.
 
 use process::clock::thread_cpu;
 use proto::statistics::median;

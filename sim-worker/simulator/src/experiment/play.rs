@@ -23,7 +23,7 @@ pub fn play(
     Ok(recording)
 }
 
-/// Episodes that [`play`] plays at a time: two lane groups, enough to feed the policy's registers, little enough to spread.
+/// Episodes that [`play`] plays at a time: two lane groups of sixteen or four of eight, enough to feed the policy's registers, little enough to spread.
 pub const CHUNK: usize = 2 * LANES;
 
 /// Plays episodes `first..first + n_envs` of a trial on this thread into their part of a recording.

@@ -6,7 +6,7 @@ use crate::scalar::{Fused, Mask, PairKernel, PairProducts, Real, WeightPair, bf1
 ///
 /// Sixteen accumulators (8 units × 2 lane groups, or 2 panels × 1 group) cover the latency of the
 /// multiply-add on current processors and leave room for operands among 32 vector registers; where
-/// there are 16 ([`Real::SUMS`]), eight (4 units × 2 groups, or 8 × 1) do so just about.
+/// there are 16 ([`Real::PRODUCT_SUMS`]), eight (4 units × 2 groups, or 8 × 1) do so just about.
 pub(super) const PANEL: usize = 8;
 
 /// Weights of one layer, cut into panels: `W` is `f32`, or a [`WeightPair`] of two inputs' weights in bfloat16.
@@ -163,7 +163,7 @@ impl<W: Copy> Dense<W> {
                 let (x, out) = (&x[at..], &mut out[at..]);
                 let width = if left >= 2 { 2 } else { 1 };
                 match (width, pair) {
-                    (1, true) if S::SUMS >= 2 * PANEL => {
+                    (1, true) if S::PRODUCT_SUMS >= 2 * PANEL => {
                         self.multiply::<S, X, A, 2, 1, PANEL>(panel, x, out, accumulate);
                     }
                     (1, _) => {
@@ -173,7 +173,7 @@ impl<W: Copy> Dense<W> {
                     }
                     _ => {
                         for panel in panel..=panel + usize::from(pair) {
-                            if S::SUMS >= 2 * PANEL {
+                            if S::PRODUCT_SUMS >= 2 * PANEL {
                                 self.multiply::<S, X, A, 1, 2, PANEL>(panel, x, out, accumulate);
                             } else {
                                 const HALF: usize = PANEL / 2;

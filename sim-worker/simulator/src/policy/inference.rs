@@ -12,7 +12,7 @@ use crate::scalar::Real;
 /// ε of LayerNorm (Ba, Kiros and Hinton 2016), PyTorch's default.
 const LAYER_NORM_EPSILON: f64 = 1e-5;
 
-/// Activations of one actor's network for all lane groups: two buffers that layers alternate, and one for pairs.
+/// Activations of one network for all lane groups of the actors that share it: two buffers that layers alternate, and one for pairs.
 #[derive(Debug, Clone)]
 pub struct Scratch<S: Real> {
     stride: usize,

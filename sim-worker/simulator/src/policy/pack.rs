@@ -139,8 +139,8 @@ impl Policy {
             second: row(second, actor).to_vec(),
         };
         let sharing = sharing(n_actors, |one, other| {
-            let of_network = layout.tensors.iter().filter(|tensor| tensor.name != LOG_STD);
-            of_network.into_iter().all(|tensor| {
+            let mut of_network = layout.tensors.iter().filter(|tensor| tensor.name != LOG_STD);
+            of_network.all(|tensor| {
                 let bits = |actor| row(&tensor.name, actor).iter().map(|value| value.to_bits());
                 bits(one).eq(bits(other))
             })

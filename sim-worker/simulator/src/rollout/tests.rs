@@ -1,5 +1,5 @@
-use proto::config::{Layers, Preset, TaskName};
-use proto::layout::{Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
+use proto::config::{Layers, ParameterSharing, Preset, TaskName};
+use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
 use proto::rng::Purpose;
 
 use super::*;
@@ -25,8 +25,21 @@ fn world_of(layers: &Layers, n_envs: usize, n_shards: usize, steps: usize) -> Wo
     World::new(&config, &robot)
 }
 
+/// Parameters; where agents of a role are one actor, the last one is another, so that not all networks have as many actors.
 fn flat(world: &World) -> Vec<f32> {
-    parameters(&world.config, &world.dimensions, 11)
+    let World { config, dimensions, .. } = world;
+    let mut flat = parameters(config, dimensions, 11);
+    if config.network.parameter_sharing == ParameterSharing::Roles {
+        for tensor in &ActorLayout::new(config, dimensions).tensors {
+            let row = tensor.len() / dimensions.n_actors;
+            let rows = &mut flat[tensor.range()];
+            for actor in AGENTS_PER_ARM..dimensions.n_actors - 1 {
+                let of_role = actor % AGENTS_PER_ARM * row;
+                rows.copy_within(of_role..of_role + row, actor * row);
+            }
+        }
+    }
+    flat
 }
 
 /// The block of one shard; memory starts as garbage, which must not show.

@@ -58,8 +58,8 @@ pub trait Real:
     /// Number of lanes.
     const LANES: usize;
 
-    /// Sums that a product of matrices keeps in registers: 16 or 8.
-    const SUMS: usize = 16;
+    /// Lane values that a product of matrices sums up in registers at a time: 16 or 8.
+    const PRODUCT_SUMS: usize = 16;
 
     /// Result of comparisons.
     type Mask: Mask;

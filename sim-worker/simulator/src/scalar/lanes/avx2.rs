@@ -141,7 +141,7 @@ impl F32x8Avx2 {
 
 impl Real for F32x8Avx2 {
     const LANES: usize = WIDTH;
-    const SUMS: usize = 8;
+    const PRODUCT_SUMS: usize = 8;
     type Mask = Mask8Avx2;
     type Pair = [Self; 2];
 
