@@ -11,7 +11,7 @@ use crate::tree::Body;
 /// Lengths below this are zero (m).
 const ZERO: f64 = 1e-6;
 
-/// Solid, centre, and inertia about it.
+/// A mass, its centre, and its inertia about that.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Solid {
     pub(crate) mass: f64,

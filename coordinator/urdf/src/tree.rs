@@ -35,6 +35,10 @@ pub(crate) struct Tree<'d> {
 
 impl<'d> Tree<'d> {
     pub(crate) fn of(document: &'d Document) -> Result<Self, UrdfError> {
+        if document.links.is_empty() {
+            let cure = "expand it first, if it is written in xacro";
+            return Err(UrdfError::robot("the robot has no link", cure));
+        }
         let mut links = BTreeMap::new();
         for link in &document.links {
             if links.insert(link.name.as_str(), link).is_some() {
@@ -59,10 +63,6 @@ impl<'d> Tree<'d> {
                 return Err(UrdfError::robot(found, "a robot must be a tree"));
             }
             children.entry(&joint.parent).or_default().push(joint);
-        }
-        if links.is_empty() {
-            let cure = "expand it first, if it is written in xacro";
-            return Err(UrdfError::robot("the robot has no link", cure));
         }
         let roots: Vec<&str> =
             links.keys().copied().filter(|name| !parents.contains_key(name)).collect();
