@@ -1,22 +1,20 @@
 //! The whole way: from a text to a description, and what was lost on it.
 
-use std::collections::BTreeMap;
-
 use nalgebra::Isometry3;
 use simulator::robot::description::{
-    ArmDescription, BoxDescription, CapsuleDescription, DiscDescription, LinkDescription,
-    MountDescription, PedestalDescription, RobotDescription, ServoDescription, ToolDescription,
+    ArmDescription, BoxDescription, LinkDescription, MountDescription, PedestalDescription,
+    RobotDescription, ServoDescription, ToolDescription,
 };
 use simulator::robot::{JOINTS_PER_ARM, MAX_ARMS};
 
+use crate::alike::Build;
 use crate::bodies::{Shapes, Solid, euler_deg};
 use crate::chain::{Chain, chain};
 use crate::document::{Document, Joint};
 use crate::error::UrdfError;
+use crate::names::{names, plain};
 use crate::tree::{Arm, Tree, shown};
 
-/// Relative differences below this are rounding.
-const SAME: f64 = 1e-4;
 /// What stands for the mount and the pedestal of an arm, which URDF has not: a milligram, a millimetre.
 const NOTHING: (f64, f64) = (1e-6, 1e-3);
 /// Drives, of which URDF says little: as those of the built-in robots (kg m², N m s/rad, rad/s, N m).
@@ -55,7 +53,7 @@ pub fn import(
     let names = names(&tree.arms);
     let mut notes = Notes::default();
     let mut arms = Vec::new();
-    let mut like: Option<(Chain, Vec<LinkDescription>, [f64; 3])> = None;
+    let mut like: Option<Build> = None;
     for (arm, (arm_name, link_names)) in tree.arms.iter().zip(&names) {
         let (hand_link, pose) = hand_of(arm, arm_name, hand)?;
         notes.push(format!("the hand of arm `{arm_name}` is link `{hand_link}`"));
@@ -84,17 +82,13 @@ pub fn import(
                 1e3 * chain.straightened
             ));
         }
+        let build = Build { name: arm_name.clone(), links, tool, left_over: chain.left_over };
         match &like {
-            None => like = Some((chain, links, tool)),
-            Some((first, of_first, tool_of_first)) => {
-                alike(
-                    (&names[0].0, first, of_first, tool_of_first),
-                    (arm_name, &chain, &links, &tool),
-                )?;
-            }
+            None => like = Some(build),
+            Some(first) => first.check(&build)?,
         }
     }
-    let (_, links, tool) = like.expect("a tree has arms");
+    let Build { links, tool, .. } = like.expect("a tree has arms");
     notes.push(
         "mounts and pedestals of arms, which URDF has not, are a milligram each, the mount a box of a millimetre at the first joint"
             .to_owned(),
@@ -155,19 +149,19 @@ impl Notes {
 /// The base as the solid box with its mass and inertia.
 fn base(tree: &Tree<'_>, notes: &mut Notes) -> Result<BoxDescription, UrdfError> {
     let root = &tree.base[0].0.name;
-    let mass = Solid::of(&tree.base, &Isometry3::identity()).ok_or_else(|| {
+    let solid = Solid::of(&tree.base, &Isometry3::identity()).ok_or_else(|| {
         let found = format!("the base, link `{root}`, has no mass");
         UrdfError::robot(found, "give it an <inertial>: the robot floats")
     })?;
-    let solid = mass.equivalent_box("base").ok_or_else(|| {
+    let equivalent = solid.equivalent_box("base").ok_or_else(|| {
         let found = format!("the base, link `{root}`, has the moments of no solid body");
         UrdfError::robot(found, "each principal moment must be less than the two others together")
     })?;
-    let [x, y, z] = solid.size;
+    let [x, y, z] = equivalent.size;
     notes.push(format!(
         "the base is the solid box with its mass and inertia, {x:.3} by {y:.3} by {z:.3} m, which arms touch instead of its own shapes"
     ));
-    Ok(solid)
+    Ok(equivalent)
 }
 
 fn link(
@@ -180,7 +174,7 @@ fn link(
     let frame = &chain.frames[i + 1];
     let body = &arm.bodies[i];
     let joint = arm.joints[i].joint;
-    let mass = Solid::of(body, frame).ok_or_else(|| {
+    let solid = Solid::of(body, frame).ok_or_else(|| {
         let found = format!("link `{}` has no mass", body[0].0.name);
         UrdfError::robot(found, format!("give it an <inertial>: joint `{}` moves it", joint.name))
     })?;
@@ -191,9 +185,9 @@ fn link(
     Ok(LinkDescription {
         name: name.to_owned(),
         dh: chain.rows[i],
-        mass: mass.mass,
-        com: mass.com.into(),
-        inertia: mass.elements(),
+        mass: solid.mass,
+        com: solid.com.into(),
+        inertia: solid.elements(),
         armature: ARMATURE,
         servo: servo(joint, notes),
         capsules,
@@ -240,128 +234,6 @@ fn hand_of<'d>(
         },
         format!("its last joint moves {}", shown(&links)),
     ))
-}
-
-/// An arm with its rows, links and hand.
-type Like<'a> = (&'a str, &'a Chain, &'a [LinkDescription], &'a [f64; 3]);
-
-/// Refuses arms that are not built alike.
-fn alike(one: Like<'_>, other: Like<'_>) -> Result<(), UrdfError> {
-    let differ = |what: String| {
-        let found = format!("arms `{}` and `{}` differ: {what}", one.0, other.0);
-        Err(UrdfError::robot(found, "all arms of a robot must be built alike"))
-    };
-    let size = |values: &[f64]| values.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
-    let same = |a: &[f64], b: &[f64], scale: f64| {
-        a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME * scale.max(size(&[*a, *b])))
-    };
-    for (i, (a, b)) in one.2.iter().zip(other.2).enumerate() {
-        let row = |link: &LinkDescription| [link.dh.a, link.dh.d];
-        let (degrees, number) = ((a.dh.alpha_deg - b.dh.alpha_deg).abs(), i + 1);
-        if !same(&row(a), &row(b), 1.0) || degrees.min(360.0 - degrees) > 0.01 {
-            return differ(format!(
-                "joint {number} stands at {:?} here and at {:?} there",
-                a.dh, b.dh
-            ));
-        }
-        if !same(&[a.mass], &[b.mass], 0.0) {
-            return differ(format!("link {number} has {} kg here and {} kg there", a.mass, b.mass));
-        }
-        if !same(&a.com, &b.com, 1.0) {
-            let what =
-                format!("the centre of link {number} is at {:?} here and {:?} there", a.com, b.com);
-            return differ(what);
-        }
-        if !same(&a.inertia, &b.inertia, size(&a.inertia)) {
-            let [here, there] = [a.inertia, b.inertia];
-            return differ(format!(
-                "link {number} has the inertia {here:?} here and {there:?} there"
-            ));
-        }
-        let limits = |link: &LinkDescription| [link.servo.max_rate, link.servo.max_torque];
-        if !same(&limits(a), &limits(b), 0.0) {
-            return differ(format!("joint {number} has other limits"));
-        }
-    }
-    for (i, (a, b)) in one.2.iter().zip(other.2).enumerate() {
-        let capsule = |c: &CapsuleDescription| [&c.from[..], &c.to[..], &[c.radius]].concat();
-        let disc = |d: &DiscDescription| vec![d.radius, d.z[0], d.z[1]];
-        let numbers = |link: &LinkDescription| -> Vec<f64> {
-            let discs = link.discs.iter().flat_map(disc);
-            link.capsules.iter().flat_map(capsule).chain(discs).collect()
-        };
-        let counts = |link: &LinkDescription| (link.capsules.len(), link.discs.len());
-        if counts(a) != counts(b) || !same(&numbers(a), &numbers(b), 1.0) {
-            return differ(format!("link {} has other shapes", i + 1));
-        }
-    }
-    if (one.1.left_over - other.1.left_over).abs() > 1e-3 {
-        return differ("hands are turned otherwise on the last link".to_owned());
-    }
-    if !same(one.3, other.3, 1.0) {
-        return differ(format!("hands stand at {:?} and {:?} on the last link", one.3, other.3));
-    }
-    Ok(())
-}
-
-/// Names of arms, and of the links of each: what the links of an arm have in common at the front is the arm's.
-fn names(arms: &[Arm<'_>]) -> Vec<(String, Vec<String>)> {
-    let own: Vec<Vec<&str>> = arms
-        .iter()
-        .map(|arm| arm.bodies.iter().map(|body| body[0].0.name.as_str()).collect())
-        .collect();
-    let fronts: Vec<&str> = own.iter().map(|links| common_front(links)).collect();
-    let arm_names = distinct(
-        fronts.iter().map(|front| plain(front.trim_end_matches(['_', '-']))).collect(),
-        "arm",
-    );
-    own.iter()
-        .zip(&fronts)
-        .zip(arm_names)
-        .map(|((links, front), arm)| {
-            let links = links.iter().map(|link| plain(&link[front.len()..])).collect();
-            (arm, distinct(links, "link"))
-        })
-        .collect()
-}
-
-/// The longest beginning that all have, which leaves something of each.
-fn common_front<'a>(names: &[&'a str]) -> &'a str {
-    let first = names[0];
-    let mut end = 0;
-    for (at, c) in first.char_indices() {
-        let next = at + c.len_utf8();
-        if names.iter().any(|name| !name.starts_with(&first[..next]) || name.len() == next) {
-            break;
-        }
-        // Not in the middle of a word.
-        if matches!(c, '_' | '-' | '/' | ':' | '.') {
-            end = next;
-        }
-    }
-    &first[..end]
-}
-
-/// Letters, digits, `-` and `_` of a name.
-fn plain(name: &str) -> String {
-    let c = |c: char| if c.is_ascii_alphanumeric() || c == '_' || c == '-' { c } else { '_' };
-    let name: String = name.chars().map(c).collect();
-    if name.is_empty() { "robot".to_owned() } else { name }
-}
-
-/// The names if each is another one, and numbered ones otherwise.
-fn distinct(names: Vec<String>, kind: &str) -> Vec<String> {
-    let mut seen = BTreeMap::new();
-    for name in &names {
-        *seen.entry(name.as_str()).or_insert(0) += 1;
-    }
-    let taken = ["mount", "pedestal", "robot"];
-    if seen.values().all(|&times| times == 1)
-        && !names.iter().any(|name| taken.contains(&name.as_str()))
-    {
-        return names;
-    }
-    (1..=names.len()).map(|number| format!("{kind}_{number}")).collect()
 }
 
 #[cfg(test)]
