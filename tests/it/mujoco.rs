@@ -22,10 +22,10 @@ use simulator::step::{Disturbance, Integrator, StepOptions, step, step_disturbed
 use simulator::workspace::Workspace;
 
 /// Uniform numbers in ±1, the same on every machine.
-struct Noise(u64);
+pub(crate) struct Noise(pub(crate) u64);
 
 impl Noise {
-    fn next(&mut self) -> f64 {
+    pub(crate) fn next(&mut self) -> f64 {
         self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }

@@ -7,19 +7,12 @@ use std::process::Command;
 use serde_json::Value;
 use tests::{crosscheck, octopus, python, stderr};
 
-/// Uniform numbers in ±1, the same on every machine.
-struct Noise(u64);
+use crate::mujoco::Noise;
 
-impl Noise {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    fn three(&mut self, scale: f64) -> String {
-        let [x, y, z] = [self.next(), self.next(), self.next()].map(|x| scale * x);
-        format!("{x} {y} {z}")
-    }
+/// Three numbers as URDF writes them.
+fn three(noise: &mut Noise, scale: f64) -> String {
+    let [x, y, z] = [noise.next(), noise.next(), noise.next()].map(|x| scale * x);
+    format!("{x} {y} {z}")
 }
 
 /// A body whose moments are those of a box.
@@ -30,8 +23,8 @@ fn inertial(noise: &mut Noise) -> String {
     format!(
         "<inertial><origin xyz=\"{}\" rpy=\"{}\"/><mass value=\"{mass}\"/>\
          <inertia ixx=\"{}\" iyy=\"{}\" izz=\"{}\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>",
-        noise.three(0.1),
-        noise.three(3.0),
+        three(noise, 0.1),
+        three(noise, 3.0),
         moment(y, z),
         moment(x, z),
         moment(x, y)
@@ -49,14 +42,15 @@ fn random_urdf(seed: u64, arms: usize) -> String {
         text,
         "<link name=\"panel\">{panel}</link>\n<joint name=\"panel\" type=\"fixed\"><origin xyz=\"{}\" rpy=\"{}\"/>\
          <parent link=\"body\"/><child link=\"panel\"/></joint>",
-        noise.three(0.3),
-        noise.three(3.0)
+        three(&mut noise, 0.3),
+        three(&mut noise, 3.0)
     )
     .expect("text");
     // Alike, but for where they stand.
     let links: Vec<String> = (0..7).map(|_| inertial(&mut noise)).collect();
-    let places: Vec<[String; 3]> =
-        (0..7).map(|_| [noise.three(0.4), noise.three(3.0), noise.three(1.0)]).collect();
+    let places: Vec<[String; 3]> = (0..7)
+        .map(|_| [three(&mut noise, 0.4), three(&mut noise, 3.0), three(&mut noise, 1.0)])
+        .collect();
     for arm in 0..arms {
         let mut parent = "body".to_owned();
         for (i, (inertial, [xyz, rpy, axis])) in links.iter().zip(&places).enumerate() {
@@ -65,7 +59,7 @@ fn random_urdf(seed: u64, arms: usize) -> String {
                 _ => (format!("arm{arm}_link{i}"), "revolute"),
             };
             let [xyz, rpy] = match i {
-                0 => [noise.three(0.5), noise.three(3.0)],
+                0 => [three(&mut noise, 0.5), three(&mut noise, 3.0)],
                 _ => [xyz.clone(), rpy.clone()],
             };
             writeln!(

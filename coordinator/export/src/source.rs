@@ -3,7 +3,6 @@
 use proto::config::{AlgorithmName, Inference, TaskName};
 use serde::Serialize;
 use simulator::policy::Policy;
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::rollout::World;
 
 /// Which policy it is, and what it was trained with.
@@ -86,13 +85,6 @@ impl Source<'_> {
             Inference::F32 => 2e-4,
             Inference::Bf16 => 2e-3,
         }
-    }
-
-    /// Length of a stretched arm from its mount to the hand, at most (m).
-    pub(crate) fn reach(&self) -> f64 {
-        let robot = &self.world.robot;
-        let links = &robot.links[..JOINTS_PER_ARM - 1];
-        links.iter().map(|link| link.shift.norm()).sum::<f64>() + robot.tool_position.norm()
     }
 
     /// Names of all joints, arm after arm.

@@ -93,6 +93,13 @@ impl Robot {
         (link.gain * (rate - qd)).clamp(-link.max_torque, link.max_torque)
     }
 
+    /// Length of a stretched arm from its mount to the hand, at most (m).
+    pub fn reach(&self) -> f64 {
+        // The last link's own shift is in the tool's place.
+        let links = &self.links[..JOINTS_PER_ARM - 1];
+        links.iter().map(|link| link.shift.norm()).sum::<f64>() + self.tool_position.norm()
+    }
+
     /// Mass of everything (kg).
     pub fn total_mass(&self) -> f64 {
         self.base.mass + self.n_arms as f64 * self.links.iter().map(|l| l.body.mass).sum::<f64>()
