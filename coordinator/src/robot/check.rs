@@ -1,6 +1,7 @@
 //! `octopus robot check`: what a robot is, and whether it can be trained.
 
 use clap::Args;
+use lab::evaluation::reachable;
 use lab::threads::Threads;
 use output::counted;
 use proto::config::{Layers, Preset, TaskName};
@@ -50,23 +51,12 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
     shakedown(&robot, &args.robot, &step_options(&config))?;
     let world = World::new(&config, &robot);
     let progress = Parts::new();
-    progress.begin("which goals can be reached", u64::from(args.episodes));
-    let goals = EvaluationGoals::drawn(args.seed);
-    let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-    let hands = simulator::reach::reach(
-        &world,
-        goals,
-        args.episodes as usize,
-        &Threads::available(),
-        &on_episodes,
-    )?
-    .concat();
+    let (goals, episodes) = (EvaluationGoals::drawn(args.seed), args.episodes as usize);
+    let hands = reachable(&world, goals, episodes, Threads::available(), &progress)?.concat();
     progress.end();
     let reached = hands.iter().filter(|hand| hand.reached).count();
     let of_arm: f64 = robot.links.iter().map(|link| link.body.mass).sum();
-    // From joint to joint, and on to the hand; the last link's own shift is in the tool's.
-    let links = robot.links.iter().take(robot.links.len() - 1).map(|link| link.shift.norm());
-    let reach: f64 = links.sum::<f64>() + robot.tool_position.norm();
+    let reach = robot.reach();
     if args.json {
         return output::json(&json!({
             "robot": robot.name,

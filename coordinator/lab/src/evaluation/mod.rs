@@ -13,7 +13,7 @@ use simulator::experiment::{CHUNK, EvaluationGoals};
 use store::checkpoint::Checkpoint;
 
 pub use self::errors::ErrorSummary;
-pub use self::reach::{GoalSubset, Reach, Reachable, WithinReach};
+pub use self::reach::{GoalSubset, Reach, Reachable, WithinReach, reachable};
 pub use self::success::Success;
 pub use self::summary::{ContactRates, Summary};
 pub use self::verdict::Verdict;

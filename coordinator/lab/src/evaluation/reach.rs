@@ -63,6 +63,22 @@ impl GoalSubset {
     }
 }
 
+/// How a controller that knows the robot does with the hand goals of so many episodes, `[episode][arm]`.
+///
+/// # Errors
+/// If the simulation diverges.
+pub fn reachable(
+    world: &World,
+    goals: EvaluationGoals<'_>,
+    episodes: usize,
+    threads: Threads,
+    progress: &Parts,
+) -> anyhow::Result<Vec<Vec<HandReach>>> {
+    progress.begin("which goals can be reached", episodes as u64);
+    let on_episodes = |n| (0..n).for_each(|_| progress.advance());
+    Ok(reach::reach(world, goals, episodes, &threads, &on_episodes)?)
+}
+
 /// Which hand goals of an evaluation could be reached, `[episode][arm]`.
 #[derive(Debug, Clone)]
 pub struct Reach {
@@ -85,9 +101,7 @@ impl Reach {
             return Ok(None);
         }
         let episodes = evaluation.episodes.len();
-        progress.begin("which goals can be reached", episodes as u64);
-        let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-        let controller = reach::reach(world, goals, episodes, &threads, &on_episodes)?;
+        let controller = reachable(world, goals, episodes, threads, progress)?;
         let ends: Vec<_> = evaluation.episodes.iter().map(|episode| &episode.end).collect();
         let at_end = reach::within_reach(world, goals, &ends, &threads);
         Ok(Some(Self { controller, at_end }))

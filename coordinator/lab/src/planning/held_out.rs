@@ -8,7 +8,6 @@ use run::report::progress::Parts;
 use serde::Serialize;
 use simulator::experiment::EvaluationGoals;
 use simulator::plan::{Obstacle, Question, Tolerance};
-use simulator::reach::reach;
 use simulator::robot::Robot;
 use simulator::rollout::World;
 use simulator::state::State;
@@ -16,6 +15,7 @@ use simulator::step::StepOptions;
 use simulator::task::goal::GoalAddress;
 
 use super::answer::answer;
+use crate::evaluation::reachable;
 use crate::threads::Threads;
 
 /// How the planner did on held-out goals, each asked for alone, from home.
@@ -61,10 +61,8 @@ pub fn held_out(
     let config = Layers::new(Preset::Tuned, Some(TaskName::Trajectory)).resolve()?;
     let world = World::new(&config, robot);
     let progress = Parts::new();
-    progress.begin("which goals can be reached", episodes as u64);
-    let on_episodes = |n| (0..n).for_each(|_| progress.advance());
-    let reached =
-        reach(&world, EvaluationGoals::drawn(seed), episodes, &Threads::available(), &on_episodes)?;
+    let goals = EvaluationGoals::drawn(seed);
+    let reached = reachable(&world, goals, episodes, Threads::available(), &progress)?;
     let goals: Vec<(u32, usize)> = reached
         .iter()
         .enumerate()
