@@ -2,12 +2,13 @@
 //!
 //! A stack that is too small ends a process by SIGSEGV somewhere in the middle, a file that is too
 //! large by SIGXFSZ. So the first is raised when a program starts, or refused; the second becomes an
-//! error of the write, which is reported as what it is. Stacks of threads are as large as `RUST_MIN_STACK`
+//! error of the write, which is reported as what it is, and so is a page of shared memory that cannot be had. Stacks of threads are as large as `RUST_MIN_STACK`
 //! says, which cannot be taken back in a process that has it.
 
 use std::ffi::OsStr;
 
 use proto::{ExitCode, ExitError, mib};
+use run::bus_error;
 use rustix::process::{Resource, Rlimit, Signal, getrlimit, setrlimit};
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -36,7 +37,7 @@ pub fn prepare() -> Result<(), ExitError> {
     for kind in [SignalKind::from_raw(Signal::XFSZ.as_raw()), SignalKind::child()] {
         drop(signal(kind).map_err(fail)?);
     }
-    Ok(())
+    bus_error::report().map_err(fail)
 }
 
 fn raise_stack() -> Result<(), ExitError> {

@@ -252,8 +252,37 @@ fn shared_memory_that_is_full_when_a_run_comes_up_is_named() {
     kill(run.process.id(), Signal::CONT);
     assert_eq!(run.end(), Some(4), "{}", run.log());
     let log = run.log();
-    for part in ["shared memory is full", "MiB", "octopus clean"] {
+    for part in ["shared memory is full", "/dev/shm", "octopus clean"] {
         assert!(log.contains(part), "{log}");
     }
     assert!(!log.contains("failed 3 times"), "no block is to blame: {log}");
+}
+
+#[test]
+fn a_page_that_is_missing_is_an_error_and_no_signal() {
+    // The moment in which a page can be missing is too short to be met: the signal is sent.
+    let Some(mut run) = Confined::train(256, &["--workers=1", "--iterations=100000"]) else {
+        return;
+    };
+    run.wait_until("training", |run| !run.iterations().is_empty());
+    kill(run.process.id(), Signal::STOP);
+    run.fill();
+    kill(run.process.id(), Signal::BUS);
+    kill(run.process.id(), Signal::CONT);
+    assert_eq!(run.end(), Some(4), "{}", run.log());
+    let log = run.log();
+    assert!(
+        log.contains("shared memory is full: /dev/shm had no page left; `octopus clean`"),
+        "{log}"
+    );
+}
+
+#[test]
+fn a_bus_error_for_another_reason_stays_one() {
+    let mut run = Run::train(&["--workers=1", "--iterations=100000"]);
+    run.wait_for_iterations(1);
+    let domain = run.domain();
+    run.signal(Signal::BUS);
+    assert_eq!(run.wait(), None, "a signal ends it; its log:\n{}", run.log());
+    assert_nothing_left(&domain);
 }

@@ -7,12 +7,13 @@
 //! * [`committer`], [`selection`]: the thread that writes checkpoints; which one is the best;
 //! * [`report`]: metrics, TensorBoard events, progress;
 //! * [`preflight`], [`precision`], [`shakedown`]: what is checked and decided before a run begins;
-//! * [`signals`], [`signal_isolation`], [`environment`], [`janitor`]: Ctrl-C once and twice; what children inherit;
-//!   cleaning up after a kill;
+//! * [`signals`], [`bus_error`], [`signal_isolation`], [`environment`], [`janitor`]: Ctrl-C once and twice; shared memory
+//!   that is full; what children inherit; cleaning up after a kill;
 //! * [`join`]: this machine helps a run of another one;
 //! * [`robots`]: robots as commands name them; [`errors`]: words and exit codes of errors.
 
 mod auditor;
+pub mod bus_error;
 pub mod committer;
 pub mod environment;
 pub mod errors;
