@@ -189,7 +189,7 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
             output::counted(done, "iteration"),
             if done == 1 { "is" } else { "are" },
         ));
-        let mirror = start_bucket::start(&config, &run_dir)?;
+        let mirror = start_bucket::start(&config, &run_dir, &service::live::LiveRun::new())?;
         if let Some(note) = start_bucket::finish(mirror, &config, &run_dir, || true) {
             output::note(&note);
         }

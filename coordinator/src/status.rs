@@ -4,11 +4,8 @@ use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use bucket::BucketError;
-use bucket::sent::Sent;
 use clap::Args;
 use output::grouped;
-use proto::config::Config;
 use proto::run_dir::RunDir;
 use run::errors;
 use run::preflight::mib;
@@ -19,7 +16,9 @@ use serde::Serialize;
 use serde_json::Value;
 use service::client::Client;
 use service::http::Token;
-use service::live::{Best, HostStatus, LiveStatus, ProcessStatus, RefusedHost, Role, Stages};
+use service::live::{
+    Best, BucketStatus, HostStatus, LiveStatus, ProcessStatus, RefusedHost, Role, Stages,
+};
 use store::checkpoint::{CheckpointStore, Name};
 use store::jsonl;
 use store::lock::RunLock;
@@ -82,42 +81,15 @@ pub struct RunStatus {
     pub live_error: Option<String>,
 }
 
-/// What of a run is in its bucket.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct BucketStatus {
-    /// Its address.
-    pub address: String,
-    /// Checkpoints that are here and not there, the newest first.
-    pub waiting: Vec<Name>,
-    /// What keeps them from being sent, if anything does.
-    pub trouble: Option<String>,
-}
-
-impl BucketStatus {
-    /// Reads what the run has written down; asks nobody.
-    fn of(run_dir: &RunDir, config: &Config) -> anyhow::Result<Option<Self>> {
-        if config.run.checkpoints.is_empty() {
-            return Ok(None);
-        }
-        let address = config.run.checkpoints.trim_end_matches('/').to_owned();
-        let entries = CheckpointStore::new(run_dir.checkpoints()).survey()?.entries;
-        let sent = Sent::read(run_dir).map_err(BucketError::exit)?;
-        let sent =
-            sent.filter(|sent| sent.address == address).unwrap_or_else(|| Sent::none(&address));
-        Ok(Some(Self { address, waiting: sent.waiting(&entries), trouble: sent.trouble }))
-    }
-
-    /// What a person reads.
-    fn shown(&self) -> String {
-        let Self { address, waiting, trouble } = self;
-        let state = match waiting.as_slice() {
-            [] => "has all checkpoints".to_owned(),
-            [one] => format!("{one} is not sent yet"),
-            [newest, ..] => format!("{} are not sent yet, the newest {newest}", waiting.len()),
-        };
-        let why = trouble.as_ref().map_or_else(String::new, |trouble| format!(": {trouble}"));
-        format!("{address}: {state}{why}")
-    }
+/// What of a run is in its bucket, as a person reads it.
+fn in_bucket(BucketStatus { address, waiting, trouble }: &BucketStatus) -> String {
+    let state = match waiting.as_slice() {
+        [] => "has all checkpoints".to_owned(),
+        [one] => format!("{one} is not sent yet"),
+        [newest, ..] => format!("{} are not sent yet, the newest {newest}", waiting.len()),
+    };
+    let why = trouble.as_ref().map_or_else(String::new, |trouble| format!(": {trouble}"));
+    format!("{address}: {state}{why}")
 }
 
 /// The token to show to runs instead of their own, and the file that it is from.
@@ -228,7 +200,7 @@ fn show(status: &RunStatus) -> String {
         lines.push(format!("{:14}{}", "checkpoint", checkpoint.display()));
     }
     if let Some(bucket) = &status.bucket {
-        lines.push(format!("{:14}{}", "bucket", bucket.shown()));
+        lines.push(format!("{:14}{}", "bucket", in_bucket(bucket)));
     }
     if let Some(diverged) = &status.divergence {
         lines.push(format!("{:14}{diverged}; {CURE}", "warning"));
@@ -428,7 +400,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         planned_iterations,
         last,
         checkpoint,
-        bucket: BucketStatus::of(&run_dir, &config)?,
+        bucket: run::start::bucket::status(&config, &run_dir)?,
         divergence: Divergence::recorded(&run_dir)?.found().cloned(),
         live: None,
         live_error: None,

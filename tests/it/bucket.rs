@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
+use rustix::process::Signal;
 use serde_json::Value;
 use tests::bucket::{KEY_ID, S3Server, SECRET, Wire, credentials, octopus_at, tells_secrets};
 use tests::{Run, octopus, program, stderr};
@@ -218,7 +219,7 @@ fn serves(port: u16) {
     );
     let refused = ask("DELETE", "/v1/checkpoints/iteration-00000005");
     assert!(refused.starts_with("HTTP/1.0 403"), "{refused}");
-    tests::kill(service.id(), rustix::process::Signal::TERM);
+    tests::kill(service.id(), Signal::TERM);
     let mut service = service;
     assert!(service.succeeded());
 }
@@ -245,6 +246,41 @@ fn what_could_not_be_sent_is_sent_later() {
     assert_eq!(status(&run)["waiting"], serde_json::json!([]));
     assert_eq!(names(server.port(), ADDRESS), ["iteration-00000005", "iteration-00000007"]);
     at(server.port(), 0, &["checkpoints", "verify", ADDRESS]);
+}
+
+/// What its HTTP service says, which the page of the run shows, too.
+#[test]
+fn a_live_run_says_how_far_its_bucket_is() {
+    let server = S3Server::start();
+    let wire = Wire::to(server.port());
+    wire.set_down(true);
+    let mut run = run_at(wire.port());
+    run.start_training(&["--workers=1", "--iterations=1000000", SENT]);
+    run.wait_for_iterations(7);
+    let wait_until = |run: &Run, what: &str, is_so: &dyn Fn(&Value) -> bool| {
+        let watchdog = Instant::now() + Duration::from_mins(2);
+        loop {
+            let directory = run.path().display().to_string();
+            let output = octopus(&["status", &directory, "--json"]);
+            let status: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+            let bucket = &status["live"]["bucket"];
+            if is_so(bucket) {
+                return;
+            }
+            assert!(Instant::now() < watchdog, "not {what}: {bucket}; log:\n{}", run.log());
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    };
+    wait_until(&run, "in trouble", &|bucket| {
+        bucket["address"] == ADDRESS
+            && bucket["trouble"].as_str().is_some_and(|why| why.contains("cannot be reached"))
+            && bucket["waiting"].as_array().is_some_and(|waiting| !waiting.is_empty())
+    });
+    wire.set_down(false);
+    wait_until(&run, "out of it", &|bucket| bucket["trouble"].is_null());
+    run.signal(Signal::INT);
+    run.succeed();
+    assert_eq!(status(&run)["waiting"], serde_json::json!([]));
 }
 
 #[test]

@@ -13,7 +13,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
 use proto::run_dir::RunDir;
-use store::checkpoint::{CATALOGUE, CheckpointStore, Entry};
+use store::checkpoint::{CATALOGUE, CheckpointStore, Entry, Name};
 
 use crate::bucket::Bucket;
 use crate::error::BucketError;
@@ -30,6 +30,9 @@ const LONGEST_PAUSE: Duration = Duration::from_mins(1);
 /// What is asked of the thread: to send everything now, and to say how many checkpoints it could not send.
 type Finish = Sender<usize>;
 
+/// Who hears which checkpoints are not in the bucket, the newest first, and what keeps them from being sent.
+pub type Listener = Box<dyn Fn(&[Name], Option<&str>) + Send>;
+
 /// The thread.
 #[derive(Debug)]
 pub struct Mirror {
@@ -38,11 +41,11 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// Starts to send what the run in `run_dir` commits to the bucket at `address`.
+    /// Starts to send what the run in `run_dir` commits to the bucket at `address`; `listener` hears how far it is.
     ///
     /// # Errors
     /// If the address cannot be one, or what was sent before cannot be read. Whether the bucket is there shows later.
-    pub fn start(address: &str, run_dir: &RunDir) -> Result<Self, BucketError> {
+    pub fn start(address: &str, run_dir: &RunDir, listener: Listener) -> Result<Self, BucketError> {
         let bucket = Bucket::open(address)?;
         let mut sent = Sent::of(run_dir, address)?;
         // What was in the way of a session before may be gone, and is said again if it is not.
@@ -61,7 +64,9 @@ impl Mirror {
             seen: None,
             pause: Duration::ZERO,
             next: None,
+            listener,
         };
+        sender.tell();
         let (orders, inbox) = channel();
         let thread = std::thread::Builder::new()
             .name("bucket".to_owned())
@@ -113,6 +118,7 @@ struct Sending {
     pause: Duration,
     /// When to try again, after a failure.
     next: Option<Instant>,
+    listener: Listener,
 }
 
 impl Sending {
@@ -139,6 +145,14 @@ impl Sending {
         self.store.survey().map_or(0, |survey| self.sent.waiting(&survey.entries).len())
     }
 
+    /// Says how far it is. A store that cannot be read shows elsewhere.
+    fn tell(&self) {
+        if let Ok(survey) = self.store.survey() {
+            let waiting = self.sent.waiting(&survey.entries);
+            (self.listener)(&waiting, self.sent.trouble.as_deref());
+        }
+    }
+
     /// Sends what is new, if it is time.
     fn look(&mut self) {
         if self.given_up || self.next.is_some_and(|next| Instant::now() < next) {
@@ -155,6 +169,7 @@ impl Sending {
                 self.next = None;
                 if self.sent.trouble.take().is_some() {
                     self.remember();
+                    self.tell();
                     tracing::warn!(
                         "{}: all checkpoints are in the bucket again",
                         self.bucket.address()
@@ -170,7 +185,9 @@ impl Sending {
         loop {
             let entries = self.store.survey()?.entries;
             self.sent.keep(&entries);
-            let Some(name) = self.sent.waiting(&entries).into_iter().next() else {
+            let waiting = self.sent.waiting(&entries);
+            (self.listener)(&waiting, self.sent.trouble.as_deref());
+            let Some(name) = waiting.into_iter().next() else {
                 return self.send_labels(&entries);
             };
             self.claim()?;
@@ -227,6 +244,7 @@ impl Sending {
             tracing::warn!("checkpoints are not sent to the bucket: {told}; {then}");
             self.sent.trouble = Some(told);
             self.remember();
+            self.tell();
         }
         self.pause = (2 * self.pause).clamp(FIRST_PAUSE, LONGEST_PAUSE);
         self.next = Some(Instant::now() + self.pause);

@@ -148,6 +148,17 @@ impl Totals {
     }
 }
 
+/// What of a run is in the bucket that its checkpoints go to.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct BucketStatus {
+    /// Its address.
+    pub address: String,
+    /// Names of the checkpoints that are here and not there, the newest first.
+    pub waiting: Vec<String>,
+    /// What keeps them from being sent, if anything does.
+    pub trouble: Option<String>,
+}
+
 /// The checkpoint with the lowest score.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Best {
@@ -220,6 +231,9 @@ pub struct LiveStatus {
     pub checkpoint: Option<String>,
     /// The best checkpoint.
     pub best: Option<Best>,
+    /// The bucket that its checkpoints go to, too, if there is one.
+    #[serde(default)]
+    pub bucket: Option<BucketStatus>,
     /// Where the training has diverged, if it has.
     pub divergence: Option<Diverged>,
     /// The last line of the metrics.
@@ -287,6 +301,8 @@ pub struct LiveRun(Arc<Mutex<Board>>);
 #[derive(Debug, Default)]
 struct Board {
     status: LiveStatus,
+    /// Told by who sends, not by the loop.
+    bucket: Option<BucketStatus>,
     history: History,
     commands: VecDeque<Command>,
     closed: bool,
@@ -300,12 +316,18 @@ impl LiveRun {
 
     /// What the run is doing.
     pub fn status(&self) -> LiveStatus {
-        self.board().status.clone()
+        let board = self.board();
+        LiveStatus { bucket: board.bucket.clone(), ..board.status.clone() }
     }
 
     /// The loop's side: says what it is doing.
     pub fn publish(&self, status: LiveStatus) {
         self.board().status = status;
+    }
+
+    /// Says what is in the bucket.
+    pub fn tell_bucket(&self, bucket: BucketStatus) {
+        self.board().bucket = Some(bucket);
     }
 
     /// The loop's side: says what has just happened.

@@ -156,6 +156,8 @@ impl Session<'_> {
             accounting: self.books.totals,
             shared_memory_bytes: self.spec.domain.size(),
             commits: self.monitor.commits,
+            // Known to who sends.
+            bucket: None,
             checkpoint: self.monitor.checkpoint.clone(),
             best: self.monitor.best.clone().map(|(name, score)| Best { name, score }),
             divergence: self.monitor.divergence.clone(),

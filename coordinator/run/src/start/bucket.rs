@@ -3,11 +3,14 @@
 use std::time::Duration;
 
 use bucket::mirror::Mirror;
+use bucket::sent::Sent;
 use bucket::{Bucket, BucketError};
 use output::counted;
 use proto::ExitError;
 use proto::config::Config;
 use proto::run_dir::RunDir;
+use service::live::{BucketStatus, LiveRun};
+use store::checkpoint::{CheckpointStore, Name};
 
 /// How long the end of a session waits for what is still to be sent.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -20,11 +23,41 @@ pub fn check(config: &Config) -> Result<(), ExitError> {
     }
 }
 
-/// Starts to send what the run commits, if that is wanted.
-pub fn start(config: &Config, run_dir: &RunDir) -> Result<Option<Mirror>, ExitError> {
-    match config.run.checkpoints.as_str() {
-        "" => Ok(None),
-        address => Mirror::start(address, run_dir).map(Some).map_err(BucketError::exit),
+/// Starts to send what the run commits, if that is wanted; `live` hears how far it is.
+pub fn start(
+    config: &Config,
+    run_dir: &RunDir,
+    live: &LiveRun,
+) -> Result<Option<Mirror>, ExitError> {
+    let Some(address) = address(config) else { return Ok(None) };
+    let live = live.clone();
+    let told = address.to_owned();
+    let listener = move |waiting: &[Name], trouble: Option<&str>| {
+        live.tell_bucket(shown(&told, waiting, trouble));
+    };
+    Mirror::start(address, run_dir, Box::new(listener)).map(Some).map_err(BucketError::exit)
+}
+
+/// What of a run is in its bucket, if it has one: as the run has written it down; asks nobody.
+pub fn status(config: &Config, run_dir: &RunDir) -> anyhow::Result<Option<BucketStatus>> {
+    let Some(address) = address(config) else { return Ok(None) };
+    let entries = CheckpointStore::new(run_dir.checkpoints()).survey()?.entries;
+    let sent = Sent::read(run_dir).map_err(BucketError::exit)?;
+    let sent = sent.filter(|sent| sent.address == address).unwrap_or_else(|| Sent::none(address));
+    Ok(Some(shown(address, &sent.waiting(&entries), sent.trouble.as_deref())))
+}
+
+/// The bucket's address, if there is one.
+fn address(config: &Config) -> Option<&str> {
+    let address = config.run.checkpoints.trim_end_matches('/');
+    (!address.is_empty()).then_some(address)
+}
+
+fn shown(address: &str, waiting: &[Name], trouble: Option<&str>) -> BucketStatus {
+    BucketStatus {
+        address: address.to_owned(),
+        waiting: waiting.iter().map(ToString::to_string).collect(),
+        trouble: trouble.map(str::to_owned),
     }
 }
 

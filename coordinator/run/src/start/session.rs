@@ -78,7 +78,7 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
     if let Some(note) = idle_workers(&config) {
         reporter.note(&note);
     }
-    let mirror = bucket::start(&config, &run_dir)?;
+    let mirror = bucket::start(&config, &run_dir, &service.live)?;
     if let Some(gateway) = &gateway
         && !quiet
     {

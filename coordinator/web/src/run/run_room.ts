@@ -10,7 +10,7 @@ import { Checkpoints } from "./checkpoints";
 import type { Feed } from "./feed";
 import { Growth } from "./growth";
 import { Logs } from "./logs";
-import { bytes, duration, grouped, type Host, type Process } from "./status";
+import { bytes, duration, grouped, type Bucket, type Host, type Process } from "./status";
 import { TimeLine } from "./time_line";
 
 export class RunRoom {
@@ -113,7 +113,7 @@ export class RunRoom {
         if (deaths > this.deaths) notice("A process has died and was replaced; what is learned does not change");
         this.deaths = deaths;
         const refused = live.refused_hosts.map(({ name, reason }) => h("p", { class: "refused" }, `${name} was thrown out: it ${reason}`));
-        this.processes.replaceChildren(table(live.processes), ...hosts(live.hosts), ...refused);
+        this.processes.replaceChildren(table(live.processes), ...hosts(live.hosts), ...refused, ...bucket(live.bucket));
     }
 
     private async scale(workers: number): Promise<void> {
@@ -124,6 +124,15 @@ export class RunRoom {
             notice(error instanceof Error ? error.message : String(error), "error");
         }
     }
+}
+
+function bucket(there?: Bucket | null): HTMLElement[] {
+    if (there === null || there === undefined) return [];
+    const [newest] = there.waiting;
+    const others = there.waiting.length > 1 ? ` and ${there.waiting.length - 1} more` : "";
+    const state = newest === undefined ? "has all checkpoints" : `${plain(newest)}${others} not sent yet`;
+    const why = there.trouble === null ? "" : `: ${there.trouble}`;
+    return [h("p", there.trouble === null ? {} : { class: "refused" }, `${there.address} ${state}${why}`)];
 }
 
 function table(processes: Process[]): HTMLElement {

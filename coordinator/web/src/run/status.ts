@@ -47,7 +47,16 @@ export interface LiveStatus {
     resident_bytes: number;
     shared_memory_bytes: number;
     checkpoint: string | null;
+    /** Programs of before say nothing of it. */
+    bucket?: Bucket | null;
     divergence: { iteration: number; reason: string } | null;
+}
+
+/** What of a run is in the bucket that its checkpoints go to. */
+export interface Bucket {
+    address: string;
+    waiting: string[];
+    trouble: string | null;
 }
 
 export interface Metrics {
