@@ -286,8 +286,8 @@ fn a_second_signal_stops_at_once() {
     let mut run = Run::train(&["--workers=2", "--iterations=100000"]);
     run.wait_for_iterations(6);
     let domain = run.domain();
-    run.signal(Signal::INT);
     run.signal(Signal::TERM);
+    run.signal(Signal::INT);
     let code = run.wait();
     // The first one may have been through before the second came.
     assert!(matches!(code, Some(0 | 130)), "{code:?}: {}", run.log());

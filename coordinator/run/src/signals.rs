@@ -3,10 +3,14 @@
 //! SIGINT, SIGTERM and SIGHUP, the last of them from a terminal that is closed, ask for the same. The
 //! first one lets what is under way come to its end, the second one ends it at once. Whoever was told to
 //! ignore SIGHUP, as `nohup` does, goes on ignoring it.
+//!
+//! Programs ask several times where they mean one: a batch system signals every process of a job, and scripts among them
+//! pass on what they hear. So a SIGTERM or SIGHUP that comes right after another request is that one. A person
+//! who presses Ctrl-C twice means it.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use proto::ExitCode;
 use rustix::process::Signal;
@@ -14,8 +18,37 @@ use tokio::signal::unix::{SignalKind, signal};
 
 /// How long a process may take to end by itself after the second request.
 const GRACE: Duration = Duration::from_secs(3);
+/// How soon after a request a program's next one is the same.
+const TOGETHER: Duration = Duration::from_millis(500);
 /// How long its last word may take.
 const LAST_WORD: Duration = Duration::from_millis(200);
+
+/// Who asks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum By {
+    /// With Ctrl-C: SIGINT.
+    Person,
+    /// A program, or a terminal that is closed: SIGTERM, SIGHUP.
+    Program,
+}
+
+/// Tells requests from repetitions.
+#[derive(Debug, Default)]
+struct Requests {
+    last: Option<Instant>,
+}
+
+impl Requests {
+    /// Whether who asks at this time asks for something new.
+    fn is_new(&mut self, by: By, now: Instant) -> bool {
+        let together = self.last.is_some_and(|last| now.duration_since(last) < TOGETHER);
+        if by == By::Program && together {
+            return false;
+        }
+        self.last = Some(now);
+        true
+    }
+}
 
 /// How often the user asked to stop: once means finish the iteration, twice means now.
 #[derive(Debug, Clone, Default)]
@@ -30,8 +63,9 @@ impl StopRequests {
     /// Counts SIGINT, SIGTERM and SIGHUP from now on, on a thread of its own.
     pub fn listen(&self) -> std::io::Result<()> {
         let requests = self.clone();
-        watch(move || {
-            requests.ask();
+        let mut all = Requests::default();
+        watch(move |by| {
+            requests.count_if(all.is_new(by, Instant::now()));
         })
     }
 
@@ -40,8 +74,10 @@ impl StopRequests {
     /// in order, a third request takes that away. `message` is what the user reads then.
     pub fn listen_and_insist(&self, message: &'static str) -> std::io::Result<()> {
         let requests = self.clone();
-        watch(move || match requests.ask() {
-            1 => {}
+        let mut all = Requests::default();
+        watch(move |by| match requests.count_if(all.is_new(by, Instant::now())) {
+            // None of its own, or the first.
+            0 | 1 => {}
             2 => {
                 let last = std::thread::Builder::new().name("end".to_owned()).spawn(move || {
                     std::thread::sleep(GRACE);
@@ -53,6 +89,11 @@ impl StopRequests {
             }
             _ => end(message),
         })
+    }
+
+    /// Asks once more if this is a new request; returns how often it was asked now, 0 if it is none.
+    fn count_if(&self, is_new: bool) -> usize {
+        if is_new { self.ask() } else { 0 }
     }
 
     /// Asks once more; returns how often it was asked now.
@@ -69,7 +110,7 @@ impl StopRequests {
 /// Ends the process at SIGINT, SIGTERM and SIGHUP from now on, with `message`. Once anything has
 /// listened to them, they no longer do so by themselves.
 pub fn exit_when_asked(message: String) -> std::io::Result<()> {
-    watch(move || end(&message))
+    watch(move |_| end(&message))
 }
 
 /// Ends the process with all its threads, whatever they do. Children die with it, and the janitor
@@ -98,7 +139,7 @@ fn say(message: String) {
 }
 
 /// Calls `act` at each SIGINT, SIGTERM and SIGHUP, on a thread of its own.
-fn watch(act: impl Fn() + Send + 'static) -> std::io::Result<()> {
+fn watch(mut act: impl FnMut(By) + Send + 'static) -> std::io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
     // Registered before this function returns, so that no signal is missed.
     let (mut interrupt, mut terminate, mut hang_up) = {
@@ -117,9 +158,9 @@ fn watch(act: impl Fn() + Send + 'static) -> std::io::Result<()> {
                     }
                 };
                 tokio::select! {
-                    _ = interrupt.recv() => act(),
-                    _ = terminate.recv() => act(),
-                    _ = hung_up => act(),
+                    _ = interrupt.recv() => act(By::Person),
+                    _ = terminate.recv() => act(By::Program),
+                    _ = hung_up => act(By::Program),
                 }
             }
         });
@@ -142,6 +183,20 @@ fn ignored(status: &str) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_program_that_asks_twice_at_once_asks_once_and_a_person_twice() {
+        let start = Instant::now();
+        let at = |ms| start + Duration::from_millis(ms);
+        let mut all = Requests::default();
+        assert!(all.is_new(By::Program, at(0)));
+        assert!(!all.is_new(By::Program, at(1)));
+        assert!(!all.is_new(By::Program, at(499)), "what was none does not count");
+        assert!(all.is_new(By::Program, at(500)));
+        assert!(all.is_new(By::Person, at(501)));
+        assert!(!all.is_new(By::Program, at(502)), "a script that passes Ctrl-C on");
+        assert!(all.is_new(By::Person, at(503)));
+    }
 
     #[test]
     fn the_kernel_says_which_signals_are_ignored() {
