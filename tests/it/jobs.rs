@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use rustix::process::Signal;
 use tempfile::TempDir;
 use tests::guide::repository;
-use tests::{Owned, Run, SMALL, crosscheck, kill, program, python, stderr};
+use tests::{Owned, Run, SMALL, crosscheck, kill, processes_with, program, python, stderr};
 
 const ITERATIONS: &str = "--iterations=300";
 
@@ -101,6 +101,8 @@ fn who_is_stopped_before_the_end_says_so() {
     }
 }
 
+const RUNNING: &str = "JobState=RUNNING";
+
 /// Stand-ins for the commands of Slurm that write down how they were called.
 struct Slurm {
     place: TempDir,
@@ -110,7 +112,7 @@ impl Slurm {
     fn new() -> Self {
         let place = tempfile::tempdir().expect("tempdir");
         let slurm = Self { place };
-        slurm.command("scontrol", "");
+        slurm.is(RUNNING);
         // As many tasks as it is asked for, all on this machine.
         slurm.command(
             "srun",
@@ -140,10 +142,17 @@ wait; wait
         text.lines().map(ToOwned::to_owned).collect()
     }
 
+    /// The job is in this state.
+    fn is(&self, state: &str) {
+        let show = format!("[ \"$1\" = requeue ] || echo 'JobId=4711 {state} Reason=None'\n");
+        self.command("scontrol", &show);
+    }
+
     fn requeued(&self) -> usize {
         let called = self.called("scontrol");
-        assert!(called.iter().all(|line| line == "requeue 4711"), "{called:?}");
-        called.len()
+        let mut asked = called.iter().filter(|line| *line != "requeue 4711");
+        assert!(asked.all(|line| line == "--oneliner show job 4711"), "{called:?}");
+        called.iter().filter(|line| *line == "requeue 4711").count()
     }
 
     /// A job of `deploy/jobs/slurm/train.sh`.
@@ -176,6 +185,36 @@ fn a_job_of_slurm_goes_on_after_its_time_limit() {
         .expect("it starts");
     assert_eq!(wrong.status.code(), Some(2), "{}", stderr(&wrong));
     assert_eq!(slurm.requeued(), 2);
+}
+
+/// Slurm tells all processes of a job, and the scripts among them tell others once more.
+#[test]
+fn a_job_of_slurm_that_is_cancelled_ends_in_a_checkpoint_and_is_not_queued_again() {
+    let slurm = Slurm::new();
+    slurm.is("JobState=COMPLETING");
+    let run = Run::new();
+    let mut job = slurm.job(&run.path());
+    let mut job = Owned::spawn(job.stdout(Stdio::null()).stderr(Stdio::null()));
+    let patience = Instant::now() + Duration::from_mins(2);
+    while run.metrics().len() < 3 {
+        assert!(Instant::now() < patience && job.ended().is_none(), "no iterations");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    for (pid, _) in processes_with(&run.path().display().to_string()) {
+        kill(pid, Signal::TERM);
+    }
+    let status = loop {
+        if let Some(status) = job.ended() {
+            break status;
+        }
+        assert!(Instant::now() < patience, "it hangs");
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert_eq!(status.code(), Some(143));
+    assert_eq!(slurm.requeued(), 0);
+    let done = run.metrics().len();
+    let last = format!("iteration-{done:08}");
+    assert!(run.path().join("checkpoints").join(last).exists(), "{done} iterations");
 }
 
 #[test]

@@ -64,7 +64,13 @@ if [ -n "$helpers" ]; then
     wait "$helpers" || true
 fi
 if [ "$status" = 143 ]; then
+    job=${SLURM_JOB_ID:?is for a job of Slurm}
+    # Before its time is over it still runs. Once somebody has cancelled it (`scancel`), it is completing.
+    case $(scontrol --oneliner show job "$job") in
+        *JobState=RUNNING*) ;;
+        *) exit "$status" ;;
+    esac
     # Whatever is left to do is done when the job is started again; a finished run then ends at once.
-    exec scontrol requeue "${SLURM_JOB_ID:?is for a job of Slurm}"
+    exec scontrol requeue "$job"
 fi
 exit "$status"
