@@ -14,39 +14,11 @@ repository = pathlib.Path(sys.argv[1])
 policies = repository / "deploy" / "policies"
 sys.path.insert(0, str(policies))
 from actor import Actor  # noqa: E402
+from arm_observation import about, arm_frame, from_euler, from_quaternion, observe  # noqa: E402
 
 example = json.loads((policies / "example.json").read_text())
 robot = tomllib.loads((policies / "trajectory" / "robot.toml").read_text())
 state = {key: np.array(value) for key, value in example["state"].items()}
-
-
-def about(axis, angle):
-    """Rotation about a coordinate axis."""
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = [(1, 2), (2, 0), (0, 1)][axis]
-    turn = np.eye(3)
-    turn[[i, j], [i, j]] = c
-    turn[i, j], turn[j, i] = -s, s
-    return turn
-
-
-def from_euler(angles):
-    """R = Rx(a) Ry(b) Rz(c)."""
-    return about(0, angles[0]) @ about(1, angles[1]) @ about(2, angles[2])
-
-
-def from_quaternion(q):
-    w, (x, y, z) = q[0], q[1:]
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
-
-
-def rotation_error(goal, actual):
-    """Axis of the rotation from actual to goal, times 2 sin(half its angle)."""
-    turn = goal @ actual.T
-    angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
-    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (2 * np.sin(angle))
-    return 2 * np.sin(angle / 2) * axis
 
 
 def hand(mount, q):
@@ -75,12 +47,8 @@ for number, arm in enumerate(robot["arms"]):
     assert np.allclose(attitude, from_euler(example["hands"][number]["euler"]), atol=1e-8), (number, attitude)
 
     goal = example["goals"][number]
-    difference = base.T @ (np.array(goal["position"]) - position)
-    turn = base.T @ rotation_error(from_euler(goal["euler"]), attitude)
-    # The arm's frame: its axes in the base's, as rows.
-    side = -1.0 if np.cos(home[0]) < 0 else 1.0
-    assert (side < 0) == (number + 1 in (1, 4)), "arms 1 and 4 are reversed"
-    frame = (mount * [side, side, 1.0]).T
+    assert (np.cos(home[0]) < 0) == (number + 1 in (1, 4)), "arms 1 and 4 are reversed"
+    frame = arm_frame(arm)
     table = [
         ([-1, 0, 0], [0, 0, 1], [0, 1, 0]),
         ([1, 0, 0], [0, 0, 1], [0, -1, 0]),
@@ -88,21 +56,13 @@ for number, arm in enumerate(robot["arms"]):
         ([-1, 0, 0], [0, 1, 0], [0, 0, -1]),
     ]
     assert np.allclose(frame, table[number], atol=1e-12), (number, frame)
-    seen = np.concatenate(
-        [
-            frame @ base.T @ state["base_velocity"],
-            frame @ state["base_angular_velocity"],
-            np.sin(q - home),
-            np.cos(q - home),
-            state["qd"][joints],
-            frame @ difference,
-            frame @ turn,
-            frame @ np.tanh(difference / 0.05),
-            frame @ np.tanh(difference / 0.015),
-            frame @ np.tanh(turn / 0.08),
-            frame @ np.tanh(turn / 0.025),
-            state["last_action"][joints],
-        ]
+    seen = observe(
+        arm,
+        frame,
+        (base, state["base_velocity"], state["base_angular_velocity"]),
+        (position, attitude),
+        (np.array(goal["position"]), from_euler(goal["euler"])),
+        (q, state["qd"][joints], state["last_action"][joints]),
     )
     for agent in (2 * number, 2 * number + 1):
         wrong = np.abs(seen - example["observations"][agent])

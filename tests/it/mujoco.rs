@@ -8,7 +8,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use proto::statistics::{mean, percentile};
+use proto::statistics::{mean, median, percentile};
 use serde_json::{Value, json};
 use simulator::collision::count_contacts;
 use simulator::dynamics::reference_dynamics::inertia_matrix;
@@ -405,4 +405,54 @@ fn training_is_nearer_to_the_converged_solution_than_the_authors_scheme() {
         );
         assert!(ours.0 <= theirs.0 && ours.1 <= theirs.1, "{what}: {ours:?} {theirs:?}");
     }
+}
+
+/// A policy of ours on MuJoCo's dynamics, fed by observations that were written from the guide: goal by goal it ends where it ends here.
+#[test]
+fn a_policy_ends_at_each_goal_in_mujoco_as_it_does_here() {
+    let dir = tempfile::tempdir().unwrap();
+    let [goals, model] = ["goals.json", "robot.xml"].map(|name| dir.path().join(name));
+    let checkpoint = tests::guide::repository().join("deploy/policies/trajectory");
+    let octopus = |arguments: &[&str], files: &[&Path]| {
+        let output =
+            Command::new(tests::program("octopus")).args(arguments).args(files).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        output.stdout
+    };
+    let save = ["eval", "--episodes", "3", "--seed", "5", "--json", "--save-goals"];
+    let ours = octopus(&save, &[&goals, &checkpoint]);
+    let robot = checkpoint.join("robot.toml");
+    octopus(&["mjcf", "--contacts", "off", "--robot"], &[&robot, Path::new("--out"), &model]);
+    let output = Command::new(tests::python())
+        .arg(tests::crosscheck("mujoco_policy.py"))
+        .args([&checkpoint, &model, &goals])
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+
+    let ours: Value = serde_json::from_slice(&ours).unwrap();
+    let theirs: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let episodes = ours["episodes"].as_array().unwrap().iter().zip(theirs.as_array().unwrap());
+    let mut differences = Vec::new();
+    for (ours, theirs) in episodes {
+        assert_eq!(ours["contact_steps"], 0, "without contacts there is nothing to tell apart");
+        let hands = ours["hands"].as_array().unwrap().iter().zip(theirs.as_array().unwrap());
+        for (ours, theirs) in hands {
+            let difference = |error: &str| {
+                let course = numbers(&theirs[error]);
+                assert_eq!(course.len(), 200);
+                mean(&course[180..]) - ours[error]["tail"].as_f64().unwrap()
+            };
+            differences.push([difference("position"), difference("orientation")]);
+        }
+    }
+    let of = |error: usize| -> Vec<f64> { differences.iter().map(|both| both[error]).collect() };
+    let [position, orientation] = [of(0), of(1)];
+    assert_eq!(position.len(), 12);
+    let worst = [largest(&position), largest(&orientation)];
+    eprintln!("12 goals differ by at most {:.3} mm, {:.3} mrad", 1e3 * worst[0], 1e3 * worst[1]);
+    // Time steps are 2 ms there and 16 ms here, which only tells where a hand is far from its goal and still moves.
+    let typical = |differences: &[f64]| median(differences.iter().map(|d| d.abs()).collect());
+    assert!(typical(&position) < 2e-4 && typical(&orientation) < 5e-4, "{differences:?}");
+    assert!(worst[0] < 8e-3 && worst[1] < 25e-3, "{differences:?}");
 }
