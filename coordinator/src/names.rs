@@ -66,7 +66,7 @@ impl Names for ControllerName {
 
 impl Names for Preset {
     const ALL: &'static [Named<Self>] =
-        &[Named(Self::Tuned), Named(Self::Paper), Named(Self::Release)];
+        &[Named(Self::Tuned), Named(Self::Paper), Named(Self::Release), Named(Self::Robust)];
 
     fn name(self) -> &'static str {
         self.as_str()
@@ -79,6 +79,7 @@ impl Names for Preset {
             }
             Self::Paper => "The paper's text; where it is silent, the released code",
             Self::Release => "The authors' released code",
+            Self::Robust => "Preset `tuned`, trained with a robot whose drives and sensors err",
         }
     }
 }

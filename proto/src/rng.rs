@@ -30,7 +30,7 @@ pub enum Purpose {
     RandomAction = 7,
     /// Samples that are drawn from a replay.
     Replay = 8,
-    /// Errors of the sensors, in experiments alone.
+    /// Errors of the sensors.
     SensorNoise = 9,
     /// Torques that disturb the joints, in experiments alone.
     JointDisturbance = 10,
@@ -40,6 +40,8 @@ pub enum Purpose {
     Detour = 12,
     /// Which blocks of other machines are made a second time and compared; no number that trains.
     Audit = 13,
+    /// What errs in a training episode, and by how much.
+    Randomization = 14,
 }
 
 /// The address of four 32-bit random words.

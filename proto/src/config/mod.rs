@@ -41,7 +41,9 @@ pub use preset::Preset;
 pub use resolved::Config;
 pub use run::{Precision, Run};
 pub use tables::{hint, parse};
-pub use task::{GoalBox, JointAngles, Observation, Reward, RewardWeights, Start, Task, TaskName};
+pub use task::{
+    GoalBox, JointAngles, Observation, Randomization, Reward, RewardWeights, Start, Task, TaskName,
+};
 
 #[cfg(test)]
 mod tests;

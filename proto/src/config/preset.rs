@@ -14,14 +14,30 @@ pub enum Preset {
     Paper,
     /// The authors' released code.
     Release,
+    /// Preset `tuned`, trained with a robot whose drives and sensors err.
+    Robust,
 }
 
 impl Preset {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Tuned, Self::Paper, Self::Release, Self::Robust];
+
+    /// The preset that this one only changes, if there is one.
+    fn base(self) -> Option<Self> {
+        (self == Self::Robust).then_some(Self::Tuned)
+    }
+
+    /// The preset of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|preset| preset.as_str() == name)
+    }
+
     fn text(self) -> &'static str {
         match self {
             Self::Tuned => include_str!("../../../deploy/presets/tuned.toml"),
             Self::Paper => include_str!("../../../deploy/presets/paper.toml"),
             Self::Release => include_str!("../../../deploy/presets/release.toml"),
+            Self::Robust => include_str!("../../../deploy/presets/robust.toml"),
         }
     }
 
@@ -31,12 +47,16 @@ impl Preset {
             Self::Tuned => "tuned",
             Self::Paper => "paper",
             Self::Release => "release",
+            Self::Robust => "robust",
         }
     }
 
     /// Its table, with every key that exists, and its changes for a task or an algorithm.
     pub(super) fn tables(self) -> Result<(Table, Option<Value>), ConfigError> {
         let mut table = parse(self.text(), &self.origin())?;
+        if let Some(base) = self.base() {
+            table = laid_over(parse(base.text(), &base.origin())?, table);
+        }
         let conditional = table.remove("for");
         Ok((table, conditional))
     }
@@ -45,4 +65,18 @@ impl Preset {
     pub(super) fn origin(self) -> String {
         format!("preset {}", self.as_str())
     }
+}
+
+/// `base`, with the values of `changes` where it has some.
+fn laid_over(mut base: Table, changes: Table) -> Table {
+    for (key, change) in changes {
+        let value = match (base.remove(&key), change) {
+            (Some(Value::Table(base)), Value::Table(changes)) => {
+                Value::Table(laid_over(base, changes))
+            }
+            (_, change) => change,
+        };
+        base.insert(key, value);
+    }
+    base
 }

@@ -129,6 +129,30 @@ pub struct Start {
     pub turning: f64,
 }
 
+/// Table `task.randomization`: training episodes of a robot whose drives and sensors err (domain randomization; Tobin et al.
+/// 2017, Peng et al. 2018). What errs is drawn for each episode, and no agent is told. Rewards and critics know
+/// the truth. Evaluations and experiments have a robot that does not err.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Randomization {
+    /// Share of the episodes in which commands are late. As many have friction, a wrong gain, and sensors that err, each drawn by itself.
+    pub share: f64,
+    /// Commands are late by up to this share of a control period, long delays being more frequent.
+    pub delay: f64,
+    /// Dry friction in each joint is up to this (N m).
+    pub friction: f64,
+    /// Each joint is faster or slower than commanded by up to this share.
+    pub gain: f64,
+    /// Sensors of positions err with a standard deviation of up to this, each axis (m), anew in each step; bad sensors are more frequent.
+    pub position: f64,
+    /// Sensors of angles and attitudes, likewise (rad).
+    pub angle: f64,
+    /// Sensors of linear velocities, likewise (m/s).
+    pub velocity: f64,
+    /// Sensors of joint rates and angular velocities, likewise (rad/s).
+    pub rate: f64,
+}
+
 /// Group `task`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -151,6 +175,9 @@ pub struct Task {
     /// Where training episodes begin; at home if nothing is said.
     #[serde(default)]
     pub start: Start,
+    /// What errs in training episodes; nothing if nothing is said.
+    #[serde(default)]
+    pub randomization: Randomization,
     /// The reward.
     pub reward: Reward,
 }

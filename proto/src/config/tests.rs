@@ -16,7 +16,7 @@ fn message(assignments: &[&str]) -> String {
 
 #[test]
 fn every_preset_resolves_for_both_tasks_and_survives_its_own_text() {
-    for preset in [Preset::Tuned, Preset::Paper, Preset::Release] {
+    for preset in Preset::ALL {
         for task in [TaskName::Trajectory, TaskName::Reorientation] {
             let config = Layers::new(preset, Some(task)).resolve().expect("presets are valid");
             assert_eq!(config.task.name, task);
@@ -39,7 +39,7 @@ fn every_preset_holds_every_key_that_exists() {
             into.insert(key);
         }
     }
-    for preset in [Preset::Tuned, Preset::Paper, Preset::Release] {
+    for preset in Preset::ALL {
         let config = Layers::new(preset, None).resolve().expect("presets are valid");
         let resolved = toml::Table::try_from(&config).expect("a configuration has a TOML form");
         let (written, _) = preset.tables().expect("presets are TOML");
@@ -70,7 +70,7 @@ fn a_task_brings_its_own_changes_and_a_flag_overrides_them() {
 
 #[test]
 fn an_algorithm_brings_its_own_changes_and_a_later_layer_overrides_them() {
-    for preset in [Preset::Tuned, Preset::Paper, Preset::Release] {
+    for preset in Preset::ALL {
         for name in AlgorithmName::ALL {
             let layers = Layers::new(preset, None);
             let layers = layers.set(&format!("algorithm.name={}", name.as_str())).expect("TOML");

@@ -27,6 +27,15 @@ impl Config {
         within("task.start.attitude", task.start.attitude, 0.0, 1.5)?;
         within("task.start.anywhere", task.start.anywhere, 0.0, 1.0)?;
         within("task.start.turning", task.start.turning, 0.0, 1.0)?;
+        let erring = &task.randomization;
+        within("task.randomization.share", erring.share, 0.0, 1.0)?;
+        within("task.randomization.delay", erring.delay, 0.0, 1.0)?;
+        within("task.randomization.friction", erring.friction, 0.0, 100.0)?;
+        within("task.randomization.gain", erring.gain, 0.0, 0.9)?;
+        within("task.randomization.position", erring.position, 0.0, 1.0)?;
+        within("task.randomization.angle", erring.angle, 0.0, 1.0)?;
+        within("task.randomization.velocity", erring.velocity, 0.0, 10.0)?;
+        within("task.randomization.rate", erring.rate, 0.0, 10.0)?;
         within("task.reward.epsilon", task.reward.epsilon, 1e-30, 1.0)?;
         within("task.reward.team_spirit", task.reward.team_spirit, 0.0, 1.0)?;
         let Reward { position, orientation, base, .. } = &task.reward;

@@ -13,7 +13,7 @@ const MAX_TEXT: u64 = 1 << 20;
 
 /// What a run is configured with.
 ///
-/// `config` is the name of a preset ("tuned", "paper", "release") or the path of a TOML file, which lies over `preset` ("tuned"); `task` is
+/// `config` is the name of a preset ("tuned", "paper", "release", "robust") or the path of a TOML file, which lies over `preset` ("tuned"); `task` is
 /// "trajectory" or "reorientation"; `set` lists `KEY=VALUE` as `octopus train --set` takes them. `ValueError` says what is wrong, in the
 /// words of `octopus train`.
 #[pyclass(frozen, module = "spaceoctopus")]
@@ -107,12 +107,6 @@ pub(crate) fn layered(
     task: Option<&str>,
     set: &[String],
 ) -> PyResult<config::Config> {
-    let named = |name: &str| match name {
-        "tuned" => Some(Preset::Tuned),
-        "paper" => Some(Preset::Paper),
-        "release" => Some(Preset::Release),
-        _ => None,
-    };
     let task = match task {
         None => None,
         Some("trajectory") => Some(TaskName::Trajectory),
@@ -125,11 +119,13 @@ pub(crate) fn layered(
     };
     let below = match preset {
         None => Preset::Tuned,
-        Some(name) => named(name).ok_or_else(|| {
-            value(format!("preset {name:?}: expected \"tuned\", \"paper\" or \"release\""))
+        Some(name) => Preset::named(name).ok_or_else(|| {
+            value(format!(
+                "preset {name:?}: expected \"tuned\", \"paper\", \"release\" or \"robust\""
+            ))
         })?,
     };
-    let given = config.and_then(Path::to_str).and_then(named);
+    let given = config.and_then(Path::to_str).and_then(Preset::named);
     let mut layers = match (config, given) {
         (None, _) => Layers::new(below, task),
         (Some(path), Some(_)) if preset.is_some() => {
@@ -142,7 +138,7 @@ pub(crate) fn layered(
         (Some(path), None) => {
             let text = read_text(path).map_err(|error| {
                 value(format!(
-                    "{}: {error}; give a TOML file, or one of the presets: tuned, paper, release",
+                    "{}: {error}; give a TOML file, or one of the presets: tuned, paper, release, robust",
                     path.display()
                 ))
             })?;

@@ -9,14 +9,18 @@ mod checks;
 mod error;
 mod home;
 mod moment;
+mod normals;
 mod physics;
+mod sensors;
 
 pub(crate) use checks::{check_means, check_state};
 pub use error::EpisodeError;
 pub(crate) use home::home;
 pub use moment::Moment;
+pub(crate) use normals::draw_normals;
 pub(crate) use physics::Physics;
 pub use physics::{Push, readings, step_options};
+pub(crate) use sensors::Deviations;
 
 #[cfg(test)]
 mod tests;

@@ -6,6 +6,7 @@ use proto::rng::{Address, Purpose};
 use serde::{Deserialize, Serialize};
 
 use super::chunk::Chunk;
+use crate::env::draw_normals;
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::step::{Disturbance, Wrench};
@@ -75,22 +76,11 @@ impl Lanes {
     #[inline(always)]
     pub(super) fn normals<S: Real>(self, purpose: Purpose, step: usize, out: &mut [S]) {
         let Chunk { seed, first, n_envs } = self.envs;
-        for lane in 0..S::LANES {
+        let address_of = |lane: usize| {
             let env = first + (self.group + lane).min(n_envs - 1) as u32;
-            for (index, four) in out.chunks_mut(4).enumerate() {
-                let address = Address {
-                    seed,
-                    purpose,
-                    iteration: 0,
-                    env,
-                    step: step as u32,
-                    index: index as u32,
-                };
-                for (slot, normal) in four.iter_mut().zip(address.normals()) {
-                    slot.set_lane(lane, f64::from(normal));
-                }
-            }
-        }
+            Some(Address { seed, purpose, iteration: 0, env, step: step as u32, index: 0 })
+        };
+        draw_normals(address_of, out);
     }
 }
 

@@ -4,10 +4,8 @@ use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
 
 use super::intervention::Lanes;
+use crate::env::Deviations;
 use crate::scalar::Real;
-use crate::spatial::{
-    euler_xyz, quaternion_exp, quaternion_normalised, quaternion_product, quaternion_to_rotation,
-};
 use crate::task::Readings;
 
 /// Standard deviations of what sensors add to everything that policies see, drawn anew in each control step, independent and normal.
@@ -37,7 +35,7 @@ impl SensorNoise {
 
     /// Numbers that are drawn in a step for a robot with `n_arms` arms.
     pub(super) fn draws(n_arms: usize) -> usize {
-        12 + n_arms * 24
+        Deviations::<f64>::draws(n_arms)
     }
 
     /// Adds errors to `readings`; `drawn` is scratch memory, [`SensorNoise::draws`] numbers.
@@ -49,39 +47,14 @@ impl SensorNoise {
         drawn: &mut [S],
         readings: &mut Readings<S>,
     ) {
+        let Self { position, angle, velocity, rate } = *self;
         lanes.normals(Purpose::SensorNoise, step, drawn);
-        let position = S::splat(self.position);
-        let angle = S::splat(self.angle);
-        let velocity = S::splat(self.velocity);
-        let rate = S::splat(self.rate);
-        let (base, rest) = drawn.split_at(12);
-        err(&mut readings.base_position, position, &base[..3]);
-        let mut turn = [S::zero(); 3];
-        err(&mut turn, angle, &base[3..6]);
-        readings.base_quaternion = quaternion_normalised(&quaternion_product(
-            &readings.base_quaternion,
-            &quaternion_exp(turn),
-        ));
-        readings.base_euler = euler_xyz(&quaternion_to_rotation(&readings.base_quaternion));
-        err(&mut readings.base_linear, velocity, &base[6..9]);
-        err(&mut readings.base_angular, rate, &base[9..]);
-        let n = readings.q.len();
-        err(&mut readings.q, angle, &rest[..n]);
-        err(&mut readings.qd, rate, &rest[n..2 * n]);
-        for (arm, hand) in readings.hands.iter_mut().enumerate() {
-            let own = &rest[2 * n + 12 * arm..2 * n + 12 * (arm + 1)];
-            err(&mut hand.position, position, &own[..3]);
-            err(&mut hand.euler, angle, &own[3..6]);
-            err(&mut hand.linear, velocity, &own[6..9]);
-            err(&mut hand.angular, rate, &own[9..]);
-        }
-    }
-}
-
-/// Adds `std` times standard normal numbers.
-#[inline(always)]
-fn err<S: Real>(values: &mut [S], std: S, normals: &[S]) {
-    for i in 0..values.len() {
-        values[i] = std.mul_add(normals[i], values[i]);
+        let deviations = Deviations {
+            position: S::splat(position),
+            angle: S::splat(angle),
+            velocity: S::splat(velocity),
+            rate: S::splat(rate),
+        };
+        deviations.add_to(drawn, readings);
     }
 }

@@ -3,9 +3,9 @@
 //! A rollout acts by a policy ([`Running`](super::running::Running)), a [`stepping::Batch`](crate::stepping::Batch) as
 //! somebody outside says. Both go through here, and so make the same bits.
 
-use proto::config::Start;
 use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 
+use super::conditions::Conditions;
 use super::lane_group::LaneGroup;
 use crate::env::{EpisodeError, Physics, check_state};
 use crate::robot::Robot;
@@ -71,7 +71,7 @@ impl<S: Real> Environments<S> {
     pub(crate) fn begin(
         &mut self,
         (robot, task): (&Robot, &Task),
-        start: &Start,
+        conditions: &Conditions,
         goals: GoalAddress,
         n_envs: usize,
     ) {
@@ -79,30 +79,40 @@ impl<S: Real> Environments<S> {
         self.groups.clear();
         for group in 0..n_groups {
             let lanes = (group * S::LANES, n_envs);
-            self.groups.push(LaneGroup::new((robot, task), start, &mut self.physics, goals, lanes));
+            let Self { physics, groups, .. } = self;
+            groups.push(LaneGroup::new((robot, task), conditions, physics, goals, lanes));
         }
     }
 
-    /// Looks at what the step before led to in group `index`; `paid` says that there was one.
+    /// Looks at what the step before led to in group `index`, after `step` steps.
     #[inline(always)]
-    pub(crate) fn look(&mut self, task: &Task, dimensions: &Dimensions, index: usize, paid: bool) {
+    pub(crate) fn look(&mut self, task: &Task, dimensions: &Dimensions, index: usize, step: usize) {
         let Self { physics, groups, seen, .. } = self;
         let group = &mut groups[index];
         let touching = physics.read(&group.state, &mut group.readings);
         group.readings.last_action.copy_from_slice(&group.action);
         group.errors.update(&group.readings, &group.goals);
-        if paid {
+        if step > 0 {
             let LaneGroup { errors, action, last_action, .. } = group;
             rewards(task, errors, action, last_action, &touching, &mut seen.rewards);
             group.extremes.update(&group.errors, touching.pairs);
         }
         seen.touching_pairs = touching.pairs;
         let o = dimensions.observation;
+        let LaneGroup { readings, goals, errors, randomized, .. } = group;
+        let sensed = match randomized {
+            Some(erring) => erring.sense(readings, goals, step),
+            None => None,
+        };
+        let (told, told_errors) = match sensed {
+            Some((readings, errors)) => (readings, errors),
+            None => (&*readings, &*errors),
+        };
         for agent in 0..dimensions.n_agents {
             let to = &mut seen.observations[agent * o..(agent + 1) * o];
-            observe(task, &group.readings, &group.goals, &group.errors, agent, to);
+            observe(task, told, goals, told_errors, agent, to);
         }
-        critic_state(task, &group.readings, &group.errors, &seen.observations, &mut seen.critic);
+        critic_state(task, readings, errors, &seen.observations, &mut seen.critic);
         std::mem::swap(&mut group.action, &mut group.last_action);
     }
 
@@ -133,7 +143,12 @@ impl<S: Real> Environments<S> {
         let Self { physics, groups, before, .. } = self;
         for (index, group) in groups.iter_mut().enumerate() {
             before.clone_from(&group.state);
-            physics.step(&mut group.state, &group.command);
+            let LaneGroup { state, command, randomized, .. } = group;
+            let executed = match randomized {
+                Some(erring) => erring.drive(command),
+                None => command,
+            };
+            physics.step(state, executed);
             let local = index * S::LANES;
             if let Err(error) = check_state(&group.state, first, local, n_envs, step) {
                 let env = first + local as u32;

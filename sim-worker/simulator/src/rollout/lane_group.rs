@@ -1,8 +1,8 @@
 //! The environments of one lane group: where they are, where they shall go, and what they were told.
 
-use proto::config::Start;
-
+use super::conditions::Conditions;
 use super::extremes::Extremes;
+use super::randomization::Randomized;
 use super::start::scatter;
 use crate::env::Physics;
 use crate::robot::{JOINTS_PER_ARM, Robot};
@@ -22,6 +22,8 @@ pub(crate) struct LaneGroup<S: Real> {
     pub(crate) last_action: Vec<S>,
     pub(crate) command: Vec<S>,
     pub(crate) extremes: Extremes<S>,
+    /// What errs, if anything does.
+    pub(crate) randomized: Option<Randomized<S>>,
 }
 
 impl<S: Real> LaneGroup<S> {
@@ -31,7 +33,7 @@ impl<S: Real> LaneGroup<S> {
     #[inline(always)]
     pub(crate) fn new(
         (robot, task): (&Robot, &Task),
-        begin: &Start,
+        conditions: &Conditions,
         physics: &mut Physics<S>,
         goals: GoalAddress,
         (first, n_envs): (usize, usize),
@@ -44,7 +46,8 @@ impl<S: Real> LaneGroup<S> {
         }
         let mut state = State::home(robot);
         let mut readings = Readings::new(robot.n_arms);
-        scatter(begin, robot, physics, &mut readings, (goals, env_of), &mut state);
+        scatter(&conditions.start, robot, physics, &mut readings, (goals, env_of), &mut state);
+        let randomized = Randomized::draw(&conditions.randomization, robot, (goals, env_of));
         let joints = vec![S::zero(); robot.n_arms * JOINTS_PER_ARM];
         Self {
             state,
@@ -55,6 +58,7 @@ impl<S: Real> LaneGroup<S> {
             last_action: joints.clone(),
             command: joints,
             extremes: Extremes::new(robot.n_arms),
+            randomized,
         }
     }
 }

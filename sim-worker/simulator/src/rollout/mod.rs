@@ -9,12 +9,14 @@
 //! rollout is whole episodes, so a worker needs no memory between two orders.
 
 mod batch;
+pub(crate) mod conditions;
 pub(crate) mod environments;
 mod error;
 mod explore;
 mod extremes;
 mod lane_group;
 mod output;
+mod randomization;
 mod rollout_loop;
 mod running;
 mod shard;

@@ -3,6 +3,7 @@
 use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 
 use super::batch::{Batch, Episodes, Stage};
+use super::conditions::Conditions;
 use super::environments::Environments;
 use super::explore::{Noise, Place, explore};
 use super::output::{Output, Row};
@@ -38,7 +39,8 @@ impl<'a, S: Real> Running<'a, S> {
         let (mut output, on_stage) = (episodes.output, episodes.on_stage);
         let n_groups = batch.n_envs.div_ceil(S::LANES);
         let mut environments = Environments::new((robot, step_options(config)), task, dimensions);
-        environments.begin((robot, task), &config.task.start, goals, batch.n_envs);
+        let conditions = Conditions::of_training(&config.task);
+        environments.begin((robot, task), &conditions, goals, batch.n_envs);
         output.begin();
         let zeros = |n: usize| vec![S::zero(); n];
         let mut places = vec![0; dimensions.n_actors];
@@ -72,7 +74,7 @@ impl<'a, S: Real> Running<'a, S> {
         let agents_per_actor = dimensions.agents_per_actor();
         for index in 0..n_groups {
             let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
-            environments.look(task, dimensions, index, step > 0);
+            environments.look(task, dimensions, index, step);
             let (seen, group) = (&environments.seen, &environments.groups[index]);
             if step > 0 {
                 output.step(row, step - 1, &seen.rewards);

@@ -84,9 +84,11 @@ fn rows(world: &World, block: &[f32], n: usize) -> Vec<u32> {
 
 #[test]
 fn an_environments_rows_do_not_depend_on_the_sharding() {
-    for (preset, task) in
-        [(Preset::Tuned, TaskName::Trajectory), (Preset::Release, TaskName::Reorientation)]
-    {
+    for (preset, task) in [
+        (Preset::Tuned, TaskName::Trajectory),
+        (Preset::Release, TaskName::Reorientation),
+        (Preset::Robust, TaskName::Trajectory),
+    ] {
         // 42 environments: groups of 16, 16 and 10; of 14; of 6; alone.
         let whole = world(preset, task, 42, 1, 3);
         let reference = block(&whole, 2, 0);
@@ -112,7 +114,13 @@ fn an_environments_rows_do_not_depend_on_the_sharding() {
 
 #[test]
 fn every_back_end_makes_the_same_block() {
-    let world = world(Preset::Paper, TaskName::Trajectory, 18, 1, 3);
+    for preset in [Preset::Paper, Preset::Robust] {
+        every_back_end_makes_the_same_block_with(preset);
+    }
+}
+
+fn every_back_end_makes_the_same_block_with(preset: Preset) {
+    let world = world(preset, TaskName::Trajectory, 18, 1, 3);
     let policy = world.policy(&flat(&world)).expect("a policy");
     let spec = RolloutSpec { seed: 5, iteration: 0, shard: 0, policy: &policy };
     let on = |backend| {

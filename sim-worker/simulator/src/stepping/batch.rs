@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use proto::config::Start;
 use proto::layout::JOINTS_PER_AGENT;
 use proto::rng::Purpose;
 
@@ -12,6 +11,7 @@ use super::{Rows, StepError};
 use crate::env::EpisodeError;
 use crate::executor::{self, Executor};
 use crate::rollout::World;
+use crate::rollout::conditions::Conditions;
 use crate::scalar::{Backend, LANES, dispatch_for};
 use crate::task::goal::GoalAddress;
 
@@ -21,9 +21,9 @@ const MOST_GROUPS: usize = 4;
 /// Which goals are drawn, and where episodes begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GoalKind {
-    /// Those of training; starts as `task.start` says.
+    /// Those of training; starts as `task.start` says, and what errs as `task.randomization` says.
     Training,
-    /// Held out: those of evaluations, which begin at home. Their iteration is 0, their environment the episode.
+    /// Held out: those of evaluations, which begin at home and in which nothing errs. Their iteration is 0, their environment the episode.
     Evaluation,
 }
 
@@ -132,16 +132,14 @@ impl Batch {
         }
         let world = Arc::clone(&self.world);
         let Begin { seed, iteration, first, goals } = begin;
-        let (purpose, start) = match goals {
-            GoalKind::Training => (Purpose::Goal, world.config.task.start),
-            GoalKind::Evaluation => {
-                (Purpose::EvaluationGoal, Start { share: 0.0, ..world.config.task.start })
-            }
+        let (purpose, conditions) = match goals {
+            GoalKind::Training => (Purpose::Goal, Conditions::of_training(&world.config.task)),
+            GoalKind::Evaluation => (Purpose::EvaluationGoal, Conditions::default()),
         };
         let goals = GoalAddress { seed, purpose, iteration, env: first };
         self.each(executor, rows, |chunk, first, rows| {
             let goals = GoalAddress { env: goals.env + first as u32, ..goals };
-            chunk.begin(&world, &start, goals, rows);
+            chunk.begin(&world, &conditions, goals, rows);
             Ok(())
         })?;
         self.course = Course::At(0);

@@ -1,11 +1,11 @@
 //! Some environments of a batch, in lanes: the unit of work of a thread.
 
-use proto::config::Start;
 use proto::layout::JOINTS_PER_AGENT;
 
 use super::rows::{Rows, robot_width};
 use crate::env::{EpisodeError, step_options};
 use crate::rollout::World;
+use crate::rollout::conditions::Conditions;
 use crate::rollout::environments::Environments;
 use crate::rollout::write_rows;
 use crate::scalar::{Kernel, LaneFn, Real};
@@ -14,7 +14,7 @@ use crate::task::goal::GoalAddress;
 /// Environments of one chunk, whatever lanes they stand in.
 pub(super) trait Chunk: Send {
     /// Begins episodes, and shows them; `goals` is the address of the first one's.
-    fn begin(&mut self, world: &World, start: &Start, goals: GoalAddress, rows: Rows<'_>);
+    fn begin(&mut self, world: &World, conditions: &Conditions, goals: GoalAddress, rows: Rows<'_>);
 
     /// Holds `actions`, `[n, A, 3]`, for a control period, and shows what it led to. On an error nothing is shown.
     fn step(
@@ -55,8 +55,14 @@ struct InLanes<S: Real> {
 }
 
 impl<S: Real> Chunk for InLanes<S> {
-    fn begin(&mut self, world: &World, start: &Start, goals: GoalAddress, rows: Rows<'_>) {
-        S::compiled(BeginChunk { chunk: self, world, start, goals, rows });
+    fn begin(
+        &mut self,
+        world: &World,
+        conditions: &Conditions,
+        goals: GoalAddress,
+        rows: Rows<'_>,
+    ) {
+        S::compiled(BeginChunk { chunk: self, world, conditions, goals, rows });
     }
 
     fn step(
@@ -92,17 +98,17 @@ impl<S: Real> InLanes<S> {
 
     /// Looks at everything, and writes it down.
     #[inline(always)]
-    fn show(&mut self, world: &World, rows: &mut Rows<'_>, paid: bool) {
+    fn show(&mut self, world: &World, rows: &mut Rows<'_>, step: usize) {
         let Self { environments, n_envs, robot, .. } = self;
         let World { task, dimensions, .. } = world;
         for index in 0..environments.groups.len() {
-            environments.look(task, dimensions, index, paid);
+            environments.look(task, dimensions, index, step);
             let (seen, group) = (&environments.seen, &environments.groups[index]);
             let first = index * S::LANES;
             let n = *n_envs - first;
             put(rows.observation, (first, n), &seen.observations);
             put(rows.state, (first, n), &seen.critic);
-            if paid {
+            if step > 0 {
                 put(rows.reward, (first, n), &seen.rewards);
             }
             put(rows.position_error, (first, n), &group.errors.position_norm);
@@ -132,7 +138,7 @@ fn put<S: Real>(array: &mut [f32], (first, n): (usize, usize), features: &[S]) {
 struct BeginChunk<'a, S: Real> {
     chunk: &'a mut InLanes<S>,
     world: &'a World,
-    start: &'a Start,
+    conditions: &'a Conditions,
     goals: GoalAddress,
     rows: Rows<'a>,
 }
@@ -142,11 +148,11 @@ impl<S: Real> Kernel<S> for BeginChunk<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { chunk, world, start, goals, mut rows } = self;
+        let Self { chunk, world, conditions, goals, mut rows } = self;
         chunk.first = goals.env;
-        chunk.environments.begin((&world.robot, &world.task), start, goals, chunk.n_envs);
+        chunk.environments.begin((&world.robot, &world.task), conditions, goals, chunk.n_envs);
         rows.reward.fill(0.0);
-        chunk.show(world, &mut rows, false);
+        chunk.show(world, &mut rows, 0);
     }
 }
 
@@ -166,7 +172,7 @@ impl<S: Real> Kernel<S> for StepChunk<'_, S> {
         let Self { chunk, world, actions, step, mut rows } = self;
         chunk.command(world.dimensions.n_agents, actions);
         chunk.environments.advance(chunk.first, chunk.n_envs, step)?;
-        chunk.show(world, &mut rows, true);
+        chunk.show(world, &mut rows, step + 1);
         Ok(())
     }
 }
