@@ -52,12 +52,14 @@ impl Dimensions {
         let n_agents = n_arms * AGENTS_PER_ARM;
         // Six angles of an arm and as many rates.
         let joints = 6 * config.task.joint_angles.numbers() + 6;
+        // Whether the goal posture is good, and what is left to it, plain 6 and squashed 6.
+        let posture = if config.task.posture.seen { 13 } else { 0 };
         let observation = match (config.task.observation, config.task.name) {
             (Observation::Paper, TaskName::Trajectory) => 28,
             (Observation::Release, TaskName::Trajectory) => 31,
             (Observation::Paper | Observation::Release, TaskName::Reorientation) => 25,
             // Base's velocity 6, own arm's q and q̇, errors 6 plain and 12 squashed, last action 6.
-            (Observation::Arm, TaskName::Trajectory) => 6 + joints + 6 + 12 + 6,
+            (Observation::Arm, TaskName::Trajectory) => 6 + joints + 6 + 12 + 6 + posture,
             // Base's velocity 6, own arm's q and q̇, errors 3 plain and 6 squashed, last action 6.
             (Observation::Arm, TaskName::Reorientation) => 6 + joints + 3 + 6 + 6,
         };
@@ -65,7 +67,9 @@ impl Dimensions {
             (CriticState::Own, _) => 0,
             (CriticState::Concatenated, _) => n_agents * observation,
             // Base 13; each arm's q and q̇, last action 6 and errors 18.
-            (CriticState::Compact, TaskName::Trajectory) => 13 + n_arms * (joints + 6 + 18),
+            (CriticState::Compact, TaskName::Trajectory) => {
+                13 + n_arms * (joints + 6 + 18 + posture)
+            }
             // Base 13, errors 9; each arm's q and q̇, and last action 6.
             (CriticState::Compact, TaskName::Reorientation) => 13 + 9 + n_arms * (joints + 6),
         };

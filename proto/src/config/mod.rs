@@ -42,7 +42,8 @@ pub use resolved::Config;
 pub use run::{Precision, Run};
 pub use tables::{hint, parse};
 pub use task::{
-    GoalBox, JointAngles, Observation, Randomization, Reward, RewardWeights, Start, Task, TaskName,
+    GoalBox, JointAngles, Observation, Posture, Randomization, Reward, RewardWeights, Start, Task,
+    TaskName,
 };
 
 #[cfg(test)]

@@ -153,6 +153,17 @@ pub struct Randomization {
     pub rate: f64,
 }
 
+/// Table `task.posture`: what agents know of the joint angles that bring the hand to its goal (`trajectory`, layout `arm`).
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Posture {
+    /// Whether an agent sees how far its arm's joints are from there, and critics of layout `compact` those of all arms.
+    pub seen: bool,
+    /// Share of the way there that a command covers in a control step by itself; what an agent does is added to it (residual
+    /// policy learning; Silver et al. 2018, Johannink et al. 2019).
+    pub gain: f64,
+}
+
 /// Group `task`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -178,6 +189,9 @@ pub struct Task {
     /// What errs in training episodes; nothing if nothing is said.
     #[serde(default)]
     pub randomization: Randomization,
+    /// What is known of goal postures; nothing if nothing is said.
+    #[serde(default)]
+    pub posture: Posture,
     /// The reward.
     pub reward: Reward,
 }

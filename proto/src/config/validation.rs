@@ -27,6 +27,7 @@ impl Config {
         within("task.start.attitude", task.start.attitude, 0.0, 1.5)?;
         within("task.start.anywhere", task.start.anywhere, 0.0, 1.0)?;
         within("task.start.turning", task.start.turning, 0.0, 1.0)?;
+        within("task.posture.gain", task.posture.gain, 0.0, 1.0)?;
         let erring = &task.randomization;
         within("task.randomization.share", erring.share, 0.0, 1.0)?;
         within("task.randomization.delay", erring.delay, 0.0, 1.0)?;

@@ -74,6 +74,8 @@ pub mod evaluate;
 
 mod inverse_kinematics;
 
+mod posture;
+
 pub mod controller;
 
 pub mod reach;

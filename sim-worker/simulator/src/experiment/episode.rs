@@ -149,6 +149,9 @@ impl Episode {
         let group = &mut self.stepper.groups[0];
         group.state = state;
         group.goals = goals;
+        for errors in [&mut group.errors, &mut group.seen_errors] {
+            errors.forget();
+        }
         group.action.fill(0.0);
         group.command.fill(0.0);
         group.waiting.clear();

@@ -8,6 +8,7 @@ use super::{Driver, Player};
 use crate::controller::{JacobianController, Memory};
 use crate::env::EpisodeError;
 use crate::policy::Scratch;
+use crate::posture::guiding;
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::Real;
@@ -31,6 +32,8 @@ pub(super) enum Seat<S: Real> {
         observations: Vec<S>,
         /// Shape: `[group][agent of the actor][U]`.
         means: Vec<S>,
+        /// What is added to actions, where the task guides; shape: `[group][joint]`.
+        guidance: Vec<S>,
         inference: Scratch<S>,
     },
     /// Of a controller.
@@ -50,6 +53,7 @@ impl<S: Real> Seat<S> {
             Driver::Policy(policy) => Self::Policy {
                 observations: zeros(dimensions.n_actors * n_groups * dimensions.actor_input()),
                 means: zeros(n_groups * dimensions.actor_output()),
+                guidance: zeros(n_groups * dimensions.n_arms * JOINTS_PER_ARM),
                 inference: Scratch::new(policy, n_groups),
             },
             Driver::Jacobian(_) => Self::Jacobian {
@@ -66,12 +70,18 @@ impl<S: Real> Seat<S> {
         &mut self,
         player: &Player<'_>,
         (number, arms): (usize, &[Option<usize>]),
-        seen: Seen<'_, S>,
+        (seen, limits): (Seen<'_, S>, &[S]),
         (index, n_groups, left): (usize, usize, usize),
     ) {
         let World { task, dimensions, .. } = player.world;
         match (self, player.driver) {
-            (Self::Policy { observations, .. }, _) => {
+            (Self::Policy { observations, guidance, .. }, _) => {
+                if let Some(postures) = &seen.errors.postures {
+                    let period = player.world.config.env.control_period;
+                    let factor = guiding(task.posture.gain, period, player.action_scale);
+                    let out = &mut guidance[index * limits.len()..(index + 1) * limits.len()];
+                    postures.guide(S::splat(factor), limits, out);
+                }
                 let (o, agents_per_actor) = (dimensions.observation, dimensions.agents_per_actor());
                 for actor in actors(arms, number, dimensions) {
                     for part in 0..agents_per_actor {
@@ -110,7 +120,7 @@ impl<S: Real> Seat<S> {
         let n_groups = groups.len();
         let env = |index: usize| first + (index * S::LANES) as u32;
         match (self, driver) {
-            (Self::Policy { observations, means, inference }, Driver::Policy(policy)) => {
+            (Self::Policy { observations, means, guidance, inference }, Driver::Policy(policy)) => {
                 let agents_per_actor = dimensions.agents_per_actor();
                 let (input, output) = (dimensions.actor_input(), dimensions.actor_output());
                 for actor in actors(arms, number, dimensions) {
@@ -123,7 +133,8 @@ impl<S: Real> Seat<S> {
                         }
                         for (index, group) in groups.iter_mut().enumerate() {
                             let at = index * output + part * JOINTS_PER_AGENT;
-                            let mean = std::array::from_fn(|u| means[at + u]);
+                            let joint = index * limits.len() + agent * JOINTS_PER_AGENT;
+                            let mean = std::array::from_fn(|u| means[at + u] + guidance[joint + u]);
                             group.act(agent, &mean, limits, (env(index), step))?;
                         }
                     }

@@ -10,6 +10,7 @@ use super::seat::{Seat, Seen};
 use super::{Effect, FixedGoals, Player, SensorNoise};
 use crate::env::{EpisodeError, Physics, check_state};
 use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::rollout::World;
 use crate::scalar::Real;
 use crate::state::State;
 use crate::step::{Disturbance, StepOptions};
@@ -48,13 +49,17 @@ impl<S: Real> Stepper<S> {
         let n_groups = envs.n_envs.div_ceil(S::LANES);
         let task = &players[0].world.task;
         let joints = vec![S::zero(); n_arms * JOINTS_PER_ARM];
+        let mut errors = Errors::new(n_arms);
+        for player in players {
+            errors.tell(&player.world.task, robot);
+        }
         let groups = (0..n_groups).map(|group| Group {
             state: State::home(robot),
             readings: Readings::new(n_arms),
             seen: Readings::new(n_arms),
             goals: draw_goals(players, goals, envs, group * S::LANES),
-            errors: Errors::new(n_arms),
-            seen_errors: Errors::new(n_arms),
+            errors: errors.clone(),
+            seen_errors: errors.clone(),
             touching: None,
             action: joints.clone(),
             command: joints.clone(),
@@ -78,6 +83,13 @@ impl<S: Real> Stepper<S> {
     /// Makes room for what other players see and say.
     pub(super) fn seat(&mut self, players: &[Player<'_>]) {
         let n_groups = self.groups.len();
+        for player in players {
+            let World { task, robot, .. } = player.world;
+            for group in &mut self.groups {
+                group.errors.tell(task, robot);
+                group.seen_errors.tell(task, robot);
+            }
+        }
         self.seats = players.iter().map(|player| Seat::new(player, n_groups)).collect();
     }
 
@@ -119,7 +131,7 @@ impl<S: Real> Stepper<S> {
             let seen = Seen { readings: seen, errors, goals: &group.goals };
             let place = (index, n_groups, n_envs - index * S::LANES);
             for (player, seat) in seats.iter_mut().enumerate() {
-                seat.look(&players[player], (player, arms), seen, place);
+                seat.look(&players[player], (player, arms), (seen, limits), place);
             }
         }
 

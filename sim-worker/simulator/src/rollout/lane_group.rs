@@ -21,6 +21,8 @@ pub(crate) struct LaneGroup<S: Real> {
     pub(crate) action: Vec<S>,
     pub(crate) last_action: Vec<S>,
     pub(crate) command: Vec<S>,
+    /// What is added to actions, one a joint.
+    pub(crate) guidance: Vec<S>,
     pub(crate) extremes: Extremes<S>,
     /// What errs, if anything does.
     pub(crate) randomized: Option<Randomized<S>>,
@@ -47,14 +49,16 @@ impl<S: Real> LaneGroup<S> {
         let mut state = State::home(robot);
         let mut readings = Readings::new(robot.n_arms);
         scatter(&conditions.start, robot, physics, &mut readings, (goals, env_of), &mut state);
-        let randomized = Randomized::draw(&conditions.randomization, robot, (goals, env_of));
+        let randomized =
+            Randomized::draw(&conditions.randomization, (robot, task), (goals, env_of));
         let joints = vec![S::zero(); robot.n_arms * JOINTS_PER_ARM];
         Self {
             state,
             readings,
             goals: drawn,
-            errors: Errors::new(robot.n_arms),
+            errors: Errors::of(task, robot),
             action: joints.clone(),
+            guidance: joints.clone(),
             last_action: joints.clone(),
             command: joints,
             extremes: Extremes::new(robot.n_arms),

@@ -22,7 +22,7 @@ use crate::env::{Deviations, draw_normals};
 use crate::robot::{JOINTS_PER_ARM, Robot};
 use crate::scalar::Real;
 use crate::task::goal::GoalAddress;
-use crate::task::{Errors, Goals, Readings};
+use crate::task::{Errors, Goals, Readings, Task};
 
 /// What errs in the episodes of a lane group.
 pub(crate) struct Randomized<S: Real> {
@@ -49,7 +49,7 @@ impl<S: Real> Randomized<S> {
     #[inline(always)]
     pub(super) fn draw(
         ranges: &Randomization,
-        robot: &Robot,
+        (robot, task): (&Robot, &Task),
         (goals, env_of): (GoalAddress, impl Fn(usize) -> u32),
     ) -> Option<Self> {
         if ranges.share == 0.0 {
@@ -71,7 +71,7 @@ impl<S: Real> Randomized<S> {
             executed: joints,
             normals: vec![zero; Deviations::<S>::draws(n_arms)],
             readings: Readings::new(n_arms),
-            errors: Errors::new(n_arms),
+            errors: Errors::of(task, robot),
         };
         for lane in 0..S::LANES {
             let purpose = Purpose::Randomization;
@@ -143,6 +143,8 @@ impl<S: Real> Randomized<S> {
 
 #[cfg(test)]
 mod tests {
+    use proto::config::{Layers, Preset};
+
     use super::*;
 
     const RANGES: Randomization = Randomization {
@@ -163,7 +165,9 @@ mod tests {
     /// What errs in environment `env`, alone in its group.
     fn drawn(ranges: Randomization, env: u32) -> Option<Randomized<f64>> {
         let goals = GoalAddress { seed: 3, purpose: Purpose::Goal, iteration: 4, env: 0 };
-        Randomized::draw(&ranges, &robot(), (goals, |_| env))
+        let config = Layers::new(Preset::Tuned, None).resolve().expect("a preset");
+        let task = Task::new(&config, crate::env::home(&robot()));
+        Randomized::draw(&ranges, (&robot(), &task), (goals, |_| env))
     }
 
     /// By hand: of the first command (0.5 rad/s) joints get what is not late of it, of the second (−0.02) the late part of the

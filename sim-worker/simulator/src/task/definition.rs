@@ -1,6 +1,6 @@
 //! A task on a robot, as goals, observations and rewards read it.
 
-use proto::config::{CriticState, JointAngles, Observation, Reward, TaskName};
+use proto::config::{CriticState, JointAngles, Observation, Posture, Reward, TaskName};
 
 use super::frame::ArmFrame;
 use super::{GoalRanges, Home};
@@ -14,6 +14,8 @@ pub struct Task {
     pub observation: Observation,
     /// How agents see joint angles.
     pub joint_angles: JointAngles,
+    /// What is known of goal postures.
+    pub posture: Posture,
     /// What critics see.
     pub critic_state: CriticState,
     /// Weights of the rewards.
@@ -36,6 +38,7 @@ impl Task {
             name: task.name,
             observation: task.observation,
             joint_angles: task.joint_angles,
+            posture: task.posture,
             critic_state: config.network.critic_state,
             action_scale: task.action_scale,
             action_limit: home.arms.iter().flat_map(|arm| arm.command_limit).collect(),

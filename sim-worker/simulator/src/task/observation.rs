@@ -48,6 +48,9 @@ use crate::spatial::{mat_t_vec, quaternion_to_rotation};
 /// Factor on velocities in the released layout.
 pub const RELEASE_VELOCITY_SCALE: f64 = 0.02;
 
+/// Width of the squashed way to the goal posture (rad): tanh(e / width).
+const POSTURE_WIDTH: f64 = 0.1;
+
 /// Fills a slice from its start.
 pub(super) struct Writer<'a, S> {
     out: &'a mut [S],
@@ -113,6 +116,21 @@ impl<'a, S: Real> Writer<'a, S> {
         self.put(&readings.qd[first..first + JOINTS_PER_ARM]);
     }
 
+    /// What is left to the goal posture of `arm`, plain and squashed, where the task tells it.
+    #[inline(always)]
+    pub(super) fn put_posture(&mut self, task: &Task, errors: &Errors<S>, arm: usize) {
+        if !task.posture.seen {
+            return;
+        }
+        let postures = errors.postures.as_ref().expect("a task that tells them has them");
+        let posture = &postures.arms[arm];
+        self.put(&[posture.good]);
+        self.put(&posture.left);
+        for left in posture.left {
+            self.put(&[(left * S::splat(1.0 / POSTURE_WIDTH)).tanh()]);
+        }
+    }
+
     /// Last action of `arm`.
     #[inline(always)]
     pub(super) fn put_action(&mut self, readings: &Readings<S>, arm: usize) {
@@ -163,6 +181,7 @@ pub fn observe<S: Real>(
                     for at in [0, 3, 6, 9] {
                         out.put(&frame.vector(three(&errors.squashed_hands[arm], at)));
                     }
+                    out.put_posture(task, errors, arm);
                 }
                 TaskName::Reorientation => {
                     out.put(&frame.vector(errors.seen_base));

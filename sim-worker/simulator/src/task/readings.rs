@@ -1,7 +1,9 @@
 //! What tasks read from a simulated robot, and the errors that follow.
 
-use super::Goals;
+use super::{Goals, Task};
+use crate::posture::Postures;
 use crate::robot::JOINTS_PER_ARM;
+use crate::robot::Robot;
 use crate::scalar::Real;
 use crate::spatial::{
     euler_xyz_to_rotation, mat_t_vec, quaternion_to_rotation, rotation_difference,
@@ -100,6 +102,8 @@ pub struct Errors<S> {
     pub orientation_norm: Vec<S>,
     /// ‖Euler-angle difference‖ of the base (rad).
     pub base_norm: S,
+    /// What is left to go to the goal postures, where a task tells them.
+    pub(crate) postures: Option<Postures<S>>,
 }
 
 impl<S: Real> Errors<S> {
@@ -115,6 +119,29 @@ impl<S: Real> Errors<S> {
             position_norm: vec![S::zero(); n_arms],
             orientation_norm: vec![S::zero(); n_arms],
             base_norm: S::zero(),
+            postures: None,
+        }
+    }
+
+    /// Those that `task` tells.
+    pub(crate) fn of(task: &Task, robot: &Robot) -> Self {
+        let mut errors = Self::new(robot.n_arms);
+        errors.tell(task, robot);
+        errors
+    }
+
+    /// Has what `task` tells be known, too.
+    pub(crate) fn tell(&mut self, task: &Task, robot: &Robot) {
+        let proto::config::Posture { seen, gain } = task.posture;
+        if (seen || gain > 0.0) && self.postures.is_none() {
+            self.postures = Some(Postures::new(robot));
+        }
+    }
+
+    /// Forgets what it knows of goals, because another episode begins.
+    pub(crate) fn forget(&mut self) {
+        if let Some(postures) = &mut self.postures {
+            postures.forget();
         }
     }
 
@@ -156,6 +183,9 @@ impl<S: Real> Errors<S> {
             }
         }
         self.base_norm = norm(self.base);
+        if let Some(postures) = &mut self.postures {
+            postures.update(readings, goals);
+        }
     }
 }
 

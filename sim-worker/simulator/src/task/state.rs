@@ -37,6 +37,7 @@ pub fn critic_state<S: Real>(
                 if task.name == TaskName::Trajectory {
                     out.put(&errors.seen_hands[arm]);
                     out.put(&errors.squashed_hands[arm]);
+                    out.put_posture(task, errors, arm);
                 }
                 out.put_action(readings, arm);
             }

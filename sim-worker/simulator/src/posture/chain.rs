@@ -1,0 +1,217 @@
+//! One arm's kinematics in lanes: a step of damped least squares towards a pose.
+//!
+//! The lanes' twin of [`inverse_kinematics`](crate::inverse_kinematics), which is slow, readable and tests it.
+
+use std::f64::consts::{PI, TAU};
+
+use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::scalar::{Mask, Real};
+use crate::spatial::{Mat3, Vec3, add, cross, dot, mat_mat, mat_vec, rotation_difference, sub};
+
+/// Joint angles of an arm (rad).
+pub(super) type Angles<S> = [S; JOINTS_PER_ARM];
+
+/// Where a hand is or shall be, axes of the base.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Frame<S> {
+    pub(super) rotation: Mat3<S>,
+    pub(super) position: Vec3<S>,
+}
+
+/// Longest change of a joint in a step (rad).
+const LONGEST: f64 = 0.5;
+/// Damping in parts of the square of the error (m and rad, together), and what remains of it at the goal: in single
+/// precision less would drown near singular poses.
+const DAMPING: [f64; 2] = [1e-2, 1e-6];
+
+/// One row: from a joint to the next.
+#[derive(Debug, Clone)]
+struct Step<S> {
+    shift: Vec3<S>,
+    twist: Mat3<S>,
+}
+
+/// An arm as its hand's pose depends on it.
+#[derive(Debug, Clone)]
+pub(super) struct Chain<S> {
+    mount: Frame<S>,
+    steps: Vec<Step<S>>,
+    tool: Frame<S>,
+    pub(super) home: Angles<S>,
+    /// Of joints that stop because two bodies touch: where, and half of the interval in which they do (rad).
+    stops: [Option<[S; 2]>; JOINTS_PER_ARM],
+}
+
+impl<S: Real> Chain<S> {
+    pub(super) fn new(robot: &Robot, arm: usize) -> Self {
+        let vector = |v: nalgebra::Vector3<f64>| [0, 1, 2].map(|i| S::splat(v[i]));
+        let matrix =
+            |m: nalgebra::Matrix3<f64>| [0, 1, 2].map(|i| [0, 1, 2].map(|j| S::splat(m[(i, j)])));
+        let mount = &robot.arms[arm];
+        let mut stops = [None; JOINTS_PER_ARM];
+        for stop in robot.angle_contacts.iter().filter(|stop| stop.push) {
+            stops[stop.joint] = Some([stop.centre, stop.half].map(S::splat));
+        }
+        let step = |link: &crate::robot::Link| Step {
+            shift: vector(link.shift),
+            twist: matrix(link.twist),
+        };
+        Self {
+            mount: Frame { rotation: matrix(mount.rotation), position: vector(mount.position) },
+            steps: robot.links.iter().map(step).collect(),
+            tool: Frame {
+                rotation: matrix(robot.tool_rotation),
+                position: vector(robot.tool_position),
+            },
+            home: mount.home.map(S::splat),
+            stops,
+        }
+    }
+
+    /// Where the hand is, and how its pose changes with the joint angles: for each joint linear (m/rad) and angular
+    /// (rad/rad).
+    #[inline(always)]
+    fn forward(&self, q: &Angles<S>) -> (Frame<S>, [[S; 6]; JOINTS_PER_ARM]) {
+        let Frame { rotation: mut r, position: mut o } = self.mount;
+        let mut joints = [([S::zero(); 3], [S::zero(); 3]); JOINTS_PER_ARM];
+        let mut hand = self.mount;
+        for (j, step) in self.steps.iter().enumerate() {
+            let (sin, cos) = q[j].sin_cos();
+            for row in &mut r {
+                let [x, y, _] = *row;
+                row[0] = cos.mul_add(x, sin * y);
+                row[1] = sin.neg_mul_add(x, cos * y);
+            }
+            joints[j] = ([r[0][2], r[1][2], r[2][2]], o);
+            if j + 1 == JOINTS_PER_ARM {
+                hand = Frame {
+                    rotation: mat_mat(&r, &self.tool.rotation),
+                    position: add(o, mat_vec(&r, self.tool.position)),
+                };
+            } else {
+                o = add(o, mat_vec(&r, step.shift));
+                r = mat_mat(&r, &step.twist);
+            }
+        }
+        let mut jacobian = [[S::zero(); 6]; JOINTS_PER_ARM];
+        for (column, (axis, origin)) in jacobian.iter_mut().zip(joints) {
+            column[..3].copy_from_slice(&cross(axis, sub(hand.position, origin)));
+            column[3..].copy_from_slice(&axis);
+        }
+        (hand, jacobian)
+    }
+
+    /// One step from `q` towards `target`: the angles after it, and the length of the residual before it (m and rad, together).
+    #[inline(always)]
+    pub(super) fn approach(&self, target: &Frame<S>, q: &Angles<S>) -> (Angles<S>, S) {
+        let (hand, jacobian) = self.forward(q);
+        let linear = sub(target.position, hand.position);
+        let angular = rotation_difference(&target.rotation, &hand.rotation);
+        let square = dot(linear, linear) + dot(angular, angular);
+        let [l, a] = [linear, angular];
+        let error = [l[0], l[1], l[2], a[0], a[1], a[2]];
+        let damping = square.mul_add(S::splat(DAMPING[0]), S::splat(DAMPING[1]));
+        let mut step = least_squares(&jacobian, damping, error);
+        let mut longest = S::splat(1e-9);
+        for x in step {
+            longest = longest.max(x.abs());
+        }
+        let shorten = (S::splat(LONGEST) / longest).min(S::one());
+        for (slot, q) in step.iter_mut().zip(q) {
+            *slot = shorten.mul_add(*slot, *q);
+        }
+        (step, square.sqrt())
+    }
+
+    /// How far joint `joint` has to turn from `from` to `to`, whole turns aside, on a way that leads through no stop (rad).
+    #[inline(always)]
+    pub(super) fn way(&self, joint: usize, from: S, to: S) -> S {
+        match self.stops[joint] {
+            None => nearest_turn(to - from),
+            Some([centre, _]) => {
+                // Turns are counted from the stop on.
+                let half = S::splat(PI);
+                nearest_turn(to - centre - half) - nearest_turn(from - centre - half)
+            }
+        }
+    }
+
+    /// Whether a joint stands where it is stopped.
+    #[inline(always)]
+    pub(super) fn is_stopped(&self, q: &Angles<S>) -> S::Mask {
+        let mut stopped = S::Mask::splat(false);
+        for (q, stop) in q.iter().zip(&self.stops) {
+            if let Some([centre, half]) = stop {
+                stopped = stopped | nearest_turn(*q - *centre).abs().lt(*half);
+            }
+        }
+        stopped
+    }
+}
+
+/// The angle less whole turns, in ±π.
+#[inline(always)]
+fn nearest_turn<S: Real>(angle: S) -> S {
+    let turns = (angle * S::splat(1.0 / TAU)).round();
+    turns.neg_mul_add(S::splat(TAU), angle)
+}
+
+/// Jᵀ (J Jᵀ + λ)⁻¹ e, by L D Lᵀ [Golub and Van Loan, section 4.1.2].
+#[inline(always)]
+fn least_squares<S: Real>(
+    jacobian: &[[S; 6]; JOINTS_PER_ARM],
+    damping: S,
+    error: [S; 6],
+) -> Angles<S> {
+    let mut l = [[S::zero(); 6]; 6];
+    let mut d = [S::zero(); 6];
+    let mut y = error;
+    for i in 0..6 {
+        for j in 0..=i {
+            let mut sum = if i == j { damping } else { S::zero() };
+            for column in jacobian {
+                sum = column[i].mul_add(column[j], sum);
+            }
+            for k in 0..j {
+                sum = (l[i][k] * d[k]).neg_mul_add(l[j][k], sum);
+            }
+            if i == j {
+                // Rounding may eat a pivot that the damping makes positive.
+                d[i] = sum.max(damping);
+            } else {
+                l[i][j] = sum / d[j];
+            }
+        }
+        for k in 0..i {
+            y[i] = l[i][k].neg_mul_add(y[k], y[i]);
+        }
+    }
+    for i in (0..6).rev() {
+        y[i] = y[i] / d[i];
+        for k in i + 1..6 {
+            y[i] = l[k][i].neg_mul_add(y[k], y[i]);
+        }
+    }
+    let mut step = [S::zero(); JOINTS_PER_ARM];
+    for (sum, column) in step.iter_mut().zip(jacobian) {
+        for (x, y) in column.iter().zip(y) {
+            *sum = x.mul_add(y, *sum);
+        }
+    }
+    step
+}
+
+/// A frame of the world seen from the base.
+#[inline(always)]
+pub(super) fn seen_from<S: Real>(
+    (r_wb, base): (&Mat3<S>, Vec3<S>),
+    rotation: &Mat3<S>,
+    position: Vec3<S>,
+) -> Frame<S> {
+    let [x, y, z] = *r_wb;
+    let transposed = [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]];
+    Frame {
+        rotation: mat_mat(&transposed, rotation),
+        position: mat_vec(&transposed, sub(position, base)),
+    }
+}

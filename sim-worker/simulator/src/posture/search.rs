@@ -1,0 +1,114 @@
+//! Looking for the joint angles that bring a hand to its goal.
+
+use std::f64::consts::TAU;
+
+use super::chain::{Angles, Chain, Frame};
+use crate::robot::JOINTS_PER_ARM;
+use crate::scalar::{Kernel, Mask, Real};
+
+/// Starts of a whole search beside where the arm stands and home.
+pub(super) const STARTS: u64 = 14;
+/// Steps from each of them,
+const STEPS: usize = 40;
+/// and from one that is tried later.
+const LATER_STEPS: usize = 12;
+/// Residual (m and rad, together) at which a lane has arrived,
+const ARRIVED: f64 = 1e-5;
+/// and below which angles bring the hand to its goal.
+const SOLVED: f64 = 1e-3;
+/// What counts more than any way of a joint (rad): angles at which a joint is stopped,
+pub(super) const STOPPED: f64 = 20.0;
+/// and those that do not bring the hand to its goal.
+pub(super) const UNSOLVED: f64 = 40.0;
+/// Powers of 1/φ with φ⁷ = φ + 1.
+const RECURRENCE: [f64; JOINTS_PER_ARM] =
+    [0.898_653_7, 0.807_578_5, 0.725_733_4, 0.652_183_0, 0.586_086_7, 0.526_689_0];
+
+/// An arm, where its hand shall go, and where its joints stand.
+pub(super) struct Question<'a, S> {
+    pub(super) chain: &'a Chain<S>,
+    pub(super) target: &'a Frame<S>,
+    pub(super) stands: &'a Angles<S>,
+}
+
+impl<S: Real> Question<'_, S> {
+    /// What is to be said against going to `q`: the longest way of a joint (rad), [`STOPPED`], [`UNSOLVED`].
+    #[inline(always)]
+    pub(super) fn cost(&self, q: &Angles<S>) -> S {
+        let Self { chain, target, stands } = self;
+        let miss = chain.approach(target, q).1;
+        let mut farthest = S::zero();
+        for joint in 0..JOINTS_PER_ARM {
+            farthest = farthest.max(chain.way(joint, stands[joint], q[joint]).abs());
+        }
+        let unsolved = S::splat(UNSOLVED) + miss;
+        let cost = S::select(miss.lt(S::splat(SOLVED)), farthest, unsolved);
+        S::select(chain.is_stopped(q), cost + S::splat(STOPPED), cost)
+    }
+
+    /// The best of many starts: where none brings the hand to its goal, what comes nearest to it.
+    pub(super) fn search(self) -> Angles<S> {
+        S::compiled(Search(self))
+    }
+
+    /// What start number `index` leads to.
+    #[inline(always)]
+    pub(super) fn later(&self, index: S) -> Angles<S> {
+        let mut q = start(&self.chain.home, index);
+        for _ in 0..LATER_STEPS {
+            q = self.chain.approach(self.target, &q).0;
+        }
+        q
+    }
+}
+
+struct Search<'a, S>(Question<'a, S>);
+
+impl<S: Real> Kernel<S> for Search<'_, S> {
+    type Output = Angles<S>;
+    #[inline(always)]
+    fn run(self) -> Angles<S> {
+        let Self(question) = self;
+        let Question { chain, target, stands } = question;
+        let mut best = *stands;
+        let mut best_cost = S::splat(f64::INFINITY);
+        for index in 0..STARTS + 2 {
+            let mut q = match index {
+                0 => *stands,
+                1 => chain.home,
+                _ => start(&chain.home, S::splat((index - 1) as f64)),
+            };
+            for _ in 0..STEPS {
+                let (next, left) = chain.approach(target, &q);
+                // A lane that has arrived stays, so that its bits do not hang on how long others take.
+                let arrived = left.lt(S::splat(ARRIVED));
+                for (q, next) in q.iter_mut().zip(next) {
+                    *q = S::select(arrived, *q, next);
+                }
+                if arrived.all() {
+                    break;
+                }
+            }
+            let cost = question.cost(&q);
+            let better = cost.lt(best_cost);
+            best_cost = S::select(better, cost, best_cost);
+            for (best, q) in best.iter_mut().zip(q) {
+                *best = S::select(better, q, *best);
+            }
+        }
+        best
+    }
+}
+
+/// Where a search begins: a point of the additive recurrence of Roberts (2018, "The unreasonable effectiveness of quasirandom sequences"), which
+/// fills the half turns around home evenly.
+#[inline(always)]
+fn start<S: Real>(home: &Angles<S>, index: S) -> Angles<S> {
+    let mut q = *home;
+    for (q, share) in q.iter_mut().zip(RECURRENCE) {
+        let x = index * S::splat(share);
+        let uniform = x - x.floor();
+        *q += (uniform - S::splat(0.5)) * S::splat(TAU);
+    }
+    q
+}

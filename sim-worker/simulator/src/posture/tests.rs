@@ -1,0 +1,171 @@
+//! Against the slow twin in double precision.
+
+use super::*;
+use crate::env::readings;
+use crate::inverse_kinematics::{self, candidates, pose};
+use crate::state::State;
+
+fn robot() -> Robot {
+    Robot::builtin("paper").expect("built in")
+}
+
+/// A goal of arm 1 that is reached with its joints off home by `off`, the base at home.
+fn goal(robot: &Robot, off: [f64; 6]) -> [f64; 6] {
+    let mut state = State::<f64>::home(robot);
+    for (q, off) in state.q[6..12].iter_mut().zip(off) {
+        *q += off;
+    }
+    let hand = readings(robot, &state).hands[1];
+    let ([x, y, z], [a, b, c]) = (hand.position, hand.euler);
+    [x, y, z, a, b, c]
+}
+
+fn goals_at(robot: &Robot, hand: [f64; 6]) -> Goals<f64> {
+    let at_home = readings(robot, &State::<f64>::home(robot));
+    let own = at_home.hands.iter().map(|hand| {
+        let ([x, y, z], [a, b, c]) = (hand.position, hand.euler);
+        [x, y, z, a, b, c]
+    });
+    let mut goals = Goals { hands: own.collect(), base: [0.0; 3] };
+    goals.hands[1] = hand;
+    goals
+}
+
+fn left<S: Real>(postures: &Postures<S>) -> Vec<S> {
+    postures.arms.iter().flat_map(|arm| arm.left).collect()
+}
+
+#[test]
+fn the_posture_is_the_nearest_of_the_twins() {
+    let robot = robot();
+    let home = State::<f64>::home(&robot);
+    for off in [[0.4, -0.3, 0.6, 0.2, 0.5, -0.4], [-0.3, 0.5, -0.6, 0.4, -0.7, 0.9]] {
+        let hand = goal(&robot, off);
+        let mut postures = Postures::new(&robot);
+        postures.update(&readings(&robot, &home), &goals_at(&robot, hand));
+        let mut target = pose(hand);
+        for i in 0..3 {
+            target.translation.vector[i] -= home.base_position[i];
+        }
+        let turn = |way: &[f64; 6]| {
+            let turns = way.iter().zip(&home.q[6..12]).map(|(way, home)| (way - home).abs());
+            turns.fold(0.0, f64::max)
+        };
+        let exact = candidates(&robot, 1, &target).into_iter().filter(|way| {
+            let (hand, _) = inverse_kinematics::forward(&robot, 1, way);
+            inverse_kinematics::residual(&target, &hand).norm() < 1e-6
+        });
+        let nearest = exact.min_by(|a, b| turn(a).total_cmp(&turn(b))).expect("off home by `off`");
+        for j in 0..6 {
+            let way = postures.arms[1].left[j];
+            assert!((way - (nearest[j] - home.q[6 + j])).abs() < 1e-5, "joint {j}: {way}");
+        }
+        // Arms that are at their goals stay.
+        for arm in [0, 2, 3] {
+            let left = postures.arms[arm].left;
+            assert!(left.iter().all(|left| left.abs() < 1e-6), "arm {arm}: {left:?}");
+        }
+    }
+}
+
+#[test]
+fn a_posture_follows_the_base_and_who_looks_twice_sees_the_same() {
+    let robot = robot();
+    let mut state = State::<f64>::home(&robot);
+    let goals = goals_at(&robot, goal(&robot, [0.4, -0.3, 0.6, 0.2, 0.5, -0.4]));
+    let mut postures = Postures::new(&robot);
+    postures.update(&readings(&robot, &state), &goals);
+    let before = left(&postures);
+    for step in 1..=20 {
+        state.base_position[0] += 0.002;
+        state.base_position[2] -= 0.001;
+        let angle = 0.002 * f64::from(step);
+        state.base_quaternion = crate::spatial::quaternion_exp([0.0, angle, -angle]);
+        postures.update(&readings(&robot, &state), &goals);
+    }
+    let followed = left(&postures);
+    assert!(before.iter().zip(&followed).any(|(a, b)| (a - b).abs() > 0.02));
+    postures.update(&readings(&robot, &state), &goals);
+    assert_eq!(left(&postures), followed, "nothing has moved since");
+    for (joint, left) in followed.iter().enumerate() {
+        state.q[joint] += left;
+    }
+    let arrived = readings(&robot, &state);
+    for (hand, goal) in arrived.hands.iter().zip(&goals.hands) {
+        for i in 0..3 {
+            // The other arms are at singular poses, from which steps are slow.
+            assert!((hand.position[i] - goal[i]).abs() < 1e-3);
+            assert!((hand.euler[i] - goal[3 + i]).abs() < 1e-3);
+        }
+    }
+}
+
+#[test]
+fn lanes_do_not_mix() {
+    struct Both;
+    impl crate::scalar::LaneFn for Both {
+        type Output = Vec<Vec<f64>>;
+        #[inline(always)]
+        fn call<S: Real>(self) -> Self::Output {
+            look::<S>()
+        }
+    }
+    /// What is left in each lane, which has a goal of its own.
+    #[inline(always)]
+    fn look<S: Real>() -> Vec<Vec<f64>> {
+        let robot = robot();
+        let state = State::<S>::home(&robot);
+        let mut goals = Goals { hands: vec![[S::zero(); 6]; 4], base: [S::zero(); 3] };
+        let at_home = goals_at(&robot, [0.0; 6]);
+        for lane in 0..S::LANES {
+            let turn = 0.1 * lane as f64 - 0.4;
+            let hand = goal(&robot, [turn, -0.2, 0.3, 0.2, 0.5 - turn, -0.4]);
+            for (arm, slots) in goals.hands.iter_mut().enumerate() {
+                let hand = if arm == 1 { hand } else { at_home.hands[arm] };
+                for (slot, x) in slots.iter_mut().zip(hand) {
+                    slot.set_lane(lane, x);
+                }
+            }
+        }
+        let mut postures = Postures::new(&robot);
+        postures.update(&readings(&robot, &state), &goals);
+        let lane = |lane: usize| left(&postures).iter().map(|x| x.lane(lane)).collect();
+        (0..S::LANES).map(lane).collect()
+    }
+    let lanes = crate::scalar::dispatch(Both);
+    // A lone lane has the first lane's goal.
+    assert_eq!(look::<f32>()[0], lanes[0]);
+    assert!(lanes.iter().all(|lane| lane[6..12] != lanes[0][6..12] || lane == &lanes[0]));
+}
+
+/// Of the goals that policies are evaluated on: inverse kinematics has a solution for as many as the slow twin finds, less what stops a joint.
+#[test]
+fn most_goals_have_a_good_posture() {
+    use proto::config::{Layers, Preset, TaskName};
+
+    use crate::experiment::EvaluationGoals;
+    use crate::inverse_kinematics::solvable;
+    use crate::rollout::World;
+
+    let config = Layers::new(Preset::Tuned, Some(TaskName::Trajectory)).resolve().expect("preset");
+    let robot = robot();
+    let world = World::new(&config, &robot);
+    let state = State::<f64>::home(&robot);
+    let seen = readings(&robot, &state);
+    let (mut good, mut solved) = (0, 0);
+    for episode in 0..100 {
+        let hand = |arm| EvaluationGoals::drawn(5).hand(&world, episode, arm);
+        let goals = Goals { hands: (0..4).map(hand).collect(), base: [0.0; 3] };
+        let mut postures = Postures::new(&robot);
+        postures.update(&seen, &goals);
+        good += postures.arms.iter().filter(|arm| arm.good == 1.0).count();
+        for arm in 0..4 {
+            let mut target = pose(hand(arm));
+            for i in 0..3 {
+                target.translation.vector[i] -= state.base_position[i];
+            }
+            solved += usize::from(solvable(&robot, arm, &target));
+        }
+    }
+    assert_eq!(good, solved);
+}
