@@ -138,6 +138,14 @@ impl<S: Real> Invariants<S> {
         scale(self.locked.c[0].recip(), self.linear)
     }
 
+    /// Velocity that the base, which has none, takes so that nothing of this momentum is left: at its origin, its axes, if the fixed point is there.
+    #[inline(always)]
+    pub(crate) fn recoil(&self) -> Vec6<S> {
+        let [ang, lin] =
+            [self.angular, self.linear].map(|p| mat_t_vec(&self.r_wb, sub([S::zero(); 3], p)));
+        self.locked.solve(Vec6 { ang, lin })
+    }
+
     /// What they are after a time (s) in which a constant force and some moment have acted from outside, with this impulse: world axes, about the fixed point
     /// (N m s, N s).
     ///

@@ -8,7 +8,6 @@ use super::{Driver, Player};
 use crate::controller::{JacobianController, Memory};
 use crate::env::EpisodeError;
 use crate::policy::Scratch;
-use crate::posture::guiding;
 use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::Real;
@@ -77,10 +76,8 @@ impl<S: Real> Seat<S> {
         match (self, player.driver) {
             (Self::Policy { observations, guidance, .. }, _) => {
                 if let Some(postures) = &seen.errors.postures {
-                    let period = player.world.config.env.control_period;
-                    let factor = guiding(task.posture.gain, period, player.action_scale);
                     let out = &mut guidance[index * limits.len()..(index + 1) * limits.len()];
-                    postures.guide(S::splat(factor), limits, out);
+                    postures.guide(task.posture.gain, player.action_scale, limits, out);
                 }
                 let (o, agents_per_actor) = (dimensions.observation, dimensions.agents_per_actor());
                 for actor in actors(arms, number, dimensions) {

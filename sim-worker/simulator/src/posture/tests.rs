@@ -1,8 +1,12 @@
 //! Against the slow twin in double precision.
 
+use proto::config::{Layers, Preset, TaskName};
+
 use super::*;
 use crate::env::readings;
-use crate::inverse_kinematics::{self, candidates, pose};
+use crate::experiment::EvaluationGoals;
+use crate::inverse_kinematics::{self, candidates, pose, solvable};
+use crate::rollout::World;
 use crate::state::State;
 
 fn robot() -> Robot {
@@ -31,6 +35,11 @@ fn goals_at(robot: &Robot, hand: [f64; 6]) -> Goals<f64> {
     goals
 }
 
+fn world(robot: &Robot) -> World {
+    let config = Layers::new(Preset::Tuned, Some(TaskName::Trajectory)).resolve();
+    World::new(&config.expect("a preset"), robot)
+}
+
 fn left<S: Real>(postures: &Postures<S>) -> Vec<S> {
     postures.arms.iter().flat_map(|arm| arm.left).collect()
 }
@@ -41,7 +50,7 @@ fn the_posture_is_the_nearest_of_the_twins() {
     let home = State::<f64>::home(&robot);
     for off in [[0.4, -0.3, 0.6, 0.2, 0.5, -0.4], [-0.3, 0.5, -0.6, 0.4, -0.7, 0.9]] {
         let hand = goal(&robot, off);
-        let mut postures = Postures::new(&robot);
+        let mut postures = Postures::new(&robot, &world(&robot).task);
         postures.update(&readings(&robot, &home), &goals_at(&robot, hand));
         let mut target = pose(hand);
         for i in 0..3 {
@@ -73,7 +82,7 @@ fn a_posture_follows_the_base_and_who_looks_twice_sees_the_same() {
     let robot = robot();
     let mut state = State::<f64>::home(&robot);
     let goals = goals_at(&robot, goal(&robot, [0.4, -0.3, 0.6, 0.2, 0.5, -0.4]));
-    let mut postures = Postures::new(&robot);
+    let mut postures = Postures::new(&robot, &world(&robot).task);
     postures.update(&readings(&robot, &state), &goals);
     let before = left(&postures);
     for step in 1..=20 {
@@ -127,7 +136,7 @@ fn lanes_do_not_mix() {
                 }
             }
         }
-        let mut postures = Postures::new(&robot);
+        let mut postures = Postures::new(&robot, &world(&robot).task);
         postures.update(&readings(&robot, &state), &goals);
         let lane = |lane: usize| left(&postures).iter().map(|x| x.lane(lane)).collect();
         (0..S::LANES).map(lane).collect()
@@ -141,22 +150,15 @@ fn lanes_do_not_mix() {
 /// Of the goals that policies are evaluated on: inverse kinematics has a solution for as many as the slow twin finds, less what stops a joint.
 #[test]
 fn most_goals_have_a_good_posture() {
-    use proto::config::{Layers, Preset, TaskName};
-
-    use crate::experiment::EvaluationGoals;
-    use crate::inverse_kinematics::solvable;
-    use crate::rollout::World;
-
-    let config = Layers::new(Preset::Tuned, Some(TaskName::Trajectory)).resolve().expect("preset");
     let robot = robot();
-    let world = World::new(&config, &robot);
+    let evaluated = world(&robot);
     let state = State::<f64>::home(&robot);
     let seen = readings(&robot, &state);
     let (mut good, mut solved) = (0, 0);
     for episode in 0..100 {
-        let hand = |arm| EvaluationGoals::drawn(5).hand(&world, episode, arm);
+        let hand = |arm| EvaluationGoals::drawn(5).hand(&evaluated, episode, arm);
         let goals = Goals { hands: (0..4).map(hand).collect(), base: [0.0; 3] };
-        let mut postures = Postures::new(&robot);
+        let mut postures = Postures::new(&robot, &world(&robot).task);
         postures.update(&seen, &goals);
         good += postures.arms.iter().filter(|arm| arm.good == 1.0).count();
         for arm in 0..4 {

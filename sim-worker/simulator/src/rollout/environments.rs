@@ -8,7 +8,6 @@ use proto::layout::{Dimensions, JOINTS_PER_AGENT};
 use super::conditions::Conditions;
 use super::lane_group::LaneGroup;
 use crate::env::{EpisodeError, Physics, check_state};
-use crate::posture::guiding;
 use crate::robot::Robot;
 use crate::scalar::Real;
 use crate::state::State;
@@ -39,8 +38,6 @@ pub(crate) struct Environments<S: Real> {
     /// Limits of the actions, one a joint.
     limits: Vec<S>,
     scale: S,
-    /// From what is left to the goal posture to an action (rad/s per rad).
-    guiding: S,
     /// What a diverged step began with, for the report.
     before: State<S>,
 }
@@ -65,11 +62,6 @@ impl<S: Real> Environments<S> {
             },
             limits: task.action_limit.iter().map(|&limit| S::splat(limit)).collect(),
             scale: S::splat(task.action_scale),
-            guiding: S::splat(guiding(
-                task.posture.gain,
-                options.control_period,
-                task.action_scale,
-            )),
             before: State::home(robot),
         }
     }
@@ -95,7 +87,7 @@ impl<S: Real> Environments<S> {
     /// Looks at what the step before led to in group `index`, after `step` steps.
     #[inline(always)]
     pub(crate) fn look(&mut self, task: &Task, dimensions: &Dimensions, index: usize, step: usize) {
-        let Self { physics, groups, seen, limits, guiding, .. } = self;
+        let Self { physics, groups, seen, limits, .. } = self;
         let group = &mut groups[index];
         let touching = physics.read(&group.state, &mut group.readings);
         group.readings.last_action.copy_from_slice(&group.action);
@@ -121,7 +113,7 @@ impl<S: Real> Environments<S> {
             observe(task, told, goals, told_errors, agent, to);
         }
         if let Some(postures) = &told_errors.postures {
-            postures.guide(*guiding, limits, guidance);
+            postures.guide(task.posture.gain, task.action_scale, limits, guidance);
         }
         critic_state(task, readings, errors, &seen.observations, &mut seen.critic);
         std::mem::swap(&mut group.action, &mut group.last_action);

@@ -20,6 +20,8 @@ pub struct Task {
     pub critic_state: CriticState,
     /// Weights of the rewards.
     pub reward: Reward,
+    /// Time of a control step (s).
+    pub control_period: f64,
     /// Factor from a clipped action to a joint velocity command (rad/s).
     pub action_scale: f64,
     /// Where goals are drawn from, and home, which they are relative to.
@@ -39,6 +41,7 @@ impl Task {
             observation: task.observation,
             joint_angles: task.joint_angles,
             posture: task.posture,
+            control_period: config.env.control_period,
             critic_state: config.network.critic_state,
             action_scale: task.action_scale,
             action_limit: home.arms.iter().flat_map(|arm| arm.command_limit).collect(),

@@ -134,7 +134,7 @@ impl<S: Real> Errors<S> {
     pub(crate) fn tell(&mut self, task: &Task, robot: &Robot) {
         let proto::config::Posture { seen, gain } = task.posture;
         if (seen || gain > 0.0) && self.postures.is_none() {
-            self.postures = Some(Postures::new(robot));
+            self.postures = Some(Postures::new(robot, task));
         }
     }
 
