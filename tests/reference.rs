@@ -31,7 +31,7 @@ This page is made from the code by `make guide`, and a test keeps it current.
 * **Default** is the value in preset `tuned`, for task `trajectory` and algorithm `mappo`. Where task `reorientation` has another
   value, it follows.
 * **`paper`** and **`release`** are the values in those presets, likewise; – means the same as in `tuned`.
-* Preset `robust` is `tuned` but for what its file says, `deploy/presets/robust.toml`.
+* Presets `robust` and `guided` are `tuned` but for what their files say, `deploy/presets/robust.toml` and `guided.toml`.
 * **Range** is what is accepted; both ends belong to it. Where an end depends on another key, the range is that of preset `tuned`.
 * [Configuration](configuration.md) says how a key is set, and what changes with another algorithm.
 ";

@@ -65,8 +65,13 @@ impl Names for ControllerName {
 }
 
 impl Names for Preset {
-    const ALL: &'static [Named<Self>] =
-        &[Named(Self::Tuned), Named(Self::Paper), Named(Self::Release), Named(Self::Robust)];
+    const ALL: &'static [Named<Self>] = &[
+        Named(Self::Tuned),
+        Named(Self::Paper),
+        Named(Self::Release),
+        Named(Self::Robust),
+        Named(Self::Guided),
+    ];
 
     fn name(self) -> &'static str {
         self.as_str()
@@ -79,6 +84,9 @@ impl Names for Preset {
             }
             Self::Paper => "The paper's text; where it is silent, the released code",
             Self::Release => "The authors' released code",
+            Self::Guided => {
+                "Preset `tuned`, with agents who know joint angles that bring the hand to its goal"
+            }
             Self::Robust => "Preset `tuned`, trained with a robot whose drives and sensors err",
         }
     }

@@ -106,7 +106,21 @@ class Actor:
         These, not the commands, are the last action that the next observations hold.
         """
         means = np.moveaxis(self.means(observations), 0, -2)
-        return np.clip(means.reshape(*means.shape[:-2], -1), -self.limits, self.limits)
+        means = means.reshape(*means.shape[:-2], -1) + self.guidance(observations)
+        return np.clip(means, -self.limits, self.limits)
+
+    def guidance(self, observations):
+        """What is added to what the networks say, (..., 3 A): actions that go to the goal postures, which observations tell."""
+        gain = self.config["task"].get("posture", {"gain": 0.0})["gain"]
+        if gain == 0.0:
+            return 0.0
+        # Of the shoulders' observations: whether the posture is free of stops, and what is left to it (rad).
+        seen = np.moveaxis(self.check(observations)[::2], 0, -2)[..., -20:-12]
+        free, left = seen[..., 1:2], seen[..., 2:]
+        there = gain / (self.config["env"]["control_period"] * self.scale) * free * left
+        excess = np.abs(there) / self.limits.reshape(-1, 6)
+        there = there / np.maximum(excess.max(-1, keepdims=True), 1.0)
+        return there.reshape(*there.shape[:-2], -1)
 
     def commands(self, observations):
         """Joint velocities (rad/s), joint after joint, to hold for a control period: (..., 3 A)."""

@@ -52,8 +52,8 @@ impl Dimensions {
         let n_agents = n_arms * AGENTS_PER_ARM;
         // Six angles of an arm and as many rates.
         let joints = 6 * config.task.joint_angles.numbers() + 6;
-        // Whether the goal posture is good, and what is left to it, plain 6 and squashed 6.
-        let posture = if config.task.posture.seen { 13 } else { 0 };
+        // Whether the goal posture brings the hand to its goal and whether it is free of stops, what is left to it, plain 6 and squashed 6.
+        let posture = if config.task.posture.seen { 14 } else { 0 };
         let observation = match (config.task.observation, config.task.name) {
             (Observation::Paper, TaskName::Trajectory) => 28,
             (Observation::Release, TaskName::Trajectory) => 31,

@@ -16,15 +16,18 @@ pub enum Preset {
     Release,
     /// Preset `tuned`, trained with a robot whose drives and sensors err.
     Robust,
+    /// Preset `tuned`, with agents who know joint angles that bring the hand to its goal, and act beside them.
+    Guided,
 }
 
 impl Preset {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Tuned, Self::Paper, Self::Release, Self::Robust];
+    pub const ALL: [Self; 5] =
+        [Self::Tuned, Self::Paper, Self::Release, Self::Robust, Self::Guided];
 
     /// The preset that this one only changes, if there is one.
     fn base(self) -> Option<Self> {
-        (self == Self::Robust).then_some(Self::Tuned)
+        matches!(self, Self::Robust | Self::Guided).then_some(Self::Tuned)
     }
 
     /// The preset of this name.
@@ -38,6 +41,7 @@ impl Preset {
             Self::Paper => include_str!("../../../deploy/presets/paper.toml"),
             Self::Release => include_str!("../../../deploy/presets/release.toml"),
             Self::Robust => include_str!("../../../deploy/presets/robust.toml"),
+            Self::Guided => include_str!("../../../deploy/presets/guided.toml"),
         }
     }
 
@@ -48,6 +52,7 @@ impl Preset {
             Self::Paper => "paper",
             Self::Release => "release",
             Self::Robust => "robust",
+            Self::Guided => "guided",
         }
     }
 

@@ -6,7 +6,7 @@ use super::algorithm::AlgorithmName;
 use super::maddpg::Maddpg;
 use super::network::{CriticState, ParameterSharing};
 use super::resolved::Config;
-use super::task::{Reward, RewardWeights};
+use super::task::{Observation, Reward, RewardWeights, TaskName};
 use crate::ConfigError;
 use crate::bucket_address;
 use crate::message::HEARTBEAT;
@@ -28,6 +28,21 @@ impl Config {
         within("task.start.anywhere", task.start.anywhere, 0.0, 1.0)?;
         within("task.start.turning", task.start.turning, 0.0, 1.0)?;
         within("task.posture.gain", task.posture.gain, 0.0, 1.0)?;
+        let told = (task.name, task.observation) == (TaskName::Trajectory, Observation::Arm);
+        if (task.posture.seen || task.posture.gain > 0.0) && !told {
+            return Err(ConfigError::Invalid {
+                key: "task.posture",
+                problem: "is for task `trajectory` with observation `arm`".to_owned(),
+                cure: "set task.posture.seen=false and task.posture.gain=0".to_owned(),
+            });
+        }
+        if task.posture.gain > 0.0 && !task.posture.seen {
+            return Err(ConfigError::Invalid {
+                key: "task.posture.gain",
+                problem: "adds to actions what agents do not see".to_owned(),
+                cure: "set task.posture.seen=true".to_owned(),
+            });
+        }
         let erring = &task.randomization;
         within("task.randomization.share", erring.share, 0.0, 1.0)?;
         within("task.randomization.delay", erring.delay, 0.0, 1.0)?;

@@ -13,7 +13,7 @@ const MAX_TEXT: u64 = 1 << 20;
 
 /// What a run is configured with.
 ///
-/// `config` is the name of a preset ("tuned", "paper", "release", "robust") or the path of a TOML file, which lies over `preset` ("tuned"); `task` is
+/// `config` is the name of a preset ("tuned", "paper", "release", "robust", "guided") or the path of a TOML file, which lies over `preset` ("tuned"); `task` is
 /// "trajectory" or "reorientation"; `set` lists `KEY=VALUE` as `octopus train --set` takes them. `ValueError` says what is wrong, in the
 /// words of `octopus train`.
 #[pyclass(frozen, module = "spaceoctopus")]
@@ -121,7 +121,7 @@ pub(crate) fn layered(
         None => Preset::Tuned,
         Some(name) => Preset::named(name).ok_or_else(|| {
             value(format!(
-                "preset {name:?}: expected \"tuned\", \"paper\", \"release\" or \"robust\""
+                "preset {name:?}: expected \"tuned\", \"paper\", \"release\", \"robust\" or \"guided\""
             ))
         })?,
     };
@@ -138,7 +138,7 @@ pub(crate) fn layered(
         (Some(path), None) => {
             let text = read_text(path).map_err(|error| {
                 value(format!(
-                    "{}: {error}; give a TOML file, or one of the presets: tuned, paper, release, robust",
+                    "{}: {error}; give a TOML file, or one of the presets: tuned, paper, release, robust, guided",
                     path.display()
                 ))
             })?;

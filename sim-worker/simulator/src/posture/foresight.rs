@@ -19,14 +19,16 @@ use crate::spatial::{
 use crate::state::State;
 use crate::workspace::Workspace;
 
-/// Sets of ways that are judged: the nearest of each arm, and others.
-const SETS: u64 = 24;
+/// Sets of ways that are judged: the nearest of each arm,
+const SETS: u64 = 40;
+/// so many in which every arm takes another one, and then the best so far with another way of one or two arms.
+const SPREAD: u64 = 8;
 /// Control steps that are looked ahead: half a turn at 0.8 rad/s takes ten.
-const STEPS: usize = 20;
+const STEPS: usize = 15;
 /// What an arm that does not arrive counts, in longest ways (rad).
 const MISSED: f64 = 100.0;
-/// What a pair that touches counts in a control step (rad).
-const TOUCHES: f64 = 4.0;
+/// What a pair that touches counts in a control step (rad): an arm that touches for five of them is held up and does not arrive.
+const TOUCHES: f64 = 20.0;
 
 /// The postures of a lane group that are yet to be chosen, in the lanes of `open`, an entry an arm.
 pub(super) struct Foresight<'a, S: Real> {
@@ -58,6 +60,7 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
         let mut workspace = Workspace::new(&model);
         let mut best: Vec<Angles<S>> = arms.iter().map(|arm| arm.angles).collect();
         let mut best_cost = S::splat(f64::INFINITY);
+        let n_arms = arms.len() as u64;
         for set in 0..SETS {
             let mut tried = arms.to_vec();
             let mut cost = S::zero();
@@ -65,10 +68,10 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
                 let target = place.seen(&goals[index]);
                 let stands = place.stands(index);
                 let question = Question { chain: &arm.chain, target: &target, stands: &stands };
+                arm.angles = best[index];
                 let mut of_way = question.cost(&arm.angles);
-                if set > 0 {
-                    // Arms take their starts in turns, so that sets are not all new at once.
-                    let number = STARTS + 1 + set * arms.len() as u64 + index as u64;
+                if set > 0 && is_varied(set, index as u64, n_arms) {
+                    let number = STARTS + 1 + set * n_arms + index as u64;
                     let other = question.later(S::splat(number as f64));
                     let other_cost = question.cost(&other);
                     let taken = open[index] & other_cost.lt(S::splat(STOPPED));
@@ -93,6 +96,12 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
             choose(*open, best, &mut arm.angles);
         }
     }
+}
+
+/// Whether arm `index` takes another way in a set than in the best one so far.
+fn is_varied(set: u64, index: u64, n_arms: u64) -> bool {
+    let second = (set / n_arms) % n_arms;
+    set < SPREAD || index == set % n_arms || index == second
 }
 
 /// Has all arms go to their postures, which follow the base on the way; how many pairs touch on it, control step by control step.

@@ -30,7 +30,7 @@ pub(crate) struct Posture<S> {
     /// One where the posture brings the hand to its goal and no joint is stopped there, else zero.
     pub(crate) good: S,
     /// One where no joint is stopped there, else zero.
-    free: S,
+    pub(crate) free: S,
     chain: Chain<S>,
     /// The goal that the angles lead to.
     goal: [S; 6],
@@ -181,13 +181,18 @@ impl<S: Real> Posture<S> {
         for _ in 0..FOLLOWING {
             *angles = chain.approach(&target, angles).0;
         }
+        // Angles that only come near would wander with the base.
         let mut cost = question.cost(angles);
+        let cost_before = question.cost(&before);
+        let astray = cost.ge(S::splat(UNSOLVED)) & cost_before.le(cost);
+        choose(astray, before, angles);
+        cost = S::select(astray, cost_before, cost);
         let bad = !rests & cost.ge(S::splat(STOPPED));
         if bad.any() {
             *tried = S::select(bad, *tried + S::one(), *tried);
             let other = question.later(*tried);
             let other_cost = question.cost(&other);
-            let better = bad & other_cost.lt(cost.min(S::splat(UNSOLVED)));
+            let better = bad & other_cost.lt(S::splat(STOPPED));
             choose(better, other, angles);
             cost = S::select(better, other_cost, cost);
         }

@@ -88,6 +88,7 @@ fn an_environments_rows_do_not_depend_on_the_sharding() {
         (Preset::Tuned, TaskName::Trajectory),
         (Preset::Release, TaskName::Reorientation),
         (Preset::Robust, TaskName::Trajectory),
+        (Preset::Guided, TaskName::Trajectory),
     ] {
         // 42 environments: groups of 16, 16 and 10; of 14; of 6; alone.
         let whole = world(preset, task, 42, 1, 3);
@@ -114,7 +115,7 @@ fn an_environments_rows_do_not_depend_on_the_sharding() {
 
 #[test]
 fn every_back_end_makes_the_same_block() {
-    for preset in [Preset::Paper, Preset::Robust] {
+    for preset in [Preset::Paper, Preset::Robust, Preset::Guided] {
         every_back_end_makes_the_same_block_with(preset);
     }
 }

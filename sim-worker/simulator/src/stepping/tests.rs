@@ -91,6 +91,7 @@ fn the_actions_of_a_block_make_the_bits_of_the_block() {
         (Preset::Release, TaskName::Trajectory),
         (Preset::Tuned, TaskName::Reorientation),
         (Preset::Robust, TaskName::Trajectory),
+        (Preset::Guided, TaskName::Trajectory),
     ] {
         let n = 42;
         let world = world(preset, task, n, 3);

@@ -30,6 +30,9 @@
 //! | 30–41 | 27–32 | the errors squashed at two widths, see [`Errors`] |
 //! | 42–47 | 33–38 | the arm's last action: clipped, before scaling (rad/s) |
 //!
+//! With `task.posture.seen` 14 numbers of the arm's goal posture stand before the last action (see `posture`): whether it brings the hand to
+//! its goal, whether it is free of stops, what is left to it (rad), plain and squashed.
+//!
 //! Joints have no stops, so a turn more or less is the same pose, and looks it. With
 //! `task.joint_angles = "unwound"` the angles themselves (rad) stand in the place of sines and cosines,
 //! and what follows moves up by six.
@@ -124,7 +127,7 @@ impl<'a, S: Real> Writer<'a, S> {
         }
         let postures = errors.postures.as_ref().expect("a task that tells them has them");
         let posture = &postures.arms[arm];
-        self.put(&[posture.good]);
+        self.put(&[posture.good, posture.free]);
         self.put(&posture.left);
         for left in posture.left {
             self.put(&[(left * S::splat(1.0 / POSTURE_WIDTH)).tanh()]);
