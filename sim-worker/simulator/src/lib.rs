@@ -14,6 +14,7 @@
 //! * [`collision`]: what touches, and how it pushes;
 //! * [`mod@step`]: integrators, and what disturbs from outside;
 //! * [`simulate`]: open loop, from commands to a trajectory;
+//! * `inverse_kinematics`, `posture`: joint angles that bring hands to poses, one at a time and in lanes;
 //! * [`task`]: goals, observations, critic states, rewards;
 //! * [`policy`]: the actors, evaluated without libtorch;
 //! * [`mod@env`]: the robot with its sensors, as loops over episodes use it;

@@ -4,9 +4,9 @@
 //! judged together: a rollout of the kinematics alone, in which joints go as they are guided and the base goes as no momentum
 //! lets it [Umetani and Yoshida 1989, eq. 9], tells where all arms end. A control step of it costs a hundredth of one of the dynamics.
 
+use super::arm::{Pace, Place, Posture, choose};
 use super::chain::Angles;
 use super::search::{Question, STARTS, STOPPED};
-use super::{Pace, Place, Posture, choose};
 use crate::collision::count_contacts;
 use crate::dynamics::invariants::{BaseMotion, invariants};
 use crate::model::Model;

@@ -8,6 +8,7 @@ use crate::experiment::EvaluationGoals;
 use crate::inverse_kinematics::{self, candidates, pose, solvable};
 use crate::rollout::World;
 use crate::state::State;
+use crate::task::{Goals, Readings};
 
 fn robot() -> Robot {
     Robot::builtin("paper").expect("built in")
@@ -40,6 +41,17 @@ fn world(robot: &Robot) -> World {
     World::new(&config.expect("a preset"), robot)
 }
 
+/// No postures yet, of the paces of preset `tuned`.
+fn none_yet<S: Real>(robot: &Robot) -> Postures<S> {
+    let limit = |joint: usize| S::splat(0.8 * robot.links[joint % JOINTS_PER_ARM].max_rate);
+    let limits = (0..robot.n_joints()).map(limit).collect();
+    Postures::new(robot, Pace { gain: 0.7, period: 0.4, limits })
+}
+
+fn look<S: Real>(postures: &mut Postures<S>, seen: &Readings<S>, goals: &Goals<S>) {
+    postures.update((seen.base_position, seen.base_quaternion), &seen.q, &goals.hands);
+}
+
 fn left<S: Real>(postures: &Postures<S>) -> Vec<S> {
     postures.arms.iter().flat_map(|arm| arm.left).collect()
 }
@@ -50,8 +62,8 @@ fn the_posture_is_the_nearest_of_the_twins() {
     let home = State::<f64>::home(&robot);
     for off in [[0.4, -0.3, 0.6, 0.2, 0.5, -0.4], [-0.3, 0.5, -0.6, 0.4, -0.7, 0.9]] {
         let hand = goal(&robot, off);
-        let mut postures = Postures::new(&robot, &world(&robot).task);
-        postures.update(&readings(&robot, &home), &goals_at(&robot, hand));
+        let mut postures = none_yet(&robot);
+        look(&mut postures, &readings(&robot, &home), &goals_at(&robot, hand));
         let mut target = pose(hand);
         for i in 0..3 {
             target.translation.vector[i] -= home.base_position[i];
@@ -82,19 +94,19 @@ fn a_posture_follows_the_base_and_who_looks_twice_sees_the_same() {
     let robot = robot();
     let mut state = State::<f64>::home(&robot);
     let goals = goals_at(&robot, goal(&robot, [0.4, -0.3, 0.6, 0.2, 0.5, -0.4]));
-    let mut postures = Postures::new(&robot, &world(&robot).task);
-    postures.update(&readings(&robot, &state), &goals);
+    let mut postures = none_yet(&robot);
+    look(&mut postures, &readings(&robot, &state), &goals);
     let before = left(&postures);
     for step in 1..=20 {
         state.base_position[0] += 0.002;
         state.base_position[2] -= 0.001;
         let angle = 0.002 * f64::from(step);
         state.base_quaternion = crate::spatial::quaternion_exp([0.0, angle, -angle]);
-        postures.update(&readings(&robot, &state), &goals);
+        look(&mut postures, &readings(&robot, &state), &goals);
     }
     let followed = left(&postures);
     assert!(before.iter().zip(&followed).any(|(a, b)| (a - b).abs() > 0.02));
-    postures.update(&readings(&robot, &state), &goals);
+    look(&mut postures, &readings(&robot, &state), &goals);
     assert_eq!(left(&postures), followed, "nothing has moved since");
     for (joint, left) in followed.iter().enumerate() {
         state.q[joint] += left;
@@ -116,12 +128,12 @@ fn lanes_do_not_mix() {
         type Output = Vec<Vec<f64>>;
         #[inline(always)]
         fn call<S: Real>(self) -> Self::Output {
-            look::<S>()
+            look_apart::<S>()
         }
     }
     /// What is left in each lane, which has a goal of its own.
     #[inline(always)]
-    fn look<S: Real>() -> Vec<Vec<f64>> {
+    fn look_apart<S: Real>() -> Vec<Vec<f64>> {
         let robot = robot();
         let state = State::<S>::home(&robot);
         let mut goals = Goals { hands: vec![[S::zero(); 6]; 4], base: [S::zero(); 3] };
@@ -136,14 +148,14 @@ fn lanes_do_not_mix() {
                 }
             }
         }
-        let mut postures = Postures::new(&robot, &world(&robot).task);
-        postures.update(&readings(&robot, &state), &goals);
+        let mut postures = none_yet(&robot);
+        look(&mut postures, &readings(&robot, &state), &goals);
         let lane = |lane: usize| left(&postures).iter().map(|x| x.lane(lane)).collect();
         (0..S::LANES).map(lane).collect()
     }
     let lanes = crate::scalar::dispatch(Both);
     // A lone lane has the first lane's goal.
-    assert_eq!(look::<f32>()[0], lanes[0]);
+    assert_eq!(look_apart::<f32>()[0], lanes[0]);
     assert!(lanes.iter().all(|lane| lane[6..12] != lanes[0][6..12] || lane == &lanes[0]));
 }
 
@@ -158,8 +170,8 @@ fn most_goals_have_a_good_posture() {
     for episode in 0..100 {
         let hand = |arm| EvaluationGoals::drawn(5).hand(&evaluated, episode, arm);
         let goals = Goals { hands: (0..4).map(hand).collect(), base: [0.0; 3] };
-        let mut postures = Postures::new(&robot, &world(&robot).task);
-        postures.update(&seen, &goals);
+        let mut postures = none_yet(&robot);
+        look(&mut postures, &seen, &goals);
         good += postures.arms.iter().filter(|arm| arm.good == 1.0).count();
         for arm in 0..4 {
             let mut target = pose(hand(arm));

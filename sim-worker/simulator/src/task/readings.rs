@@ -1,7 +1,7 @@
 //! What tasks read from a simulated robot, and the errors that follow.
 
 use super::{Goals, Task};
-use crate::posture::Postures;
+use crate::posture::{Pace, Postures};
 use crate::robot::JOINTS_PER_ARM;
 use crate::robot::Robot;
 use crate::scalar::Real;
@@ -76,6 +76,9 @@ pub const POSITION_WIDTHS: [f64; 2] = [0.05, 0.015];
 /// Widths of the squashed attitude errors (rad): tanh(e / width).
 pub const ATTITUDE_WIDTHS: [f64; 2] = [0.08, 0.025];
 
+/// Share of the way to its goal posture that an arm is taken to cover in a control step where nothing is added to actions.
+const UNGUIDED: f64 = 0.7;
+
 /// Task errors of one lane group, goal − actual: as they are paid, and as agents see them.
 ///
 /// The tasks' measures and rewards are in the world's axes and Euler angles, as the paper has them.
@@ -134,7 +137,13 @@ impl<S: Real> Errors<S> {
     pub(crate) fn tell(&mut self, task: &Task, robot: &Robot) {
         let proto::config::Posture { seen, gain } = task.posture;
         if (seen || gain > 0.0) && self.postures.is_none() {
-            self.postures = Some(Postures::new(robot, task));
+            let limit = |limit: &f64| S::splat(limit * task.action_scale);
+            let pace = Pace {
+                gain: if gain > 0.0 { gain } else { UNGUIDED },
+                period: task.control_period,
+                limits: task.action_limit.iter().map(limit).collect(),
+            };
+            self.postures = Some(Postures::new(robot, pace));
         }
     }
 
@@ -184,7 +193,8 @@ impl<S: Real> Errors<S> {
         }
         self.base_norm = norm(self.base);
         if let Some(postures) = &mut self.postures {
-            postures.update(readings, goals);
+            let base = (readings.base_position, readings.base_quaternion);
+            postures.update(base, &readings.q, &goals.hands);
         }
     }
 }

@@ -1,0 +1,162 @@
+//! The goal posture of one arm: chosen, followed, gone to.
+
+use super::chain::{Angles, Chain, Frame, seen_from};
+use super::search::{Question, STARTS, STOPPED, UNSOLVED};
+use crate::robot::JOINTS_PER_ARM;
+use crate::scalar::{Mask, Real};
+use crate::spatial::{Vec3, euler_xyz_to_rotation, quaternion_to_rotation};
+
+/// Steps with which a posture follows the base in a control step.
+const FOLLOWING: usize = 2;
+
+/// The goal posture of one arm.
+#[derive(Debug, Clone)]
+pub(crate) struct Posture<S> {
+    /// What is left to go, a joint each (rad).
+    pub(crate) left: Angles<S>,
+    /// One where the posture brings the hand to its goal and no joint is stopped there, else zero.
+    pub(crate) good: S,
+    /// One where no joint is stopped there, else zero.
+    pub(crate) free: S,
+    pub(super) chain: Chain<S>,
+    /// The goal that the angles lead to.
+    goal: [S; 6],
+    pub(super) angles: Angles<S>,
+    /// Starts of the search that were tried.
+    tried: S,
+}
+
+/// How fast arms go to their postures.
+#[derive(Debug, Clone)]
+pub(crate) struct Pace<S> {
+    /// Share of the way that is left which a control step covers.
+    pub(crate) gain: f64,
+    /// Time of a control step (s).
+    pub(crate) period: f64,
+    /// Fastest joint rates (rad/s), arm-major.
+    pub(crate) limits: Vec<S>,
+}
+
+/// Where the robot is.
+pub(super) struct Place<'a, S> {
+    pub(super) position: Vec3<S>,
+    pub(super) quaternion: [S; 4],
+    pub(super) q: &'a [S],
+}
+
+impl<S: Real> Place<'_, S> {
+    /// A goal seen from the base.
+    #[inline(always)]
+    pub(super) fn seen(&self, [x, y, z, a, b, c]: &[S; 6]) -> Frame<S> {
+        let base = quaternion_to_rotation(&self.quaternion);
+        let rotation = euler_xyz_to_rotation([*a, *b, *c]);
+        seen_from((&base, self.position), &rotation, [*x, *y, *z])
+    }
+
+    /// The joint angles of an arm.
+    #[inline(always)]
+    pub(super) fn stands(&self, arm: usize) -> Angles<S> {
+        let mut stands = [S::zero(); JOINTS_PER_ARM];
+        stands.copy_from_slice(&self.q[arm * JOINTS_PER_ARM..][..JOINTS_PER_ARM]);
+        stands
+    }
+}
+
+impl<S: Real> Posture<S> {
+    /// Forgets its goal.
+    pub(super) fn forget(&mut self) {
+        self.goal = [S::splat(f64::NAN); 6];
+    }
+
+    pub(super) fn new(chain: Chain<S>) -> Self {
+        let angles = chain.home;
+        let (zero, goal) = (S::zero(), [S::splat(f64::NAN); 6]);
+        let left = [zero; JOINTS_PER_ARM];
+        Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
+    }
+
+    /// Looks for a posture where the goal is a new one; says where it is.
+    #[inline(always)]
+    pub(super) fn begin(&mut self, goal: &[S; 6], place: &Place<'_, S>, index: usize) -> S::Mask {
+        let new = !equal(goal, &self.goal);
+        if new.any() {
+            let (target, stands) = (place.seen(goal), place.stands(index));
+            let question = Question { chain: &self.chain, target: &target, stands: &stands };
+            choose(new, question.search(), &mut self.angles);
+            self.tried = S::select(new, S::splat(STARTS as f64), self.tried);
+            self.goal = *goal;
+        }
+        new
+    }
+
+    /// Follows the base, but in lanes where it `rests`.
+    #[inline(always)]
+    pub(super) fn follow(
+        &mut self,
+        goal: &[S; 6],
+        (place, rests): (&Place<'_, S>, S::Mask),
+        index: usize,
+    ) {
+        let Self { chain, good, free, angles, tried, .. } = self;
+        let (target, stands) = (place.seen(goal), place.stands(index));
+        let question = Question { chain, target: &target, stands: &stands };
+        let before = *angles;
+        for _ in 0..FOLLOWING {
+            *angles = chain.approach(&target, angles).0;
+        }
+        // Angles that only come near would wander with the base.
+        let mut cost = question.cost(angles);
+        let cost_before = question.cost(&before);
+        let astray = cost.ge(S::splat(UNSOLVED)) & cost_before.le(cost);
+        choose(astray, before, angles);
+        cost = S::select(astray, cost_before, cost);
+        let bad = !rests & cost.ge(S::splat(STOPPED));
+        if bad.any() {
+            *tried = S::select(bad, *tried + S::one(), *tried);
+            let other = question.later(*tried);
+            let other_cost = question.cost(&other);
+            let better = bad & other_cost.lt(S::splat(STOPPED));
+            choose(better, other, angles);
+            cost = S::select(better, other_cost, cost);
+        }
+        choose(rests, before, angles);
+        let is_good = S::select(cost.lt(S::splat(STOPPED)), S::one(), S::zero());
+        *good = S::select(rests, *good, is_good);
+        *free = S::select(chain.is_stopped(angles), S::zero(), S::one());
+        for joint in 0..JOINTS_PER_ARM {
+            self.left[joint] = self.chain.way(joint, stands[joint], self.angles[joint]);
+        }
+    }
+
+    /// `factor` times what is left to go, all joints in proportion, within `limits`; nothing where a joint would be stopped.
+    #[inline(always)]
+    pub(super) fn rates(&self, factor: f64, limits: &[S], out: &mut [S]) {
+        let factor = S::splat(factor) * self.free;
+        let mut excess = S::one();
+        for ((left, limit), out) in self.left.iter().zip(limits).zip(&mut *out) {
+            *out = factor * *left;
+            excess = excess.max(out.abs() / *limit);
+        }
+        for out in out {
+            *out = *out / excess;
+        }
+    }
+}
+
+/// Puts `these` in where the mask is set.
+#[inline(always)]
+pub(super) fn choose<S: Real>(mask: S::Mask, these: Angles<S>, angles: &mut Angles<S>) {
+    for (angle, this) in angles.iter_mut().zip(these) {
+        *angle = S::select(mask, this, *angle);
+    }
+}
+
+/// Where all numbers are the same; nothing is the same as NaN.
+#[inline(always)]
+pub(super) fn equal<S: Real, const N: usize>(a: &[S; N], b: &[S; N]) -> S::Mask {
+    let mut equal = S::Mask::splat(true);
+    for (a, b) in a.iter().zip(b) {
+        equal = equal & a.le(*b) & a.ge(*b);
+    }
+    equal
+}
