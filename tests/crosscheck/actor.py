@@ -31,6 +31,13 @@ commands = actor.commands(observation[:, 0, 0])
 limits = actor.limits * actor.scale
 assert commands.shape == limits.shape and np.isfinite(commands).all(), commands
 assert (np.abs(commands) <= limits * (1 + 1e-12)).all(), commands
+if actor.config["task"].get("posture", {"gain": 0.0})["gain"] > 0.0:
+    # What the next observations call the last action is the sum, clipped: shoulder and wrist of an arm see all six.
+    drawn = np.moveaxis(action[:, :-1], 0, -2).reshape(*action[:, :-1].shape[1:3], -1)
+    told = np.moveaxis(block["observation"][::2, 1:-1, :, -6:], 0, -2).reshape(drawn.shape)
+    summed = np.clip(drawn + actor.guidance(observation[:, :-1]), -actor.limits, actor.limits)
+    assert np.abs(told - summed).max() < 1e-4, np.abs(told - summed).max()
+    assert np.abs(actor.guidance(observation)).mean() > 0.05, "nothing is added"
 # Many robots at once are commanded as each alone.
 together = actor.commands(observation[:, 0])
 assert together.shape == (observation.shape[2], len(limits)), together.shape

@@ -5,7 +5,7 @@
 use std::f64::consts::{PI, TAU};
 
 use crate::robot::{JOINTS_PER_ARM, Robot};
-use crate::scalar::{Mask, Real};
+use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Mat3, Vec3, add, cross, dot, mat_mat, mat_vec, rotation_difference, sub};
 
 /// Joint angles of an arm (rad).
@@ -104,6 +104,11 @@ impl<S: Real> Chain<S> {
     /// One step from `q` towards `target`: the angles after it, and the length of the residual before it (m and rad, together).
     #[inline(always)]
     pub(super) fn approach(&self, target: &Frame<S>, q: &Angles<S>) -> (Angles<S>, S) {
+        S::compiled(Approach { chain: self, target, q })
+    }
+
+    #[inline(always)]
+    fn step(&self, target: &Frame<S>, q: &Angles<S>) -> (Angles<S>, S) {
         let (hand, jacobian) = self.forward(q);
         let linear = sub(target.position, hand.position);
         let angular = rotation_difference(&target.rotation, &hand.rotation);
@@ -146,6 +151,21 @@ impl<S: Real> Chain<S> {
             }
         }
         stopped
+    }
+}
+
+/// The arguments of [`Chain::approach`], which is large and asked for in many places.
+struct Approach<'a, S> {
+    chain: &'a Chain<S>,
+    target: &'a Frame<S>,
+    q: &'a Angles<S>,
+}
+
+impl<S: Real> Kernel<S> for Approach<'_, S> {
+    type Output = (Angles<S>, S);
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.chain.step(self.target, self.q)
     }
 }
 

@@ -17,7 +17,7 @@ use self::arm::{Place, Posture, equal};
 use self::chain::Chain;
 use self::foresight::Foresight;
 use crate::robot::{JOINTS_PER_ARM, MAX_ARMS, Robot};
-use crate::scalar::{Mask, Real};
+use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::Vec3;
 
 /// The goal postures of one lane group.
@@ -58,25 +58,7 @@ impl<S: Real> Postures<S> {
         q: &[S],
         goals: &[[S; 6]],
     ) {
-        let ([x, y, z], [q0, q1, q2, q3]) = (position, quaternion);
-        let now = [x, y, z, q0, q1, q2, q3];
-        let rests = equal(&now, &self.base);
-        self.base = now;
-        let place = Place { position, quaternion, q };
-        let mut open = [S::Mask::splat(false); MAX_ARMS];
-        let mut any = false;
-        for (index, (arm, goal)) in self.arms.iter_mut().zip(goals).enumerate() {
-            open[index] = arm.begin(goal, &place, index);
-            any |= open[index].any();
-        }
-        if any {
-            let Self { arms, robot, pace, .. } = self;
-            let open = &open[..arms.len()];
-            Foresight { robot, pace, goals, place: &place, open }.choose(arms);
-        }
-        for (index, (arm, goal)) in self.arms.iter_mut().zip(goals).enumerate() {
-            arm.follow(goal, (&place, rests & !open[index]), index);
-        }
+        S::compiled(Update { postures: self, base: (position, quaternion), q, goals });
     }
 
     /// Writes the actions that go there by themselves, one a joint, within `limits`; `scale` is the factor from an action to a rate.
@@ -86,6 +68,41 @@ impl<S: Real> Postures<S> {
         let arms = self.arms.iter().zip(limits.chunks_exact(JOINTS_PER_ARM));
         for ((arm, limits), out) in arms.zip(out.chunks_exact_mut(JOINTS_PER_ARM)) {
             arm.rates(factor, limits, out);
+        }
+    }
+}
+
+/// The arguments of [`Postures::update`].
+struct Update<'a, S: Real> {
+    postures: &'a mut Postures<S>,
+    base: (Vec3<S>, [S; 4]),
+    q: &'a [S],
+    goals: &'a [[S; 6]],
+}
+
+impl<S: Real> Kernel<S> for Update<'_, S> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        let Self { postures, base: (position, quaternion), q, goals } = self;
+        let ([x, y, z], [q0, q1, q2, q3]) = (position, quaternion);
+        let now = [x, y, z, q0, q1, q2, q3];
+        let rests = equal(&now, &postures.base);
+        postures.base = now;
+        let place = Place { position, quaternion, q };
+        let mut open = [S::Mask::splat(false); MAX_ARMS];
+        let mut any = false;
+        for (index, (arm, goal)) in postures.arms.iter_mut().zip(goals).enumerate() {
+            open[index] = arm.begin(goal, &place, index);
+            any |= open[index].any();
+        }
+        if any {
+            let Postures { arms, robot, pace, .. } = &mut *postures;
+            let open = &open[..arms.len()];
+            Foresight { robot, pace, goals, place: &place, open }.choose(arms);
+        }
+        for (index, (arm, goal)) in postures.arms.iter_mut().zip(goals).enumerate() {
+            arm.follow(goal, (&place, rests & !open[index]), index);
         }
     }
 }
