@@ -319,3 +319,16 @@ fn a_checkpoint_that_is_no_whole_policy_is_refused_in_words() {
         assert!(!Path::new(&out).exists(), "{name}");
     }
 }
+
+#[test]
+fn a_policy_that_acts_beside_goal_postures_is_refused() {
+    let mut run =
+        Run::train(&["--preset=guided", "--iterations=1", "--set=network.hidden=[16,16]"]);
+    run.succeed();
+    let out = run.path().with_file_name("controller");
+    let [of_run, to] = [&run.path(), &out].map(|path| path.to_str().expect("UTF-8").to_owned());
+    let output = octopus(&["export", &of_run, "--out", &to]);
+    assert!(!output.status.success());
+    assert!(stderr(&output).contains("trained with task.posture"), "{}", stderr(&output));
+    assert!(!out.exists(), "nothing is left");
+}
