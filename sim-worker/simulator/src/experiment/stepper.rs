@@ -49,17 +49,13 @@ impl<S: Real> Stepper<S> {
         let n_groups = envs.n_envs.div_ceil(S::LANES);
         let task = &players[0].world.task;
         let joints = vec![S::zero(); n_arms * JOINTS_PER_ARM];
-        let mut errors = Errors::new(n_arms);
-        for player in players {
-            errors.tell(&player.world.task, robot);
-        }
         let groups = (0..n_groups).map(|group| Group {
             state: State::home(robot),
             readings: Readings::new(n_arms),
             seen: Readings::new(n_arms),
             goals: draw_goals(players, goals, envs, group * S::LANES),
-            errors: errors.clone(),
-            seen_errors: errors.clone(),
+            errors: Errors::new(n_arms),
+            seen_errors: Errors::new(n_arms),
             touching: None,
             action: joints.clone(),
             command: joints.clone(),
@@ -80,7 +76,7 @@ impl<S: Real> Stepper<S> {
         stepper
     }
 
-    /// Makes room for what other players see and say.
+    /// Makes room for what other players see and say. Goal postures are those of the robot that a player knows, which may not be the one that moves.
     pub(super) fn seat(&mut self, players: &[Player<'_>]) {
         let n_groups = self.groups.len();
         for player in players {
