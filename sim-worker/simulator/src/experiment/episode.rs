@@ -268,9 +268,10 @@ impl Episode {
         // Somebody who goes back to let another policy play named it before going back.
         let came_later = self.members.iter().skip(members.len()).cloned().collect::<Vec<_>>();
         self.members = members.iter().cloned().chain(came_later).collect();
-        self.stepper.seat(&players(&self.members));
         self.stepper.envs = addresses(start).0;
         self.stepper.groups[0].clone_from(group);
+        // Who came later may know goal postures that nobody knew at this moment.
+        self.stepper.seat(&players(&self.members));
         self.start = start.clone();
         self.course = course.clone();
         self.read();
