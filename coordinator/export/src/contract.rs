@@ -1,5 +1,7 @@
 //! `contract.toml`: what every number of a controller is, and what the controller is not for.
 
+use std::f64::consts::PI;
+
 use proto::config::{Inference, Observation, TaskName};
 use serde::Serialize;
 use simulator::robot::JOINTS_PER_ARM;
@@ -93,7 +95,7 @@ struct Contract<'a> {
 const HEAD: &str = "\
 # What the controller of this directory takes and gives, what it was trained with, and what it is not for.
 # Inputs are in the order of controller.onnx; a leading dimension `batch` is not written. The struct octopus_state
-# of controller.h has the same numbers, but for the last command: octopus_memory keeps that.
+# of controller.h has the same numbers, but for the last command and postures: octopus_memory keeps those.
 # `range` is what the C code accepts; `seen` is what the 256 states of vectors.json hold.
 
 ";
@@ -325,6 +327,21 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
         last,
         goals,
     ];
+    if source.has_postures() {
+        let left = world.robot.links.iter().map(|link| format!("left of {}", link.name));
+        let elements = names(&["good", "free"]).into_iter().chain(left).collect();
+        let mut postures = port(
+            "postures",
+            "1, 1, rad",
+            "joints",
+            "goal posture of each arm, by octopus_postures of controller.h: 1 if it brings the hand to its goal, 1 if it stops no joint, what is left to go; \
+             an input of controller.onnx alone, controller.c finds it",
+            elements,
+            2.0 * PI,
+        );
+        postures.shape.insert(0, world.dimensions.n_arms);
+        all.push(postures);
+    }
     for (index, port) in all.iter_mut().enumerate() {
         port.index = index;
     }
@@ -342,7 +359,12 @@ fn not_for(source: &Source<'_>) -> Vec<String> {
         "gravity, a base that is held or driven, hands that carry something heavy or touch their surroundings".to_owned(),
         "goals that move faster than a hand follows, or lie outside trained.goal_ranges, which not all can be reached in".to_owned(),
         format!(
-            "keeping arms apart: nothing here looks for collisions, and bodies touched in {episodes_with_contact} of {episodes} held-out episodes"
+            "keeping arms apart: {}, and bodies touched in {episodes_with_contact} of {episodes} held-out episodes",
+            if source.has_postures() {
+                "goal postures are chosen so that few bodies touch on the way, but nothing stops arms that are about to"
+            } else {
+                "nothing here looks for collisions"
+            }
         ),
         "anything where a wrong motion can hurt: it is a neural network without a proof".to_owned(),
     ];

@@ -10,12 +10,6 @@ pub enum ExportError {
     /// A recording cannot be put together.
     #[error("no recording: {0}")]
     Recording(String),
-    /// The policy acts beside goal postures, which controllers do not look for.
-    #[error(
-        "the policy was trained with task.posture, and exported controllers do not look for goal postures; \
-         export one that was trained without, or let `octopus`, the page or the Python package play it"
-    )]
-    Postures,
     /// More actors than a row number has room for.
     #[error("{0} actors are more than the 255 that the C code has room for")]
     Actors(usize),

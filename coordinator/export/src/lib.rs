@@ -50,9 +50,6 @@ pub fn files(source: &Source<'_>) -> Result<Vec<File>, ExportError> {
     if actors > 255 {
         return Err(ExportError::Actors(actors));
     }
-    if source.world.config.task.posture.seen {
-        return Err(ExportError::Postures);
-    }
     let networks = Networks::new(source.world, source.parameters);
     let vectors = vectors::vectors(source)?;
     let metadata = metadata(source);

@@ -107,6 +107,11 @@ impl Source<'_> {
         self.world.config.task.name == TaskName::Trajectory
     }
 
+    /// Whether the policy acts beside goal postures.
+    pub(crate) fn has_postures(&self) -> bool {
+        self.world.config.task.posture.seen
+    }
+
     /// What stands at the top of a header.
     pub(crate) fn comment(&self) -> String {
         let Origin { digest, env_steps, program, .. } = self.origin;

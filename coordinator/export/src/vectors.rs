@@ -5,7 +5,6 @@ use std::sync::Arc;
 use serde::Serialize;
 use simulator::env::readings;
 use simulator::experiment::{Episode, Member, Start};
-use simulator::task::Errors;
 use simulator::task::observation::observe;
 
 use crate::error::ExportError;
@@ -14,7 +13,8 @@ use crate::source::Source;
 /// Episodes, and steps of each: 256 states.
 const EPISODES: u32 = 16;
 const STATES: usize = 16;
-/// Control steps from one state to the next: three quarters of a minute is when hands arrive.
+/// Control steps from one state to the next: three quarters of a minute is when hands arrive. Goal postures are remembered, so whoever looks for
+/// them has to see every step; arms that are guided arrive in ten.
 const EVERY: usize = 3;
 /// Seed of the goals: none of a training or an evaluation.
 const SEED: u64 = 0x7ec70125;
@@ -24,6 +24,9 @@ const SEED: u64 = 0x7ec70125;
 /// The order of the fields is the order in the file, which `check.c` relies on.
 #[derive(Debug, Serialize)]
 pub(crate) struct Case {
+    /// Where there are goal postures: 1 if an episode begins, which is when their memory is reset; else the step after the case before.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    begins: Option<u32>,
     base_position: [f32; 3],
     base_attitude: [f32; 4],
     base_velocity: [f32; 3],
@@ -33,6 +36,9 @@ pub(crate) struct Case {
     last_command: Vec<f32>,
     last_action: Vec<f32>,
     goals: Vec<f32>,
+    /// An arm each: good, free, left.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    postures: Option<Vec<[f32; 8]>>,
     observations: Vec<Vec<f32>>,
     command: Vec<f32>,
 }
@@ -71,26 +77,29 @@ pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
     let start = |episode| Start { seed: SEED, episode, ..Start::default() };
     let mut episode = Episode::new(vec![member], start(0)).map_err(|error| diverged(&error))?;
     let mut cases = Vec::new();
+    let every = if source.has_postures() { 1 } else { EVERY };
     for index in 0..EPISODES {
         episode.reset(start(index)).map_err(|error| diverged(&error))?;
-        for step in 0..=(STATES - 1) * EVERY {
+        for step in 0..=(STATES - 1) * every {
             let state = episode.state().clone();
             let (action, command) = (episode.actions().to_vec(), episode.commands().to_vec());
+            let errors = episode.errors().clone();
             episode.step().map_err(|error| diverged(&error))?;
-            if !step.is_multiple_of(EVERY) {
+            if !step.is_multiple_of(every) {
                 continue;
             }
             let mut found = readings(&world.robot, &state);
             found.last_action.copy_from_slice(&action);
             let goals = episode.goals();
-            let mut errors = Errors::new(world.robot.n_arms);
-            errors.update(&found, goals);
             let observations = (0..world.dimensions.n_agents).map(|agent| {
                 let mut seen = vec![0.0; world.dimensions.observation];
                 observe(&world.task, &found, goals, &errors, agent, &mut seen);
                 seen
             });
+            let postures = errors.postures();
             cases.push(Case {
+                begins: postures.as_ref().map(|_| u32::from(step == 0)),
+                postures,
                 observations: observations.collect(),
                 base_position: state.base_position,
                 base_attitude: state.base_quaternion,

@@ -53,15 +53,24 @@ static octopus_state state;
 static octopus_goals goals;
 static double last_command[OCTOPUS_JOINTS], last_action[OCTOPUS_JOINTS], wanted[OCTOPUS_JOINTS];
 static double seen[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION];
+#if OCTOPUS_POSTURES
+static double begins, postures[OCTOPUS_ARMS][8];
+#endif
 
 static int read_case(FILE *file)
 {
     double *goal = (double *)&goals;
+#if OCTOPUS_POSTURES
+    if (!next(file, &begins)) return 0;
+#endif
     return read_doubles(file, state.base_position, 3) && read_doubles(file, state.base_attitude, 4)
         && read_doubles(file, state.base_velocity, 3) && read_doubles(file, state.base_angular_velocity, 3)
         && read_doubles(file, state.joint_angles, OCTOPUS_JOINTS) && read_doubles(file, state.joint_rates, OCTOPUS_JOINTS)
         && read_doubles(file, last_command, OCTOPUS_JOINTS) && read_doubles(file, last_action, OCTOPUS_JOINTS)
         && read_doubles(file, goal, sizeof goals / sizeof *goal)
+#if OCTOPUS_POSTURES
+        && read_doubles(file, postures[0], OCTOPUS_ARMS * 8)
+#endif
         && read_doubles(file, seen, OCTOPUS_AGENTS * OCTOPUS_OBSERVATION) && read_doubles(file, wanted, OCTOPUS_JOINTS);
 }
 
@@ -72,6 +81,8 @@ int main(int argc, char **argv)
     FILE *file = fopen(argc > 1 ? argv[1] : "vectors.json", "r");
     int cases = 0, other = 0, i;
     double worst_seen = 0.0, worst_command = 0.0;
+    octopus_memory memory;
+    octopus_controller_reset(&memory);
     if (!file || !find_cases(file)) {
         fprintf(stderr, "check: no vectors.json with states in it\n");
         return 2;
@@ -79,9 +90,17 @@ int main(int argc, char **argv)
     while (read_case(file)) {
         float observations[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION];
         double command[OCTOPUS_JOINTS];
-        octopus_memory memory;
         octopus_status status;
         int same = 1;
+#if OCTOPUS_POSTURES
+        octopus_memory alone;
+        float found[OCTOPUS_ARMS][8];
+        /* Each episode is whole from its beginning on, because postures are remembered. */
+        if (begins != 0.0) octopus_controller_reset(&memory);
+        alone = memory;
+        octopus_postures(&state, &goals, &alone, found);
+        for (i = 0; i < OCTOPUS_ARMS * 8; i++) same = same && found[i / 8][i % 8] == (float)postures[i / 8][i % 8];
+#endif
         for (i = 0; i < OCTOPUS_JOINTS; i++) memory.action[i] = (float)last_action[i];
         status = octopus_observe(&state, &goals, &memory, observations);
         if (status == OCTOPUS_OK) status = octopus_controller_step(&state, &goals, &memory, command);
@@ -107,14 +126,22 @@ int main(int argc, char **argv)
            worst_seen, worst_command);
 #ifdef OCTOPUS_TIME
     {
-        /* The last state again and again. */
-        octopus_memory memory;
+        /* The last state again and again, as if the base drifted. */
         double command[OCTOPUS_JOINTS];
-        clock_t start;
-        octopus_controller_reset(&memory);
-        start = clock();
-        for (i = 0; i < OCTOPUS_TIME; i++) octopus_controller_step(&state, &goals, &memory, command);
+        clock_t start = clock();
+        for (i = 0; i < OCTOPUS_TIME; i++) {
+            state.base_position[0] += i % 2 == 0 ? 1e-4 : -1e-4;
+            octopus_controller_step(&state, &goals, &memory, command);
+        }
         printf("%.1f us a step\n", 1e6 * (double)(clock() - start) / CLOCKS_PER_SEC / OCTOPUS_TIME);
+#if OCTOPUS_POSTURES
+        start = clock();
+        for (i = 0; i < 10; i++) {
+            octopus_controller_reset(&memory);
+            octopus_controller_step(&state, &goals, &memory, command);
+        }
+        printf("%.1f us a step with new goals\n", 1e5 * (double)(clock() - start) / CLOCKS_PER_SEC);
+#endif
     }
 #endif
     if (cases == 0) fprintf(stderr, "check: no states\n");

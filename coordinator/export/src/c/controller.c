@@ -219,6 +219,22 @@ static void mat_mat(const matrix *a, const matrix *b, matrix *out)
 }
 #endif
 
+#if OCTOPUS_NEEDS_HAND_VELOCITIES || OCTOPUS_POSTURES
+static void cross_add(const float a[3], const float b[3], const float c[3], float out[3])
+{
+    out[0] = fnma(a[2], b[1], fma_(a[1], b[2], c[0]));
+    out[1] = fnma(a[0], b[2], fma_(a[2], b[0], c[1]));
+    out[2] = fnma(a[1], b[0], fma_(a[0], b[1], c[2]));
+}
+
+static void cross(const float a[3], const float b[3], float out[3])
+{
+    out[0] = fnma(a[2], b[1], a[1] * b[2]);
+    out[1] = fnma(a[0], b[2], a[2] * b[0]);
+    out[2] = fnma(a[1], b[0], a[0] * b[1]);
+}
+#endif
+
 static void quaternion_to_rotation(const float q[4], matrix *rotation)
 {
     float (*r)[3] = rotation->row;
@@ -311,22 +327,6 @@ typedef struct {
     float angular[3];
 } hand_type;
 
-#if OCTOPUS_NEEDS_HAND_VELOCITIES
-static void cross_add(const float a[3], const float b[3], const float c[3], float out[3])
-{
-    out[0] = fnma(a[2], b[1], fma_(a[1], b[2], c[0]));
-    out[1] = fnma(a[0], b[2], fma_(a[2], b[0], c[1]));
-    out[2] = fnma(a[1], b[0], fma_(a[0], b[1], c[2]));
-}
-
-static void cross(const float a[3], const float b[3], float out[3])
-{
-    out[0] = fnma(a[2], b[1], a[1] * b[2]);
-    out[1] = fnma(a[0], b[2], a[2] * b[0]);
-    out[2] = fnma(a[1], b[0], a[0] * b[1]);
-}
-#endif
-
 static void find_hand(const reading_type *reading, int arm, hand_type *hand)
 {
     matrix r, to_world;
@@ -390,6 +390,7 @@ static void find_hand(const reading_type *reading, int arm, hand_type *hand)
 }
 #endif
 
+@POSTURES@
 /* ---- what agents see ---- */
 
 static float *put(float *out, const float *values, size_t n)
@@ -463,6 +464,9 @@ static void see(const reading_type *reading, const octopus_memory *memory, float
         at = put_seen(at, arm, v);
         at = put_squashed(at, arm, v, F(1.0 / 0.08));
         at = put_squashed(at, arm, v, F(1.0 / 0.025));
+#endif
+#if OCTOPUS_POSTURES
+        at = put_posture(at, &memory->postures[arm]);
 #endif
         put(at, &memory->action[6 * arm], 6);
         /* The wrist sees what the shoulder sees. */
@@ -684,30 +688,76 @@ void octopus_controller_reset(octopus_memory *memory)
 {
     int i;
     for (i = 0; i < OCTOPUS_JOINTS; i++) memory->action[i] = 0.0f;
+#if OCTOPUS_POSTURES
+    memset(memory->postures, 0, sizeof memory->postures);
+    /* Nothing is the same as what is not a number. */
+    for (i = 0; i < OCTOPUS_ARMS; i++) memory->postures[i].goal[0] = from_bits(0x7fc00000u);
+    for (i = 0; i < 7; i++) memory->base[i] = from_bits(0x7fc00000u);
+#endif
+}
+
+static octopus_status observe(const octopus_state *state, const octopus_goals *goals, octopus_memory *memory,
+                              float observations[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION])
+{
+    reading_type reading;
+    octopus_status status;
+    if (!state || !goals || !memory || !observations) return OCTOPUS_NULL;
+    status = read_all(state, goals, &reading);
+    if (status != OCTOPUS_OK) return status;
+#if OCTOPUS_POSTURES
+    look(&reading, memory);
+#endif
+    see(&reading, memory, observations);
+    return OCTOPUS_OK;
 }
 
 octopus_status octopus_observe(const octopus_state *state, const octopus_goals *goals,
                                const octopus_memory *memory,
                                float observations[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION])
 {
+    octopus_memory looked;
+    if (!memory) return OCTOPUS_NULL;
+    looked = *memory;
+    return observe(state, goals, &looked, observations);
+}
+
+#if OCTOPUS_POSTURES
+octopus_status octopus_postures(const octopus_state *state, const octopus_goals *goals,
+                                octopus_memory *memory, float postures[OCTOPUS_ARMS][8])
+{
     reading_type reading;
-    octopus_status status;
-    if (!state || !goals || !memory || !observations) return OCTOPUS_NULL;
-    status = read_all(state, goals, &reading);
-    if (status == OCTOPUS_OK) see(&reading, memory, observations);
+    octopus_status status = state && goals && memory && postures ? read_all(state, goals, &reading) : OCTOPUS_NULL;
+    int arm;
+    if (status == OCTOPUS_OK) look(&reading, memory);
+    else if (memory) octopus_controller_reset(memory);
+    for (arm = 0; memory && postures && arm < OCTOPUS_ARMS; arm++) {
+        postures[arm][0] = memory->postures[arm].good;
+        postures[arm][1] = memory->postures[arm].free;
+        memcpy(&postures[arm][2], memory->postures[arm].left, sizeof memory->postures[arm].left);
+    }
     return status;
 }
+#endif
 
 static octopus_status act(const octopus_state *state, const octopus_goals *goals, octopus_memory *memory)
 {
     float observations[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION];
     float actions[OCTOPUS_JOINTS];
-    octopus_status status = octopus_observe(state, goals, memory, observations);
+#if OCTOPUS_POSTURES
+    float guidance[OCTOPUS_JOINTS];
+#endif
+    octopus_status status = observe(state, goals, memory, observations);
     int actor, joint;
     if (status != OCTOPUS_OK) return status;
     for (actor = 0; actor < OCTOPUS_ACTORS; actor++) {
         think(actor, observations + actor * OCTOPUS_ACTOR_INPUT, actions + actor * OCTOPUS_ACTOR_OUTPUT);
     }
+#if OCTOPUS_POSTURES
+    for (joint = 0; joint < OCTOPUS_JOINTS; joint += 6) {
+        rates(&memory->postures[joint / 6], OCTOPUS_GUIDANCE, &ACTION_LIMITS[joint], &guidance[joint]);
+    }
+    for (joint = 0; joint < OCTOPUS_JOINTS; joint++) actions[joint] += guidance[joint];
+#endif
     for (joint = 0; joint < OCTOPUS_JOINTS; joint++) {
         if (!(absolute(actions[joint]) <= FLT_MAX)) return OCTOPUS_NO_NUMBER;
         actions[joint] = clamp(actions[joint], -ACTION_LIMITS[joint], ACTION_LIMITS[joint]);

@@ -37,9 +37,25 @@ typedef struct {
 #endif
 } octopus_goals;
 
-/* What the controller remembers from one step to the next: its last actions. */
+#if OCTOPUS_POSTURES
+/* The goal posture of an arm: joint angles that bring its hand to its goal. */
+typedef struct {
+    float goal[6];   /* the goal that it was looked for; not a number where there is none */
+    float angles[6]; /* (rad) */
+    float left[6];   /* what is left to go there, each joint (rad) */
+    float good;      /* 1 if it brings the hand to its goal and stops no joint, else 0 */
+    float free;      /* 1 if it stops no joint, else 0 */
+    float tried;     /* starts from which it was looked for */
+} octopus_posture;
+#endif
+
+/* What the controller remembers from one step to the next: its last actions, and goal postures if it has them. */
 typedef struct {
     float action[OCTOPUS_JOINTS];
+#if OCTOPUS_POSTURES
+    octopus_posture postures[OCTOPUS_ARMS];
+    float base[7]; /* where the base was when they last followed it */
+#endif
 } octopus_memory;
 
 typedef enum {
@@ -66,6 +82,14 @@ octopus_status octopus_controller_step(const octopus_state *state, const octopus
 octopus_status octopus_observe(const octopus_state *state, const octopus_goals *goals,
                                const octopus_memory *memory,
                                float observations[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION]);
+
+#if OCTOPUS_POSTURES
+/* Goal postures alone, for those who run controller.onnx, which does not look for them: its input `postures`.
+ * For each arm: good, free and left of its posture. Call it once every control step, or octopus_controller_step,
+ * with a memory that was reset before the first one. A step in which a goal is new takes longer than others. */
+octopus_status octopus_postures(const octopus_state *state, const octopus_goals *goals,
+                                octopus_memory *memory, float postures[OCTOPUS_ARMS][8]);
+#endif
 
 /* The robot at home, at rest: where every episode of an evaluation begins. */
 octopus_state octopus_home(void);

@@ -1,5 +1,6 @@
 //! The controller in C99: a fixed text, and what it is made for as constants and tables before it.
 
+mod postures;
 mod tables;
 
 use proto::config::{Activation, InputNorm, JointAngles, Observation, TaskName};
@@ -34,6 +35,7 @@ pub(crate) fn header(source: &Source<'_>) -> String {
         ("AGENTS", dimensions.n_agents.to_string()),
         ("JOINTS", world.robot.n_joints().to_string()),
         ("OBSERVATION", dimensions.observation.to_string()),
+        ("POSTURES", i32::from(source.has_postures()).to_string()),
     ] {
         define(&mut out, name, &value);
     }
@@ -44,6 +46,7 @@ pub(crate) fn header(source: &Source<'_>) -> String {
 /// `controller.c`.
 pub(crate) fn controller(source: &Source<'_>, networks: &Networks) -> String {
     SOURCE
+        .replace("@POSTURES@\n", &postures::postures(source))
         .replace("@SWITCHES@", switches(source, networks).trim_end())
         .replace("@TABLES@", tables(source, networks).trim_end())
 }

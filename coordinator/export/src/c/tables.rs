@@ -22,13 +22,13 @@ fn floats<'a>(values: impl IntoIterator<Item = &'a f64>) -> String {
     format!("{{{}}}", values.join(", "))
 }
 
-fn matrix(m: &[[f64; 3]; 3]) -> String {
+pub(super) fn matrix(m: &[[f64; 3]; 3]) -> String {
     let rows: Vec<String> = m.iter().map(floats).collect();
     format!("{{{}}}", rows.join(", "))
 }
 
 /// Numbers in lines of some width.
-fn table(out: &mut String, declaration: &str, values: impl Iterator<Item = String>) {
+pub(super) fn table(out: &mut String, declaration: &str, values: impl Iterator<Item = String>) {
     let _ = write!(out, "static const {declaration} = {{");
     let mut width = usize::MAX;
     for value in values {

@@ -3,16 +3,18 @@
 use proto::config::{Activation, InputNorm};
 
 use super::graph::{Attribute, Graph, Value};
+use super::postures;
 use super::proto::{BFLOAT16, FLOAT};
 use crate::networks::{Networks, Stacked};
 use crate::source::Source;
 
-/// Actions `[batch, J]` (clipped, not scaled) of agents that see `observations`, `[batch, A, O]`.
+/// Actions `[batch, J]` (clipped, not scaled) of agents that see `observations`, `[batch, A, O]`, and act beside `postures`, `[batch, arms, 8]`.
 pub(super) fn actions(
     g: &mut Graph,
     source: &Source<'_>,
     networks: &Networks,
     observations: &Value,
+    postures: Option<&Value>,
 ) -> Value {
     let (dimensions, network) = (&source.world.dimensions, &source.world.config.network);
     let (actors, input) = (dimensions.n_actors as i64, dimensions.actor_input() as i64);
@@ -57,7 +59,11 @@ pub(super) fn actions(
     }
     let by_robot = g.transpose(&x, &[1, 0, 2]);
     let joints = source.world.robot.n_joints();
-    let means = g.reshape(&by_robot, &[0, joints as i64]);
+    let mut means = g.reshape(&by_robot, &[0, joints as i64]);
+    if let Some(postures) = postures {
+        let guidance = postures::guidance(g, source, postures);
+        means = g.op("Add", &[&means, &guidance]);
+    }
     let limits = &source.world.task.action_limit;
     let upper = g.floats(&[joints], limits);
     let lower: Vec<f64> = limits.iter().map(|limit| -limit).collect();

@@ -4,6 +4,7 @@ mod actors;
 mod geometry;
 mod graph;
 mod observations;
+mod postures;
 mod proto;
 
 use crate::networks::Networks;
@@ -24,7 +25,8 @@ pub(crate) fn policy(
         &[dimensions.n_agents, dimensions.observation],
         "What each agent sees, in the order of the guide's chapter on the environment.",
     );
-    let actions = actors::actions(&mut g, source, networks, &seen);
+    let postures = source.has_postures().then(|| postures::told(&mut g, source, &seen));
+    let actions = actors::actions(&mut g, source, networks, &seen, postures.as_ref());
     let joints = source.world.robot.n_joints();
     g.output("actions", &actions, &[joints], "Clipped, not scaled; joint after joint (rad/s).");
     let doc = "The actors of a trained policy: observations in, actions out.";
@@ -57,9 +59,14 @@ pub(crate) fn controller(
             &goals.1,
             "World: position of each hand (m), then Euler angles a, b, c of Rx(a) Ry(b) Rz(c) (rad).",
         ),
+        postures: source.has_postures().then(|| {
+            let shape = [source.world.dimensions.n_arms, postures::NUMBERS];
+            let doc = "Goal postures, as octopus_postures of controller.h finds them: good, free, left of each joint (rad).";
+            g.input("postures", &shape, doc)
+        }),
     };
     let seen = observations::observations(&mut g, source, &inputs);
-    let actions = actors::actions(&mut g, source, networks, &seen);
+    let actions = actors::actions(&mut g, source, networks, &seen, inputs.postures.as_ref());
     let scale = g.float(source.world.task.action_scale);
     let command = g.op("Mul", &[&actions, &scale]);
     g.output("command", &command, &[joints], "Joint rates to hold for a control period (rad/s).");

@@ -9,6 +9,7 @@ use super::geometry::{
     Hands, Motion, euler, hands, mat_vec, rotation, rotation_difference, rotation_of_euler,
 };
 use super::graph::{Graph, Value};
+use super::postures;
 use crate::source::Source;
 
 /// The inputs of a controller.
@@ -22,6 +23,8 @@ pub(super) struct Inputs {
     pub(super) last_command: Value,
     /// `[batch, arms, 6]` of hands or `[batch, 3]` of the base.
     pub(super) goals: Value,
+    /// `[batch, arms, 8]`, where there are goal postures.
+    pub(super) postures: Option<Value>,
 }
 
 /// A controller's graph, with what several parts of it use.
@@ -135,6 +138,9 @@ impl Scene<'_> {
                 let [p, p_wide, p_narrow] = self.error(g, &position, POSITION_WIDTHS);
                 let [r, r_wide, r_narrow] = self.error(g, &rotation, ATTITUDE_WIDTHS);
                 parts.extend([p, r, p_wide, p_narrow, r_wide, r_narrow]);
+                if let Some(postures) = &self.inputs.postures {
+                    parts.extend(postures::seen(g, postures));
+                }
             }
             TaskName::Reorientation => {
                 let error = self.base_error(g);

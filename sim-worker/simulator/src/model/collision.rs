@@ -8,15 +8,16 @@ use crate::scalar::Real;
 
 /// A moving link's shapes, the same for every arm, link frame.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct MovingBody<S> {
-    pub(crate) shapes: Vec<Rounded<S>>,
+pub struct MovingBody<S> {
+    /// Its shapes.
+    pub shapes: Vec<Rounded<S>>,
     /// Around all of them.
-    pub(crate) bound: Bound<S>,
+    pub bound: Bound<S>,
 }
 
 /// What is fixed to the base, base frame.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum FixedBody<S> {
+pub enum FixedBody<S> {
     /// A box.
     Box(FixedBox<S>),
     /// Rounded shapes, and a capsule around all of them.
@@ -25,7 +26,7 @@ pub(crate) enum FixedBody<S> {
 
 /// The second body of a pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Partner {
+pub enum Partner {
     /// Link, index over all arms.
     Link(usize),
     /// Index of a fixed body.
@@ -63,26 +64,30 @@ impl ContactKind {
 
 /// Two bodies that can touch.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Pair<S> {
+pub struct Pair<S> {
     /// Link, index over all arms.
-    pub(crate) a: usize,
-    pub(crate) b: Partner,
-    pub(crate) kind: ContactKind,
+    pub a: usize,
+    /// What it may touch.
+    pub b: Partner,
+    /// What touches what.
+    pub kind: ContactKind,
     /// Sum of the radii of the balls around the bounding capsules (m).
-    pub(crate) reach: S,
+    pub reach: S,
     /// Whether A and B are one capsule each, so that their bounds are as good as they are.
-    pub(crate) simple: bool,
+    pub simple: bool,
 }
 
 /// Everything collisions need of a robot.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct CollisionModel<S> {
+pub struct CollisionModel<S> {
     /// Six, the same for every arm.
-    pub(crate) links: Vec<MovingBody<S>>,
-    pub(crate) fixed: Vec<FixedBody<S>>,
-    pub(crate) pairs: Vec<Pair<S>>,
+    pub links: Vec<MovingBody<S>>,
+    /// What is fixed to the base: its boxes, then mount and pedestal of each arm.
+    pub fixed: Vec<FixedBody<S>>,
+    /// Which bodies can touch.
+    pub pairs: Vec<Pair<S>>,
     /// `[j][l]`: no point of link l is farther than this from joint j's axis, in any pose (m); zero for l < j.
-    pub(crate) levers: [[S; JOINTS_PER_ARM]; JOINTS_PER_ARM],
+    pub levers: [[S; JOINTS_PER_ARM]; JOINTS_PER_ARM],
 }
 
 /// A ball (m).

@@ -9,7 +9,7 @@ use crate::spatial::{Mat3, Vec3};
 
 /// Twist of a Denavit–Hartenberg row: right angles only permute coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Twist {
+pub enum Twist {
     /// 0°.
     None,
     /// +90°.
@@ -24,22 +24,24 @@ pub(crate) enum Twist {
 ///
 /// Functions of the hot path take it beside the link. Where [`for_sparsity`](crate::dynamics::for_sparsity) makes it a constant, what is not there costs nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Sparsity {
-    pub(crate) twist: Twist,
-    /// Whether the shift along x and along z is other than zero.
-    pub(crate) has_a: bool,
-    pub(crate) has_d: bool,
+pub struct Sparsity {
+    /// The twist.
+    pub twist: Twist,
+    /// Whether the shift along x is other than zero.
+    pub has_a: bool,
+    /// Whether the shift along z is other than zero.
+    pub has_d: bool,
 }
 
 /// Spatial inertia of a rigid body about its frame's origin [Featherstone 2008, eq. 2.63].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct RigidInertia<S> {
+pub struct RigidInertia<S> {
     /// Mass (kg).
-    pub(crate) mass: S,
+    pub mass: S,
     /// Mass times centre of mass (kg m).
-    pub(crate) h: Vec3<S>,
+    pub h: Vec3<S>,
     /// Inertia about the origin: xx, yy, zz, xy, xz, yz (kg m²).
-    pub(crate) inertia: [S; 6],
+    pub inertia: [S; 6],
 }
 
 impl<S: Real> RigidInertia<S> {
@@ -55,63 +57,86 @@ impl<S: Real> RigidInertia<S> {
 
 /// A moving link: its joint's servo, its inertia, and the step to the next link frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct LinkModel<S> {
-    pub(crate) sparsity: Sparsity,
+pub struct LinkModel<S> {
+    /// Which parts its step has.
+    pub sparsity: Sparsity,
     /// Cosine and sine of the twist.
-    pub(crate) twist_cos_sin: (S, S),
-    /// Shift along x and z (m).
-    pub(crate) a: S,
-    pub(crate) d: S,
-    pub(crate) body: RigidInertia<S>,
-    pub(crate) armature: S,
-    pub(crate) gain: S,
-    pub(crate) max_rate: S,
-    pub(crate) max_torque: S,
+    pub twist_cos_sin: (S, S),
+    /// Shift along x (m).
+    pub a: S,
+    /// Shift along z (m).
+    pub d: S,
+    /// Inertia of the link.
+    pub body: RigidInertia<S>,
+    /// Inertia of the drive about the joint's axis (kg m²).
+    pub armature: S,
+    /// Torque for a rate that is missing (N m s/rad).
+    pub gain: S,
+    /// Fastest command (rad/s).
+    pub max_rate: S,
+    /// Largest torque (N m).
+    pub max_torque: S,
 }
 
 /// A rotation by right angles: (R v)ᵢ = signᵢ · v at placeᵢ.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct SignedPermutation<S> {
-    pub(crate) place: [usize; 3],
-    pub(crate) sign: [S; 3],
+pub struct SignedPermutation<S> {
+    /// Where each coordinate is taken from.
+    pub place: [usize; 3],
+    /// Its sign.
+    pub sign: [S; 3],
 }
 
 /// Pose of an arm's frame 0 in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct ArmModel<S> {
-    pub(crate) position: Vec3<S>,
-    pub(crate) rotation: Mat3<S>,
+pub struct ArmModel<S> {
+    /// Origin (m).
+    pub position: Vec3<S>,
+    /// Axes of frame 0 to base axes.
+    pub rotation: Mat3<S>,
     /// The same rotation where it is one by right angles, as on every face of a cube.
-    pub(crate) permutation: Option<SignedPermutation<S>>,
+    pub permutation: Option<SignedPermutation<S>>,
 }
 
 /// A joint interval in which a pair touches (see [`AngleContact`](crate::robot::AngleContact)).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct AngleContactModel<S> {
-    pub(crate) joint: usize,
-    pub(crate) centre: S,
-    pub(crate) half: S,
-    pub(crate) narrowing: S,
-    pub(crate) narrowing_joint: usize,
-    pub(crate) push: bool,
-    pub(crate) kind: ContactKind,
+pub struct AngleContactModel<S> {
+    /// The joint, 0…5.
+    pub joint: usize,
+    /// Middle of the interval (rad).
+    pub centre: S,
+    /// Half of the interval's length (rad).
+    pub half: S,
+    /// The half is shorter by this times |sin 2q| (rad).
+    pub narrowing: S,
+    /// The joint q of the narrowing, 0…5.
+    pub narrowing_joint: usize,
+    /// Whether the ends of the interval push back.
+    pub push: bool,
+    /// What touches.
+    pub kind: ContactKind,
 }
 
 /// A robot's constants in scalar `S`, shared by everything that simulates it; scratch memory is a
 /// [`Workspace`](crate::workspace::Workspace).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model<S: Real> {
-    pub(crate) n_arms: usize,
+    /// Number of arms.
+    pub n_arms: usize,
     /// Inertia of the base with all that is welded to it, base frame.
-    pub(crate) base: RigidInertia<S>,
+    pub base: RigidInertia<S>,
     /// The same six for every arm.
-    pub(crate) links: Vec<LinkModel<S>>,
-    pub(crate) arms: Vec<ArmModel<S>>,
-    pub(crate) angle_contacts: Vec<AngleContactModel<S>>,
-    /// Pose of the hand in the last link frame.
-    pub(crate) tool_position: Vec3<S>,
-    pub(crate) tool_rotation: Mat3<S>,
-    pub(crate) collision: CollisionModel<S>,
+    pub links: Vec<LinkModel<S>>,
+    /// Where arms stand.
+    pub arms: Vec<ArmModel<S>>,
+    /// Pairs that touch by a joint's angle, the same for every arm.
+    pub angle_contacts: Vec<AngleContactModel<S>>,
+    /// Origin of the hand in the last link frame (m).
+    pub tool_position: Vec3<S>,
+    /// Axes of the hand to axes of the last link.
+    pub tool_rotation: Mat3<S>,
+    /// What can touch.
+    pub collision: CollisionModel<S>,
 }
 
 fn splat_matrix<S: Real>(m: &Matrix3<f64>) -> Mat3<S> {

@@ -4,8 +4,8 @@ mod collision;
 mod constants;
 mod shape;
 
-pub use collision::ContactKind;
-pub(crate) use collision::{FixedBody, Pair, Partner};
-pub use constants::Model;
-pub(crate) use constants::{AngleContactModel, ArmModel, LinkModel, RigidInertia, Sparsity, Twist};
-pub(crate) use shape::{Bound, Core, FixedBox, Rounded};
+pub use collision::{CollisionModel, ContactKind, FixedBody, MovingBody, Pair, Partner};
+pub use constants::{
+    AngleContactModel, ArmModel, LinkModel, Model, RigidInertia, SignedPermutation, Sparsity, Twist,
+};
+pub use shape::{Bound, Core, FixedBox, Rounded};

@@ -8,7 +8,7 @@ use crate::spatial::{Mat3, Vec3, add, mat_vec, mul_add, scale};
 
 /// Core of a shape, in the frame of its body or, once placed, of the base.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Core<S> {
+pub enum Core<S> {
     /// A segment.
     Segment {
         /// One end (m).
@@ -31,18 +31,22 @@ pub(crate) enum Core<S> {
 
 /// All points within `radius` of a core.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Rounded<S> {
-    pub(crate) core: Core<S>,
-    pub(crate) radius: S,
+pub struct Rounded<S> {
+    /// The core.
+    pub core: Core<S>,
+    /// Radius around it (m).
+    pub radius: S,
 }
 
 /// A box fixed to the base.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FixedBox<S> {
-    pub(crate) centre: Vec3<S>,
+pub struct FixedBox<S> {
+    /// Centre (m).
+    pub centre: Vec3<S>,
     /// Box axes to base axes.
-    pub(crate) rotation: Mat3<S>,
-    pub(crate) half: Vec3<S>,
+    pub rotation: Mat3<S>,
+    /// Half of its edges (m).
+    pub half: Vec3<S>,
 }
 
 impl<S: Real> Rounded<S> {
@@ -95,13 +99,13 @@ impl<S: Real> Core<S> {
 
 /// A capsule around shapes: what is farther than `radius` from its segment is outside of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Bound<S> {
+pub struct Bound<S> {
     /// One end of the segment (m).
-    pub(crate) from: Vec3<S>,
+    pub from: Vec3<S>,
     /// The other end (m).
-    pub(crate) to: Vec3<S>,
+    pub to: Vec3<S>,
     /// Radius (m).
-    pub(crate) radius: S,
+    pub radius: S,
 }
 
 impl Bound<f64> {

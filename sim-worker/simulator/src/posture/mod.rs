@@ -12,8 +12,8 @@ mod search;
 
 use std::sync::Arc;
 
-pub(crate) use self::arm::Pace;
-use self::arm::{Place, Posture, equal};
+pub(crate) use self::arm::{Pace, Posture};
+use self::arm::{Place, equal};
 use self::chain::Chain;
 use self::foresight::Foresight;
 use crate::robot::{JOINTS_PER_ARM, MAX_ARMS, Robot};

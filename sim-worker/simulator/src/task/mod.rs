@@ -28,7 +28,7 @@ mod readings;
 pub use definition::Task;
 pub use goal::{ArmGoals, GoalRanges, Goals};
 pub use home::{Home, HomeArm};
-pub use readings::{ATTITUDE_WIDTHS, Errors, HandReading, POSITION_WIDTHS, Readings};
+pub use readings::{ATTITUDE_WIDTHS, Errors, HandReading, POSITION_WIDTHS, Readings, UNGUIDED};
 
 #[cfg(test)]
 mod tests;

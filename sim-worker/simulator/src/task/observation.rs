@@ -52,7 +52,7 @@ use crate::spatial::{mat_t_vec, quaternion_to_rotation};
 pub const RELEASE_VELOCITY_SCALE: f64 = 0.02;
 
 /// Width of the squashed way to the goal posture (rad): tanh(e / width).
-const POSTURE_WIDTH: f64 = 0.1;
+pub const POSTURE_WIDTH: f64 = 0.1;
 
 /// Fills a slice from its start.
 pub(super) struct Writer<'a, S> {

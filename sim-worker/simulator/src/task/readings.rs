@@ -1,7 +1,7 @@
 //! What tasks read from a simulated robot, and the errors that follow.
 
 use super::{Goals, Task};
-use crate::posture::{Pace, Postures};
+use crate::posture::{Pace, Posture, Postures};
 use crate::robot::JOINTS_PER_ARM;
 use crate::robot::Robot;
 use crate::scalar::Real;
@@ -77,7 +77,7 @@ pub const POSITION_WIDTHS: [f64; 2] = [0.05, 0.015];
 pub const ATTITUDE_WIDTHS: [f64; 2] = [0.08, 0.025];
 
 /// Share of the way to its goal posture that an arm is taken to cover in a control step where nothing is added to actions.
-const UNGUIDED: f64 = 0.7;
+pub const UNGUIDED: f64 = 0.7;
 
 /// Task errors of one lane group, goal − actual: as they are paid, and as agents see them.
 ///
@@ -131,6 +131,18 @@ impl<S: Real> Errors<S> {
         let mut errors = Self::new(robot.n_arms);
         errors.tell(task, robot);
         errors
+    }
+
+    /// Goal postures of the hands as agents see them, an arm each, where a task tells them: whether they bring the hand to its goal (1 or 0),
+    /// whether they are free of stops (1 or 0), what is left to each joint (rad).
+    pub fn postures(&self) -> Option<Vec<[S; 2 + JOINTS_PER_ARM]>> {
+        let of_arm = |arm: &Posture<S>| {
+            let mut seen = [arm.good; 2 + JOINTS_PER_ARM];
+            seen[1] = arm.free;
+            seen[2..].copy_from_slice(&arm.left);
+            seen
+        };
+        self.postures.as_ref().map(|postures| postures.arms.iter().map(of_arm).collect())
     }
 
     /// Has what `task` tells be known, too.
