@@ -336,7 +336,9 @@ impl Driver for OnnxDriver {
         for episode in episodes {
             let [state, goals] = state_and_goals(episode, world);
             let last = episode.commands().iter().copied();
-            write_numbers(&mut question, state.into_iter().chain(last).chain(goals));
+            let postures = episode.errors().postures().unwrap_or_default().concat();
+            let numbers = state.into_iter().chain(last).chain(goals).chain(postures);
+            write_numbers(&mut question, numbers);
             question.push('\n');
         }
         let commands = self.0.ask(&question, episodes.len())?;

@@ -53,12 +53,14 @@ def arm_frame(arm):
     return (mount * [side, side, 1.0]).T
 
 
-def observe(arm, frame, base, hand, goal, joints):
+def observe(arm, frame, base, hand, goal, joints, posture=None):
     """What both agents of an arm see.
 
     base: attitude (3, 3), velocity (world), angular velocity (body); hand and goal: position and attitude (world);
-    joints: angles, rates, last actions of the arm's.
+    joints: angles, rates, last actions of the arm's; posture: of a policy that sees it, whether it is good, whether it is free,
+    and what is left of it.
     """
+    posture = [] if posture is None else [*posture, *np.tanh(np.array(posture[2:]) / 0.1)]
     (attitude, velocity, turning), (q, rates, last_action) = base, joints
     home = np.array(arm["home"])
     difference = attitude.T @ (goal[0] - hand[0])
@@ -76,6 +78,7 @@ def observe(arm, frame, base, hand, goal, joints):
             frame @ np.tanh(difference / 0.015),
             frame @ np.tanh(turn / 0.08),
             frame @ np.tanh(turn / 0.025),
+            posture,
             last_action,
         ]
     )

@@ -7,6 +7,7 @@
 import pathlib
 import runpy
 import sys
+import tomllib
 
 import numpy as np
 import onnx
@@ -14,10 +15,12 @@ import onnxruntime
 
 
 def check(folder):
-    for name, inputs in ("controller.onnx", 8), ("policy.onnx", 1):
+    contract = tomllib.loads((folder / "contract.toml").read_text())
+    of_controller = [port["name"] for port in contract["input"]]
+    for name, inputs in ("controller.onnx", of_controller), ("policy.onnx", ["observations"]):
         onnx.checker.check_model(folder / name, full_check=True)
         model = onnx.load(folder / name)
-        assert len(model.graph.input) == inputs, name
+        assert [port.name for port in model.graph.input] == inputs, name
         assert len(model.graph.output) == 1, name
         for port in [*model.graph.input, *model.graph.output]:
             assert port.type.tensor_type.shape.dim[0].dim_param == "batch", (name, port.name)

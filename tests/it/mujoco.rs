@@ -410,9 +410,26 @@ fn training_is_nearer_to_the_converged_solution_than_the_authors_scheme() {
 /// A policy of ours on MuJoCo's dynamics, fed by observations that were written from the guide: goal by goal it ends where it ends here.
 #[test]
 fn a_policy_ends_at_each_goal_in_mujoco_as_it_does_here() {
+    let worst = ends_as_here(&tests::guide::repository().join("deploy/policies/trajectory"));
+    eprintln!("12 goals differ by at most {:.3} mm, {:.3} mrad", 1e3 * worst[0], 1e3 * worst[1]);
+}
+
+/// The same of one that acts beside goal postures. It has learned nothing: what brings hands to their goals is what acts beside it.
+#[test]
+fn a_policy_with_goal_postures_ends_at_each_goal_in_mujoco_as_it_does_here() {
+    let mut run =
+        tests::Run::train(&["--preset=guided", "--iterations=1", "--set=network.hidden=[16,16]"]);
+    run.succeed();
+    let checkpoint = run.path().join("checkpoints/iteration-00000001");
+    let worst = ends_as_here(&checkpoint);
+    eprintln!("12 goals differ by at most {:.3} mm, {:.3} mrad", 1e3 * worst[0], 1e3 * worst[1]);
+}
+
+/// Holds 12 goals to what is the same; how far they are apart at most (m, rad).
+fn ends_as_here(checkpoint: &Path) -> [f64; 2] {
     let dir = tempfile::tempdir().unwrap();
-    let [goals, model] = ["goals.json", "robot.xml"].map(|name| dir.path().join(name));
-    let checkpoint = tests::guide::repository().join("deploy/policies/trajectory");
+    let [goals, model, controller] =
+        ["goals.json", "robot.xml", "controller"].map(|name| dir.path().join(name));
     let octopus = |arguments: &[&str], files: &[&Path]| {
         let output =
             Command::new(tests::program("octopus")).args(arguments).args(files).output().unwrap();
@@ -420,12 +437,13 @@ fn a_policy_ends_at_each_goal_in_mujoco_as_it_does_here() {
         output.stdout
     };
     let save = ["eval", "--episodes", "3", "--seed", "5", "--json", "--save-goals"];
-    let ours = octopus(&save, &[&goals, &checkpoint]);
+    let ours = octopus(&save, &[&goals, checkpoint]);
+    octopus(&["export", "--episodes", "1"], &[checkpoint, Path::new("--out"), &controller]);
     let robot = checkpoint.join("robot.toml");
     octopus(&["mjcf", "--contacts", "off", "--robot"], &[&robot, Path::new("--out"), &model]);
     let output = Command::new(tests::python())
         .arg(tests::crosscheck("mujoco_policy.py"))
-        .args([&checkpoint, &model, &goals])
+        .args([checkpoint, &model, &goals, Path::new("--controller"), &controller])
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -450,9 +468,9 @@ fn a_policy_ends_at_each_goal_in_mujoco_as_it_does_here() {
     let [position, orientation] = [of(0), of(1)];
     assert_eq!(position.len(), 12);
     let worst = [largest(&position), largest(&orientation)];
-    eprintln!("12 goals differ by at most {:.3} mm, {:.3} mrad", 1e3 * worst[0], 1e3 * worst[1]);
     // Time steps are 2 ms there and 16 ms here, which only tells where a hand is far from its goal and still moves.
     let typical = |differences: &[f64]| median(differences.iter().map(|d| d.abs()).collect());
     assert!(typical(&position) < 2e-4 && typical(&orientation) < 5e-4, "{differences:?}");
     assert!(worst[0] < 8e-3 && worst[1] < 25e-3, "{differences:?}");
+    worst
 }

@@ -15,6 +15,9 @@
 //!
 //! **Whose arithmetic.** The C code does what workers do, operation by operation, so bits can be compared. The graph leaves sums
 //! to its runtime and is held to a tolerance. Both store rows that actors share once.
+//!
+//! **Goal postures** (`simulator::posture`) are searched for and remembered, which a graph cannot do: for policies that act beside them it has one more
+//! input, and the C code a function that gives it.
 
 mod block;
 mod c;

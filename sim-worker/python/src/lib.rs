@@ -21,6 +21,7 @@ mod config;
 mod errors;
 mod numbers;
 mod policy;
+mod postures;
 mod robot;
 mod simulate;
 mod threads;
@@ -34,6 +35,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<batch::Batch>()?;
     module.add_class::<config::Config>()?;
     module.add_class::<policy::Policy>()?;
+    module.add_class::<postures::Postures>()?;
     module.add_class::<robot::Robot>()?;
     module.add_function(wrap_pyfunction!(simulate::simulate, module)?)?;
     Ok(())

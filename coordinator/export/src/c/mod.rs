@@ -1,4 +1,4 @@
-//! The controller in C99: a fixed text, and what it is made for as constants and tables before it.
+//! The controller in C99: a fixed text, and what it is made for as constants and tables before it. Goal postures are a text of their own in it.
 
 mod postures;
 mod tables;

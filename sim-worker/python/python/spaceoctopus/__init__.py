@@ -7,15 +7,16 @@ agents, ``shoulder`` (joints 1 to 3, cares for the hand's position) and ``wrist`
 * :class:`ParallelEnv`: one environment for PettingZoo, agents by name. Needs the package ``pettingzoo``.
 * :class:`VectorEnv`: many environments for Gymnasium, one agent commanding everything. Needs the package ``gymnasium``.
 * :class:`Policy`: a trained policy; it acts, and plays episodes as ``octopus eval`` does.
+* :class:`Postures`: the goal postures that policies see which were trained with them, for who runs an exported one.
 * :class:`Robot`, :class:`Config`, :func:`simulate`: the robot, what a run is configured with, and commands in open loop.
 
 The same configuration, seed and address give the same bits as in a worker of a training, whatever the number of environments or
 threads. What is wrong with a value is a ``ValueError`` or ``TypeError``, what is wrong with the moment of a call a ``RuntimeError``.
 """
 
-from spaceoctopus._native import Batch, Config, Policy, Robot, __version__, simulate
+from spaceoctopus._native import Batch, Config, Policy, Postures, Robot, __version__, simulate
 
-__all__ = ["Batch", "Config", "ParallelEnv", "Policy", "Robot", "VectorEnv", "__version__", "simulate"]
+__all__ = ["Batch", "Config", "ParallelEnv", "Policy", "Postures", "Robot", "VectorEnv", "__version__", "simulate"]
 
 # What each needs is not installed with this package.
 _NEEDS = {"ParallelEnv": ("_parallel_env", "pettingzoo"), "VectorEnv": ("_vector_env", "gymnasium")}

@@ -7,7 +7,7 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Batch", "Config", "Policy", "Robot", "__version__", "simulate"]
+__all__ = ["Batch", "Config", "Policy", "Postures", "Robot", "__version__", "simulate"]
 
 __version__: str
 
@@ -213,6 +213,20 @@ class Policy:
     @property
     def n_agents(self) -> int:
         """A: agents, two an arm."""
+
+@final
+class Postures:
+    """Goal postures of one robot: joint angles that bring its hands to their goals."""
+
+    def __new__(
+        cls, config: Config | _Path | None = None, *, set: Sequence[str] = ..., robot: Robot | _Path | None = None
+    ) -> Postures: ...
+    def update(
+        self, base_position: ArrayLike, base_attitude: ArrayLike, joint_angles: ArrayLike, goals: ArrayLike
+    ) -> _Floats:
+        """Looks once a control step; returns [arms, 8]: good, free, what is left to each joint (rad)."""
+    def forget(self) -> None:
+        """Forgets all goals, because another episode begins."""
 
 def simulate(
     actions: ArrayLike,

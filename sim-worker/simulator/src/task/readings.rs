@@ -127,7 +127,7 @@ impl<S: Real> Errors<S> {
     }
 
     /// Those that `task` tells.
-    pub(crate) fn of(task: &Task, robot: &Robot) -> Self {
+    pub fn of(task: &Task, robot: &Robot) -> Self {
         let mut errors = Self::new(robot.n_arms);
         errors.tell(task, robot);
         errors
@@ -160,7 +160,7 @@ impl<S: Real> Errors<S> {
     }
 
     /// Forgets what it knows of goals, because another episode begins.
-    pub(crate) fn forget(&mut self) {
+    pub fn forget(&mut self) {
         if let Some(postures) = &mut self.postures {
             postures.forget();
         }

@@ -1,0 +1,106 @@
+//! Goal postures for whoever runs a policy elsewhere.
+
+use std::sync::Mutex;
+
+use numpy::{PyArrayDyn, PyArrayMethods as _};
+use pyo3::prelude::*;
+use simulator::robot::JOINTS_PER_ARM;
+use simulator::rollout::World;
+use simulator::task::{Errors, Goals, Readings};
+
+use crate::config;
+use crate::errors::{guarded, runtime, value};
+use crate::numbers::{array, single};
+use crate::robot;
+
+/// Goal postures of one robot: joint angles that bring its hands to their goals, chosen when a goal is new, then followed.
+///
+/// `config` and `robot` are as for `Batch`; the configuration must have `task.posture.seen`. What `update` returns is what agents see of them,
+/// and the input `postures` of an exported `controller.onnx`.
+#[pyclass(frozen, module = "spaceoctopus")]
+#[derive(Debug)]
+pub(crate) struct Postures {
+    n_arms: usize,
+    known: Mutex<(Errors<f32>, Readings<f32>)>,
+}
+
+#[pymethods]
+impl Postures {
+    #[new]
+    #[pyo3(signature = (config = None, *, set = Vec::new(), robot = None))]
+    fn new(
+        config: Option<Bound<'_, PyAny>>,
+        set: Vec<String>,
+        robot: Option<Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        guarded(|| {
+            let config = config::of_argument(config.as_ref(), None, &set)?;
+            if !config.task.posture.seen {
+                return Err(value(
+                    "the configuration has no goal postures: set task.posture.seen=true",
+                ));
+            }
+            let robot = robot::of_argument(robot.as_ref(), &config.robot.description)?;
+            let World { task, robot, .. } = World::new(&config, &robot);
+            let n_arms = robot.n_arms;
+            let known = Mutex::new((Errors::of(&task, &robot), Readings::new(n_arms)));
+            Ok(Self { n_arms, known })
+        })
+    }
+
+    /// Looks once a control step: the base's position [3] (m) and attitude [4] (unit quaternion, w first), joint angles [arms, 6] (rad), goals of the
+    /// hands [arms, 6] (m, and Euler angles x-y-z in rad; world). Returns [arms, 8]: whether each posture brings the hand to its goal (1 or 0),
+    /// whether it is free of stops (1 or 0), what is left to each joint (rad).
+    fn update<'py>(
+        &self,
+        py: Python<'py>,
+        base_position: Bound<'py, PyAny>,
+        base_attitude: Bound<'py, PyAny>,
+        joint_angles: Bound<'py, PyAny>,
+        goals: Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        guarded(|| {
+            let n = self.n_arms;
+            let position = numbers(&base_position, "base_position", &[3])?;
+            let attitude = numbers(&base_attitude, "base_attitude", &[4])?;
+            let angles = numbers(&joint_angles, "joint_angles", &[n, JOINTS_PER_ARM])?;
+            let goals = numbers(&goals, "goals", &[n, JOINTS_PER_ARM])?;
+            let square: f32 = attitude.iter().map(|x| x * x).sum();
+            if !(0.999..=1.001).contains(&square) {
+                return Err(value(format!(
+                    "base_attitude has the length {}, expected 1",
+                    square.sqrt()
+                )));
+            }
+            let goals = Goals { hands: goals.as_chunks().0.to_vec(), base: [0.0; 3] };
+            let mut known = self
+                .known
+                .try_lock()
+                .map_err(|_| runtime("another thread updates the postures"))?;
+            let (errors, seen) = &mut *known;
+            seen.base_position.copy_from_slice(&position);
+            seen.base_quaternion.copy_from_slice(&attitude);
+            seen.q.copy_from_slice(&angles);
+            py.detach(|| errors.update(seen, &goals));
+            let found = errors.postures().expect("the task tells them");
+            array(py, found.concat(), &[n, 2 + JOINTS_PER_ARM])
+        })
+    }
+
+    /// Forgets all goals, because another episode begins.
+    fn forget(&self) -> PyResult<()> {
+        let mut known =
+            self.known.try_lock().map_err(|_| runtime("another thread updates the postures"))?;
+        known.0.forget();
+        Ok(())
+    }
+}
+
+/// Finite numbers of this shape.
+fn numbers(given: &Bound<'_, PyAny>, what: &str, shape: &[usize]) -> PyResult<Vec<f32>> {
+    let numbers = single(given, what, shape)?.try_readonly()?.as_slice()?.to_vec();
+    match numbers.iter().find(|x| !x.is_finite()) {
+        Some(x) => Err(value(format!("{what} has the number {x}, expected finite ones"))),
+        None => Ok(numbers),
+    }
+}
