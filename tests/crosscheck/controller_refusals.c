@@ -12,6 +12,7 @@ static void expect(const char *what, octopus_status wanted, const octopus_state 
     double command[OCTOPUS_JOINTS];
     octopus_status found;
     int joint, held = 1, forgotten = 1;
+    octopus_controller_reset(&memory);
     for (joint = 0; joint < OCTOPUS_JOINTS; joint++) {
         memory.action[joint] = 0.5f;
         command[joint] = 7.0;

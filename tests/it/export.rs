@@ -327,21 +327,34 @@ fn policies_that_act_beside_goal_postures_do_outside_what_they_do_here() {
     let place = tempfile::tempdir().expect("tempdir");
     let two_arms = repository().join("sim-worker/simulator/robots/two-arm.toml");
     let text = std::fs::read_to_string(&two_arms).expect("it is there");
+    // Whose links and mounts are not at right angles.
+    let mut skewed = text.clone();
+    for (straight, other) in [
+        ("a = 0.0, d = 0.089159, alpha_deg = 90.0", "a = 0.03, d = 0.089159, alpha_deg = 80.0"),
+        ("a = -0.39225, d = 0.0, alpha_deg = 0.0", "a = -0.39225, d = 0.02, alpha_deg = 10.0"),
+        ("mount_euler_deg = [-90.0, 0.0, 0.0]", "mount_euler_deg = [-80.0, 10.0, 5.0]"),
+    ] {
+        assert!(skewed.contains(straight), "{straight}");
+        skewed = skewed.replace(straight, other);
+    }
     let robots = [
         Robot::builtin("paper").expect("built in"),
         Robot::builtin("release").expect("built in"),
         Robot::from_toml(&text, &two_arms).expect("valid"),
+        Robot::from_toml(&skewed, &two_arms).expect("valid"),
+    ];
+    let settings = [
+        "network.hidden=[24, 17, 15]",
+        "task.joint_angles=unwound",
+        "task.posture.gain=0.4",
+        "task.posture.gain=0",
     ];
     let mut dirs = Vec::new();
-    for (index, (robot, more)) in robots
-        .iter()
-        .zip(["run.seed=1", "task.joint_angles=unwound", "task.posture.gain=0.4"])
-        .enumerate()
-    {
-        let settings = [more, "network.hidden=[24, 17, 15]"];
-        let task = TaskName::Trajectory;
+    for (index, (robot, more)) in robots.iter().zip(settings).enumerate() {
+        let settings = ["network.hidden=[24, 17, 15]", more];
         let controlled =
-            Controlled::untrained(Preset::Guided, task, &settings, robot).expect("a policy");
+            Controlled::untrained(Preset::Guided, TaskName::Trajectory, &settings, robot)
+                .expect("a policy");
         let dir = place.path().join(index.to_string());
         controlled.export(&dir).expect("an export");
         check_c(&dir, &["-O2"]);
@@ -352,7 +365,9 @@ fn policies_that_act_beside_goal_postures_do_outside_what_they_do_here() {
     check_onnx(&dirs);
     let sanitized = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"];
     check_c(&dirs[0], &sanitized);
-    let program = compile(&dirs[0], &dirs[0].join("example.c"), &sanitized).expect("it compiles");
-    let output = Command::new(program).output().expect("it starts");
-    assert!(output.status.success(), "{}", stderr(&output));
+    for program in [crosscheck("controller_refusals.c"), dirs[0].join("example.c")] {
+        let program = compile(&dirs[0], &program, &sanitized).expect("it compiles");
+        let output = Command::new(program).output().expect("it starts");
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
 }

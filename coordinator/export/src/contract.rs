@@ -95,7 +95,7 @@ struct Contract<'a> {
 const HEAD: &str = "\
 # What the controller of this directory takes and gives, what it was trained with, and what it is not for.
 # Inputs are in the order of controller.onnx; a leading dimension `batch` is not written. The struct octopus_state
-# of controller.h has the same numbers, but for the last command and postures: octopus_memory keeps those.
+# of controller.h has the same numbers, but for the last command and, where there are any, postures: octopus_memory keeps them.
 # `range` is what the C code accepts; `seen` is what the 256 states of vectors.json hold.
 
 ";

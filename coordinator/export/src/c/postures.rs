@@ -27,9 +27,11 @@ fn tables(source: &Source<'_>) -> String {
     let (gain, period) = (task.posture.gain, task.control_period);
     let pace = if gain > 0.0 { gain } else { UNGUIDED };
     let mut out = String::new();
-    // Factors from what is left to a rate, and to an action.
-    define(&mut out, "PACE", &float((pace / period) as f32));
-    define(&mut out, "GUIDANCE", &float((gain / (period * task.action_scale)) as f32));
+    let factor = |factor: f64, to: &str| {
+        format!("{} /* from what is left (rad) to {to} (rad/s) */", float(factor as f32))
+    };
+    define(&mut out, "PACE", &factor(pace / period, "a rate"));
+    define(&mut out, "GUIDANCE", &factor(gain / (period * task.action_scale), "an action"));
     let limits = task.action_limit.iter().map(|limit| float((limit * task.action_scale) as f32));
     table(&mut out, "float PACE_LIMITS[OCTOPUS_JOINTS]", limits);
     arms(&mut out, &source.world.robot);
