@@ -80,3 +80,9 @@ fn alone() -> std::sync::MutexGuard<'static, ()> {
     static ALONE: std::sync::Mutex<()> = std::sync::Mutex::new(());
     ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
+
+/// The first GPU, where there is one and libtorch was built for it: tests run on it, too.
+#[cfg(test)]
+fn gpu() -> Option<tch::Device> {
+    learner::device("cuda:0").ok()
+}

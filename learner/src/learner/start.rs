@@ -128,8 +128,13 @@ pub fn device(name: &str) -> Result<Device, LearnerError> {
     let count = tch::Cuda::device_count() as usize;
     if !tch::Cuda::is_available() || index >= count {
         return Err(LearnerError::Device(format!(
-            "run.device is `{name}`, but libtorch sees {count} CUDA devices; `nvidia-smi` lists \
-             them, run.device=cpu does without"
+            "run.device is `{name}`, but libtorch sees {}; `nvidia-smi` lists them, \
+             run.device=cpu does without",
+            match count {
+                0 => "no CUDA device".to_owned(),
+                1 => "one CUDA device, cuda:0".to_owned(),
+                _ => format!("CUDA devices cuda:0 to cuda:{}", count - 1),
+            }
         )));
     }
     Ok(Device::Cuda(index))

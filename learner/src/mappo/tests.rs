@@ -48,8 +48,12 @@ struct Run {
 
 impl Run {
     fn new(config: &Config, arithmetic: Arithmetic) -> Self {
+        Self::on(Device::Cpu, config, arithmetic)
+    }
+
+    fn on(device: Device, config: &Config, arithmetic: Arithmetic) -> Self {
         let dimensions = Dimensions::new(config, 2);
-        let state = TrainingState::initial(config, &dimensions, arithmetic, Device::Cpu);
+        let state = TrainingState::initial(config, &dimensions, arithmetic, device);
         Self { mappo: Mappo::new(config, &dimensions, &state), state, dimensions }
     }
 
@@ -115,6 +119,38 @@ fn a_resumed_run_goes_on_as_if_it_had_never_stopped() {
         resumed.mappo = Mappo::new(&config, &resumed.dimensions, &resumed.state);
         resumed.update(2);
         assert_eq!(resumed.state.digest(), run.state.digest(), "{variant:?}");
+    }
+}
+
+/// In bf16 the presets' LayerNorm once ended the learner there.
+#[test]
+fn a_gpu_learns_what_the_processor_learns() {
+    let Some(gpu) = crate::gpu() else { return };
+    let _alone = crate::alone();
+    for (variant, arithmetic) in
+        VARIANTS.iter().flat_map(|v| [(v, Arithmetic::F32), (v, Arithmetic::Bf16)])
+    {
+        let config = config(variant);
+        let [mut here, mut there] =
+            [Device::Cpu, gpu].map(|device| Run::on(device, &config, arithmetic));
+        let (report, theirs) = (here.update(1), there.update(1));
+        // Rounded otherwise; in f32 that is less than one step of Adam, of length 1e-3, after twenty.
+        let tolerance = if arithmetic == Arithmetic::F32 { 1e-3 } else { 2e-2 };
+        for (ours, theirs) in
+            [(&here.state.actor, &there.state.actor), (&here.state.critic, &there.state.critic)]
+        {
+            let difference = (&ours.flat - theirs.flat.to_device(Device::Cpu)).abs().max();
+            let difference = difference.double_value(&[]);
+            assert!(difference < tolerance, "{variant:?} {arithmetic:?}: {difference}");
+        }
+        for (ours, theirs) in report.value_loss.iter().zip(&theirs.value_loss) {
+            assert!((ours - theirs).abs() < 1e-2 * ours.abs(), "{variant:?}: {ours} {theirs}");
+        }
+        // What it saves is what it goes on from.
+        let saved = there.state.to_safetensors();
+        let state = TrainingState::from_safetensors(&saved, &config, &there.dimensions, gpu)
+            .expect("its own bytes");
+        assert_eq!(state.digest(), there.state.digest(), "{variant:?} {arithmetic:?}");
     }
 }
 

@@ -60,9 +60,12 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
                     "network.hidden=[24,16,20]",
                     "network.critic_hidden=[]",
                 ]);
-                for fused in [true, false] {
-                    compare(&config, kind, Arithmetic::F32, fused, 3e-6);
-                    compare(&config, kind, Arithmetic::Bf16, fused, 0.2);
+                for (device, fused) in [(Device::Cpu, true), (Device::Cpu, false)]
+                    .into_iter()
+                    .chain(crate::gpu().map(|gpu| (gpu, false)))
+                {
+                    compare(&config, kind, Arithmetic::F32, device, fused, 3e-6);
+                    compare(&config, kind, Arithmetic::Bf16, device, fused, 0.2);
                 }
             }
         }
@@ -76,15 +79,16 @@ fn compare(
     config: &Config,
     kind: NetworkKind,
     arithmetic: Arithmetic,
+    device: Device,
     fused: bool,
     tolerance: f64,
 ) {
     let spec = NetworkSpec::new(kind, config, &Dimensions::new(config, 1));
     let (a, b) = (2, 30);
     tch::manual_seed(4);
-    let options = (Kind::Float, Device::Cpu);
+    let options = (Kind::Float, device);
     // Away from the initial values, where gains are one and shifts zero.
-    let start = spec.initial(&config.network, 3);
+    let start = spec.initial(&config.network, 3).to_device(device);
     let flat = (&start + Tensor::randn_like(&start) * 0.1).set_requires_grad(true);
     let x = Tensor::randn([a, b, spec.input], options).to_kind(arithmetic.kind());
     let weights = Tensor::randn([a, spec.output, b], options);
@@ -94,7 +98,7 @@ fn compare(
 
     tch::no_grad(|| {
         let mut compute =
-            Compute::new(&spec, config.network.activation, 2, arithmetic.kind(), Device::Cpu);
+            Compute::new(&spec, config.network.activation, 2, arithmetic.kind(), device);
         if !fused {
             compute.passes = Box::new(TorchPasses::new(&compute.stack));
         }
@@ -105,7 +109,7 @@ fn compare(
         let gradient = flat.zeros_like();
         let near = |ours: &Tensor, theirs: &Tensor, what: &str| {
             let error = ((ours - theirs).norm() / theirs.norm()).double_value(&[]);
-            assert!(error < tolerance, "{what} of {kind:?} {arithmetic:?}: {error}");
+            assert!(error < tolerance, "{what} of {kind:?} {arithmetic:?} on {device:?}: {error}");
         };
         // Two halves add up to the whole.
         for start in [0, b / 2] {

@@ -1,7 +1,7 @@
 //! The passes operation by operation of libtorch: for every activation and device, and the twin that tests the plain ones.
 
 use proto::config::Activation;
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
 
 use super::passes::Passes;
 use super::stack::Stack;
@@ -170,18 +170,11 @@ fn standardise(x: &Tensor, out: &Tensor) -> Tensor {
     let options = (Kind::Float, x.device());
     let mean = Tensor::empty([a, b, 1], options);
     let inverse_std = Tensor::empty([a, b, 1], options);
-    // With an f32 gain libtorch keeps the moments of bf16 input in f32.
-    let gain = Tensor::ones([h], options);
-    let bias = Tensor::zeros([h], options);
-    let _ = x.native_layer_norm_out(
-        out,
-        &mean,
-        &inverse_std,
-        [h],
-        Some(gain),
-        Some(bias),
-        LAYER_NORM_EPSILON,
-    );
+    // On a CPU the moments of bf16 input are bf16 unless there is an f32 gain. On a GPU they are f32, and an f32 gain is refused.
+    let affine = (x.device() == Device::Cpu)
+        .then(|| (Tensor::ones([h], options), Tensor::zeros([h], options)));
+    let (gain, bias) = affine.unzip();
+    let _ = x.native_layer_norm_out(out, &mean, &inverse_std, [h], gain, bias, LAYER_NORM_EPSILON);
     inverse_std
 }
 
