@@ -19,7 +19,7 @@ use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::config::{AlgorithmName, Config, CriticState, InputNorm, Observation, TaskName};
+use crate::config::{AlgorithmName, Config, CriticState, InputNorm, Observation};
 
 /// The sizes of a run's arrays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,24 +54,23 @@ impl Dimensions {
         let joints = 6 * config.task.joint_angles.numbers() + 6;
         // Whether the goal posture brings the hand to its goal and whether it is free of stops, what is left to it, plain 6 and squashed 6.
         let posture = if config.task.posture.seen { 14 } else { 0 };
-        let observation = match (config.task.observation, config.task.name) {
-            (Observation::Paper, TaskName::Trajectory) => 28,
-            (Observation::Release, TaskName::Trajectory) => 31,
-            (Observation::Paper | Observation::Release, TaskName::Reorientation) => 25,
-            // Base's velocity 6, own arm's q and q̇, errors 6 plain and 12 squashed, last action 6.
-            (Observation::Arm, TaskName::Trajectory) => 6 + joints + 6 + 12 + 6 + posture,
-            // Base's velocity 6, own arm's q and q̇, errors 3 plain and 6 squashed, last action 6.
-            (Observation::Arm, TaskName::Reorientation) => 6 + joints + 3 + 6 + 6,
+        let task = config.task.name;
+        // Errors of a hand, 6 plain and 12 squashed, and how its goal moves; those of the base, 3 plain and 6 squashed.
+        let moves = if task.moves() { 6 } else { 0 };
+        let hand = if task.reaches() { 6 + 12 + moves + posture } else { 0 };
+        let base = if task.turns() { 3 + 6 } else { 0 };
+        let observation = match (config.task.observation, task.reaches()) {
+            (Observation::Paper, true) => 28,
+            (Observation::Release, true) => 31,
+            (Observation::Paper | Observation::Release, false) => 25,
+            // Base's velocity 6, own arm's q and q̇, errors, last action 6.
+            (Observation::Arm, _) => 6 + joints + hand + base + 6,
         };
-        let state = match (config.network.critic_state, config.task.name) {
-            (CriticState::Own, _) => 0,
-            (CriticState::Concatenated, _) => n_agents * observation,
-            // Base 13; each arm's q and q̇, last action 6 and errors 18.
-            (CriticState::Compact, TaskName::Trajectory) => {
-                13 + n_arms * (joints + 6 + 18 + posture)
-            }
-            // Base 13, errors 9; each arm's q and q̇, and last action 6.
-            (CriticState::Compact, TaskName::Reorientation) => 13 + 9 + n_arms * (joints + 6),
+        let state = match config.network.critic_state {
+            CriticState::Own => 0,
+            CriticState::Concatenated => n_agents * observation,
+            // Base 13 and its errors; each arm's q and q̇, its hand's errors and last action 6.
+            CriticState::Compact => 13 + base + n_arms * (joints + hand + 6),
         };
         Self {
             n_arms,
@@ -387,7 +386,7 @@ pub fn layout_hash() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Layers, Preset};
+    use crate::config::{Layers, Preset, TaskName};
 
     fn dimensions(preset: Preset, task: TaskName) -> Dimensions {
         Dimensions::new(&Layers::new(preset, Some(task)).resolve().expect("valid"), 4)

@@ -4,6 +4,7 @@
 //! A run has one coordinator, one learner and several workers. They agree on
 //!
 //! * [`config`]: the typed configuration, its presets and how layers of it are merged;
+//! * [`tasks`]: what arms are for, a file a task;
 //! * [`layout`]: sizes, and the place of every number in the arrays that cross a process border;
 //! * [`message`]: the control messages and the course of an iteration;
 //! * [`gateway`]: what gateways say to each other and to who started them; [`certificates`]: by what they are known;
@@ -28,6 +29,7 @@ pub mod message;
 pub mod rng;
 pub mod run_dir;
 pub mod statistics;
+pub mod tasks;
 
 pub use digest::{Digest, DigestBuilder};
 pub use error::{ConfigError, ExitCode, ExitError, mib};

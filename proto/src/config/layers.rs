@@ -11,9 +11,9 @@ use super::algorithm::AlgorithmName;
 use super::preset::Preset;
 use super::resolved::Config;
 use super::tables::{found, hint, parse, wanted};
-use super::task::TaskName;
 use super::typed::typed;
 use crate::ConfigError;
+use crate::tasks::TaskName;
 
 /// A configuration in the making. Later layers win.
 #[derive(Debug, Clone)]
@@ -115,11 +115,11 @@ impl Layers {
             .next_back()
             .expect("a preset names its task");
         match value.as_str() {
-            Some(name @ ("trajectory" | "reorientation")) => Ok(name.to_owned()),
+            Some(name) if TaskName::named(name).is_some() => Ok(name.to_owned()),
             _ => Err(ConfigError::WrongType {
                 origin: origin.clone(),
                 key: "task.name".to_owned(),
-                expected: "`trajectory` or `reorientation`".to_owned(),
+                expected: TaskName::listed(),
                 found: value.to_string(),
             }),
         }
@@ -140,9 +140,9 @@ fn conditional_changes(
         found: format!("the {} {found}", found.type_str()),
     };
     let Value::Table(tables) = tables else { return Err(wrong("for".to_owned(), &tables)) };
-    let names = [TaskName::Trajectory, TaskName::Reorientation].map(TaskName::as_str);
-    let known: Table = names
-        .into_iter()
+    let known: Table = TaskName::ALL
+        .iter()
+        .map(|task| task.as_str())
         .chain(AlgorithmName::ALL.map(AlgorithmName::as_str))
         .map(|name| (name.to_owned(), Value::Boolean(true)))
         .collect();

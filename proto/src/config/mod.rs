@@ -42,9 +42,10 @@ pub use resolved::Config;
 pub use run::{Precision, Run};
 pub use tables::{hint, parse};
 pub use task::{
-    GoalBox, JointAngles, Observation, Posture, Randomization, Reward, RewardWeights, Start, Task,
-    TaskName,
+    JointAngles, Observation, Posture, Randomization, Reward, RewardWeights, Start, Task,
 };
+
+pub use crate::tasks::{GoalBox, Target, TaskName};
 
 #[cfg(test)]
 mod tests;

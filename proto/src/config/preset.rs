@@ -8,7 +8,10 @@ use crate::ConfigError;
 /// The built-in configurations, in `deploy/presets`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Preset {
-    /// The paper's robot, tasks and measures with whatever learns them fastest.
+    /// The paper's robot, tasks and measures with whatever learns them fastest: agents know joint angles that bring the hand to its
+    /// goal, and act beside them.
+    Guided,
+    /// The same with policies that find everything themselves.
     Tuned,
     /// The paper's text; where it is silent, the released code.
     Paper,
@@ -16,14 +19,15 @@ pub enum Preset {
     Release,
     /// Preset `tuned`, trained with a robot whose drives and sensors err.
     Robust,
-    /// Preset `tuned`, with agents who know joint angles that bring the hand to its goal, and act beside them.
-    Guided,
 }
 
 impl Preset {
     /// All of them.
     pub const ALL: [Self; 5] =
-        [Self::Tuned, Self::Paper, Self::Release, Self::Robust, Self::Guided];
+        [Self::Guided, Self::Tuned, Self::Paper, Self::Release, Self::Robust];
+
+    /// What is trained unless something else is said.
+    pub const DEFAULT: Self = Self::Guided;
 
     /// The preset that this one only changes, if there is one.
     fn base(self) -> Option<Self> {

@@ -2,25 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The two tasks of the paper.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum TaskName {
-    /// Every hand to a target pose.
-    Trajectory,
-    /// The base to a target attitude.
-    Reorientation,
-}
-
-impl TaskName {
-    /// The name as it is written in configurations and on the command line.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Trajectory => "trajectory",
-            Self::Reorientation => "reorientation",
-        }
-    }
-}
+use crate::tasks::{GoalBox, Target, TaskName};
 
 /// Which numbers an agent sees; the layouts stand in `sim-worker`'s `task::observation`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,18 +36,6 @@ impl JointAngles {
             Self::SinCos => 2,
         }
     }
-}
-
-/// The box that trajectory goals are drawn from, as offsets to the hand's home position.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum GoalBox {
-    /// A cube of 0.3 m, as the paper says.
-    Paper,
-    /// The released code: 0.25 m.
-    Release,
-    /// The authors' working repository: 0.20 m.
-    Narrow,
 }
 
 /// Weights of one agent kind's reward,
@@ -192,6 +162,9 @@ pub struct Task {
     /// What is known of goal postures; nothing if nothing is said.
     #[serde(default)]
     pub posture: Posture,
+    /// What hands take hold of, in task `capture`.
+    #[serde(default)]
+    pub target: Target,
     /// The reward.
     pub reward: Reward,
 }

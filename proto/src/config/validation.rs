@@ -6,13 +6,17 @@ use super::algorithm::AlgorithmName;
 use super::maddpg::Maddpg;
 use super::network::{CriticState, ParameterSharing};
 use super::resolved::Config;
-use super::task::{Observation, Reward, RewardWeights, TaskName};
+use super::task::{Observation, Reward, RewardWeights};
 use crate::ConfigError;
 use crate::bucket_address;
 use crate::message::HEARTBEAT;
+use crate::tasks::Target;
 
 /// Least of `run.order_deadline_s`: two signs of life in a row may come late.
 const SHORTEST_SILENCE: Duration = HEARTBEAT.saturating_mul(3);
+
+/// What a body may turn by while hands follow it (rad): hands at home are turned by up to half of a half turn, and errors are differences of Euler angles.
+const FARTHEST_TURN: f64 = 1.2;
 
 impl Config {
     /// Checks ranges and what must fit together.
@@ -28,11 +32,20 @@ impl Config {
         within("task.start.anywhere", task.start.anywhere, 0.0, 1.0)?;
         within("task.start.turning", task.start.turning, 0.0, 1.0)?;
         within("task.posture.gain", task.posture.gain, 0.0, 1.0)?;
-        let told = (task.name, task.observation) == (TaskName::Trajectory, Observation::Arm);
+        let arm = task.observation == Observation::Arm;
+        if (task.name.moves() || task.name.reaches() && task.name.turns()) && !arm {
+            return Err(ConfigError::Invalid {
+                key: "task.observation",
+                problem: format!("must be `arm` for task `{}`", task.name.as_str()),
+                cure: "set task.observation=arm, or take preset `tuned`".to_owned(),
+            });
+        }
+        let told = task.name.only_reaches() && arm;
         if (task.posture.seen || task.posture.gain > 0.0) && !told {
             return Err(ConfigError::Invalid {
                 key: "task.posture",
-                problem: "is for task `trajectory` with observation `arm`".to_owned(),
+                problem: "is for tasks in which all hands have goals, with observation `arm`"
+                    .to_owned(),
                 cure: "set task.posture.seen=false and task.posture.gain=0".to_owned(),
             });
         }
@@ -41,6 +54,31 @@ impl Config {
                 key: "task.posture.gain",
                 problem: "adds to actions what agents do not see".to_owned(),
                 cure: "set task.posture.seen=true".to_owned(),
+            });
+        }
+        let Target { radius, ahead, offset, tilt, drift, spin, wobble, .. } = task.target;
+        let Target { inertia_ratio, position, orientation, hold_steps, .. } = task.target;
+        within("task.target.radius", radius, 0.0, 100.0)?;
+        within("task.target.ahead", ahead, -100.0, 100.0)?;
+        within("task.target.offset", offset, 0.0, 10.0)?;
+        within("task.target.tilt", tilt, 0.0, 1.0)?;
+        within("task.target.drift", drift, 0.0, 1.0)?;
+        within("task.target.spin", spin, 0.0, 1.0)?;
+        within("task.target.wobble", wobble, 0.0, 1.0)?;
+        // No rigid body is twice as hard to turn about an axis as across it, nor easier than a needle.
+        within("task.target.inertia_ratio", inertia_ratio, 0.01, 2.0)?;
+        within("task.target.position", position, 1e-6, 1.0)?;
+        within("task.target.orientation", orientation, 1e-6, 1.0)?;
+        within("task.target.hold_steps", hold_steps as f64, 1.0, 10_000.0)?;
+        let longest = task.episode_steps.max(run.evaluation_steps as usize) as f64;
+        let turned = tilt + (spin + wobble) * longest * env.control_period;
+        if task.name.moves() && turned > FARTHEST_TURN {
+            return Err(ConfigError::Invalid {
+                key: "task.target",
+                problem: format!(
+                    "turns by up to {turned:.2} rad in an episode (`tilt`, `spin`, `wobble`), and beyond {FARTHEST_TURN} Euler angles wrap"
+                ),
+                cure: "set task.target.spin or task.target.wobble to less".to_owned(),
             });
         }
         let erring = &task.randomization;
