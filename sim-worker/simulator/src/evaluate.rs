@@ -9,6 +9,7 @@ use crate::experiment::{FixedGoals, Player, Pose, Recording, TAIL_STEPS, Trial, 
 use crate::model::ContactKind;
 use crate::policy::Policy;
 use crate::rollout::World;
+use crate::task::Aim;
 
 /// Seed of the goals by which a run chooses its best checkpoint: other goals than those of a final
 /// evaluation, or the choice would flatter it.
@@ -55,9 +56,9 @@ pub struct HandCourse {
 /// One episode of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeResult {
-    /// One entry an arm; in `reorientation`, distances from home.
+    /// One entry an arm; of hands without goals, distances from home.
     pub hands: Vec<HandCourse>,
-    /// Attitude error of the base (rad); in `trajectory`, distance from home.
+    /// Attitude error of the base (rad); where it has no goal, distance from home.
     pub base: Course,
     /// Control steps at whose end any two bodies touched.
     pub contact_steps: u32,
@@ -67,6 +68,20 @@ pub struct EpisodeResult {
     pub contact_steps_by_kind: ContactSteps,
     /// Where the robot stood after the last step.
     pub end: Pose,
+    /// How goals were held, in tasks in which they have to be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held: Option<Held>,
+}
+
+/// How goals were held: all of them at once, as the task wants it ([`Hold`](proto::tasks::Hold)).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Held {
+    /// Control steps of the longest time in which they were.
+    pub longest: u32,
+    /// The control step, counted from 0, after which they had been for as long as the task wants, if they were.
+    pub done: Option<u32>,
+    /// Whether any two bodies touched until then, or at all where there is no then.
+    pub touched_before: bool,
 }
 
 /// Control steps at whose end bodies touched, by what touched what.
@@ -102,7 +117,33 @@ pub fn evaluate(
 ) -> Result<Evaluation, EpisodeError> {
     let EvaluationOptions { seed, episodes, steps } = *options;
     let trial = Trial { given, ..Trial::new(player, seed, episodes, steps) };
-    Ok(Evaluation::of(&play(&trial, executor, on_step)?))
+    Ok(Evaluation::of_task(player.world, &play(&trial, executor, on_step)?))
+}
+
+/// How goals were held in an episode, if the task wants them held.
+fn held(world: &World, recording: &Recording, episode: usize) -> Option<Held> {
+    let definition = world.task.name.definition();
+    let wanted = definition.hold(&world.config.task.target)?;
+    let is_held = |step: usize| {
+        let of_hand = |(arm, aim): (usize, &Aim)| {
+            *aim == Aim::Base
+                || f64::from(recording.position(episode, step, arm)) < wanted.position
+                    && f64::from(recording.orientation(episode, step, arm)) < wanted.orientation
+        };
+        let base = f64::from(recording.attitude(episode, step)) < wanted.base;
+        world.task.aims.iter().enumerate().all(of_hand) && (base || !world.task.name.turns())
+    };
+    let mut held = Held { longest: 0, done: None, touched_before: false };
+    let mut now = 0;
+    for step in 0..recording.steps() {
+        now = if is_held(step) { now + 1 } else { 0 };
+        held.longest = held.longest.max(now);
+        if held.done.is_none() {
+            held.touched_before |= recording.contacts(episode, step).iter().any(|pairs| *pairs > 0);
+            held.done = (now >= wanted.steps as u32).then_some(step as u32);
+        }
+    }
+    Some(held)
 }
 
 /// Plays episodes `first..first + episodes` of the evaluation by which a run chooses its best
@@ -120,10 +161,16 @@ pub fn select(
     let trial = Trial::new(Player::new(world, policy), SELECTION_SEED, first + n, steps);
     let mut recording = Recording::new(n_arms, n, steps);
     play_some(&trial, first, n, recording.series_mut(), on_step)?;
+    let task = world.task.name;
+    // Of all hands where none has a goal: how far they are from home.
+    let counts = |aim: &Aim| !task.reaches() || *aim == Aim::Hand;
+    let n_hands = world.task.aims.iter().filter(|aim| counts(aim)).count();
     let errors = Evaluation::of(&recording).episodes.into_iter().map(|result| {
         let errors = |of: fn(&Course) -> f32| {
             let mean = |course: fn(&HandCourse) -> &Course| {
-                result.hands.iter().map(|hand| of(course(hand))).sum::<f32>() / n_arms as f32
+                let hands = result.hands.iter().zip(&world.task.aims);
+                let hands = hands.filter(|(_, aim)| counts(aim));
+                hands.map(|(hand, _)| of(course(hand))).sum::<f32>() / n_hands as f32
             };
             let [position, orientation] =
                 [mean(|hand| &hand.position), mean(|hand| &hand.orientation)];
@@ -148,6 +195,15 @@ impl Course {
 }
 
 impl Evaluation {
+    /// What a recording of the task of `world` says in a few numbers: also how goals were held, where they have to be.
+    pub fn of_task(world: &World, recording: &Recording) -> Self {
+        let mut evaluation = Self::of(recording);
+        for (index, episode) in evaluation.episodes.iter_mut().enumerate() {
+            episode.held = held(world, recording, index);
+        }
+        evaluation
+    }
+
     /// What a recording says in a few numbers.
     pub fn of(recording: &Recording) -> Self {
         let steps = recording.steps();
@@ -175,6 +231,7 @@ impl Evaluation {
                     arm_arm: steps_of(ContactKind::Arms),
                 },
                 end: recording.pose(episode, steps - 1),
+                held: None,
             }
         };
         Self { steps, episodes: (0..recording.episodes()).map(of_episode).collect() }

@@ -25,7 +25,7 @@ use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};
 use crate::state::State;
-use crate::task::{Errors, Readings};
+use crate::task::{Errors, Goals, Readings};
 
 /// A hand has arrived when it ends nearer than this to its goal (m).
 pub const ARRIVED_POSITION: f64 = 2e-3;
@@ -201,7 +201,7 @@ fn attempt<S: Real>(
     let World { robot, task, config, .. } = world;
     let n_arms = robot.n_arms;
     let mut physics = Physics::<S>::new(config, robot);
-    let mut drawn = task.goals.at_home::<S>();
+    let mut drawn = Goals::<S>::at_home(&task.goals);
     for lane in 0..S::LANES {
         for (slots, hand) in drawn.hands.iter_mut().zip(&hands[lane.min(hands.len() - 1)]) {
             for (slot, &value) in slots.iter_mut().zip(&hand.goal) {

@@ -22,14 +22,12 @@ mod momentum;
 mod reaching;
 mod turning;
 
-use proto::config::TaskName;
-
 use crate::inverse_kinematics::Angles;
 use crate::model::Model;
 use crate::robot::{JOINTS_PER_ARM, Robot};
 use crate::rollout::World;
 use crate::state::State;
-use crate::task::Goals;
+use crate::task::{Aim, Goals};
 
 /// Residual (m and rad, together) below which angles bring a hand to its goal.
 const SOLVED: f64 = 1e-3;
@@ -43,7 +41,8 @@ pub struct JacobianController {
     robot: Robot,
     /// For what touches.
     model: Model<f64>,
-    task: TaskName,
+    /// What each arm works for.
+    aims: Vec<Aim>,
     /// Time of a control step (s).
     period: f64,
     /// Fastest joint rates (rad/s), arm-major: those that actions can command.
@@ -77,7 +76,7 @@ impl JacobianController {
         Self {
             robot: world.robot.clone(),
             model: Model::new(&world.robot),
-            task: world.task.name,
+            aims: world.task.aims.clone(),
             period: world.config.env.control_period,
             limits: world.task.action_limit.iter().map(|limit| limit * scale).collect(),
         }
@@ -91,10 +90,23 @@ impl JacobianController {
         moves: &[bool],
         memory: &mut Memory,
     ) -> Vec<f64> {
-        let mut rates = match self.task {
-            TaskName::Trajectory => self.reach(seen, goals, moves, memory),
-            TaskName::Reorientation => self.turn(seen, goals.base, moves),
+        let aims = |wanted: Aim| -> Vec<bool> {
+            moves.iter().zip(&self.aims).map(|(moves, aim)| *moves && *aim == wanted).collect()
         };
+        let (reaching, turning) = (aims(Aim::Hand), aims(Aim::Base));
+        let mut rates = vec![0.0; self.robot.n_joints()];
+        if reaching.contains(&true) {
+            rates = self.reach(seen, goals, &reaching, memory);
+        }
+        if turning.contains(&true) {
+            let turned = self.turn(seen, goals.base, &turning);
+            for (arm, turns) in turning.iter().enumerate() {
+                let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
+                if *turns {
+                    rates[joints.clone()].copy_from_slice(&turned[joints]);
+                }
+            }
+        }
         for (arm, rates) in rates.chunks_exact_mut(JOINTS_PER_ARM).enumerate() {
             if !moves[arm] {
                 rates.fill(0.0);

@@ -1,6 +1,6 @@
 //! The controller's rates do what they say.
 
-use proto::config::{Layers, Preset};
+use proto::config::{Layers, Preset, TaskName};
 
 use super::*;
 use crate::evaluate::Evaluation;
@@ -82,7 +82,7 @@ fn with_an_arm_that_somebody_else_moves_the_others_carry_on() {
     let controller = JacobianController::new(&world);
     let mut memory = Memory::default();
     let now = State::<f64>::home(&world.robot);
-    let mut goals = world.task.goals.at_home::<f64>();
+    let mut goals = Goals::<f64>::at_home(&world.task.goals);
     goals.base = [0.1, -0.05, 0.02];
     let rates = controller.rates(&now, &goals, &[true, true, false, true], &mut memory);
     assert!(rates[12..18].iter().all(|rate| *rate == 0.0));

@@ -189,7 +189,15 @@ impl Episode {
             Event::HandGoal { arm, pose } => {
                 within("arm", *arm, n_arms)?;
                 finite("the goal", pose)?;
-                self.stepper.groups[0].goals.hands[*arm] = pose.map(|x| x as f32);
+                let goals = &mut self.stepper.groups[0].goals;
+                goals.hands[*arm] = pose.map(|x| x as f32);
+                goals.attach_hand(*arm);
+                if self.course.step == 0 {
+                    // Goals that are set one after the other before anything moves are one question.
+                    let group = &mut self.stepper.groups[0];
+                    group.errors.forget();
+                    group.seen_errors.forget();
+                }
             }
             Event::BaseGoal { attitude } => {
                 finite("the goal", attitude)?;

@@ -1,6 +1,7 @@
 //! Goals that are given instead of drawn, and those of an evaluation's episodes.
 
 use proto::rng::Purpose;
+use proto::tasks::EpisodeGoals;
 
 use crate::rollout::World;
 use crate::task::goal::GoalAddress;
@@ -35,16 +36,29 @@ impl EvaluationGoals<'_> {
         GoalAddress { seed: self.seed, purpose, iteration: 0, env: episode }
     }
 
-    /// Target pose of a hand: position (m) and Euler angles (rad), world.
+    /// Target pose of a hand where the episode begins: position (m) and Euler angles (rad), world. Home where it has none.
     pub fn hand(&self, world: &World, episode: u32, arm: usize) -> [f64; 6] {
         let given = self.given.get(episode as usize);
         let given = given.and_then(|goals| goals.hands.get(arm).copied().flatten());
-        given.unwrap_or_else(|| world.task.goals.hand(arm, self.address(episode)))
+        given
+            .or_else(|| self.drawn_for(world, episode).hands.get(arm).copied().flatten())
+            .unwrap_or_else(|| {
+                let home = &world.task.goals.home.arms[arm];
+                let [[x, y, z], [a, b, c]] = [home.position, home.euler];
+                [x, y, z, a, b, c]
+            })
     }
 
-    /// Target attitude of the base, Euler angles (rad).
+    /// Target attitude of the base, Euler angles (rad). Home where it has none.
     pub fn base(&self, world: &World, episode: u32) -> [f64; 3] {
         let given = self.given.get(episode as usize).and_then(|goals| goals.base);
-        given.unwrap_or_else(|| world.task.goals.attitude(self.address(episode)))
+        given
+            .or_else(|| self.drawn_for(world, episode).base)
+            .unwrap_or(world.task.goals.home.base_euler)
+    }
+
+    /// The goals that are drawn for an episode.
+    fn drawn_for(&self, world: &World, episode: u32) -> EpisodeGoals {
+        world.task.name.definition().goals(&world.task.goals, self.address(episode))
     }
 }

@@ -54,10 +54,8 @@ impl Motion {
             given.hands.get(arm).copied().flatten().unwrap_or([x, y, z, a, b, c])
         });
         let single = |pose: [f64; 6]| pose.map(|x| x as f32);
-        let goals = Goals {
-            hands: hands.map(single).collect(),
-            base: given.base.unwrap_or(home.base_euler).map(|x| x as f32),
-        };
+        let base = given.base.unwrap_or(home.base_euler).map(|x| x as f32);
+        let goals = Goals::fixed(hands.map(single).collect(), base);
         let zeros = vec![0.0; robot.n_joints()];
         let mut motion = Self {
             robot: robot.clone(),

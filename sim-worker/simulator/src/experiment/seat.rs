@@ -174,10 +174,8 @@ fn control<S: Real>(
             q: of(&seen.q),
             qd: of(&seen.qd),
         };
-        let goals = Goals {
-            hands: goals.hands.iter().map(|goal| goal.map(|x| x.lane(lane))).collect(),
-            base: goals.base.map(|x| x.lane(lane)),
-        };
+        let hands = goals.hands.iter().map(|goal| goal.map(|x| x.lane(lane)));
+        let goals = Goals::fixed(hands.collect(), goals.base.map(|x| x.lane(lane)));
         let found = controller.rates(&state, &goals, moves, memory);
         for lane in lane..if lane + 1 == n { S::LANES } else { lane + 1 } {
             for (slot, rate) in rates.iter_mut().zip(&found) {

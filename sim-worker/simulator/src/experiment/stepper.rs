@@ -186,6 +186,7 @@ impl<S: Real> Stepper<S> {
                 let env = first + local as u32;
                 return Err(error.keep(env, before, &group.goals, &group.command));
             }
+            group.goals.advance(players[0].world.task.control_period);
         }
         Ok(())
     }
@@ -209,14 +210,13 @@ pub(super) fn draw_goals<S: Real>(
     envs: Chunk,
     local: usize,
 ) -> Goals<S> {
-    let mut goals: Goals<S> = players[0].world.task.goals.at_home();
+    let mut goals = Goals::<S>::at_home(&players[0].world.task.goals);
     for lane in 0..S::LANES {
         // Lanes beyond the last episode repeat it.
         let env = (local + lane).min(envs.n_envs - 1) as u32;
         let address = GoalAddress { env: aims.drawn.env + env, ..aims.drawn };
         for player in players {
-            let task = &player.world.task;
-            task.goals.draw(task.name, address, lane, &mut goals);
+            goals.draw(&player.world.task, address, lane);
         }
         let given = aims.given.get(env as usize);
         for FixedGoals { hands, base } in given.into_iter().chain([aims.fixed]) {
@@ -230,5 +230,6 @@ pub(super) fn draw_goals<S: Real>(
             }
         }
     }
+    goals.attach();
     goals
 }

@@ -22,7 +22,7 @@ pub enum Twist {
 
 /// Which parts of a link's step to the next frame there are: the sparsity of its Denavit–Hartenberg row.
 ///
-/// Functions of the hot path take it beside the link. Where [`for_sparsity`](crate::dynamics::for_sparsity) makes it a constant, what is not there costs nothing.
+/// Functions of the hot path take it beside the link. Where `for_sparsity` of the dynamics makes it a constant, what is not there costs nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sparsity {
     /// The twist.

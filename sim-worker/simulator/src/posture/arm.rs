@@ -8,6 +8,8 @@ use crate::spatial::{Vec3, euler_xyz_to_rotation, quaternion_to_rotation};
 
 /// Steps with which a posture follows the base in a control step.
 const FOLLOWING: usize = 2;
+/// A goal that has moved by less than this since it was last seen is followed, another one is looked for anew: position (m) and Euler angles (rad), each.
+const SAME: [f64; 2] = [0.05, 0.1];
 
 /// The goal posture of one arm.
 #[derive(Debug, Clone)]
@@ -75,18 +77,24 @@ impl<S: Real> Posture<S> {
         Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
     }
 
-    /// Looks for a posture where the goal is a new one; says where it is.
+    /// Looks for a posture where the goal is a new one; says where it is, and where the goal has not moved at all.
     #[inline(always)]
-    pub(super) fn begin(&mut self, goal: &[S; 6], place: &Place<'_, S>, index: usize) -> S::Mask {
-        let new = !equal(goal, &self.goal);
+    pub(super) fn begin(
+        &mut self,
+        goal: &[S; 6],
+        place: &Place<'_, S>,
+        index: usize,
+    ) -> (S::Mask, S::Mask) {
+        let new = !is_near(goal, &self.goal);
+        let rests = equal(goal, &self.goal);
         if new.any() {
             let (target, stands) = (place.seen(goal), place.stands(index));
             let question = Question { chain: &self.chain, target: &target, stands: &stands };
             choose(new, question.search(), &mut self.angles);
             self.tried = S::select(new, S::splat(STARTS as f64), self.tried);
-            self.goal = *goal;
         }
-        new
+        self.goal = *goal;
+        (new, rests)
     }
 
     /// Follows the base, but in lanes where it `rests`.
@@ -149,6 +157,16 @@ pub(super) fn choose<S: Real>(mask: S::Mask, these: Angles<S>, angles: &mut Angl
     for (angle, this) in angles.iter_mut().zip(these) {
         *angle = S::select(mask, this, *angle);
     }
+}
+
+/// Where a goal is not far from where it was; nothing is near to NaN.
+#[inline(always)]
+fn is_near<S: Real>(goal: &[S; 6], was: &[S; 6]) -> S::Mask {
+    let mut near = S::Mask::splat(true);
+    for i in 0..6 {
+        near = near & (goal[i] - was[i]).abs().lt(S::splat(SAME[i / 3]));
+    }
+    near
 }
 
 /// Where all numbers are the same; nothing is the same as NaN.

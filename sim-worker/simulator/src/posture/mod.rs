@@ -2,7 +2,7 @@
 //!
 //! A pose can be reached in up to eight ways, and near the borders between them an actor that sees the pose alone averages. A goal posture
 //! is one way: chosen when the goal is seen for the first time, then kept, while steps of damped least squares in every control step let it follow
-//! the base, which carries goals away from the arm or to it. Where the posture does not bring the hand to its goal, or stops a joint, another
+//! the goal, where that moves, and the base, which carries goals away from the arm or to it. Where the posture does not bring the hand to its goal, or stops a joint, another
 //! way is looked for in every control step.
 
 mod arm;
@@ -91,9 +91,10 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         postures.base = now;
         let place = Place { position, quaternion, q };
         let mut open = [S::Mask::splat(false); MAX_ARMS];
+        let mut still = open;
         let mut any = false;
         for (index, (arm, goal)) in postures.arms.iter_mut().zip(goals).enumerate() {
-            open[index] = arm.begin(goal, &place, index);
+            (open[index], still[index]) = arm.begin(goal, &place, index);
             any |= open[index].any();
         }
         if any {
@@ -102,7 +103,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
             Foresight { robot, pace, goals, place: &place, open }.choose(arms);
         }
         for (index, (arm, goal)) in postures.arms.iter_mut().zip(goals).enumerate() {
-            arm.follow(goal, (&place, rests & !open[index]), index);
+            arm.follow(goal, (&place, rests & still[index]), index);
         }
     }
 }

@@ -31,7 +31,7 @@ fn goals_at(robot: &Robot, hand: [f64; 6]) -> Goals<f64> {
         let ([x, y, z], [a, b, c]) = (hand.position, hand.euler);
         [x, y, z, a, b, c]
     });
-    let mut goals = Goals { hands: own.collect(), base: [0.0; 3] };
+    let mut goals = Goals::fixed(own.collect(), [0.0; 3]);
     goals.hands[1] = hand;
     goals
 }
@@ -135,7 +135,7 @@ fn lanes_do_not_mix() {
     fn look_apart<S: Real>(first: usize) -> Vec<Vec<f64>> {
         let robot = robot();
         let state = State::<S>::home(&robot);
-        let mut goals = Goals { hands: vec![[S::zero(); 6]; 4], base: [S::zero(); 3] };
+        let mut goals = Goals::fixed(vec![[S::zero(); 6]; 4], [S::zero(); 3]);
         let at_home = goals_at(&robot, [0.0; 6]);
         for lane in 0..S::LANES {
             let turn = 0.1 * (first + lane) as f64 - 0.4;
@@ -169,7 +169,7 @@ fn every_goal_that_the_twin_solves_has_a_good_posture() {
     let (mut good, mut solved) = (0, 0);
     for episode in 0..100 {
         let hand = |arm| EvaluationGoals::drawn(5).hand(&evaluated, episode, arm);
-        let goals = Goals { hands: (0..4).map(hand).collect(), base: [0.0; 3] };
+        let goals = Goals::fixed((0..4).map(hand).collect(), [0.0; 3]);
         let mut postures = none_yet(&robot);
         look(&mut postures, &seen, &goals);
         good += postures.arms.iter().filter(|arm| arm.good == 1.0).count();
@@ -182,4 +182,32 @@ fn every_goal_that_the_twin_solves_has_a_good_posture() {
         }
     }
     assert_eq!(good, solved);
+}
+
+/// Along a circle of 0.05 m in small steps a hand keeps its way: back at the start, its joints are.
+#[test]
+fn a_goal_that_moves_is_followed() {
+    let robot = robot();
+    let state = State::<f64>::home(&robot);
+    let seen = readings(&robot, &state);
+    let mut goals = goals_at(&robot, goal(&robot, [0.4, -0.6, 1.2, 0.2, 0.6, -0.4]));
+    let centre = goals.hands[1];
+    let mut postures = none_yet(&robot);
+    look(&mut postures, &seen, &goals);
+    let first = left(&postures);
+    for step in 1..=100 {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(step) / 100.0).sin_cos();
+        goals.hands[1][0] = centre[0] + 0.05 * sin;
+        goals.hands[1][1] = centre[1] + 0.05 * (1.0 - cos);
+        goals.hands[1][5] = centre[5] + 0.1 * sin;
+        look(&mut postures, &seen, &goals);
+        assert_eq!(postures.arms[1].good, 1.0, "step {step}");
+        if step == 50 {
+            let moved = first.iter().zip(left(&postures)).map(|(a, b)| (a - b).abs());
+            assert!(moved.fold(0.0, f64::max) > 0.05, "half way around nothing has moved");
+        }
+    }
+    for (joint, (first, last)) in first.iter().zip(left(&postures)).enumerate() {
+        assert!((first - last).abs() < 1e-3, "joint {joint}: {first}, then {last}");
+    }
 }

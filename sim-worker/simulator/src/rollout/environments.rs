@@ -38,6 +38,8 @@ pub(crate) struct Environments<S: Real> {
     /// Limits of the actions, one a joint.
     limits: Vec<S>,
     scale: S,
+    /// Time of a control step (s).
+    period: f64,
     /// What a diverged step began with, for the report.
     before: State<S>,
 }
@@ -62,6 +64,7 @@ impl<S: Real> Environments<S> {
             },
             limits: task.action_limit.iter().map(|&limit| S::splat(limit)).collect(),
             scale: S::splat(task.action_scale),
+            period: task.control_period,
             before: State::home(robot),
         }
     }
@@ -143,7 +146,7 @@ impl<S: Real> Environments<S> {
         n_envs: usize,
         step: usize,
     ) -> Result<(), EpisodeError> {
-        let Self { physics, groups, before, .. } = self;
+        let Self { physics, groups, before, period, .. } = self;
         for (index, group) in groups.iter_mut().enumerate() {
             before.clone_from(&group.state);
             let LaneGroup { state, command, randomized, .. } = group;
@@ -157,6 +160,7 @@ impl<S: Real> Environments<S> {
                 let env = first + local as u32;
                 return Err(error.keep(env, before, &group.goals, &group.command));
             }
+            group.goals.advance(*period);
         }
         Ok(())
     }

@@ -40,12 +40,13 @@ impl<S: Real> LaneGroup<S> {
         goals: GoalAddress,
         (first, n_envs): (usize, usize),
     ) -> Self {
-        let mut drawn = task.goals.at_home();
+        let mut drawn = Goals::at_home(&task.goals);
         let env_of = |lane: usize| goals.env + (first + lane).min(n_envs - 1) as u32;
         for lane in 0..S::LANES {
             let address = GoalAddress { env: env_of(lane), ..goals };
-            task.goals.draw(task.name, address, lane, &mut drawn);
+            drawn.draw(task, address, lane);
         }
+        drawn.attach();
         let mut state = State::home(robot);
         let mut readings = Readings::new(robot.n_arms);
         scatter(&conditions.start, robot, physics, &mut readings, (goals, env_of), &mut state);

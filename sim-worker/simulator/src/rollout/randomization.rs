@@ -240,7 +240,7 @@ mod tests {
         let mut erring = drawn(RANGES, 7).expect("something errs");
         let deviation = erring.deviations.position;
         let truth = Readings::<f64>::new(4);
-        let task_goals = Goals { hands: vec![[0.1; 6]; 4], base: [0.0; 3] };
+        let task_goals = Goals::fixed(vec![[0.1; 6]; 4], [0.0; 3]);
         let (mut sum, mut squares, mut n) = (0.0, 0.0, 0.0);
         let mut before = f64::NAN;
         for step in 0..400 {

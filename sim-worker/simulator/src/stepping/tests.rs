@@ -92,6 +92,8 @@ fn the_actions_of_a_block_make_the_bits_of_the_block() {
         (Preset::Tuned, TaskName::Reorientation),
         (Preset::Robust, TaskName::Trajectory),
         (Preset::Guided, TaskName::Trajectory),
+        (Preset::Guided, TaskName::Capture),
+        (Preset::Tuned, TaskName::Mixed),
     ] {
         let n = 42;
         let world = world(preset, task, n, 3);

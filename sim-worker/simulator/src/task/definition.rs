@@ -3,13 +3,15 @@
 use proto::config::{CriticState, JointAngles, Observation, Posture, Reward, TaskName};
 
 use super::frame::ArmFrame;
-use super::{GoalRanges, Home};
+use super::{Aim, GoalRanges, Home};
 
 /// A task on a robot: everything that is the same in every environment and step.
 #[derive(Debug, Clone)]
 pub struct Task {
     /// Which task.
     pub name: TaskName,
+    /// What each arm works for.
+    pub aims: Vec<Aim>,
     /// What agents see.
     pub observation: Observation,
     /// How agents see joint angles.
@@ -38,6 +40,7 @@ impl Task {
         let task = &config.task;
         Self {
             name: task.name,
+            aims: (0..home.arms.len()).map(|arm| task.name.aim(arm, home.arms.len())).collect(),
             observation: task.observation,
             joint_angles: task.joint_angles,
             posture: task.posture,
@@ -47,7 +50,7 @@ impl Task {
             action_limit: home.arms.iter().flat_map(|arm| arm.command_limit).collect(),
             frames: home.arms.iter().map(ArmFrame::new).collect(),
             reward: task.reward,
-            goals: GoalRanges::new(task.goal_box, task.base_goal_range, home),
+            goals: GoalRanges::new(task.goal_box, task.base_goal_range, task.target, home),
         }
     }
 

@@ -1,20 +1,12 @@
-//! Goals: target poses of the hands and target attitudes of the base.
+//! Goals in lanes: where the hands and the base of each environment shall be, and how that moves.
 //!
-//! Hand goals are offsets from the hand's **home** pose, uniform and independent, fixed in the
-//! world: they do not move with the base. Offsets of the position are drawn along three axes of the
-//! arm's mount: its x, inward (against its outward normal z), and lateral (against its y). On the
-//! paper's robot these are the released code's axes with its signs: arm 1 (face +y) inward −y,
-//! lateral +z; arm 2 (−y) +y, −z; arm 3 (+z) −z, −y; arm 4 (−z) +z, +y.
-//!
-//! Offsets of the orientation are added to the home Euler angles. Their ranges follow the released
-//! code: on faces whose normal is mostly along the base's z the first angle turns by 0.5 to 1 rad,
-//! elsewhere by −0.2 to 0.3; the other two change their sign on faces with a negative normal. A
-//! robot with other faces gets ranges by the same rule.
+//! Which goals a task has is said in [`proto::tasks`].
 
-use proto::config::{GoalBox, TaskName};
-use proto::rng::{Address, Purpose};
+pub use proto::tasks::GoalAddress;
+use proto::tasks::{EpisodeGoals, GoalRanges, HomeArm};
 
-use super::Home;
+use super::Task;
+use super::tumbling::Tumbling;
 use crate::scalar::Real;
 
 /// Goals of the environments of one lane group.
@@ -24,149 +16,75 @@ pub struct Goals<S> {
     pub hands: Vec<[S; 6]>,
     /// Target attitude of the base, Euler angles (rad).
     pub base: [S; 3],
+    /// The body that carries the hands' goals, if they move.
+    pub(crate) body: Option<Tumbling<S>>,
 }
 
-/// Where goals are drawn from.
-#[derive(Debug, Clone)]
-pub struct GoalRanges {
-    /// The robot at home.
-    pub home: Home,
-    /// One entry an arm.
-    pub arms: Vec<ArmGoals>,
-    /// Base goals are uniform in ± this, per axis (rad).
-    pub base: f64,
-}
-
-/// Offsets of one hand's goals from its home pose.
-#[derive(Debug, Clone)]
-pub struct ArmGoals {
-    /// World directions of the three position offsets.
-    pub axes: [[f64; 3]; 3],
-    /// Range of the offset along each axis (m).
-    pub position: [[f64; 2]; 3],
-    /// Range of the offset of each Euler angle (rad).
-    pub orientation: [[f64; 2]; 3],
-}
-
-/// Which goals: the run, the draw's purpose, the iteration and the environment.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct GoalAddress {
-    /// Seed of the run or of the evaluation.
-    pub seed: u64,
-    /// [`Purpose::Goal`] or [`Purpose::EvaluationGoal`].
-    pub purpose: Purpose,
-    /// Iteration of the run.
-    pub iteration: u32,
-    /// Global index of the environment, or the episode of an evaluation.
-    pub env: u32,
-}
-
-impl GoalAddress {
-    fn uniforms(self, index: u32) -> [f64; 4] {
-        let Self { seed, purpose, iteration, env } = self;
-        Address { seed, purpose, iteration, env, step: 0, index }.uniforms().map(f64::from)
-    }
-}
-
-impl GoalRanges {
-    /// The ranges for a robot with this home pose.
-    pub fn new(goal_box: GoalBox, base: f64, home: Home) -> Self {
-        let position = box_ranges(goal_box);
-        let arms = home
-            .arms
-            .iter()
-            .map(|arm| {
-                let [x, y, z] = arm.mount;
-                let negated = |axis: [f64; 3]| axis.map(|component| -component);
-                let main = (0..3).max_by(|&i, &j| z[i].abs().total_cmp(&z[j].abs()));
-                let main = main.expect("three components");
-                let first = if main == 2 { [0.5, 1.0] } else { [-0.2, 0.3] };
-                let signed = |[low, high]: [f64; 2]| {
-                    if z[main] >= 0.0 { [low, high] } else { [-high, -low] }
-                };
-                ArmGoals {
-                    axes: [x, negated(z), negated(y)],
-                    position,
-                    orientation: [first, signed([-0.15, 0.35]), signed([-0.30, 0.20])],
-                }
-            })
-            .collect();
-        Self { home, arms, base }
-    }
-
+impl<S: Real> Goals<S> {
     /// Goals that lie at home, for which errors are distances from home.
-    pub fn at_home<S: Real>(&self) -> Goals<S> {
-        let hand = |arm: &super::HomeArm| {
+    pub fn at_home(ranges: &GoalRanges) -> Self {
+        let hand = |arm: &HomeArm| {
             let [[x, y, z], [a, b, c]] = [arm.position, arm.euler];
             [x, y, z, a, b, c].map(S::splat)
         };
-        Goals {
-            hands: self.home.arms.iter().map(hand).collect(),
-            base: self.home.base_euler.map(S::splat),
+        Self {
+            hands: ranges.home.arms.iter().map(hand).collect(),
+            base: ranges.home.base_euler.map(S::splat),
+            body: None,
         }
     }
 
-    /// Draws the goals of one environment into `lane` of `goals`.
+    /// Goals that stay: of hands, position in the world (m) and Euler angles (rad), and of the base, Euler angles (rad).
+    pub fn fixed(hands: Vec<[S; 6]>, base: [S; 3]) -> Self {
+        Self { hands, base, body: None }
+    }
+
+    /// Draws the goals of one environment into `lane`. What `task` has no goals for stays as it is.
     ///
-    /// The goals that `task` does not have stay at home.
-    pub fn draw<S: Real>(
-        &self,
-        task: TaskName,
-        address: GoalAddress,
-        lane: usize,
-        goals: &mut Goals<S>,
-    ) {
-        match task {
-            TaskName::Trajectory => {
-                for arm in 0..self.arms.len() {
-                    let pose = self.hand(arm, address);
-                    for (slot, value) in goals.hands[arm].iter_mut().zip(pose) {
-                        slot.set_lane(lane, value);
-                    }
-                }
+    /// Where they move, [`Goals::attach`] must follow when all lanes are drawn.
+    pub fn draw(&mut self, task: &Task, address: GoalAddress, lane: usize) {
+        let EpisodeGoals { hands, base, body } = task.name.definition().goals(&task.goals, address);
+        for (slots, pose) in self.hands.iter_mut().zip(&hands) {
+            for (slot, &value) in slots.iter_mut().zip(pose.iter().flatten()) {
+                slot.set_lane(lane, value);
             }
-            TaskName::Reorientation => {
-                let attitude = self.attitude(address);
-                for (slot, value) in goals.base.iter_mut().zip(attitude) {
-                    slot.set_lane(lane, value);
-                }
+        }
+        for (slot, &value) in self.base.iter_mut().zip(base.iter().flatten()) {
+            slot.set_lane(lane, value);
+        }
+        let n_arms = self.hands.len();
+        match body {
+            Some(body) => {
+                self.body.get_or_insert_with(|| Tumbling::new(n_arms)).set_lane(lane, &body);
             }
+            // Of two tasks the later one has its goals, and what carries them.
+            None if !hands.is_empty() => self.body = None,
+            None => {}
         }
     }
 
-    /// Target pose of the hand of `arm`: position (m) and Euler angles (rad), world.
-    pub fn hand(&self, arm: usize, address: GoalAddress) -> [f64; 6] {
-        let within = |[low, high]: [f64; 2], u: f64| low + u * (high - low);
-        let home = &self.home.arms[arm];
-        let ranges = &self.arms[arm];
-        // Two groups of four words an arm: three of each are used.
-        let [u, v] = [0, 1].map(|group| address.uniforms(2 * arm as u32 + group));
-        let mut pose = [0.0; 6];
-        pose[..3].copy_from_slice(&home.position);
-        for (i, axis) in ranges.axes.iter().enumerate() {
-            let offset = within(ranges.position[i], u[i]);
-            for (slot, component) in pose[..3].iter_mut().zip(axis) {
-                *slot += offset * component;
+    /// Has the body, if there is one, carry the hands' goals from where they are.
+    pub fn attach(&mut self) {
+        for arm in 0..self.hands.len() {
+            self.attach_hand(arm);
+        }
+    }
+
+    /// Has the body, if there is one, carry the goal of `arm` from where it is.
+    pub fn attach_hand(&mut self, arm: usize) {
+        if let Some(body) = &mut self.body {
+            body.attach(arm, &self.hands[arm]);
+        }
+    }
+
+    /// Moves what moves by `time` (s).
+    #[inline(always)]
+    pub fn advance(&mut self, time: f64) {
+        if let Some(body) = &mut self.body {
+            body.advance(time);
+            for (arm, hand) in self.hands.iter_mut().enumerate() {
+                *hand = body.carried(arm);
             }
         }
-        for i in 0..3 {
-            pose[3 + i] = home.euler[i] + within(ranges.orientation[i], v[i]);
-        }
-        pose
-    }
-
-    /// Target attitude of the base, Euler angles (rad).
-    pub fn attitude(&self, address: GoalAddress) -> [f64; 3] {
-        let u = address.uniforms(0);
-        std::array::from_fn(|i| self.base * (2.0 * u[i] - 1.0))
-    }
-}
-
-/// Ranges of the hand goals of `goal_box`: along the mount's x, inward, and lateral (m).
-fn box_ranges(goal_box: GoalBox) -> [[f64; 2]; 3] {
-    match goal_box {
-        GoalBox::Paper => [[-0.10, 0.20], [0.15, 0.45], [-0.15, 0.15]],
-        GoalBox::Release => [[-0.05, 0.20], [0.10, 0.35], [-0.10, 0.15]],
-        GoalBox::Narrow => [[-0.05, 0.15], [0.15, 0.35], [-0.10, 0.10]],
     }
 }

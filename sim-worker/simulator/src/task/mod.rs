@@ -1,6 +1,7 @@
-//! The two tasks: what is aimed at, what agents see, what they are paid.
+//! Tasks in lanes: what is aimed at, what agents see, what they are paid. Which tasks there are, and their goals, stands in [`proto::tasks`].
 //!
-//! * [`goal`]: where hands and base shall go, and how goals are drawn;
+//! * [`goal`]: where hands and base shall go;
+//! * `tumbling`: how what carries goals moves;
 //! * [`observation`]: the numbers an agent sees, in three layouts;
 //! * `frame`: whence an arm sees it, in the layout `arm`;
 //! * [`state`]: the numbers a critic sees;
@@ -10,10 +11,11 @@
 //! text serves the lanes of a rollout and the `f64` of a test worked by hand.
 //!
 //! Agents: agent 2i moves joints 1–3 of arm i and cares for its hand's position, agent 2i + 1 moves
-//! joints 4–6 and cares for its orientation. In the reorientation task all share one reward.
+//! joints 4–6 and cares for its orientation. Agents of arms that turn the base share one reward.
 //!
 //! Attitudes are Euler angles (a, b, c) of R = Rx(a)·Ry(b)·Rz(c). Attitude errors are plain
-//! differences, goal − actual, without wrapping: every goal is far from the singular b = ±π/2.
+//! differences, goal − actual, without wrapping: every goal is far from the singular b = ±π/2, also where it
+//! moves (`task.target` is checked for it).
 
 pub mod goal;
 pub mod observation;
@@ -22,12 +24,12 @@ pub mod state;
 
 mod definition;
 mod frame;
-mod home;
 mod readings;
+mod tumbling;
 
 pub use definition::Task;
-pub use goal::{ArmGoals, GoalRanges, Goals};
-pub use home::{Home, HomeArm};
+pub use goal::Goals;
+pub use proto::tasks::{Aim, ArmGoals, GoalRanges, Home, HomeArm};
 pub use readings::{ATTITUDE_WIDTHS, Errors, HandReading, POSITION_WIDTHS, Readings, UNGUIDED};
 
 #[cfg(test)]

@@ -17,7 +17,7 @@
 //! The factor 0.02 is the released environment's `dt` property, 1 ms × 20.
 //!
 //! Layout `arm`, the same for both agents of an arm, 48 numbers for `trajectory`, 39 for
-//! `reorientation`, all vectors in the arm's frame (see `task::frame`), which moves with the base:
+//! `reorientation`, 57 for `mixed`, 54 for `capture`, all vectors in the arm's frame (see `task::frame`), which moves with the base:
 //!
 //! | trajectory | reorientation | numbers |
 //! |---|---|---|
@@ -30,6 +30,9 @@
 //! | 30–41 | 27–32 | the errors squashed at two widths, see [`Errors`] |
 //! | 42–47 | 33–38 | the arm's last action: clipped, before scaling (rad/s) |
 //!
+//! Where hands and base have goals, the errors of the hand come first, zeros for an arm that turns the base, and all arms see those of the
+//! base. Where goals move, how fast follows the hand's errors: linear (m/s), angular (rad/s).
+//!
 //! With `task.posture.seen` 14 numbers of the arm's goal posture stand before the last action (see `posture`): whether it brings the hand to
 //! its goal, whether it is free of stops, what is left to it (rad), plain and squashed.
 //!
@@ -39,11 +42,11 @@
 //!
 //! Nothing in it tells where the base is or how it is turned: see [`Errors`].
 
-use proto::config::{JointAngles, Observation, TaskName};
+use proto::config::{JointAngles, Observation};
 use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 
 use super::frame::ArmFrame;
-use super::{Errors, Goals, Readings, Task};
+use super::{Aim, Errors, Goals, Readings, Task};
 use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::spatial::{mat_t_vec, quaternion_to_rotation};
@@ -119,6 +122,50 @@ impl<'a, S: Real> Writer<'a, S> {
         self.put(&readings.qd[first..first + JOINTS_PER_ARM]);
     }
 
+    /// Errors of the hand of `arm`, plain and squashed, and how its goal moves; zeros where it has no goal.
+    #[inline(always)]
+    pub(super) fn put_hand(&mut self, task: &Task, errors: &Errors<S>, arm: usize) {
+        if task.aims[arm] != Aim::Hand {
+            self.put(&[S::zero(); 6 + 12]);
+            if task.name.moves() {
+                self.put(&[S::zero(); 6]);
+            }
+            return;
+        }
+        self.put(&errors.seen_hands[arm]);
+        self.put(&errors.squashed_hands[arm]);
+        if task.name.moves() {
+            self.put(&errors.seen_motion[arm]);
+        }
+    }
+
+    /// Likewise, as the arm sees them.
+    #[inline(always)]
+    fn put_hand_seen_from(
+        &mut self,
+        frame: &ArmFrame,
+        task: &Task,
+        errors: &Errors<S>,
+        arm: usize,
+    ) {
+        if task.aims[arm] != Aim::Hand {
+            return self.put_hand(task, errors, arm);
+        }
+        // On the paper's robot arm frames have the base's axes but for order and sign, so a
+        // squashed vector turns like a plain one.
+        for at in [0, 3] {
+            self.put(&frame.vector(three(&errors.seen_hands[arm], at)));
+        }
+        for at in [0, 3, 6, 9] {
+            self.put(&frame.vector(three(&errors.squashed_hands[arm], at)));
+        }
+        if task.name.moves() {
+            for at in [0, 3] {
+                self.put(&frame.vector(three(&errors.seen_motion[arm], at)));
+            }
+        }
+    }
+
     /// What is left to the goal posture of `arm`, plain and squashed, where the task tells it.
     #[inline(always)]
     pub(super) fn put_posture(&mut self, task: &Task, errors: &Errors<S>, arm: usize) {
@@ -174,23 +221,14 @@ pub fn observe<S: Real>(
             let frame = &task.frames[arm];
             out.put_base_seen_from(frame, readings);
             out.put_joints(task, readings, arm);
-            match task.name {
-                TaskName::Trajectory => {
-                    // On the paper's robot arm frames have the base's axes but for order and sign, so a
-                    // squashed vector turns like a plain one.
-                    for at in [0, 3] {
-                        out.put(&frame.vector(three(&errors.seen_hands[arm], at)));
-                    }
-                    for at in [0, 3, 6, 9] {
-                        out.put(&frame.vector(three(&errors.squashed_hands[arm], at)));
-                    }
-                    out.put_posture(task, errors, arm);
-                }
-                TaskName::Reorientation => {
-                    out.put(&frame.vector(errors.seen_base));
-                    for at in [0, 3] {
-                        out.put(&frame.vector(three(&errors.squashed_base, at)));
-                    }
+            if task.name.reaches() {
+                out.put_hand_seen_from(frame, task, errors, arm);
+                out.put_posture(task, errors, arm);
+            }
+            if task.name.turns() {
+                out.put(&frame.vector(errors.seen_base));
+                for at in [0, 3] {
+                    out.put(&frame.vector(three(&errors.squashed_base, at)));
                 }
             }
             out.put_action(readings, arm);
@@ -203,8 +241,9 @@ pub fn observe<S: Real>(
             out.put(&readings.base_linear);
             out.put(&readings.base_angular);
             out.put(&readings.qd[first..first + JOINTS_PER_AGENT]);
-            match task.name {
-                TaskName::Trajectory => {
+            // Hands or the base: with these layouts no task has both.
+            match task.aims[arm] {
+                Aim::Hand => {
                     let hand = &readings.hands[arm];
                     let cares_for_position = agent.is_multiple_of(AGENTS_PER_ARM);
                     let (pose, velocity) = if cares_for_position {
@@ -220,7 +259,7 @@ pub fn observe<S: Real>(
                     }
                     out.put(&goals.hands[arm]);
                 }
-                TaskName::Reorientation => {
+                Aim::Base => {
                     out.put(&readings.base_euler);
                     out.put(&goals.base);
                 }

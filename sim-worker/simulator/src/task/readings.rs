@@ -99,6 +99,8 @@ pub struct Errors<S> {
     pub squashed_hands: Vec<[S; 12]>,
     /// `seen_base` squashed at both widths.
     pub squashed_base: [S; 6],
+    /// How the goal of each hand moves, if goals do: linear (m/s) and angular (rad/s), in the base's axes.
+    pub seen_motion: Vec<[S; 6]>,
     /// ‖position error‖ of each hand (m).
     pub position_norm: Vec<S>,
     /// ‖Euler-angle difference‖ of each hand (rad).
@@ -119,6 +121,7 @@ impl<S: Real> Errors<S> {
             seen_base: [S::zero(); 3],
             squashed_hands: vec![[S::zero(); 12]; n_arms],
             squashed_base: [S::zero(); 6],
+            seen_motion: vec![[S::zero(); 6]; n_arms],
             position_norm: vec![S::zero(); n_arms],
             orientation_norm: vec![S::zero(); n_arms],
             base_norm: S::zero(),
@@ -143,6 +146,16 @@ impl<S: Real> Errors<S> {
             seen
         };
         self.postures.as_ref().map(|postures| postures.arms.iter().map(of_arm).collect())
+    }
+
+    /// What `task` adds to the actions of agents, one a joint: the way to the goal postures. Zeros where it adds nothing.
+    pub fn guidance(&self, task: &Task) -> Vec<S> {
+        let limits: Vec<S> = task.action_limit.iter().map(|limit| S::splat(*limit)).collect();
+        let mut added = vec![S::zero(); limits.len()];
+        if let Some(postures) = &self.postures {
+            postures.guide(task.posture.gain, task.action_scale, &limits, &mut added);
+        }
+        added
     }
 
     /// Has what `task` tells be known, too.
@@ -193,6 +206,13 @@ impl<S: Real> Errors<S> {
                     squashed[3 * scale + i] = (seen[i] * S::splat(1.0 / p)).tanh();
                     squashed[6 + 3 * scale + i] = (seen[3 + i] * S::splat(1.0 / a)).tanh();
                 }
+            }
+        }
+        if let Some(body) = &goals.body {
+            for (arm, seen) in self.seen_motion.iter_mut().enumerate() {
+                let [linear, angular] = body.rates(arm);
+                seen[..3].copy_from_slice(&mat_t_vec(&base, linear));
+                seen[3..].copy_from_slice(&mat_t_vec(&base, angular));
             }
         }
         let turned = rotation_difference(&euler_xyz_to_rotation(goals.base), &base);

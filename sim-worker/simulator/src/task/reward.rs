@@ -6,20 +6,21 @@
 //!
 //! e is `scale` times the error norm after the step, u the clipped action before scaling, u⁻ the
 //! step before's, co the number of touching pairs of the whole robot after the step (or of those in
-//! which the agent's arm takes part), or whether any touch. In `trajectory`, position and orientation agents each have their own e and weights and the
-//! norms run over the agent's three joints. In `reorientation` every agent receives the same number
-//! and the norms run over all joints.
+//! which the agent's arm takes part), or whether any touch. Of an arm that reaches, position and orientation agents each have their own e and weights and the
+//! norms run over the agent's three joints. All agents of arms that turn the base receive the same number
+//! and the norms run over the joints of these arms.
 //!
-//! In `trajectory` the two agents of an arm may share: each then gets (1 − τ) times its own reward and
+//! The two agents of an arm that reaches may share: each then gets (1 − τ) times its own reward and
 //! τ times the mean of both, the team spirit of OpenAI et al. 2019 ("Dota 2 with large scale deep
 //! reinforcement learning", appendix G). Shoulder and wrist reach one pose together, and a shoulder that
 //! cares for position alone leaves the wrist where it cannot turn without touching the arm.
 
-use proto::config::{Reward, RewardWeights, TaskName};
+use proto::config::{Reward, RewardWeights};
 use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 
-use super::{Errors, Task};
+use super::{Aim, Errors, Task};
 use crate::collision::Touching;
+use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 
 /// The formula; `error` is the plain norm, `change` and `effort` squared norms.
@@ -54,47 +55,73 @@ pub fn rewards<S: Real>(
     touching: &Touching<S>,
     out: &mut [S],
 ) {
-    let reward = &task.reward;
-    match task.name {
-        TaskName::Trajectory => {
-            for (agent, out) in out.iter_mut().enumerate() {
-                let arm = agent / AGENTS_PER_ARM;
-                let joints = agent * JOINTS_PER_AGENT..(agent + 1) * JOINTS_PER_AGENT;
-                let (weights, error) = if agent.is_multiple_of(AGENTS_PER_ARM) {
-                    (&reward.position, errors.position_norm[arm])
-                } else {
-                    (&reward.orientation, errors.orientation_norm[arm])
-                };
-                let (change, effort) = squared_norms(&action[joints.clone()], &last_action[joints]);
-                let pairs =
-                    if reward.own_collisions { touching.by_arm[arm] } else { touching.pairs };
-                *out = formula(
-                    weights,
-                    reward.epsilon,
-                    error,
-                    change,
-                    effort,
-                    collision(reward, pairs),
-                );
-            }
-            if reward.team_spirit > 0.0 {
-                let share = S::splat(0.5 * reward.team_spirit);
-                for of_arm in out.chunks_exact_mut(AGENTS_PER_ARM) {
-                    // (1 − τ) r + τ (r + r′) / 2 = r + τ/2 (r′ − r)
-                    let moved = (of_arm[1] - of_arm[0]) * share;
-                    of_arm[0] += moved;
-                    of_arm[1] -= moved;
-                }
-            }
-        }
-        TaskName::Reorientation => {
-            let (change, effort) = squared_norms(action, last_action);
-            let collision = collision(reward, touching.pairs);
-            let shared =
-                formula(&reward.base, reward.epsilon, errors.base_norm, change, effort, collision);
-            out.fill(shared);
+    let shared = if task.name.turns() {
+        shared(task, errors, action, last_action, touching)
+    } else {
+        S::zero()
+    };
+    for (arm, out) in out.chunks_exact_mut(AGENTS_PER_ARM).enumerate() {
+        match task.aims[arm] {
+            Aim::Hand => of_hand((task, arm), errors, action, last_action, touching, out),
+            Aim::Base => out.fill(shared),
         }
     }
+}
+
+/// Rewards of the agents of an arm that reaches.
+#[inline(always)]
+fn of_hand<S: Real>(
+    (task, arm): (&Task, usize),
+    errors: &Errors<S>,
+    action: &[S],
+    last_action: &[S],
+    touching: &Touching<S>,
+    out: &mut [S],
+) {
+    let reward = &task.reward;
+    let cares = [
+        (&reward.position, errors.position_norm[arm]),
+        (&reward.orientation, errors.orientation_norm[arm]),
+    ];
+    for (index, ((weights, error), out)) in cares.into_iter().zip(&mut *out).enumerate() {
+        let agent = arm * AGENTS_PER_ARM + index;
+        let joints = agent * JOINTS_PER_AGENT..(agent + 1) * JOINTS_PER_AGENT;
+        let mut motion = (S::zero(), S::zero());
+        add_squared_norms(&action[joints.clone()], &last_action[joints], &mut motion);
+        let (change, effort) = motion;
+        let pairs = if reward.own_collisions { touching.by_arm[arm] } else { touching.pairs };
+        let collision = collision(reward, pairs);
+        *out = formula(weights, reward.epsilon, error, change, effort, collision);
+    }
+    if reward.team_spirit > 0.0 {
+        let share = S::splat(0.5 * reward.team_spirit);
+        // (1 − τ) r + τ (r + r′) / 2 = r + τ/2 (r′ − r)
+        let moved = (out[1] - out[0]) * share;
+        out[0] += moved;
+        out[1] -= moved;
+    }
+}
+
+/// The reward that all agents of arms that turn the base receive.
+#[inline(always)]
+fn shared<S: Real>(
+    task: &Task,
+    errors: &Errors<S>,
+    action: &[S],
+    last_action: &[S],
+    touching: &Touching<S>,
+) -> S {
+    let reward = &task.reward;
+    let mut motion = (S::zero(), S::zero());
+    for (arm, aim) in task.aims.iter().enumerate() {
+        if *aim == Aim::Base {
+            let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
+            add_squared_norms(&action[joints.clone()], &last_action[joints], &mut motion);
+        }
+    }
+    let (change, effort) = motion;
+    let collision = collision(reward, touching.pairs);
+    formula(&reward.base, reward.epsilon, errors.base_norm, change, effort, collision)
 }
 
 /// What `pairs` that touch count: each of them, or one for all.
@@ -106,14 +133,12 @@ fn collision<S: Real>(reward: &Reward, pairs: S) -> S {
     S::select(pairs.gt(S::zero()), S::one(), S::zero())
 }
 
-/// ‖u − u⁻‖² and ‖u‖².
+/// Adds ‖u − u⁻‖² and ‖u‖².
 #[inline(always)]
-fn squared_norms<S: Real>(action: &[S], last_action: &[S]) -> (S, S) {
-    let (mut change, mut effort) = (S::zero(), S::zero());
+fn add_squared_norms<S: Real>(action: &[S], last_action: &[S], (change, effort): &mut (S, S)) {
     for (&u, &last) in action.iter().zip(last_action) {
         let d = u - last;
-        change = d.mul_add(d, change);
-        effort = u.mul_add(u, effort);
+        *change = d.mul_add(d, *change);
+        *effort = u.mul_add(u, *effort);
     }
-    (change, effort)
 }

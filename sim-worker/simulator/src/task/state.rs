@@ -1,13 +1,13 @@
 //! The numbers a critic sees.
 //!
 //! * `concatenated`: the observations of all agents, one after the other, A · O numbers.
-//! * `compact`: every quantity once: base 13 (angular velocity in its own axes, the rest in the world's), and errors in the base's; for
-//!   `reorientation` the base's errors, plain 3 and squashed 6; then for each arm its joint angles
-//!   (6, or as sines and cosines 12) and rates 6, for `trajectory` its hand's errors, plain 6 and
-//!   squashed 12, and its last action 6.
+//! * `compact`: every quantity once: base 13 (angular velocity in its own axes, the rest in the world's), and errors in the base's; where
+//!   the base has a goal its errors, plain 3 and squashed 6; then for each arm its joint angles
+//!   (6, or as sines and cosines 12) and rates 6, where hands have goals its hand's errors, plain 6 and
+//!   squashed 12, and how the goal moves, and its last action 6.
 //! * `own`: nothing; each critic sees its agent's observation.
 
-use proto::config::{CriticState, TaskName};
+use proto::config::CriticState;
 
 use super::observation::Writer;
 use super::{Errors, Readings, Task};
@@ -28,15 +28,14 @@ pub fn critic_state<S: Real>(
         CriticState::Concatenated => out.put(observations),
         CriticState::Compact => {
             out.put_base(task, readings);
-            if task.name == TaskName::Reorientation {
+            if task.name.turns() {
                 out.put(&errors.seen_base);
                 out.put(&errors.squashed_base);
             }
             for arm in 0..task.n_arms() {
                 out.put_joints(task, readings, arm);
-                if task.name == TaskName::Trajectory {
-                    out.put(&errors.seen_hands[arm]);
-                    out.put(&errors.squashed_hands[arm]);
+                if task.name.reaches() {
+                    out.put_hand(task, errors, arm);
                     out.put_posture(task, errors, arm);
                 }
                 out.put_action(readings, arm);

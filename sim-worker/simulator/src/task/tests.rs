@@ -15,8 +15,8 @@ use crate::env::Physics;
 use crate::model::ContactKind;
 use crate::robot::{MAX_ARMS, Robot};
 use crate::spatial::{
-    add, euler_xyz, euler_xyz_to_rotation, mat_mat, mat_vec, quaternion_exp, quaternion_product,
-    quaternion_to_rotation,
+    add, euler_xyz, euler_xyz_to_rotation, mat_mat, mat_t_vec, mat_vec, quaternion_exp,
+    quaternion_product, quaternion_to_rotation,
 };
 use crate::state::State;
 use crate::step::StepOptions;
@@ -86,7 +86,7 @@ fn goals() -> Goals<f64> {
         let a = arm as f64;
         [10.03 + a, 11.04 + a, 12.0 + a + 0.01 * a, 20.0 + a, 21.0 + a, 21.9 + a]
     };
-    Goals { hands: (0..4).map(hand).collect(), base: [0.05, 0.01, -0.06] }
+    Goals::fixed((0..4).map(hand).collect(), [0.05, 0.01, -0.06])
 }
 
 fn errors() -> Errors<f64> {
@@ -293,8 +293,8 @@ fn tuned_observations_do_not_tell_where_the_base_is() {
         let config = config(Preset::Tuned, name);
         let task = Task::new(&config, crate::env::home(&robot));
         let address = GoalAddress { seed: 3, purpose: Purpose::Goal, iteration: 0, env: 1 };
-        let mut goals = task.goals.at_home();
-        task.goals.draw(name, address, 0, &mut goals);
+        let mut goals = Goals::at_home(&task.goals);
+        goals.draw(&task, address, 0);
         let mut far = goals.clone();
         for pose in &mut far.hands {
             let [x, y, z, a, b, c] = *pose;
@@ -338,6 +338,71 @@ fn compact_critic_state_holds_every_quantity_once() {
         assert_close(&out[arm_2..arm_2 + 18], &tuned_joints());
         assert_close(&out[arm_2 + of_arm - 6..arm_2 + of_arm], &TUNED_ACTION);
     }
+}
+
+/// Arms 0 and 1 of four reach in `mixed`, arms 2 and 3 turn the base.
+#[test]
+fn in_a_mixed_task_all_see_the_base_and_hands_are_seen_by_those_that_reach() {
+    let reaching = observed(Preset::Tuned, TaskName::Trajectory, 2);
+    let mixed = observed(Preset::Tuned, TaskName::Mixed, 2);
+    assert_eq!(mixed.len(), 57);
+    assert_eq!(mixed[..42], reaching[..42]);
+    assert_eq!(mixed[51..], reaching[42..]);
+    let turning = observed(Preset::Tuned, TaskName::Reorientation, 4);
+    let mixed = observed(Preset::Tuned, TaskName::Mixed, 4);
+    assert_eq!(mixed[..24], turning[..24]);
+    assert_eq!(mixed[24..42], [0.0; 18]);
+    assert_eq!(mixed[42..], turning[24..]);
+
+    let config = config(Preset::Tuned, TaskName::Mixed);
+    let mut out = vec![f64::NAN; Dimensions::new(&config, 4).state];
+    critic_state(&Task::new(&config, home()), &readings(), &errors(), &[], &mut out);
+    assert_close(&out[13..22], &tuned_base_errors());
+    // Then four arms of 42; arm 2 has no goal for its hand.
+    assert_eq!(out[22 + 84 + 18..22 + 84 + 36], [0.0; 18]);
+    assert!(out[22 + 42 + 18..22 + 42 + 36].iter().all(|x| *x != 0.0));
+}
+
+#[test]
+fn in_a_mixed_task_each_is_paid_for_what_it_aims_at() {
+    let of = |name| paid(Preset::Tuned, name, true);
+    let (mixed, reaching) = (of(TaskName::Mixed), of(TaskName::Trajectory));
+    assert_eq!(mixed[..4], reaching[..4]);
+    // As all are paid in `reorientation`, but for the motion of arm 0, which is not theirs: 6.25 × (0.01 + 0.05).
+    let turning = of(TaskName::Reorientation)[0];
+    for paid in &mixed[4..] {
+        assert!((paid - (turning + 0.375)).abs() < 1e-12, "{paid} {turning}");
+    }
+}
+
+/// A goal that moves is seen to: its velocity, in the axes of the base and then of the arm.
+#[test]
+fn the_motion_of_a_goal_is_seen_beside_its_place() {
+    let config = config(Preset::Tuned, TaskName::Capture);
+    let task = Task::new(&config, home());
+    let address = GoalAddress { seed: 3, purpose: Purpose::Goal, iteration: 0, env: 1 };
+    let mut goals = Goals::<f64>::at_home(&task.goals);
+    goals.draw(&task, address, 0);
+    goals.attach();
+    let mut readings = readings();
+    let length = readings.base_quaternion.map(|x| x * x).iter().sum::<f64>().sqrt();
+    readings.base_quaternion = readings.base_quaternion.map(|x| x / length);
+    let mut seen = vec![f64::NAN; Dimensions::new(&config, 4).observation];
+    let mut errors = Errors::new(4);
+    errors.update(&readings, &goals);
+    // Agent 4 is of arm 2, whose frame has the base's axes.
+    observe(&task, &readings, &goals, &errors, 4, &mut seen);
+    assert_eq!(seen.len(), 54);
+    let before = goals.hands[2];
+    let time = 1e-4;
+    goals.advance(time);
+    let after = goals.hands[2];
+    let moved = std::array::from_fn(|i| (after[i] - before[i]) / time);
+    let wanted = mat_t_vec(&quaternion_to_rotation(&readings.base_quaternion), moved);
+    for (seen, wanted) in seen[42..45].iter().zip(wanted) {
+        assert!((seen - wanted).abs() < 1e-6, "{seen} {wanted}");
+    }
+    assert!(seen[45..48].iter().any(|rate| rate.abs() > 1e-5), "{:?}", &seen[45..48]);
 }
 
 #[test]
