@@ -5,13 +5,15 @@
 //! is dropped, after a look whether it really is the same.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 use channels::ArraySample;
-use proto::config::Config;
+use proto::config::{Config, TaskName};
 use proto::layout::{BlockHeader, BlockLayout, Dimensions, EpisodeMetrics};
 use proto::message::{
     Accounting, Errors, HostId, INCARNATIONS_OF_A_GATEWAY, host_of, policy_version_for,
 };
+use proto::tasks::Aim;
 
 use crate::LearnerError;
 
@@ -232,8 +234,8 @@ fn origin(header: &BlockHeader) -> Option<(u32, HostId)> {
     Some((header.incarnation / INCARNATIONS_OF_A_GATEWAY, host_of(header.worker)?))
 }
 
-/// Means of the episodes' errors over hands and episodes of all blocks.
-pub fn errors(dimensions: &Dimensions, shards: &[&[f32]]) -> Errors {
+/// Means of the episodes' errors over hands that have goals (all, where none has) and episodes of all blocks.
+pub fn errors(task: TaskName, dimensions: &Dimensions, shards: &[&[f32]]) -> Errors {
     let layout = BlockLayout::new(dimensions);
     let places = EpisodeMetrics::new(dimensions.n_arms);
     let episodes = || {
@@ -241,17 +243,21 @@ pub fn errors(dimensions: &Dimensions, shards: &[&[f32]]) -> Errors {
             .iter()
             .flat_map(|shard| shard[layout.metrics.clone()].chunks_exact(dimensions.n_metrics))
     };
-    let mean = |place: std::ops::Range<usize>| {
-        let count = place.len() * dimensions.n_envs * shards.len();
-        let sum: f64 = episodes().flat_map(|row| &row[place.clone()]).map(|&x| f64::from(x)).sum();
-        (sum / count as f64) as f32
+    let n_arms = dimensions.n_arms;
+    let counts = |arm: usize| !task.reaches() || task.aim(arm, n_arms) == Aim::Hand;
+    let of_hands = |place: &Range<usize>| {
+        (0..n_arms).filter(|arm| counts(*arm)).map(|arm| place.start + arm).collect::<Vec<_>>()
+    };
+    let mean = |places: &[usize]| {
+        let count = places.len() * dimensions.n_envs * shards.len();
+        let values = episodes().flat_map(|row| places.iter().map(|&place| f64::from(row[place])));
+        (values.sum::<f64>() / count as f64) as f32
     };
     Errors {
-        position: mean(places.final_position),
-        orientation: mean(places.final_orientation),
-        base: mean(places.final_base..places.final_base + 1),
-        contact_rate: mean(places.contact_steps..places.contact_steps + 1)
-            / dimensions.n_steps as f32,
+        position: mean(&of_hands(&places.final_position)),
+        orientation: mean(&of_hands(&places.final_orientation)),
+        base: mean(&[places.final_base]),
+        contact_rate: mean(&[places.contact_steps]) / dimensions.n_steps as f32,
     }
 }
 

@@ -25,7 +25,7 @@ pub(super) fn iterate(learner: &mut Learner, waited: Duration) -> Result<(), Lea
     let begun = Instant::now();
     let update = train(learner, &shards)?;
     let update_s = begun.elapsed().as_secs_f64();
-    let errors = errors(&learner.dimensions, &shards);
+    let errors = errors(learner.task, &learner.dimensions, &shards);
     drop(samples);
 
     let state = &learner.trainer.state;

@@ -1,7 +1,7 @@
 //! What a learner consists of.
 
 use proto::Digest;
-use proto::config::Run;
+use proto::config::{Run, TaskName};
 use proto::layout::{Dimensions, SnapshotHeader};
 
 use super::ports::{Outgoing, Ports};
@@ -15,6 +15,7 @@ pub(super) struct Learner {
     pub(super) ports: Ports,
     pub(super) image: Image,
     pub(super) dimensions: Dimensions,
+    pub(super) task: TaskName,
     pub(super) run: Run,
     pub(super) digest: Digest,
 }

@@ -71,6 +71,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         ports,
         image,
         dimensions,
+        task: config.task.name,
         run: config.run.clone(),
         digest: state.digest(),
         trainer: Trainer { algorithm: Algorithm::new(&config, &dimensions, &state), state },
