@@ -81,7 +81,7 @@ pub struct BenchArgs {
     /// How long each measurement takes, at least.
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0, allow_hyphen_values = true, value_parser = measuring_time)]
     pub seconds: f64,
-    /// The configuration to measure. `paper`, as its peers do the same work; `octopus train` takes `tuned` unless told otherwise.
+    /// The configuration to measure. `paper`, as its peers do the same work; `octopus train` takes `guided` unless told otherwise.
     #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = Named(Preset::Paper))]
     pub preset: Named<Preset>,
     /// Change one key; may be given again: --set algorithm.epochs=10.

@@ -273,7 +273,7 @@ mod tests {
             assert!(error.to_string().contains(wanted), "{error}");
         }
         for (line, said) in [
-            ("octopus train --preset -1", "possible values: tuned, paper, release, robust, guided"),
+            ("octopus train --preset -1", "possible values: guided, tuned, paper, release, robust"),
             ("octopus mjcf --robot paper --contacts -1", "possible values: on, off"),
         ] {
             let error = Cli::try_parse_from(line.split(' ')).expect_err(line);

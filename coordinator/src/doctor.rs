@@ -36,7 +36,7 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
     let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let programs = Programs::find();
     let learner = programs.as_ref().ok().map(|programs| programs.learner.clone());
-    let config = Layers::new(Preset::Tuned, None).resolve()?;
+    let config = Layers::new(Preset::DEFAULT, None).resolve()?;
     let libtorch = match programs {
         Ok(programs) => preflight::libtorch(&programs.learner),
         Err(error) => {

@@ -215,13 +215,11 @@ pub fn run(args: &FilmArgs) -> anyhow::Result<()> {
 
 /// Refuses goals of what the policy does not move to goals.
 fn check_goals(args: &FilmArgs, task: TaskName) -> Result<(), ExitError> {
-    let (flag, given) = match task {
-        TaskName::Trajectory => ("--base-goal", args.base_goal.is_some()),
-        TaskName::Reorientation => ("--hand-goal", !args.hand_goal.is_empty()),
-    };
-    if !given {
+    let base = ("--base-goal", args.base_goal.is_some() && !task.turns());
+    let hand = ("--hand-goal", !args.hand_goal.is_empty() && !task.reaches());
+    let Some((flag, _)) = [base, hand].into_iter().find(|(_, misplaced)| *misplaced) else {
         return Ok(());
-    }
+    };
     let message = format!("{flag} has no meaning here: the policy learned `{}`", task.as_str());
     Err(ExitError::new(ExitCode::Usage, message))
 }

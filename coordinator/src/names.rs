@@ -36,17 +36,22 @@ impl<T: Names> ValueEnum for Named<T> {
 }
 
 impl Names for TaskName {
-    const ALL: &'static [Named<Self>] = &[Named(Self::Trajectory), Named(Self::Reorientation)];
+    const ALL: &'static [Named<Self>] = &{
+        let mut all = [Named(Self::ALL[0]); Self::ALL.len()];
+        let mut index = 0;
+        while index < all.len() {
+            all[index] = Named(Self::ALL[index]);
+            index += 1;
+        }
+        all
+    };
 
     fn name(self) -> &'static str {
         self.as_str()
     }
 
     fn help(self) -> &'static str {
-        match self {
-            Self::Trajectory => "Every hand to a target pose",
-            Self::Reorientation => "The base to a target attitude",
-        }
+        self.definition().about()
     }
 }
 
@@ -66,11 +71,11 @@ impl Names for ControllerName {
 
 impl Names for Preset {
     const ALL: &'static [Named<Self>] = &[
+        Named(Self::Guided),
         Named(Self::Tuned),
         Named(Self::Paper),
         Named(Self::Release),
         Named(Self::Robust),
-        Named(Self::Guided),
     ];
 
     fn name(self) -> &'static str {
@@ -79,14 +84,12 @@ impl Names for Preset {
 
     fn help(self) -> &'static str {
         match self {
-            Self::Tuned => {
-                "The paper's robot, tasks and measures with whatever learns them fastest"
+            Self::Guided => {
+                "The paper's robot, tasks and measures with whatever learns them fastest: agents know a way to their goals"
             }
+            Self::Tuned => "The same with policies that find everything themselves",
             Self::Paper => "The paper's text; where it is silent, the released code",
             Self::Release => "The authors' released code",
-            Self::Guided => {
-                "Preset `tuned`, with agents who know joint angles that bring the hand to its goal"
-            }
             Self::Robust => "Preset `tuned`, trained with a robot whose drives and sensors err",
         }
     }

@@ -273,7 +273,7 @@ fn recording(
 
 fn policy(path: &Path, robot: &Robot) -> anyhow::Result<Trained> {
     let trained = Trained::new(open_checkpoint(path)?, Some(robot))?;
-    if trained.task() != proto::config::TaskName::Trajectory {
+    if !trained.task().only_reaches() || trained.task().moves() {
         let message = format!(
             "--policies {}: the policy learned `{}`; wanted is one of `trajectory`, which moves hands to poses",
             path.display(),

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use clap::Args;
 use output::grouped;
+use proto::config::TaskName;
 use proto::run_dir::RunDir;
 use run::errors;
 use run::preflight::mib;
@@ -187,10 +188,13 @@ fn show(status: &RunStatus) -> String {
     add("workers", "/workers", &count);
     add("replaced", "/restarts", &count);
     add("return", "/return_mean", &|value| format!("{value:.3}"));
-    if status.task == "trajectory" {
+    // Of a task that is not known to this program all errors are shown.
+    let task = TaskName::named(status.task);
+    if task.is_none_or(TaskName::reaches) {
         add("position", "/errors/position", &|error| format!("{:.1} mm", 1e3 * error));
         add("orientation", "/errors/orientation", &|error| format!("{:.1} mrad", 1e3 * error));
-    } else {
+    }
+    if task.is_none_or(TaskName::turns) {
         add("attitude", "/errors/base", &|error| format!("{:.1} mrad", 1e3 * error));
     }
     if let Some(digest) = status.last.as_ref().and_then(|last| last["digest"].as_str()) {

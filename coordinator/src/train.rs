@@ -49,7 +49,7 @@ pub struct TrainArgs {
     #[arg(value_enum)]
     pub task: Option<Named<TaskName>>,
     /// The configuration to start from.
-    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = Named(Preset::Tuned))]
+    #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = Named(Preset::DEFAULT))]
     pub preset: Named<Preset>,
     /// A TOML file with the keys to change.
     #[arg(long, value_name = "FILE")]

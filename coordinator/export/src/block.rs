@@ -6,10 +6,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use proto::config::Config;
-use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{AGENTS_PER_ARM, BlockLayout, Dimensions, JOINTS_PER_AGENT};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
-use simulator::robot::Robot;
+use simulator::robot::{JOINTS_PER_ARM, Robot};
 use simulator::rollout::World;
 
 /// Of this description.
@@ -144,5 +144,24 @@ impl Block {
         let width = n_envs * JOINTS_PER_AGENT;
         let at = self.world.block_layout().action.start + (agent * n_steps + step) * width;
         &self.numbers[at..at + width]
+    }
+
+    /// What environment `env` did in a control step: its actions joint after joint, before scaling. Where the task adds to what agents say, as the next
+    /// observations tell it, else as agents say it, before clipping.
+    pub fn executed(&self, env: usize, step: usize) -> Vec<f32> {
+        let Dimensions { n_agents, n_steps, n_envs, observation, .. } = self.world.dimensions;
+        if self.world.config.task.posture.gain == 0.0 {
+            let at = env * JOINTS_PER_AGENT;
+            let of_agent = |agent| &self.actions(agent, step)[at..at + JOINTS_PER_AGENT];
+            return (0..n_agents).flat_map(of_agent).copied().collect();
+        }
+        // An arm's observations end with its last action.
+        let first = self.world.block_layout().observation.start;
+        let of_arm = |shoulder: usize| {
+            let row = (shoulder * (n_steps + 1) + step + 1) * n_envs + env;
+            let end = first + (row + 1) * observation;
+            &self.numbers[end - JOINTS_PER_ARM..end]
+        };
+        (0..n_agents).step_by(AGENTS_PER_ARM).flat_map(of_arm).copied().collect()
     }
 }

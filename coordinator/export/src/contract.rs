@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use proto::config::{Inference, Observation, TaskName};
+use proto::config::{Inference, Observation};
 use serde::Serialize;
 use simulator::robot::JOINTS_PER_ARM;
 
@@ -134,12 +134,11 @@ pub(crate) fn contract(source: &Source<'_>, vectors: &Vectors) -> String {
             origin: source.origin.clone(),
             action_scale: config.task.action_scale,
             episode_steps: config.task.episode_steps,
-            goals: match config.task.name {
-                TaskName::Trajectory => format!(
-                    "hands: offsets from home, box {:?}",
-                    format!("{:?}", config.task.goal_box).to_lowercase()
-                ),
-                TaskName::Reorientation => "base: Euler angles from home".to_owned(),
+            goals: if source.has_hand_goals() {
+                let goal_box = format!("{:?}", config.task.goal_box).to_lowercase();
+                format!("hands: offsets from home, box {goal_box:?}")
+            } else {
+                "base: Euler angles from home".to_owned()
             },
             goal_ranges: goal_ranges(source),
         },

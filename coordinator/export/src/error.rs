@@ -10,6 +10,12 @@ pub enum ExportError {
     /// A recording cannot be put together.
     #[error("no recording: {0}")]
     Recording(String),
+    /// The task has goals that the controllers have no places for.
+    #[error(
+        "policies of task `{0}` cannot be exported yet, expected one whose goals stay, of hands or of the base; \
+         let `octopus`, the page or the Python package play it"
+    )]
+    Task(&'static str),
     /// More actors than a row number has room for.
     #[error("{0} actors are more than the 255 that the C code has room for")]
     Actors(usize),

@@ -53,6 +53,10 @@ pub fn files(source: &Source<'_>) -> Result<Vec<File>, ExportError> {
     if actors > 255 {
         return Err(ExportError::Actors(actors));
     }
+    let task = source.world.config.task.name;
+    if task.moves() || task.reaches() && task.turns() {
+        return Err(ExportError::Task(task.as_str()));
+    }
     let networks = Networks::new(source.world, source.parameters);
     let vectors = vectors::vectors(source)?;
     let metadata = metadata(source);

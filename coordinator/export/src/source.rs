@@ -1,6 +1,6 @@
 //! What is exported: a policy in its world, which one it is, and how good.
 
-use proto::config::{AlgorithmName, Inference, TaskName};
+use proto::config::{AlgorithmName, Inference};
 use serde::Serialize;
 use simulator::policy::Policy;
 use simulator::rollout::World;
@@ -104,7 +104,7 @@ impl Source<'_> {
 
     /// Whether hands have goals, or the base.
     pub(crate) fn has_hand_goals(&self) -> bool {
-        self.world.config.task.name == TaskName::Trajectory
+        self.world.config.task.name.reaches()
     }
 
     /// Whether the policy acts beside goal postures.

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use proto::config::TaskName;
+use proto::tasks::Aim;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 use simulator::experiment::{EvaluationGoals, FixedGoals};
@@ -60,13 +61,20 @@ impl OwnGoals {
     pub fn check(&self, tasks: impl Iterator<Item = TaskName>) -> Result<(), ExitError> {
         let mut wanted = Vec::new();
         for task in tasks {
-            let (mine, what): (fn(&FixedGoals) -> bool, _) = match task {
-                TaskName::Trajectory => (|goals| goals.hands.iter().any(Option::is_some), "hands"),
-                TaskName::Reorientation => (|goals| goals.base.is_some(), "the base"),
-            };
-            if self.given.iter().any(mine) {
+            let hands = |goals: &FixedGoals| goals.hands.iter().any(Option::is_some);
+            let base = |goals: &FixedGoals| goals.base.is_some();
+            if self
+                .given
+                .iter()
+                .any(|goals| task.reaches() && hands(goals) || task.turns() && base(goals))
+            {
                 return Ok(());
             }
+            let what = match (task.reaches(), task.turns()) {
+                (true, true) => "hands or the base",
+                (true, false) => "hands",
+                (false, _) => "the base",
+            };
             wanted.push(format!("goals of {what}, which `{}` has", task.as_str()));
         }
         let message = format!("{}: expected {}", self.file.display(), wanted.join(" or "));
@@ -217,15 +225,14 @@ pub fn write(
 ) -> anyhow::Result<Vec<u8>> {
     let bad = |what| ExitError::new(ExitCode::Usage, format!("{}: {what}", path.display()));
     let json = is_json(path).map_err(bad)?;
-    let row = |episode: u32| match world.task.name {
-        TaskName::Trajectory => Row {
-            hands: (0..world.robot.n_arms)
-                .map(|arm| Some(goals.hand(world, episode, arm)))
-                .collect(),
-            base: None,
-        },
-        TaskName::Reorientation => {
-            Row { hands: Vec::new(), base: Some(goals.base(world, episode)) }
+    let task = world.task.name;
+    let reaches = |arm: usize| world.task.aims[arm] == Aim::Hand;
+    let row = |episode: u32| {
+        let hand = |arm| reaches(arm).then(|| goals.hand(world, episode, arm));
+        let arms = 0..if task.reaches() { world.robot.n_arms } else { 0 };
+        Row {
+            hands: arms.map(hand).collect(),
+            base: task.turns().then(|| goals.base(world, episode)),
         }
     };
     let rows: Vec<Row> = (0..episodes as u32).map(row).collect();
@@ -235,12 +242,10 @@ pub fn write(
         return Ok(text);
     }
     let mut writer = csv::Writer::from_writer(Vec::new());
-    let header: Vec<String> = match world.task.name {
-        TaskName::Trajectory => (1..=world.robot.n_arms)
-            .flat_map(|hand| HAND.map(|part| format!("hand{hand}_{part}")))
-            .collect(),
-        TaskName::Reorientation => BASE.iter().map(|part| format!("base_{part}")).collect(),
-    };
+    let hands = (0..world.robot.n_arms).filter(|arm| reaches(*arm));
+    let hands = hands.flat_map(|arm| HAND.map(|part| format!("hand{}_{part}", arm + 1)));
+    let base = BASE.iter().filter(|_| task.turns()).map(|part| format!("base_{part}"));
+    let header: Vec<String> = hands.chain(base).collect();
     writer.write_record(header)?;
     for Row { hands, base } in &rows {
         let numbers = hands.iter().flatten().flatten().chain(base.iter().flatten());

@@ -58,6 +58,21 @@ pub enum ErrorOf {
 }
 
 impl ErrorOf {
+    /// What the errors of a task are of, in the order in which they are shown.
+    pub fn of(task: TaskName) -> impl Iterator<Item = Self> {
+        let hands = [Self::Position, Self::Orientation].into_iter().filter(move |_| task.reaches());
+        hands.chain(task.turns().then_some(Self::Base))
+    }
+
+    /// What the paper reports for its best policies (m or rad).
+    pub fn papers(self) -> f64 {
+        thousandths(match self {
+            Self::Position => PAPER.position,
+            Self::Orientation => PAPER.orientation,
+            Self::Base => PAPER.base,
+        })
+    }
+
     /// What it is measured in.
     pub fn unit(self) -> Unit {
         match self {
@@ -95,15 +110,6 @@ impl fmt::Display for Unit {
             Self::Radian => "rad",
         })
     }
-}
-
-/// What the paper reports for its best policies on `task`: position (m), and orientation or attitude (rad).
-pub fn papers(task: TaskName) -> (f64, f64) {
-    let attitude = match task {
-        TaskName::Trajectory => PAPER.orientation,
-        TaskName::Reorientation => PAPER.base,
-    };
-    (thousandths(PAPER.position), thousandths(attitude))
 }
 
 /// A single-precision number of thousandths in double precision.
@@ -147,8 +153,10 @@ mod tests {
 
     #[test]
     fn thousandths_of_single_precision_are_the_papers_again() {
-        assert_eq!(papers(TaskName::Trajectory), (0.025, 0.04));
-        assert_eq!(papers(TaskName::Reorientation).1, 0.03);
+        let papers = |task| ErrorOf::of(task).map(ErrorOf::papers).collect::<Vec<f64>>();
+        assert_eq!(papers(TaskName::Trajectory), [0.025, 0.04]);
+        assert_eq!(papers(TaskName::Reorientation), [0.03]);
+        assert_eq!(papers(TaskName::Mixed), [0.025, 0.04, 0.03]);
         assert_eq!(thousandths(0.015), 0.015);
     }
 }

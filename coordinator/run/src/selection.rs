@@ -50,25 +50,22 @@ impl MeanErrors {
 
     /// The largest of the errors that `task` is about, in units of the paper's: at most 1 is as good as the paper.
     pub fn in_papers(&self, task: TaskName) -> f64 {
-        let of = |error: f64, paper: f32| error / f64::from(paper);
-        match task {
-            TaskName::Trajectory => {
-                of(self.position, PAPER.position).max(of(self.orientation, PAPER.orientation))
-            }
-            TaskName::Reorientation => of(self.base, PAPER.base),
-        }
+        self.shares(task).reduce(f64::max).unwrap_or(f64::NAN)
     }
 
     /// The score of a policy with these errors: the mean of those that `task` is about, in units of the paper's, so that 1 is as
     /// good as the paper, and the smaller, the better.
     pub fn score(&self, task: TaskName) -> f64 {
+        let n = self.shares(task).count() as f64;
+        self.shares(task).sum::<f64>() / n
+    }
+
+    /// The errors that `task` is about, in units of the paper's.
+    fn shares(&self, task: TaskName) -> impl Iterator<Item = f64> {
         let of = |error: f64, paper: f32| error / f64::from(paper);
-        match task {
-            TaskName::Trajectory => {
-                0.5 * (of(self.position, PAPER.position) + of(self.orientation, PAPER.orientation))
-            }
-            TaskName::Reorientation => of(self.base, PAPER.base),
-        }
+        let hands = [of(self.position, PAPER.position), of(self.orientation, PAPER.orientation)];
+        let hands = hands.into_iter().filter(move |_| task.reaches());
+        hands.chain(task.turns().then_some(of(self.base, PAPER.base)))
     }
 
     /// One kind of the errors of some episodes.
@@ -203,15 +200,12 @@ impl Selection {
 
     fn score(&self, tail: &MeanErrors, episodes: usize) -> Score {
         let MeanErrors { position, orientation, base } = *tail;
-        let errors = match self.task {
-            TaskName::Trajectory => {
-                [("position_m", position), ("orientation_rad", orientation)].to_vec()
-            }
-            TaskName::Reorientation => [("base_rad", base)].to_vec(),
-        };
+        let hands = [("position_m", position), ("orientation_rad", orientation)];
+        let hands = hands.into_iter().filter(|_| self.task.reaches());
+        let errors = hands.chain(self.task.turns().then_some(("base_rad", base)));
         Score {
             value: tail.score(self.task),
-            errors: errors.into_iter().map(|(name, error)| (name.to_owned(), error)).collect(),
+            errors: errors.map(|(name, error)| (name.to_owned(), error)).collect(),
             episodes: episodes as u64,
             steps: u64::from(self.steps),
             seed: SELECTION_SEED,

@@ -334,7 +334,7 @@ mod tests {
             ("iterations = 1\nenv_steps = 1", "both given"),
             ("jobs = \"many\"", "key `jobs` wants a whole number"),
             ("task = \"walk\"", "key `task` wants one of `trajectory`, `reorientation`"),
-            ("preset = 1", "key `preset` wants one of `tuned`"),
+            ("preset = 1", "key `preset` wants one of `guided`, `tuned`"),
             ("grid = 3", "key `grid` wants a table, [grid]"),
             ("[grid]", "[grid] has no keys"),
             ("[grid]\nalgorithm.gamma = 0.9", "key `grid.algorithm.gamma` wants a list"),

@@ -12,6 +12,7 @@ import { Feed } from "./run/feed";
 import { RunRoom } from "./run/run_room";
 import { RunsRoom } from "./runs/runs_room";
 import { Simulation } from "./simulation/simulation";
+import { type Aims, aimsOf } from "./simulation/types";
 
 restoreTheme();
 
@@ -77,8 +78,12 @@ function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, blocks: Blocks, 
         show("robot");
         void robot.play(name);
     };
-    const task = (): string => (robot.timeline.description?.task.includes("reorientation") ? "reorientation" : "trajectory");
-    const run = new RunRoom(feed, blocks, play, task, readOnly);
+    const aims = (task: string | undefined): Aims => {
+        const { description } = robot.timeline;
+        const of = task === undefined ? undefined : description?.aims[task];
+        return of ?? (description ? aimsOf(description) : { hands: true, base: true });
+    };
+    const run = new RunRoom(feed, blocks, play, aims, readOnly);
     const buttons = {
         robot: h("button", { type: "button", onclick: () => show("robot") }, "Robot"),
         run: h("button", { type: "button", onclick: () => show("run") }, "Run"),

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use proto::config::TaskName;
 use serde::Serialize;
 use simulator::experiment::Episode;
 use simulator::robot::{JOINTS_PER_ARM, Robot};
@@ -14,6 +15,8 @@ struct Description<'a> {
     robot: &'a str,
     /// Task of every policy, by slot.
     task: Vec<&'static str>,
+    /// What the tasks that there are have goals for.
+    aims: BTreeMap<&'static str, Aims>,
     n_arms: usize,
     n_joints: usize,
     /// Length of a control step (s).
@@ -62,6 +65,13 @@ enum Shape<'a> {
     },
 }
 
+/// What a task has goals for.
+#[derive(Serialize)]
+struct Aims {
+    hands: bool,
+    base: bool,
+}
+
 #[derive(Serialize)]
 struct Place {
     /// Address (bytes).
@@ -80,6 +90,10 @@ pub(crate) fn json(episode: &Episode, arrays: &Arrays) -> Result<String, String>
     let description = Description {
         robot: &robot.name,
         task: episode.members().iter().map(task).collect(),
+        aims: TaskName::ALL
+            .iter()
+            .map(|task| (task.as_str(), Aims { hands: task.reaches(), base: task.turns() }))
+            .collect(),
         n_arms: robot.n_arms,
         n_joints,
         control_period: episode.control_period(),

@@ -26,7 +26,7 @@ type Floats = Py<PyArrayDyn<f32>>;
 /// agent 2i + 1 joints 4 to 6. All arrays are float32 and stay the same objects: `reset` and `step` fill them in place, so copy what you
 /// keep.
 ///
-/// `config` is the name of a preset ("tuned", "paper", "release", "robust", "guided"), the path of a TOML file, or a `Config`; `task` and `set` are
+/// `config` is the name of a preset ("guided", "tuned", "paper", "release", "robust"), the path of a TOML file, or a `Config`; `task` and `set` are
 /// as in `octopus train`; `robot` is a `Robot`, a name or a path. `threads` is how many work in a step, all processors by default; no
 /// number depends on it. Episodes are `task.episode_steps` long, begin and end together, and are truncated at their end.
 ///
@@ -143,7 +143,7 @@ impl Batch {
 
     /// Holds actions [N, A, 3] for a control step (0.4 s by default), and shows what it led to.
     ///
-    /// Actions are joint velocities before `task.action_scale` (0.8 in preset tuned); what is beyond the joints' limits is clipped. Float32 in
+    /// Actions are joint velocities before `task.action_scale` (0.8 in preset guided); what is beyond the joints' limits is clipped. Float32 in
     /// C order is taken as it is, other real numbers are converted.
     ///
     /// `ValueError` for another shape or a number that is not finite, `TypeError` for what is no number: then nothing has changed.

@@ -13,7 +13,7 @@ const MAX_TEXT: u64 = 1 << 20;
 
 /// What a run is configured with.
 ///
-/// `config` is the name of a preset ("tuned", "paper", "release", "robust", "guided") or the path of a TOML file, which lies over `preset` ("tuned"); `task` is
+/// `config` is the name of a preset ("guided", "tuned", "paper", "release", "robust") or the path of a TOML file, which lies over `preset` ("tuned"); `task` is
 /// "trajectory" or "reorientation"; `set` lists `KEY=VALUE` as `octopus train --set` takes them. `ValueError` says what is wrong, in the
 /// words of `octopus train`.
 #[pyclass(frozen, module = "spaceoctopus")]
@@ -109,19 +109,16 @@ pub(crate) fn layered(
 ) -> PyResult<config::Config> {
     let task = match task {
         None => None,
-        Some("trajectory") => Some(TaskName::Trajectory),
-        Some("reorientation") => Some(TaskName::Reorientation),
-        Some(other) => {
-            return Err(value(format!(
-                "task {other:?}: expected \"trajectory\" or \"reorientation\""
-            )));
-        }
+        Some(name) => Some(
+            TaskName::named(name)
+                .ok_or_else(|| value(format!("task {name:?}: expected {}", TaskName::listed())))?,
+        ),
     };
     let below = match preset {
-        None => Preset::Tuned,
+        None => Preset::DEFAULT,
         Some(name) => Preset::named(name).ok_or_else(|| {
             value(format!(
-                "preset {name:?}: expected \"tuned\", \"paper\", \"release\", \"robust\" or \"guided\""
+                "preset {name:?}: expected \"guided\", \"tuned\", \"paper\", \"release\" or \"robust\""
             ))
         })?,
     };
@@ -138,7 +135,7 @@ pub(crate) fn layered(
         (Some(path), None) => {
             let text = read_text(path).map_err(|error| {
                 value(format!(
-                    "{}: {error}; give a TOML file, or one of the presets: tuned, paper, release, robust, guided",
+                    "{}: {error}; give a TOML file, or one of the presets: guided, tuned, paper, release, robust",
                     path.display()
                 ))
             })?;

@@ -122,7 +122,8 @@ impl Policy {
             within("steps", steps, MOST_STEPS)?;
             let trial = Trial::new(Player::new(&self.world, &self.actors), seed, episodes, steps);
             let recording = played(py, &trial)?;
-            let text = py.detach(|| serde_json::to_string(&Evaluation::of(&recording)));
+            let text =
+                py.detach(|| serde_json::to_string(&Evaluation::of_task(&self.world, &recording)));
             py.import("json")?.call_method1("loads", (text.map_err(runtime)?,))
         })
     }

@@ -72,7 +72,7 @@ impl Postures {
                     square.sqrt()
                 )));
             }
-            let goals = Goals { hands: goals.as_chunks().0.to_vec(), base: [0.0; 3] };
+            let goals = Goals::fixed(goals.as_chunks().0.to_vec(), [0.0; 3]);
             let mut known = self
                 .known
                 .try_lock()

@@ -3,7 +3,7 @@
 mod postures;
 mod tables;
 
-use proto::config::{Activation, InputNorm, JointAngles, Observation, TaskName};
+use proto::config::{Activation, InputNorm, JointAngles, Observation};
 
 use crate::networks::Networks;
 use crate::source::Source;
@@ -26,10 +26,8 @@ pub(crate) fn header(source: &Source<'_>) -> String {
         ("REORIENTATION", "2".to_owned()),
         (
             "TASK",
-            match world.config.task.name {
-                TaskName::Trajectory => "OCTOPUS_TRAJECTORY".to_owned(),
-                TaskName::Reorientation => "OCTOPUS_REORIENTATION".to_owned(),
-            },
+            if source.has_hand_goals() { "OCTOPUS_TRAJECTORY" } else { "OCTOPUS_REORIENTATION" }
+                .to_owned(),
         ),
         ("ARMS", dimensions.n_arms.to_string()),
         ("AGENTS", dimensions.n_agents.to_string()),
@@ -57,7 +55,7 @@ fn switches(source: &Source<'_>, networks: &Networks) -> String {
     let (dimensions, config) = (&world.dimensions, &world.config);
     let (task, network) = (&config.task, &config.network);
     let arm = task.observation == Observation::Arm;
-    let trajectory = task.name == TaskName::Trajectory;
+    let trajectory = source.has_hand_goals();
     let squash = network.squash_mean;
     let tanh = arm || squash || network.activation == Activation::Tanh;
     let norm = network.layer_norm || network.input_norm == InputNorm::LayerNorm;

@@ -1115,12 +1115,23 @@ static int same(const float *a, const float *b, int n)
     return 1;
 }
 
-/* Looks for postures of new goals, and has the others follow the base. */
+/* Whether a goal is not far from where it was: then it is followed. Also false for what is not a number. */
+static int is_near(const float goal[6], const float was[6])
+{
+    static const float NEAR[2] = {F(0.05), F(0.1)};
+    int i;
+    for (i = 0; i < 6; i++) {
+        if (!(absolute(goal[i] - was[i]) < NEAR[i / 3])) return 0;
+    }
+    return 1;
+}
+
+/* Looks for postures of new goals, and has the others follow their goals and the base. */
 static void look(const reading_type *reading, octopus_memory *memory)
 {
     place_type place;
     float now[7];
-    int open[OCTOPUS_ARMS];
+    int open[OCTOPUS_ARMS], still[OCTOPUS_ARMS];
     int arm, rests, any = 0;
     memcpy(place.position, reading->base_position, sizeof place.position);
     memcpy(place.attitude, reading->base_attitude, sizeof place.attitude);
@@ -1132,19 +1143,20 @@ static void look(const reading_type *reading, octopus_memory *memory)
     memcpy(memory->base, now, sizeof now);
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
         octopus_posture *posture = &memory->postures[arm];
-        open[arm] = !same(reading->hand_goals[arm], posture->goal, 6);
+        open[arm] = !is_near(reading->hand_goals[arm], posture->goal);
+        still[arm] = same(reading->hand_goals[arm], posture->goal, 6);
         if (open[arm]) {
             frame_type target;
             seen_from(&place, reading->hand_goals[arm], &target);
             search(arm, &target, &place.angles[6 * arm], posture->angles);
             posture->tried = (float)STARTS;
-            memcpy(posture->goal, reading->hand_goals[arm], sizeof posture->goal);
             any = 1;
         }
+        memcpy(posture->goal, reading->hand_goals[arm], sizeof posture->goal);
     }
     if (any) foresee(reading, &place, open, memory->postures);
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
-        follow(arm, &memory->postures[arm], reading->hand_goals[arm], &place, rests && !open[arm]);
+        follow(arm, &memory->postures[arm], reading->hand_goals[arm], &place, rests && still[arm]);
     }
 }
 

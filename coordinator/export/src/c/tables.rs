@@ -2,8 +2,6 @@
 
 use std::fmt::Write as _;
 
-use proto::config::TaskName;
-
 use crate::networks::{Layer, Networks, Stacked};
 use crate::source::Source;
 
@@ -149,12 +147,11 @@ fn robot(out: &mut String, source: &Source<'_>) {
         exact(&home.base_position),
         exact(&robot.home_q())
     );
-    let goals = match world.config.task.name {
-        TaskName::Trajectory => {
-            let hands = home.arms.iter().map(|arm| exact(&[arm.position, arm.euler].concat()));
-            format!("{{{}}}", hands.collect::<Vec<_>>().join(", "))
-        }
-        TaskName::Reorientation => exact(&home.base_euler),
+    let goals = if source.has_hand_goals() {
+        let hands = home.arms.iter().map(|arm| exact(&[arm.position, arm.euler].concat()));
+        format!("{{{}}}", hands.collect::<Vec<_>>().join(", "))
+    } else {
+        exact(&home.base_euler)
     };
     let _ = writeln!(out, "static const octopus_goals HOME_GOALS = {{{goals}}};");
 }

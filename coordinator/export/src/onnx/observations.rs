@@ -1,6 +1,6 @@
 //! What agents see, from state and goals; see `simulator::task::observation`.
 
-use proto::config::{JointAngles, Observation, TaskName};
+use proto::config::{JointAngles, Observation};
 use simulator::robot::JOINTS_PER_ARM;
 use simulator::task::observation::RELEASE_VELOCITY_SCALE;
 use simulator::task::{ATTITUDE_WIDTHS, POSITION_WIDTHS};
@@ -132,22 +132,19 @@ impl Scene<'_> {
             }
         }
         parts.push(self.by_arm(g, joint_rates));
-        match task.name {
-            TaskName::Trajectory => {
-                let [position, rotation] = self.hand_errors(g);
-                let [p, p_wide, p_narrow] = self.error(g, &position, POSITION_WIDTHS);
-                let [r, r_wide, r_narrow] = self.error(g, &rotation, ATTITUDE_WIDTHS);
-                parts.extend([p, r, p_wide, p_narrow, r_wide, r_narrow]);
-                if let Some(postures) = &self.inputs.postures {
-                    parts.extend(postures::seen(g, postures));
-                }
+        if self.source.has_hand_goals() {
+            let [position, rotation] = self.hand_errors(g);
+            let [p, p_wide, p_narrow] = self.error(g, &position, POSITION_WIDTHS);
+            let [r, r_wide, r_narrow] = self.error(g, &rotation, ATTITUDE_WIDTHS);
+            parts.extend([p, r, p_wide, p_narrow, r_wide, r_narrow]);
+            if let Some(postures) = &self.inputs.postures {
+                parts.extend(postures::seen(g, postures));
             }
-            TaskName::Reorientation => {
-                let error = self.base_error(g);
-                let shape = g.ints(&[1, self.arms, 1]);
-                let error = g.op("Expand", &[&error, &shape]);
-                parts.extend(self.error(g, &error, ATTITUDE_WIDTHS));
-            }
+        } else {
+            let error = self.base_error(g);
+            let shape = g.ints(&[1, self.arms, 1]);
+            let error = g.op("Expand", &[&error, &shape]);
+            parts.extend(self.error(g, &error, ATTITUDE_WIDTHS));
         }
         let scale = g.float(task.action_scale);
         let last = g.op("Div", &[&self.inputs.last_command, &scale]);
@@ -203,31 +200,28 @@ impl Scene<'_> {
         parts.push(repeated(g, base_velocity, agents));
         parts.push(repeated(g, base_angular_velocity, agents));
         parts.push(own(g, joint_rates));
-        match task.name {
-            TaskName::Trajectory => {
-                let release = task.observation == Observation::Release;
-                let hands = self.hands(g, release);
-                let world = self.world(g, &hands.position);
-                let base = beside_vectors(g, base_position);
-                let position = g.op("Add", &[&world, &base]);
-                let to_world = beside_arms(g, &self.to_world);
-                let rotation = g.op("MatMul", &[&to_world, &hands.rotation]);
-                let angles = euler(g, &rotation);
-                parts.push(alternating(g, [&position, &angles], agents));
-                if let Some(velocity) = &hands.velocity {
-                    let [linear, angular] = velocity.each_ref().map(|v| self.world(g, v));
-                    let both = alternating(g, [&linear, &angular], agents);
-                    let scale = g.float(RELEASE_VELOCITY_SCALE);
-                    parts.push(g.op("Mul", &[&both, &scale]));
-                }
-                let both: Vec<i64> = (0..self.arms).flat_map(|arm| [arm, arm]).collect();
-                parts.push(g.gather(goals, 1, &both));
+        if self.source.has_hand_goals() {
+            let release = task.observation == Observation::Release;
+            let hands = self.hands(g, release);
+            let world = self.world(g, &hands.position);
+            let base = beside_vectors(g, base_position);
+            let position = g.op("Add", &[&world, &base]);
+            let to_world = beside_arms(g, &self.to_world);
+            let rotation = g.op("MatMul", &[&to_world, &hands.rotation]);
+            let angles = euler(g, &rotation);
+            parts.push(alternating(g, [&position, &angles], agents));
+            if let Some(velocity) = &hands.velocity {
+                let [linear, angular] = velocity.each_ref().map(|v| self.world(g, v));
+                let both = alternating(g, [&linear, &angular], agents);
+                let scale = g.float(RELEASE_VELOCITY_SCALE);
+                parts.push(g.op("Mul", &[&both, &scale]));
             }
-            TaskName::Reorientation => {
-                let angles = euler(g, &self.to_world);
-                parts.push(repeated(g, &angles, agents));
-                parts.push(repeated(g, goals, agents));
-            }
+            let both: Vec<i64> = (0..self.arms).flat_map(|arm| [arm, arm]).collect();
+            parts.push(g.gather(goals, 1, &both));
+        } else {
+            let angles = euler(g, &self.to_world);
+            parts.push(repeated(g, &angles, agents));
+            parts.push(repeated(g, goals, agents));
         }
         g.concat(&parts)
     }

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use proto::config::TaskName;
+use proto::tasks::Aim;
 use serde::{Deserialize, Serialize};
 use simulator::env::step_options;
 use simulator::experiment::{Episode, FixedGoals, Member, Motion, Start};
@@ -78,14 +79,13 @@ impl Commanded {
 
 /// The goals that a task has.
 fn of_task(task: TaskName, hands: &[[f32; 6]], base: [f32; 3]) -> FixedGoals {
-    match task {
-        TaskName::Trajectory => FixedGoals {
-            hands: hands.iter().map(|goal| Some(goal.map(f64::from))).collect(),
-            base: None,
-        },
-        TaskName::Reorientation => {
-            FixedGoals { hands: Vec::new(), base: Some(base.map(f64::from)) }
-        }
+    let hand = |(arm, goal): (usize, &[f32; 6])| {
+        (task.aim(arm, hands.len()) == Aim::Hand).then(|| goal.map(f64::from))
+    };
+    let reaching = if task.reaches() { hands } else { &[] };
+    FixedGoals {
+        hands: reaching.iter().enumerate().map(hand).collect(),
+        base: task.turns().then(|| base.map(f64::from)),
     }
 }
 

@@ -15,7 +15,11 @@ use crate::block::{Block, BlockAddress};
 use crate::recording::{Commanded, Recorded, Recording};
 
 fn world(task: TaskName) -> World {
-    let layers = Layers::new(Preset::Tuned, Some(task));
+    world_of(Preset::Tuned, task)
+}
+
+fn world_of(preset: Preset, task: TaskName) -> World {
+    let layers = Layers::new(preset, Some(task));
     let set = ["network.hidden=[8]", "task.episode_steps=5", "env.n_envs=12", "env.n_shards=4"];
     let layers = set.iter().try_fold(layers, |layers, set| layers.set(set)).expect("keys");
     let config = layers.resolve().expect("valid");
@@ -23,7 +27,11 @@ fn world(task: TaskName) -> World {
 }
 
 fn block() -> Block {
-    let world = world(TaskName::Trajectory);
+    block_of(Preset::Tuned)
+}
+
+fn block_of(preset: Preset) -> Block {
+    let world = world_of(preset, TaskName::Trajectory);
     let parameters = initial_parameters(&world.config, &world.dimensions, 3);
     let policy = world.policy(&parameters).expect("a policy");
     let address = BlockAddress { seed: 4, iteration: 9, shard: 2 };
@@ -102,12 +110,15 @@ fn rows(shown: &mut [Vec<f32>; ARRAYS]) -> Rows<'_> {
 
 #[test]
 fn an_environment_of_a_block_is_a_motion() {
-    let block = block();
+    for preset in [Preset::Tuned, Preset::Guided] {
+        is_a_motion(&block_of(preset));
+    }
+}
+
+fn is_a_motion(block: &Block) {
     let world = &block.world;
     let start = block_start(world, block.address, 1, &InOrder).expect("an address");
-    let executed: Vec<Vec<f32>> = (0..5)
-        .map(|step| (0..8).flat_map(|agent| block.actions(agent, step)[3..6].to_vec()).collect())
-        .collect();
+    let executed: Vec<Vec<f32>> = (0..5).map(|step| block.executed(1, step)).collect();
     let commands = executed.iter().map(Vec::as_slice);
     let commanded =
         Commanded::by_actions(world, &start.robot, (&start.hands, start.base), commands);

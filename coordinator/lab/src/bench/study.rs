@@ -7,7 +7,7 @@ use proto::config::Preset;
 use crate::scale::Scale;
 
 /// What `octopus train` trains unless told otherwise.
-pub const TRAINED: Preset = Preset::Tuned;
+pub const TRAINED: Preset = Preset::DEFAULT;
 
 /// What is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,8 +1,9 @@
 //! Errors of an evaluation's episodes: of all agents together, and of each alone.
 
 use proto::config::TaskName;
+use proto::tasks::Aim;
 use serde::{Deserialize, Serialize};
-use simulator::evaluate::{Course, EpisodeResult};
+use simulator::evaluate::{Course, EpisodeResult, HandCourse};
 
 use crate::statistics::{ErrorOf, Spread, Unit};
 
@@ -38,45 +39,65 @@ fn summarise(error: ErrorOf, agent: Option<usize>, courses: &[Course]) -> ErrorS
     }
 }
 
-/// Of all agents together, one a kind of error that the task is about.
-pub(super) fn overall(task: TaskName, episodes: &[EpisodeResult]) -> Vec<ErrorSummary> {
-    let hands = || episodes.iter().flat_map(|episode| &episode.hands);
-    match task {
-        TaskName::Trajectory => vec![
-            summarise(
-                ErrorOf::Position,
-                None,
-                &hands().map(|hand| hand.position).collect::<Vec<_>>(),
-            ),
-            summarise(
-                ErrorOf::Orientation,
-                None,
-                &hands().map(|hand| hand.orientation).collect::<Vec<_>>(),
-            ),
-        ],
-        TaskName::Reorientation => {
-            let courses: Vec<_> = episodes.iter().map(|episode| episode.base).collect();
-            vec![summarise(ErrorOf::Base, None, &courses)]
-        }
+/// The hands of an episode that have goals; all where the episode is a part of one.
+fn hands(task: TaskName, episode: &EpisodeResult) -> impl Iterator<Item = (usize, &HandCourse)> {
+    let n_arms = episode.hands.len();
+    let aims = move |(arm, _): &(usize, &HandCourse)| {
+        task.only_reaches() || task.aim(*arm, n_arms) == Aim::Hand
+    };
+    episode.hands.iter().enumerate().filter(aims)
+}
+
+/// The courses of one error of a task.
+fn courses(task: TaskName, error: ErrorOf, episodes: &[EpisodeResult]) -> Vec<(usize, Course)> {
+    let of_hands = |of: fn(&HandCourse) -> Course| {
+        let all = episodes.iter().flat_map(|episode| hands(task, episode));
+        all.map(|(arm, hand)| (arm, of(hand))).collect()
+    };
+    match error {
+        ErrorOf::Position => of_hands(|hand| hand.position),
+        ErrorOf::Orientation => of_hands(|hand| hand.orientation),
+        ErrorOf::Base => episodes.iter().map(|episode| (0, episode.base)).collect(),
     }
 }
 
+/// Of all agents together, one a kind of error that the task is about.
+pub(super) fn overall(task: TaskName, episodes: &[EpisodeResult]) -> Vec<ErrorSummary> {
+    let of = |error| {
+        let courses: Vec<_> = courses(task, error, episodes).into_iter().map(|(_, c)| c).collect();
+        summarise(error, None, &courses)
+    };
+    ErrorOf::of(task).map(of).collect()
+}
+
 /// Agent 2i moves the shoulder of arm i and answers for the hand's position, agent 2i + 1 moves
-/// the wrist and answers for its orientation.
+/// the wrist and answers for its orientation. None of arms that turn the base, which all answer for it.
 pub(super) fn agents(task: TaskName, episodes: &[EpisodeResult]) -> Vec<ErrorSummary> {
-    if task == TaskName::Reorientation {
+    if !task.reaches() {
         return Vec::new();
     }
+    let kinds = [ErrorOf::Position, ErrorOf::Orientation];
+    let all = kinds.map(|error| courses(task, error, episodes));
     let n_arms = episodes.first().map_or(0, |episode| episode.hands.len());
-    (0..n_arms)
-        .flat_map(|arm| {
-            let hands = || episodes.iter().filter_map(move |episode| episode.hands.get(arm));
-            let position: Vec<_> = hands().map(|hand| hand.position).collect();
-            let orientation: Vec<_> = hands().map(|hand| hand.orientation).collect();
-            [
-                summarise(ErrorOf::Position, Some(2 * arm), &position),
-                summarise(ErrorOf::Orientation, Some(2 * arm + 1), &orientation),
-            ]
-        })
-        .collect()
+    let of_agent = |agent: usize| {
+        let (arm, kind) = (agent / kinds.len(), agent % kinds.len());
+        let own = all[kind].iter().filter(|(of, _)| *of == arm).map(|(_, course)| *course);
+        let own: Vec<Course> = own.collect();
+        (!own.is_empty()).then(|| summarise(kinds[kind], Some(agent), &own))
+    };
+    (0..kinds.len() * n_arms).filter_map(of_agent).collect()
+}
+
+/// Which of its goals an episode reached, by errors after the last step below `position` (m), `angle` of hands and of the `base` (rad).
+pub(super) fn reached(
+    task: TaskName,
+    episode: &EpisodeResult,
+    (position, angle, base): (f64, f64, f64),
+) -> Vec<bool> {
+    let of_hand = |(_, hand): (usize, &HandCourse)| {
+        f64::from(hand.position.last) < position && f64::from(hand.orientation.last) < angle
+    };
+    let hands = hands(task, episode).filter(|_| task.reaches()).map(of_hand);
+    let base = task.turns().then(|| f64::from(episode.base.last) < base);
+    hands.chain(base).collect()
 }

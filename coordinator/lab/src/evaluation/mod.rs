@@ -1,6 +1,7 @@
 //! How well a policy does on goals it never saw.
 
 mod errors;
+mod held;
 mod reach;
 mod success;
 mod summary;
@@ -13,6 +14,7 @@ use simulator::experiment::{CHUNK, EvaluationGoals};
 use store::checkpoint::Checkpoint;
 
 pub use self::errors::ErrorSummary;
+pub use self::held::HeldShare;
 pub use self::reach::{GoalSubset, Reach, Reachable, WithinReach, reachable};
 pub use self::success::Success;
 pub use self::summary::{ContactRates, Summary};
@@ -74,6 +76,7 @@ mod tests {
                 base_quaternion: [1.0, 0.0, 0.0, 0.0],
                 joints: vec![],
             },
+            held: None,
         };
         let episodes = [
             episode(vec![hand(0.01, 0.01), hand(0.03, 0.01)]),

@@ -89,7 +89,7 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Of the goals in whose episodes `evaluation` ended; none in `reorientation`.
+    /// Of the goals in whose episodes `evaluation` ended; none where the base has goals or goals move.
     pub fn of(
         world: &World,
         evaluation: &Evaluation,
@@ -97,7 +97,7 @@ impl Reach {
         threads: Threads,
         progress: &Parts,
     ) -> anyhow::Result<Option<Self>> {
-        if world.task.name != TaskName::Trajectory {
+        if !world.task.name.only_reaches() || world.task.name.moves() {
             return Ok(None);
         }
         let episodes = evaluation.episodes.len();

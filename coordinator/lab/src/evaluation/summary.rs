@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use simulator::evaluate::{ContactSteps, EpisodeResult, Evaluation};
 
 use super::errors::{ErrorSummary, agents, overall};
+use super::held::HeldShare;
 use super::reach::{Reach, Reachable, WithinReach};
 use super::success::{Success, success};
 use crate::goals::OwnGoals;
@@ -52,6 +53,9 @@ pub struct Summary {
     pub agents: Vec<ErrorSummary>,
     /// By threshold: the released code's and the paper's.
     pub success: Vec<Success>,
+    /// How often goals were held, in tasks in which they have to be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held: Option<HeldShare>,
     /// The same for goals that can be reached; in `trajectory`, if it was asked for.
     pub reachable: Option<Reachable>,
     /// The same for goals that were within reach at the end; likewise.
@@ -99,6 +103,7 @@ impl Summary {
             overall: overall(task, &episodes),
             agents: agents(task, &episodes),
             success: success(task, &episodes),
+            held: HeldShare::of(&episodes),
             reachable,
             within_reach_at_end,
             contact_rate: share(|episode| episode.contact_steps),

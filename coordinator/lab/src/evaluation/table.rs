@@ -1,6 +1,7 @@
 //! An evaluation as a person reads it.
 
 use super::errors::ErrorSummary;
+use super::held::HeldShare;
 use super::reach::GoalSubset;
 use super::summary::Summary;
 use super::verdict::Verdict;
@@ -65,6 +66,7 @@ impl Summary {
             }),
         );
         let episodes = output::counted(self.episodes.len() as u64, "episode");
+        let held = self.held.as_ref().map_or_else(String::new, HeldShare::line);
         let reachable = self.reachable.as_ref().map_or_else(String::new, |reachable| {
             let GoalSubset { goals, of, .. } = reachable.subset;
             format!("a controller that knows the robot reaches {goals} of the {of} hand goals\n")
@@ -75,7 +77,7 @@ impl Summary {
         });
         format!(
             "{} of {}, seed {}; std and percentiles are those of tail\n{errors}\n\n\
-             {success}\n\n{reachable}{at_end}contact in {} of steps, in {} of {}: of an arm with\n\
+             {success}\n\n{held}{reachable}{at_end}contact in {} of steps, in {} of {}: of an arm with\n\
              the base {}, a mount {}, itself {}, another arm {}",
             episodes,
             output::counted(self.steps as u64, "step"),
@@ -128,6 +130,7 @@ mod tests {
             overall: overall(),
             agents: (0..8).map(|agent| error(ErrorOf::Orientation, Some(agent))).collect(),
             success: vec![all; 2],
+            held: None,
             reachable: Some(Reachable { subset: subset(), controller: Vec::new() }),
             within_reach_at_end: Some(WithinReach { subset: subset(), hands: Vec::new() }),
             contact_rate: 1.0,

@@ -3,7 +3,7 @@
 use proto::config::TaskName;
 
 use super::errors::ErrorSummary;
-use crate::statistics::{Spread, milli, papers};
+use crate::statistics::{ErrorOf, Spread, milli};
 
 /// The mean errors of an evaluation beside those that the paper reports.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,19 +28,14 @@ struct Compared {
 impl Verdict {
     /// On the errors of all goals together.
     pub fn of(task: TaskName, overall: &[ErrorSummary]) -> Self {
-        let (position, angle) = papers(task);
-        let wanted: &[f64] = match task {
-            TaskName::Trajectory => &[position, angle],
-            TaskName::Reorientation => &[angle],
-        };
         let mean = |spread: &Spread| spread.mean;
-        let compared = |(paper, summary): (&f64, &ErrorSummary)| Compared {
+        let compared = |(error, summary): (ErrorOf, &ErrorSummary)| Compared {
             name: format!("{} (m{})", summary.error, summary.unit),
-            paper: *paper,
+            paper: error.papers(),
             min: mean(&summary.min),
             tail: mean(&summary.tail),
         };
-        Self { errors: wanted.iter().zip(overall).map(compared).collect() }
+        Self { errors: ErrorOf::of(task).zip(overall).map(compared).collect() }
     }
 
     /// Whether all errors are as small as the paper's, by one of its measures.
@@ -81,7 +76,6 @@ impl Verdict {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::statistics::ErrorOf;
 
     fn error(of: ErrorOf, min: f64, tail: f64) -> ErrorSummary {
         let spread = |mean| Spread { mean, std: 0.0, p50: mean, p90: mean, p99: mean };

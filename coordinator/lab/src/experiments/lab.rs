@@ -67,10 +67,7 @@ pub struct Lab {
 
 /// The option that names the policy of a task.
 fn flag(task: TaskName) -> &'static str {
-    match task {
-        TaskName::Trajectory => "--trajectory",
-        TaskName::Reorientation => "--reorientation",
-    }
+    if task.reaches() { "--trajectory" } else { "--reorientation" }
 }
 
 impl Lab {
@@ -338,10 +335,7 @@ impl Lab {
 
 /// Where the policy of a task is: its own option first, then its place in the directory of all.
 fn place(args: &Common, task: TaskName, needs: Needs) -> Option<PathBuf> {
-    let own = match task {
-        TaskName::Trajectory => &args.trajectory,
-        TaskName::Reorientation => &args.reorientation,
-    };
+    let own = if task.reaches() { &args.trajectory } else { &args.reorientation };
     let of_all = || {
         let place = args.policies.as_ref()?.join(task.as_str());
         // Of two that may be missing, one that is not there is not asked for; if neither is, the first is missed.

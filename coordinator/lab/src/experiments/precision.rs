@@ -58,8 +58,7 @@ impl Experiment for Study {
     }
 
     fn work(&self, lab: &Lab) -> u64 {
-        let reaches = |task| task == TaskName::Trajectory;
-        let reaching = lab.policies().iter().filter(|policy| reaches(policy.task())).count();
+        let reaching = lab.policies().iter().filter(|policy| policy.task().reaches()).count();
         lab.work(lab.policies().len(), 0) + (reaching * lab.episodes) as u64
     }
 
@@ -67,17 +66,12 @@ impl Experiment for Study {
         let measure = |policy| {
             let task = Contender::task(policy);
             let recording = lab.play(&trial_of(task), &lab.trial(policy))?;
-            let errors = match task {
-                TaskName::Trajectory => (0..lab.robot.n_arms)
-                    .flat_map(|arm| {
-                        [
-                            ErrorOfMany::position(&recording, arm),
-                            ErrorOfMany::orientation(&recording, arm),
-                        ]
-                    })
-                    .collect(),
-                TaskName::Reorientation => vec![ErrorOfMany::base(&recording)],
+            let of_hand = |arm| {
+                [ErrorOfMany::position(&recording, arm), ErrorOfMany::orientation(&recording, arm)]
             };
+            let hands = (0..lab.robot.n_arms).filter(|_| task.reaches()).flat_map(of_hand);
+            let base = task.turns().then(|| ErrorOfMany::base(&recording));
+            let errors = hands.chain(base).collect();
             let evaluation = Evaluation::of(&recording);
             let reach = lab.reach(policy, &evaluation)?;
             let summary =

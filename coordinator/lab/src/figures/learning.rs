@@ -2,9 +2,9 @@
 
 use drawing::{Axis, Item, Layout, Panel, line, render};
 use proto::config::TaskName;
-use run::selection::PAPER;
 
 use super::families::{Errors, Family, Over};
+use crate::statistics::ErrorOf;
 
 /// A quantity `[low, mean, high]` along a curve.
 type Read = fn(&Errors) -> &[[f64; 3]];
@@ -24,39 +24,29 @@ pub fn learning_alone(families: &[Family], over: Over) -> anyhow::Result<String>
 
 fn panels(families: &[Family], over: Over) -> Vec<Panel> {
     let mut panels = Vec::new();
-    for task in [TaskName::Trajectory, TaskName::Reorientation] {
+    for &task in TaskName::ALL {
         let families: Vec<&Family> = families.iter().filter(|family| family.task == task).collect();
         let ends = families.iter().filter_map(|family| family.along.last());
         let Some(most) = ends.copied().reduce(f64::max) else { continue };
         let x = Axis::linear(over.axis(), 0.0, most);
-        let (name, errors): (_, &[(&str, &str, f32, Read)]) = match task {
-            TaskName::Trajectory => (
-                "Trajectory",
-                &[
-                    ("position", "position error (mm)", PAPER.position, |errors| &errors.position),
-                    ("orientation", "orientation error (mrad)", PAPER.orientation, |errors| {
-                        &errors.orientation
-                    }),
-                ],
-            ),
-            TaskName::Reorientation => (
-                "Reorientation",
-                &[("base", "attitude error (mrad)", PAPER.base, |errors| &errors.base)],
-            ),
-        };
+        let mut name = task.as_str().to_owned();
+        name[..1].make_ascii_uppercase();
         let returns = items(&families, |family| (&family.along, &family.returns));
         let title = format!("{name}: return in training");
         panels.push(Panel::linear(title, x.clone(), "return, mean of the agents", returns));
-        for &(error, axis, paper, read) in errors {
+        for error in ErrorOf::of(task) {
+            let (axis, read): (_, Read) = match error {
+                ErrorOf::Position => ("position error (mm)", |errors| &errors.position),
+                ErrorOf::Orientation => ("orientation error (mrad)", |errors| &errors.orientation),
+                ErrorOf::Base => ("attitude error (mrad)", |errors| &errors.base),
+            };
             let mut items =
                 items(&families, |family| (&family.held_out.along, read(&family.held_out)));
             if items.is_empty() {
                 continue;
             }
-            items.push(Item::Threshold {
-                name: "the paper's".to_owned(),
-                at: 1e3 * f64::from(paper),
-            });
+            items
+                .push(Item::Threshold { name: "the paper's".to_owned(), at: 1e3 * error.papers() });
             let title = format!("{name}: {error}, held-out goals");
             panels.push(Panel::log(title, x.clone(), axis, items));
         }

@@ -1,10 +1,11 @@
 //! An episode that is played to be shown.
 
-use proto::config::TaskName;
+use proto::tasks::Aim;
 use proto::{ExitCode, ExitError};
 use simulator::experiment::{FixedGoals, Pose, Recording, Trial, play};
 use simulator::model::ContactKind;
 use simulator::robot::Robot;
+use simulator::task::Goals;
 use simulator::task::goal::GoalAddress;
 
 use crate::threads::Threads;
@@ -54,8 +55,8 @@ pub(super) struct Episode {
     pub(super) errors: Vec<MomentErrors>,
     /// Touching pairs at the beginning and after every control step, by kind.
     pub(super) contacts: Vec<[u32; ContactKind::COUNT]>,
-    /// Target of each hand: position (m) and Euler angles (rad); none if hands have none.
-    pub(super) hands: Vec<[f64; 6]>,
+    /// Arms and the targets of their hands, position (m) and Euler angles (rad), at the beginning and after every control step; none if hands have none.
+    pub(super) hands: Vec<Vec<(usize, [f64; 6])>>,
     /// Target attitude of the base: Euler angles (rad).
     pub(super) base: Option<[f64; 3]>,
     /// Length of a control step (s).
@@ -86,21 +87,29 @@ impl Episode {
     fn of(trained: &Trained, trial: &Trial<'_>, recording: &Recording) -> Self {
         let (robot, goals) = (&trained.world.robot, &trained.world.task.goals);
         let address: GoalAddress = trial.goals;
-        let reaches = trained.task() == TaskName::Trajectory;
-        let turns = trained.task() == TaskName::Reorientation;
-        let hand = |arm: usize| {
-            let given = trial.fixed.hands.get(arm).copied().flatten();
-            given.unwrap_or_else(|| goals.hand(arm, address))
-        };
+        let (reaches, turns) = (trained.task().reaches(), trained.task().turns());
+        let mut moving = Goals::<f64>::at_home(goals);
+        moving.draw(&trained.world.task, address, 0);
+        for (slot, given) in moving.hands.iter_mut().zip(&trial.fixed.hands) {
+            *slot = given.unwrap_or(*slot);
+        }
+        moving.attach();
+        let aims = &trained.world.task.aims;
+        let arms: Vec<usize> =
+            (0..robot.n_arms).filter(|arm| reaches && aims[*arm] == Aim::Hand).collect();
+        let mut hands = Vec::new();
+        for _ in 0..=recording.steps() {
+            hands.push(arms.iter().map(|arm| (*arm, moving.hands[*arm])).collect());
+            moving.advance(trained.world.config.env.control_period);
+        }
         let home = Pose {
             base_position: robot.home_position.map(|x| x as f32),
             base_quaternion: [1.0, 0.0, 0.0, 0.0],
             joints: robot.home_q().iter().map(|q| *q as f32).collect(),
         };
-        let arms = 0..if reaches { robot.n_arms } else { 0 };
         let errors = |step: usize| MomentErrors {
-            position: arms.clone().map(|arm| recording.position(0, step, arm)).collect(),
-            orientation: arms.clone().map(|arm| recording.orientation(0, step, arm)).collect(),
+            position: arms.iter().map(|arm| recording.position(0, step, *arm)).collect(),
+            orientation: arms.iter().map(|arm| recording.orientation(0, step, *arm)).collect(),
             attitude: turns.then(|| recording.attitude(0, step)),
         };
         let steps = 0..recording.steps();
@@ -111,8 +120,8 @@ impl Episode {
                 .into_iter()
                 .chain(steps.map(|step| recording.contacts(0, step)))
                 .collect(),
-            hands: arms.clone().map(hand).collect(),
-            base: turns.then(|| trial.fixed.base.unwrap_or_else(|| goals.attitude(address))),
+            hands,
+            base: turns.then(|| trial.fixed.base.unwrap_or(moving.base)),
             control_period: trained.world.config.env.control_period,
         }
     }

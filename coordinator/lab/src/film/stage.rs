@@ -146,8 +146,8 @@ impl<'a> Stage<'a> {
             overlays.extend(axes(&goal, [BASE_AXES, GOAL[1]], 0.5));
             overlays.extend(axes(&posed.base, [BASE_AXES, OWN[1]], 1.0));
         }
-        for (arm, goal) in self.episode.hands.iter().enumerate() {
-            let [x, y, z, euler @ ..] = *goal;
+        let goals = self.episode.hands.get(steps.round() as usize).map_or(&[][..], Vec::as_slice);
+        for &(arm, [x, y, z, euler @ ..]) in goals {
             let goal = Frame { origin: Vector::new(x, y, z), rotation: rotation(euler) };
             overlays.extend(axes(&goal, GOAL, 1.0));
             overlays.push(Overlay::Ring {
@@ -159,7 +159,7 @@ impl<'a> Stage<'a> {
                 behind: THROUGH,
             });
         }
-        if !self.episode.hands.is_empty() {
+        if !goals.is_empty() {
             overlays.extend(posed.hands.iter().flat_map(|hand| axes(hand, OWN, 1.0)));
         }
         overlays.extend(self.touches(steps, &posed));
@@ -262,7 +262,8 @@ fn placed(robot: &Robot, episode: &Episode, look: &Look) -> (Camera, Vector) {
         let parts = Posed::new(robot, pose).parts;
         parts.into_iter().flat_map(|part| part.solids).flat_map(|solid| solid.balls())
     };
-    let goals = episode.hands.iter().map(|goal| (Vector::new(goal[0], goal[1], goal[2]), GOAL[0]));
+    let goals = episode.hands.iter().step_by(stride).flatten();
+    let goals = goals.map(|(_, goal)| (Vector::new(goal[0], goal[1], goal[2]), GOAL[0]));
     let mut balls: Vec<(Vector, f64)> = poses.flat_map(of_pose).chain(goals).collect();
     if episode.base.is_some() {
         let around = episode.poses.iter().step_by(stride);

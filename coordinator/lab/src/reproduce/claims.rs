@@ -3,7 +3,6 @@
 //! A claim is judged by the paper's own measure, as far as it is known. Beside it stands a stricter one: the mean over the last 20 steps of all
 //! episodes with held-out goals, from which no lucky moment and no easy goal can be picked.
 
-use proto::config::TaskName;
 use serde::Serialize;
 
 use super::reports::Reports;
@@ -141,13 +140,14 @@ pub(super) fn claims(reports: &Reports) -> Vec<Claim> {
 fn precision(reports: &Reports) -> Vec<Claim> {
     let mut claims = Vec::new();
     for result in &reports.precision.results {
-        let Summary { task, overall, reachable, .. } = &result.summary;
+        let Summary { overall, reachable, .. } = &result.summary;
         for error in overall {
-            let (what, bound) = match (task, error.error) {
-                (TaskName::Trajectory, ErrorOf::Position) => ("trajectory, position", 0.025),
-                (TaskName::Trajectory, _) => ("trajectory, orientation", 0.04),
-                (TaskName::Reorientation, _) => ("reorientation", 0.03),
+            let what = match error.error {
+                ErrorOf::Position => "trajectory, position",
+                ErrorOf::Orientation => "trajectory, orientation",
+                ErrorOf::Base => "reorientation",
             };
+            let bound = error.error.papers();
             let ours = Some(error.min.mean);
             let measure = "mean of the minima over time";
             let paper = Bound::below(error.unit, bound);

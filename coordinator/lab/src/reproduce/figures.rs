@@ -63,15 +63,11 @@ pub(super) fn precision(reports: &Reports, links: &Links) -> anyhow::Result<Stri
     let mut panels = Vec::new();
     for result in &reports.precision.results {
         let episodes = &result.summary.episodes;
-        let n_arms = match result.summary.task {
-            TaskName::Trajectory => episodes.first().map_or(0, |episode| episode.hands.len()),
-            TaskName::Reorientation => 0,
-        };
-        let kinds: &[(ErrorOf, f64)] = match result.summary.task {
-            TaskName::Trajectory => &[(ErrorOf::Position, 25.0), (ErrorOf::Orientation, 40.0)],
-            TaskName::Reorientation => &[(ErrorOf::Base, 30.0)],
-        };
-        for &(error, claim) in kinds {
+        let task = result.summary.task;
+        let n_hands = episodes.first().map_or(0, |episode| episode.hands.len());
+        let n_arms = if task.reaches() { n_hands } else { 0 };
+        for error in ErrorOf::of(task) {
+            let claim = 1e3 * error.papers();
             let course = |episode: usize, arm: usize| match error {
                 ErrorOf::Position => episodes[episode].hands[arm].position,
                 ErrorOf::Orientation => episodes[episode].hands[arm].orientation,
@@ -118,14 +114,12 @@ pub(super) fn courses(reports: &Reports, links: &Links) -> anyhow::Result<String
     let mut panels = Vec::new();
     let steps = reports.precision.protocol.steps;
     for result in &reports.precision.results {
-        let kinds: &[(ErrorOf, &str)] = match result.summary.task {
-            TaskName::Trajectory => &[
-                (ErrorOf::Position, "Position of the hands"),
-                (ErrorOf::Orientation, "Orientation of the hands"),
-            ],
-            TaskName::Reorientation => &[(ErrorOf::Base, "Attitude of the base")],
-        };
-        for &(error, title) in kinds {
+        for error in ErrorOf::of(result.summary.task) {
+            let title = match error {
+                ErrorOf::Position => "Position of the hands",
+                ErrorOf::Orientation => "Orientation of the hands",
+                ErrorOf::Base => "Attitude of the base",
+            };
             let errors: Vec<&ErrorOfMany> =
                 result.errors.iter().filter(|other| other.error == error).collect();
             let items = errors.iter().enumerate().flat_map(|(index, error)| {

@@ -1,6 +1,5 @@
 //! How a trial's policy does on held-out goals.
 
-use proto::config::TaskName;
 use run::report::progress::Parts;
 use run::selection::MeanErrors;
 use serde::{Deserialize, Serialize};
@@ -102,10 +101,9 @@ impl Scored {
     fn of(summary: &Summary) -> Self {
         let [position, orientation, base] = tails(&summary.overall);
         let errors = MeanErrors { position, orientation, base };
-        let (position_m, angle_rad) = match summary.task {
-            TaskName::Trajectory => (Some(position), orientation),
-            TaskName::Reorientation => (None, base),
-        };
+        let reaches = summary.task.reaches();
+        let (position_m, angle_rad) =
+            if reaches { (Some(position), orientation) } else { (None, base) };
         let reachable = summary.reachable.as_ref().map(|reachable| {
             let [position_m, orientation_rad, _] = tails(&reachable.subset.overall);
             let goals = reachable.subset.goals;

@@ -53,20 +53,20 @@ fn returns(points: &[Point], x: Axis) -> Panel {
 
 fn errors(points: &[Point], x: Axis, task: TaskName) -> Panel {
     let milli = |read: fn(&Point) -> f64| series(points, |point| 1e3 * read(point));
-    let (title, y, items) = match task {
-        TaskName::Trajectory => (
-            "Errors of the hands after the last step",
-            "error (mm, mrad)",
-            vec![
-                line("position (mm)", 1, milli(|point| point.position)),
-                line("orientation (mrad)", 2, milli(|point| point.orientation)),
-            ],
-        ),
-        TaskName::Reorientation => (
-            "Error of the base after the last step",
-            "error (mrad)",
-            vec![line("attitude (mrad)", 2, milli(|point| point.base))],
-        ),
+    let (mut items, mut color) = (Vec::new(), 2);
+    if task.reaches() {
+        items.push(line("position (mm)", 1, milli(|point| point.position)));
+        items.push(line("orientation (mrad)", color, milli(|point| point.orientation)));
+        color += 1;
+    }
+    if task.turns() {
+        items.push(line("attitude (mrad)", color, milli(|point| point.base)));
+    }
+    let title = match (task.reaches(), task.turns()) {
+        (true, true) => "Errors of hands and base after the last step",
+        (true, false) => "Errors of the hands after the last step",
+        (false, _) => "Error of the base after the last step",
     };
+    let y = if task.reaches() { "error (mm, mrad)" } else { "error (mrad)" };
     Panel::log(title, x, y, items)
 }

@@ -222,11 +222,12 @@ fn describe_briefly(line: &Line, task: TaskName, planned_iterations: u64) -> Str
 
 fn errors(line: &Line, task: TaskName) -> String {
     let errors = &line.errors;
-    match task {
-        TaskName::Trajectory => {
-            format!("{:.0} mm {:.0} mrad", 1e3 * errors.position, 1e3 * errors.orientation)
-        }
-        TaskName::Reorientation => format!("{:.1} mrad", 1e3 * errors.base),
+    let hands = format!("{:.0} mm {:.0} mrad", 1e3 * errors.position, 1e3 * errors.orientation);
+    let base = format!("{:.1} mrad", 1e3 * errors.base);
+    match (task.reaches(), task.turns()) {
+        (true, true) => format!("{hands}, base {base}"),
+        (true, false) => hands,
+        (false, _) => base,
     }
 }
 

@@ -6,7 +6,7 @@ import { GPU } from "../page/gpu";
 import { colour } from "../page/theme";
 import { ofArm } from "../scene/colours";
 import type { Timeline } from "../simulation/timeline";
-import type { Description, Frame } from "../simulation/types";
+import { aimsOf, type Description, type Frame } from "../simulation/types";
 
 /** Curves are drawn anew at most so often (ms). */
 const REST = GPU ? 80 : 250;
@@ -30,19 +30,19 @@ const KINDS: Kind[] = [
     {
         title: "Position error",
         unit: "mm",
-        lines: ({ arms, task }) =>
-            task.includes("trajectory")
+        lines: ({ arms, ...tasks }) =>
+            aimsOf(tasks).hands
                 ? arms.map((label, arm) => ({ label, stroke: ofArm(arm), value: (frame) => 1000 * (frame.position_error[arm] ?? 0) }))
                 : [],
     },
     {
         title: "Attitude error",
         unit: "mrad",
-        lines: ({ arms, task }) => [
-            ...(task.includes("trajectory")
+        lines: ({ arms, ...tasks }) => [
+            ...(aimsOf(tasks).hands
                 ? arms.map((label, arm) => ({ label, stroke: ofArm(arm), value: (frame: Frame) => 1000 * (frame.orientation_error[arm] ?? 0) }))
                 : []),
-            ...(task.includes("reorientation") ? [{ label: "base", stroke: "#8b95a5", value: (frame: Frame) => 1000 * (frame.base_error[0] ?? 0) }] : []),
+            ...(aimsOf(tasks).base ? [{ label: "base", stroke: "#8b95a5", value: (frame: Frame) => 1000 * (frame.base_error[0] ?? 0) }] : []),
         ],
     },
     {

@@ -5,6 +5,7 @@ import { h } from "../page/dom";
 import { GPU } from "../page/gpu";
 import { colour } from "../page/theme";
 import { ARMS } from "../scene/colours";
+import type { Aims } from "../simulation/types";
 import type { Feed } from "./feed";
 import type { Evaluation, Metrics } from "./status";
 
@@ -21,19 +22,18 @@ interface Drawn {
 /** A curve over the iterations: of the training, or of evaluations on held-out goals. */
 type Kind = Drawn & ({ value(metrics: Metrics): number } | { held(evaluation: Evaluation): number });
 
-function kinds(task: string): Kind[] {
-    const errors: Kind[] =
-        task === "reorientation"
-            ? [
-                  { title: "Attitude error of the base", unit: "mrad, training", value: (m) => 1000 * m.errors.base, log: true },
-                  { title: "Attitude error of the base", unit: "mrad, held-out goals", held: (e) => 1000 * e.errors.tail.base, log: true },
-              ]
-            : [
-                  { title: "Position error", unit: "mm, training", value: (m) => 1000 * m.errors.position, log: true },
-                  { title: "Orientation error", unit: "mrad, training", value: (m) => 1000 * m.errors.orientation, log: true },
-                  { title: "Position error", unit: "mm, held-out goals", held: (e) => 1000 * e.errors.tail.position, log: true },
-                  { title: "Orientation error", unit: "mrad, held-out goals", held: (e) => 1000 * e.errors.tail.orientation, log: true },
-              ];
+function kinds({ hands, base }: Aims): Kind[] {
+    const ofBase: Kind[] = [
+        { title: "Attitude error of the base", unit: "mrad, training", value: (m) => 1000 * m.errors.base, log: true },
+        { title: "Attitude error of the base", unit: "mrad, held-out goals", held: (e) => 1000 * e.errors.tail.base, log: true },
+    ];
+    const ofHands: Kind[] = [
+        { title: "Position error", unit: "mm, training", value: (m) => 1000 * m.errors.position, log: true },
+        { title: "Orientation error", unit: "mrad, training", value: (m) => 1000 * m.errors.orientation, log: true },
+        { title: "Position error", unit: "mm, held-out goals", held: (e) => 1000 * e.errors.tail.position, log: true },
+        { title: "Orientation error", unit: "mrad, held-out goals", held: (e) => 1000 * e.errors.tail.orientation, log: true },
+    ];
+    const errors = [...(hands ? ofHands : []), ...(base ? ofBase : [])];
     return [
         { title: "Return", unit: "mean of agents", value: (m) => m.return_mean },
         ...errors,
@@ -50,7 +50,7 @@ function kinds(task: string): Kind[] {
 export class Growth {
     readonly element = h("section", { class: "growth", aria: { label: "Learning curves" } });
     private plots: { plot: uPlot; kind: Kind; box: HTMLElement }[] = [];
-    private task = "";
+    private aims: Aims | undefined;
     private drawnAt = 0;
     private drawnLines = 0;
     private waiting = false;
@@ -59,11 +59,11 @@ export class Growth {
         new ResizeObserver(() => this.resize()).observe(this.element);
     }
 
-    begin(task: string): void {
-        this.task = task;
+    begin(aims: Aims): void {
+        this.aims = aims;
         for (const { plot } of this.plots) plot.destroy();
         this.element.replaceChildren();
-        this.plots = kinds(task).map((kind, index) => {
+        this.plots = kinds(aims).map((kind, index) => {
             const box = h("figure", { class: "curve card" }, h("figcaption", {}, h("b", {}, kind.title), `  ${kind.unit}`));
             this.element.append(box);
             return { kind, box, plot: this.make(box, kind, ARMS[index % ARMS.length] ?? "#000") };
@@ -71,8 +71,9 @@ export class Growth {
     }
 
     /** Draws what there is: at once if it is much that is new, else as soon as it is time. */
-    show(feed: Feed, task: string): void {
-        if (task !== this.task || this.plots.length === 0) this.begin(task);
+    show(feed: Feed, aims: Aims): void {
+        const same = aims.hands === this.aims?.hands && aims.base === this.aims.base;
+        if (!same || this.plots.length === 0) this.begin(aims);
         const { length } = feed.metrics.lines;
         const rest = REST - (performance.now() - this.drawnAt);
         if (rest <= 0 || length > 2 * this.drawnLines || length < this.drawnLines) {
@@ -102,8 +103,7 @@ export class Growth {
 
     /** Colours have changed. */
     restyle(feed: Feed): void {
-        const { task } = this;
-        this.begin(task);
+        if (this.aims !== undefined) this.begin(this.aims);
         this.draw(feed);
     }
 

@@ -5,6 +5,7 @@ import { type Slider, slider } from "../controls/world";
 import { h, notice } from "../page/dom";
 import { json } from "../page/service";
 import { onTheme } from "../page/theme";
+import type { Aims } from "../simulation/types";
 import type { Blocks } from "./blocks";
 import { Checkpoints } from "./checkpoints";
 import type { Feed } from "./feed";
@@ -31,8 +32,8 @@ export class RunRoom {
         private readonly feed: Feed,
         private readonly blocks: Blocks,
         private readonly play: (name: string) => void,
-        /** The task of the robot that is shown, where no run says its own. */
-        private readonly taskShown: () => string,
+        /** What a task has goals for; of the robot that is shown, where no run says its own. */
+        private readonly aims: (task: string | undefined) => Aims,
         private readonly readOnly: boolean,
     ) {
         this.growth = new Growth((iteration) => this.playNearest(iteration));
@@ -63,7 +64,7 @@ export class RunRoom {
     }
 
     private draw(): void {
-        if (!this.element.hidden) this.growth.show(this.feed, this.feed.status?.task || this.taskShown());
+        if (!this.element.hidden) this.growth.show(this.feed, this.aims(this.feed.status?.task || undefined));
     }
 
     /** The policy after an iteration, or the nearest that is kept. */

@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import type { Timeline } from "../simulation/timeline";
+import { aimsOf } from "../simulation/types";
 import { bodiesBetween } from "./between";
 import { Flashes } from "./contacts";
 import { type Goal, Goals } from "./goals";
@@ -73,8 +74,8 @@ export class View {
         this.placeHands(from.bodies, from.hands);
         this.base.setFromMatrixPosition(this.bodies[0] as THREE.Matrix4);
         const nearest = share < 0.5 ? from : to;
-        const tasks = timeline.description.task;
-        const visible = (goal: Goal): boolean => (goal === "base" ? tasks.includes("reorientation") : tasks.includes("trajectory")) || this.goals.selected === goal;
+        const aims = aimsOf(timeline.description);
+        const visible = (goal: Goal): boolean => (goal === "base" ? aims.base : aims.hands) || this.goals.selected === goal;
         this.goals.show(nearest, this.base, visible);
         this.trails.group.visible = this.trailsShown;
         if (this.trailsShown) this.trails.show(timeline.frames, timeline.cursor, this.hands);

@@ -60,10 +60,18 @@ export const ARRAYS = [
 ] as const;
 export type ArrayName = (typeof ARRAYS)[number];
 
+/** What a task has goals for. */
+export interface Aims {
+    hands: boolean;
+    base: boolean;
+}
+
 /** The robot and where the simulator keeps its numbers. */
 export interface Description {
     robot: string;
     task: string[];
+    /** What the tasks that there are have goals for. */
+    aims: Record<string, Aims>;
     n_arms: number;
     n_joints: number;
     control_period: number;
@@ -92,4 +100,9 @@ export interface PolicyFiles {
     config: Uint8Array;
     robot: Uint8Array;
     tensors: Uint8Array;
+}
+
+/** What the policies that move the robot have goals for. */
+export function aimsOf({ task, aims }: Pick<Description, "task" | "aims">): Aims {
+    return { hands: task.some((name) => aims[name]?.hands), base: task.some((name) => aims[name]?.base) };
 }

@@ -14,7 +14,7 @@ __version__: str
 _Path = str | PathLike[str]
 _Floats = NDArray[np.float32]
 _Doubles = NDArray[np.float64]
-_Task = Literal["trajectory", "reorientation"]
+_Task = Literal["trajectory", "reorientation", "capture", "mixed"]
 
 @final
 class Config:

@@ -10,7 +10,7 @@ from spaceoctopus._native import Batch
 class ParallelEnv(pettingzoo.ParallelEnv):
     """One environment, agents by name: ``plus_y_shoulder``, ``plus_y_wrist``, and so on for each arm.
 
-    Observations are float32 of shape [O], as the configuration says (48 numbers in preset ``tuned``). Actions are float32 of shape [3]:
+    Observations are float32 of shape [O], as the configuration says (62 numbers in preset ``guided``, 48 in ``tuned``). Actions are float32 of shape [3]:
     joint velocities before scaling, clipped at the joints' limits. Nothing ends an episode before its last step; it is truncated there.
 
     ``config`` is the name of a preset, the path of a TOML file, or a ``Config``; ``task`` and ``set`` are as in ``octopus train``.

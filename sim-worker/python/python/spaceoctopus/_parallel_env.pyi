@@ -26,7 +26,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
         self,
         config: Config | _Path | None = None,
         *,
-        task: Literal["trajectory", "reorientation"] | None = None,
+        task: Literal["trajectory", "reorientation", "capture", "mixed"] | None = None,
         set: Sequence[str] = (),
         robot: Robot | _Path | None = None,
         render_mode: None = None,

@@ -22,7 +22,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         num_envs: int = 1,
         config: Config | _Path | None = None,
         *,
-        task: Literal["trajectory", "reorientation"] | None = None,
+        task: Literal["trajectory", "reorientation", "capture", "mixed"] | None = None,
         set: Sequence[str] = (),
         robot: Robot | _Path | None = None,
         threads: int | None = None,

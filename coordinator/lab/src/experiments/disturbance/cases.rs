@@ -59,33 +59,26 @@ pub(super) fn cases(study: &Study, task: TaskName, n_joints: usize) -> Vec<Case>
     let first = study.at;
     let all_along = |steps: Range<usize>, effect| Intervention { steps, effect };
     // A force that is given and taken back leaves angular momentum, because the hand has moved meanwhile; a torque leaves none.
-    let (unit, length, amount): (_, _, Box<dyn Fn(f64) -> Effect>) = match task {
-        TaskName::Trajectory => {
-            let (arm, force) = (study.arm - 1, study.force);
-            let effect =
-                move |sign: f64| Effect::HandForce { arm, force: [sign * force, 0.0, 0.0] };
-            (format!("{} N on hand {}", study.force, study.arm), 1, Box::new(effect))
-        }
-        TaskName::Reorientation => {
-            let torque = study.torque;
-            let effect = move |sign: f64| Effect::BaseTorque([0.0, 0.0, sign * torque]);
-            (format!("{} N m on the base", study.torque), BASE_STEPS, Box::new(effect))
-        }
+    let (unit, length, amount): (_, _, Box<dyn Fn(f64) -> Effect>) = if task.reaches() {
+        let (arm, force) = (study.arm - 1, study.force);
+        let effect = move |sign: f64| Effect::HandForce { arm, force: [sign * force, 0.0, 0.0] };
+        (format!("{} N on hand {}", study.force, study.arm), 1, Box::new(effect))
+    } else {
+        let torque = study.torque;
+        let effect = move |sign: f64| Effect::BaseTorque([0.0, 0.0, sign * torque]);
+        (format!("{} N m on the base", study.torque), BASE_STEPS, Box::new(effect))
     };
-    let (joints, value) = match task {
-        TaskName::Trajectory => {
-            let lift = (study.arm - 1) * JOINTS_PER_ARM + 1;
-            (lift..lift + 1, LIFT_ACTION)
-        }
-        TaskName::Reorientation => (0..n_joints, BASE_ACTION),
-    };
+    let lift = (study.arm - 1) * JOINTS_PER_ARM + 1;
+    let (joints, value) =
+        if task.reaches() { (lift..lift + 1, LIFT_ACTION) } else { (0..n_joints, BASE_ACTION) };
     let (once, twice) = (first..first + length, first + length..first + 2 * length);
     vec![
         Case {
             name: Disturbance::Override,
-            what: match task {
-                TaskName::Trajectory => format!("lift of arm {} at {value}", study.arm),
-                TaskName::Reorientation => format!("all actions at {value}"),
+            what: if task.reaches() {
+                format!("lift of arm {} at {value}", study.arm)
+            } else {
+                format!("all actions at {value}")
             },
             steps: once.clone(),
             interventions: vec![all_along(once.clone(), Effect::Action { joints, value })],

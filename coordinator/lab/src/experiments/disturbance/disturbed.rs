@@ -83,43 +83,34 @@ pub(super) fn measure(
         trial.episodes = 1;
         trial.fixed = FixedGoals {
             hands: HAND_GOALS.map(Some).to_vec(),
-            base: (task == TaskName::Reorientation).then_some(BASE_GOAL),
+            base: task.turns().then_some(BASE_GOAL),
         };
-        let arms: &[usize] = if task == TaskName::Trajectory { &[arm] } else { &[] };
+        let arms: &[usize] = if task.reaches() { &[arm] } else { &[] };
         let shown = lab.play(&Goals::Theirs.of_trial(&what), &trial)?;
         Some(Figure::of(&shown, Goals::Theirs, arms))
     } else {
         None
     };
     let axes = |[x, y, z]: [f32; 3]| x.abs().max(y.abs()).max(z.abs());
-    let within_reach = (task == TaskName::Trajectory).then(|| lab.within_reach(policy, &recording));
+    let within_reach = task.reaches().then(|| lab.within_reach(policy, &recording));
     let of_arm = |hands: &[Vec<bool>]| hands.iter().map(|hands| hands[arm]).collect::<Vec<bool>>();
     let within_reach = within_reach.as_deref().map(of_arm);
-    let mut errors = match task {
-        TaskName::Trajectory => {
-            let position = |episode, step| {
-                let [x, y, z, ..] = recording.hand(episode, step, arm);
-                axes([x, y, z])
-            };
-            let orientation = |episode, step| {
-                let [.., a, b, c] = recording.hand(episode, step, arm);
-                axes([a, b, c])
-            };
-            vec![
-                Recovery::of(&recording, ErrorOf::Position, POSITION, &case.steps, position),
-                Recovery::of(
-                    &recording,
-                    ErrorOf::Orientation,
-                    ORIENTATION,
-                    &case.steps,
-                    orientation,
-                ),
-            ]
-        }
-        TaskName::Reorientation => {
-            let base = |episode, step| axes(recording.base(episode, step));
-            vec![Recovery::of(&recording, ErrorOf::Base, BASE, &case.steps, base)]
-        }
+    let mut errors = if task.reaches() {
+        let position = |episode, step| {
+            let [x, y, z, ..] = recording.hand(episode, step, arm);
+            axes([x, y, z])
+        };
+        let orientation = |episode, step| {
+            let [.., a, b, c] = recording.hand(episode, step, arm);
+            axes([a, b, c])
+        };
+        vec![
+            Recovery::of(&recording, ErrorOf::Position, POSITION, &case.steps, position),
+            Recovery::of(&recording, ErrorOf::Orientation, ORIENTATION, &case.steps, orientation),
+        ]
+    } else {
+        let base = |episode, step| axes(recording.base(episode, step));
+        vec![Recovery::of(&recording, ErrorOf::Base, BASE, &case.steps, base)]
     };
     let rate = |episode, step| {
         let [x, y, z] = recording.base_rate(episode, step);
@@ -142,7 +133,7 @@ pub(super) fn measure(
         disturbance: case.name,
         what: case.what,
         steps: [case.steps.start, case.steps.end],
-        arm: (task == TaskName::Trajectory).then_some(arm + 1),
+        arm: task.reaches().then_some(arm + 1),
         errors,
         base_rate_peak: spread(
             episodes().map(|e| (first..steps).map(|step| rate(e, step)).fold(0.0, f32::max)),

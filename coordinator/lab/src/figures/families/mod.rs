@@ -181,8 +181,7 @@ impl Family {
             None if evaluated => "never".to_owned(),
             None => String::new(),
         };
-        let hands = self.task == TaskName::Trajectory;
-        let of_hands = |values| if hands { last(values) } else { String::new() };
+        let of_hands = |values| if self.task.reaches() { last(values) } else { String::new() };
         [
             self.name.clone(),
             self.task.as_str().to_owned(),
