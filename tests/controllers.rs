@@ -219,10 +219,8 @@ impl Asked {
 /// The numbers of a state, and of the goals, as inputs have them.
 fn state_and_goals(episode: &Episode, world: &World) -> [Vec<f32>; 2] {
     let goals = episode.goals();
-    let goals = match world.config.task.name {
-        TaskName::Trajectory => goals.hands.concat(),
-        TaskName::Reorientation => goals.base.to_vec(),
-    };
+    let hands = world.config.task.name.reaches();
+    let goals = if hands { goals.hands.concat() } else { goals.base.to_vec() };
     [episode.state().parts().concat(), goals]
 }
 

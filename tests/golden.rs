@@ -47,6 +47,12 @@ pub const ITERATIONS: u64 = 3;
 
 const TASKS: [TaskName; 2] = [TaskName::Trajectory, TaskName::Reorientation];
 const PRESETS: [Preset; 3] = [Preset::Tuned, Preset::Paper, Preset::Release];
+/// Beside all combinations of these.
+const MORE: [(Preset, TaskName); 3] = [
+    (Preset::Guided, TaskName::Trajectory),
+    (Preset::Guided, TaskName::Capture),
+    (Preset::Tuned, TaskName::Mixed),
+];
 const ALGORITHMS: [AlgorithmName; 4] =
     [AlgorithmName::Mappo, AlgorithmName::Ippo, AlgorithmName::Ppo, AlgorithmName::Maddpg];
 const BACKENDS: [Backend; 3] = [Backend::Portable, Backend::Avx2, Backend::Avx512];
@@ -136,7 +142,7 @@ pub fn evaluations() -> Result<Digests> {
     Ok(digests)
 }
 
-/// Trainings of both tasks, every preset and every algorithm, with `overlap` 0 and 1, in single precision, and with preset
+/// Trainings of the paper's tasks, presets without and with goal postures, other tasks, and every algorithm, with `overlap` 0 and 1, in single precision, and with preset
 /// `tuned` in bfloat16, too; `few` of them, or all. `report` hears of each.
 pub fn trainings(few: bool, report: &(dyn Fn(&str) + Sync)) -> Result<Digests> {
     let mut all = Vec::new();
@@ -187,11 +193,12 @@ pub fn processor() -> String {
 }
 
 fn combinations() -> impl Iterator<Item = (Preset, TaskName, AlgorithmName)> {
-    PRESETS.into_iter().flat_map(|preset| {
+    let all = PRESETS.into_iter().flat_map(|preset| {
         TASKS.into_iter().flat_map(move |task| {
             ALGORITHMS.into_iter().map(move |algorithm| (preset, task, algorithm))
         })
-    })
+    });
+    all.chain(MORE.map(|(preset, task)| (preset, task, AlgorithmName::Mappo)))
 }
 
 fn name(preset: Preset, task: TaskName, algorithm: AlgorithmName) -> String {

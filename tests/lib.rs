@@ -70,7 +70,13 @@ pub const SMALL: &[&str] = &[
     "--set=run.learner_threads=1",
     "--set=run.checkpoint_every=5",
     "--set=run.evaluate_every=0",
+    // A search in every episode, which would be most of the time where episodes have eight steps.
+    "--set=task.posture.seen=false",
+    "--set=task.posture.gain=0",
 ];
+
+/// After the options of a small run: with goal postures all the same.
+pub const WITH_POSTURES: &[&str] = &["--set=task.posture.seen=true", "--set=task.posture.gain=0.7"];
 
 /// What becomes a program that hears of a closed terminal, also where the tests were started with `nohup`.
 pub const HEARS_HANG_UPS: &[&str] = &["env", "--default-signal=HUP"];

@@ -28,22 +28,23 @@ const HEAD: &str = "\
 
 This page is made from the code by `make guide`, and a test keeps it current.
 
-* **Default** is the value in preset `tuned`, for task `trajectory` and algorithm `mappo`. Where task `reorientation` has another
+* **Default** is the value in preset `guided`, for task `trajectory` and algorithm `mappo`. Where another task has another
   value, it follows.
-* **`paper`** and **`release`** are the values in those presets, likewise; – means the same as in `tuned`.
-* Presets `robust` and `guided` are `tuned` but for what their files say, `deploy/presets/robust.toml` and `guided.toml`.
+* **`paper`** and **`release`** are the values in those presets, likewise; – means the same as in `guided`.
+* Preset `guided` is `tuned` but for what its file says, `deploy/presets/guided.toml`, and so is `robust`.
 * **Range** is what is accepted; both ends belong to it. Where an end depends on another key, the range is that of preset `tuned`.
 * [Configuration](configuration.md) says how a key is set, and what changes with another algorithm.
 ";
 
 /// The page.
 pub fn page() -> Result<String> {
-    let source = Source::read(&repository().join("proto/src/config"))?;
+    let source =
+        Source::read(&["config", "tasks"].map(|of| repository().join("proto/src").join(of)))?;
     let defaults = Defaults::new()?;
     let mut page = HEAD.to_owned();
     let mut keys = Vec::new();
     section(&source, &defaults, "Config", "", &mut page, &mut keys)?;
-    let known = flat_keys(&defaults.tuned, "");
+    let known = flat_keys(&defaults.default, "");
     ensure!(
         keys.len() == known.len() && known.iter().all(|key| keys.contains(key)),
         "the documented keys {keys:?} are not those of the presets, {known:?}"
@@ -66,11 +67,17 @@ struct Field {
 }
 
 impl Source {
-    fn read(folder: &Path) -> Result<Self> {
+    fn read(folders: &[PathBuf]) -> Result<Self> {
         let mut source = Self { groups: BTreeMap::new(), choices: BTreeMap::new() };
-        let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
-        for entry in entries {
-            let path = entry?.path();
+        let mut paths = Vec::new();
+        for folder in folders {
+            let entries =
+                std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
+            for entry in entries {
+                paths.push(entry?.path());
+            }
+        }
+        for path in paths {
             if path.extension().is_none_or(|extension| extension != "rs") {
                 continue;
             }
@@ -80,6 +87,10 @@ impl Source {
                 source.take(item);
             }
         }
+        // Named by a macro.
+        let tasks = TaskName::ALL.iter();
+        let tasks = tasks.map(|t| (t.as_str().to_owned(), format!("{}.", t.definition().about())));
+        source.choices.insert("TaskName".to_owned(), tasks.collect());
         Ok(source)
     }
 
@@ -154,13 +165,13 @@ fn renamed(variant: &str, style: &str) -> String {
     name
 }
 
-const PRESETS: [Preset; 3] = [Preset::Tuned, Preset::Paper, Preset::Release];
+const PRESETS: [Preset; 3] = [Preset::DEFAULT, Preset::Paper, Preset::Release];
 
 /// The presets, resolved.
 struct Defaults {
-    tuned: Table,
-    /// For each preset its tables for the two tasks.
-    all: [[Table; 2]; 3],
+    default: Table,
+    /// For each preset its tables for the tasks that it has settings for.
+    all: [Vec<(TaskName, Table)>; 3],
 }
 
 impl Defaults {
@@ -168,27 +179,35 @@ impl Defaults {
         let table = |preset, task| -> Result<Table> {
             Ok(Layers::new(preset, Some(task)).resolve()?.to_toml().parse()?)
         };
-        let both = |preset| -> Result<[Table; 2]> {
-            Ok([table(preset, TaskName::Trajectory)?, table(preset, TaskName::Reorientation)?])
+        let of_tasks = |preset| -> Result<Vec<(TaskName, Table)>> {
+            let papers = |task: &&TaskName| {
+                preset == Preset::DEFAULT
+                    || [TaskName::Trajectory, TaskName::Reorientation].contains(task)
+            };
+            let tasks = TaskName::ALL.iter().filter(papers);
+            tasks.map(|&task| Ok((task, table(preset, task)?))).collect()
         };
-        let all = [both(PRESETS[0])?, both(PRESETS[1])?, both(PRESETS[2])?];
-        Ok(Self { tuned: all[0][0].clone(), all })
+        let all = [of_tasks(PRESETS[0])?, of_tasks(PRESETS[1])?, of_tasks(PRESETS[2])?];
+        Ok(Self { default: all[0][0].1.clone(), all })
     }
 
     /// How the columns of a key read.
     fn columns(&self, key: &str) -> Result<[String; 3]> {
-        let said = |tables: &[Table; 2]| -> Result<String> {
-            let [one, other] = [lookup(&tables[0], key)?, lookup(&tables[1], key)?];
-            let one_text = shown(one);
-            if one == other || key == "task.name" {
-                return Ok(one_text);
+        let said = |tables: &[(TaskName, Table)]| -> Result<String> {
+            let first = lookup(&tables[0].1, key)?;
+            let mut text = shown(first);
+            for (task, table) in &tables[1..] {
+                let other = lookup(table, key)?;
+                if other != first && key != "task.name" {
+                    let _ = write!(text, "; `{}` {}", task.as_str(), shown(other));
+                }
             }
-            Ok(format!("{one_text}; `reorientation` {}", shown(other)))
+            Ok(text)
         };
-        let [tuned, paper, release] =
+        let [default, paper, release] =
             [said(&self.all[0])?, said(&self.all[1])?, said(&self.all[2])?];
-        let unless_same = |text: String| if text == tuned { "–".to_owned() } else { text };
-        Ok([tuned.clone(), unless_same(paper), unless_same(release)])
+        let unless_same = |text: String| if text == default { "–".to_owned() } else { text };
+        Ok([default.clone(), unless_same(paper), unless_same(release)])
     }
 }
 
@@ -264,7 +283,7 @@ fn section(
         let key = format!("{prefix}{}", field.name);
         ensure!(!field.meaning.is_empty(), "{key} has no documentation in proto/src/config");
         let [default, paper, release] = defaults.columns(&key)?;
-        let value = lookup(&defaults.tuned, &key)?;
+        let value = lookup(&defaults.default, &key)?;
         let range = match source.choices.get(&field.kind) {
             Some(variants) => {
                 let _ = writeln!(choices, "\n`{key}` is one of");

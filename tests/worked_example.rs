@@ -66,6 +66,8 @@ pub struct Example {
     pub hands: Vec<Pose>,
     /// Where they shall go.
     pub goals: Vec<Pose>,
+    /// Goal postures, an arm each: whether they bring the hand to its goal (1 or 0), whether they are free of stops, what is left to each joint (rad).
+    pub postures: Vec<[f64; 2 + JOINTS_PER_ARM]>,
     /// What each agent sees, by agent and place.
     pub observations: Vec<Vec<f64>>,
     /// What the policy says, clipped, joint after joint.
@@ -117,12 +119,13 @@ impl Example {
 
         let address =
             GoalAddress { seed: 0, purpose: Purpose::EvaluationGoal, iteration: 0, env: 0 };
-        let mut goals: Goals<f64> = world.task.goals.at_home();
+        let mut goals = Goals::<f64>::at_home(&world.task.goals);
         for (arm, goal) in goals.hands.iter_mut().enumerate() {
             *goal = world.task.goals.hand(arm, address);
         }
-        let mut errors = Errors::new(robot.n_arms);
+        let mut errors = Errors::of(&world.task, &robot);
         errors.update(&found, &goals);
+        let guidance = errors.guidance(&world.task);
 
         let mut observations = Vec::new();
         let mut actions = Vec::new();
@@ -135,8 +138,8 @@ impl Example {
             actions.extend(mean);
             observations.push(seen);
         }
-        for (action, limit) in actions.iter_mut().zip(limits) {
-            *action = action.clamp(-limit, *limit);
+        for ((action, guidance), limit) in actions.iter_mut().zip(guidance).zip(limits) {
+            *action = (*action + guidance).clamp(-limit, *limit);
         }
         let pose = |p: [f64; 6]| Pose { position: [p[0], p[1], p[2]], euler: [p[3], p[4], p[5]] };
         Ok(Self {
@@ -157,6 +160,7 @@ impl Example {
             commands: actions.iter().map(|action| world.task.action_scale * action).collect(),
             actions,
             observations,
+            postures: errors.postures().context("the policy knows goal postures")?,
             state: Moment {
                 base_position: found.base_position,
                 base_quaternion: found.base_quaternion,
@@ -210,6 +214,7 @@ impl Example {
         ];
         state.into_iter().flatten().for_each(round);
         self.observations.iter_mut().flatten().for_each(round);
+        self.postures.iter_mut().flatten().for_each(round);
         self.actions.iter_mut().chain(&mut self.commands).for_each(round);
         self
     }
@@ -255,6 +260,15 @@ impl Example {
             });
             let _ = writeln!(page, "| {} | {home} | {now} | {goal} |", arm + 1);
         }
+        let _ = writeln!(
+            page,
+            "\n## Goal postures\n\nThey follow from joint angles, base and goals alone. `octopus_postures` of an exported controller and \
+             `spaceoctopus.Postures` find them in single precision.\n\n\
+             | arm | good | free | what is left to each joint (rad) |\n|---|---|---|---|"
+        );
+        for (arm, [good, free, left @ ..]) in self.postures.iter().enumerate() {
+            let _ = writeln!(page, "| {} | {good} | {free} | {} |", arm + 1, list(left));
+        }
         let _ = writeln!(page, "\n## What the agents of arms 1 and 2 see\n");
         let _ = writeln!(
             page,
@@ -294,7 +308,7 @@ The commands are those of single precision, as `actor.py` computes. Workers mult
 ";
 
 /// Parts of an observation: what, from where, to where.
-const PARTS: [(&str, usize, usize); 13] = [
+const PARTS: [(&str, usize, usize); 16] = [
     ("velocity of the base", 0, 3),
     ("angular velocity of the base", 3, 6),
     ("sines of the joint angles less home", 6, 12),
@@ -306,8 +320,11 @@ const PARTS: [(&str, usize, usize); 13] = [
     ("tanh(position error / 0.015 m)", 33, 36),
     ("tanh(rotation error / 0.08 rad)", 36, 39),
     ("tanh(rotation error / 0.025 rad)", 39, 42),
-    ("last action, joints 1 to 3", 42, 45),
-    ("last action, joints 4 to 6", 45, 48),
+    ("goal posture: good, free", 42, 44),
+    ("what is left to each joint", 44, 50),
+    ("tanh(what is left / 0.1 rad)", 50, 56),
+    ("last action, joints 1 to 3", 56, 59),
+    ("last action, joints 4 to 6", 59, 62),
 ];
 
 fn list(numbers: &[f64]) -> String {

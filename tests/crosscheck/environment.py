@@ -63,6 +63,7 @@ for number, arm in enumerate(robot["arms"]):
         (position, attitude),
         (np.array(goal["position"]), from_euler(goal["euler"])),
         (q, state["qd"][joints], state["last_action"][joints]),
+        example["postures"][number],
     )
     for agent in (2 * number, 2 * number + 1):
         wrong = np.abs(seen - example["observations"][agent])

@@ -202,16 +202,16 @@ with tempfile.TemporaryDirectory() as folder:
         assert load(str(run) + given).path.name == "iteration-%08d" % expected, given
     refused(ValueError, "holds no checkpoint `7`; it has iteration-00000012", load, str(run) + ":7")
     policy = load(POLICY)
-    assert policy.iteration == 516
+    assert policy.iteration == 125
 
     two = spaceoctopus.Batch(2, robot=two_arm, set=SHORT)
     two.reset()
-    assert two.observation.shape == (2, 4, 48) and two.hand_goal.shape == (2, 2, 6)
+    assert two.observation.shape == (2, 4, 62) and two.hand_goal.shape == (2, 2, 6)
 
-refused(ValueError, "shape (8, 47)", policy.act, np.zeros((8, 47)))
-refused(ValueError, "environment 1, agent 0: observation 3 is NaN", policy.act, np.where(np.arange(2 * 8 * 48).reshape(2, 8, 48) == 8 * 48 + 3, np.nan, 0))
-refused(TypeError, "real numbers", policy.act, np.zeros((8, 48), complex))
-assert policy.act(np.zeros((0, 8, 48))).shape == (0, 8, 3)
+refused(ValueError, "shape (8, 61)", policy.act, np.zeros((8, 61)))
+refused(ValueError, "environment 1, agent 0: observation 3 is NaN", policy.act, np.where(np.arange(2 * 8 * 62).reshape(2, 8, 62) == 8 * 62 + 3, np.nan, 0))
+refused(TypeError, "real numbers", policy.act, np.zeros((8, 62), complex))
+assert policy.act(np.zeros((0, 8, 62))).shape == (0, 8, 3)
 refused(ValueError, "steps is 0", policy.evaluate, 1, 0)
 refused(ValueError, "episodes is", policy.evaluate, 10**7)
 refused(ValueError, "hand_goal has 3 numbers", policy.play, 0, 1, hand_goal=[1, 2, 3])

@@ -26,7 +26,7 @@ for agent in env.possible_agents:
     assert env.observation_space(agent) is env.observation_space(agent)
     assert env.action_space(agent) is env.action_space(agent)
 first, _ = env.reset(seed=3)
-assert env.state().shape == env.state_space.shape == (181,)
+assert env.state().shape == env.state_space.shape == (237,)
 again, _ = env.reset(seed=3)
 other, _ = env.reset()
 assert data_equivalence(first, again) and not data_equivalence(first, other)
@@ -45,7 +45,7 @@ seen, _ = env.reset(seed=5, options={"env": 42})
 assert np.array_equal(np.stack([seen[agent] for agent in env.agents]), batch.observation[2])
 
 # --- Gymnasium --------------------------------------------------------------------------------------------------
-for observe, size in (("agents", 8 * 48), ("state", 181)):
+for observe, size in (("agents", 8 * 62), ("state", 237)):
     envs = spaceoctopus.VectorEnv(3, set=SHORT, observe=observe)
     assert envs.single_observation_space.shape == (size,) and envs.observation_space.shape == (3, size)
     assert envs.single_action_space.shape == (24,)

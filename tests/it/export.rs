@@ -89,11 +89,10 @@ fn means(courses: &[Course], world: &simulator::rollout::World) -> Vec<f64> {
         let tails: Vec<f64> = chosen.map(|(_, course)| f64::from(course.tail)).collect();
         tails.iter().sum::<f64>() / tails.len() as f64
     };
-    match world.config.task.name {
-        TaskName::Trajectory => {
-            vec![of(&|i| i + 1 < group && i % 2 == 0), of(&|i| i + 1 < group && i % 2 == 1)]
-        }
-        TaskName::Reorientation => vec![of(&|i| i + 1 == group)],
+    if world.config.task.name.reaches() {
+        vec![of(&|i| i + 1 < group && i % 2 == 0), of(&|i| i + 1 < group && i % 2 == 1)]
+    } else {
+        vec![of(&|i| i + 1 == group)]
     }
 }
 
@@ -225,7 +224,7 @@ fn an_export_is_whole_or_absent_and_leaves_what_is_there() {
     let contract: toml::Table = contract.expect("there").parse().expect("TOML");
     assert_eq!(contract["trained"]["digest"].as_str(), Some(digest));
     assert_eq!(contract["controller"]["control_period_s"].as_float(), Some(0.4));
-    assert_eq!(contract["input"].as_array().map(Vec::len), Some(8));
+    assert_eq!(contract["input"].as_array().map(Vec::len), Some(9));
     assert_eq!(contract["held_out"]["episodes"].as_integer(), Some(2));
     let limits = contract["output"][0]["ranges"].as_array().expect("ranges");
     assert_eq!(limits[0][1].as_float(), Some(2.0942 * 0.8));
@@ -301,7 +300,7 @@ fn a_checkpoint_that_is_no_whole_policy_is_refused_in_words() {
                 entry["blake3"] = blake3::hash(two_arms.as_bytes()).to_hex().to_string().into();
                 std::fs::write(path, manifest.to_string()).expect("written");
             },
-            "the configuration wants F32 [4, 48]",
+            "the configuration wants F32 [4, 62]",
         ),
     ];
     for (name, change, said) in changes {

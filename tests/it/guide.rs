@@ -31,6 +31,7 @@ commands_run! {
     jobs_run: "deploy/guide/src/jobs.md",
     machines_run: "deploy/guide/src/machines.md",
     plans_run: "deploy/guide/src/plans.md",
+    tasks_run: "deploy/guide/src/tasks.md",
     robots_run: "deploy/guide/src/robots.md",
     the_environment_runs: "deploy/guide/src/environment.md",
     a_policy_on_a_robot_runs: "deploy/guide/src/robot-controller.md",
@@ -47,7 +48,7 @@ fn no_document_has_commands_that_are_not_run() {
     for document in documents().expect("a summary") {
         let text = std::fs::read_to_string(repository().join(&document)).expect(&document);
         let found = blocks(&text);
-        let known = ["sh", "python", "text", "toml", "c"];
+        let known = ["sh", "python", "text", "toml", "c", "rust"];
         for block in &found {
             assert!(known.contains(&block.language.as_str()), "{document}:{}", block.line);
         }

@@ -38,4 +38,5 @@ mod run_directory;
 mod shared_memory;
 mod signals;
 mod sweep;
+mod tasks;
 mod verify;

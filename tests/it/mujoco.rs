@@ -418,8 +418,8 @@ fn a_policy_ends_at_each_goal_in_mujoco_as_it_does_here() {
 /// The same of one that acts beside goal postures. It has learned nothing: what brings hands to their goals is what acts beside it.
 #[test]
 fn a_policy_with_goal_postures_ends_at_each_goal_in_mujoco_as_it_does_here() {
-    let mut run =
-        tests::Run::train(&["--preset=guided", "--iterations=1", "--set=network.hidden=[16,16]"]);
+    let small = ["--iterations=1", "--set=network.hidden=[16,16]"];
+    let mut run = tests::Run::train(&[&small[..], tests::WITH_POSTURES].concat());
     run.succeed();
     let checkpoint = run.path().join("checkpoints/iteration-00000001");
     let (n, worst) = ends_as_here(&checkpoint);

@@ -202,11 +202,11 @@ fn a_policy_acts_the_same_in_numpy() {
     for (more, largest) in [
         (&[f32][..], 1e-5),
         // Products of bfloat16 are not NumPy's.
-        (&["--set=network.inference=\"bf16\""], 0.02),
+        (&["--preset=tuned", "--set=network.inference=\"bf16\""], 0.02),
         (&[f32, "--preset=paper"], 1e-5),
         (&[f32, "--preset=paper", tanh, "--algorithm=ppo"], 1e-5),
         (&[f32, "--preset=release", plain], 1e-5),
-        (&[f32, "--preset=guided"], 1e-5),
+        (&[&[f32], tests::WITH_POSTURES].concat(), 1e-5),
         (&[&[f32, "--algorithm=maddpg"], &calm[..]].concat(), 1e-5),
         (&[&[f32, "--preset=release", "--algorithm=maddpg"], &calm[..]].concat(), 1e-5),
     ] {
