@@ -13,7 +13,6 @@ use proto::layout::{BlockHeader, BlockLayout, Dimensions, EpisodeMetrics};
 use proto::message::{
     Accounting, Errors, HostId, INCARNATIONS_OF_A_GATEWAY, host_of, policy_version_for,
 };
-use proto::tasks::Aim;
 
 use crate::LearnerError;
 
@@ -234,7 +233,7 @@ fn origin(header: &BlockHeader) -> Option<(u32, HostId)> {
     Some((header.incarnation / INCARNATIONS_OF_A_GATEWAY, host_of(header.worker)?))
 }
 
-/// Means of the episodes' errors over hands that have goals (all, where none has) and episodes of all blocks.
+/// Means of the episodes' errors over the hands that `task` measures and episodes of all blocks.
 pub fn errors(task: TaskName, dimensions: &Dimensions, shards: &[&[f32]]) -> Errors {
     let layout = BlockLayout::new(dimensions);
     let places = EpisodeMetrics::new(dimensions.n_arms);
@@ -244,9 +243,11 @@ pub fn errors(task: TaskName, dimensions: &Dimensions, shards: &[&[f32]]) -> Err
             .flat_map(|shard| shard[layout.metrics.clone()].chunks_exact(dimensions.n_metrics))
     };
     let n_arms = dimensions.n_arms;
-    let counts = |arm: usize| !task.reaches() || task.aim(arm, n_arms) == Aim::Hand;
     let of_hands = |place: &Range<usize>| {
-        (0..n_arms).filter(|arm| counts(*arm)).map(|arm| place.start + arm).collect::<Vec<_>>()
+        (0..n_arms)
+            .filter(|&arm| task.measures_hand(arm, n_arms))
+            .map(|arm| place.start + arm)
+            .collect::<Vec<_>>()
     };
     let mean = |places: &[usize]| {
         let count = places.len() * dimensions.n_envs * shards.len();

@@ -15,7 +15,7 @@ use crate::tasks::Target;
 /// Least of `run.order_deadline_s`: two signs of life in a row may come late.
 const SHORTEST_SILENCE: Duration = HEARTBEAT.saturating_mul(3);
 
-/// What a body may turn by while hands follow it (rad): hands at home are turned by up to half of a half turn, and errors are differences of Euler angles.
+/// What a body may turn by while hands follow it (rad): hands at home are turned by up to a quarter turn, and errors are differences of Euler angles.
 const FARTHEST_TURN: f64 = 1.2;
 
 impl Config {

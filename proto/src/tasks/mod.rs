@@ -2,7 +2,7 @@
 //!
 //! A task is a value of one trait, [`TaskDefinition`], and a line in [`TaskName`]. All else follows from what it says of its
 //! arms' [aims](Aim) and goals: the errors, what agents and critics see of them, who is paid for which, the figures of an evaluation,
-//! the page. So a task that is added here trains, evaluates, films and exports.
+//! the page. So a task that is added here is trained, evaluated and filmed; what else can be done with it, `deploy/guide/src/tasks.md` says.
 //!
 //! | task | file |
 //! |---|---|
@@ -145,6 +145,11 @@ impl TaskName {
     /// Whether all hands have goals, and the base has none.
     pub fn only_reaches(self) -> bool {
         !self.turns()
+    }
+
+    /// Whether the hand of arm `arm` counts in mean errors: where it has a goal, or where none has one, as a distance from home.
+    pub fn measures_hand(self, arm: usize, n_arms: usize) -> bool {
+        !self.reaches() || self.aim(arm, n_arms) == Aim::Hand
     }
 
     /// Whether goals move.

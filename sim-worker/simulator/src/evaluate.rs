@@ -161,16 +161,13 @@ pub fn select(
     let trial = Trial::new(Player::new(world, policy), SELECTION_SEED, first + n, steps);
     let mut recording = Recording::new(n_arms, n, steps);
     play_some(&trial, first, n, recording.series_mut(), on_step)?;
-    let task = world.task.name;
-    // Of all hands where none has a goal: how far they are from home.
-    let counts = |aim: &Aim| !task.reaches() || *aim == Aim::Hand;
-    let n_hands = world.task.aims.iter().filter(|aim| counts(aim)).count();
+    let measured: Vec<usize> =
+        (0..n_arms).filter(|&arm| world.task.name.measures_hand(arm, n_arms)).collect();
     let errors = Evaluation::of(&recording).episodes.into_iter().map(|result| {
         let errors = |of: fn(&Course) -> f32| {
             let mean = |course: fn(&HandCourse) -> &Course| {
-                let hands = result.hands.iter().zip(&world.task.aims);
-                let hands = hands.filter(|(_, aim)| counts(aim));
-                hands.map(|(hand, _)| of(course(hand))).sum::<f32>() / n_hands as f32
+                let errors = measured.iter().map(|&arm| of(course(&result.hands[arm])));
+                errors.sum::<f32>() / measured.len() as f32
             };
             let [position, orientation] =
                 [mean(|hand| &hand.position), mean(|hand| &hand.orientation)];
