@@ -14,11 +14,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::target::Target;
-use crate::agents::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
+use crate::agents::JOINTS_PER_ARM;
 use crate::rng::{Address, Purpose};
-
-/// Joints of an arm.
-pub const JOINTS_PER_ARM: usize = AGENTS_PER_ARM * JOINTS_PER_AGENT;
 
 /// What goals and observations take from the robot, all at its home pose.
 #[derive(Debug, Clone)]

@@ -25,7 +25,6 @@ use serde::{Deserialize, Serialize};
 
 pub use self::goals::{
     ArmGoals, EpisodeGoals, FreeBody, GoalAddress, GoalBox, GoalRanges, Home, HomeArm,
-    JOINTS_PER_ARM,
 };
 pub use self::target::Target;
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::agents::JOINTS_PER_ARM;
 use crate::config::{Layers, Preset};
 use crate::rng::Purpose;
 

@@ -1,11 +1,9 @@
 //! What a robot is made of: links, arms, and the pairs of bodies whose contact a joint's angle tells.
 
 use nalgebra::{Matrix3, Vector3};
+pub use proto::agents::JOINTS_PER_ARM;
 
 use super::{BaseBox, RigidBody, Shape};
-
-/// Moving links of an arm.
-pub const JOINTS_PER_ARM: usize = 6;
 
 /// Most arms a robot may have.
 pub const MAX_ARMS: usize = 8;
