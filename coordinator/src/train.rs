@@ -15,7 +15,6 @@ use run::start::session::{Ended, Start, run_session};
 use run::supervisor::{GatewaySpec, Programs};
 use run::{errors, precision};
 use service::http::Token;
-use simulator::env::step_options;
 use simulator::robot::Robot;
 use store::lock::RunLock;
 use store::provenance::Provenance;
@@ -126,7 +125,7 @@ fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let config = precision::resolve(configure(args)?);
     check_token_file(&args.http)?;
     bucket::check(&config)?;
-    let robot = run::robots::load_fit_robot(&config.robot.description, &step_options(&config))?;
+    let robot = run::robots::load_robot_of(&config)?;
     match &args.run_dir {
         Some(path) => {
             check_vacant(path)?;

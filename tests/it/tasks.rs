@@ -72,3 +72,22 @@ fn half_of_the_arms_reach_while_the_others_turn() {
     assert!(found["held"].is_null());
     shown_and_not_exported(&one, "mixed");
 }
+
+#[test]
+fn a_task_for_two_arms_is_refused_on_a_robot_with_one() {
+    let robots =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/simulator/robots/two-arm.toml");
+    let two = std::fs::read_to_string(robots).expect("it is there");
+    let at = two.rfind("[[arms]]").expect("two arms");
+    let place = tempfile::tempdir().expect("tempdir");
+    let robot = place.path().join("one.toml");
+    std::fs::write(&robot, &two[..at]).expect("room");
+    let (runs, robot) = (place.path().join("run"), robot.display().to_string());
+    let (out, set) =
+        (format!("--run-dir={}", runs.display()), format!("--set=robot.description={robot}"));
+    let output = octopus(&["train", "mixed", &out, &set, "--iterations=1"]);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    let said = stderr(&output);
+    assert!(said.contains("has 1 arm, and task `mixed` needs 2"), "{said}");
+    assert!(!runs.exists(), "nothing is left of it");
+}

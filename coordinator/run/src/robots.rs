@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
+use proto::config::Config;
 use proto::{ExitCode, ExitError};
+use simulator::env::step_options;
 use simulator::robot::Robot;
 use simulator::step::StepOptions;
 use store::regular_files;
@@ -31,6 +33,23 @@ pub fn load_fit_robot(name: &str, options: &StepOptions) -> anyhow::Result<Robot
     // What is built in is fit: a test holds it to that.
     if Robot::builtin_names().all(|builtin| builtin != name) {
         shakedown(&robot, name, options)?;
+    }
+    Ok(robot)
+}
+
+/// The robot of a run, refused where its task asks for more arms than it has.
+pub fn load_robot_of(config: &Config) -> anyhow::Result<Robot> {
+    let name = &config.robot.description;
+    let robot = load_fit_robot(name, &step_options(config))?;
+    let task = config.task.name;
+    let (fewest, there) = (task.definition().fewest_arms(), robot.n_arms);
+    if there < fewest {
+        let message = format!(
+            "robot {name} has {there} arm{}, and task `{}` needs {fewest}; take another robot (robot.description) or another task",
+            if there == 1 { "" } else { "s" },
+            task.as_str()
+        );
+        return Err(ExitError::new(ExitCode::BadInput, message).into());
     }
     Ok(robot)
 }

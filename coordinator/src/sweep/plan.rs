@@ -7,7 +7,6 @@ use lab::sweep::study::{Study, Trial};
 use proto::config::{Config, Preset};
 use proto::{ExitCode, ExitError};
 use run::errors;
-use simulator::env::step_options;
 use simulator::evaluate::EvaluationOptions;
 use store::checkpoint::flatten;
 use toml::Value;
@@ -100,7 +99,7 @@ impl Plan {
 /// The configuration of a trial, if it can be trained.
 fn checked(run: &PlannedRun) -> anyhow::Result<Config> {
     let config = run.config()?;
-    run::robots::load_fit_robot(&config.robot.description, &step_options(&config))?;
+    run::robots::load_robot_of(&config)?;
     Ok(config)
 }
 

@@ -13,6 +13,10 @@ impl TaskDefinition for Mixed {
         "Hands of half of the arms to target poses, the base by the others to a target attitude"
     }
 
+    fn fewest_arms(&self) -> usize {
+        2
+    }
+
     fn aim(&self, arm: usize, n_arms: usize) -> Aim {
         if 2 * arm < n_arms { Aim::Hand } else { Aim::Base }
     }

@@ -55,6 +55,11 @@ pub trait TaskDefinition: Sync {
     /// What it is, in some words, for helps and tables.
     fn about(&self) -> &'static str;
 
+    /// The fewest arms with which it makes sense.
+    fn fewest_arms(&self) -> usize {
+        1
+    }
+
     /// What arm `arm` of a robot with `n_arms` works for.
     fn aim(&self, arm: usize, n_arms: usize) -> Aim;
 
