@@ -81,7 +81,7 @@ function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, blocks: Blocks, 
     const aims = (task: string | undefined): Aims => {
         const { description } = robot.timeline;
         const of = task === undefined ? undefined : description?.aims[task];
-        return of ?? (description ? aimsOf(description) : { hands: true, base: true });
+        return of ?? (description ? aimsOf(description) : { hands: [0, 1, 2, 3], base: true });
     };
     const run = new RunRoom(feed, blocks, play, aims, readOnly);
     const buttons = {

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use proto::config::TaskName;
+use proto::tasks::Aim;
 use serde::Serialize;
 use simulator::experiment::Episode;
 use simulator::robot::{JOINTS_PER_ARM, Robot};
@@ -68,7 +69,8 @@ enum Shape<'a> {
 /// What a task has goals for.
 #[derive(Serialize)]
 struct Aims {
-    hands: bool,
+    /// Arms whose hands have goals.
+    hands: Vec<usize>,
     base: bool,
 }
 
@@ -90,10 +92,7 @@ pub(crate) fn json(episode: &Episode, arrays: &Arrays) -> Result<String, String>
     let description = Description {
         robot: &robot.name,
         task: episode.members().iter().map(task).collect(),
-        aims: TaskName::ALL
-            .iter()
-            .map(|task| (task.as_str(), Aims { hands: task.reaches(), base: task.turns() }))
-            .collect(),
+        aims: TaskName::ALL.iter().map(|task| (task.as_str(), aims(*task, robot.n_arms))).collect(),
         n_arms: robot.n_arms,
         n_joints,
         control_period: episode.control_period(),
@@ -105,6 +104,11 @@ pub(crate) fn json(episode: &Episode, arrays: &Arrays) -> Result<String, String>
         arrays: places.collect(),
     };
     serde_json::to_string(&description).map_err(|error| error.to_string())
+}
+
+fn aims(task: TaskName, n_arms: usize) -> Aims {
+    let reaches = |arm: &usize| task.aim(*arm, n_arms) == Aim::Hand;
+    Aims { hands: (0..n_arms).filter(reaches).collect(), base: task.turns() }
 }
 
 fn bodies(robot: &Robot) -> Vec<Body<'_>> {

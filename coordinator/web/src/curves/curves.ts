@@ -26,23 +26,25 @@ interface Line {
 
 const JOINTS = ["shoulder pan", "shoulder lift", "elbow", "wrist 1", "wrist 2", "wrist 3"];
 
+/** A line for each hand that has a goal. */
+function ofHands(robot: Description, value: (frame: Frame, arm: number) => number): Line[] {
+    const { hands } = aimsOf(robot);
+    const lines = robot.arms.map((label, arm) => ({ label, stroke: ofArm(arm), value: (frame: Frame) => value(frame, arm) }));
+    return lines.filter((_, arm) => hands.includes(arm));
+}
+
 const KINDS: Kind[] = [
     {
         title: "Position error",
         unit: "mm",
-        lines: ({ arms, ...tasks }) =>
-            aimsOf(tasks).hands
-                ? arms.map((label, arm) => ({ label, stroke: ofArm(arm), value: (frame) => 1000 * (frame.position_error[arm] ?? 0) }))
-                : [],
+        lines: (robot) => ofHands(robot, (frame, arm) => 1000 * (frame.position_error[arm] ?? 0)),
     },
     {
         title: "Attitude error",
         unit: "mrad",
-        lines: ({ arms, ...tasks }) => [
-            ...(aimsOf(tasks).hands
-                ? arms.map((label, arm) => ({ label, stroke: ofArm(arm), value: (frame: Frame) => 1000 * (frame.orientation_error[arm] ?? 0) }))
-                : []),
-            ...(aimsOf(tasks).base ? [{ label: "base", stroke: "#8b95a5", value: (frame: Frame) => 1000 * (frame.base_error[0] ?? 0) }] : []),
+        lines: (robot) => [
+            ...ofHands(robot, (frame, arm) => 1000 * (frame.orientation_error[arm] ?? 0)),
+            ...(aimsOf(robot).base ? [{ label: "base", stroke: "#8b95a5", value: (frame: Frame) => 1000 * (frame.base_error[0] ?? 0) }] : []),
         ],
     },
     {

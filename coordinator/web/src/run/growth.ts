@@ -33,7 +33,7 @@ function kinds({ hands, base }: Aims): Kind[] {
         { title: "Position error", unit: "mm, held-out goals", held: (e) => 1000 * e.errors.tail.position, log: true },
         { title: "Orientation error", unit: "mrad, held-out goals", held: (e) => 1000 * e.errors.tail.orientation, log: true },
     ];
-    const errors = [...(hands ? ofHands : []), ...(base ? ofBase : [])];
+    const errors = [...(hands.length > 0 ? ofHands : []), ...(base ? ofBase : [])];
     return [
         { title: "Return", unit: "mean of agents", value: (m) => m.return_mean },
         ...errors,
@@ -72,7 +72,7 @@ export class Growth {
 
     /** Draws what there is: at once if it is much that is new, else as soon as it is time. */
     show(feed: Feed, aims: Aims): void {
-        const same = aims.hands === this.aims?.hands && aims.base === this.aims.base;
+        const same = aims.hands.length === this.aims?.hands.length && aims.base === this.aims.base;
         if (!same || this.plots.length === 0) this.begin(aims);
         const { length } = feed.metrics.lines;
         const rest = REST - (performance.now() - this.drawnAt);

@@ -75,7 +75,7 @@ export class View {
         this.base.setFromMatrixPosition(this.bodies[0] as THREE.Matrix4);
         const nearest = share < 0.5 ? from : to;
         const aims = aimsOf(timeline.description);
-        const visible = (goal: Goal): boolean => (goal === "base" ? aims.base : aims.hands) || this.goals.selected === goal;
+        const visible = (goal: Goal): boolean => (goal === "base" ? aims.base : aims.hands.includes(goal)) || this.goals.selected === goal;
         this.goals.show(nearest, this.base, visible);
         this.trails.group.visible = this.trailsShown;
         if (this.trailsShown) this.trails.show(timeline.frames, timeline.cursor, this.hands);

@@ -62,7 +62,8 @@ export type ArrayName = (typeof ARRAYS)[number];
 
 /** What a task has goals for. */
 export interface Aims {
-    hands: boolean;
+    /** Arms whose hands have goals. */
+    hands: number[];
     base: boolean;
 }
 
@@ -104,5 +105,5 @@ export interface PolicyFiles {
 
 /** What the policies that move the robot have goals for. */
 export function aimsOf({ task, aims }: Pick<Description, "task" | "aims">): Aims {
-    return { hands: task.some((name) => aims[name]?.hands), base: task.some((name) => aims[name]?.base) };
+    return { hands: task.flatMap((name) => aims[name]?.hands ?? []), base: task.some((name) => aims[name]?.base) };
 }
