@@ -1,6 +1,7 @@
 //! Where a run's numbers come from: program, machine, command line, time.
 
 use std::borrow::Cow;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -33,6 +34,9 @@ pub struct Provenance {
     pub processors: usize,
     /// Memory of the machine (bytes).
     pub memory: u64,
+    /// Names of the machine's GPUs, used or not.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub gpus: Vec<String>,
     /// What the digests of the run can be compared with.
     pub promise: Cow<'static, str>,
 }
@@ -71,6 +75,7 @@ impl Provenance {
             vector_extensions: vector_extensions().into_iter().map(Cow::Borrowed).collect(),
             processors: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
             memory: memory(),
+            gpus: gpus(Path::new("/proc/driver/nvidia/gpus")),
             promise: PROMISE.into(),
         }
     }
@@ -105,6 +110,19 @@ pub fn memory() -> u64 {
     let machine = info.totalram as u64 * u64::from(info.mem_unit);
     let limit = std::fs::read_to_string("/sys/fs/cgroup/memory.max").unwrap_or_default();
     limit.trim().parse().map_or(machine, |limit: u64| machine.min(limit))
+}
+
+/// The GPUs' names as their driver gives them, a folder each in `directory`.
+fn gpus(directory: &Path) -> Vec<String> {
+    let folders = std::fs::read_dir(directory).into_iter().flatten().flatten();
+    let mut folders: Vec<_> = folders.map(|folder| folder.path()).collect();
+    folders.sort();
+    let name = |folder: &PathBuf| {
+        let text = std::fs::read_to_string(folder.join("information")).ok()?;
+        let name = text.lines().find_map(|line| line.strip_prefix("Model:"))?;
+        Some(name.trim().to_owned())
+    };
+    folders.iter().filter_map(name).collect()
 }
 
 /// A moment in UTC, to the second.
@@ -149,6 +167,20 @@ mod tests {
         assert_eq!(text(1_709_251_199), "2024-02-29T23:59:59Z");
         assert_eq!(text(4_107_542_400), "2100-03-01T00:00:00Z");
         assert_eq!(Utc::from_unix(1_767_268_801).compact(), "20260101-120001");
+    }
+
+    #[test]
+    fn gpus_are_told_by_their_names() {
+        let place = tempfile::tempdir().expect("tempdir");
+        let there = place.path();
+        assert!(gpus(&there.join("nowhere")).is_empty());
+        for (slot, name) in [("0000:02:00.0", "B"), ("0000:01:00.0", "A")] {
+            std::fs::create_dir(there.join(slot)).expect("room");
+            let text = format!("Model: \t\t {name}\nIRQ:   \t\t 16\n");
+            std::fs::write(there.join(slot).join("information"), text).expect("room");
+        }
+        std::fs::create_dir(there.join("0000:03:00.0")).expect("room");
+        assert_eq!(gpus(there), ["A", "B"]);
     }
 
     /// Seconds come from manifests, which others may have written.
