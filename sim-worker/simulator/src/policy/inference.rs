@@ -7,7 +7,7 @@ use proto::config::{Activation, InputNorm};
 
 use super::dense::tile_groups;
 use super::pack::{Affine, Policy, Product};
-use crate::scalar::Real;
+use crate::scalar::{Kernel, Real};
 
 /// ε of LayerNorm (Ba, Kiros and Hinton 2016), PyTorch's default.
 const LAYER_NORM_EPSILON: f64 = 1e-5;
@@ -37,6 +37,17 @@ impl Policy {
     /// Shape: `observations` is `[group][input]`, `means` is `[group][output]`; groups of several actors stand one after the other.
     #[inline(always)]
     pub fn mean<S: Real>(
+        &self,
+        actor: usize,
+        observations: &[S],
+        scratch: &mut Scratch<S>,
+        means: &mut [S],
+    ) {
+        S::compiled(Mean { policy: self, actor, observations, scratch, means });
+    }
+
+    #[inline(always)]
+    fn infer<S: Real>(
         &self,
         actor: usize,
         observations: &[S],
@@ -116,6 +127,24 @@ impl Policy {
             }
             group += width;
         }
+    }
+}
+
+struct Mean<'a, S: Real> {
+    policy: &'a Policy,
+    actor: usize,
+    observations: &'a [S],
+    scratch: &'a mut Scratch<S>,
+    means: &'a mut [S],
+}
+
+impl<S: Real> Kernel<S> for Mean<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { policy, actor, observations, scratch, means } = self;
+        policy.infer(actor, observations, scratch, means);
     }
 }
 

@@ -6,7 +6,7 @@ use super::randomization::Randomized;
 use super::start::scatter;
 use crate::env::Physics;
 use crate::robot::{JOINTS_PER_ARM, Robot};
-use crate::scalar::Real;
+use crate::scalar::{Kernel, Real};
 use crate::state::State;
 use crate::task::goal::GoalAddress;
 use crate::task::{Errors, Goals, Readings, Task};
@@ -40,6 +40,26 @@ impl<S: Real> LaneGroup<S> {
         goals: GoalAddress,
         (first, n_envs): (usize, usize),
     ) -> Self {
+        S::compiled(Begin { robot, task, conditions, physics, goals, first, n_envs })
+    }
+}
+
+struct Begin<'a, S: Real> {
+    robot: &'a Robot,
+    task: &'a Task,
+    conditions: &'a Conditions,
+    physics: &'a mut Physics<S>,
+    goals: GoalAddress,
+    first: usize,
+    n_envs: usize,
+}
+
+impl<S: Real> Kernel<S> for Begin<'_, S> {
+    type Output = LaneGroup<S>;
+
+    #[inline(always)]
+    fn run(self) -> LaneGroup<S> {
+        let Self { robot, task, conditions, physics, goals, first, n_envs } = self;
         let mut drawn = Goals::at_home(&task.goals);
         let env_of = |lane: usize| goals.env + (first + lane).min(n_envs - 1) as u32;
         for lane in 0..S::LANES {
@@ -53,7 +73,7 @@ impl<S: Real> LaneGroup<S> {
         let randomized =
             Randomized::draw(&conditions.randomization, (robot, task), (goals, env_of));
         let joints = vec![S::zero(); robot.n_arms * JOINTS_PER_ARM];
-        Self {
+        LaneGroup {
             state,
             readings,
             goals: drawn,

@@ -48,7 +48,7 @@ use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 use super::frame::ArmFrame;
 use super::{Aim, Errors, Goals, Readings, Task};
 use crate::robot::JOINTS_PER_ARM;
-use crate::scalar::Real;
+use crate::scalar::{Kernel, Real};
 use crate::spatial::{mat_t_vec, quaternion_to_rotation};
 
 /// Factor on velocities in the released layout.
@@ -214,6 +214,30 @@ pub fn observe<S: Real>(
     agent: usize,
     out: &mut [S],
 ) {
+    S::compiled(Observe { task, readings, goals, errors, agent, out });
+}
+
+struct Observe<'a, S: Real> {
+    task: &'a Task,
+    readings: &'a Readings<S>,
+    goals: &'a Goals<S>,
+    errors: &'a Errors<S>,
+    agent: usize,
+    out: &'a mut [S],
+}
+
+impl<S: Real> Kernel<S> for Observe<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        write(self);
+    }
+}
+
+#[inline(always)]
+fn write<S: Real>(observe: Observe<'_, S>) {
+    let Observe { task, readings, goals, errors, agent, out } = observe;
     let arm = agent / AGENTS_PER_ARM;
     let mut out = Writer::new(out);
     match task.observation {

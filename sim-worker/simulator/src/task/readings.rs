@@ -4,7 +4,7 @@ use super::{Goals, Task};
 use crate::posture::{Pace, Posture, Postures};
 use crate::robot::JOINTS_PER_ARM;
 use crate::robot::Robot;
-use crate::scalar::Real;
+use crate::scalar::{Kernel, Real};
 use crate::spatial::{
     euler_xyz_to_rotation, mat_t_vec, quaternion_to_rotation, rotation_difference,
 };
@@ -182,6 +182,11 @@ impl<S: Real> Errors<S> {
     /// Takes the errors of `readings` against `goals`.
     #[inline(always)]
     pub fn update(&mut self, readings: &Readings<S>, goals: &Goals<S>) {
+        S::compiled(Update { errors: self, readings, goals });
+    }
+
+    #[inline(always)]
+    fn take(&mut self, readings: &Readings<S>, goals: &Goals<S>) {
         let base = quaternion_to_rotation(&readings.base_quaternion);
         for arm in 0..self.hands.len() {
             let (hand, goal) = (&readings.hands[arm], &goals.hands[arm]);
@@ -228,6 +233,21 @@ impl<S: Real> Errors<S> {
             let base = (readings.base_position, readings.base_quaternion);
             postures.update(base, &readings.q, &goals.hands);
         }
+    }
+}
+
+struct Update<'a, S: Real> {
+    errors: &'a mut Errors<S>,
+    readings: &'a Readings<S>,
+    goals: &'a Goals<S>,
+}
+
+impl<S: Real> Kernel<S> for Update<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.errors.take(self.readings, self.goals);
     }
 }
 

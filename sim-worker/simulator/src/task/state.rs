@@ -11,7 +11,7 @@ use proto::config::CriticState;
 
 use super::observation::Writer;
 use super::{Errors, Readings, Task};
-use crate::scalar::Real;
+use crate::scalar::{Kernel, Real};
 
 /// Writes the critic state into `out` (length S); `observations` is `[A][O]`.
 #[inline(always)]
@@ -22,6 +22,29 @@ pub fn critic_state<S: Real>(
     observations: &[S],
     out: &mut [S],
 ) {
+    S::compiled(Critic { task, readings, errors, observations, out });
+}
+
+struct Critic<'a, S: Real> {
+    task: &'a Task,
+    readings: &'a Readings<S>,
+    errors: &'a Errors<S>,
+    observations: &'a [S],
+    out: &'a mut [S],
+}
+
+impl<S: Real> Kernel<S> for Critic<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        write(self);
+    }
+}
+
+#[inline(always)]
+fn write<S: Real>(critic: Critic<'_, S>) {
+    let Critic { task, readings, errors, observations, out } = critic;
     let mut out = Writer::new(out);
     match task.critic_state {
         CriticState::Own => {}
