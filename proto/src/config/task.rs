@@ -66,7 +66,7 @@ pub struct Reward {
     pub epsilon: f64,
     /// Whether the collision term counts touching pairs (`true`) or only says whether any touch.
     pub count_collisions: bool,
-    /// Whether an agent answers for contacts of its own arm alone, instead of the whole robot's (trajectory).
+    /// Whether an agent answers for contacts of its own arm alone, instead of the whole robot's.
     #[serde(default)]
     pub own_collisions: bool,
     /// Share of the mean of its arm's two rewards in an agent's (trajectory); the rest is its own reward.

@@ -7,8 +7,8 @@
 //! e is `scale` times the error norm after the step, u the clipped action before scaling, u⁻ the
 //! step before's, co the number of touching pairs of the whole robot after the step (or of those in
 //! which the agent's arm takes part), or whether any touch. Of an arm that reaches, position and orientation agents each have their own e and weights and the
-//! norms run over the agent's three joints. All agents of arms that turn the base receive the same number
-//! and the norms run over the joints of these arms.
+//! norms run over the agent's three joints. For all agents of arms that turn the base e and the norms, which run over the joints of these
+//! arms, are the same.
 //!
 //! The two agents of an arm that reaches may share: each then gets (1 − τ) times its own reward and
 //! τ times the mean of both, the team spirit of OpenAI et al. 2019 ("Dota 2 with large scale deep
@@ -21,7 +21,7 @@ use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
 use super::{Aim, Errors, Task};
 use crate::collision::Touching;
 use crate::robot::JOINTS_PER_ARM;
-use crate::scalar::Real;
+use crate::scalar::{Kernel, Real};
 
 /// The formula; `error` is the plain norm, `change` and `effort` squared norms.
 #[inline(always)]
@@ -55,15 +55,35 @@ pub fn rewards<S: Real>(
     touching: &Touching<S>,
     out: &mut [S],
 ) {
-    let shared = if task.name.turns() {
-        shared(task, errors, action, last_action, touching)
-    } else {
-        S::zero()
-    };
+    S::compiled(Rewards { task, errors, action, last_action, touching, out });
+}
+
+struct Rewards<'a, S: Real> {
+    task: &'a Task,
+    errors: &'a Errors<S>,
+    action: &'a [S],
+    last_action: &'a [S],
+    touching: &'a Touching<S>,
+    out: &'a mut [S],
+}
+
+impl<S: Real> Kernel<S> for Rewards<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        of_all(self);
+    }
+}
+
+#[inline(always)]
+fn of_all<S: Real>(rewards: Rewards<'_, S>) {
+    let Rewards { task, errors, action, last_action, touching, out } = rewards;
+    let motion = motion_of_turning_arms(task, action, last_action);
     for (arm, out) in out.chunks_exact_mut(AGENTS_PER_ARM).enumerate() {
         match task.aims[arm] {
             Aim::Hand => of_hand((task, arm), errors, action, last_action, touching, out),
-            Aim::Base => out.fill(shared),
+            Aim::Base => out.fill(of_base((task, arm), errors, motion, touching)),
         }
     }
 }
@@ -102,16 +122,9 @@ fn of_hand<S: Real>(
     }
 }
 
-/// The reward that all agents of arms that turn the base receive.
+/// ‖u − u⁻‖² and ‖u‖² over the joints of all arms that turn the base.
 #[inline(always)]
-fn shared<S: Real>(
-    task: &Task,
-    errors: &Errors<S>,
-    action: &[S],
-    last_action: &[S],
-    touching: &Touching<S>,
-) -> S {
-    let reward = &task.reward;
+fn motion_of_turning_arms<S: Real>(task: &Task, action: &[S], last_action: &[S]) -> (S, S) {
     let mut motion = (S::zero(), S::zero());
     for (arm, aim) in task.aims.iter().enumerate() {
         if *aim == Aim::Base {
@@ -119,8 +132,20 @@ fn shared<S: Real>(
             add_squared_norms(&action[joints.clone()], &last_action[joints], &mut motion);
         }
     }
-    let (change, effort) = motion;
-    let collision = collision(reward, touching.pairs);
+    motion
+}
+
+/// The reward of the agents of an arm that turns the base, all of which move by `motion`.
+#[inline(always)]
+fn of_base<S: Real>(
+    (task, arm): (&Task, usize),
+    errors: &Errors<S>,
+    (change, effort): (S, S),
+    touching: &Touching<S>,
+) -> S {
+    let reward = &task.reward;
+    let pairs = if reward.own_collisions { touching.by_arm[arm] } else { touching.pairs };
+    let collision = collision(reward, pairs);
     formula(&reward.base, reward.epsilon, errors.base_norm, change, effort, collision)
 }
 
