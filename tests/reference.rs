@@ -31,7 +31,7 @@ This page is made from the code by `make guide`, and a test keeps it current.
 * **Default** is the value in preset `guided`, for task `trajectory` and algorithm `mappo`. Where another task has another
   value, it follows.
 * **`paper`** and **`release`** are the values in those presets, likewise; – means the same as in `guided`.
-* Preset `guided` is `tuned` but for what its file says, `deploy/presets/guided.toml`, and so is `robust`.
+* Preset `guided` is `tuned` but for what its file says, `deploy/presets/guided.toml`, and `robust` is `guided` but for what its file says.
 * **Range** is what is accepted; both ends belong to it. Where an end depends on another key, the range is that of preset `tuned`.
 * [Configuration](configuration.md) says how a key is set, and what changes with another algorithm.
 ";

@@ -17,7 +17,7 @@ pub enum Preset {
     Paper,
     /// The authors' released code.
     Release,
-    /// Preset `tuned`, trained with a robot whose drives and sensors err.
+    /// Preset `guided`, trained with a robot whose drives and sensors err.
     Robust,
 }
 
@@ -31,7 +31,11 @@ impl Preset {
 
     /// The preset that this one only changes, if there is one.
     fn base(self) -> Option<Self> {
-        matches!(self, Self::Robust | Self::Guided).then_some(Self::Tuned)
+        match self {
+            Self::Robust => Some(Self::Guided),
+            Self::Guided => Some(Self::Tuned),
+            Self::Tuned | Self::Paper | Self::Release => None,
+        }
     }
 
     /// The preset of this name.
@@ -63,8 +67,10 @@ impl Preset {
     /// Its table, with every key that exists, and its changes for a task or an algorithm.
     pub(super) fn tables(self) -> Result<(Table, Option<Value>), ConfigError> {
         let mut table = parse(self.text(), &self.origin())?;
-        if let Some(base) = self.base() {
+        let mut above = self;
+        while let Some(base) = above.base() {
             table = laid_over(parse(base.text(), &base.origin())?, table);
+            above = base;
         }
         let conditional = table.remove("for");
         Ok((table, conditional))
