@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Subcommand};
-use lab::experiments::common::Common;
+use clap::{Args, Subcommand, ValueEnum as _};
+use lab::experiments::common::{Beside, Common};
 use lab::experiments::{
     Experiment, arm_failure, base_mass, disturbance, noise, perform, precision, reassembly,
 };
@@ -90,6 +90,8 @@ Examples:
   octopus experiment noise --policies trained
   octopus experiment noise --trajectory runs/a:best --sensors 0,10,100 \\
       --episodes 10
+  octopus experiment noise --policies trained --beside runs/robust \\
+      --beside jacobian
 
 One thing at a time is made worse. Sensors of strength 1 err by 1 mm, 1 mrad, 1 mm/s and 1 mrad/s \
 (standard deviation, each axis, each step); torques disturb every joint, drawn anew in each step; \
@@ -252,6 +254,9 @@ pub struct ReassemblyArgs {
     /// Factor from the actions of all arms to their commands [default: each policy's own].
     #[arg(long, value_name = "S", allow_hyphen_values = true, value_parser = amount)]
     pub action_scale: Option<f64>,
+    /// A policy of task `mixed`: it and the two policies play its task on the same goals, too.
+    #[arg(long, value_name = "RUN_DIR|CHECKPOINT")]
+    pub mixed: Option<PathBuf>,
 }
 
 /// Options of `noise`.
@@ -273,6 +278,9 @@ pub struct NoiseArgs {
     /// Multiples of the arms' mass.
     #[arg(long, value_name = "F,F,…", default_value = "0.5,0.75,1,1.5,2,3", allow_hyphen_values = true, value_parser = amounts)]
     pub arm_masses: Amounts,
+    /// Another policy to measure beside them, or a controller: `jacobian`. Once for each.
+    #[arg(long, value_name = "CHECKPOINT|NAME")]
+    pub beside: Vec<PathBuf>,
 }
 
 /// Options of `episode`.
@@ -334,7 +342,8 @@ pub fn run(args: &ExperimentArgs) -> anyhow::Result<()> {
         }
         ExperimentCommand::Reassembly(args) => {
             let (common, json) = (study(&args.common), args.common.json);
-            print(&reassembly::Study { common, action_scale: args.action_scale }, json)
+            let (action_scale, mixed) = (args.action_scale, args.mixed);
+            print(&reassembly::Study { common, action_scale, mixed }, json)
         }
         ExperimentCommand::Noise(args) => {
             let study = noise::Study {
@@ -343,11 +352,18 @@ pub fn run(args: &ExperimentArgs) -> anyhow::Result<()> {
                 torques: args.torques.0,
                 delays: args.delays.0,
                 arm_masses: args.arm_masses.0,
+                beside: args.beside.into_iter().map(beside).collect(),
             };
             print(&study, args.common.json)
         }
         ExperimentCommand::Episode(args) => episode(&args),
     }
+}
+
+/// A controller by its name, or where a policy is.
+fn beside(path: PathBuf) -> Beside {
+    let named = path.to_str().and_then(|name| Named::<ControllerName>::from_str(name, false).ok());
+    named.map_or(Beside::Policy(path), |name| Beside::Controller(name.0))
 }
 
 /// Plays what somebody did in the page.

@@ -218,6 +218,23 @@ fn every_experiment_measures_and_says_with_what() {
     }
     all_finite(&noise["results"], "noise");
     assert_eq!(noise["results"], run("noise", &sweeps)["results"], "the same seed, the same noise");
+
+    // A policy beside itself does as it does; a controller has both tasks.
+    let itself = format!("--beside={dir}/trajectory");
+    let beside = run("noise", &[&sweeps[..], &[itself.as_str(), "--beside=jacobian"]].concat());
+    let measured = list(&beside["results"]);
+    assert_eq!(&measured[..16], results);
+    let by = |name: &str| -> Vec<_> {
+        measured[16..].iter().filter(|point| point["by"] == name).cloned().collect()
+    };
+    let strip = |point: &serde_json::Value| {
+        let mut point = point.clone();
+        point.as_object_mut().expect("an object").remove("by");
+        point
+    };
+    assert_eq!(by("trajectory").iter().map(strip).collect::<Vec<_>>(), &results[..8]);
+    assert_eq!(by("jacobian").len(), 16);
+    assert_eq!(list(&beside["policies"]).len(), 5);
 }
 
 #[test]
@@ -286,6 +303,8 @@ fn experiments_that_cannot_be() {
     refused(&[&late, &all[..]].concat(), 2, &["--steps 80 ends before", "--at 75"]);
     refused(&[&["arm-failure", "--arm=5"], &all[..]].concat(), 3, &["no arm 5", "has 4"]);
     refused(&[&["noise", "--delays=0.5"], &all[..]].concat(), 2, &["0.5 is no whole number"]);
+    let lone = ["noise", "--reorientation", &format!("{dir}/reorientation"), "--beside", &run];
+    refused(&lone, 3, &["learned `trajectory`", "no policy of that task is measured here"]);
     refused(&[&["base-mass", "--masses=0"], &all[..]].concat(), 2, &["leave 0 out"]);
     refused(&[&["base-mass", "--thresholds=0"], &all[..]].concat(), 2, &["leave it out"]);
     let two = concat!(env!("CARGO_MANIFEST_DIR"), "/../sim-worker/simulator/robots/two-arm.toml");

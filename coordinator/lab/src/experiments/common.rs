@@ -28,6 +28,15 @@ pub struct Common {
     pub goals: Option<PathBuf>,
 }
 
+/// Who is measured beside the policies.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Beside {
+    /// A controller that is not learned.
+    Controller(ControllerName),
+    /// Another policy: a run directory, a directory of checkpoints or a checkpoint.
+    Policy(PathBuf),
+}
+
 impl Default for Common {
     fn default() -> Self {
         Self {

@@ -1,6 +1,6 @@
 //! What experiments share: policies, robot, episodes, progress.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context as _;
@@ -22,7 +22,7 @@ use {
     store::checkpoint::{Checkpoint, Manifest},
 };
 
-use super::common::Common;
+use super::common::{Beside, Common};
 use super::name::Name;
 use super::report::{PlayedEpisode, Protocol, Report, RobotIdentity};
 use crate::contender::Contender;
@@ -49,6 +49,8 @@ pub enum Needs {
 pub struct Lab {
     /// The policies, trajectory first; those that the experiment needs and that were given.
     policies: Vec<Contender>,
+    /// Who is measured beside them, with what tables and figures call each.
+    beside: Vec<(String, Contender)>,
     /// The robot of all of them.
     pub(crate) robot: Robot,
     /// E: episodes of a setting.
@@ -139,6 +141,7 @@ impl Lab {
         };
         Ok(Self {
             policies,
+            beside: Vec::new(),
             robot,
             episodes: episodes as usize,
             steps: args.steps as usize,
@@ -184,6 +187,7 @@ impl Lab {
         let policies = tasks.into_iter().map(policy).collect();
         Self {
             policies,
+            beside: Vec::new(),
             robot,
             episodes: args.episodes.unwrap_or(episodes) as usize,
             steps: args.steps as usize,
@@ -198,6 +202,63 @@ impl Lab {
     /// The policies, trajectory first.
     pub fn policies(&self) -> &[Contender] {
         &self.policies
+    }
+
+    /// Who is measured beside them, with what tables and figures call each.
+    pub(crate) fn beside(&self) -> &[(String, Contender)] {
+        &self.beside
+    }
+
+    /// Has others measured beside the policies: a controller for every task that these have, a policy for its own.
+    ///
+    /// # Errors
+    /// If one cannot be opened, learned a task that no policy here has, or moves another robot.
+    pub(super) fn measure_beside(mut self, others: &[Beside]) -> anyhow::Result<Self> {
+        for other in others {
+            match other {
+                Beside::Controller(name) => {
+                    for policy in &self.policies {
+                        let one = Contender::controller(*name, policy.task(), &self.robot)?;
+                        self.beside.push((name.as_str().to_owned(), one));
+                    }
+                }
+                Beside::Policy(path) => {
+                    let one = Contender::from(Trained::new(open_checkpoint(path)?, None)?);
+                    let Some(policy) = self.policies.iter().find(|p| p.task() == one.task()) else {
+                        let message = format!(
+                            "{}: learned `{}`, and no policy of that task is measured here",
+                            one.shown(),
+                            one.task().as_str()
+                        );
+                        return Err(ExitError::new(ExitCode::BadInput, message).into());
+                    };
+                    together(policy, &one)?;
+                    let name = path.file_name().unwrap_or(path.as_os_str());
+                    self.beside.push((name.to_string_lossy().into_owned(), one));
+                }
+            }
+        }
+        Ok(self)
+    }
+
+    /// Has a policy that learned to reach and to turn at the same time measured beside the pair.
+    ///
+    /// # Errors
+    /// If it cannot be opened, learned one of both, or moves another robot.
+    pub(super) fn measure_mixed(mut self, path: &Path) -> anyhow::Result<Self> {
+        let one = Contender::from(Trained::new(open_checkpoint(path)?, None)?);
+        let task = one.task();
+        if task.moves() || !(task.reaches() && task.turns()) {
+            let message = format!(
+                "{}: learned `{}`; a policy is wanted some of whose arms reach while others turn the base, as of task `mixed`",
+                one.shown(),
+                task.as_str()
+            );
+            return Err(ExitError::new(ExitCode::BadInput, message).into());
+        }
+        together(&self.policies[0], &one)?;
+        self.beside.push((task.as_str().to_owned(), one));
+        Ok(self)
     }
 
     /// The policy of a task that the experiment needs.
@@ -234,7 +295,7 @@ impl Lab {
         Trial { given, ..Trial::new(policy.player(), self.seed, self.episodes, self.steps) }
     }
 
-    /// Plays a trial and shows how far it has come.
+    /// Plays a trial of the policies and shows how far it has come. Its first episode can be watched afterwards.
     pub(crate) fn play(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
         if let Some(script) = trial.script(0) {
             let took_part = |player: &Player<'_>| {
@@ -249,6 +310,11 @@ impl Lab {
             let mut played = self.played.lock().unwrap_or_else(PoisonError::into_inner);
             played.push(PlayedEpisode { what: what.to_owned(), recording });
         }
+        self.play_beside(what, trial)
+    }
+
+    /// Plays a trial of anybody and shows how far it has come.
+    pub(crate) fn play_beside(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
         let chunks = trial.episodes.div_ceil(CHUNK);
         self.progress.begin(what, (chunks * trial.steps) as u64);
         play(trial, &self.threads, &|| self.progress.advance()).with_context(|| what.to_owned())
@@ -307,9 +373,10 @@ impl Lab {
         }
     }
 
-    /// Which policies there are, trajectory first.
+    /// Which policies there are, trajectory first, then those beside them.
     pub(crate) fn identities(&self) -> Vec<Identity> {
-        self.policies.iter().map(|policy| policy.identity().clone()).collect()
+        let beside = self.beside.iter().map(|(_, policy)| policy);
+        self.policies.iter().chain(beside).map(|policy| policy.identity().clone()).collect()
     }
 
     /// Results with everything that they were made with.

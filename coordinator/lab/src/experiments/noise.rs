@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use simulator::evaluate::Evaluation;
 use simulator::experiment::{Effect, Intervention, SensorNoise};
 
-use super::command_line::list_option;
-use super::common::Common;
+use super::command_line::{list_option, option, path_option};
+use super::common::{Beside, Common};
 use super::lab::{Lab, Needs};
 use super::report::{Report, Words};
 use super::{Experiment, Name};
@@ -40,6 +40,9 @@ pub enum Quantity {
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Point {
     pub(crate) task: TaskName,
+    /// Who, if it was none of the policies: see [`Study::beside`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) by: Option<String>,
     pub(crate) quantity: Quantity,
     pub(crate) strength: f64,
     /// All hands together, or the base.
@@ -90,6 +93,8 @@ pub struct Study {
     pub delays: Vec<f64>,
     /// Multiples of the arms' mass.
     pub arm_masses: Vec<f64>,
+    /// Who is measured beside the policies.
+    pub beside: Vec<Beside>,
 }
 
 impl Default for Study {
@@ -101,6 +106,7 @@ impl Default for Study {
             torques: vec![0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0],
             delays: vec![0.0, 1.0, 2.0],
             arm_masses: vec![0.5, 0.75, 1.0, 1.5, 2.0, 3.0],
+            beside: Vec::new(),
         }
     }
 }
@@ -127,12 +133,27 @@ impl Experiment for Study {
     }
 
     fn options(&self) -> Vec<OsString> {
-        vec![
+        let mut options = vec![
             list_option("--sensors", &self.sensors),
             list_option("--torques", &self.torques),
             list_option("--delays", &self.delays),
             list_option("--arm-masses", &self.arm_masses),
-        ]
+        ];
+        options.extend(self.beside.iter().map(|other| match other {
+            Beside::Controller(name) => option("--beside", name.as_str()),
+            Beside::Policy(path) => path_option("--beside", path),
+        }));
+        options
+    }
+
+    fn lab(&self) -> anyhow::Result<Lab> {
+        Lab::new(&self.common, Self::NEEDS, Self::EPISODES)?.measure_beside(&self.beside)
+    }
+
+    #[cfg(test)]
+    fn resting_lab(&self) -> Lab {
+        let lab = Lab::resting(&self.common, Self::NEEDS, Self::EPISODES);
+        lab.measure_beside(&self.beside).expect("controllers alone")
     }
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
@@ -171,15 +192,16 @@ impl Experiment for Study {
 
     fn work(&self, lab: &Lab) -> u64 {
         let points: usize = self.sweeps().iter().map(|(_, strengths)| strengths.len()).sum();
-        lab.work(lab.policies().len() * points, 0)
+        lab.work((lab.policies().len() + lab.beside().len()) * points, 0)
     }
 
     fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Point>> {
         let mut results = Vec::new();
-        for policy in lab.policies() {
+        let beside = lab.beside().iter().map(|(name, policy)| (Some(name.as_str()), policy));
+        for (by, policy) in lab.policies().iter().map(|policy| (None, policy)).chain(beside) {
             for (quantity, strengths) in self.sweeps() {
                 for &strength in strengths {
-                    results.push(measure(lab, policy, quantity, strength)?);
+                    results.push(measure(lab, by, policy, quantity, strength)?);
                 }
             }
         }
@@ -193,6 +215,7 @@ impl Experiment for Study {
 
 fn measure(
     lab: &Lab,
+    by: Option<&str>,
     policy: &Contender,
     quantity: Quantity,
     strength: f64,
@@ -216,7 +239,11 @@ fn measure(
             trial.robot = &robot;
         }
     }
-    let recording = lab.play(&trial_of(policy.task(), quantity, strength), &trial)?;
+    let what = trial_of(policy.task(), by, quantity, strength);
+    let recording = match by {
+        None => lab.play(&what, &trial)?,
+        Some(_) => lab.play_beside(&what, &trial)?,
+    };
     let summary = Summary::new(
         policy.identity(),
         lab.seed,
@@ -226,6 +253,7 @@ fn measure(
     );
     Ok(Point {
         task: policy.task(),
+        by: by.map(str::to_owned),
         quantity,
         strength,
         errors: summary.overall,
@@ -236,14 +264,15 @@ fn measure(
 }
 
 /// What a trial is called.
-fn trial_of(task: TaskName, quantity: Quantity, strength: f64) -> String {
-    format!("noise, {}, {} {strength}", task.as_str(), quantity.word())
+fn trial_of(task: TaskName, by: Option<&str>, quantity: Quantity, strength: f64) -> String {
+    let who = by.map_or_else(String::new, |by| format!(" by {by}"));
+    format!("noise, {}{who}, {} {strength}", task.as_str(), quantity.word())
 }
 
 impl Point {
     /// What its trial is called.
     pub(crate) fn trial(&self) -> String {
-        trial_of(self.task, self.quantity, self.strength)
+        trial_of(self.task, self.by.as_deref(), self.quantity, self.strength)
     }
 }
 
@@ -270,12 +299,9 @@ impl Quantity {
 fn table(columns: usize, results: &[Point], episodes: usize) -> String {
     let rows = results.iter().flat_map(|point| {
         point.errors.iter().map(move |error| {
-            let name = format!(
-                "{}, {} (m{})",
-                point.quantity.describe(point.strength),
-                error.error,
-                error.unit
-            );
+            let what = point.quantity.describe(point.strength);
+            let who = point.by.as_ref().map_or_else(String::new, |by| format!("{by}: "));
+            let name = format!("{who}{what}, {} (m{})", error.error, error.unit);
             let [mean, p50, p90] = [error.tail.mean, error.tail.p50, error.tail.p90].map(milli);
             let success = point.success.last().map_or(f64::NAN, |success| success.goals);
             [name, mean, p50, p90, percent(success)]

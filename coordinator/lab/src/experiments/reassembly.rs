@@ -2,18 +2,21 @@
 
 use std::ffi::OsString;
 use std::fmt;
+use std::path::PathBuf;
 
 use proto::config::TaskName;
+use proto::tasks::{Aim, EpisodeGoals, GoalAddress, HomeArm};
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
 use simulator::env::step_options;
 use simulator::experiment::{FixedGoals, Phase, Pose, Recording, Trial};
 
-use super::command_line::option;
+use super::command_line::{option, path_option};
 use super::common::Common;
 use super::lab::{Lab, Needs};
 use super::report::{ErrorOfMany, Figure, Goals, Report};
 use super::{Experiment, Name};
+use crate::contender::Contender;
 use crate::statistics::milli;
 
 /// The players, in the order of a trial's.
@@ -30,6 +33,8 @@ pub enum StageName {
     Single,
     /// Two do, one after the other.
     Dual,
+    /// The first half of the arms does, from the beginning, and the others turn the base: what task `mixed` trains together.
+    Halves,
 }
 
 impl fmt::Display for StageName {
@@ -37,6 +42,7 @@ impl fmt::Display for StageName {
         f.write_str(match self {
             Self::Single => "single",
             Self::Dual => "dual",
+            Self::Halves => "halves",
         })
     }
 }
@@ -69,6 +75,9 @@ const STAGES: [Stage; 2] = [
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Staged {
     pub(crate) stage: StageName,
+    /// Who, if it was not the pair of policies: see [`Study::mixed`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    by: Option<String>,
     pub(crate) goals: Goals,
     episodes: usize,
     /// The reaching arms, counted from 1, and the steps from which they do.
@@ -122,12 +131,14 @@ pub struct Study {
     pub common: Common,
     /// Factor from the actions of all arms to their commands; each policy's own if none is given.
     pub action_scale: Option<f64>,
+    /// A policy that learned both together (task `mixed`): it and the pair play its task on the same goals.
+    pub mixed: Option<PathBuf>,
 }
 
 impl Default for Study {
     /// As in the paper, and as far as it tells.
     fn default() -> Self {
-        Self { common: Common::default(), action_scale: None }
+        Self { common: Common::default(), action_scale: None, mixed: None }
     }
 }
 
@@ -142,7 +153,17 @@ impl Experiment for Study {
     }
 
     fn options(&self) -> Vec<OsString> {
-        self.action_scale.map(|scale| option("--action-scale", scale)).into_iter().collect()
+        let scale = self.action_scale.map(|scale| option("--action-scale", scale));
+        let mixed = self.mixed.as_ref().map(|path| path_option("--mixed", path));
+        scale.into_iter().chain(mixed).collect()
+    }
+
+    fn lab(&self) -> anyhow::Result<Lab> {
+        let lab = Lab::new(&self.common, Self::NEEDS, Self::EPISODES)?;
+        match &self.mixed {
+            Some(path) => lab.measure_mixed(path),
+            None => Ok(lab),
+        }
     }
 
     fn settings(&self, lab: &Lab) -> anyhow::Result<Settings> {
@@ -170,7 +191,8 @@ impl Experiment for Study {
     }
 
     fn work(&self, lab: &Lab) -> u64 {
-        lab.work(STAGES.len(), STAGES.len())
+        // One policy of both tasks, and the pair.
+        lab.work(STAGES.len() + 2 * lab.beside().len(), STAGES.len())
     }
 
     fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Staged>> {
@@ -184,6 +206,9 @@ impl Experiment for Study {
             let fixed = lab.play(&Goals::Theirs.of_trial(&what), &trial)?;
             results.push(Staged::of(stage, Goals::Theirs, &fixed));
             results.push(Staged::of(stage, Goals::HeldOut, &drawn));
+        }
+        if let Some((name, mixed)) = lab.beside().first() {
+            results.extend(halves(lab, (name, mixed), self.action_scale)?);
         }
         Ok(results)
     }
@@ -208,6 +233,11 @@ impl StageGoals {
 
 /// A stage on held-out goals. The world is that of the base's task, as in the authors' script.
 fn set_up<'a>(lab: &'a Lab, stage: &Stage, action_scale: Option<f64>) -> Trial<'a> {
+    Trial { phases: stage.phases(lab.robot.n_arms), ..set_up_pair(lab, action_scale) }
+}
+
+/// The pair on held-out goals; who moves what is yet to be said.
+fn set_up_pair(lab: &Lab, action_scale: Option<f64>) -> Trial<'_> {
     let (reach, turn) = (lab.policy(TaskName::Trajectory), lab.policy(TaskName::Reorientation));
     let mut trial = lab.trial(reach);
     trial.options = step_options(&turn.world.config);
@@ -217,8 +247,47 @@ fn set_up<'a>(lab: &'a Lab, stage: &Stage, action_scale: Option<f64>) -> Trial<'
             player.action_scale = scale;
         }
     }
-    trial.phases = stage.phases(lab.robot.n_arms);
     trial
+}
+
+/// The task that a policy learned as a whole, by the pair and by itself, on the same goals.
+fn halves(
+    lab: &Lab,
+    (name, mixed): (&str, &Contender),
+    action_scale: Option<f64>,
+) -> anyhow::Result<[Staged; 2]> {
+    let world = &mixed.world;
+    let reaches = |arm: &usize| world.task.aims[*arm] == Aim::Hand;
+    let arms: Vec<usize> = (0..lab.robot.n_arms).filter(reaches).collect();
+    let first = lab.trial(mixed).goals;
+    let definition = mixed.task().definition();
+    let goals = (0..lab.episodes as u32).map(|episode| {
+        let address = GoalAddress { env: first.env + episode, ..first };
+        let EpisodeGoals { hands, base, .. } = definition.goals(&world.task.goals, address);
+        // Those that the task has no goals for stay at home, whatever a policy that reaches would draw for them.
+        let home = |arm: usize| {
+            let HomeArm { position: [x, y, z], euler: [a, b, c], .. } =
+                world.task.goals.home.arms[arm];
+            [x, y, z, a, b, c]
+        };
+        let hands = hands.iter().enumerate();
+        let hands = hands.map(|(arm, hand)| Some(hand.unwrap_or_else(|| home(arm))));
+        FixedGoals { hands: hands.collect(), base }
+    });
+    let goals: Vec<FixedGoals> = goals.collect();
+    let who = |arm: usize| if arms.contains(&arm) { REACHES } else { TURNS };
+    let phase = Phase { from: 0, arms: (0..lab.robot.n_arms).map(|arm| Some(who(arm))).collect() };
+    let of_pair = Trial { phases: vec![phase], given: &goals, ..set_up_pair(lab, action_scale) };
+    let of_mixed = Trial { given: &goals, ..lab.trial(mixed) };
+    let what = trial_of(StageName::Halves);
+    let play = |by: Option<&str>, trial: &Trial<'_>| -> anyhow::Result<Staged> {
+        let who = by.map_or_else(String::new, |by| format!(" by {by}"));
+        let recording = lab.play_beside(&format!("{what}{who}"), trial)?;
+        let reaching = arms.iter().map(|arm| (arm + 1, 0)).collect();
+        let by = by.map(str::to_owned);
+        Ok(Staged::measured((StageName::Halves, by, Goals::HeldOut), reaching, &recording))
+    };
+    Ok([play(None, &of_pair)?, play(Some(name), &of_mixed)?])
 }
 
 impl Stage {
@@ -257,15 +326,26 @@ impl Staged {
     }
 
     fn of(stage: &Stage, goals: Goals, recording: &Recording) -> Self {
-        let arms: Vec<usize> = stage.reaching.iter().map(|(arm, ..)| *arm).collect();
+        let reaching = stage.reaching.iter().map(|(arm, from, _)| (arm + 1, *from)).collect();
+        Self::measured((stage.name, None, goals), reaching, recording)
+    }
+
+    /// `reaching` are the arms that do, counted from 1, and since when.
+    fn measured(
+        (stage, by, goals): (StageName, Option<String>, Goals),
+        reaching: Vec<(usize, usize)>,
+        recording: &Recording,
+    ) -> Self {
+        let arms: Vec<usize> = reaching.iter().map(|(arm, _)| arm - 1).collect();
         let hands = arms.iter().flat_map(|&arm| {
             [ErrorOfMany::position(recording, arm), ErrorOfMany::orientation(recording, arm)]
         });
         Self {
-            stage: stage.name,
+            stage,
+            by,
             goals,
             episodes: recording.episodes(),
-            reaching: stage.reaching.iter().map(|(arm, from, _)| (arm + 1, *from)).collect(),
+            reaching,
             errors: hands.chain([ErrorOfMany::base(recording)]).collect(),
             figure: Figure::of(recording, goals, &arms),
             poses: (0..recording.steps()).map(|step| recording.pose(0, step)).collect(),
@@ -278,7 +358,8 @@ fn table(columns: usize, results: &[Staged]) -> String {
         result.errors.iter().map(move |error| {
             let [min, last, tail] = [&error.min, &error.last, &error.tail].map(|s| milli(s.mean));
             let [p50, p90] = [error.tail.p50, error.tail.p90].map(milli);
-            let name = format!("{}, {}: {}", result.stage, result.goals, error.name());
+            let who = result.by.as_ref().map_or_else(String::new, |by| format!(" by {by}"));
+            let name = format!("{}{who}, {}: {}", result.stage, result.goals, error.name());
             [name, result.episodes.to_string(), min, last, tail, p50, p90]
         })
     });

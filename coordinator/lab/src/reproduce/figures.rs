@@ -7,7 +7,7 @@ use super::claims::{MASS_SHARE, MASS_THRESHOLD};
 use super::episodes::Links;
 use super::reports::Reports;
 use crate::experiments::disturbance::{Disturbance, Disturbed};
-use crate::experiments::noise::Quantity;
+use crate::experiments::noise::{Point, Quantity};
 use crate::experiments::report::{ErrorOfMany, Figure, Goals};
 use crate::statistics::ErrorOf;
 
@@ -352,32 +352,88 @@ fn capital(word: &str) -> String {
     letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
 }
 
+/// What is made worse: as a title, and as the words of its axis.
+const WORSE: [(Quantity, &str, &str); 4] = [
+    (Quantity::Sensors, "Sensors", "standard deviation (mm, mrad, mm/s, mrad/s)"),
+    (Quantity::JointTorque, "Disturbing torques", "standard deviation (N m)"),
+    (Quantity::Delay, "Delay of the commands", "control steps"),
+    (Quantity::ArmMass, "Mass of the arms", "multiple"),
+];
+
+/// The strengths of a quantity, in their order.
+fn strengths_of(points: &[Point], quantity: Quantity) -> Vec<f64> {
+    let mut strengths: Vec<f64> = Vec::new();
+    for point in points.iter().filter(|point| point.quantity == quantity) {
+        if !strengths.contains(&point.strength) {
+            strengths.push(point.strength);
+        }
+    }
+    strengths
+}
+
+/// An error (mm, mrad) over the places of the strengths.
+fn over_strengths<'a>(
+    points: impl Iterator<Item = &'a Point>,
+    strengths: &[f64],
+    of: ErrorOf,
+) -> Vec<(f64, f64)> {
+    let at = |point: &Point| {
+        let error = point.errors.iter().find(|error| error.error == of)?;
+        let at = strengths.iter().position(|strength| *strength == point.strength)?;
+        Some((at as f64, 1e3 * error.tail.mean))
+    };
+    points.filter_map(at).collect()
+}
+
+/// Errors against what is made worse, of the policies beside others; none where there are no others.
+pub(super) fn noise_beside(reports: &Reports) -> anyhow::Result<Option<String>> {
+    let points = &reports.noise.results;
+    let mut who: Vec<Option<&str>> = vec![None];
+    for by in points.iter().map(|point| point.by.as_deref()) {
+        if !who.contains(&by) {
+            who.push(by);
+        }
+    }
+    if who.len() == 1 {
+        return Ok(None);
+    }
+    let mut panels = Vec::new();
+    for (quantity, title, x) in WORSE {
+        let strengths = strengths_of(points, quantity);
+        for of in [ErrorOf::Position, ErrorOf::Orientation, ErrorOf::Base] {
+            let series = |by: Option<&str>| {
+                let of_both =
+                    |point: &&Point| point.quantity == quantity && point.by.as_deref() == by;
+                over_strengths(points.iter().filter(of_both), &strengths, of)
+            };
+            let lines = who.iter().enumerate().map(|(color, by)| Item::Line {
+                name: by.unwrap_or("policies").to_owned(),
+                color,
+                points: series(*by),
+                dots: true,
+            });
+            let lines = lines
+                .filter(|line| matches!(line, Item::Line { points, .. } if !points.is_empty()));
+            let items: Vec<Item> = lines.collect();
+            if items.is_empty() {
+                continue;
+            }
+            let panel = course(title, label(of), 1, items);
+            let names = strengths.iter().map(ToString::to_string).collect();
+            panels.push(Panel { x: Axis::names(x, names), ..panel });
+        }
+    }
+    render(&panels, &Layout::columns(3)).map(Some)
+}
+
 /// Errors against what is made worse.
 pub(super) fn noise(reports: &Reports, links: &Links) -> anyhow::Result<String> {
     let points = &reports.noise.results;
     let mut panels = Vec::new();
-    for (quantity, title, x) in [
-        (Quantity::Sensors, "Sensors", "standard deviation (mm, mrad, mm/s, mrad/s)"),
-        (Quantity::JointTorque, "Disturbing torques", "standard deviation (N m)"),
-        (Quantity::Delay, "Delay of the commands", "control steps"),
-        (Quantity::ArmMass, "Mass of the arms", "multiple"),
-    ] {
-        let mut strengths: Vec<f64> = Vec::new();
-        for point in points.iter().filter(|point| point.quantity == quantity) {
-            if !strengths.contains(&point.strength) {
-                strengths.push(point.strength);
-            }
-        }
-        let series = |of: ErrorOf| -> Vec<(f64, f64)> {
-            let of_quantity = points.iter().filter(|point| point.quantity == quantity);
-            of_quantity
-                .filter_map(|point| {
-                    let error = point.errors.iter().find(|error| error.error == of)?;
-                    let at = strengths.iter().position(|strength| *strength == point.strength)?;
-                    Some((at as f64, 1e3 * error.tail.mean))
-                })
-                .collect()
-        };
+    for (quantity, title, x) in WORSE {
+        let strengths = strengths_of(points, quantity);
+        let own = |point: &&Point| point.quantity == quantity && point.by.is_none();
+        let series = |of: ErrorOf| over_strengths(points.iter().filter(own), &strengths, of);
         let items: Vec<Item> = [
             (ErrorOf::Position, "position of hands (mm)"),
             (ErrorOf::Orientation, "orientation (mrad)"),
@@ -392,7 +448,7 @@ pub(super) fn noise(reports: &Reports, links: &Links) -> anyhow::Result<String> 
             dots: true,
         })
         .collect();
-        let watch = points.iter().filter(|point| point.quantity == quantity).flat_map(|point| {
+        let watch = points.iter().filter(own).flat_map(|point| {
             let at = strengths.iter().position(|strength| *strength == point.strength);
             let errors = point.errors.iter().map(|error| 1e3 * error.tail.mean);
             errors
@@ -424,6 +480,10 @@ mod tests {
             (base_mass(reports, links), &["mass of the cube (kg)", "50 mrad", "episodes that end"]),
             (reassembly(reports, links), &["arm 3 joins", "Dual: base"]),
             (noise(reports, links), &["Mass of the arms", "standard deviation (N m)"]),
+            (
+                noise_beside(reports).map(|figure| figure.expect("a controller beside")),
+                &["policies", "jacobian", "Delay of the commands"],
+            ),
         ] {
             let figure = figure.expect("drawn");
             assert!(!figure.contains("NaN") && !figure.contains("inf"), "{figure}");

@@ -65,6 +65,9 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             &reports.noise,
             &html! {
                 (figure(&figures::noise(reports, links)?, "Mean error of the last 20 steps while one thing at a time is made worse. Strengths stand side by side, not to scale."))
+                @if let Some(beside) = figures::noise_beside(reports)? {
+                    (figure(&beside, "The same beside others: policies that learned with a robot that errs (robust), and the controller that is not learned (jacobian)."))
+                }
             },
         ),
     ];

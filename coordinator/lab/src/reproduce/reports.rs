@@ -20,8 +20,9 @@ pub(super) mod tests {
     use std::sync::LazyLock;
 
     use super::*;
-    use crate::experiments::common::Common;
+    use crate::experiments::common::{Beside, Common};
     use crate::experiments::{Experiment, perform};
+    use crate::identity::ControllerName;
 
     pub(in super::super) fn small() -> Common {
         Common { episodes: Some(2), steps: 72, ..Common::default() }
@@ -61,6 +62,7 @@ pub(super) mod tests {
                     torques: vec![0.0, 5.0],
                     delays: vec![0.0],
                     arm_masses: vec![1.0],
+                    beside: vec![Beside::Controller(ControllerName::Jacobian)],
                 }),
             }
         });

@@ -2,12 +2,14 @@
 
 use std::path::PathBuf;
 
-use crate::experiments::common::Common;
+use crate::experiments::common::{Beside, Common};
 use crate::experiments::{base_mass, noise};
 use crate::identity::ControllerName;
 
 /// Episodes of a setting with `--quick`.
 const QUICK_EPISODES: u32 = 10;
+/// Where a policy of `trajectory` lies beside the others that learned with a robot that errs, if there is one.
+const ROBUST: &str = "robust";
 /// Coarser settings with `--quick`.
 const QUICK_MASSES: [f64; 5] = [100.0, 200.0, 400.0, 700.0, 1000.0];
 
@@ -51,9 +53,17 @@ impl Study {
         if self.quick { base_mass::Study { masses: QUICK_MASSES.into(), ..study } } else { study }
     }
 
-    /// The strengths of noise, torques, delay and mass that are.
+    /// The strengths of noise, torques, delay and mass that are; policies beside the yardstick, and beside those that learned
+    /// with a robot that errs.
     pub(super) fn noise(&self) -> noise::Study {
-        let study = noise::Study { common: self.common(), ..noise::Study::default() };
+        let robust = self.policies.iter().map(|policies| policies.join(ROBUST));
+        let robust = robust.filter(|path| path.exists()).map(Beside::Policy);
+        let yardstick = Beside::Controller(ControllerName::Jacobian);
+        let beside = match self.controller {
+            None => robust.chain([yardstick]).collect(),
+            Some(_) => Vec::new(),
+        };
+        let study = noise::Study { common: self.common(), beside, ..noise::Study::default() };
         if !self.quick {
             return study;
         }
