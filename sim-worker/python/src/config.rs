@@ -13,7 +13,7 @@ const MAX_TEXT: u64 = 1 << 20;
 
 /// What a run is configured with.
 ///
-/// `config` is the name of a preset ("guided", "tuned", "paper", "release", "robust") or the path of a TOML file, which lies over `preset` ("tuned"); `task` is
+/// `config` is the name of a preset ("guided", "tuned", "paper", "release", "robust") or the path of a TOML file, which lies over `preset` ("guided"); `task` is
 /// "trajectory" or "reorientation"; `set` lists `KEY=VALUE` as `octopus train --set` takes them. `ValueError` says what is wrong, in the
 /// words of `octopus train`.
 #[pyclass(frozen, module = "spaceoctopus")]
