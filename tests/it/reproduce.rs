@@ -103,7 +103,11 @@ fn all_experiments_make_a_page_once() {
 
     let page = read(dir_of, "report.html");
     stands_alone(&page);
-    assert_eq!(page.matches("<figure>").count(), 10, "each of them drawn");
+    assert_eq!(
+        page.matches("<figure>").count(),
+        11,
+        "each of them drawn, and what errs once more beside the yardstick"
+    );
     let digest = written["policies"][0]["digest"].as_str().expect("a digest");
     assert!(page.contains(digest));
     assert!(page.contains("octopus experiment noise --policies="), "the command behind it");
