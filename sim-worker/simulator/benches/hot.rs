@@ -12,10 +12,10 @@ use proto::config::{Layers, Preset};
 use proto::layout::{ActorLayout, JOINTS_PER_AGENT};
 use simulator::collision::count_contacts;
 use simulator::model::Model;
-use simulator::policy::{Policy, Scratch};
+use simulator::policy::Scratch;
 use simulator::robot::Robot;
 use simulator::rollout::{RolloutSpec, World, rollout};
-use simulator::scalar::{Kernel, LaneFn, Real, dispatch};
+use simulator::scalar::{LaneFn, Real, dispatch};
 use simulator::state::State;
 use simulator::step::{StepOptions, step};
 use simulator::workspace::Workspace;
@@ -99,28 +99,8 @@ impl LaneFn for Inference<'_, '_> {
         let mut means = vec![S::zero(); GROUPS * JOINTS_PER_AGENT];
         self.0.throughput(Throughput::Elements((GROUPS * S::LANES) as u64));
         self.0.bench_function("one_agent/2x512", |bencher| {
-            bencher.iter(|| {
-                let (scratch, means) = (&mut scratch, &mut means);
-                S::compiled(Mean { policy: &policy, observations: &observations, scratch, means });
-            });
+            bencher.iter(|| policy.mean(0, &observations, &mut scratch, &mut means));
         });
-    }
-}
-
-/// The call itself, compiled for the lanes: a closure is a function of its own and would not be.
-struct Mean<'a, S: Real> {
-    policy: &'a Policy,
-    observations: &'a [S],
-    scratch: &'a mut Scratch<S>,
-    means: &'a mut [S],
-}
-
-impl<S: Real> Kernel<S> for Mean<'_, S> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        self.policy.mean(0, self.observations, self.scratch, self.means);
     }
 }
 

@@ -231,64 +231,59 @@ impl<S: Real> Kernel<S> for Observe<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        write(self);
-    }
-}
-
-#[inline(always)]
-fn write<S: Real>(observe: Observe<'_, S>) {
-    let Observe { task, readings, goals, errors, agent, out } = observe;
-    let arm = agent / AGENTS_PER_ARM;
-    let mut out = Writer::new(out);
-    match task.observation {
-        Observation::Arm => {
-            let frame = &task.frames[arm];
-            out.put_base_seen_from(frame, readings);
-            out.put_joints(task, readings, arm);
-            if task.name.reaches() {
-                out.put_hand_seen_from(frame, task, errors, arm);
-                out.put_posture(task, errors, arm);
-            }
-            if task.name.turns() {
-                out.put(&frame.vector(errors.seen_base));
-                for at in [0, 3] {
-                    out.put(&frame.vector(three(&errors.squashed_base, at)));
+        let Self { task, readings, goals, errors, agent, out } = self;
+        let arm = agent / AGENTS_PER_ARM;
+        let mut out = Writer::new(out);
+        match task.observation {
+            Observation::Arm => {
+                let frame = &task.frames[arm];
+                out.put_base_seen_from(frame, readings);
+                out.put_joints(task, readings, arm);
+                if task.name.reaches() {
+                    out.put_hand_seen_from(frame, task, errors, arm);
+                    out.put_posture(task, errors, arm);
                 }
-            }
-            out.put_action(readings, arm);
-        }
-        Observation::Paper | Observation::Release => {
-            let first = agent * JOINTS_PER_AGENT;
-            out.put(&readings.base_position);
-            out.put(&readings.base_quaternion);
-            out.put(&readings.q[first..first + JOINTS_PER_AGENT]);
-            out.put(&readings.base_linear);
-            out.put(&readings.base_angular);
-            out.put(&readings.qd[first..first + JOINTS_PER_AGENT]);
-            // Hands or the base: with these layouts no task has both.
-            match task.aims[arm] {
-                Aim::Hand => {
-                    let hand = &readings.hands[arm];
-                    let cares_for_position = agent.is_multiple_of(AGENTS_PER_ARM);
-                    let (pose, velocity) = if cares_for_position {
-                        (hand.position, hand.linear)
-                    } else {
-                        (hand.euler, hand.angular)
-                    };
-                    out.put(&pose);
-                    if task.observation == Observation::Release {
-                        for v in velocity {
-                            out.put(&[v * S::splat(RELEASE_VELOCITY_SCALE)]);
-                        }
+                if task.name.turns() {
+                    out.put(&frame.vector(errors.seen_base));
+                    for at in [0, 3] {
+                        out.put(&frame.vector(three(&errors.squashed_base, at)));
                     }
-                    out.put(&goals.hands[arm]);
                 }
-                Aim::Base => {
-                    out.put(&readings.base_euler);
-                    out.put(&goals.base);
+                out.put_action(readings, arm);
+            }
+            Observation::Paper | Observation::Release => {
+                let first = agent * JOINTS_PER_AGENT;
+                out.put(&readings.base_position);
+                out.put(&readings.base_quaternion);
+                out.put(&readings.q[first..first + JOINTS_PER_AGENT]);
+                out.put(&readings.base_linear);
+                out.put(&readings.base_angular);
+                out.put(&readings.qd[first..first + JOINTS_PER_AGENT]);
+                // Hands or the base: with these layouts no task has both.
+                match task.aims[arm] {
+                    Aim::Hand => {
+                        let hand = &readings.hands[arm];
+                        let cares_for_position = agent.is_multiple_of(AGENTS_PER_ARM);
+                        let (pose, velocity) = if cares_for_position {
+                            (hand.position, hand.linear)
+                        } else {
+                            (hand.euler, hand.angular)
+                        };
+                        out.put(&pose);
+                        if task.observation == Observation::Release {
+                            for v in velocity {
+                                out.put(&[v * S::splat(RELEASE_VELOCITY_SCALE)]);
+                            }
+                        }
+                        out.put(&goals.hands[arm]);
+                    }
+                    Aim::Base => {
+                        out.put(&readings.base_euler);
+                        out.put(&goals.base);
+                    }
                 }
             }
         }
+        out.finish();
     }
-    out.finish();
 }

@@ -72,18 +72,13 @@ impl<S: Real> Kernel<S> for Rewards<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        of_all(self);
-    }
-}
-
-#[inline(always)]
-fn of_all<S: Real>(rewards: Rewards<'_, S>) {
-    let Rewards { task, errors, action, last_action, touching, out } = rewards;
-    let motion = motion_of_turning_arms(task, action, last_action);
-    for (arm, out) in out.chunks_exact_mut(AGENTS_PER_ARM).enumerate() {
-        match task.aims[arm] {
-            Aim::Hand => of_hand((task, arm), errors, action, last_action, touching, out),
-            Aim::Base => out.fill(of_base((task, arm), errors, motion, touching)),
+        let Self { task, errors, action, last_action, touching, out } = self;
+        let motion = motion_of_turning_arms(task, action, last_action);
+        for (arm, out) in out.chunks_exact_mut(AGENTS_PER_ARM).enumerate() {
+            match task.aims[arm] {
+                Aim::Hand => of_hand((task, arm), errors, action, last_action, touching, out),
+                Aim::Base => out.fill(of_base((task, arm), errors, motion, touching)),
+            }
         }
     }
 }

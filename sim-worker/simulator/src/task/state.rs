@@ -38,32 +38,27 @@ impl<S: Real> Kernel<S> for Critic<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        write(self);
-    }
-}
-
-#[inline(always)]
-fn write<S: Real>(critic: Critic<'_, S>) {
-    let Critic { task, readings, errors, observations, out } = critic;
-    let mut out = Writer::new(out);
-    match task.critic_state {
-        CriticState::Own => {}
-        CriticState::Concatenated => out.put(observations),
-        CriticState::Compact => {
-            out.put_base(task, readings);
-            if task.name.turns() {
-                out.put(&errors.seen_base);
-                out.put(&errors.squashed_base);
-            }
-            for arm in 0..task.n_arms() {
-                out.put_joints(task, readings, arm);
-                if task.name.reaches() {
-                    out.put_hand(task, errors, arm);
-                    out.put_posture(task, errors, arm);
+        let Self { task, readings, errors, observations, out } = self;
+        let mut out = Writer::new(out);
+        match task.critic_state {
+            CriticState::Own => {}
+            CriticState::Concatenated => out.put(observations),
+            CriticState::Compact => {
+                out.put_base(task, readings);
+                if task.name.turns() {
+                    out.put(&errors.seen_base);
+                    out.put(&errors.squashed_base);
                 }
-                out.put_action(readings, arm);
+                for arm in 0..task.n_arms() {
+                    out.put_joints(task, readings, arm);
+                    if task.name.reaches() {
+                        out.put_hand(task, errors, arm);
+                        out.put_posture(task, errors, arm);
+                    }
+                    out.put_action(readings, arm);
+                }
             }
         }
+        out.finish();
     }
-    out.finish();
 }
