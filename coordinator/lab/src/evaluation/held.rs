@@ -57,25 +57,16 @@ impl HeldShare {
 
 #[cfg(test)]
 mod tests {
-    use simulator::evaluate::{ContactSteps, Course, Held};
-    use simulator::experiment::Pose;
+    use simulator::evaluate::Held;
 
+    use super::super::tests::blank;
     use super::*;
 
     #[test]
     fn shares_are_of_all_episodes_and_times_of_those_that_held() {
         let episode = |done, touched_before| EpisodeResult {
-            hands: vec![],
-            base: Course::default(),
-            contact_steps: 0,
-            contact_pairs: 0,
-            contact_steps_by_kind: ContactSteps::default(),
-            end: Pose {
-                base_position: [0.0; 3],
-                base_quaternion: [1.0, 0.0, 0.0, 0.0],
-                joints: vec![],
-            },
             held: Some(Held { longest: 3, done, touched_before }),
+            ..blank()
         };
         let all = [
             episode(Some(9), false),

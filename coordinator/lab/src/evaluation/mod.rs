@@ -58,16 +58,11 @@ mod tests {
     use super::*;
     use crate::statistics::ErrorOf;
 
-    #[test]
-    fn a_goal_counts_when_both_errors_are_small_at_the_end() {
-        let course = |last: f32| Course { min: 0.0, last, tail: last };
-        let hand = |position, orientation| HandCourse {
-            position: course(position),
-            orientation: course(orientation),
-        };
-        let episode = |hands| EpisodeResult {
-            hands,
-            base: course(0.035),
+    /// An episode in which nothing was measured.
+    pub(super) fn blank() -> EpisodeResult {
+        EpisodeResult {
+            hands: vec![],
+            base: Course::default(),
             contact_steps: 0,
             contact_pairs: 0,
             contact_steps_by_kind: ContactSteps::default(),
@@ -77,7 +72,17 @@ mod tests {
                 joints: vec![],
             },
             held: None,
+        }
+    }
+
+    #[test]
+    fn a_goal_counts_when_both_errors_are_small_at_the_end() {
+        let course = |last: f32| Course { min: 0.0, last, tail: last };
+        let hand = |position, orientation| HandCourse {
+            position: course(position),
+            orientation: course(orientation),
         };
+        let episode = |hands| EpisodeResult { hands, base: course(0.035), ..blank() };
         let episodes = [
             episode(vec![hand(0.01, 0.01), hand(0.03, 0.01)]),
             episode(vec![hand(0.01, 0.2), hand(0.01, 0.01)]),
