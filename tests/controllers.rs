@@ -71,7 +71,7 @@ impl Controlled {
     /// If it cannot be read.
     pub fn of_checkpoint(dir: &Path) -> Result<Self> {
         let trained = lab::trained::Trained::new(lab::trained::open_checkpoint(dir)?, None)?;
-        let parameters = trained.checkpoint.actors(trained.world.robot.n_arms)?;
+        let parameters = trained.checkpoint.actors(trained.world.robot.joints)?;
         let name = dir.display().to_string();
         Ok(Self { name, world: trained.world, policy: trained.policy, parameters })
     }

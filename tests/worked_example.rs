@@ -13,7 +13,7 @@ use proto::rng::Purpose;
 use serde::{Deserialize, Serialize};
 use simulator::env::readings;
 use simulator::policy::Scratch;
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 use simulator::rollout::World;
 use simulator::spatial::quaternion_exp;
 use simulator::state::State;
@@ -67,7 +67,7 @@ pub struct Example {
     /// Where they shall go.
     pub goals: Vec<Pose>,
     /// Goal postures, an arm each: whether they bring the hand to its goal (1 or 0), whether they are free of stops, what is left to each joint (rad).
-    pub postures: Vec<[f64; 2 + JOINTS_PER_ARM]>,
+    pub postures: Vec<Vec<f64>>,
     /// What each agent sees, by agent and place.
     pub observations: Vec<Vec<f64>>,
     /// What the policy says, clipped, joint after joint.
@@ -104,7 +104,7 @@ impl Example {
         let mut config = Config::from_resolved_toml(&read("config.toml")?, POLICY)?;
         // Workers multiply bfloat16. Elsewhere single precision is what one has.
         config.network.inference = Inference::F32;
-        let dimensions = Dimensions::new(&config, robot.n_arms);
+        let dimensions = Dimensions::new(&config, robot.joints);
         let layout = proto::layout::ActorLayout::new(&config, &dimensions);
         let parameters =
             store::checkpoint::read_policy(&checkpoint.join("policy.safetensors"), &layout)?;
@@ -245,7 +245,7 @@ impl Example {
             "\n| arm | joint angles (rad) | joint rates (rad/s) | last action |\n|---|---|---|---|"
         );
         for arm in 0..self.hands.len() {
-            let of = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
+            let of = 6 * arm..6 * (arm + 1);
             let [q, qd, last] = [&s.q, &s.qd, &s.last_action].map(|all| list(&all[of.clone()]));
             let _ = writeln!(page, "| {} | {q} | {qd} | {last} |", arm + 1);
         }
@@ -266,7 +266,8 @@ impl Example {
              `spaceoctopus.Postures` find them in single precision.\n\n\
              | arm | good | free | what is left to each joint (rad) |\n|---|---|---|---|"
         );
-        for (arm, [good, free, left @ ..]) in self.postures.iter().enumerate() {
+        for (arm, posture) in self.postures.iter().enumerate() {
+            let [good, free, left @ ..] = posture.as_slice() else { continue };
             let _ = writeln!(page, "| {} | {good} | {free} | {} |", arm + 1, list(left));
         }
         let _ = writeln!(page, "\n## What the agents of arms 1 and 2 see\n");
@@ -285,7 +286,7 @@ impl Example {
              | arm | actions, clipped | commands (rad/s): 0.8 × the actions |\n|---|---|---|"
         );
         for arm in 0..self.hands.len() {
-            let of = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
+            let of = 6 * arm..6 * (arm + 1);
             let (actions, commands) = (&self.actions[of.clone()], &self.commands[of]);
             let _ = writeln!(page, "| {} | {} | {} |", arm + 1, list(actions), list(commands));
         }

@@ -92,6 +92,7 @@ fn traces() -> std::io::Result<Vec<String>> {
 #[cfg(test)]
 mod tests {
     use channels::{ChannelSizes, Channels};
+    use proto::agents::Joints;
     use proto::config::{Layers, Preset};
     use proto::layout::Dimensions;
 
@@ -102,7 +103,7 @@ mod tests {
         let layers = Layers::new(Preset::Tuned, None).set("env.n_envs=16");
         let config = layers.and_then(|layers| layers.set("env.n_shards=4")?.resolve());
         let config = config.expect("valid");
-        let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, 4));
+        let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, Joints::of_sixes(4)));
         let domain = Domain::fresh();
         let channels = Channels::create(&domain, sizes).expect("shared memory");
         assert!(!leftovers().expect("searchable").contains(&domain), "it is in use");

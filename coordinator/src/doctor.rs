@@ -83,7 +83,7 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
 /// Whether the default run fits.
 fn shared_memory(config: &Config) -> anyhow::Result<Check> {
     let robot = run::robots::load_robot(&config.robot.description)?;
-    Ok(preflight::shared_memory(config, &Dimensions::new(config, robot.n_arms), 0, &[]))
+    Ok(preflight::shared_memory(config, &Dimensions::new(config, robot.joints), 0, &[]))
 }
 
 /// What killed runs left behind.

@@ -68,9 +68,11 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
         return Err(ExitError::new(ExitCode::RunDirectory, message).into());
     }
     let trained = Trained::new(open_checkpoint(&args.path)?, None)?;
+    let refused = export::check(&trained.world);
+    refused.map_err(|why| ExitError::new(ExitCode::BadInput, why.to_string()))?;
     let origin = origin(&trained);
     let held_out = held_out(&trained, args.episodes as usize)?;
-    let parameters = trained.checkpoint.actors(trained.world.robot.n_arms)?;
+    let parameters = trained.checkpoint.actors(trained.world.robot.joints)?;
     let made = export::files(&Source {
         world: &trained.world,
         policy: &trained.policy,

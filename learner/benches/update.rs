@@ -8,6 +8,7 @@ use learner::mappo::Mappo;
 use learner::precision::Arithmetic;
 use learner::state::TrainingState;
 use learner::synthetic;
+use proto::agents::Joints;
 use proto::config::{Layers, Preset};
 use proto::layout::Dimensions;
 use tch::Device;
@@ -18,7 +19,7 @@ fn update(criterion: &mut Criterion) {
         .and_then(|layers| layers.set("network.hidden=[128,128]"))
         .and_then(|layers| layers.resolve())
         .expect("valid");
-    let dimensions = Dimensions::new(&config, 4);
+    let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
     let blocks = synthetic::blocks(&dimensions, 1);
     let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
     let mut group = criterion.benchmark_group("update");

@@ -264,6 +264,7 @@ pub fn errors(task: TaskName, dimensions: &Dimensions, shards: &[&[f32]]) -> Err
 
 #[cfg(test)]
 mod tests {
+    use proto::agents::Joints;
     use proto::config::{Layers, Preset};
 
     use super::*;
@@ -292,7 +293,7 @@ mod tests {
             .set(&format!("run.overlap={overlap}"))
             .and_then(|layers| layers.resolve())
             .expect("valid");
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         (Inbox::new(&config, &dimensions, 0), BlockLayout::new(&dimensions), dimensions)
     }
 

@@ -25,7 +25,7 @@
 //!     .set("env.n_envs=8")?
 //!     .set("network.hidden=[16]")?
 //!     .resolve()?;
-//! let dimensions = Dimensions::new(&config, 4);
+//! let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
 //! let mut state =
 //!     TrainingState::initial(&config, &dimensions, Arithmetic::F32, tch::Device::Cpu);
 //! let mut mappo = Mappo::new(&config, &dimensions, &state);

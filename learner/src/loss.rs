@@ -8,6 +8,9 @@
 //! mini-batch add up, so every function takes the size of the whole.
 //!
 //! Letters: `A` agents, `U` actions of an agent, `B` samples of a chunk.
+//!
+//! Agents have as many actions as the one with most joints. `own`, `[A, U]`, is one where an action moves a joint and zero where it moves nothing: what such an
+//! action is has no probability and no gradient. Nothing is given where all actions move a joint.
 
 use tch::{Kind, Tensor};
 
@@ -73,6 +76,7 @@ impl ActorLoss {
         &self,
         output: &Tensor,
         parameter: &Tensor,
+        own: Option<&Tensor>,
         samples: &ActorSamples,
         batch: i64,
     ) -> ActorGradient {
@@ -82,9 +86,15 @@ impl ActorLoss {
         let mean = if self.squash_mean { output.tanh() } else { output.shallow_clone() };
         // z = (a − μ) / σ; ln p = −½ Σ z² − Σ ln σ − U ½ ln 2π.
         let mut z = (&samples.action - &mean).g_mul_(&inverse_std);
+        if let Some(own) = own {
+            z = z.g_mul_(&own.unsqueeze(2));
+        }
         let z2 = z.square();
-        let constant = log_std.sum_dim_intlist(actions, true, Kind::Float)
-            + HALF_LN_TAU * output.size()[1] as f64;
+        let sum_of = |x: &Tensor| x.sum_dim_intlist(actions, true, Kind::Float);
+        let constant = match own {
+            None => sum_of(&log_std) + HALF_LN_TAU * output.size()[1] as f64,
+            Some(own) => sum_of(&((log_std + HALF_LN_TAU) * own)),
+        };
         let log_prob = z2.sum_dim_intlist(actions, false, Kind::Float) * -0.5 - constant;
         let log_ratio = log_prob - &samples.old_log_prob;
         let ratio = log_ratio.exp();
@@ -110,8 +120,12 @@ impl ActorLoss {
         let scale = -self.multiplier / batch as f64;
         let d_log_prob = (plain * active * scale).unsqueeze(1);
         // d ln p/dμ = z/σ; d ln p/d ln σ = z² − 1.
+        let by_log_std = match own {
+            None => z2 - 1.0,
+            Some(own) => z2 - own.unsqueeze(2),
+        };
         let log_std_gradient =
-            (&d_log_prob * (z2 - 1.0)).sum_dim_intlist(&[2i64][..], false, Kind::Float);
+            (&d_log_prob * by_log_std).sum_dim_intlist(&[2i64][..], false, Kind::Float);
         let mut output_gradient = z.g_mul_(&inverse_std).g_mul_(&d_log_prob);
         if self.squash_mean {
             output_gradient = Tensor::tanh_backward(&output_gradient, &mean);
@@ -121,17 +135,21 @@ impl ActorLoss {
 
     /// Completes the gradient `[A, U]` by the log-deviation parameter, once a mini-batch: adds the
     /// entropy bonus, −c · d Σ ln σ / d ln σ = −c, and lets nothing through below the floor.
-    pub fn finish_log_std(&self, gradient: &Tensor, parameter: &Tensor) -> Tensor {
-        (gradient - self.entropy_coefficient) * parameter.ge(self.min_log_std)
+    pub fn finish_log_std(
+        &self,
+        gradient: &Tensor,
+        parameter: &Tensor,
+        own: Option<&Tensor>,
+    ) -> Tensor {
+        let gradient = (gradient - self.entropy_coefficient) * parameter.ge(self.min_log_std);
+        own.map_or_else(|| gradient.shallow_clone(), |own| &gradient * own)
     }
 
     /// Entropy `[A]` of the action distribution (nats): Σ (ln σ + ½ ln 2πe).
-    pub fn entropy(&self, parameter: &Tensor) -> Tensor {
-        (self.log_std(parameter) + (HALF_LN_TAU + 0.5)).sum_dim_intlist(
-            &[1i64][..],
-            false,
-            Kind::Float,
-        )
+    pub fn entropy(&self, parameter: &Tensor, own: Option<&Tensor>) -> Tensor {
+        let entropy = self.log_std(parameter) + (HALF_LN_TAU + 0.5);
+        let entropy = own.map_or_else(|| entropy.shallow_clone(), |own| &entropy * own);
+        entropy.sum_dim_intlist(&[1i64][..], false, Kind::Float)
     }
 }
 
@@ -207,11 +225,18 @@ mod tests {
     }
 
     /// The loss as its definition says, for libtorch to differentiate.
-    fn actor_loss(l: &ActorLoss, output: &Tensor, parameter: &Tensor, s: &ActorSamples) -> Tensor {
+    fn actor_loss(
+        l: &ActorLoss,
+        output: &Tensor,
+        parameter: &Tensor,
+        own: Option<&Tensor>,
+        s: &ActorSamples,
+    ) -> Tensor {
+        let own = own.map_or_else(|| parameter.ones_like(), Tensor::shallow_clone).unsqueeze(2);
         let mean = if l.squash_mean { output.tanh() } else { output.shallow_clone() };
         let log_std = parameter.clamp_min(l.min_log_std).unsqueeze(2);
         let z = (&s.action - mean) / log_std.exp();
-        let density = z.square() * -0.5 - &log_std - HALF_LN_TAU;
+        let density = (z.square() * -0.5 - &log_std - HALF_LN_TAU) * &own;
         let ratio = (density.sum_dim_intlist(&[1i64][..], false, None) - &s.old_log_prob).exp();
         let clipped = ratio.clamp(1.0 - l.clip, 1.0 + l.clip);
         let mut surrogate = (ratio * &s.advantage).minimum(&(clipped * &s.advantage));
@@ -219,14 +244,17 @@ mod tests {
             let limited = surrogate.maximum(&(&s.advantage * l.dual_clip));
             surrogate = limited.where_self(&s.advantage.lt(0.0), &surrogate);
         }
-        let entropy = (log_std + HALF_LN_TAU + 0.5).sum(None);
+        let entropy = ((log_std + HALF_LN_TAU + 0.5) * own).sum(None);
         -surrogate.mean_dim(&[1i64][..], false, None).sum(None) * l.multiplier
             - entropy * l.entropy_coefficient
     }
 
     #[test]
     fn actor_gradient_is_that_of_the_definition() {
-        for (squash_mean, dual_clip) in [(true, 0.0), (false, 1.3)] {
+        let own = Tensor::from_slice(&[1.0f64, 1.0, 1.0, 1.0, 1.0, 0.0]).view([2, 3]);
+        for (squash_mean, dual_clip, own) in
+            [(true, 0.0, None), (false, 1.3, None), (true, 0.0, Some(&own))]
+        {
             let loss = ActorLoss {
                 clip: 0.2,
                 dual_clip,
@@ -246,19 +274,19 @@ mod tests {
                 old_log_prob: random(3, &[a, b]) * 0.3 - 4.0,
                 advantage: random(4, &[a, b]),
             };
-            let total = actor_loss(&loss, &output, &parameter, &samples);
+            let total = actor_loss(&loss, &output, &parameter, own, &samples);
             total.backward();
-            let ours = tch::no_grad(|| loss.gradient(&output, &parameter, &samples, b));
+            let ours = tch::no_grad(|| loss.gradient(&output, &parameter, own, &samples, b));
             let close = |x: &Tensor, y: &Tensor| {
                 let error = (x - y).abs().max().double_value(&[]);
                 // The sums are kept in f32: 2⁻²⁴ of each of 50 terms of order 1.
                 assert!(error < 1e-5, "{error}");
             };
             close(&ours.output, &output.grad());
-            let log_std = tch::no_grad(|| loss.finish_log_std(&ours.log_std, &parameter));
+            let log_std = tch::no_grad(|| loss.finish_log_std(&ours.log_std, &parameter, own));
             close(&log_std, &parameter.grad());
             let surrogate = ours.sums.select(1, 0).sum(None) / b as f64;
-            let entropy = tch::no_grad(|| loss.entropy(&parameter)).sum(None);
+            let entropy = tch::no_grad(|| loss.entropy(&parameter, own)).sum(None);
             close(&(surrogate - entropy * loss.entropy_coefficient), &total.detach());
             assert!(
                 ours.sums.select(1, 2).min().double_value(&[]) > 0.0,
@@ -326,7 +354,7 @@ mod tests {
                 old_log_prob: Tensor::from_slice(&[-0.5 - HALF_LN_TAU - 1.5f64.ln()]).view([1, 1]),
                 advantage: Tensor::from_slice(&[advantage]).view([1, 1]),
             };
-            let g = loss.gradient(&zeros, &zeros.view([1, 1]), &samples, 1);
+            let g = loss.gradient(&zeros, &zeros.view([1, 1]), None, &samples, 1);
             assert!((g.sums.double_value(&[0, 0]) - expected_loss).abs() < 1e-6);
             assert!((g.output.double_value(&[0, 0, 0]) - expected_gradient).abs() < 1e-6);
             assert!((g.sums.double_value(&[0, 1]) - (0.5 - 1.5f64.ln())).abs() < 1e-6);

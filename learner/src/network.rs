@@ -13,7 +13,7 @@
 use std::collections::BTreeSet;
 
 use proto::config::{Config, CriticState, InputNorm, Network, ParameterSharing};
-use proto::layout::{AGENTS_PER_ARM, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{AGENTS_PER_ARM, Dimensions};
 use proto::rng::{Address, Purpose};
 use tch::{Kind, Tensor};
 
@@ -88,6 +88,8 @@ pub struct NetworkSpec {
     pub hidden: Vec<i64>,
     /// Width of the output.
     pub output: i64,
+    /// Actions of an agent.
+    pub n_actions: usize,
     /// Whether the input has a learned gain and bias after its standardisation.
     pub input_layer_norm: bool,
     /// Whether each hidden activation is standardised, with a learned gain and shift.
@@ -147,6 +149,7 @@ impl NetworkSpec {
             kind,
             n_actors: dimensions.n_actors,
             n_networks,
+            n_actions: dimensions.n_actions,
             input: input as i64,
             hidden,
             output,
@@ -208,8 +211,8 @@ impl NetworkSpec {
                     }
                     Some("gain") => slot.fill(1.0),
                     Some("log_std") => {
-                        let agents_per_actor = slot.len() / JOINTS_PER_AGENT;
-                        for (i, joints) in slot.chunks_exact_mut(JOINTS_PER_AGENT).enumerate() {
+                        let agents_per_actor = slot.len() / self.n_actions;
+                        for (i, joints) in slot.chunks_exact_mut(self.n_actions).enumerate() {
                             let agent = network_index * agents_per_actor + i;
                             joints.fill(network.initial_log_std_of(agent) as f32);
                         }
@@ -342,6 +345,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use proto::agents::Joints;
     use proto::config::{Config, Layers, Preset, TaskName};
     use proto::layout::ActorLayout;
     use tch::Device;
@@ -368,7 +372,7 @@ mod tests {
                 &format!("algorithm.name={algorithm}"),
                 &format!("network.input_norm={norm}"),
             ]);
-            let dimensions = Dimensions::new(&config, 4);
+            let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
             let spec = NetworkSpec::new(NetworkKind::Actor, &config, &dimensions);
             let published = ActorLayout::new(&config, &dimensions);
             let running = |name: &str| name == "input.mean" || name == "input.inverse_std";
@@ -395,7 +399,11 @@ mod tests {
             (&["algorithm.name=ppo", "network.critic_state=own"], arm.repeat(2)),
         ] {
             let config = config(&[&offset[..], variant].concat());
-            let spec = NetworkSpec::new(NetworkKind::Actor, &config, &Dimensions::new(&config, 2));
+            let spec = NetworkSpec::new(
+                NetworkKind::Actor,
+                &config,
+                &Dimensions::new(&config, Joints::of_sixes(2)),
+            );
             let log_std = spec.view("log_std", &spec.initial(&config.network, 5)).contiguous();
             assert_eq!(
                 Vec::<f32>::try_from(log_std.view([-1])).expect("f32"),
@@ -408,7 +416,11 @@ mod tests {
     #[test]
     fn initial_weights_are_orthogonal_and_differ_between_agents() {
         let config = config(&["network.hidden=[24,40]"]);
-        let spec = NetworkSpec::new(NetworkKind::Actor, &config, &Dimensions::new(&config, 2));
+        let spec = NetworkSpec::new(
+            NetworkKind::Actor,
+            &config,
+            &Dimensions::new(&config, Joints::of_sixes(2)),
+        );
         let flat = spec.initial(&config.network, 5);
         assert_eq!(flat, spec.initial(&config.network, 5));
         assert_ne!(flat, spec.initial(&config.network, 6));
@@ -436,7 +448,11 @@ mod tests {
     #[test]
     fn a_shared_gradient_is_that_of_the_mean_loss_and_keeps_the_first_bias_apart() {
         let config = config(&["network.parameter_sharing=all", "network.hidden=[4]"]);
-        let spec = NetworkSpec::new(NetworkKind::Critic, &config, &Dimensions::new(&config, 1));
+        let spec = NetworkSpec::new(
+            NetworkKind::Critic,
+            &config,
+            &Dimensions::new(&config, Joints::of_sixes(1)),
+        );
         let mut gradient =
             Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);
         let raw = gradient.copy();

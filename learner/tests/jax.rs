@@ -4,6 +4,7 @@
 //! update by itself and compares. Python is `SPACEOCTOPUS_TEST_PYTHON`, or that of the tests' virtual
 //! environment, which `make test` sets up.
 
+use proto::agents::Joints;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -95,7 +96,7 @@ fn cross_check(assignments: &[&str]) {
     })
     .resolve()
     .expect("valid");
-    let dimensions = Dimensions::new(&config, 2);
+    let dimensions = Dimensions::new(&config, Joints::of_sixes(2));
     let mut state = TrainingState::initial(&config, &dimensions, Arithmetic::F32, Device::Cpu);
     let mut mappo = Mappo::in_one_group(&config, &dimensions, &state);
     let layout = BlockLayout::new(&dimensions);
@@ -210,7 +211,7 @@ fn cross_check_maddpg(assignments: &[&str]) {
     })
     .resolve()
     .expect("valid");
-    let dimensions = Dimensions::new(&config, 2);
+    let dimensions = Dimensions::new(&config, Joints::of_sixes(2));
     let mut state = TrainingState::initial(&config, &dimensions, Arithmetic::F32, Device::Cpu);
     let mut maddpg = Maddpg::new(&config, &dimensions, &state);
     let layout = BlockLayout::new(&dimensions);

@@ -12,9 +12,9 @@
 //! observations one after the other. So a block has the same layout whatever the algorithm.
 //!
 //! Letters: `A` agents, `P` actors, `T` steps, `N` environments of a shard, `O` observation, `S` critic
-//! state, `U` actions of an agent (3), `K` episode metrics. All arrays are row-major.
+//! state, `U` actions of an agent (3 where arms have six joints), `K` episode metrics. All arrays are row-major.
 
-pub use crate::agents::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
+pub use crate::agents::{AGENTS_PER_ARM, Joints};
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
@@ -24,6 +24,8 @@ use crate::config::{AlgorithmName, Config, CriticState, InputNorm, Observation};
 /// The sizes of a run's arrays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Dimensions {
+    /// Which joints are whose.
+    pub joints: Joints,
     /// Arms of the robot.
     pub n_arms: usize,
     /// A: agents, two an arm.
@@ -36,6 +38,8 @@ pub struct Dimensions {
     pub n_envs: usize,
     /// Shards of an iteration.
     pub n_shards: usize,
+    /// U: actions of an agent, as many as the joints of the agent that moves most.
+    pub n_actions: usize,
     /// O: numbers that an agent sees.
     pub observation: usize,
     /// S: numbers of the critic state that a block holds; 0 if critics see what actors see.
@@ -47,34 +51,40 @@ pub struct Dimensions {
 }
 
 impl Dimensions {
-    /// The sizes that follow from a configuration and the robot's number of arms.
-    pub fn new(config: &Config, n_arms: usize) -> Self {
-        let n_agents = n_arms * AGENTS_PER_ARM;
-        // Six angles of an arm and as many rates.
-        let joints = 6 * config.task.joint_angles.numbers() + 6;
-        // Whether the goal posture brings the hand to its goal and whether it is free of stops, what is left to it, plain 6 and squashed 6.
-        let posture = if config.task.posture.seen { 14 } else { 0 };
+    /// The sizes that follow from a configuration and the robot's joints.
+    pub fn new(config: &Config, of_robot: Joints) -> Self {
+        let (n_arms, n_agents) = (of_robot.n_arms(), of_robot.n_agents());
+        let n_actions = of_robot.per_agent();
+        // What is told of an arm's joints has room for those of the longest arm.
+        let longest = of_robot.longest_arm();
+        // The angles of an arm and as many rates.
+        let joints = longest * config.task.joint_angles.numbers() + longest;
+        // Whether the goal posture brings the hand to its goal and whether it is free of stops, what is left to it, plain and squashed.
+        let posture = if config.task.posture.seen { 2 + 2 * longest } else { 0 };
         let task = config.task.name;
         // Errors of a hand, 6 plain and 12 squashed, and how its goal moves; those of the base, 3 plain and 6 squashed.
         let moves = if task.moves() { 6 } else { 0 };
         let hand = if task.reaches() { 6 + 12 + moves + posture } else { 0 };
         let base = if task.turns() { 3 + 6 } else { 0 };
         let observation = match (config.task.observation, task.reaches()) {
-            (Observation::Paper, true) => 28,
-            (Observation::Release, true) => 31,
-            (Observation::Paper | Observation::Release, false) => 25,
-            // Base's velocity 6, own arm's q and q̇, errors, last action 6.
-            (Observation::Arm, _) => 6 + joints + hand + base + 6,
+            // The base 13, the agent's own q and q̇, a pose 3 (and its velocity 3), a goal 6 or 3.
+            (Observation::Paper, true) => 13 + 2 * n_actions + 9,
+            (Observation::Release, true) => 13 + 2 * n_actions + 12,
+            (Observation::Paper | Observation::Release, false) => 13 + 2 * n_actions + 6,
+            // Base's velocity 6, own arm's q and q̇, errors, last action.
+            (Observation::Arm, _) => 6 + joints + hand + base + longest,
         };
         let state = match config.network.critic_state {
             CriticState::Own => 0,
             CriticState::Concatenated => n_agents * observation,
-            // Base 13 and its errors; each arm's q and q̇, its hand's errors and last action 6.
-            CriticState::Compact => 13 + base + n_arms * (joints + hand + 6),
+            // Base 13 and its errors; each arm's q and q̇, its hand's errors and last action.
+            CriticState::Compact => 13 + base + n_arms * (joints + hand + longest),
         };
         Self {
+            joints: of_robot,
             n_arms,
             n_agents,
+            n_actions,
             n_actors: match config.algorithm.name {
                 AlgorithmName::Mappo | AlgorithmName::Ippo | AlgorithmName::Maddpg => n_agents,
                 AlgorithmName::Ppo => 1,
@@ -86,7 +96,7 @@ impl Dimensions {
             state,
             critic_actions: match config.algorithm.name {
                 AlgorithmName::Mappo | AlgorithmName::Ippo | AlgorithmName::Ppo => 0,
-                AlgorithmName::Maddpg => n_agents * JOINTS_PER_AGENT,
+                AlgorithmName::Maddpg => n_agents * n_actions,
             },
             n_metrics: EpisodeMetrics::count(n_arms),
         }
@@ -104,7 +114,16 @@ impl Dimensions {
 
     /// Actions that an actor chooses: those of its agents.
     pub fn actor_output(&self) -> usize {
-        self.agents_per_actor() * JOINTS_PER_AGENT
+        self.agents_per_actor() * self.n_actions
+    }
+
+    /// `[P, actor_output]`: one where an action moves a joint, zero where the agent has no joint for it; nothing where all do.
+    pub fn actions_with_joint(&self) -> Option<Vec<f32>> {
+        let of_agent = |agent: usize| {
+            let own = self.joints.of_agent(agent).len();
+            (0..self.n_actions).map(move |action| f32::from(u8::from(action < own)))
+        };
+        (!self.joints.are_even()).then(|| (0..self.n_agents).flat_map(of_agent).collect())
     }
 
     /// Numbers that a critic's first layer takes: the critic state, or what its actor sees; then actions.
@@ -122,9 +141,10 @@ pub fn replay_bytes(config: &Config, dimensions: &Dimensions) -> u64 {
     if config.algorithm.name != AlgorithmName::Maddpg {
         return 0;
     }
-    let Dimensions { n_agents: a, n_steps: t, observation: o, state, .. } = *dimensions;
+    let Dimensions { n_agents: a, n_steps: t, n_actions: u, observation: o, state, .. } =
+        *dimensions;
     let s = if config.network.critic_state == CriticState::Concatenated { 0 } else { state };
-    let episode = (t + 1) * (a * o + s) + t * (a * (JOINTS_PER_AGENT + 1) + 1);
+    let episode = (t + 1) * (a * o + s) + t * (a * (u + 1) + 1);
     (4 * episode * (config.algorithm.maddpg.replay_steps / t)) as u64
 }
 
@@ -214,7 +234,7 @@ impl BlockLayout {
         };
         let observation = array(a * (t + 1) * n * o);
         let state = array((t + 1) * n * s);
-        let action = array(a * t * n * JOINTS_PER_AGENT);
+        let action = array(a * t * n * dimensions.n_actions);
         let log_prob = array(a * t * n);
         let reward = array(a * t * n);
         let terminated = array(t * n);
@@ -389,7 +409,10 @@ mod tests {
     use crate::config::{Layers, Preset, TaskName};
 
     fn dimensions(preset: Preset, task: TaskName) -> Dimensions {
-        Dimensions::new(&Layers::new(preset, Some(task)).resolve().expect("valid"), 4)
+        Dimensions::new(
+            &Layers::new(preset, Some(task)).resolve().expect("valid"),
+            Joints::of_sixes(4),
+        )
     }
 
     #[test]
@@ -409,7 +432,7 @@ mod tests {
         let of = |algorithm: &str| {
             let layers = Layers::new(Preset::Paper, Some(TaskName::Trajectory));
             let config = layers.set(algorithm).and_then(|layers| layers.resolve()).expect("valid");
-            (Dimensions::new(&config, 4), config)
+            (Dimensions::new(&config, Joints::of_sixes(4)), config)
         };
         let (independent, _) = of("algorithm.name=ippo");
         let (central, config) = of("algorithm.name=ppo");
@@ -451,7 +474,7 @@ mod tests {
     fn actor_of_the_released_preset_has_the_known_number_of_parameters() {
         let config =
             Layers::new(Preset::Release, Some(TaskName::Trajectory)).resolve().expect("valid");
-        let layout = ActorLayout::new(&config, &Dimensions::new(&config, 4));
+        let layout = ActorLayout::new(&config, &Dimensions::new(&config, Joints::of_sixes(4)));
         let per_agent: usize = layout.tensors.iter().map(|t| t.len() / 8).sum();
         // LN(31), three blocks of Linear and LN, head and log σ: about 0.54 M.
         let blocks = (31 * 512 + 512 + 1024) + 2 * (512 * 512 + 512 + 1024);

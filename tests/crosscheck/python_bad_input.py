@@ -186,7 +186,7 @@ with tempfile.TemporaryDirectory() as folder:
     refused(ValueError, "does not list", load, damaged("unlisted", manifest(files={})))
     refused(ValueError, "not a manifest", load, damaged("no-json", lambda place: (place / "manifest.json").write_text("[]")))
     two_arm = ROOT / "sim-worker" / "simulator" / "robots" / "two-arm.toml"
-    refused(ValueError, "the policy moves 4 arms, the robot `two-arm` has 2", load, POLICY, robot=two_arm)
+    refused(ValueError, "the policy moves 4 arms of 6 joints, the robot `two-arm` has 2 arms of 6 joints", load, POLICY, robot=two_arm)
 
     # As a run keeps them.
     run = folder / "run"

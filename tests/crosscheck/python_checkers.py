@@ -1,6 +1,7 @@
 """PettingZoo's and Gymnasium's own checkers, and what they do not look at."""
 
 import warnings
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -43,6 +44,36 @@ batch = spaceoctopus.Batch(3, set=SHORT)
 batch.reset(5, first=40)
 seen, _ = env.reset(seed=5, options={"env": 42})
 assert np.array_equal(np.stack([seen[agent] for agent in env.agents]), batch.observation[2])
+
+# Arms of six, six, seven and seven joints: an agent has an action for each of its joints.
+SEVEN = Path(__file__).parents[2] / "sim-worker" / "simulator" / "robots" / "seven-joints.toml"
+env = spaceoctopus.ParallelEnv(set=SHORT, robot=SEVEN)
+parallel_api_test(env, num_cycles=30)
+sizes = [env.action_space(agent).shape[0] for agent in env.possible_agents]
+assert sizes == [3, 3, 3, 3, 4, 3, 4, 3] == env.batch.joints_of_agents
+batch = spaceoctopus.Batch(2, set=SHORT, robot=SEVEN)
+assert batch.action_limit.shape == (8, 4) and (batch.action_limit[:4, 3] == 0).all() and (batch.action_limit[4, :] > 0).all()
+assert batch.robot.joints == [6, 6, 7, 7] and batch.robot.home.shape == (4, 7) and (batch.robot.home[:2, 6] == 0).all()
+several = spaceoctopus.VectorEnv(2, set=SHORT, robot=SEVEN)
+assert several.single_action_space.shape == (26,)
+batch.reset(5)
+seen, _ = env.reset(seed=5, options={"env": 1})
+several.reset(seed=5)
+actions = np.random.default_rng(3).uniform(-1, 1, (2, 26)).astype(np.float32)
+several.step(actions)
+starts = np.cumsum([0, *sizes])
+by_agent = {agent: actions[1, starts[i] : starts[i + 1]] for i, agent in enumerate(env.possible_agents)}
+seen = env.step(by_agent)[0]
+padded = np.zeros((2, 8, 4), np.float32)
+for i, (agent, size) in enumerate(zip(env.possible_agents, sizes)):
+    padded[:, i, :size] = actions[:, starts[i] : starts[i + 1]]
+    # What there is no joint for moves nothing.
+    padded[:, i, size:] = 7.0
+batch.step(padded)
+assert np.array_equal(np.stack([seen[agent] for agent in env.possible_agents]), batch.observation[1])
+assert np.array_equal(several.batch.observation, batch.observation)
+env.close()
+several.close()
 
 # --- Gymnasium --------------------------------------------------------------------------------------------------
 for observe, size in (("agents", 8 * 62), ("state", 237)):

@@ -122,5 +122,6 @@ for step, row in enumerate(rows):
         assert contact.on in links and contact.by in links, contact
 # Frames come from single precision, relative to each other, some metres from the world's origin.
 assert worst < 1e-5, worst
-moved = np.ptp([float(row[f"{arms[0]}_shoulder_angle_rad"]) for row in rows])
+turned = next(column for column in rows[0] if column.startswith(arms[0]) and column.endswith("_angle_rad"))
+moved = np.ptp([float(row[turned]) for row in rows])
 print(f"{len(rows)} moments, {len(world)} frames, off by {worst:.1g}; a shoulder moved by {moved:.2f} rad")

@@ -5,6 +5,7 @@
 //! All machines are this one: network namespaces behind a bridge, each with the same small share of a core by a control group, so
 //! that several are faster than one although they share two cores. The learner has a small network and all the time that it wants.
 
+use proto::agents::Joints;
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -194,7 +195,7 @@ fn measure(case: Case, seconds: f64) -> Result<Measured> {
         let values = lines[1..].iter().filter_map(|line| line["timing"][key].as_f64());
         values.sum::<f64>() / (lines.len() - 1) as f64
     };
-    let dimensions = Dimensions::new(&config, 4);
+    let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
     let per_block = (dimensions.n_envs * dimensions.n_steps) as f64;
     let blocks = env_steps / per_block;
     let taken = [after[0] - before[0], after[1] - before[1]].map(|time| time / blocks);

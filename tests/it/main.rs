@@ -1,6 +1,7 @@
 //! End-to-end tests of the built programs: runs, crashes, bad input.
 
 mod algorithms;
+mod arms;
 mod bad_input;
 mod bench;
 mod bucket;

@@ -38,10 +38,11 @@ impl Noise {
 }
 
 fn robots() -> Vec<Robot> {
-    let two_arm = include_str!("../../sim-worker/simulator/robots/two-arm.toml");
-    let two_arm = Robot::from_toml(two_arm, Path::new("two-arm.toml")).unwrap();
+    let of = |text| Robot::from_toml(text, Path::new("robot.toml")).unwrap();
+    let two_arm = of(include_str!("../../sim-worker/simulator/robots/two-arm.toml"));
+    let seven = of(include_str!("../../sim-worker/simulator/robots/seven-joints.toml"));
     let [release, paper] = ["release", "paper"].map(|name| Robot::builtin(name).unwrap());
-    vec![release, paper, two_arm]
+    vec![release, paper, two_arm, seven]
 }
 
 fn ask(input: &Value) -> Value {
@@ -190,7 +191,7 @@ fn disturbed_episodes_agree_with_mujoco() {
         let commands = random_commands(&robot, 10, &mut noise);
         let disturbances: Vec<Disturbance<f64>> = (0..commands.len())
             .map(|step| {
-                let mut disturbance = Disturbance::none(robot.n_arms);
+                let mut disturbance = Disturbance::none(&robot.joints);
                 // A single hand is pulled at, then all; the first arm is limp in every third step.
                 for force in disturbance.hand_force.iter_mut().take(1 + step) {
                     *force = [0; 3].map(|_| 30.0 * noise.next());

@@ -6,10 +6,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use proto::config::Config;
-use proto::layout::{AGENTS_PER_ARM, BlockLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{AGENTS_PER_ARM, BlockLayout, Dimensions};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 use simulator::rollout::World;
 
 /// Of this description.
@@ -42,12 +42,19 @@ fn arrays(
     dimensions: &Dimensions,
     layout: &BlockLayout,
 ) -> [(&'static str, Range<usize>, Vec<usize>); 8] {
-    let Dimensions { n_agents: a, n_steps: t, n_envs: n, observation: o, state: s, .. } =
-        *dimensions;
+    let Dimensions {
+        n_agents: a,
+        n_steps: t,
+        n_envs: n,
+        n_actions: u,
+        observation: o,
+        state: s,
+        ..
+    } = *dimensions;
     [
         ("observation", layout.observation.clone(), vec![a, t + 1, n, o]),
         ("state", layout.state.clone(), vec![t + 1, n, s]),
-        ("action", layout.action.clone(), vec![a, t, n, JOINTS_PER_AGENT]),
+        ("action", layout.action.clone(), vec![a, t, n, u]),
         ("log_prob", layout.log_prob.clone(), vec![a, t, n]),
         ("reward", layout.reward.clone(), vec![a, t, n]),
         ("terminated", layout.terminated.clone(), vec![t, n]),
@@ -114,7 +121,7 @@ impl Block {
         let robot = Robot::from_toml(text("robot")?, Path::new("its robot"))
             .map_err(|error| error.to_string())?;
         // Before anything of that size is made.
-        let dimensions = Dimensions::new(&config, robot.n_arms);
+        let dimensions = Dimensions::new(&config, robot.joints);
         let layout = BlockLayout::new(&dimensions);
         let arrays = arrays(&dimensions, &layout);
         let tensors = SafeTensors::deserialize(file).map_err(wrong)?;
@@ -138,10 +145,10 @@ impl Block {
         Ok(Self { world: Arc::new(World::new(&config, &robot)), address, numbers })
     }
 
-    /// The actions of an agent in a control step, before clipping and scaling: `[N, 3]`.
+    /// The actions of an agent in a control step, before clipping and scaling: `[N, U]`.
     pub fn actions(&self, agent: usize, step: usize) -> &[f32] {
-        let Dimensions { n_steps, n_envs, .. } = self.world.dimensions;
-        let width = n_envs * JOINTS_PER_AGENT;
+        let Dimensions { n_steps, n_envs, n_actions, .. } = self.world.dimensions;
+        let width = n_envs * n_actions;
         let at = self.world.block_layout().action.start + (agent * n_steps + step) * width;
         &self.numbers[at..at + width]
     }
@@ -149,18 +156,23 @@ impl Block {
     /// What environment `env` did in a control step: its actions joint after joint, before scaling. Where the task adds to what agents say, as the next
     /// observations tell it, else as agents say it, before clipping.
     pub fn executed(&self, env: usize, step: usize) -> Vec<f32> {
-        let Dimensions { n_agents, n_steps, n_envs, observation, .. } = self.world.dimensions;
+        let Dimensions { joints, n_agents, n_steps, n_envs, n_actions, observation, .. } =
+            self.world.dimensions;
         if self.world.config.task.posture.gain == 0.0 {
-            let at = env * JOINTS_PER_AGENT;
-            let of_agent = |agent| &self.actions(agent, step)[at..at + JOINTS_PER_AGENT];
+            let at = env * n_actions;
+            let of_agent = |agent| {
+                let own = joints.of_agent(agent).len();
+                &self.actions(agent, step)[at..at + own]
+            };
             return (0..n_agents).flat_map(of_agent).copied().collect();
         }
-        // An arm's observations end with its last action.
+        // An arm's observations end with its last action, which has room for that of the longest arm.
         let first = self.world.block_layout().observation.start;
         let of_arm = |shoulder: usize| {
             let row = (shoulder * (n_steps + 1) + step + 1) * n_envs + env;
             let end = first + (row + 1) * observation;
-            &self.numbers[end - JOINTS_PER_ARM..end]
+            let at = end - joints.longest_arm();
+            &self.numbers[at..at + joints.of_arm(shoulder / AGENTS_PER_ARM).len()]
         };
         (0..n_agents).step_by(AGENTS_PER_ARM).flat_map(of_arm).copied().collect()
     }

@@ -4,7 +4,6 @@ use std::f64::consts::PI;
 
 use proto::config::{Inference, Observation};
 use serde::Serialize;
-use simulator::robot::JOINTS_PER_ARM;
 
 use crate::source::{HeldOut, Origin, Source};
 use crate::vectors::{Case, Vectors};
@@ -327,7 +326,7 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
         goals,
     ];
     if source.has_postures() {
-        let left = world.robot.links.iter().map(|link| format!("left of {}", link.name));
+        let left = world.robot.types[0].links.iter().map(|link| format!("left of {}", link.name));
         let elements = names(&["good", "free"]).into_iter().chain(left).collect();
         let mut postures = port(
             "postures",
@@ -344,7 +343,7 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
     for (index, port) in all.iter_mut().enumerate() {
         port.index = index;
     }
-    debug_assert_eq!(joints, JOINTS_PER_ARM * world.dimensions.n_arms);
+    debug_assert_eq!(joints, world.robot.n_joints());
     all
 }
 

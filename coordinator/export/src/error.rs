@@ -16,6 +16,12 @@ pub enum ExportError {
          let `octopus`, the page or the Python package play it"
     )]
     Task(&'static str),
+    /// The controllers' kinematics are those of like arms of six joints.
+    #[error(
+        "policies of robot `{0}` cannot be exported yet, expected a robot whose arms are all of the type at the top of its file, with six joints; \
+         let `octopus`, the page or the Python package play it"
+    )]
+    Robot(String),
     /// More actors than a row number has room for.
     #[error("{0} actors are more than the 255 that the C code has room for")]
     Actors(usize),

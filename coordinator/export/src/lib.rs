@@ -37,6 +37,8 @@ pub use replay::{BlockStart, Difference, Replay, block_start, replay_block, repl
 pub use source::{HeldOut, HeldOutError, Origin, Source};
 
 use networks::Networks;
+use simulator::rollout::World;
+use source::ARM_JOINTS;
 
 /// A file of the directory.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,16 +49,31 @@ pub struct File {
     pub content: Vec<u8>,
 }
 
-/// Everything of the directory, in the order of the table above.
-pub fn files(source: &Source<'_>) -> Result<Vec<File>, ExportError> {
-    let actors = source.world.dimensions.n_actors;
+/// Whether controllers can be written for policies of a world.
+///
+/// # Errors
+/// Why not.
+pub fn check(world: &World) -> Result<(), ExportError> {
+    let actors = world.dimensions.n_actors;
     if actors > 255 {
         return Err(ExportError::Actors(actors));
     }
-    let task = source.world.config.task.name;
+    let task = world.config.task.name;
     if task.moves() || task.reaches() && task.turns() {
         return Err(ExportError::Task(task.as_str()));
     }
+    if world.robot.types.len() > 1 || world.robot.joints.by_arm().any(|n| n != ARM_JOINTS) {
+        return Err(ExportError::Robot(world.robot.name.clone()));
+    }
+    Ok(())
+}
+
+/// Everything of the directory, in the order of the table above.
+///
+/// # Errors
+/// If there is none for this world ([`check`]), or an episode cannot be played.
+pub fn files(source: &Source<'_>) -> Result<Vec<File>, ExportError> {
+    check(source.world)?;
     let networks = Networks::new(source.world, source.parameters);
     let vectors = vectors::vectors(source)?;
     let metadata = metadata(source);

@@ -68,6 +68,9 @@ pub struct Source<'a> {
     pub held_out: &'a HeldOut,
 }
 
+/// Joints of an arm of a robot whose policies can be exported; its arms are of one type.
+pub(crate) const ARM_JOINTS: usize = 6;
+
 impl Source<'_> {
     /// Factor on squashed outputs.
     pub(crate) fn squash_limit(&self) -> f64 {
@@ -91,8 +94,9 @@ impl Source<'_> {
     pub(crate) fn joint_names(&self) -> Vec<String> {
         let robot = &self.world.robot;
         let of_arm = |arm: &simulator::robot::Arm| {
+            let links = &robot.types[arm.arm_type].links;
             let arm = arm.name.clone();
-            robot.links.iter().map(move |link| format!("{arm} {}", link.name))
+            links.iter().map(move |link| format!("{arm} {}", link.name))
         };
         robot.arms.iter().flat_map(of_arm).collect()
     }

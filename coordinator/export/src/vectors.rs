@@ -38,7 +38,7 @@ pub(crate) struct Case {
     goals: Vec<f32>,
     /// An arm each: good, free, left.
     #[serde(skip_serializing_if = "Option::is_none")]
-    postures: Option<Vec<[f32; 8]>>,
+    postures: Option<Vec<Vec<f32>>>,
     observations: Vec<Vec<f32>>,
     command: Vec<f32>,
 }

@@ -1,5 +1,7 @@
 //! What a gateway is started with.
 
+use proto::agents::Joints;
+use proto::{ExitCode, ExitError};
 use std::path::PathBuf;
 
 /// Carries orders, blocks and policies between machines; started by `octopus`, not by hand.
@@ -29,9 +31,9 @@ pub struct HubArguments {
     /// Certificates of the run and of the hosts that may join, for quic.
     #[arg(long, value_name = "DIR")]
     pub certificates: Option<PathBuf>,
-    /// Arms of the robot.
-    #[arg(long, value_name = "N")]
-    pub arms: usize,
+    /// Joints of each arm of the robot.
+    #[arg(long, value_name = "N,…", value_delimiter = ',')]
+    pub joints: Vec<usize>,
     /// The program that hosts must have, too.
     #[arg(long, value_name = "FILE")]
     pub sim_worker: PathBuf,
@@ -82,4 +84,12 @@ pub struct HostArguments {
     /// Process that started this one: the gateway does not start if that is gone already.
     #[arg(long, value_name = "PID")]
     pub parent: Option<i32>,
+}
+
+/// What it was told of the robot's joints.
+pub(crate) fn joints_of(told: &[usize]) -> Result<Joints, ExitError> {
+    Joints::of_outside(told).ok_or_else(|| {
+        let found = format!("arms of {told:?} joints, expected 1 to 8 arms of 2 to 7 each");
+        ExitError::new(ExitCode::BadInput, found)
+    })
 }

@@ -142,11 +142,11 @@ pub fn play(
         .into_iter()
         .map(|Trained { world, policy, .. }| Arc::new(Member { world, policy }))
         .collect();
-    let n_arms = members[0].world.dimensions.n_arms;
-    if let Some(other) = members.iter().find(|member| member.world.dimensions.n_arms != n_arms) {
+    let joints = members[0].world.dimensions.joints;
+    if let Some(other) = members.iter().find(|member| member.world.dimensions.joints != joints) {
         let message = format!(
-            "its policies are for robots with {n_arms} and with {} arms; all play on one robot",
-            other.world.dimensions.n_arms
+            "its policies are for robots with {joints} and with {}; all play on one robot",
+            other.world.dimensions.joints
         );
         return Err(bad(message));
     }

@@ -11,7 +11,7 @@ use crate::trained::Trained;
 pub fn enclosed(checkpoint: &Checkpoint, name: &str) -> anyhow::Result<[Enclosed; 3]> {
     let trained = Trained::new(checkpoint.clone(), None)?;
     let dimensions = &trained.world.dimensions;
-    let tensors = compact(&checkpoint.config, dimensions, &checkpoint.actors(dimensions.n_arms)?);
+    let tensors = compact(&checkpoint.config, dimensions, &checkpoint.actors(dimensions.joints)?);
     let config = std::fs::read(checkpoint.dir.join(CONFIG))
         .with_context(|| format!("{}: cannot be read", checkpoint.dir.join(CONFIG).display()))?;
     let file = |file, bytes| Enclosed { policy: name.to_owned(), file, bytes };

@@ -32,22 +32,22 @@ pub fn open_checkpoint(path: &Path) -> anyhow::Result<Checkpoint> {
 }
 
 impl Trained {
-    /// The policy of a checkpoint, on its own robot or on another one with as many arms.
+    /// The policy of a checkpoint, on its own robot or on another one with as many arms and joints.
     pub fn new(checkpoint: Checkpoint, robot: Option<&Robot>) -> anyhow::Result<Self> {
         let own = Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir.join("robot.toml"))?;
         let robot = robot.unwrap_or(&own);
-        if robot.n_arms != own.n_arms {
+        if robot.joints != own.joints {
             let message = format!(
-                "{}: the policy moves {} arms, the robot `{}` has {}",
+                "{}: the policy moves {}, the robot `{}` has {}",
                 checkpoint.dir.display(),
-                own.n_arms,
+                own.joints,
                 robot.name,
-                robot.n_arms
+                robot.joints
             );
             return Err(ExitError::new(ExitCode::BadInput, message).into());
         }
         let world = World::new(&checkpoint.config, robot);
-        let policy = world.policy(&checkpoint.actors(robot.n_arms)?).map_err(|error| {
+        let policy = world.policy(&checkpoint.actors(robot.joints)?).map_err(|error| {
             ExitError::new(ExitCode::RunDirectory, format!("{}: {error}", checkpoint.dir.display()))
         })?;
         Ok(Self { checkpoint, world, policy })

@@ -3,7 +3,6 @@
 use clap::Args;
 use lab::evaluation::reachable;
 use lab::threads::Threads;
-use output::counted;
 use proto::config::{Layers, Preset, TaskName};
 use run::report::progress::Parts;
 use run::robots::load_robot;
@@ -55,16 +54,18 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
     let hands = reachable(&world, goals, episodes, Threads::available(), &progress)?.concat();
     progress.end();
     let reached = hands.iter().filter(|hand| hand.reached).count();
-    let of_arm: f64 = robot.links.iter().map(|link| link.body.mass).sum();
+    let masses: Vec<f64> = (0..robot.n_arms).map(|arm| robot.type_of(arm).mass()).collect();
     let reach = robot.reach();
+    let joints: Vec<usize> = robot.joints.by_arm().collect();
     if args.json {
         return output::json(&json!({
             "robot": robot.name,
             "arms": robot.n_arms,
             "joints": robot.n_joints(),
+            "joints_by_arm": joints,
             "mass": robot.total_mass(),
             "base_mass": robot.base.mass,
-            "arm_mass": of_arm,
+            "arm_mass": masses,
             "reach_at_most": reach,
             "goals": hands.len(),
             "reachable": reached,
@@ -72,15 +73,12 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
     }
     let rows = [
         ("robot".to_owned(), robot.name.clone()),
-        (
-            "arms".to_owned(),
-            format!("{}, {}", robot.n_arms, counted(robot.n_joints() as u64, "joint")),
-        ),
+        ("arms".to_owned(), robot.joints.to_string()),
         (
             "mass".to_owned(),
             format!("{:.1} kg, {:.1} of them the base", robot.total_mass(), robot.base.mass),
         ),
-        ("an arm".to_owned(), format!("{of_arm:.1} kg, reaches {reach:.2} m at most")),
+        ("reach".to_owned(), format!("{reach:.2} m at most, the arm stretched")),
         ("at home".to_owned(), "touches nothing, and moves as finer steps say".to_owned()),
         ("goals".to_owned(), format!("{reached} of {} can be reached", hands.len())),
     ];

@@ -18,8 +18,8 @@ Examples:
   octopus robot check satellite.toml
   octopus train --robot satellite.toml
 
-The root link is the base, which floats. Every chain of six joints that turn, revolute or \
-continuous, is an arm, and all arms must be built alike. What is fixed to a link belongs to it. The \
+The root link is the base, which floats. Every chain of two to seven joints that turn, revolute or \
+continuous, is an arm; arms that are built alike are of one type. What is fixed to a link belongs to it. The \
 URDF's zero is the home pose; joint angles of the robot file count from the zero of its \
 Denavit-Hartenberg rows. Joints turn without end: position limits are dropped. What is left out or added is said, and stands in \
 the file as comments.";

@@ -1,8 +1,6 @@
-//! Whether arms are built alike, as those of a robot here must be.
+//! Whether arms are built alike, and so of one type.
 
-use simulator::robot::description::{CapsuleDescription, DiscDescription, LinkDescription};
-
-use crate::error::UrdfError;
+use simulator::robot::description::{CapsuleDescription, DhRow, DiscDescription, LinkDescription};
 
 /// Relative differences below this are rounding.
 const SAME: f64 = 1e-4;
@@ -23,21 +21,21 @@ pub(crate) struct Build {
 }
 
 impl Build {
-    /// Refuses another arm that is not built alike.
-    pub(crate) fn check(&self, other: &Self) -> Result<(), UrdfError> {
+    /// How another arm is built otherwise, if it is.
+    pub(crate) fn difference(&self, other: &Self) -> Option<String> {
+        let [here, there] = [self, other].map(|build| build.links.len());
+        if here != there {
+            return Some(format!("{here} joints here and {there} there"));
+        }
         let mut links = self.links.iter().zip(&other.links).enumerate();
         let unlike = links.find_map(|(i, (a, b))| difference(i + 1, a, b));
-        let what = unlike.or_else(|| {
+        unlike.or_else(|| {
             if (self.left_over - other.left_over).abs() > SAME_TURN {
                 return Some("hands are turned otherwise on the last link".to_owned());
             }
             let [here, there] = [self.tool, other.tool];
             (!same(&here, &there, 1.0))
                 .then(|| format!("hands stand at {here:?} and {there:?} on the last link"))
-        });
-        what.map_or(Ok(()), |what| {
-            let found = format!("arms `{}` and `{}` differ: {what}", self.name, other.name);
-            Err(UrdfError::robot(found, "all arms of a robot must be built alike"))
         })
     }
 }
@@ -48,7 +46,11 @@ fn difference(number: usize, a: &LinkDescription, b: &LinkDescription) -> Option
     let limits = |link: &LinkDescription| [link.servo.max_rate, link.servo.max_torque];
     let degrees = (a.dh.alpha_deg - b.dh.alpha_deg).abs();
     if !same(&row(a), &row(b), 1.0) || degrees.min(360.0 - degrees) > SAME_TWIST {
-        return Some(format!("joint {number} stands at {:?} here and at {:?} there", a.dh, b.dh));
+        let words = |link: &LinkDescription| {
+            let DhRow { a, d, alpha_deg } = link.dh;
+            format!("a = {a}, d = {d}, alpha_deg = {alpha_deg}")
+        };
+        return Some(format!("joint {number} has {} here and {} there", words(a), words(b)));
     }
     if !same(&[a.mass], &[b.mass], 0.0) {
         return Some(format!("link {number} has {} kg here and {} kg there", a.mass, b.mass));

@@ -1,4 +1,4 @@
-//! Denavit–Hartenberg rows of six axes.
+//! Denavit–Hartenberg rows of an arm's axes.
 //!
 //! Standard rows (Denavit and Hartenberg 1955; as in Siciliano et al., *Robotics*, section 2.8.2): frame i stands where the common normal of
 //! axes i and i+1 meets axis i+1, which is its z axis; its x axis is along that normal.
@@ -8,7 +8,6 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::robot::description::DhRow;
 
 use crate::tree::Axis;
@@ -25,11 +24,11 @@ const NOISE_DEG: f64 = 1e-6;
 /// An arm's rows, and its frames while the URDF's angles are zero.
 #[derive(Debug, Clone)]
 pub(crate) struct Chain {
-    pub(crate) rows: [DhRow; JOINTS_PER_ARM],
+    pub(crate) rows: Vec<DhRow>,
     /// Angles of ours while the URDF's are zero (rad), in (−π, π].
-    pub(crate) zeros: [f64; JOINTS_PER_ARM],
-    /// Frames 0 to 6.
-    pub(crate) frames: [Isometry3<f64>; JOINTS_PER_ARM + 1],
+    pub(crate) zeros: Vec<f64>,
+    /// Frame 0 and those of the rows.
+    pub(crate) frames: Vec<Isometry3<f64>>,
     /// The hand's turn against the last frame that no row can hold (rad).
     pub(crate) left_over: f64,
     /// By how much axes that were taken for parallel are not, the worst of them (rad).
@@ -53,13 +52,13 @@ impl Line {
     }
 }
 
-/// The rows of `joints`, the last one such that frame 6 is as near to `hand` as it can be.
+/// The rows of `joints`, the last one such that its frame is as near to `hand` as it can be.
 pub(crate) fn chain(joints: &[Axis<'_>], hand: &Isometry3<f64>) -> Chain {
     let lines: Vec<Line> = joints.iter().map(Line::of).collect();
-    let last = JOINTS_PER_ARM - 1;
-    // Of frames 1 to 6: x axes and origins. Frame 0 has the x axis of frame 1, so that the first angle is zero there.
-    let mut x = [Vector3::zeros(); JOINTS_PER_ARM + 1];
-    let mut origin = [lines[0].point; JOINTS_PER_ARM + 1];
+    let last = lines.len() - 1;
+    // Of the rows' frames: x axes and origins. Frame 0 has the x axis of frame 1, so that the first angle is zero there.
+    let mut x = vec![Vector3::zeros(); last + 2];
+    let mut origin = vec![lines[0].point; last + 2];
     for i in 1..=last {
         let (this, next) = (lines[i - 1], lines[i]);
         (x[i], origin[i]) = common_normal(this, next, &origin[i - 1]).unwrap_or_else(|| {
@@ -80,10 +79,9 @@ pub(crate) fn chain(joints: &[Axis<'_>], hand: &Isometry3<f64>) -> Chain {
         Line { point: origin[last], along: axis }.nearest_to(&hand.translation.vector);
 
     let z = |i: usize| lines.get(i).map_or(last_z, |line| line.along);
-    let mut zeros = [0.0; JOINTS_PER_ARM];
-    let rows = std::array::from_fn(|i| {
+    let zeros = (0..=last).map(|i| angle(&z(i), &x[i], &x[i + 1])).collect();
+    let rows = (0..=last).map(|i| {
         let along = z(i);
-        zeros[i] = angle(&along, &x[i], &x[i + 1]);
         let shift = origin[i + 1] - origin[i];
         let alpha = angle(&x[i + 1], &along, &z(i + 1));
         DhRow {
@@ -92,7 +90,7 @@ pub(crate) fn chain(joints: &[Axis<'_>], hand: &Isometry3<f64>) -> Chain {
             alpha_deg: tidy_degrees(alpha.to_degrees()),
         }
     });
-    let frames = std::array::from_fn(|i| {
+    let frames = (0..=last + 1).map(|i| {
         // Across the axis to the last digit, also where one was taken for parallel.
         let z = z(i);
         let y = z.cross(&x[i]).normalize();
@@ -105,7 +103,7 @@ pub(crate) fn chain(joints: &[Axis<'_>], hand: &Isometry3<f64>) -> Chain {
     let sines = lines.windows(2).map(|pair| pair[0].along.cross(&pair[1].along).norm());
     let taken = sines.filter(|&sine| (ROUNDING..PARALLEL).contains(&sine));
     let straightened = taken.fold(0.0, f64::max);
-    Chain { rows, zeros, frames, left_over, straightened }
+    Chain { rows: rows.collect(), zeros, frames: frames.collect(), left_over, straightened }
 }
 
 /// Direction from a line to the next along their common normal, and where it meets the next; of parallel lines the normal through

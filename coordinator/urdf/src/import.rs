@@ -1,11 +1,11 @@
 //! The whole way: from a text to a description, and what was lost on it.
 
 use nalgebra::Isometry3;
+use simulator::robot::MAX_ARMS;
 use simulator::robot::description::{
-    ArmDescription, BoxDescription, LinkDescription, MountDescription, PedestalDescription,
-    RobotDescription, ServoDescription, ToolDescription,
+    ArmDescription, ArmTypeDescription, BoxDescription, LinkDescription, MountDescription,
+    PedestalDescription, RobotDescription, ServoDescription, ToolDescription,
 };
-use simulator::robot::{JOINTS_PER_ARM, MAX_ARMS};
 
 use crate::alike::Build;
 use crate::bodies::{Shapes, Solid, euler_deg};
@@ -38,7 +38,7 @@ pub struct Imported {
 /// joint's. `home_position` is where the base begins (m).
 ///
 /// # Errors
-/// If the text is no URDF, or its robot is none of ours: a base with one to eight like arms of six joints that turn.
+/// If the text is no URDF, or its robot is none of ours: a base with one to eight arms of two to seven joints that turn.
 pub fn import(
     text: &str,
     hand: Option<&str>,
@@ -53,26 +53,27 @@ pub fn import(
     let names = names(&tree.arms);
     let mut notes = Notes::default();
     let mut arms = Vec::new();
-    let mut like: Option<Build> = None;
+    let mut types: Vec<Build> = Vec::new();
     for (arm, (arm_name, link_names)) in tree.arms.iter().zip(&names) {
         let (hand_link, pose) = hand_of(arm, arm_name, hand)?;
         notes.push(format!("the hand of arm `{arm_name}` is link `{hand_link}`"));
         let chain = chain(&arm.joints, &pose);
-        let links = (0..JOINTS_PER_ARM)
+        let links = (0..arm.joints.len())
             .map(|i| link(arm, &chain, i, &link_names[i], &mut notes))
             .collect::<Result<Vec<_>, _>>()?;
-        let tool = chain.frames[JOINTS_PER_ARM].inverse() * pose;
+        let tool = chain.frames[arm.joints.len()].inverse() * pose;
         let tool = tool.translation.vector.map(|x| (x * 1e9).round() / 1e9 + 0.0).into();
         let mount = &chain.frames[0];
         arms.push(ArmDescription {
             name: arm_name.clone(),
+            arm_type: None,
             mount_position: mount.translation.vector.into(),
             mount_euler_deg: euler_deg(mount.rotation.to_rotation_matrix().matrix()),
             home: chain.zeros.to_vec(),
         });
         if chain.left_over.abs() > 1e-3 {
             notes.add(format!(
-                "the frame of a hand is turned by {:.1}° about its z axis, as six rows hold no more",
+                "the frame of a hand is turned by {:.1}° about its z axis, as rows hold no more",
                 -chain.left_over.to_degrees()
             ));
         }
@@ -83,12 +84,35 @@ pub fn import(
             ));
         }
         let build = Build { name: arm_name.clone(), links, tool, left_over: chain.left_over };
-        match &like {
-            None => like = Some(build),
-            Some(first) => first.check(&build)?,
+        let alike = types.iter().position(|other| other.difference(&build).is_none());
+        if alike.is_none() && !types.is_empty() {
+            let why = types[0].difference(&build).unwrap_or_default();
+            notes.push(format!(
+                "arm `{arm_name}` is of a type of its own, as it differs from arm `{}`: {why}",
+                types[0].name
+            ));
         }
+        let place = alike.unwrap_or(types.len());
+        if alike.is_none() {
+            types.push(build);
+        }
+        // The first type stands at the top of the file, the others by the names of their first arms.
+        arms.last_mut().expect("just pushed").arm_type =
+            (place > 0).then(|| types[place].name.clone());
     }
-    let Build { links, tool, .. } = like.expect("a tree has arms");
+    let mut types = types.into_iter();
+    let Build { links, tool, .. } = types.next().expect("a tree has arms");
+    let arm_types = types.map(|Build { name, links, tool, .. }| {
+        let arm_type = ArmTypeDescription {
+            mount: no_mount(),
+            pedestal: no_pedestal(),
+            links,
+            tool: ToolDescription { position: tool },
+            angle_contacts: Vec::new(),
+        };
+        (name, arm_type)
+    });
+    let arm_types = arm_types.collect();
     notes.push(
         "mounts and pedestals of arms, which URDF has not, are a milligram each, the mount a box of a millimetre at the first joint"
             .to_owned(),
@@ -103,21 +127,30 @@ pub fn import(
         name: plain(&document.name),
         home_position,
         base: vec![base(&tree, &mut notes)?],
-        mount: MountDescription { size: [NOTHING.1; 3], mass: NOTHING.0, position: [0.0; 3] },
-        pedestal: PedestalDescription {
-            euler_deg: [0.0; 3],
-            mass: NOTHING.0,
-            com: [0.0; 3],
-            inertia: [1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0],
-            capsules: Vec::new(),
-            discs: Vec::new(),
-        },
+        mount: no_mount(),
+        pedestal: no_pedestal(),
         links,
         tool: ToolDescription { position: tool },
         angle_contacts: Vec::new(),
+        arm_types,
         arms,
     };
     Ok(Imported { description, notes: notes.sentences() })
+}
+
+fn no_mount() -> MountDescription {
+    MountDescription { size: [NOTHING.1; 3], mass: NOTHING.0, position: [0.0; 3] }
+}
+
+fn no_pedestal() -> PedestalDescription {
+    PedestalDescription {
+        euler_deg: [0.0; 3],
+        mass: NOTHING.0,
+        com: [0.0; 3],
+        inertia: [1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0],
+        capsules: Vec::new(),
+        discs: Vec::new(),
+    }
 }
 
 /// Each kind of remark once, with how often it was made.
@@ -215,7 +248,10 @@ fn hand_of<'d>(
     name: &str,
     hand: Option<&str>,
 ) -> Result<(&'d str, Isometry3<f64>), UrdfError> {
-    let last: Vec<(&str, Isometry3<f64>)> = arm.bodies[JOINTS_PER_ARM - 1]
+    let last: Vec<(&str, Isometry3<f64>)> = arm
+        .bodies
+        .last()
+        .expect("an arm has a joint")
         .iter()
         .map(|(link, pose)| (link.name.as_str(), *pose))
         .collect();

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use nalgebra::{Isometry3, Unit, Vector3};
-use simulator::robot::JOINTS_PER_ARM;
+use simulator::robot::{MAX_JOINTS_PER_ARM, MIN_JOINTS_PER_ARM};
 
 use crate::document::{Document, Joint, Link};
 use crate::error::UrdfError;
@@ -84,7 +84,7 @@ impl<'d> Tree<'d> {
         if arms.is_empty() {
             return Err(UrdfError::robot(
                 format!("nothing moves on the base `{root}`"),
-                format!("a robot has arms of {JOINTS_PER_ARM} joints"),
+                format!("a robot has arms of {MIN_JOINTS_PER_ARM} to {MAX_JOINTS_PER_ARM} joints"),
             ));
         }
         Ok(Self { base, arms })
@@ -130,7 +130,9 @@ impl<'d> Walk<'d> {
 
     fn arm(&self, first: Axis<'d>) -> Result<Arm<'d>, UrdfError> {
         let name = first.joint.name.clone();
-        let wanted = format!("an arm has {JOINTS_PER_ARM} joints that turn, one after the other");
+        let wanted = format!(
+            "an arm has {MIN_JOINTS_PER_ARM} to {MAX_JOINTS_PER_ARM} joints that turn, one after the other"
+        );
         let (mut joints, mut bodies) = (Vec::new(), Vec::new());
         let mut next = Some(first);
         while let Some(axis) = next {
@@ -147,7 +149,7 @@ impl<'d> Walk<'d> {
             joints.push(axis);
             bodies.push(body);
         }
-        if joints.len() != JOINTS_PER_ARM {
+        if !(MIN_JOINTS_PER_ARM..=MAX_JOINTS_PER_ARM).contains(&joints.len()) {
             let found = format!("the arm that begins with joint `{name}` has {}", joints.len());
             return Err(UrdfError::robot(found, wanted));
         }

@@ -1,7 +1,7 @@
 //! How many floating-point operations an update needs.
 
 use proto::config::{AlgorithmName, Config};
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::Dimensions;
 
 /// Operations in the matrix products that an update needs for an env-step; everything else counts
 /// nothing.
@@ -32,7 +32,7 @@ pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
     if config.algorithm.name == AlgorithmName::Maddpg {
         let settings = &config.algorithm.maddpg;
         let samples = settings.updates_per_step * settings.batch_size as f64;
-        let actions = 2.0 * (JOINTS_PER_AGENT * network.hidden_of_critics()[0]) as f64;
+        let actions = 2.0 * (dimensions.n_actions * network.hidden_of_critics()[0]) as f64;
         let actors = 4.0 * actor - actor_first;
         let critics = 6.0 * critic - 2.0 * critic_first + actions;
         return dimensions.n_actors as f64 * samples * (actors + critics);
@@ -45,6 +45,7 @@ pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use proto::agents::Joints;
     use proto::config::{Layers, Preset};
 
     use super::*;
@@ -62,7 +63,7 @@ mod tests {
             .and_then(|layers| layers.set("algorithm.epochs=3"))
             .and_then(|layers| layers.resolve())
             .expect("valid");
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         assert_eq!(per_env_step(&config, &dimensions), 323_480.0);
     }
 
@@ -78,7 +79,7 @@ mod tests {
             .and_then(|layers| layers.set("algorithm.maddpg.updates_per_step=0.5"))
             .and_then(|layers| layers.resolve())
             .expect("valid");
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         assert_eq!(per_env_step(&config, &dimensions), 1_915_200.0);
     }
 }

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use channels::{ArrayReceiver, ArraySender, BellListener, ChannelSizes, Channels, Domain, Role};
 use process::clock::{monotonic, thread_cpu};
 use proto::config::Config;
-use proto::layout::{BlockHeader, BlockLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{BlockHeader, BlockLayout, Dimensions};
 use proto::statistics::percentile;
 use proto::{ExitCode, ExitError};
 use serde_json::{Value, json};
@@ -255,7 +255,7 @@ fn touch(block: &[f32], layout: &BlockLayout, dimensions: &Dimensions) {
     for (range, shape) in [
         (&layout.observation, &[a, t + 1, n, o][..]),
         (&layout.state, &[t + 1, n, s]),
-        (&layout.action, &[a, t, n, JOINTS_PER_AGENT as i64]),
+        (&layout.action, &[a, t, n, dimensions.n_actions as i64]),
         (&layout.reward, &[a, t, n]),
     ] {
         // SAFETY: the tensor is gone at the end of this turn, and nobody writes it.

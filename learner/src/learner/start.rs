@@ -1,5 +1,6 @@
 //! From arguments to a running learner.
 
+use proto::agents::Joints;
 use std::path::{Path, PathBuf};
 
 use process::input;
@@ -93,7 +94,7 @@ fn read_state(path: &Path) -> Result<Vec<u8>, LearnerError> {
     })
 }
 
-/// Reads configuration and robot of a run. Of the robot the learner needs the number of arms only.
+/// Reads configuration and robot of a run. Of the robot the learner needs the number of joints of each arm only.
 pub fn load(run_dir: &RunDir) -> Result<(Config, Dimensions), LearnerError> {
     let text = |path: PathBuf| -> Result<(String, String), LearnerError> {
         match input::read_text(&path) {
@@ -107,11 +108,16 @@ pub fn load(run_dir: &RunDir) -> Result<(Config, Dimensions), LearnerError> {
     let robot: toml::Table = robot
         .parse()
         .map_err(|error| LearnerError::Robot(format!("{origin}: not valid TOML: {error}")))?;
-    let arms = robot.get("arms").and_then(toml::Value::as_array).map_or(0, Vec::len);
-    if arms == 0 {
-        return Err(LearnerError::Robot(format!("{origin}: has no [[arms]]")));
-    }
-    let dimensions = Dimensions::new(&config, arms);
+    let arms = robot.get("arms").and_then(toml::Value::as_array).map_or(&[][..], Vec::as_slice);
+    let of_arm = |arm: &toml::Value| arm.get("home")?.as_array().map(Vec::len);
+    let joints: Vec<usize> = arms.iter().map(|arm| of_arm(arm).unwrap_or(0)).collect();
+    let Some(of_robot) = Joints::of_outside(&joints) else {
+        let expected = "1 to 8 [[arms]], each with the 2 to 7 angles of its joints at `home`";
+        return Err(LearnerError::Robot(format!(
+            "{origin}: arms of {joints:?} joints, expected {expected}"
+        )));
+    };
+    let dimensions = Dimensions::new(&config, of_robot);
     Ok((config, dimensions))
 }
 

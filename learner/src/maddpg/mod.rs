@@ -39,7 +39,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use proto::config::{Config, Maddpg as Settings};
-use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{BlockLayout, Dimensions};
 use proto::rng::{Address, Purpose};
 use tch::{Device, Kind, Tensor};
 
@@ -75,6 +75,8 @@ pub struct Maddpg {
     descent: Descent,
     actor: NetworkPasses,
     critic: NetworkPasses,
+    /// `[A, U, 1]`: one where an action moves a joint; nothing where all do.
+    with_joint: Option<Tensor>,
     batch: Batch,
     device: Device,
     kind: Kind,
@@ -122,6 +124,10 @@ impl Maddpg {
             descent: Descent::new(config),
             actor: passes(&state.actor),
             critic: passes(&state.critic),
+            with_joint: dimensions.actions_with_joint().map(|flags| {
+                let shape = [dimensions.n_agents as i64, dimensions.n_actions as i64, 1];
+                Tensor::from_slice(&flags).view(shape).to_device(device)
+            }),
             batch: off_policy.replay.batch(settings.batch_size),
             settings,
             device,
@@ -275,9 +281,9 @@ impl Maddpg {
         explained: &mut [f64],
     ) -> Result<Tensor, LearnerError> {
         let agents = self.dimensions.n_agents;
-        let (a, u) = (agents as i64, JOINTS_PER_AGENT as i64);
+        let (a, u) = (agents as i64, self.dimensions.n_actions as i64);
         let b = self.settings.batch_size as i64;
-        let active = vec![true; agents];
+        let (active, flags) = (vec![true; agents], self.with_joint.as_ref());
         let Networks { actor, critic, target_actor, target_critic } = networks;
         let mean = |x: Tensor| {
             Vec::<f64>::try_from(x.mean_dim(&[1i64][..], false, Kind::Double))
@@ -295,7 +301,7 @@ impl Maddpg {
         let future = batch.future.to_device(self.device) * self.config.algorithm.gamma;
 
         self.actor.compute.load(target_actor);
-        let next_action = self.actor.compute.forward(&next_seen).tanh();
+        let next_action = with_joint(self.actor.compute.forward(&next_seen).tanh(), flags);
         let next_action = next_action.permute([2, 0, 1]).reshape([b, a * u]);
         self.critic.compute.load(target_critic);
         let x = self.critic_input(&next_state, &next_action);
@@ -324,9 +330,10 @@ impl Maddpg {
         let action = compute.forward(&seen).tanh();
         let x = self.critic_input(&state, &taken).contiguous();
         let own = |agent: i64| state.size()[1] + agent * u;
+        let moving = with_joint(action.shallow_clone(), flags);
         for agent in 0..a {
             let mut slot = x.get(agent).narrow(1, own(agent), u);
-            slot.copy_(&action.get(agent).transpose(0, 1));
+            slot.copy_(&moving.get(agent).transpose(0, 1));
         }
         let critics = &mut self.critic.compute;
         critics.load(&critic.flat);
@@ -336,7 +343,8 @@ impl Maddpg {
         let columns: Vec<i64> = (0..a).map(own).collect();
         let d_action = critics.input_gradient(&x, &slope, &columns, u);
         // d tanh = 1 − tanh².
-        let d_output = Tensor::tanh_backward(&d_action.transpose(1, 2), &action);
+        let d_action = with_joint(d_action.transpose(1, 2), flags);
+        let d_output = Tensor::tanh_backward(&d_action, &action);
         let NetworkPasses { compute, gradient, .. } = &mut self.actor;
         compute.backward(&seen, &d_output, gradient);
         compute.unfold(&actor.flat, gradient);
@@ -349,6 +357,14 @@ impl Maddpg {
         let _ = target_actor.lerp_(&actor.flat, self.settings.soft_update);
         let _ = target_critic.lerp_(&critic.flat, self.settings.soft_update);
         Ok(target)
+    }
+}
+
+/// Actions `[A, U, B]`, or what belongs to them, zero where they move no joint.
+fn with_joint(actions: Tensor, flags: Option<&Tensor>) -> Tensor {
+    match flags {
+        None => actions,
+        Some(flags) => actions * flags,
     }
 }
 

@@ -1,3 +1,4 @@
+use proto::agents::Joints;
 use proto::config::{Layers, Preset, TaskName};
 
 use super::*;
@@ -39,7 +40,7 @@ struct Run {
 
 impl Run {
     fn new(config: &Config, arithmetic: Arithmetic) -> Self {
-        let dimensions = Dimensions::new(config, 2);
+        let dimensions = Dimensions::new(config, Joints::of_sixes(2));
         let state = TrainingState::initial(config, &dimensions, arithmetic, Device::Cpu);
         Self { maddpg: Maddpg::new(config, &dimensions, &state), state, dimensions }
     }

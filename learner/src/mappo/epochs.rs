@@ -99,7 +99,7 @@ impl Group {
         };
         let std = options.actor_loss.log_std(&parameter).exp();
         let report = UpdateReport {
-            entropy: numbers(options.actor_loss.entropy(&parameter)),
+            entropy: numbers(options.actor_loss.entropy(&parameter, self.own.as_ref())),
             action_std: numbers(std.mean_dim(&[1i64][..], false, None)),
             explained_variance: samples.explained_variance,
             returns: samples.episode_return,
@@ -147,14 +147,14 @@ impl Group {
                 advantage: columns.select(1, u + 1),
             };
             let output = compute.forward(&x);
-            let part = loss.gradient(&output, &parameter, &samples, batch);
+            let part = loss.gradient(&output, &parameter, self.own.as_ref(), &samples, batch);
             compute.backward(&x, &part.output, gradient);
             let _ = log_std_gradient.g_add_(&part.log_std);
             let _ = statistics.g_add_(&part.sums);
         }
         compute.unfold(&learned.flat, gradient);
         let mut slot = learned.spec.view("log_std", gradient);
-        slot.copy_(&loss.finish_log_std(&log_std_gradient, &parameter));
+        slot.copy_(&loss.finish_log_std(&log_std_gradient, &parameter, self.own.as_ref()));
         let statistics = Vec::<f32>::try_from((statistics / batch as f64).view([-1]))
             .expect("three numbers an agent");
         let column = |index: usize| statistics.iter().skip(index).step_by(3).map(|&x| f64::from(x));

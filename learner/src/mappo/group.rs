@@ -5,7 +5,7 @@
 use std::sync::atomic::AtomicU64;
 
 use proto::layout::{BlockLayout, Dimensions};
-use tch::{Device, Kind};
+use tch::{Device, Kind, Tensor};
 
 use super::options::Options;
 use crate::actors::Actors;
@@ -18,6 +18,8 @@ pub(super) struct Group {
     pub(super) actors: Actors,
     pub(super) actor: NetworkPasses,
     pub(super) critic: NetworkPasses,
+    /// `[A, U]`: one where an action moves a joint, zero elsewhere; nothing where all do.
+    pub(super) own: Option<Tensor>,
     pub(super) chunk_rows: i64,
     pub(super) device: Device,
     pub(super) kind: Kind,

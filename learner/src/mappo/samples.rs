@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::Dimensions;
 use tch::{Kind, Tensor};
 
 use super::MappoTrace;
@@ -46,7 +46,7 @@ impl Group {
         let (o, own, g) = (input as i64, observation as i64, g as i64);
         let e = n * job.shards.len() as i64;
         let (a, u, m) = (self.actors.len as i64, job.dimensions.actor_output() as i64, t * e);
-        let joints = JOINTS_PER_AGENT as i64;
+        let joints = job.dimensions.n_actions as i64;
         let float = (Kind::Float, self.device);
         let options = job.options;
 

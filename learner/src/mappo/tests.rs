@@ -1,3 +1,4 @@
+use proto::agents::Joints;
 use std::sync::atomic::Ordering;
 
 use proto::config::{Config, Layers, Preset, TaskName};
@@ -52,7 +53,7 @@ impl Run {
     }
 
     fn on(device: Device, config: &Config, arithmetic: Arithmetic) -> Self {
-        let dimensions = Dimensions::new(config, 2);
+        let dimensions = Dimensions::new(config, Joints::of_sixes(2));
         let state = TrainingState::initial(config, &dimensions, arithmetic, device);
         Self { mappo: Mappo::new(config, &dimensions, &state), state, dimensions }
     }

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use proto::config::Config;
 use proto::layout::{BlockLayout, Dimensions};
+use tch::Tensor;
 
 use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
@@ -62,7 +63,12 @@ impl Mappo {
                 let actors = Actors { first, step: n_groups, len };
                 let passes =
                     |network: &NetworkState| NetworkPasses::new(config, network, len, kind, device);
+                let own = dimensions.actions_with_joint().map(|flags| {
+                    let shape = [dimensions.n_actors as i64, dimensions.actor_output() as i64];
+                    actors.rows(&Tensor::from_slice(&flags).view(shape)).to_device(device)
+                });
                 Group {
+                    own,
                     actor: passes(&state.actor),
                     critic: passes(&state.critic),
                     chunk_rows: if device.is_cuda() { i64::MAX } else { CHUNK_ROWS },

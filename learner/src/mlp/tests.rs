@@ -1,3 +1,4 @@
+use proto::agents::Joints;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::Dimensions;
 
@@ -83,7 +84,7 @@ fn compare(
     fused: bool,
     tolerance: f64,
 ) {
-    let spec = NetworkSpec::new(kind, config, &Dimensions::new(config, 1));
+    let spec = NetworkSpec::new(kind, config, &Dimensions::new(config, Joints::of_sixes(1)));
     let (a, b) = (2, 30);
     tch::manual_seed(4);
     let options = (Kind::Float, device);

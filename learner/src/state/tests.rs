@@ -1,4 +1,5 @@
 use proto::DigestBuilder;
+use proto::agents::Joints;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 use safetensors::SafeTensors;
@@ -18,12 +19,12 @@ fn config(assignments: &[&str]) -> Config {
 }
 
 fn state(config: &Config) -> (TrainingState, Dimensions) {
-    let dimensions = Dimensions::new(config, 1);
+    let dimensions = Dimensions::new(config, Joints::of_sixes(1));
     (TrainingState::initial(config, &dimensions, Arithmetic::F32, Device::Cpu), dimensions)
 }
 
 fn refusal(data: &[u8], config: &Config) -> String {
-    let dimensions = Dimensions::new(config, 1);
+    let dimensions = Dimensions::new(config, Joints::of_sixes(1));
     TrainingState::from_safetensors(data, config, &dimensions, Device::Cpu)
         .expect_err("must be refused")
         .to_string()

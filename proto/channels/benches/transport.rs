@@ -3,6 +3,7 @@
 //!
 //! `cargo bench -p channels`
 
+use proto::agents::Joints;
 use std::hint::black_box;
 use std::time::Duration;
 
@@ -13,7 +14,7 @@ use proto::layout::Dimensions;
 
 fn transport(criterion: &mut Criterion) {
     let config = Layers::new(Preset::Paper, None).resolve().expect("presets are valid");
-    let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, 4));
+    let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, Joints::of_sixes(4)));
     let domain = Domain::fresh();
     let channels = Channels::create(&domain, sizes).expect("room in /dev/shm");
     let receiver = channels.block_receiver().expect("a receiver");

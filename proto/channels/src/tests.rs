@@ -1,3 +1,4 @@
+use proto::agents::Joints;
 use std::fs::{Metadata, Permissions};
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
@@ -104,7 +105,7 @@ fn every_worker_of_a_run_can_be_sent_its_fill_at_once() {
         let workers_set = format!("run.workers={workers}");
         let layers = Layers::new(Preset::Tuned, None).set(&workers_set).expect("a key");
         let config = layers.resolve().expect("valid");
-        let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, 4));
+        let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, Joints::of_sixes(4)));
         assert!(sizes.max_workers >= 2 * workers, "{sizes:?}");
         assert!(sizes.order_buffer >= ORDERS_PER_WORKER * sizes.max_workers, "{sizes:?}");
         // All else is of one worker each.

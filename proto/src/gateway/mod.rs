@@ -28,8 +28,8 @@ pub enum Said {
 pub struct Place {
     /// Name under which the shared memory lives.
     pub domain: String,
-    /// Arms of the robot.
-    pub arms: usize,
+    /// Joints of each arm of the robot.
+    pub joints: Vec<usize>,
 }
 
 /// What it is told on its standard input from then on.

@@ -14,7 +14,6 @@
 use serde::{Deserialize, Serialize};
 
 use super::target::Target;
-use crate::agents::JOINTS_PER_ARM;
 use crate::rng::{Address, Purpose};
 
 /// What goals and observations take from the robot, all at its home pose.
@@ -32,9 +31,9 @@ pub struct Home {
 #[derive(Debug, Clone)]
 pub struct HomeArm {
     /// Joint angles (rad).
-    pub q: [f64; JOINTS_PER_ARM],
+    pub q: Vec<f64>,
     /// Limits of the joint velocity commands (rad/s).
-    pub command_limit: [f64; JOINTS_PER_ARM],
+    pub command_limit: Vec<f64>,
     /// Hand position, world (m).
     pub position: [f64; 3],
     /// Hand attitude, Euler angles (rad).

@@ -1,12 +1,11 @@
 use super::*;
-use crate::agents::JOINTS_PER_ARM;
 use crate::config::{Layers, Preset};
 use crate::rng::Purpose;
 
 fn home() -> Home {
     let arm = |position, euler| HomeArm {
-        q: [0.0; JOINTS_PER_ARM],
-        command_limit: [1.0; JOINTS_PER_ARM],
+        q: vec![0.0; 6],
+        command_limit: vec![1.0; 6],
         position,
         euler,
         mount: [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],

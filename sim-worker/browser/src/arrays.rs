@@ -23,7 +23,7 @@
 //! | `counters` | 4 | rows of `contacts`, control steps since the start, effects in force, delay (control steps) |
 
 use simulator::experiment::Episode;
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 
 /// Most contacts that are told.
 const MOST_CONTACTS: usize = 64;
@@ -38,7 +38,7 @@ pub(crate) struct Arrays {
 impl Arrays {
     /// Zeros for a robot.
     pub(crate) fn new(robot: &Robot) -> Self {
-        let (a, j) = (robot.n_arms, robot.n_arms * JOINTS_PER_ARM);
+        let (a, j) = (robot.n_arms, robot.n_joints());
         let parts = vec![
             ("state", 13 + 2 * j),
             ("bodies", 16 * (1 + j)),

@@ -6,7 +6,7 @@ use proto::config::TaskName;
 use proto::tasks::Aim;
 use serde::Serialize;
 use simulator::experiment::Episode;
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 
 use crate::arrays::Arrays;
 
@@ -20,6 +20,8 @@ struct Description<'a> {
     aims: BTreeMap<&'static str, Aims>,
     n_arms: usize,
     n_joints: usize,
+    /// By arm: its first joint, and the first behind its last.
+    joints: Vec<[usize; 2]>,
     /// Length of a control step (s).
     control_period: f64,
     /// Of every joint, arm-major (rad/s, N m).
@@ -95,9 +97,13 @@ pub(crate) fn json(episode: &Episode, arrays: &Arrays) -> Result<String, String>
         aims: TaskName::ALL.iter().map(|task| (task.as_str(), aims(*task, robot.n_arms))).collect(),
         n_arms: robot.n_arms,
         n_joints,
+        joints: (0..robot.n_arms)
+            .map(|arm| robot.joints.of_arm(arm))
+            .map(|of| [of.start, of.end])
+            .collect(),
         control_period: episode.control_period(),
         max_rates: robot.max_rates(),
-        max_torques: (0..n_joints).map(|j| robot.links[j % JOINTS_PER_ARM].max_torque).collect(),
+        max_torques: (0..n_joints).map(|joint| robot.link(joint).max_torque).collect(),
         base_mass: robot.boxes[0].body.mass,
         arms: robot.arms.iter().map(|arm| arm.name.as_str()).collect(),
         bodies: bodies(robot),
@@ -123,7 +129,7 @@ fn bodies(robot: &Robot) -> Vec<Body<'_>> {
     let mut bodies =
         vec![Body { name: "base", arm: None, shapes: boxes.chain(pedestals).collect() }];
     for arm in 0..robot.n_arms {
-        bodies.extend(robot.links.iter().map(|link| Body {
+        bodies.extend(robot.type_of(arm).links.iter().map(|link| Body {
             name: &link.name,
             arm: Some(arm),
             shapes: link.shapes.iter().map(shape).collect(),

@@ -46,15 +46,12 @@ impl Simulation {
         let own = utf8(&input[config_len..end], "robot.toml")?;
         let own = Robot::from_toml(own, Path::new("robot.toml")).map_err(words)?;
         let robot = match &self.playing {
-            Some(playing) if own.n_arms == playing.episode.robot().n_arms => {
+            Some(playing) if own.joints == playing.episode.robot().joints => {
                 playing.episode.robot().clone()
             }
             Some(playing) => {
-                let n_arms = playing.episode.robot().n_arms;
-                return Err(format!(
-                    "the policy moves {} arms, the robot has {n_arms}",
-                    own.n_arms
-                ));
+                let joints = playing.episode.robot().joints;
+                return Err(format!("the policy moves {}, the robot has {joints}", own.joints));
             }
             None => own,
         };

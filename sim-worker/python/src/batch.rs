@@ -3,9 +3,8 @@
 use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods as _};
-use proto::layout::JOINTS_PER_AGENT;
+use proto::layout::Dimensions;
 use pyo3::prelude::*;
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::rollout::World;
 use simulator::stepping::{self, ARRAYS, Begin, GoalKind, Rows, StepError};
 
@@ -86,7 +85,7 @@ impl Batch {
                 array(&[n])?,
                 array(&[n, arms, 6])?,
                 array(&[n, 3])?,
-                array(&[n, 13 + 2 * arms * JOINTS_PER_ARM])?,
+                array(&[n, 13 + 2 * sizes.joints.n_joints()])?,
             ];
             let truncated = PyArray1::from_vec(py, vec![false; n]).unbind();
             let shared = Arc::clone(&world);
@@ -153,7 +152,8 @@ impl Batch {
         guarded(|| {
             let mut open = self.open()?;
             let batch = open.batch.as_mut().ok_or_else(closed)?;
-            let shape = [self.n_envs, self.world.dimensions.n_agents, JOINTS_PER_AGENT];
+            let shape =
+                [self.n_envs, self.world.dimensions.n_agents, self.world.dimensions.n_actions];
             let actions = single(actions, "actions", &shape)?;
             let actions = actions.try_readonly()?;
             let actions = actions.as_slice()?;
@@ -195,6 +195,13 @@ impl Batch {
         self.world.dimensions.n_agents
     }
 
+    /// Joints that each agent moves: so many of its actions mean something.
+    #[getter]
+    fn joints_of_agents(&self) -> Vec<usize> {
+        let Dimensions { joints, n_agents, .. } = self.world.dimensions;
+        (0..n_agents).map(|agent| joints.of_agent(agent).len()).collect()
+    }
+
     /// Control steps of an episode.
     #[getter]
     fn episode_steps(&self) -> usize {
@@ -207,12 +214,16 @@ impl Batch {
         self.threads
     }
 
-    /// Limits of the actions (rad/s before scaling), `[A, 3]`: what is beyond is clipped.
+    /// Limits of the actions (rad/s before scaling), `[A, U]`: what is beyond is clipped. U is 3 where arms have six joints, 4 where one has seven.
     #[getter]
     fn action_limit<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let limits: Vec<f32> = self.world.task.action_limit.iter().map(|&x| x as f32).collect();
-        let shape = [self.world.dimensions.n_agents, JOINTS_PER_AGENT];
-        crate::numbers::array(py, limits, &shape)
+        let Dimensions { joints, n_agents, n_actions, .. } = self.world.dimensions;
+        crate::numbers::array(
+            py,
+            crate::numbers::by_agent(&joints, &limits),
+            &[n_agents, n_actions],
+        )
     }
 
     /// What it is configured with.

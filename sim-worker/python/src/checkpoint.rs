@@ -95,7 +95,7 @@ pub(crate) fn load(given: &Path) -> Result<Checkpoint, String> {
     let (path, robot) = text("robot.toml")?;
     let robot = Robot::from_toml(&robot, &path).map_err(|error| error.to_string())?;
     let (path, bytes) = content("policy.safetensors", MAX_POLICY)?;
-    let layout = ActorLayout::new(&config, &Dimensions::new(&config, robot.n_arms));
+    let layout = ActorLayout::new(&config, &Dimensions::new(&config, robot.joints));
     let parameters = file::read(&bytes, &layout).map_err(|error| shown(&path, &error))?;
     let Manifest { iteration, env_steps, .. } = manifest;
     Ok(Checkpoint { dir, iteration, env_steps, config, robot, parameters })

@@ -5,6 +5,8 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::IntoPyDict as _;
 
+use simulator::robot::Joints;
+
 use crate::errors::value;
 
 /// `given` as contiguous single precision of this shape: itself where it is that already.
@@ -64,6 +66,29 @@ fn words(shape: &[usize]) -> String {
         [one] => format!("({one},)"),
         sizes => format!("({})", sizes.join(", ")),
     }
+}
+
+/// What belongs to joints, `[n, joints]`, by arm: `[n, arms, J]` with room for the longest arm, zeros behind the joints of a shorter one.
+pub(crate) fn by_arm<T: Copy + Default>(joints: &Joints, numbers: &[T]) -> Vec<T> {
+    let room = joints.longest_arm();
+    let of_row = |row: &[T]| {
+        let arms = (0..joints.n_arms()).flat_map(|arm| {
+            let own = &row[joints.of_arm(arm)];
+            own.iter().copied().chain(std::iter::repeat_n(T::default(), room - own.len()))
+        });
+        arms.collect::<Vec<T>>()
+    };
+    numbers.chunks_exact(joints.n_joints()).flat_map(of_row).collect()
+}
+
+/// What belongs to joints, `[joints]`, by agent: `[A, U]`, zeros where an agent has no joint.
+pub(crate) fn by_agent<T: Copy + Default>(joints: &Joints, numbers: &[T]) -> Vec<T> {
+    let room = joints.per_agent();
+    let of_agent = |agent| {
+        let own = &numbers[joints.of_agent(agent)];
+        own.iter().copied().chain(std::iter::repeat_n(T::default(), room - own.len()))
+    };
+    (0..joints.n_agents()).flat_map(of_agent).collect()
 }
 
 /// Zeros of NumPy's own, so that too many of them are a `MemoryError`.

@@ -3,18 +3,16 @@
 use std::path::PathBuf;
 
 use numpy::{PyArrayDyn, PyArrayMethods as _};
-use proto::layout::JOINTS_PER_AGENT;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use simulator::evaluate::Evaluation;
 use simulator::experiment::{FixedGoals, Player, Recording, Trial, play};
 use simulator::policy;
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::rollout::World;
 use simulator::stepping::act;
 
 use crate::errors::{guarded, runtime, value};
-use crate::numbers::{array, double, single, zeros};
+use crate::numbers::{array, by_arm, double, single, zeros};
 use crate::robot::Robot;
 use crate::threads::{Threads, available};
 use crate::{checkpoint, config, robot};
@@ -53,10 +51,10 @@ impl Policy {
                 let found = checkpoint::load(&path)?;
                 let shown = found.dir.display();
                 let robot = robot.unwrap_or_else(|| found.robot.clone());
-                if robot.n_arms != found.robot.n_arms {
+                if robot.joints != found.robot.joints {
                     return Err(format!(
-                        "{shown}: the policy moves {} arms, the robot `{}` has {}",
-                        found.robot.n_arms, robot.name, robot.n_arms
+                        "{shown}: the policy moves {}, the robot `{}` has {}",
+                        found.robot.joints, robot.name, robot.joints
                     ));
                 }
                 let world = World::new(&found.config, &robot);
@@ -69,7 +67,7 @@ impl Policy {
         })
     }
 
-    /// Mean actions for observations [N, A, O], as [N, A, 3], or for [A, O], as [A, 3]; float32, before clipping and scaling.
+    /// Mean actions for observations [N, A, O], as [N, A, U], or for [A, O], as [A, U]; float32, before clipping and scaling.
     ///
     /// The observations are a batch's of the policy's own configuration (`policy.config`). `ValueError` for another shape or numbers that
     /// are not finite.
@@ -84,7 +82,7 @@ impl Policy {
                 observation.getattr("shape").and_then(|shape| shape.extract::<Vec<usize>>());
             let leading = given.ok().filter(|shape| shape.len() == 3).map(|shape| shape[0]);
             let seen = [sizes.n_agents, sizes.observation];
-            let done = [sizes.n_agents, JOINTS_PER_AGENT];
+            let done = [sizes.n_agents, sizes.n_actions];
             let shape =
                 |n: Option<usize>, rest: [usize; 2]| n.into_iter().chain(rest).collect::<Vec<_>>();
             let observation = single(observation, "observation", &shape(leading, seen))?;
@@ -131,7 +129,7 @@ impl Policy {
     /// Plays one held-out episode with mean actions; returns arrays by name, a row a control step, after it.
     ///
     /// "hand_error" [T, arms, 6] (goal − actual: m and Euler angles in rad, world), "base_error" [T, 3] (rad), "base_position" [T, 3] (m),
-    /// "base_quaternion" [T, 4] (w first), "base_angular_velocity" [T, 3] (rad/s, base axes), "joint_angles" [T, arms, 6] (rad), "contacts"
+    /// "base_quaternion" [T, 4] (w first), "base_angular_velocity" [T, 3] (rad/s, base axes), "joint_angles" [T, arms, J] (rad), "contacts"
     /// [T, 4] (touching pairs: arm and base, arm and mount, arm and itself, two arms).
     ///
     /// `hand_goal` [arms, 6] (m and Euler angles in rad, world) and `base_goal` [3] (rad) replace the episode's; a row of NaN keeps it.
@@ -261,8 +259,10 @@ fn recorded<'py>(py: Python<'py>, recording: &Recording) -> PyResult<Bound<'py, 
     put("base_position", positions, &[steps, 3])?;
     let quaternions = poses.iter().flat_map(|pose| pose.base_quaternion).collect();
     put("base_quaternion", quaternions, &[steps, 4])?;
-    let joints = poses.into_iter().flat_map(|pose| pose.joints).collect();
-    put("joint_angles", joints, &[steps, n_arms, JOINTS_PER_ARM])?;
+    let joints: Vec<f32> = poses.into_iter().flat_map(|pose| pose.joints).collect();
+    let of_robot = recording.joints();
+    let shape = [steps, n_arms, of_robot.longest_arm()];
+    put("joint_angles", by_arm(of_robot, &joints), &shape)?;
     let contacts: Vec<u32> = each().flat_map(|step| recording.contacts(0, step)).collect();
     let kinds = contacts.len() / steps;
     dict.set_item("contacts", array(py, contacts, &[steps, kinds])?)?;

@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use numpy::{PyArrayDyn, PyArrayMethods as _};
 use pyo3::prelude::*;
-use simulator::robot::JOINTS_PER_ARM;
+use simulator::robot::Joints;
 use simulator::rollout::World;
 use simulator::task::{Errors, Goals, Readings};
 
@@ -20,7 +20,7 @@ use crate::robot;
 #[pyclass(frozen, module = "spaceoctopus")]
 #[derive(Debug)]
 pub(crate) struct Postures {
-    n_arms: usize,
+    joints: Joints,
     known: Mutex<(Errors<f32>, Readings<f32>)>,
 }
 
@@ -42,14 +42,14 @@ impl Postures {
             }
             let robot = robot::of_argument(robot.as_ref(), &config.robot.description)?;
             let World { task, robot, .. } = World::new(&config, &robot);
-            let n_arms = robot.n_arms;
-            let known = Mutex::new((Errors::of(&task, &robot), Readings::new(n_arms)));
-            Ok(Self { n_arms, known })
+            let joints = robot.joints;
+            let known = Mutex::new((Errors::of(&task, &robot), Readings::new(&joints)));
+            Ok(Self { joints, known })
         })
     }
 
-    /// Looks once a control step: the base's position [3] (m) and attitude [4] (unit quaternion, w first), joint angles [arms, 6] (rad), goals of the
-    /// hands [arms, 6] (m, and Euler angles x-y-z in rad; world). Returns [arms, 8]: whether each posture brings the hand to its goal (1 or 0),
+    /// Looks once a control step: the base's position [3] (m) and attitude [4] (unit quaternion, w first), joint angles [arms, J] (rad; J are the joints of the longest arm), goals of the
+    /// hands [arms, 6] (m, and Euler angles x-y-z in rad; world). Returns [arms, 2 + J]: whether each posture brings the hand to its goal (1 or 0),
     /// whether it is free of stops (1 or 0), what is left to each joint (rad).
     fn update<'py>(
         &self,
@@ -60,11 +60,11 @@ impl Postures {
         goals: Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         guarded(|| {
-            let n = self.n_arms;
+            let (n, room) = (self.joints.n_arms(), self.joints.longest_arm());
             let position = numbers(&base_position, "base_position", &[3])?;
             let attitude = numbers(&base_attitude, "base_attitude", &[4])?;
-            let angles = numbers(&joint_angles, "joint_angles", &[n, JOINTS_PER_ARM])?;
-            let goals = numbers(&goals, "goals", &[n, JOINTS_PER_ARM])?;
+            let angles = numbers(&joint_angles, "joint_angles", &[n, room])?;
+            let goals = numbers(&goals, "goals", &[n, 6])?;
             let square: f32 = attitude.iter().map(|x| x * x).sum();
             if !(0.999..=1.001).contains(&square) {
                 return Err(value(format!(
@@ -80,10 +80,18 @@ impl Postures {
             let (errors, seen) = &mut *known;
             seen.base_position.copy_from_slice(&position);
             seen.base_quaternion.copy_from_slice(&attitude);
-            seen.q.copy_from_slice(&angles);
+            for (arm, angles) in angles.chunks_exact(room).enumerate() {
+                let joints = self.joints.of_arm(arm);
+                seen.q[joints.clone()].copy_from_slice(&angles[..joints.len()]);
+            }
             py.detach(|| errors.update(seen, &goals));
             let found = errors.postures().expect("the task tells them");
-            array(py, found.concat(), &[n, 2 + JOINTS_PER_ARM])
+            let of_arm = |mut posture: Vec<f32>| {
+                posture.resize(2 + room, 0.0);
+                posture
+            };
+            let found: Vec<f32> = found.into_iter().flat_map(of_arm).collect();
+            array(py, found, &[n, 2 + room])
         })
     }
 

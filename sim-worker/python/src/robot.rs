@@ -6,13 +6,13 @@ use numpy::PyArrayDyn;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use simulator::robot::mjcf::mjcf;
-use simulator::robot::{self, JOINTS_PER_ARM, MjcfOptions};
+use simulator::robot::{self, MjcfOptions};
 
 use crate::config::read_text;
 use crate::errors::{guarded, value};
-use crate::numbers::array;
+use crate::numbers::{array, by_arm};
 
-/// A robot: a floating base with arms of six joints.
+/// A robot: a floating base with arms of two to seven joints.
 ///
 /// `description` is the name of a robot that is built in ("paper", "release") or the path of a robot file. `ValueError` says what is wrong.
 #[pyclass(frozen, module = "spaceoctopus")]
@@ -41,10 +41,16 @@ impl Robot {
         self.inner.n_arms
     }
 
-    /// Joints, six an arm.
+    /// Joints, all arms.
     #[getter]
     fn n_joints(&self) -> usize {
         self.inner.n_joints()
+    }
+
+    /// Joints of each arm.
+    #[getter]
+    fn joints(&self) -> Vec<usize> {
+        self.inner.joints.by_arm().collect()
     }
 
     /// Names of the arms.
@@ -53,16 +59,18 @@ impl Robot {
         self.inner.arms.iter().map(|arm| arm.name.as_str()).collect()
     }
 
-    /// Joint angles at home (rad), `[arms, 6]`.
+    /// Joint angles at home (rad), `[arms, J]`, J those of the longest arm; zeros behind the joints of a shorter one.
     #[getter]
     fn home<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        array(py, self.inner.home_q(), &[self.inner.n_arms, JOINTS_PER_ARM])
+        let (joints, home) = (&self.inner.joints, self.inner.home_q());
+        array(py, by_arm(joints, &home), &[joints.n_arms(), joints.longest_arm()])
     }
 
-    /// Largest joint velocity commands (rad/s), `[arms, 6]`.
+    /// Largest joint velocity commands (rad/s), `[arms, J]`, J those of the longest arm; zeros behind the joints of a shorter one.
     #[getter]
     fn max_rates<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        array(py, self.inner.max_rates(), &[self.inner.n_arms, JOINTS_PER_ARM])
+        let (joints, rates) = (&self.inner.joints, self.inner.max_rates());
+        array(py, by_arm(joints, &rates), &[joints.n_arms(), joints.longest_arm()])
     }
 
     /// Mass of everything (kg).

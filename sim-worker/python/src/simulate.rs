@@ -3,12 +3,11 @@
 use numpy::{PyArrayMethods as _, PyUntypedArrayMethods as _};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::simulate::{Precision, simulate as integrate};
 use simulator::step::{Integrator, StepOptions};
 
 use crate::errors::{guarded, runtime, value};
-use crate::numbers::{array, double};
+use crate::numbers::{array, by_arm, double};
 use crate::robot;
 
 /// Simulates a robot from home under joint velocity commands [T, joints] (rad/s, arm after arm), as `octopus simulate` does.
@@ -93,8 +92,10 @@ pub(crate) fn simulate<'py>(
         put("base_quaternion", of(|row| &row.state.base_quaternion), &[n, 4])?;
         put("base_linear_velocity", of(|row| &row.state.base_linear_velocity), &[n, 3])?;
         put("base_angular_velocity", of(|row| &row.state.base_angular_velocity), &[n, 3])?;
-        put("joint_angles", of(|row| &row.state.q), &[n, n_arms, JOINTS_PER_ARM])?;
-        put("joint_rates", of(|row| &row.state.qd), &[n, n_arms, JOINTS_PER_ARM])?;
+        let joints = &robot.joints;
+        let shape = [n, n_arms, joints.longest_arm()];
+        put("joint_angles", by_arm(joints, &of(|row| &row.state.q)), &shape)?;
+        put("joint_rates", by_arm(joints, &of(|row| &row.state.qd)), &shape)?;
         put("hands", of(|row| row.hands.as_flattened()), &[n, n_arms, 3])?;
         let contacts = rows.iter().map(|row| row.contacts).collect();
         dict.set_item("contacts", array::<u32>(py, contacts, &[n])?)?;

@@ -9,7 +9,7 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use proto::config::{Layers, Preset};
-use proto::layout::{ActorLayout, JOINTS_PER_AGENT};
+use proto::layout::ActorLayout;
 use simulator::collision::count_contacts;
 use simulator::model::Model;
 use simulator::policy::Scratch;
@@ -96,7 +96,7 @@ impl LaneFn for Inference<'_, '_> {
         let policy = world.policy(&parameters).expect("of this configuration");
         let mut scratch = Scratch::<S>::new(&policy, GROUPS);
         let observations = vec![S::splat(0.5); GROUPS * world.dimensions.observation];
-        let mut means = vec![S::zero(); GROUPS * JOINTS_PER_AGENT];
+        let mut means = vec![S::zero(); GROUPS * 3];
         self.0.throughput(Throughput::Elements((GROUPS * S::LANES) as u64));
         self.0.bench_function("one_agent/2x512", |bencher| {
             bencher.iter(|| policy.mean(0, &observations, &mut scratch, &mut means));

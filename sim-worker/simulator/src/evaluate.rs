@@ -159,7 +159,7 @@ pub fn select(
     let steps = world.config.run.evaluation_steps as usize;
     let n_arms = world.dimensions.n_arms;
     let trial = Trial::new(Player::new(world, policy), SELECTION_SEED, first + n, steps);
-    let mut recording = Recording::new(n_arms, n, steps);
+    let mut recording = Recording::new(world.robot.joints, n, steps);
     play_some(&trial, first, n, recording.series_mut(), on_step)?;
     let measured: Vec<usize> =
         (0..n_arms).filter(|&arm| world.task.name.measures_hand(arm, n_arms)).collect();
@@ -325,19 +325,25 @@ mod tests {
     }
 
     #[test]
-    fn a_two_armed_robot_is_four_agents() {
-        let text = include_str!("../robots/two-arm.toml");
-        let robot = Robot::from_toml(text, Path::new("two-arm.toml")).expect("valid");
-        for preset in [Preset::Tuned, Preset::Release] {
+    fn every_arm_of_any_robot_is_two_agents() {
+        let two = include_str!("../robots/two-arm.toml");
+        let seven = include_str!("../robots/seven-joints.toml");
+        for (preset, text) in [
+            (Preset::Tuned, two),
+            (Preset::Release, two),
+            (Preset::Guided, seven),
+            (Preset::Release, seven),
+        ] {
+            let robot = Robot::from_toml(text, Path::new("robot.toml")).expect("valid");
             let world = world(preset, &robot, 50);
-            assert_eq!(world.dimensions.n_agents, 4);
+            assert_eq!(world.dimensions.n_agents, 2 * robot.n_arms);
             let flat = parameters(&world.config, &world.dimensions, 8);
             let policy = world.policy(&flat).expect("a policy");
             let player = Player::new(&world, &policy);
             let options = EvaluationOptions { seed: 3, episodes: 2, steps: 2 };
             let evaluation =
                 evaluate(player, &options, &[], &InOrder, &|| {}).expect("an evaluation");
-            assert_eq!(evaluation.episodes[0].hands.len(), 2);
+            assert_eq!(evaluation.episodes[0].hands.len(), robot.n_arms);
         }
     }
 }

@@ -8,15 +8,25 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{
-    Isometry3, Matrix3, Matrix6, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
-    Vector6,
+    Isometry3, Matrix3, Matrix6, Quaternion, Rotation3, SMatrix, Translation3, UnitQuaternion,
+    Vector3, Vector6,
 };
 
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::{MAX_JOINTS_PER_ARM, Robot};
 use crate::state::State;
 
-/// Joint angles of an arm (rad).
-pub(crate) type Angles = [f64; JOINTS_PER_ARM];
+/// Joint angles of an arm (rad), or what else belongs to its joints; zero behind its last.
+pub(crate) type Angles = [f64; MAX_JOINTS_PER_ARM];
+
+/// How a hand's pose changes with the joint angles of its arm; zero behind its last joint.
+pub(crate) type Jacobian = SMatrix<f64, 6, MAX_JOINTS_PER_ARM>;
+
+/// What belongs to the joints of an arm, in an array that has room for every arm.
+pub(crate) fn padded(values: &[f64]) -> Angles {
+    let mut padded = [0.0; MAX_JOINTS_PER_ARM];
+    padded[..values.len()].copy_from_slice(values);
+    padded
+}
 
 /// A pose in the world from position (m) and Euler angles (rad), R = Rx Ry Rz.
 pub(crate) fn pose([x, y, z, a, b, c]: [f64; 6]) -> Isometry3<f64> {
@@ -51,7 +61,7 @@ const EXACT: f64 = 1e-6;
 /// Ends that differ by less in every joint (rad) are the same.
 const SAME: f64 = 0.05;
 /// Primes whose radical inverses are the starts [Halton 1960].
-const PRIMES: [u64; JOINTS_PER_ARM] = [2, 3, 5, 7, 11, 13];
+const PRIMES: [u64; MAX_JOINTS_PER_ARM] = [2, 3, 5, 7, 11, 13, 17];
 
 fn isometry(rotation: &Matrix3<f64>, position: Vector3<f64>) -> Isometry3<f64> {
     let rotation =
@@ -59,21 +69,21 @@ fn isometry(rotation: &Matrix3<f64>, position: Vector3<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(position), rotation)
 }
 
-/// Pose of the hand in the base frame, and how it changes with the joint angles: shape 6 × 6, rows
-/// linear (m/rad) then angular (rad/rad), base axes.
-pub(crate) fn forward(robot: &Robot, arm: usize, q: &Angles) -> (Isometry3<f64>, Matrix6<f64>) {
-    let mount = &robot.arms[arm];
+/// Pose of the hand in the base frame, and how it changes with the joint angles: rows linear (m/rad),
+/// then angular (rad/rad), base axes.
+pub(crate) fn forward(robot: &Robot, arm: usize, q: &Angles) -> (Isometry3<f64>, Jacobian) {
+    let (mount, kind) = (&robot.arms[arm], robot.type_of(arm));
     let (mut r, mut o) = (mount.rotation, mount.position);
-    let mut joints = [(Vector3::zeros(), Vector3::zeros()); JOINTS_PER_ARM];
+    let mut joints = Vec::with_capacity(kind.links.len());
     let mut hand = (r, o);
-    for (j, link) in robot.links.iter().enumerate() {
-        r *= Rotation3::from_axis_angle(&Vector3::z_axis(), q[j]).matrix();
-        joints[j] = (r.column(2).into_owned(), o);
-        hand = (r * robot.tool_rotation, o + r * robot.tool_position);
+    for (link, &q) in kind.links.iter().zip(q) {
+        r *= Rotation3::from_axis_angle(&Vector3::z_axis(), q).matrix();
+        joints.push((r.column(2).into_owned(), o));
+        hand = (r * kind.tool_rotation, o + r * kind.tool_position);
         o += r * link.shift;
         r *= link.twist;
     }
-    let mut jacobian = Matrix6::zeros();
+    let mut jacobian = Jacobian::zeros();
     for (j, (axis, origin)) in joints.iter().enumerate() {
         jacobian.fixed_view_mut::<3, 1>(0, j).copy_from(&axis.cross(&(hand.1 - origin)));
         jacobian.fixed_view_mut::<3, 1>(3, j).copy_from(axis);
@@ -129,10 +139,17 @@ fn radical_inverse(mut index: u64, prime: u64) -> f64 {
 }
 
 /// Where the search for joint angles begins: at home, then all over the half turns around it.
-fn starts(home: &Angles) -> impl Iterator<Item = Angles> {
-    let spread = |start, j: usize| home[j] + TAU * radical_inverse(start, PRIMES[j]) - PI;
-    let others = (1..=STARTS).map(move |start| std::array::from_fn(|j| spread(start, j)));
-    std::iter::once(*home).chain(others)
+fn starts(home: &[f64]) -> impl Iterator<Item = Angles> {
+    let home = home.to_vec();
+    let first = padded(&home);
+    let others = (1..=STARTS).map(move |start| {
+        let mut q = padded(&home);
+        for (q, prime) in q[..home.len()].iter_mut().zip(PRIMES) {
+            *q += TAU * radical_inverse(start, prime) - PI;
+        }
+        q
+    });
+    std::iter::once(first).chain(others)
 }
 
 /// Whether some joint angles bring the hand of `arm` to `target` (base frame).
@@ -144,9 +161,9 @@ pub(crate) fn solvable(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> bo
 /// Joint angles that bring the hand of `arm` to `target` (base frame) or near it, each joint within
 /// half a turn of home: solutions first, then near misses, of each those nearer to home first.
 pub(crate) fn candidates(robot: &Robot, arm: usize, target: &Isometry3<f64>) -> Vec<Angles> {
-    let home = robot.arms[arm].home;
+    let home = &robot.arms[arm].home;
     let mut found: Vec<(Angles, bool, f64)> = Vec::new();
-    for q in starts(&home) {
+    for q in starts(home) {
         let (mut q, left) = approach(robot, arm, target, q, ITERATIONS);
         if left > NEAR {
             continue;
@@ -170,19 +187,25 @@ mod tests {
 
     #[test]
     fn the_jacobian_is_the_derivative_of_the_pose() {
-        let robot = Robot::builtin("release").expect("built in");
-        let q = [0.3, -1.1, 0.7, -0.4, 1.2, 0.5];
-        let (_, jacobian) = forward(&robot, 1, &q);
+        let text = include_str!("../robots/seven-joints.toml");
+        let robot = Robot::from_toml(text, std::path::Path::new("robot.toml")).expect("valid");
+        let q = [0.3, -1.1, 0.7, -0.4, 1.2, 0.5, -0.8];
         let h = 1e-6;
-        for j in 0..JOINTS_PER_ARM {
-            let at = |change: f64| {
-                let mut q = q;
-                q[j] += change;
-                forward(&robot, 1, &q).0
-            };
-            let slope = residual(&at(h), &at(-h)) / (2.0 * h);
-            // Central differences err by h² and by rounding, 1e-16 / h.
-            assert!((jacobian.column(j) - slope).amax() < 1e-8, "joint {j}");
+        // Of the arms the second has six joints, the third seven.
+        for (arm, joints) in [(1, 6), (2, 7)] {
+            let q = padded(&q[..joints]);
+            let (_, jacobian) = forward(&robot, arm, &q);
+            for j in 0..joints {
+                let at = |change: f64| {
+                    let mut q = q;
+                    q[j] += change;
+                    forward(&robot, arm, &q).0
+                };
+                let slope = residual(&at(h), &at(-h)) / (2.0 * h);
+                // Central differences err by h² and by rounding, 1e-16 / h.
+                assert!((jacobian.column(j) - slope).amax() < 1e-8, "arm {arm}, joint {j}");
+            }
+            assert!(jacobian.columns_range(joints..).iter().all(|&x| x == 0.0));
         }
     }
 
@@ -190,7 +213,7 @@ mod tests {
     fn every_way_to_a_pose_leads_there_and_the_known_one_is_among_them() {
         let robot = Robot::builtin("paper").expect("built in");
         for arm in 0..robot.n_arms {
-            let mut q = robot.arms[arm].home;
+            let mut q = padded(&robot.arms[arm].home);
             for (angle, change) in q.iter_mut().zip([0.4, -0.3, 0.6, 0.2, 0.5, -0.4]) {
                 *angle += change;
             }
@@ -222,7 +245,7 @@ mod tests {
     #[test]
     fn a_pose_out_of_reach_has_no_candidate() {
         let robot = Robot::builtin("paper").expect("built in");
-        let mut target = forward(&robot, 0, &robot.arms[0].home).0;
+        let mut target = forward(&robot, 0, &padded(&robot.arms[0].home)).0;
         target.translation.vector.y += 3.0;
         assert!(candidates(&robot, 0, &target).is_empty());
         assert!(!solvable(&robot, 0, &target));
@@ -235,9 +258,10 @@ mod tests {
         for arm in 0..robot.n_arms {
             let mount = &robot.arms[arm];
             let axis = mount.rotation.column(2).into_owned();
-            let hand = forward(&robot, arm, &mount.home).0;
+            let hand = forward(&robot, arm, &padded(&mount.home)).0;
             let centre = |hand: &Isometry3<f64>| {
-                hand.translation.vector - hand.rotation * Vector3::z() * robot.tool_position.z
+                hand.translation.vector
+                    - hand.rotation * Vector3::z() * robot.type_of(arm).tool_position.z
             };
             let from_axis = |centre: Vector3<f64>| {
                 let offset = centre - mount.position;

@@ -20,8 +20,9 @@ use serde::{Deserialize, Serialize};
 use crate::env::{EpisodeError, Physics, check_state};
 use crate::executor::{self, Executor};
 use crate::experiment::{EvaluationGoals, Pose};
-use crate::inverse_kinematics::{Angles, approach, base_pose, candidates, placed, pose, solvable};
-use crate::robot::JOINTS_PER_ARM;
+use crate::inverse_kinematics::{
+    Angles, approach, base_pose, candidates, padded, placed, pose, solvable,
+};
 use crate::rollout::World;
 use crate::scalar::{LANES, LaneFn, Real, dispatch};
 use crate::state::State;
@@ -220,14 +221,14 @@ fn attempt<S: Real>(
             let now = state.lane(lane);
             let base = base_pose(&now);
             for (arm, (hand, wanted)) in hands.iter().zip(wanted).enumerate() {
-                let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
+                let joints = robot.joints.of_arm(arm);
                 let rates = match wanted {
-                    None => [0.0; JOINTS_PER_ARM],
+                    None => padded(&[]),
                     Some(way) => {
                         let target = base.inverse() * hand.target;
                         (*way, _) = approach(robot, arm, &target, *way, 4);
                         let limits = &task.action_limit[joints.clone()];
-                        rates(&now.q[joints.clone()], way, limits, world)
+                        rates(&padded(&now.q[joints.clone()]), way, limits, world)
                     }
                 };
                 for (slot, rate) in command[joints].iter_mut().zip(rates) {
@@ -236,9 +237,9 @@ fn attempt<S: Real>(
             }
         }
         physics.step(&mut state, &command);
-        check_state(&state, first, 0, hands.len(), step)?;
+        check_state(&robot.joints, &state, first, 0, hands.len(), step)?;
     }
-    let (mut readings, mut errors) = (Readings::new(n_arms), Errors::new(n_arms));
+    let (mut readings, mut errors) = (Readings::new(&robot.joints), Errors::new(n_arms));
     physics.read(&state, &mut readings);
     errors.update(&readings, &drawn);
     Ok((0..hands.len())
@@ -252,7 +253,7 @@ fn attempt<S: Real>(
 }
 
 /// Joint rates (rad/s) from `q` towards `wanted`, all joints in proportion, as fast as policies can.
-fn rates(q: &[f64], wanted: &Angles, limits: &[f64], world: &World) -> Angles {
+fn rates(q: &Angles, wanted: &Angles, limits: &[f64], world: &World) -> Angles {
     let scale = GAIN / world.config.env.control_period;
     let mut rates: Angles = std::array::from_fn(|j| scale * (wanted[j] - q[j]));
     let excess = rates

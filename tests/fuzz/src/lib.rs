@@ -4,6 +4,7 @@
 //! inputs and ends, so that none of them grows stale. Beside them `corpus/TARGET` keeps inputs that are
 //! not valid, of kinds that once were answered wrongly, under names that say what is wrong with them.
 
+use proto::agents::Joints;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -62,7 +63,7 @@ pub fn robot_toml() -> String {
 /// The place of the actors' parameters under [`small_config`].
 pub fn layout() -> ActorLayout {
     let config = small_config();
-    ActorLayout::new(&config, &Dimensions::new(&config, 4))
+    ActorLayout::new(&config, &Dimensions::new(&config, Joints::of_sixes(4)))
 }
 
 /// Half of one, of which all actors and moments are made.
@@ -90,7 +91,7 @@ pub fn tensors(prefix: &str, more: &[&str]) -> Vec<u8> {
 /// A training state after one iteration, with the actors of [`tensors`].
 pub fn state() -> Vec<u8> {
     let config = small_config();
-    let layout = StateLayout::new(&config, &Dimensions::new(&config, 4));
+    let layout = StateLayout::new(&config, &Dimensions::new(&config, Joints::of_sixes(4)));
     let bytes = |name: &str, dtype, len: usize| match (name, dtype) {
         ("counters.env_steps", _) => config.steps_per_iteration().to_le_bytes().to_vec(),
         ("counters.precision", _) => 32_u64.to_le_bytes().to_vec(),

@@ -4,6 +4,7 @@
 
 use channels::ChannelSizes;
 use libfuzzer_sys::fuzz_target;
+use proto::agents::Joints;
 use proto::config::{Config, Layers, Preset};
 use proto::layout::{ActorLayout, Dimensions};
 
@@ -12,7 +13,7 @@ fn check(config: &Config) {
     let again = Config::from_resolved_toml(&text, "again").expect("what was written is read");
     assert_eq!(again.to_toml(), text);
     // Sizes of anything valid can be computed; whether they fit is another question.
-    let dimensions = Dimensions::new(config, 4);
+    let dimensions = Dimensions::new(config, Joints::of_sixes(4));
     let sizes = ChannelSizes::new(config, &dimensions);
     let _ = (sizes.shared_memory(config.run.workers), ActorLayout::new(config, &dimensions));
     let _ = config.planned_iterations();

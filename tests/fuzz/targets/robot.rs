@@ -9,7 +9,8 @@ use simulator::robot::Robot;
 
 fn seeds() -> Vec<Vec<u8>> {
     let two_arms = include_str!("../../../sim-worker/simulator/robots/two-arm.toml");
-    vec![two_arms.into(), fuzz::robot_toml().into()]
+    let seven = include_str!("../../../sim-worker/simulator/robots/seven-joints.toml");
+    vec![two_arms.into(), seven.into(), fuzz::robot_toml().into()]
 }
 
 fuzz_target!(

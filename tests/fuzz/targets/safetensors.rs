@@ -4,6 +4,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
+use proto::agents::Joints;
 use proto::layout::SnapshotHeader;
 use store::checkpoint::{Assembly, read_policy};
 
@@ -49,7 +50,7 @@ fuzz_target!(
         if let Ok(dir) = committed {
             let checkpoint = store.load(&dir).expect("what was committed is whole");
             assert_eq!(checkpoint.manifest.iteration, 1);
-            let _ = checkpoint.actors(4);
+            let _ = checkpoint.actors(Joints::of_sixes(4));
         }
     }
 );

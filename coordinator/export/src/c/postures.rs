@@ -6,11 +6,11 @@ use simulator::model::{
     AngleContactModel, Bound, Core, FixedBody, FixedBox, Model, Pair, Partner, RigidInertia,
     Rounded,
 };
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 use simulator::task::UNGUIDED;
 
 use super::tables::{define, float, matrix, table};
-use crate::source::Source;
+use crate::source::{ARM_JOINTS, Source};
 
 const SOURCE: &str = include_str!("postures.c");
 
@@ -41,14 +41,14 @@ fn tables(source: &Source<'_>) -> String {
 
 /// What arms need alone.
 fn arms(out: &mut String, robot: &Robot) {
-    let steps = robot.links.iter().map(|link| {
+    let steps = robot.types[0].links.iter().map(|link| {
         let shift: [f64; 3] = link.shift.into();
         let twist = [0, 1, 2].map(|i| [0, 1, 2].map(|j| link.twist[(i, j)]));
         format!("\n    {{{}, {{{}}}}}", vector(&shift.map(|x| x as f32)), matrix(&twist))
     });
     table(out, "step_type STEPS[6]", steps);
-    let mut stops = [[0.0; 3]; JOINTS_PER_ARM];
-    for stop in robot.angle_contacts.iter().filter(|stop| stop.push) {
+    let mut stops = [[0.0; 3]; ARM_JOINTS];
+    for stop in robot.types[0].angle_contacts.iter().filter(|stop| stop.push) {
         stops[stop.joint] = [1.0, stop.centre as f32, stop.half as f32];
     }
     let stops = stops

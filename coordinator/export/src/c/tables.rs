@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use crate::networks::{Layer, Networks, Stacked};
-use crate::source::Source;
+use crate::source::{ARM_JOINTS, Source};
 
 /// `#define OCTOPUS_NAME value`.
 pub(super) fn define(out: &mut String, name: &str, value: &str) {
@@ -117,7 +117,8 @@ fn robot(out: &mut String, source: &Source<'_>) {
     });
     table(out, "arm_type ARMS[OCTOPUS_ARMS]", arms);
     out.push_str("#endif\n#if OCTOPUS_NEEDS_HANDS\n");
-    let links = robot.links.iter().map(|link| {
+    let kind = &robot.types[0];
+    let links = kind.links.iter().map(|link| {
         let (cosine, sine) = (link.twist[(1, 1)], link.twist[(2, 1)]);
         let twist = match (cosine, sine) {
             (1.0, 0.0) => 0,
@@ -130,10 +131,10 @@ fn robot(out: &mut String, source: &Source<'_>) {
         let (has_a, has_d) = (has(link.shift.x), has(link.shift.z));
         format!("\n    {{{has_a}, {has_d}, {twist}, {}}}", numbers.join(", "))
     });
-    table(out, "link_type LINKS[6]", links);
-    let tool: [[f64; 3]; 3] = [0, 1, 2].map(|i| [0, 1, 2].map(|j| robot.tool_rotation[(i, j)]));
+    table(out, &format!("link_type LINKS[{ARM_JOINTS}]"), links);
+    let tool: [[f64; 3]; 3] = [0, 1, 2].map(|i| [0, 1, 2].map(|j| kind.tool_rotation[(i, j)]));
     let _ = writeln!(out, "static const matrix TOOL_ROTATION = {{{}}};", matrix(&tool));
-    let position = floats(robot.tool_position.as_slice());
+    let position = floats(kind.tool_position.as_slice());
     let _ = writeln!(out, "static const float TOOL_POSITION[3] = {position};\n#endif");
     let limits = task.action_limit.iter().map(|&x| float(x as f32));
     table(out, "float ACTION_LIMITS[OCTOPUS_JOINTS]", limits);

@@ -235,7 +235,8 @@ pub(super) fn hands(
         let turned = cross(g, motion.angular, &origin);
         [g.op("Add", &[motion.linear, &turned]), motion.angular.clone()]
     });
-    for (joint, link) in robot.links.iter().enumerate() {
+    let kind = &robot.types[0];
+    for (joint, link) in kind.links.iter().enumerate() {
         let at = joint as i64;
         let (s, c) = (g.gather(&sin, -1, &[at]), g.gather(&cos, -1, &[at]));
         let [x, y, z] = axes;
@@ -249,9 +250,9 @@ pub(super) fn hands(
             let turn = g.op("Mul", &[&rate, &z]);
             *angular = g.op("Add", &[angular, &turn]);
         }
-        let last = joint + 1 == robot.links.len();
+        let last = joint + 1 == kind.links.len();
         let (a, d) = (link.shift.x, link.shift.z);
-        let t = robot.tool_position;
+        let t = kind.tool_position;
         let step = if last {
             combination(g, &[(t.x, &x), (t.y, &y), (t.z, &z)])
         } else {
@@ -265,7 +266,7 @@ pub(super) fn hands(
             }
         }
         if last {
-            let m = robot.tool_rotation;
+            let m = kind.tool_rotation;
             let columns = [0, 1, 2].map(|k| {
                 combination(g, &[(m[(0, k)], &x), (m[(1, k)], &y), (m[(2, k)], &z)])
                     .expect("a rotation has no column of zeros")

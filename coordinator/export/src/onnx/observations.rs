@@ -1,7 +1,6 @@
 //! What agents see, from state and goals; see `simulator::task::observation`.
 
 use proto::config::{JointAngles, Observation};
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::task::observation::RELEASE_VELOCITY_SCALE;
 use simulator::task::{ATTITUDE_WIDTHS, POSITION_WIDTHS};
 
@@ -10,7 +9,7 @@ use super::geometry::{
 };
 use super::graph::{Graph, Value};
 use super::postures;
-use crate::source::Source;
+use crate::source::{ARM_JOINTS, Source};
 
 /// The inputs of a controller.
 pub(super) struct Inputs {
@@ -65,7 +64,7 @@ fn repeated(g: &mut Graph, value: &Value, n: i64) -> Value {
 
 impl Scene<'_> {
     fn by_arm(&self, g: &mut Graph, joints: &Value) -> Value {
-        g.reshape(joints, &[0, self.arms, JOINTS_PER_ARM as i64])
+        g.reshape(joints, &[0, self.arms, ARM_JOINTS as i64])
     }
 
     fn hands(&self, g: &mut Graph, with_velocities: bool) -> Hands {
@@ -122,7 +121,7 @@ impl Scene<'_> {
         }
         let angles = self.by_arm(g, joint_angles);
         let home: Vec<f64> = self.source.world.robot.home_q();
-        let home = g.floats(&[1, task.n_arms(), JOINTS_PER_ARM], &home);
+        let home = g.floats(&[1, task.n_arms(), ARM_JOINTS], &home);
         let turned = g.op("Sub", &[&angles, &home]);
         match task.joint_angles {
             JointAngles::Unwound => parts.push(turned),

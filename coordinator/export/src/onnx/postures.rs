@@ -1,16 +1,15 @@
 //! What goal postures add: to what agents see, and to what they do. Postures are `[batch, arms, 8]`: good, free, what is left of six joints (rad).
 
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::task::observation::POSTURE_WIDTH;
 
 use super::graph::{Attribute, Graph, Value};
-use crate::source::Source;
+use crate::source::{ARM_JOINTS, Source};
 
 /// Numbers of a posture.
-pub(super) const NUMBERS: usize = 2 + JOINTS_PER_ARM;
+pub(super) const NUMBERS: usize = 2 + ARM_JOINTS;
 
 /// Numbers of an observation behind those of a posture: what is left, squashed, and the last action.
-const BEHIND: usize = 2 * JOINTS_PER_ARM;
+const BEHIND: usize = 2 * ARM_JOINTS;
 
 fn left(g: &mut Graph, postures: &Value) -> Value {
     let at: Vec<i64> = (2..NUMBERS as i64).collect();
@@ -44,7 +43,7 @@ pub(super) fn guidance(g: &mut Graph, source: &Source<'_>, postures: &Value) -> 
     let factor = g.float(task.posture.gain / (task.control_period * task.action_scale));
     let factor = g.op("Mul", &[&free, &factor]);
     let there = g.op("Mul", &[&left, &factor]);
-    let limits = g.floats(&[1, arms, JOINTS_PER_ARM], &task.action_limit);
+    let limits = g.floats(&[1, arms, ARM_JOINTS], &task.action_limit);
     let absolute = g.op("Abs", &[&there]);
     let shares = g.op("Div", &[&absolute, &limits]);
     let last = g.ints(&[-1]);

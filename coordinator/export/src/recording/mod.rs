@@ -26,7 +26,6 @@ use std::io::Cursor;
 use mcap::records::MessageHeader;
 use mcap::{Attachment, WriteOptions, Writer, records};
 use prost::Message as _;
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::robot::urdf::urdf;
 
 pub(crate) use self::commanded::numbers_of;
@@ -219,16 +218,17 @@ impl Recording {
             translation: Some(vector(&frame.origin)),
             rotation: Some(quaternion(frame)),
         };
+        let joints = self.commanded.robot.joints;
         let mut all = vec![transform("world", names[0].clone(), &moment.bodies[0])];
         for at in 1..names.len() {
             // A first link hangs on the base, every other one on the one before it.
-            let parent = if (at - 1) % JOINTS_PER_ARM == 0 { 0 } else { at - 1 };
+            let parent = if joints.within_arm(at - 1) == 0 { 0 } else { at - 1 };
             let frame = moment.bodies[at].seen_from(&moment.bodies[parent]);
             all.push(transform(&names[parent], names[at].clone(), &frame));
         }
         let arms = &self.commanded.robot.arms;
         for (index, (arm, hand)) in arms.iter().zip(&moment.hands).enumerate() {
-            let last = (index + 1) * JOINTS_PER_ARM;
+            let last = joints.of_arm(index).end;
             let frame = hand.seen_from(&moment.bodies[last]);
             all.push(transform(&names[last], format!("{}_hand", arm.name), &frame));
         }

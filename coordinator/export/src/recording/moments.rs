@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use simulator::experiment::Motion;
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 use simulator::spatial::{Mat3, euler_xyz_to_rotation};
 
 use super::commanded::{Commanded, numbers_of};
@@ -63,10 +63,12 @@ pub(super) struct Moment {
 
 /// Names of bodies as `octopus urdf` has them: the base, then all links, arm after arm.
 pub(super) fn body_names(robot: &Robot) -> Vec<String> {
-    let links = robot
-        .arms
-        .iter()
-        .flat_map(|arm| robot.links.iter().map(move |link| format!("{}_{}", arm.name, link.name)));
+    let links = robot.arms.iter().flat_map(|arm| {
+        robot.types[arm.arm_type]
+            .links
+            .iter()
+            .map(move |link| format!("{}_{}", arm.name, link.name))
+    });
     std::iter::once("base".to_owned()).chain(links).collect()
 }
 
@@ -100,7 +102,7 @@ pub(super) fn base_goal(attitude: [f64; 3]) -> Frame {
 
 fn moment(names: &[String], motion: &Motion) -> Moment {
     let state = motion.state();
-    let bodies = 0..=motion.robot().n_arms * JOINTS_PER_ARM;
+    let bodies = 0..=motion.robot().n_joints();
     let name = |link: Option<usize>| names[link.map_or(0, |link| link + 1)].clone();
     let pushed = motion.pushes().iter().map(|push| Pushed {
         on: name(Some(push.on)),

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::Dimensions;
 use simulator::executor::Executor;
 use simulator::rollout::World;
 use simulator::stepping::{ARRAYS, Batch, Begin, GoalKind, Rows, StepError};
@@ -102,7 +102,7 @@ pub fn replay_block(
     threads: usize,
 ) -> Result<Replay, ExportError> {
     let world = &block.world;
-    let Dimensions { n_agents, n_steps, n_envs, .. } = world.dimensions;
+    let Dimensions { n_agents, n_steps, n_envs, n_actions: width, .. } = world.dimensions;
     let mut shown = Shown::new(n_envs, &world.dimensions);
     let mut batch = Batch::new(Arc::clone(world), n_envs, threads);
     let begin = begin(block.address, block.address.shard as usize * n_envs)?;
@@ -111,13 +111,13 @@ pub fn replay_block(
     if !compare_seen(&mut replay, block, &shown, 0) {
         return Ok(replay);
     }
-    let mut actions = vec![0.0; n_envs * n_agents * JOINTS_PER_AGENT];
+    let mut actions = vec![0.0; n_envs * n_agents * width];
     for step in 0..n_steps {
         for agent in 0..n_agents {
-            let of_agent = block.actions(agent, step).chunks_exact(JOINTS_PER_AGENT);
+            let of_agent = block.actions(agent, step).chunks_exact(width);
             for (env, action) in of_agent.enumerate() {
-                let at = (env * n_agents + agent) * JOINTS_PER_AGENT;
-                actions[at..at + JOINTS_PER_AGENT].copy_from_slice(action);
+                let at = (env * n_agents + agent) * width;
+                actions[at..at + width].copy_from_slice(action);
             }
         }
         batch.step(&actions, executor, shown.rows()).map_err(|error| failed(&error))?;

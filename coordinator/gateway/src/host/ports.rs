@@ -12,6 +12,7 @@ use proto::message::Status;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 
+use crate::arguments::joints_of;
 use crate::network::Asked;
 use crate::orders::Task;
 
@@ -37,7 +38,8 @@ impl HostPorts {
         let config = Config::from_resolved_toml(&text, &path.display().to_string())
             .map_err(|error| bad(&error))?;
         let domain = Domain::parse(&place.domain)?;
-        let sizes = ChannelSizes::new(&config, &Dimensions::new(&config, place.arms));
+        let sizes =
+            ChannelSizes::new(&config, &Dimensions::new(&config, joints_of(&place.joints)?));
         let channels = Channels::open(&domain, sizes)?;
         Ok(Self {
             domain,

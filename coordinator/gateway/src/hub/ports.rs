@@ -11,6 +11,7 @@ use proto::message::{self, Order, Status};
 use proto::{Digest, ExitError};
 
 use crate::arguments::HubArguments;
+use crate::arguments::joints_of;
 use crate::network::Piece;
 use crate::orders::{Single, Task};
 
@@ -31,7 +32,7 @@ pub(super) struct Ports {
 impl Ports {
     pub(super) fn open(arguments: &HubArguments, config: &Config) -> Result<Self, ExitError> {
         let domain = Domain::parse(&arguments.domain)?;
-        let dimensions = Dimensions::new(config, arguments.arms);
+        let dimensions = Dimensions::new(config, joints_of(&arguments.joints)?);
         let sizes = ChannelSizes::new(config, &dimensions);
         let channels = Channels::open(&domain, sizes)?;
         Ok(Self {

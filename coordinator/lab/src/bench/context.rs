@@ -53,7 +53,7 @@ impl Bench {
         stop.listen().context("signals cannot be caught")?;
         let scratch = tempfile::Builder::new().prefix("octopus-bench-").tempdir();
         Ok(Self {
-            dimensions: Dimensions::new(&config, robot.n_arms),
+            dimensions: Dimensions::new(&config, robot.joints),
             preset,
             layers,
             config,

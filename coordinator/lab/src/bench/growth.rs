@@ -134,7 +134,7 @@ fn by_hidden(bench: &Bench) -> anyhow::Result<[Curve; 2]> {
         bench.begin(&format!("learner 2x{width}"))?;
         let config = bench.config_with(&[&format!("network.hidden=[{width},{width}]")])?;
         let update = learner::update(bench, &config, false)?;
-        let dimensions = Dimensions::new(&config, bench.robot.n_arms);
+        let dimensions = Dimensions::new(&config, bench.robot.joints);
         let policy = 4.0 * ActorLayout::new(&config, &dimensions).len as f64;
         rates.push((f64::from(width), update.env_steps_per_s));
         bytes.push((f64::from(width), update.state_bytes + policy));

@@ -87,7 +87,7 @@ impl Peers {
             "n_agents": sizes.n_agents,
             "observation": sizes.observation,
             "state": sizes.critic_input(),
-            "actions": proto::layout::JOINTS_PER_AGENT,
+            "actions": sizes.n_actions,
             "hidden": config.network.hidden,
             "layer_norm": config.network.layer_norm,
             "activation": match config.network.activation {

@@ -155,6 +155,7 @@ fn policy_flops(config: &Config, dimensions: &Dimensions) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
+    use proto::agents::Joints;
     use proto::config::{Layers, Preset};
 
     use super::*;
@@ -162,7 +163,7 @@ mod tests {
     #[test]
     fn products_of_the_policy_by_hand() {
         let config = Layers::new(Preset::Paper, None).resolve().expect("valid");
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         // 28·512 + 512·512 + 512·3 weights, two operations each, eight agents.
         let (single, pairs) = policy_flops(&config, &dimensions);
         assert_eq!((single, pairs), (16.0 * 15_872.0, 16.0 * 262_144.0));

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion};
 use rendering::{Solid, Vector};
 use simulator::experiment::Pose;
-use simulator::robot::{BaseBox, JOINTS_PER_ARM, Robot, Shape};
+use simulator::robot::{BaseBox, Robot, Shape};
 
 /// What a body is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,6 +21,8 @@ pub(super) enum Kind {
         arm: usize,
         /// Link of the arm, counted from 0.
         link: usize,
+        /// Whether the hand is fixed to it.
+        is_last: bool,
     },
 }
 
@@ -90,8 +92,8 @@ impl Posed {
         let boxes = robot.boxes.iter().map(|shape| base.placed_box(shape)).collect();
         let mut parts = vec![Part { kind: Kind::Base, solids: boxes }];
         let mut hands = Vec::new();
-        let arms = robot.arms.iter().zip(pose.joints.chunks_exact(JOINTS_PER_ARM)).enumerate();
-        for (index, (arm, joints)) in arms {
+        for (index, arm) in robot.arms.iter().enumerate() {
+            let (kind, joints) = (robot.type_of(index), &pose.joints[robot.joints.of_arm(index)]);
             let pedestal = arm.pedestal_shapes.iter().map(|shape| base.placed(shape));
             let solids = [base.placed_box(&arm.mount)].into_iter().chain(pedestal).collect();
             parts.push(Part { kind: Kind::Foot { arm: index }, solids });
@@ -99,15 +101,16 @@ impl Posed {
                 origin: base.origin + base.rotation * arm.position,
                 rotation: base.rotation * arm.rotation,
             };
-            for (l, (link, q)) in robot.links.iter().zip(joints).enumerate() {
+            for (l, (link, q)) in kind.links.iter().zip(joints).enumerate() {
                 frame.rotation *=
                     Rotation3::from_axis_angle(&Vector::z_axis(), f64::from(*q)).matrix();
                 let solids = link.shapes.iter().map(|shape| frame.placed(shape)).collect();
-                parts.push(Part { kind: Kind::Link { arm: index, link: l }, solids });
-                if l + 1 == JOINTS_PER_ARM {
+                let is_last = l + 1 == kind.links.len();
+                parts.push(Part { kind: Kind::Link { arm: index, link: l, is_last }, solids });
+                if is_last {
                     hands.push(Frame {
-                        origin: frame.origin + frame.rotation * robot.tool_position,
-                        rotation: frame.rotation * robot.tool_rotation,
+                        origin: frame.origin + frame.rotation * kind.tool_position,
+                        rotation: frame.rotation * kind.tool_rotation,
                     });
                 } else {
                     frame.origin += frame.rotation * link.shift;
@@ -147,7 +150,7 @@ mod tests {
         assert!((corners.iter().sum::<Vector>() / 8.0 - centre).norm() < 1e-9);
         assert!(((corners[0] - centre).norm() - half.norm()).abs() < 1e-9);
         // Every shape of the description is there.
-        let links: usize = robot.links.iter().map(|link| link.shapes.len()).sum();
+        let links: usize = robot.types[0].links.iter().map(|link| link.shapes.len()).sum();
         let feet: usize = robot.arms.iter().map(|arm| 1 + arm.pedestal_shapes.len()).sum();
         let solids: usize = posed.parts.iter().map(|part| part.solids.len()).sum();
         assert_eq!(solids, robot.boxes.len() + feet + 4 * links);
@@ -164,7 +167,7 @@ mod tests {
         let posed = Posed::new(&robot, &pose);
         for pair in posed.parts[1..].windows(2) {
             let (Kind::Link { arm, .. } | Kind::Foot { arm }) = pair[0].kind else { continue };
-            let Kind::Link { arm: next, link } = pair[1].kind else { continue };
+            let Kind::Link { arm: next, link, .. } = pair[1].kind else { continue };
             assert_eq!(arm, next);
             let gap = |a: &Solid, b: &Solid| {
                 let ends = a.balls();

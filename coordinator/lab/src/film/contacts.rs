@@ -44,7 +44,7 @@ fn can_touch(one: Kind, other: Kind) -> Option<ContactKind> {
     match (one, other) {
         (Kind::Link { link, .. }, Kind::Base) if link > 0 => Some(ContactKind::Base),
         (Kind::Link { link, .. }, Kind::Foot { .. }) if link > 0 => Some(ContactKind::Mount),
-        (Kind::Link { arm: a, link: l }, Kind::Link { arm: b, link: m }) => {
+        (Kind::Link { arm: a, link: l, .. }, Kind::Link { arm: b, link: m, .. }) => {
             if a != b {
                 Some(ContactKind::Arms)
             } else if l.abs_diff(m) > 1 {

@@ -4,7 +4,7 @@ use drawing::palette::{self, COLORS};
 use nalgebra::Matrix3;
 use rendering::{Body, Camera, Color, Font, Image, Overlay, Scene, Solid, Vector, View, render};
 use simulator::experiment::Pose;
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 use simulator::spatial::euler_xyz_to_rotation;
 
 use super::bodies::{Frame, Kind, Posed};
@@ -292,7 +292,7 @@ fn surface(kind: Kind, solid: &Solid) -> [u8; 3] {
     match (kind, solid) {
         (Kind::Base, _) => BASE,
         (Kind::Foot { .. }, _) => FOOT,
-        (Kind::Link { link, .. }, _) if link + 1 == JOINTS_PER_ARM => HAND,
+        (Kind::Link { is_last: true, .. }, _) => HAND,
         (_, Solid::Capsule { from, to, radius }) if (to - from).norm() > LONG * radius => TUBE,
         (Kind::Link { arm, .. }, _) => COLORS[arm % COLORS.len()].bytes(),
     }

@@ -2,7 +2,7 @@
 
 use drawing::{Axis, Item, Layout, Panel, line, render};
 use simulator::plan::{Miss, Question};
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 
 use super::answer::Answer;
 
@@ -32,7 +32,7 @@ pub fn picture(
     let within = question.within;
     let fastest = (0..robot.n_arms).map(|arm| {
         let of_arm = |row: &simulator::simulate::SimulationRow| {
-            let rates = row.state.qd[arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM].iter();
+            let rates = row.state.qd[robot.joints.of_arm(arm)].iter();
             rates.map(|rate| rate.abs()).fold(0.0, f64::max)
         };
         let values = std::iter::once(0.0).chain(rows.iter().map(of_arm)).collect();

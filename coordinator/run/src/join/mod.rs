@@ -89,7 +89,7 @@ fn membership(
         }
     };
     let (config, robot) = settle(spec, &run_dir)?;
-    let dimensions = Dimensions::new(&config, robot.n_arms);
+    let dimensions = Dimensions::new(&config, robot.joints);
     let room = preflight::shared_memory(&config, &dimensions, 0, &["--workers"]);
     if room.verdict == Verdict::Failure {
         return Err(ExitError::new(ExitCode::Environment, room.sentence()));
@@ -104,7 +104,8 @@ fn membership(
         spec.endpoint,
         output::counted(spec.workers as u64, "worker")
     ));
-    let place = Place { domain: domain.as_str().to_owned(), arms: robot.n_arms };
+    let place =
+        Place { domain: domain.as_str().to_owned(), joints: robot.joints.by_arm().collect() };
     let (workers, heard) = (spec.workers, BTreeMap::new());
     let mut host = Host { spec, config: &config, workers, heard, blocks };
     let result = Channels::create(&domain, sizes)

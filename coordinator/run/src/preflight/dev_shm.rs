@@ -114,6 +114,8 @@ fn round_up(bytes: u64) -> u64 {
 mod tests {
     use super::super::check::Verdict;
     use super::super::tests::config;
+    use proto::agents::Joints;
+
     use super::*;
 
     #[test]
@@ -122,7 +124,8 @@ mod tests {
         let config =
             Config { run: proto::config::Run { workers: 256, ..config.run.clone() }, ..config };
         let flags = ["--workers", "--envs"];
-        let check = shared_memory(&config, &Dimensions::new(&config, 4), 0, &flags);
+        let check =
+            shared_memory(&config, &Dimensions::new(&config, Joints::of_sixes(4)), 0, &flags);
         assert_eq!(check.verdict, Verdict::Failure);
         let cure = check.cure.expect("a failure has a cure");
         assert!(cure.contains("need less: --") && cure.ends_with("killed runs left"), "{cure}");

@@ -79,7 +79,7 @@ pub fn check_machine(
                        can join it; or give --workers 1 or more";
         return Err(ExitError::new(ExitCode::Usage, message));
     }
-    let dimensions = Dimensions::new(config, robot.n_arms);
+    let dimensions = Dimensions::new(config, robot.joints);
     check_run(config, &dimensions, learner, gateway.iter().len(), remedy.flags)?;
     let there = CheckpointStore::new(run_dir.checkpoints()).list().map_or(0, |there| there.len());
     let disk = disk(run_dir.path(), config, &dimensions, there, remedy);

@@ -75,12 +75,14 @@ pub(super) fn checkpoint_size(config: &Config, dimensions: &Dimensions) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::super::tests::config;
+    use proto::agents::Joints;
+
     use super::*;
 
     #[test]
     fn what_lies_on_the_disk_already_is_not_asked_for_again() {
         let config = config("run.checkpoints_kept=3");
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         let remedy = Remedy { elsewhere: "elsewhere", less: None, flags: &[] };
         let dir = tempfile::tempdir().expect("tempdir");
         let wanted = |there| {

@@ -2,7 +2,7 @@
 
 use channels::ChannelSizes;
 use proto::config::Config;
-use proto::layout::{AGENTS_PER_ARM, Dimensions};
+use proto::layout::Dimensions;
 
 /// Files that a process of a run opens beside those for its workers, as [`descriptors`](super::limits::descriptors) counts.
 const FILES: u64 = 128 + 2 * FILES_OF_A_WORKER;
@@ -21,9 +21,8 @@ pub(super) fn fitting(
     free: u64,
     flags: &[&str],
 ) -> Vec<String> {
-    let n_arms = dimensions.n_agents / AGENTS_PER_ARM;
     let fits = |config: &Config| {
-        let sizes = ChannelSizes::new(config, &Dimensions::new(config, n_arms));
+        let sizes = ChannelSizes::new(config, &Dimensions::new(config, dimensions.joints));
         let budget = sizes.shared_memory(config.run.workers + gateways);
         budget.iter().map(|(_, bytes)| bytes).sum::<u64>() <= free
     };
@@ -80,6 +79,7 @@ pub(super) fn open_files(
 
 #[cfg(test)]
 mod tests {
+    use proto::agents::Joints;
     use proto::config::{Layers, Preset};
 
     use super::*;
@@ -91,7 +91,7 @@ mod tests {
         let layers = Layers::new(Preset::Tuned, None);
         let layers = sets.iter().try_fold(layers, |layers, set| layers.set(set));
         let config = layers.and_then(|layers| layers.resolve()).expect("valid");
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         (config, dimensions)
     }
 

@@ -121,7 +121,7 @@ const EXIT_DEADLINE: Duration = Duration::from_secs(5);
 /// Runs until the budget, the time limit, a signal or an error ends it. Whatever happens, no
 /// process and no shared memory is left when this returns.
 pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<RunResult, ExitError> {
-    let dimensions = Dimensions::new(&spec.config, spec.robot.n_arms);
+    let dimensions = Dimensions::new(&spec.config, spec.robot.joints);
     let sizes = ChannelSizes::new(&spec.config, &dimensions);
     let mut supervisor = Supervisor::new(
         spec.programs.clone(),
@@ -131,7 +131,7 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<RunResult, Exi
         sizes.max_workers,
     )?;
     if let Some(gateway) = &spec.gateway {
-        supervisor.open_to_hosts(gateway.clone(), spec.robot.n_arms);
+        supervisor.open_to_hosts(gateway.clone(), spec.robot.joints);
     }
     let result = Session::start(spec, &dimensions, sizes, &mut supervisor, reporter).and_then(
         |mut session| {

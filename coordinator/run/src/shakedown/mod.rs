@@ -8,7 +8,7 @@ mod touches;
 use self::fault::Fault;
 use proto::{ExitCode, ExitError};
 use simulator::dynamics::reference_dynamics;
-use simulator::robot::{JOINTS_PER_ARM, Robot};
+use simulator::robot::Robot;
 use simulator::simulate::{Precision, SimulationRow, simulate};
 use simulator::step::{Integrator, StepOptions};
 use touches::touches_at_home;
@@ -82,27 +82,36 @@ struct Part {
 fn parts(robot: &Robot) -> Vec<Part> {
     let d = robot.description();
     let largest = |inertia: &[f64; 6]| inertia.iter().copied().fold(0.0, f64::max);
-    let n = robot.n_arms as f64;
+    let types = std::iter::once((String::new(), &d.mount, &d.pedestal, &d.links));
+    let others = d.arm_types.iter().map(|(name, other)| {
+        (format!("arm_types.{name}."), &other.mount, &other.pedestal, &other.links)
+    });
     let boxes = d.base.iter().enumerate().map(|(i, part)| Part {
         key: format!("base[{i}] ({})", part.name),
         count: 1.0,
         mass: part.mass,
         moment: 0.0,
     });
-    let links = d.links.iter().enumerate().map(|(i, part)| Part {
-        key: format!("links[{i}] ({})", part.name),
-        count: n,
-        mass: part.mass,
-        moment: largest(&part.inertia),
-    });
-    let mount = Part { key: "mount".to_owned(), count: n, mass: d.mount.mass, moment: 0.0 };
-    let pedestal = Part {
-        key: "pedestal".to_owned(),
-        count: n,
-        mass: d.pedestal.mass,
-        moment: largest(&d.pedestal.inertia),
-    };
-    boxes.chain([mount, pedestal]).chain(links).collect()
+    let of_types =
+        types.chain(others).enumerate().flat_map(|(arm_type, (prefix, mount, pedestal, links))| {
+            let count = robot.arms.iter().filter(|arm| arm.arm_type == arm_type).count() as f64;
+            let links = links.iter().enumerate().map(|(i, part)| Part {
+                key: format!("{prefix}links[{i}] ({})", part.name),
+                count,
+                mass: part.mass,
+                moment: largest(&part.inertia),
+            });
+            let mount =
+                Part { key: format!("{prefix}mount"), count, mass: mount.mass, moment: 0.0 };
+            let pedestal = Part {
+                key: format!("{prefix}pedestal"),
+                count,
+                mass: pedestal.mass,
+                moment: largest(&pedestal.inertia),
+            };
+            [mount, pedestal].into_iter().chain(links).collect::<Vec<Part>>()
+        });
+    boxes.chain(of_types).collect()
 }
 
 /// Moves every joint a little and judges what comes of it.
@@ -192,10 +201,10 @@ fn stands(robot: &Robot, far: &SimulationRow) -> Option<(String, &'static str)> 
         let way = (q - home).abs();
         let commanded = WAY.min(robot.max_rates()[joint] * far.t);
         if way < LEAST_WAY * commanded {
-            let arm = &robot.arms[joint / JOINTS_PER_ARM].name;
+            let arm = &robot.arms[robot.joints.arm_of(joint)].name;
             let found = format!(
                 "joint {} of arm `{arm}` has moved by {way:.0e} rad of {commanded:.0e} in {:.1} s",
-                joint % JOINTS_PER_ARM + 1,
+                robot.joints.within_arm(joint) + 1,
                 far.t
             );
             return Some((found, "a servo that moves its joint"));
@@ -204,21 +213,29 @@ fn stands(robot: &Robot, far: &SimulationRow) -> Option<(String, &'static str)> 
     None
 }
 
+/// What stands before the keys of an arm's type in the description.
+fn type_prefix(robot: &Robot, arm: usize) -> String {
+    let named = &robot.description().arms[arm].arm_type;
+    named.as_ref().map_or_else(String::new, |name| format!("arm_types.{name}."))
+}
+
 /// The likeliest cause that a robot cannot be simulated, as advice.
 fn suspect(robot: &Robot, options: &StepOptions) -> String {
     // A joint shows no less than its drive and its own link; what these carry comes on top.
-    let rates = robot.links.iter().enumerate().map(|(index, link)| {
+    let rates = (0..robot.n_joints()).map(|joint| {
+        let link = robot.link(joint);
         let [x, y, _]: [f64; 3] = link.body.com.into();
         let own = link.body.inertia[(2, 2)] + link.body.mass * (x * x + y * y);
-        (index, link.gain / (link.armature + own))
+        (joint, link.gain / (link.armature + own))
     });
     let fastest = rates.max_by(|a, b| a.1.total_cmp(&b.1));
-    if let Some((index, rate)) = fastest
+    if let Some((joint, rate)) = fastest
         && rate * options.substep > STABLE
     {
-        let link = &robot.links[index];
+        let (link, index) = (robot.link(joint), robot.joints.within_arm(joint));
+        let prefix = type_prefix(robot, robot.joints.arm_of(joint));
         return format!(
-            "links[{index}] ({}).servo.gain is {} N m s/rad where so little turns that the servo answers \
+            "{prefix}links[{index}] ({}).servo.gain is {} N m s/rad where so little turns that the servo answers \
              within {:.0e} s, and substeps take {} s: more armature, less gain or a smaller substep \
              (`--set env.substep=…`)",
             link.name,

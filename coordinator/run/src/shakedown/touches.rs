@@ -5,11 +5,12 @@ use std::f64::consts::TAU;
 
 use simulator::collision::{Touching, touching};
 use simulator::model::{ContactKind, Model};
-use simulator::robot::{ArmBody, JOINTS_PER_ARM, Robot};
+use simulator::robot::{ArmBody, Robot};
 use simulator::state::State;
 use simulator::workspace::Workspace;
 
 use super::fault::Fault;
+use super::type_prefix;
 
 /// The first two bodies that touch at home, and what to change.
 pub(super) fn touches_at_home(robot: &Robot) -> Option<Fault> {
@@ -38,8 +39,9 @@ fn at_home(robot: &Robot) -> Touching<f64> {
 
 /// A joint that stands where two bodies touch.
 fn stopped(robot: &Robot, more: &str) -> Option<Fault> {
-    for (index, stop) in robot.angle_contacts.iter().enumerate() {
-        for (number, arm) in robot.arms.iter().enumerate() {
+    for (number, arm) in robot.arms.iter().enumerate() {
+        let kind = robot.type_of(number);
+        for (index, stop) in kind.angle_contacts.iter().enumerate() {
             let offset = arm.home[stop.joint] - stop.centre;
             let offset = offset - TAU * (offset / TAU).round();
             let narrowing = stop.narrowing * (2.0 * arm.home[stop.narrowing_joint]).sin().abs();
@@ -47,15 +49,16 @@ fn stopped(robot: &Robot, more: &str) -> Option<Fault> {
                 let [a, b] = stop.pair.map(|body| match body {
                     ArmBody::Mount => "mount",
                     ArmBody::Pedestal => "pedestal",
-                    ArmBody::Link(link) => &robot.links[link].name,
+                    ArmBody::Link(link) => &kind.links[link].name,
                 });
                 return Some(Fault {
                     found: format!(
                         "`{a}` and `{b}` of arm `{}` touch at home{more}, as joint {} stands at {} rad, \
-                         within stops[{index}].interval",
+                         within {}stops[{index}].interval",
                         arm.name,
                         stop.joint + 1,
-                        arm.home[stop.joint]
+                        arm.home[stop.joint],
+                        type_prefix(robot, number)
                     ),
                     expected: "",
                     cure: format!("change arms[{number}] ({}).home or the interval", arm.name),
@@ -68,7 +71,6 @@ fn stopped(robot: &Robot, more: &str) -> Option<Fault> {
 
 /// Two bodies whose shapes overlap.
 fn overlap(robot: &Robot, more: &str) -> Option<Fault> {
-    let names: Vec<&str> = robot.links.iter().map(|link| link.name.as_str()).collect();
     let found = |a: String, b: String, touching: &Touching<f64>| {
         let arms = robot.arms.iter().enumerate();
         let arms = arms.filter(|(arm, _)| touching.by_arm[*arm] > 0.0);
@@ -86,38 +88,49 @@ fn overlap(robot: &Robot, more: &str) -> Option<Fault> {
     };
     let kind = |touching: &Touching<f64>, kind: ContactKind| touching.by_kind[kind as usize] > 0.0;
     let boxes: Vec<String> = robot.boxes.iter().map(|part| format!("`{}`", part.name)).collect();
-    for (link, name) in names.iter().enumerate() {
+    // Every link of every type, as (type, link).
+    let all: Vec<(usize, usize)> = robot
+        .types
+        .iter()
+        .enumerate()
+        .flat_map(|(arm_type, kind)| (0..kind.links.len()).map(move |link| (arm_type, link)))
+        .collect();
+    let name =
+        |(arm_type, link): (usize, usize)| format!("`{}`", robot.types[arm_type].links[link].name);
+    for &link in &all {
         let alone = at_home(&with_shapes_of(robot, &[link])?);
-        let name = || format!("`{name}`");
         if kind(&alone, ContactKind::Base) {
-            return found(name(), format!("the base ({})", boxes.join(", ")), &alone);
+            return found(name(link), format!("the base ({})", boxes.join(", ")), &alone);
         }
         if kind(&alone, ContactKind::Mount) {
-            return found(name(), "a mount or pedestal".to_owned(), &alone);
+            return found(name(link), "a mount or pedestal".to_owned(), &alone);
         }
     }
-    for a in 0..JOINTS_PER_ARM {
-        for b in a..JOINTS_PER_ARM {
+    for (index, &a) in all.iter().enumerate() {
+        for &b in &all[index..] {
             let both = at_home(&with_shapes_of(robot, &[a, b])?);
-            let [a, b] = [a, b].map(|link| format!("`{}`", names[link]));
             if kind(&both, ContactKind::Own) {
-                return found(a, format!("its own {b}"), &both);
+                return found(name(a), format!("its own {}", name(b)), &both);
             }
             if kind(&both, ContactKind::Arms) {
-                return found(a, format!("{b} of another arm"), &both);
+                return found(name(a), format!("{} of another arm", name(b)), &both);
             }
         }
     }
     None
 }
 
-/// The robot with no shapes on its links but on these.
-fn with_shapes_of(robot: &Robot, links: &[usize]) -> Option<Robot> {
+/// The robot with no shapes on its links but on these, each a type and the number of a link.
+fn with_shapes_of(robot: &Robot, kept: &[(usize, usize)]) -> Option<Robot> {
     let mut description = robot.description().clone();
-    for (index, link) in description.links.iter_mut().enumerate() {
-        if !links.contains(&index) {
-            link.capsules.clear();
-            link.discs.clear();
+    let others = description.arm_types.values_mut().map(|other| &mut other.links);
+    let types = std::iter::once(&mut description.links).chain(others);
+    for (arm_type, links) in types.enumerate() {
+        for (index, link) in links.iter_mut().enumerate() {
+            if !kept.contains(&(arm_type, index)) {
+                link.capsules.clear();
+                link.discs.clear();
+            }
         }
     }
     Robot::from_description(description, std::path::Path::new(&robot.name)).ok()

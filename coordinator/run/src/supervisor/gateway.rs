@@ -1,5 +1,6 @@
 //! What there is of a gateway, the child that carries a run to other machines.
 
+use proto::agents::Joints;
 use std::path::PathBuf;
 use std::process::Child;
 use std::time::{Duration, Instant};
@@ -36,7 +37,7 @@ pub(super) enum State {
 pub(super) struct Gateway {
     pub(super) spec: GatewaySpec,
     /// Arms of the robot.
-    pub(super) arms: usize,
+    pub(super) joints: Joints,
     pub(super) state: State,
     /// That of the process that runs, or ran last.
     pub(super) incarnation: u32,
@@ -50,10 +51,10 @@ pub(super) struct Gateway {
 
 impl Gateway {
     /// None yet.
-    pub(super) fn new(spec: GatewaySpec, arms: usize) -> Self {
+    pub(super) fn new(spec: GatewaySpec, joints: Joints) -> Self {
         Self {
             spec,
-            arms,
+            joints,
             state: State::Idle,
             incarnation: 0,
             started: 0,

@@ -3,6 +3,7 @@
 use std::process::Command;
 use std::time::Instant;
 
+use proto::agents::Joints;
 use proto::{ExitCode, ExitError};
 
 use super::Supervisor;
@@ -13,9 +14,9 @@ use crate::environment;
 
 impl Supervisor {
     /// Opens the run to other machines: from now on there is a gateway whenever there is a learner, and it waits for
-    /// hosts where `spec` says. `arms` is the robot's.
-    pub fn open_to_hosts(&mut self, spec: GatewaySpec, arms: usize) {
-        self.gateway = Some(Gateway::new(spec, arms));
+    /// hosts where `spec` says. `joints` are the robot's.
+    pub fn open_to_hosts(&mut self, spec: GatewaySpec, joints: Joints) {
+        self.gateway = Some(Gateway::new(spec, joints));
     }
 
     /// Starts the gateway, if the run has one; see [`Supervisor::start_learner`] for the thread to call it from.
@@ -29,7 +30,8 @@ impl Supervisor {
         if let Some(dir) = &gateway.spec.certificates {
             command.arg("--certificates").arg(dir);
         }
-        command.args(["--arms", &gateway.arms.to_string()]);
+        let joints: Vec<String> = gateway.joints.by_arm().map(|n| n.to_string()).collect();
+        command.args(["--joints", &joints.join(",")]);
         command.arg(format!("--processor={}", store::provenance::processor_type()));
         command.args(["--incarnation", &incarnation.to_string()]);
         command.arg("--sim-worker").arg(&self.programs.sim_worker);

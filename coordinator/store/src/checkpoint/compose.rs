@@ -60,7 +60,7 @@ impl Composition {
         let robot_path = first_checkpoint.dir.join(ROBOT);
         let robot = Robot::from_toml(&first_checkpoint.robot_toml, &robot_path)
             .map_err(|error| CheckpointError::damaged(&robot_path, error.to_string()))?;
-        let dimensions = Dimensions::new(&first_checkpoint.config, robot.n_arms);
+        let dimensions = Dimensions::new(&first_checkpoint.config, robot.joints);
         if dimensions.n_actors != dimensions.n_agents {
             return refuse(format!(
                 "{} has one actor for all arms (algorithm.name = {}), which cannot be taken apart",
@@ -100,7 +100,7 @@ impl Composition {
         let mut flat = vec![0.0; layout.len];
         let mut origins = Vec::new();
         for part in parts {
-            let actors = part.checkpoint.actors(robot.n_arms)?;
+            let actors = part.checkpoint.actors(robot.joints)?;
             let agents = part.arms.iter().flat_map(|arm| {
                 let first = arm * AGENTS_PER_ARM;
                 first..first + AGENTS_PER_ARM

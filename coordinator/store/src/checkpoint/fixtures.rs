@@ -14,7 +14,7 @@ use super::{STATE_FORMAT, Snapshot, StateLayout};
 /// tensors that a learner would write and the digest that it would compute for them.
 pub fn snapshot_of(config: &Config, iteration: u64, first: f32) -> Snapshot {
     let robot = Robot::builtin("paper").expect("built in");
-    let dimensions = Dimensions::new(config, robot.n_arms);
+    let dimensions = Dimensions::new(config, robot.joints);
     let actors = ActorLayout::new(config, &dimensions);
     let state = StateLayout::new(config, &dimensions);
     let count = |first: f32, numbers: std::ops::Range<usize>| -> Vec<u8> {

@@ -1,5 +1,6 @@
 //! Reading checkpoints: nothing is believed that the manifest does not confirm.
 
+use proto::agents::Joints;
 use std::fs::File;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -61,8 +62,8 @@ impl Checkpoint {
     }
 
     /// The actors' parameters, flat, in the order of [`ActorLayout`].
-    pub fn actors(&self, n_arms: usize) -> Result<Vec<f32>, CheckpointError> {
-        let layout = ActorLayout::new(&self.config, &Dimensions::new(&self.config, n_arms));
+    pub fn actors(&self, joints: Joints) -> Result<Vec<f32>, CheckpointError> {
+        let layout = ActorLayout::new(&self.config, &Dimensions::new(&self.config, joints));
         read_policy(&self.dir.join(POLICY), &layout)
     }
 }

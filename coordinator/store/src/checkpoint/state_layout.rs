@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 
 use proto::config::{AlgorithmName, Config, CriticState, InputNorm};
-use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{ActorLayout, Dimensions};
 use safetensors::Dtype;
 
 /// The `format` entry of a state's metadata.
@@ -112,13 +112,14 @@ impl StateLayout {
     }
 
     fn add_replay(&mut self, config: &Config, dimensions: &Dimensions) {
-        let Dimensions { n_agents: a, n_steps: t, observation: o, state, .. } = *dimensions;
+        let Dimensions { n_agents: a, n_steps: t, n_actions: u, observation: o, state, .. } =
+            *dimensions;
         let s = if config.network.critic_state == CriticState::Concatenated { 0 } else { state };
         let c = config.algorithm.maddpg.replay_steps / t;
         for (name, shape, numbers) in [
             ("observation", vec![c, t + 1, a * o], Numbers::Any),
             ("state", vec![c, t + 1, s], Numbers::Any),
-            ("action", vec![c, t, a * JOINTS_PER_AGENT], Numbers::Any),
+            ("action", vec![c, t, a * u], Numbers::Any),
             ("reward", vec![c, t, a], Numbers::Any),
             ("future", vec![c, t], Numbers::Share),
         ] {

@@ -144,7 +144,7 @@ impl Wanted {
         let path = dir.join(ROBOT);
         let robot = Robot::from_toml(&robot, &path)
             .map_err(|error| CheckpointError::damaged(&path, error.to_string()))?;
-        let dimensions = Dimensions::new(&config, robot.n_arms);
+        let dimensions = Dimensions::new(&config, robot.joints);
         let actors = ActorLayout::new(&config, &dimensions);
         let state = StateLayout::new(&config, &dimensions);
         Ok(Self { config, actors, state })

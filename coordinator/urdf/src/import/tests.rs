@@ -40,12 +40,12 @@ fn read(robot: &Robot) -> Imported {
 
 /// With what URDF does not hold, and with the home of `robot`, whose angles the URDF's are.
 fn completed(robot: &Robot, mut d: RobotDescription) -> Robot {
-    for (link, own) in d.links.iter_mut().zip(&robot.links) {
+    for (link, own) in d.links.iter_mut().zip(&robot.types[0].links) {
         link.armature = own.armature;
         link.servo.gain = own.gain;
     }
     for (arm, own) in d.arms.iter_mut().zip(&robot.arms) {
-        for (angle, own) in arm.home.iter_mut().zip(own.home) {
+        for (angle, own) in arm.home.iter_mut().zip(&own.home) {
             *angle += own;
         }
     }
@@ -89,8 +89,8 @@ fn shapes_are_where_they_were(robot: &Robot, back: &Robot) {
         let mut places = Vec::new();
         for arm in &robot.arms {
             let (mut turn, mut at) = (arm.rotation, arm.position);
-            for (link, angle) in robot.links.iter().zip(arm.home) {
-                turn *= Rotation3::from_axis_angle(&Vector3::z_axis(), angle).matrix();
+            for (link, angle) in robot.types[arm.arm_type].links.iter().zip(&arm.home) {
+                turn *= Rotation3::from_axis_angle(&Vector3::z_axis(), *angle).matrix();
                 for shape in &link.shapes {
                     let (from, to, radius) = match shape {
                         Shape::Capsule { from, to, radius } => (*from, *to, *radius),
@@ -161,12 +161,14 @@ fn one_arm(joints: usize, kind: &str) -> String {
 fn what_is_no_robot_of_ours_is_refused_in_words() {
     let said = |text: &str| import(text, None, [0.0; 3]).expect_err("no robot").to_string();
     let six = one_arm(6, "revolute");
-    import(&six, None, [0.0; 3]).expect("six joints that turn");
+    for joints in 2..=7 {
+        import(&one_arm(joints, "revolute"), None, [0.0; 3]).expect("joints that turn");
+    }
     for (text, words) in [
         ("<robot".to_owned(), "no XML"),
         ("<sdf/>".to_owned(), "expected <robot"),
-        (one_arm(7, "revolute"), "begins with joint `j1` has 7; an arm has 6 joints"),
-        (one_arm(5, "continuous"), "has 5; an arm has 6"),
+        (one_arm(8, "revolute"), "begins with joint `j1` has 8; an arm has 2 to 7 joints"),
+        (one_arm(1, "continuous"), "has 1; an arm has 2 to 7"),
         (one_arm(0, "fixed"), "nothing moves on the base `base`"),
         (
             one_arm(6, "prismatic"),
@@ -200,7 +202,7 @@ fn what_is_no_robot_of_ours_is_refused_in_words() {
 }
 
 #[test]
-fn arms_that_are_not_alike_are_refused() {
+fn arms_that_are_not_alike_are_of_different_types() {
     let robot = Robot::builtin("paper").expect("built in");
     let text = urdf(&robot);
     // The mass of one forearm.
@@ -208,8 +210,16 @@ fn arms_that_are_not_alike_are_refused() {
     let (before, after) = text.split_at(place);
     let other =
         format!("{before}{}", after.replacen("mass value=\"2.275\"", "mass value=\"2.3\"", 1));
-    let message = import(&other, None, [0.0; 3]).expect_err("unlike").to_string();
-    assert!(message.contains("differ: link 3 has 2.275 kg here and 2.3 kg there"), "{message}");
+    let Imported { description: d, notes } = import(&other, None, [0.0; 3]).expect("a robot");
+    let types: Vec<Option<&str>> = d.arms.iter().map(|arm| arm.arm_type.as_deref()).collect();
+    assert_eq!(types, [None, None, None, Some("minus_z")]);
+    assert_eq!((d.links[2].mass, d.arm_types["minus_z"].links[2].mass), (2.275, 2.3));
+    let said = notes.iter().any(|note| {
+        note.contains("differs from arm `plus_y`: link 3 has 2.275 kg here and 2.3 kg there")
+    });
+    assert!(said, "{notes:?}");
+    let robot = Robot::from_description(d, Path::new("imported")).expect("a robot");
+    assert_eq!((robot.types.len(), robot.n_joints()), (2, 24));
 }
 
 #[test]

@@ -24,8 +24,6 @@ interface Line {
     value(frame: Frame): number;
 }
 
-const JOINTS = ["shoulder pan", "shoulder lift", "elbow", "wrist 1", "wrist 2", "wrist 3"];
-
 /** A line for each hand that has a goal. */
 function ofHands(robot: Description, value: (frame: Frame, arm: number) => number): Line[] {
     const { hands } = aimsOf(robot);
@@ -50,17 +48,23 @@ const KINDS: Kind[] = [
     {
         title: "Joint rates",
         unit: "rad/s",
-        lines: ({ n_joints }, arm) => joints((frame, joint) => frame.state[13 + n_joints + joint] ?? 0, arm),
+        lines: (robot, arm) => joints(robot, (frame, joint) => frame.state[13 + robot.n_joints + joint] ?? 0, arm),
     },
     {
         title: "Joint torques",
         unit: "N m",
-        lines: (_, arm) => joints((frame, joint) => frame.torques[joint] ?? 0, arm),
+        lines: (robot, arm) => joints(robot, (frame, joint) => frame.torques[joint] ?? 0, arm),
     },
 ];
 
-function joints(value: (frame: Frame, joint: number) => number, arm: number): Line[] {
-    return JOINTS.map((label, index) => ({ label, stroke: ofArm(index), value: (frame) => value(frame, 6 * arm + index) }));
+/** A line for each joint of an arm, by the name of the link that it moves. */
+function joints(robot: Description, value: (frame: Frame, joint: number) => number, arm: number): Line[] {
+    const [first, end] = robot.joints[arm] ?? [0, 0];
+    return robot.bodies.slice(1 + first, 1 + end).map(({ name }, index) => ({
+        label: name.replaceAll("_", " "),
+        stroke: ofArm(index),
+        value: (frame) => value(frame, first + index),
+    }));
 }
 
 export class Curves {

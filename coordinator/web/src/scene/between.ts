@@ -12,13 +12,19 @@ const turn = new THREE.Quaternion();
 const p = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3()] as const;
 const q = [new THREE.Quaternion(), new THREE.Quaternion()] as const;
 
-/** Index of the body that carries another one: the link before it, or the base. */
-function parent(body: number): number {
-    return (body - 1) % 6 === 0 ? 0 : body - 1;
+/** Index of the body that carries another one: the link before it, or of the first link of an arm the base. */
+function parent(body: number, joints: readonly (readonly [number, number])[]): number {
+    return joints.some(([first]) => first === body - 1) ? 0 : body - 1;
 }
 
-/** Poses at the share `t` of the way between the bodies of two moments; `out` has a matrix for each. */
-export function bodiesBetween(from: Float32Array, to: Float32Array, t: number, out: THREE.Matrix4[]): void {
+/** Poses at the share `t` of the way between the bodies of two moments; `joints` are those of each arm, `out` has a matrix for each body. */
+export function bodiesBetween(
+    from: Float32Array,
+    to: Float32Array,
+    t: number,
+    joints: readonly (readonly [number, number])[],
+    out: THREE.Matrix4[],
+): void {
     for (const [body, matrix] of out.entries()) {
         matrix.fromArray(from, 16 * body);
         if (t <= 0) continue;
@@ -26,7 +32,7 @@ export function bodiesBetween(from: Float32Array, to: Float32Array, t: number, o
             rigid(matrix, before.fromArray(to, 0), t, matrix);
             continue;
         }
-        const base = parent(body);
+        const base = parent(body, joints);
         before.fromArray(from, 16 * body).premultiply(inverse.fromArray(from, 16 * base).invert());
         after.fromArray(to, 16 * body).premultiply(inverse.fromArray(to, 16 * base).invert());
         screw(before, after, t, matrix);

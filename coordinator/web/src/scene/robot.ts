@@ -21,7 +21,7 @@ export class RobotView {
             const group = new THREE.Group();
             group.matrixAutoUpdate = false;
             const material = new THREE.MeshStandardMaterial({
-                color: body.arm === null ? "#c9ced6" : armColour(body.arm, (index - 1) % 6),
+                color: body.arm === null ? "#c9ced6" : armColour(body.arm, index - 1 - (description.joints[body.arm]?.[0] ?? 0)),
                 roughness: 0.62,
                 metalness: 0.05,
                 emissive: CONTACT,

@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import type { Timeline } from "../simulation/timeline";
-import { aimsOf } from "../simulation/types";
+import { aimsOf, type Description } from "../simulation/types";
 import { bodiesBetween } from "./between";
 import { Flashes } from "./contacts";
 import { type Goal, Goals } from "./goals";
@@ -21,6 +21,7 @@ export class View {
     private readonly trails = new Trails();
     private readonly flashes = new Flashes();
     private robot: RobotView | undefined;
+    private joints: Description["joints"] = [];
     private bodies: THREE.Matrix4[] = [];
     private hands: THREE.Matrix4[] = [];
     private flashed = -1;
@@ -47,6 +48,7 @@ export class View {
         }
         this.robot = new RobotView(description);
         this.stage.scene.add(this.robot.group);
+        this.joints = description.joints;
         this.bodies = description.bodies.map(() => new THREE.Matrix4());
         this.hands = description.arms.map(() => new THREE.Matrix4());
         this.trails.robot(description.n_arms);
@@ -69,7 +71,7 @@ export class View {
         if (robot === undefined || from === undefined) return;
         const to = timeline.frames[at + 1] ?? from;
         const share = timeline.cursor - at;
-        bodiesBetween(from.bodies, to.bodies, share, this.bodies);
+        bodiesBetween(from.bodies, to.bodies, share, this.joints, this.bodies);
         this.bodies.forEach((matrix, body) => robot.pose(body, matrix));
         this.placeHands(from.bodies, from.hands);
         this.base.setFromMatrixPosition(this.bodies[0] as THREE.Matrix4);
@@ -93,7 +95,7 @@ export class View {
     private placeHands(bodies: Float32Array, hands: Float32Array): void {
         const link = new THREE.Matrix4();
         this.hands.forEach((hand, arm) => {
-            const last = 6 * arm + 6;
+            const last = this.joints[arm]?.[1] ?? 0;
             link.fromArray(bodies, 16 * last).invert();
             hand.fromArray(hands, 16 * arm).premultiply(link).premultiply(this.bodies[last] as THREE.Matrix4);
         });

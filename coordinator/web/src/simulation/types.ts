@@ -75,6 +75,8 @@ export interface Description {
     aims: Record<string, Aims>;
     n_arms: number;
     n_joints: number;
+    /** By arm: its first joint, and the first behind its last. */
+    joints: [number, number][];
     control_period: number;
     max_rates: number[];
     max_torques: number[];

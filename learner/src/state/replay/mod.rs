@@ -13,7 +13,7 @@
 //! 100 MB in memory and in each checkpoint, of `tuned` 230 MB, and the authors' 500,000 of `release` 560 MB.
 
 use proto::config::{Config, CriticState};
-use proto::layout::{BlockLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{BlockLayout, Dimensions};
 use proto::rng::Address;
 use tch::{Kind, Tensor};
 
@@ -37,6 +37,7 @@ pub struct Replay {
     /// `[C, T]`: 1 where what follows the step counts, 0 where the episode ended for good.
     pub future: Vec<f32>,
     n_agents: usize,
+    n_actions: usize,
     n_steps: usize,
     n_observation: usize,
     n_state: usize,
@@ -65,7 +66,8 @@ pub(crate) struct Batch {
 impl Replay {
     /// An empty ring for `config`.
     pub fn new(config: &Config, dimensions: &Dimensions) -> Self {
-        let Dimensions { n_agents: a, n_steps: t, observation: o, state, .. } = *dimensions;
+        let Dimensions { n_agents: a, n_steps: t, n_actions: u, observation: o, state, .. } =
+            *dimensions;
         let s = if config.network.critic_state == CriticState::Concatenated { 0 } else { state };
         let c = config.algorithm.maddpg.replay_steps / t;
         Self {
@@ -73,11 +75,12 @@ impl Replay {
             episodes: 0,
             observation: vec![0.0; c * (t + 1) * a * o],
             state: vec![0.0; c * (t + 1) * s],
-            action: vec![0.0; c * t * a * JOINTS_PER_AGENT],
+            action: vec![0.0; c * t * a * u],
             reward: vec![0.0; c * t * a],
             future: vec![0.0; c * t],
             n_agents: a,
             n_steps: t,
+            n_actions: u,
             n_observation: o,
             n_state: s,
             bootstrap_truncated: config.algorithm.bootstrap_truncated,
@@ -96,11 +99,13 @@ impl Replay {
 
     /// The arrays by name, with their shapes.
     pub(crate) fn arrays(&self) -> [(&'static str, Vec<usize>, &[f32]); 5] {
-        let Self { capacity: c, n_steps: t, n_agents: a, n_observation: o, n_state: s, .. } = *self;
+        let Self { capacity: c, n_steps: t, n_agents: a, n_actions: u, n_observation: o, .. } =
+            *self;
+        let s = self.n_state;
         [
             ("observation", vec![c, t + 1, a * o], &self.observation),
             ("state", vec![c, t + 1, s], &self.state),
-            ("action", vec![c, t, a * JOINTS_PER_AGENT], &self.action),
+            ("action", vec![c, t, a * u], &self.action),
             ("reward", vec![c, t, a], &self.reward),
             ("future", vec![c, t], &self.future),
         ]
@@ -139,7 +144,7 @@ impl Replay {
         slot: usize,
     ) {
         let Self { n_steps: t, n_agents: a, n_observation: o, n_state: s, .. } = *self;
-        let u = JOINTS_PER_AGENT;
+        let u = self.n_actions;
         for step in 0..=t {
             let row = slot * (t + 1) + step;
             for agent in 0..a {
@@ -194,7 +199,7 @@ impl Replay {
             copy_rows(rows, before, &self.state, s, state);
             copy_rows(rows, after, &self.state, s, next);
         }
-        copy_rows(rows, same, &self.action, a * JOINTS_PER_AGENT, &mut batch.action);
+        copy_rows(rows, same, &self.action, a * self.n_actions, &mut batch.action);
         copy_rows(rows, same, &self.reward, a, &mut batch.reward);
         copy_rows(rows, same, &self.future, 1, &mut batch.future);
     }
@@ -212,7 +217,7 @@ impl Replay {
             next_observation: observation(),
             state: state(),
             next_state: state(),
-            action: zeros(self.n_agents * JOINTS_PER_AGENT),
+            action: zeros(self.n_agents * self.n_actions),
             reward: zeros(self.n_agents),
             future: zeros(1).squeeze_dim(1),
         }

@@ -1,3 +1,4 @@
+use proto::agents::Joints;
 use proto::config::{Layers, Preset};
 use proto::rng::Purpose;
 
@@ -19,7 +20,7 @@ fn configured(assignments: &[&str], slots: usize) -> (Replay, Dimensions, Config
         .fold(Layers::new(Preset::Tuned, None), |layers, a| layers.set(a).expect("well formed"))
         .resolve()
         .expect("valid");
-    let dimensions = Dimensions::new(&config, 1);
+    let dimensions = Dimensions::new(&config, Joints::of_sixes(1));
     (Replay::new(&config, &dimensions), dimensions, config)
 }
 

@@ -2,7 +2,6 @@
 
 use std::fs;
 
-use simulator::robot::JOINTS_PER_ARM;
 use simulator::rollout::{RolloutSpec, rollout};
 
 use super::*;
@@ -54,8 +53,8 @@ fn the_arrays_tell_one_and_the_same_robot() {
             let error = goals[6 * arm + i] - hand[12 + i];
             assert!((error - errors[6 * arm + i]).abs() < 1e-6, "arm {arm}: {error}");
             // The hand is the last body's tool.
-            let body = 16 * (JOINTS_PER_ARM * (arm + 1));
-            let tool = robot.tool_position;
+            let body = 16 * (6 * (arm + 1));
+            let tool = robot.types[0].tool_position;
             let there = (0..3).map(|k| f64::from(bodies[body + 4 * k + i]) * tool[k]).sum::<f64>();
             let there = f64::from(bodies[body + 12 + i]) + there;
             assert!((there - f64::from(hand[12 + i])).abs() < 1e-5, "arm {arm}: {there}");

@@ -1,7 +1,7 @@
 """The space robot's simulator in Python.
 
-A robot floats without gravity: a base with four arms of six joints (or as many arms as its description has). Each arm is two
-agents, ``shoulder`` (joints 1 to 3, cares for the hand's position) and ``wrist`` (joints 4 to 6, cares for its orientation).
+A robot floats without gravity: a base with four arms of six joints (or the arms that its description has). Each arm is two
+agents, ``shoulder`` (the first half of the joints, cares for the hand's position) and ``wrist`` (the others, cares for its orientation).
 
 * :class:`Batch`: thousands of environments at once, in NumPy arrays that each step fills in place.
 * :class:`ParallelEnv`: one environment for PettingZoo, agents by name. Needs the package ``pettingzoo``.

@@ -50,7 +50,7 @@ class Config:
 
 @final
 class Robot:
-    """A robot: a floating base with arms of six joints."""
+    """A robot: a floating base with arms of two to seven joints."""
 
     def __new__(cls, description: _Path = ...) -> Robot: ...
     @property
@@ -61,16 +61,19 @@ class Robot:
         """Arms."""
     @property
     def n_joints(self) -> int:
-        """Joints, six an arm."""
+        """Joints, all arms."""
+    @property
+    def joints(self) -> list[int]:
+        """Joints of each arm."""
     @property
     def arms(self) -> list[str]:
         """Names of the arms."""
     @property
     def home(self) -> _Doubles:
-        """Joint angles at home (rad), [arms, 6]."""
+        """Joint angles at home (rad), [arms, J], J those of the longest arm; zeros behind the joints of a shorter one."""
     @property
     def max_rates(self) -> _Doubles:
-        """Largest joint velocity commands (rad/s), [arms, 6]."""
+        """Largest joint velocity commands (rad/s), [arms, J], likewise."""
     @property
     def total_mass(self) -> float:
         """Mass of everything (kg)."""
@@ -106,7 +109,7 @@ class Batch:
     ) -> None:
         """Begins other episodes, and shows them."""
     def step(self, actions: ArrayLike) -> None:
-        """Holds actions [N, A, 3] (rad/s before scaling) for a control step, and shows what it led to."""
+        """Holds actions [N, A, U] (rad/s before scaling) for a control step, and shows what it led to."""
     def close(self) -> None:
         """Gives the environments' memory back. Arrays stay as they are."""
     @property
@@ -122,6 +125,9 @@ class Batch:
     def n_agents(self) -> int:
         """A: agents, two an arm."""
     @property
+    def joints_of_agents(self) -> list[int]:
+        """Joints that each agent moves: so many of its actions mean something."""
+    @property
     def episode_steps(self) -> int:
         """Control steps of an episode."""
     @property
@@ -129,7 +135,7 @@ class Batch:
         """Threads that work in a step."""
     @property
     def action_limit(self) -> _Floats:
-        """Limits of the actions (rad/s before scaling), [A, 3]: what is beyond is clipped."""
+        """Limits of the actions (rad/s before scaling), [A, U]: what is beyond is clipped. U is 3 where arms have six joints."""
     @property
     def config(self) -> Config:
         """What it is configured with."""
@@ -179,7 +185,7 @@ class Policy:
     def load(path: _Path, *, robot: Robot | _Path | None = None) -> Policy:
         """The policy of a checkpoint: its directory, a run, RUN:best, RUN:ITERATION, RUN:NAME or RUN:TAG."""
     def act(self, observation: ArrayLike) -> _Floats:
-        """Mean actions for observations [N, A, O], as [N, A, 3], or for [A, O], as [A, 3] (rad/s before clipping and scaling)."""
+        """Mean actions for observations [N, A, O], as [N, A, U], or for [A, O], as [A, U] (rad/s before clipping and scaling)."""
     def evaluate(self, episodes: int = 30, steps: int = 200, *, seed: int = 0) -> dict[str, Any]:
         """Plays held-out episodes as ``octopus eval`` does; the figures are those of its ``--json``."""
     def play(

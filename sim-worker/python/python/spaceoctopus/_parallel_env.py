@@ -10,8 +10,8 @@ from spaceoctopus._native import Batch
 class ParallelEnv(pettingzoo.ParallelEnv):
     """One environment, agents by name: ``plus_y_shoulder``, ``plus_y_wrist``, and so on for each arm.
 
-    Observations are float32 of shape [O], as the configuration says (62 numbers in preset ``guided``, 48 in ``tuned``). Actions are float32 of shape [3]:
-    joint velocities before scaling, clipped at the joints' limits. Nothing ends an episode before its last step; it is truncated there.
+    Observations are float32 of shape [O], as the configuration says (62 numbers in preset ``guided``, 48 in ``tuned``). Actions are float32, one a
+    joint of the agent (three where arms have six joints): joint velocities before scaling, clipped at the joints' limits. Nothing ends an episode before its last step; it is truncated there.
 
     ``config`` is the name of a preset, the path of a TOML file, or a ``Config``; ``task`` and ``set`` are as in ``octopus train``.
 
@@ -30,7 +30,8 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         self._names = ["%s_%s" % (arm, part) for arm in _arm_names(self._batch.robot) for part in ("shoulder", "wrist")]
         self.possible_agents = list(self._names)
         self.agents = []
-        limit = self._batch.action_limit
+        self._sizes = self._batch.joints_of_agents
+        limit = [row[:size] for row, size in zip(self._batch.action_limit, self._sizes)]
         _, _, observation = self._batch.observation.shape
         seen = (observation,)
         # The same object at each call, as the interface wants it; a space has a random state of its own, so none is shared.
@@ -65,18 +66,18 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         if not self.agents:
             # After the end, and in a closed environment: the batch says which.
             if actions:
-                self._batch.step(np.zeros((1, len(self._names), 3), np.float32))
+                self._batch.step(self._no_actions())
             return {}, {}, {}, {}, {}
-        joined = np.empty((1, len(self._names), 3), np.float32)
-        for index, name in enumerate(self._names):
+        joined = self._no_actions()
+        for index, (name, size) in enumerate(zip(self._names, self._sizes)):
             if name not in actions:
                 raise ValueError("actions have none for %r" % name)
             action = np.asarray(actions[name])
-            if action.shape != (3,):
-                raise ValueError("actions[%r] has shape %s, expected (3,)" % (name, action.shape))
+            if action.shape != (size,):
+                raise ValueError("actions[%r] has shape %s, expected (%d,)" % (name, action.shape, size))
             if action.dtype.kind not in "fiu":
                 raise TypeError("actions[%r] is of type %s, expected real numbers (float32)" % (name, action.dtype))
-            joined[0, index] = action
+            joined[0, index, :size] = action
         unknown = [name for name in actions if name not in self.action_spaces]
         if unknown:
             raise ValueError("actions are for %r, who is no agent" % unknown[0])
@@ -88,6 +89,9 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         if over:
             self.agents = []
         return observations, rewards, dict.fromkeys(names, False), dict.fromkeys(names, over), infos
+
+    def _no_actions(self):
+        return np.zeros((1, *self._batch.action_limit.shape), np.float32)
 
     def state(self):
         """What critics see, float32 of shape [S]; every quantity once in preset ``tuned``."""

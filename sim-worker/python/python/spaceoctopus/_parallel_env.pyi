@@ -13,7 +13,7 @@ _Path = str | PathLike[str]
 _Floats = NDArray[np.float32]
 
 class ParallelEnv(pettingzoo.ParallelEnv):  # type: ignore[misc]
-    """One environment for PettingZoo, agents by name: observations [O] and actions [3] (rad/s before scaling) in float32."""
+    """One environment for PettingZoo, agents by name: observations [O] and actions, one a joint of the agent (rad/s before scaling), in float32."""
 
     metadata: dict[str, Any]
     render_mode: None

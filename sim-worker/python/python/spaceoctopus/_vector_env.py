@@ -52,7 +52,11 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         # Views: a step fills them.
         shown = self._batch.observation.reshape(num_envs, -1) if observe == "agents" else self._batch.state
         self._shown = shown
-        limit = self._batch.action_limit.reshape(-1)
+        # Where agents have different numbers of joints, not all of the batch's actions move one.
+        limit = self._batch.action_limit
+        sizes = np.asarray(self._batch.joints_of_agents)
+        self._moves = np.arange(limit.shape[1]) < sizes[:, None]
+        limit = limit[self._moves]
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, shown.shape[1:], np.float32)
         self.single_action_space = gymnasium.spaces.Box(-limit, limit, dtype=np.float32)
@@ -88,7 +92,9 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         actions = np.asarray(actions)
         if actions.shape != self.action_space.shape:
             raise ValueError("actions has shape %s, expected %s" % (actions.shape, self.action_space.shape))
-        batch.step(actions.reshape(n, batch.n_agents, 3))
+        by_agent = np.zeros((n, *self._moves.shape), actions.dtype)
+        by_agent[:, self._moves] = actions
+        batch.step(by_agent)
         rewards = batch.reward.mean(axis=1, dtype=np.float64)
         truncated = batch.truncated.copy()
         infos = self._infos()

@@ -10,7 +10,7 @@ use crate::dynamics::kinematics::{
     for_sparsity, force_from_next, point_in_link, point_velocity, turn,
 };
 use crate::model::{Model, Pair, Partner};
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::MAX_JOINTS_PER_ARM;
 use crate::scalar::{Mask, Real};
 use crate::spatial::{Vec3, Vec6, add, cross, cross_add, dot, mat_t_vec, mat_vec, scale, sub};
 use crate::workspace::{Contact, ContactSet, Response, Workspace};
@@ -34,11 +34,11 @@ pub(super) fn take_off_forces<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) 
     }
     for i in 0..ws.contacts.contacts.len() {
         let contact = ws.contacts.contacts[i];
-        for (arm, response) in arms(&model.collision.pairs[contact.pair], &contact) {
+        for (arm, response) in arms(model, &model.collision.pairs[contact.pair], &contact) {
             let Some(arm) = arm else { continue };
-            for j in 0..JOINTS_PER_ARM {
-                let u = &mut ws.contacts.free[arm * JOINTS_PER_ARM + j];
-                *u = response[j].neg_mul_add(contact.force, *u);
+            for (&r, i) in response.iter().zip(model.joints.of_arm(arm)) {
+                let u = &mut ws.contacts.free[i];
+                *u = r.neg_mul_add(contact.force, *u);
             }
         }
     }
@@ -48,11 +48,10 @@ pub(super) fn take_off_forces<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) 
 #[inline(always)]
 pub(super) fn hold<S: Real>(model: &Model<S>, ws: &Workspace<S>, contact: &Contact<S>) -> S {
     let mut free = S::zero();
-    for (arm, response) in arms(&model.collision.pairs[contact.pair], contact) {
+    for (arm, response) in arms(model, &model.collision.pairs[contact.pair], contact) {
         let Some(arm) = arm else { continue };
-        for j in 0..JOINTS_PER_ARM {
-            let i = arm * JOINTS_PER_ARM + j;
-            free = (response[j] * ws.links[i].d_inv).mul_add(ws.contacts.free[i], free);
+        for (&r, i) in response.iter().zip(model.joints.of_arm(arm)) {
+            free = (r * ws.links[i].d_inv).mul_add(ws.contacts.free[i], free);
         }
     }
     let held = (S::splat(-HELD) * free).max(S::zero());
@@ -112,12 +111,13 @@ fn coupling<S: Real>(
     let (one_pair, other_pair) =
         (&model.collision.pairs[one.pair], &model.collision.pairs[other.pair]);
     let mut sum = S::zero();
-    for (one_arm, u) in arms(one_pair, one) {
-        for (other_arm, v) in arms(other_pair, other) {
-            if one_arm.is_some() && one_arm == other_arm {
-                let first = one_arm.unwrap_or(0) * JOINTS_PER_ARM;
-                for j in 0..JOINTS_PER_ARM {
-                    sum = (u[j] * ws.links[first + j].d_inv).mul_add(v[j], sum);
+    for (one_arm, u) in arms(model, one_pair, one) {
+        for (other_arm, v) in arms(model, other_pair, other) {
+            if let Some(arm) = one_arm
+                && one_arm == other_arm
+            {
+                for ((&u, &v), i) in u.iter().zip(v).zip(model.joints.of_arm(arm)) {
+                    sum = (u * ws.links[i].d_inv).mul_add(v, sum);
                 }
             }
         }
@@ -128,13 +128,14 @@ fn coupling<S: Real>(
 /// The arms a contact pushes at, with its response there.
 #[inline(always)]
 pub(super) fn arms<'a, S: Real>(
+    model: &Model<S>,
     pair: &Pair<S>,
     contact: &'a Contact<S>,
 ) -> [(Option<usize>, &'a Response<S>); 2] {
-    let a = pair.a / JOINTS_PER_ARM;
+    let a = model.joints.arm_of(pair.a);
     let b = match pair.b {
-        Partner::Link(b) if b / JOINTS_PER_ARM != a => Some(b / JOINTS_PER_ARM),
-        _ => None,
+        Partner::Link(b) => Some(model.joints.arm_of(b)).filter(|&b| b != a),
+        Partner::Fixed(_) => None,
     };
     [(Some(a), &contact.at_a), (b, &contact.at_b)]
 }
@@ -155,8 +156,9 @@ pub(super) fn arm_response<S: Real>(
     // Moment about the link frame's origin.
     let ang = mat_t_vec(&pose.r, sub(unit.ang, cross(pose.o, unit.lin)));
     let mut f = Vec6 { ang, lin };
-    let mut response = [S::zero(); JOINTS_PER_ARM];
-    let first = link - link % JOINTS_PER_ARM;
+    let mut response = [S::zero(); MAX_JOINTS_PER_ARM];
+    let arm = model.joints.arm_of(link);
+    let (links, first) = (model.links_of(arm), model.joints.of_arm(arm).start);
     let mut i = link;
     loop {
         let scratch = &ws.links[i];
@@ -171,7 +173,7 @@ pub(super) fn arm_response<S: Real>(
         f.ang = turn(scratch.sin, scratch.cos, f.ang);
         f.lin = turn(scratch.sin, scratch.cos, f.lin);
         i -= 1;
-        let body = &model.links[i % JOINTS_PER_ARM];
+        let body = &links[i - first];
         f = for_sparsity!(body.sparsity, sparsity => force_from_next(body, sparsity, f));
     }
 }

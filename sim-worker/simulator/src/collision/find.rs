@@ -4,7 +4,7 @@ use super::contact_forces::{arm_response, arms, couple, gap_and_rate, hold, take
 use super::distance::{Proximity, bound_bound, bound_box, rounded_box, rounded_rounded};
 use crate::dynamics::kinematics::{point_in_link, point_velocity};
 use crate::model::{Bound, Core, FixedBody, Model, Pair, Partner, Rounded};
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::MAX_JOINTS_PER_ARM;
 use crate::scalar::{Mask, Real};
 use crate::spatial::{Vec3, Vec6, cross, dot, mat_vec, sub};
 use crate::workspace::{Contact, OUTLOOK, Workspace};
@@ -22,7 +22,7 @@ fn distance<S: Real>(a: Vec3<S>, b: Vec3<S>) -> S {
 #[inline(always)]
 pub(super) fn place_bounds<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
     for (i, pose) in ws.poses.iter().enumerate() {
-        let bound = model.collision.links[i % JOINTS_PER_ARM].bound.placed(&pose.r, pose.o);
+        let bound = model.collision.link(i).bound.placed(&pose.r, pose.o);
         ws.contacts.middles[i] = bound.middle();
         ws.contacts.bounds[i] = bound;
     }
@@ -49,14 +49,17 @@ fn closing_speeds<S: Real>(model: &Model<S>, ws: &Workspace<S>, pair: &Pair<S>) 
         Partner::Fixed(_) => (set.speeds[pair.a], set.speeds_ahead[pair.a]),
         Partner::Link(b) => {
             let ahead = set.speeds_ahead[pair.a] + set.speeds_ahead[b];
-            if b / JOINTS_PER_ARM != pair.a / JOINTS_PER_ARM {
+            let joints = &model.joints;
+            let arm = joints.arm_of(b);
+            if arm != joints.arm_of(pair.a) {
                 return (set.speeds[pair.a] + set.speeds[b], ahead);
             }
             // Within an arm only the joints between the two count.
-            let (first, l) = (b - b % JOINTS_PER_ARM, pair.a % JOINTS_PER_ARM);
+            let first = joints.of_arm(arm).start;
+            let levers = &model.collision.link(pair.a).levers;
             let mut speed = S::zero();
-            for j in b % JOINTS_PER_ARM + 1..=l {
-                speed = model.collision.levers[j][l].mul_add(set.rates[first + j], speed);
+            for j in b + 1..=pair.a {
+                speed = levers[j - first].mul_add(set.rates[j], speed);
             }
             (speed, speed.min(ahead))
         }
@@ -68,7 +71,7 @@ fn closing_speeds<S: Real>(model: &Model<S>, ws: &Workspace<S>, pair: &Pair<S>) 
 fn look_ahead<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
     for (i, pose) in ws.poses.iter().enumerate() {
         let v = ws.links[i].v;
-        let bound = &model.collision.links[i % JOINTS_PER_ARM].bound;
+        let bound = &model.collision.link(i).bound;
         let middle = ws.contacts.middles[i];
         let spin = sub(mat_vec(&pose.r, v.ang), ws.base_v.ang);
         let of_link = mat_vec(&pose.r, point_velocity(v, bound.middle()));
@@ -116,11 +119,9 @@ pub(super) fn proximity<S: Real>(
     let collision = &model.collision;
     let mut best = no_nearer_than(S::splat(f64::INFINITY));
     let (others, pose_b, bound_b) = match pair.b {
-        Partner::Link(b) => (
-            Some(&collision.links[b % JOINTS_PER_ARM].shapes),
-            Some(&ws.poses[b]),
-            Some(&ws.contacts.bounds[b]),
-        ),
+        Partner::Link(b) => {
+            (Some(&collision.link(b).shapes), Some(&ws.poses[b]), Some(&ws.contacts.bounds[b]))
+        }
         Partner::Fixed(b) => match &collision.fixed[b] {
             FixedBody::Box(_) => (None, None, None),
             FixedBody::Rounded(shapes, bound) => (Some(shapes), None, Some(bound)),
@@ -137,7 +138,7 @@ pub(super) fn proximity<S: Real>(
         }
     }
     let pose_a = &ws.poses[pair.a];
-    for shape in &collision.links[pair.a % JOINTS_PER_ARM].shapes {
+    for shape in &collision.link(pair.a).shapes {
         let a = Rounded { core: shape.core.placed(&pose_a.r, pose_a.o), radius: shape.radius };
         let bound_a = Bound::of(&a);
         let Some(others) = others else {
@@ -246,8 +247,8 @@ pub(crate) fn find<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, now: f64, h
             force: S::zero(),
             drive: S::zero(),
             others: 0,
-            at_a: [S::zero(); JOINTS_PER_ARM],
-            at_b: [S::zero(); JOINTS_PER_ARM],
+            at_a: [S::zero(); MAX_JOINTS_PER_ARM],
+            at_b: [S::zero(); MAX_JOINTS_PER_ARM],
         };
         if let Partner::Link(b) = bodies.b {
             contact.on_b = point_in_link(&ws.poses[b], on_b);
@@ -261,8 +262,9 @@ pub(crate) fn find<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, now: f64, h
         contact.at_a = arm_response(model, ws, bodies.a, unit);
         if let Partner::Link(b) = bodies.b {
             let back = arm_response(model, ws, b, unit);
-            for j in 0..JOINTS_PER_ARM {
-                if b / JOINTS_PER_ARM == bodies.a / JOINTS_PER_ARM {
+            let arm = model.joints.arm_of(b);
+            for j in 0..model.joints.of_arm(arm).len() {
+                if arm == model.joints.arm_of(bodies.a) {
                     contact.at_a[j] -= back[j];
                 } else {
                     contact.at_b[j] = -back[j];
@@ -270,7 +272,7 @@ pub(crate) fn find<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, now: f64, h
             }
         }
         contact.hold = hold(model, ws, &contact);
-        for (arm, _) in arms(&bodies, &contact) {
+        for (arm, _) in arms(model, &bodies, &contact) {
             if let Some(arm) = arm {
                 ws.contacts.touched[arm] = true;
             }

@@ -195,7 +195,7 @@ fn arms_at_full_speed_sink_in_by_millimetres() {
 fn contacts_by_angle_hold_joints() {
     let robot = Robot::builtin("paper").unwrap();
     let model = Model::<f64>::new(&robot);
-    for contact in robot.angle_contacts.iter().filter(|contact| contact.push) {
+    for contact in robot.types[0].angle_contacts.iter().filter(|contact| contact.push) {
         let mut ws = Workspace::new(&model);
         let mut state = State::<f64>::home(&robot);
         let from_centre = |q: f64| (q - contact.centre + PI).rem_euclid(TAU) - PI;

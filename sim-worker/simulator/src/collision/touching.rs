@@ -3,7 +3,7 @@
 use super::find::{coarse_gap, place_bounds, proximity};
 use crate::dynamics::{angle_contact_interval, kinematics_of};
 use crate::model::{ContactKind, Model, Partner};
-use crate::robot::{JOINTS_PER_ARM, MAX_ARMS};
+use crate::robot::MAX_ARMS;
 use crate::scalar::{Kernel, Mask, Real};
 use crate::state::State;
 use crate::workspace::Workspace;
@@ -54,9 +54,9 @@ fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> T
     kinematics_of(model, ws, state);
     let mut by_kind = [S::zero(); ContactKind::COUNT];
     let mut by_arm = [S::zero(); MAX_ARMS];
-    for contact in &model.angle_contacts {
-        for arm in 0..model.n_arms() {
-            let first = arm * JOINTS_PER_ARM;
+    for arm in 0..model.n_arms() {
+        let first = model.joints.of_arm(arm).start;
+        for contact in model.angle_contacts_of(arm) {
             let narrowing = &ws.links[first + contact.narrowing_joint];
             let q = state.q[first + contact.joint];
             let (x, half) = angle_contact_interval(contact, q, narrowing.sin, narrowing.cos);
@@ -76,12 +76,12 @@ fn look<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>) -> T
         let touches = near & p.gap.lt(S::zero());
         let one = S::select(touches, S::one(), S::zero());
         by_kind[pair.kind as usize] += one;
-        let arm = pair.a / JOINTS_PER_ARM;
+        let arm = model.joints.arm_of(pair.a);
         by_arm[arm] += one;
         if let Partner::Link(link) = pair.b
-            && link / JOINTS_PER_ARM != arm
+            && model.joints.arm_of(link) != arm
         {
-            by_arm[link / JOINTS_PER_ARM] += one;
+            by_arm[model.joints.arm_of(link)] += one;
         }
         penetration = S::select(touches, (-p.gap).max(penetration), penetration);
     }

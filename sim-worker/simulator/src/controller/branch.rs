@@ -6,8 +6,7 @@ use nalgebra::Isometry3;
 
 use super::{JacobianController, SOLVED};
 use crate::collision::count_contacts;
-use crate::inverse_kinematics::{Angles, approach, candidates};
-use crate::robot::JOINTS_PER_ARM;
+use crate::inverse_kinematics::{Angles, approach, candidates, padded};
 use crate::state::State;
 use crate::workspace::Workspace;
 
@@ -23,8 +22,8 @@ impl JacobianController {
         arm: usize,
         target: &Isometry3<f64>,
     ) -> Vec<Angles> {
-        let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
-        let stands: Angles = std::array::from_fn(|j| now.q[joints.start + j]);
+        let joints = self.robot.joints.of_arm(arm);
+        let stands = padded(&now.q[joints.clone()]);
         let nearest_turn =
             |angle: f64, stands: f64| stands + (angle - stands + PI).rem_euclid(TAU) - PI;
         let mut workspace = Workspace::new(&self.model);
@@ -38,7 +37,7 @@ impl JacobianController {
         };
         let mut ways = Vec::new();
         for way in candidates(&self.robot, arm, target) {
-            let way = std::array::from_fn(|j| nearest_turn(way[j], stands[j]));
+            let way: Angles = std::array::from_fn(|j| nearest_turn(way[j], stands[j]));
             if touches(&way, PLACES) {
                 continue;
             }

@@ -24,7 +24,7 @@ mod turning;
 
 use crate::inverse_kinematics::Angles;
 use crate::model::Model;
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::Robot;
 use crate::rollout::World;
 use crate::state::State;
 use crate::task::{Aim, Goals};
@@ -101,23 +101,21 @@ impl JacobianController {
         if turning.contains(&true) {
             let turned = self.turn(seen, goals.base, &turning);
             for (arm, turns) in turning.iter().enumerate() {
-                let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
+                let joints = self.robot.joints.of_arm(arm);
                 if *turns {
                     rates[joints.clone()].copy_from_slice(&turned[joints]);
                 }
             }
         }
-        for (arm, rates) in rates.chunks_exact_mut(JOINTS_PER_ARM).enumerate() {
-            if !moves[arm] {
-                rates.fill(0.0);
-            }
+        for (arm, _) in moves.iter().enumerate().filter(|(_, moves)| !**moves) {
+            rates[self.robot.joints.of_arm(arm)].fill(0.0);
         }
         rates
     }
 
     /// Joints of the arms that it moves.
     fn joints(&self, moves: &[bool]) -> Vec<usize> {
-        (0..self.robot.n_joints()).filter(|joint| moves[joint / JOINTS_PER_ARM]).collect()
+        (0..self.robot.n_joints()).filter(|&joint| moves[self.robot.joints.arm_of(joint)]).collect()
     }
 }
 

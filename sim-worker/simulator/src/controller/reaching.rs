@@ -5,8 +5,7 @@ use nalgebra::{DMatrix, DVector, Isometry3, Vector3};
 use super::least_squares::damped;
 use super::momentum::BaseMotion;
 use super::{Branch, GAIN, JacobianController, Memory, SOLVED, shorten};
-use crate::inverse_kinematics::{Angles, approach, base_pose, forward, pose, residual};
-use crate::robot::JOINTS_PER_ARM;
+use crate::inverse_kinematics::{Angles, approach, base_pose, forward, padded, pose, residual};
 use crate::state::State;
 use crate::task::Goals;
 
@@ -23,6 +22,9 @@ const ARRIVED: f64 = 0.01;
 const PATIENCE: usize = 15;
 /// Iterations of the inverse kinematics in a control step: the base has moved the goal a little.
 const ITERATIONS: usize = 4;
+
+/// Rows of a hand in the Jacobian: linear and angular.
+const ROWS: usize = 6;
 
 /// An arm on its way.
 struct Reaching {
@@ -47,10 +49,11 @@ impl JacobianController {
         let mut near = Vec::new();
         for arm in (0..moves.len()).filter(|arm| moves[*arm]) {
             let reaching = self.look(now, &base, (arm, goals.hands[arm]), memory);
-            let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
+            let joints = self.robot.joints.of_arm(arm);
             let mut towards = reaching.to_branch;
-            shorten(&mut towards, &self.limits[joints.clone()]);
-            rates[joints].copy_from_slice(&towards);
+            let towards = &mut towards[..joints.len()];
+            shorten(towards, &self.limits[joints.clone()]);
+            rates[joints].copy_from_slice(towards);
             if reaching.near {
                 near.push(reaching);
             }
@@ -69,8 +72,7 @@ impl JacobianController {
         (arm, goal): (usize, [f64; 6]),
         memory: &mut Memory,
     ) -> Reaching {
-        let first = arm * JOINTS_PER_ARM;
-        let stands: Angles = std::array::from_fn(|j| now.q[first + j]);
+        let stands = padded(&now.q[self.robot.joints.of_arm(arm)]);
         let pose = pose(goal);
         let target = base.inverse() * pose;
         let slot = &mut memory.branches[arm];
@@ -118,23 +120,23 @@ impl JacobianController {
         rates: &mut [f64],
     ) {
         let r = *base.rotation.to_rotation_matrix().matrix();
-        let n = near.len() * JOINTS_PER_ARM;
-        let joints: Vec<usize> = near
-            .iter()
-            .flat_map(|reaching| (0..JOINTS_PER_ARM).map(|j| reaching.arm * JOINTS_PER_ARM + j))
-            .collect();
+        let of_arm = |reaching: &Reaching| self.robot.joints.of_arm(reaching.arm);
+        let joints: Vec<usize> = near.iter().flat_map(of_arm).collect();
+        let (n, n_rows) = (joints.len(), near.len() * ROWS);
         let others: Vec<usize> = (0..rates.len()).filter(|joint| !joints.contains(joint)).collect();
         // How the base moves by itself and by the arms that do not follow.
         let mut carried = motion.drift;
         for &joint in &others {
             carried += motion.by_joints.column(joint) * rates[joint];
         }
-        let mut jacobian = DMatrix::zeros(n, n);
-        let [mut wanted, mut preferred, mut damping] = [(); 3].map(|()| DVector::zeros(n));
+        let mut jacobian = DMatrix::zeros(n_rows, n);
+        let [mut wanted, mut damping] = [(); 2].map(|()| DVector::zeros(n_rows));
+        let mut preferred = DVector::zeros(n);
+        let mut first = 0;
         for (row, reaching) in near.iter().enumerate() {
             let Reaching { arm, goal, to_branch, .. } = reaching;
-            let first = arm * JOINTS_PER_ARM;
-            let q: Angles = std::array::from_fn(|j| now.q[first + j]);
+            let own_joints = of_arm(reaching);
+            let q = padded(&now.q[own_joints.clone()]);
             let (hand, own) = forward(&self.robot, *arm, &q);
             // By the base: v + ω × r, and ω, which it has in its own axes.
             let lever = (r * hand.translation.vector).cross_matrix();
@@ -142,7 +144,7 @@ impl JacobianController {
                 let angular = r * angular;
                 (linear - lever * angular, angular)
             };
-            let at = row * JOINTS_PER_ARM;
+            let at = row * ROWS;
             let mut add = |column: usize, (linear, angular): (Vector3<f64>, Vector3<f64>)| {
                 let mut of_hand = jacobian.fixed_view_mut::<6, 1>(at, column);
                 for i in 0..3 {
@@ -154,9 +156,9 @@ impl JacobianController {
                 let v = motion.by_joints.column(joint);
                 add(column, by_base(v.fixed_rows::<3>(0).into(), v.fixed_rows::<3>(3).into()));
             }
-            for j in 0..JOINTS_PER_ARM {
+            for j in 0..own_joints.len() {
                 let [linear, angular] = [0, 3].map(|i| r * own.fixed_view::<3, 1>(i, j));
-                add(at + j, (linear, angular));
+                add(first + j, (linear, angular));
             }
             let there = base * hand;
             let linear = goal.translation.vector - there.translation.vector;
@@ -166,22 +168,26 @@ impl JacobianController {
             let gain = GAIN / self.period;
             // Each arm for itself: one that is far from its goal leaves the others as they are.
             let square = DAMPING * (linear.norm_squared() + angular.norm_squared());
-            damping.rows_mut(at, JOINTS_PER_ARM).fill(square + LEAST_DAMPING);
+            damping.rows_mut(at, ROWS).fill(square + LEAST_DAMPING);
             for i in 0..3 {
                 wanted[at + i] = gain * linear[i] - drift.0[i];
                 wanted[at + 3 + i] = gain * angular[i] - drift.1[i];
             }
-            for j in 0..JOINTS_PER_ARM {
-                preferred[at + j] = to_branch[j];
+            for j in 0..own_joints.len() {
+                preferred[first + j] = to_branch[j];
             }
+            first += own_joints.len();
         }
         let found = damped(&jacobian, &wanted, &preferred, &damping);
         let mut found: Vec<f64> = found.iter().copied().collect();
         let limits: Vec<f64> = joints.iter().map(|joint| self.limits[*joint]).collect();
-        for (rates, limits) in
-            found.chunks_exact_mut(JOINTS_PER_ARM).zip(limits.chunks_exact(JOINTS_PER_ARM))
-        {
+        let (mut of_arms, mut their_limits) = (found.as_mut_slice(), limits.as_slice());
+        for reaching in near {
+            let n_joints = of_arm(reaching).len();
+            let (rates, rest) = of_arms.split_at_mut(n_joints);
+            let (limits, rest_of_limits) = their_limits.split_at(n_joints);
             shorten(rates, limits);
+            (of_arms, their_limits) = (rest, rest_of_limits);
         }
         for (joint, rate) in joints.iter().zip(found) {
             rates[*joint] = rate;

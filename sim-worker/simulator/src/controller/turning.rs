@@ -6,7 +6,6 @@ use super::least_squares::damped;
 use super::momentum::BaseMotion;
 use super::{GAIN, JacobianController, shorten};
 use crate::inverse_kinematics::{base_pose, pose};
-use crate::robot::JOINTS_PER_ARM;
 use crate::state::State;
 
 /// How fast arms are drawn home (1/s), as far as the base does not turn by it: with less of it they swing into the base.
@@ -26,7 +25,7 @@ impl JacobianController {
         let left: Vector3<f64> = (base.inverse() * goal).scaled_axis();
         let joints = self.joints(moves);
         let mut carried: Vector3<f64> = motion.drift.fixed_rows::<3>(3).into();
-        for joint in (0..rates.len()).filter(|joint| !moves[joint / JOINTS_PER_ARM]) {
+        for joint in (0..rates.len()).filter(|&joint| !moves[self.robot.joints.arm_of(joint)]) {
             carried += motion.by_joints.fixed_view::<3, 1>(3, joint) * rates[joint];
         }
         let rows = joints.iter().flat_map(|&joint| {

@@ -15,7 +15,6 @@ use super::kinematics::{
     velocities,
 };
 use crate::model::{LinkModel, Model, RigidInertia};
-use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::spatial::{
     Vec6, add, cross, cross_add, mat_t_vec, mat_vec, quaternion_to_rotation, scale,
@@ -106,16 +105,16 @@ fn inertias_and_bias_forces<S: Real>(
     p0.ang = sub3(p0.ang, ws.base_f_ext.ang);
     p0.lin = sub3(p0.lin, ws.base_f_ext.lin);
     for arm in 0..model.n_arms {
-        let first = arm * JOINTS_PER_ARM;
+        let (links, first) = (model.links_of(arm), model.joints.of_arm(arm).start);
         let mut inertia = ArticulatedInertia::zero();
         let mut p = Vec6::zero();
-        let mut j = JOINTS_PER_ARM;
+        let mut j = links.len();
         while j > 0 {
             j -= 1;
-            let (body, i) = (&model.links[j], first + j);
+            let (body, i) = (&links[j], first + j);
             let (link, forced, rate) = (&mut ws.links[i], ws.forced[i], qd[i]);
             // One straight piece of code for each shape: between pieces, the 27 numbers that are carried along would go through memory.
-            (inertia, p) = if j + 1 == JOINTS_PER_ARM {
+            (inertia, p) = if j + 1 == links.len() {
                 through_joint(body, link, forced, rate, inertia, p)
             } else {
                 // The step between two link frames of λX_i* I_a iX_λ and λX_i* p_a; `through_joint` has made the turn.
@@ -145,12 +144,12 @@ fn accelerations<S: Real>(
     qdd: &mut [S],
 ) {
     for arm in 0..model.n_arms {
-        let first = arm * JOINTS_PER_ARM;
+        let (links, first) = (model.links_of(arm), model.joints.of_arm(arm).start);
         let mut a = motion_to_arm(&model.arms[arm], a0);
-        for j in 0..JOINTS_PER_ARM {
+        for j in 0..links.len() {
             // a′ = iX_λ a_λ + c_i.
             if j > 0 {
-                let before = &model.links[j - 1];
+                let before = &links[j - 1];
                 a = for_sparsity!(before.sparsity, sparsity => motion_to_next(before, sparsity, a));
             }
             let link = &ws.links[first + j];

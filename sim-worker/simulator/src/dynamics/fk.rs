@@ -2,7 +2,6 @@
 
 use super::kinematics::{point_velocity, poses, velocities};
 use crate::model::Model;
-use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{Mat3, Vec3, Vec6, add, mat_mat, mat_t_vec, mat_vec, quaternion_to_rotation};
 use crate::state::State;
@@ -83,14 +82,14 @@ impl<S: Real> Kernel<S> for Hands<'_, S> {
 fn locate<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, state: &State<S>, out: &mut [Hand<S>]) {
     let r_wb = kinematics(model, ws, state);
     for arm in 0..model.n_arms {
-        let last = arm * JOINTS_PER_ARM + JOINTS_PER_ARM - 1;
+        let (at, last) = (&model.arms[arm], model.joints.of_arm(arm).end - 1);
         let (pose, v) = (ws.poses[last], ws.links[last].v);
         let r_wl = mat_mat(&r_wb, &pose.r);
-        let p_b = add(pose.o, mat_vec(&pose.r, model.tool_position));
+        let p_b = add(pose.o, mat_vec(&pose.r, at.tool_position));
         out[arm] = Hand {
             position: add(state.base_position, mat_vec(&r_wb, p_b)),
-            rotation: mat_mat(&r_wl, &model.tool_rotation),
-            linear_velocity: mat_vec(&r_wl, point_velocity(v, model.tool_position)),
+            rotation: mat_mat(&r_wl, &at.tool_rotation),
+            linear_velocity: mat_vec(&r_wl, point_velocity(v, at.tool_position)),
             angular_velocity: mat_vec(&r_wl, v.ang),
         };
     }

@@ -10,7 +10,6 @@
 use super::articulated::ArticulatedInertia;
 use super::kinematics::{for_sparsity, force_from_next, force_to_base, turn, velocities};
 use crate::model::{Model, RigidInertia};
-use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{
     Mat3, Vec3, Vec6, add, cross, cross_add, mat_t_vec, mat_vec, quaternion_to_rotation, scale, sub,
@@ -77,19 +76,20 @@ impl<S: Real> Kernel<S> for Look<'_, S> {
         locked.add_body(&model.base);
         let mut total = momentum(&model.base, ws.base_v);
         for arm in 0..model.n_arms {
+            let (links, first) = (model.links_of(arm), model.joints.of_arm(arm).start);
             let mut inertia = ArticulatedInertia::zero();
             let mut h = Vec6::zero();
-            let mut j = JOINTS_PER_ARM;
+            let mut j = links.len();
             while j > 0 {
                 j -= 1;
-                let body = &model.links[j];
-                if j + 1 < JOINTS_PER_ARM {
+                let body = &links[j];
+                if j + 1 < links.len() {
                     (inertia, h) = for_sparsity!(body.sparsity, sparsity => (
                         inertia.moved_to_previous(body, sparsity),
                         force_from_next(body, sparsity, h)
                     ));
                 }
-                let link = &ws.links[arm * JOINTS_PER_ARM + j];
+                let link = &ws.links[first + j];
                 inertia.add_body(&body.body);
                 let own = momentum(&body.body, link.v);
                 inertia = inertia.turned(link.sin, link.cos);

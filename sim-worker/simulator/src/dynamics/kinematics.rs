@@ -6,7 +6,6 @@
 //! through memory.
 
 use crate::model::{ArmModel, LinkModel, Model, Sparsity, Twist};
-use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::spatial::{Vec3, Vec6, add, cross, cross_add, mat_t_vec, mat_vec, sub};
 use crate::workspace::{LinkPose, Workspace};
@@ -160,11 +159,11 @@ pub(crate) fn force_to_base<S: Real>(arm: &ArmModel<S>, f: Vec6<S>) -> Vec6<S> {
 #[inline(always)]
 pub(crate) fn velocities<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, q: &[S], qd: &[S]) {
     for arm in 0..model.n_arms {
-        let first = arm * JOINTS_PER_ARM;
+        let (links, first) = (model.links_of(arm), model.joints.of_arm(arm).start);
         let mut v = motion_to_arm(&model.arms[arm], ws.base_v);
-        for j in 0..JOINTS_PER_ARM {
+        for j in 0..links.len() {
             if j > 0 {
-                let before = &model.links[j - 1];
+                let before = &links[j - 1];
                 v = for_sparsity!(before.sparsity, sparsity => motion_to_next(before, sparsity, v));
             }
             let (sin, cos) = q[first + j].sin_cos();
@@ -191,11 +190,11 @@ pub(crate) fn poses<S: Real>(model: &Model<S>, ws: &mut Workspace<S>) {
 /// [`poses`] of one arm's links.
 #[inline(always)]
 pub(crate) fn poses_of_arm<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, arm: usize) {
-    let first = arm * JOINTS_PER_ARM;
+    let (links, first) = (model.links_of(arm), model.joints.of_arm(arm).start);
     let mut pose = LinkPose { r: model.arms[arm].rotation, o: model.arms[arm].position };
-    for j in 0..JOINTS_PER_ARM {
+    for j in 0..links.len() {
         if j > 0 {
-            let before = &model.links[j - 1];
+            let before = &links[j - 1];
             pose = for_sparsity!(before.sparsity, sparsity => next_pose(before, sparsity, pose));
         }
         let LinkScratchAngles { sin, cos } = angles(ws, first + j);

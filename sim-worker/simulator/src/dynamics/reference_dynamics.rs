@@ -4,7 +4,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 use super::aba::Acceleration;
-use crate::robot::{JOINTS_PER_ARM, RigidBody, Robot};
+use crate::robot::{RigidBody, Robot};
 use crate::state::State;
 
 /// First column of the joints among the generalised velocities.
@@ -63,8 +63,7 @@ fn place<'a>(robot: &'a Robot, state: &State<f64>) -> Vec<Placed<'a>> {
     for (a, arm) in robot.arms.iter().enumerate() {
         let (mut r, mut o) = (r * arm.rotation, o + r * arm.position);
         let mut parent = 0;
-        for (j, link) in robot.links.iter().enumerate() {
-            let joint = a * JOINTS_PER_ARM + j;
+        for (joint, link) in robot.joints.of_arm(a).zip(&robot.type_of(a).links) {
             r *= Rotation3::from_axis_angle(&Vector3::z_axis(), state.q[joint]).matrix();
             bodies.push(Placed {
                 body: &link.body,
@@ -110,7 +109,7 @@ pub fn inertia_matrix(robot: &Robot, state: &State<f64>) -> DMatrix<f64> {
         m += jv.transpose() * &jv * body.body.mass + jw.transpose() * body.inertia() * &jw;
     }
     for j in 0..robot.n_joints() {
-        m[(JOINTS + j, JOINTS + j)] += robot.links[j % JOINTS_PER_ARM].armature;
+        m[(JOINTS + j, JOINTS + j)] += robot.link(j).armature;
     }
     m
 }
@@ -169,7 +168,7 @@ pub fn rnea(robot: &Robot, state: &State<f64>, acceleration: &Acceleration<f64>)
         force[i] += f;
         moment[i] += n + c.cross(&f);
         if let (Some(joint), Some(parent)) = (b.joint, b.parent) {
-            let armature = robot.links[joint % JOINTS_PER_ARM].armature;
+            let armature = robot.link(joint).armature;
             tau[JOINTS + joint] = b.axis().dot(&moment[i]) + armature * acceleration.joints[joint];
             let (f, n) = (force[i], moment[i] + (b.o - bodies[parent].o).cross(&force[i]));
             force[parent] += f;

@@ -1,7 +1,6 @@
 //! Joint torques: the velocity servo, and the contacts that a joint's angle tells.
 
 use crate::model::{AngleContactModel, Model};
-use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::workspace::Workspace;
 
@@ -11,8 +10,7 @@ use crate::workspace::Workspace;
 #[inline(always)]
 pub(crate) fn servo<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, command: &[S], qd: &[S]) {
     for arm in 0..model.n_arms {
-        for j in 0..JOINTS_PER_ARM {
-            let (link, i) = (&model.links[j], arm * JOINTS_PER_ARM + j);
+        for (link, i) in model.links_of(arm).iter().zip(model.joints.of_arm(arm)) {
             let c = command[i].clamp(-link.max_rate, link.max_rate);
             let tau = link.gain * (c - qd[i]);
             ws.links[i].tau = tau.clamp(-link.max_torque, link.max_torque);
@@ -47,14 +45,11 @@ pub(crate) fn push_of_angle_contacts<S: Real>(
     q: &[S],
     qd: &[S],
 ) {
-    for contact in &model.angle_contacts {
-        if !contact.push {
-            continue;
-        }
-        let (stiffness, damping) = ws.contacts.rates();
-        let armature = model.links[contact.joint].armature;
-        for arm in 0..model.n_arms {
-            let first = arm * JOINTS_PER_ARM;
+    let (stiffness, damping) = ws.contacts.rates();
+    for arm in 0..model.n_arms {
+        let first = model.joints.of_arm(arm).start;
+        for contact in model.angle_contacts_of(arm).iter().filter(|contact| contact.push) {
+            let armature = model.links_of(arm)[contact.joint].armature;
             let i = first + contact.joint;
             let narrowing = &ws.links[first + contact.narrowing_joint];
             let (x, half) = angle_contact_interval(contact, q[i], narrowing.sin, narrowing.cos);

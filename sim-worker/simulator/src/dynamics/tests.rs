@@ -34,6 +34,7 @@ fn robots() -> Vec<Robot> {
         Robot::builtin("paper").unwrap(),
         Robot::from_toml(two_arm, path).unwrap(),
         Robot::from_toml(&skew, path).unwrap(),
+        Robot::from_toml(include_str!("../../robots/seven-joints.toml"), path).unwrap(),
     ]
 }
 
@@ -312,7 +313,7 @@ fn energy_is_the_servos_work() {
     let power = |s: &State<f64>| -> f64 {
         (0..24)
             .map(|j| {
-                let l = &robot.links[j % 6];
+                let l = robot.link(j);
                 let tau = (l.gain * (command[j] - s.qd[j])).clamp(-l.max_torque, l.max_torque);
                 tau * s.qd[j]
             })

@@ -1,8 +1,7 @@
 //! Refusing what has diverged: actions that are no numbers, states beyond all bounds.
 
-use proto::layout::JOINTS_PER_AGENT;
-
 use super::EpisodeError;
+use crate::robot::Joints;
 use crate::scalar::{Mask, Real};
 use crate::state::State;
 
@@ -52,6 +51,7 @@ const LIMITS: [(&str, f64); 6] = [
 /// the global index `first`.
 #[inline(always)]
 pub(crate) fn check_state<S: Real>(
+    joints: &Joints,
     state: &State<S>,
     first: u32,
     group: usize,
@@ -88,7 +88,7 @@ pub(crate) fn check_state<S: Real>(
                 return Err(EpisodeError::State {
                     env: first + (group + lane) as u32,
                     step,
-                    agent: is_joint.then_some(index / JOINTS_PER_AGENT),
+                    agent: is_joint.then(|| joints.agent_of(index)),
                     quantity,
                     value,
                     limit,

@@ -1,7 +1,7 @@
 //! The home pose that tasks are relative to.
 
 use super::Physics;
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::Robot;
 use crate::state::State;
 use crate::step::StepOptions;
 use crate::task::{Home, HomeArm, Readings};
@@ -9,12 +9,12 @@ use crate::task::{Home, HomeArm, Readings};
 /// The robot's home pose, by forward kinematics in `f64`.
 pub(crate) fn home(robot: &Robot) -> Home {
     let mut physics = Physics::<f64>::with_options(robot, StepOptions::default());
-    let mut readings = Readings::new(robot.n_arms);
+    let mut readings = Readings::new(&robot.joints);
     physics.read(&State::home(robot), &mut readings);
     let max_rates = robot.max_rates();
     let arms = robot.arms.iter().enumerate().map(|(index, arm)| HomeArm {
-        q: arm.home,
-        command_limit: std::array::from_fn(|joint| max_rates[index * JOINTS_PER_ARM + joint]),
+        q: arm.home.clone(),
+        command_limit: max_rates[robot.joints.of_arm(index)].to_vec(),
         position: readings.hands[index].position,
         euler: readings.hands[index].euler,
         // At home the base's axes are the world's.

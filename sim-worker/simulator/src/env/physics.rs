@@ -142,7 +142,7 @@ impl Physics<f32> {
 
 /// What tasks read off a robot in this state, but for the last action, which is zero.
 pub fn readings<S: Real>(robot: &Robot, state: &State<S>) -> Readings<S> {
-    let mut readings = Readings::new(robot.n_arms);
+    let mut readings = Readings::new(&robot.joints);
     Physics::with_options(robot, StepOptions::default()).read(state, &mut readings);
     readings
 }

@@ -1,5 +1,6 @@
 //! Sensors that err.
 
+use crate::robot::Joints;
 use crate::scalar::Real;
 use crate::spatial::{
     euler_xyz, quaternion_exp, quaternion_normalised, quaternion_product, quaternion_to_rotation,
@@ -20,9 +21,9 @@ pub(crate) struct Deviations<S> {
 }
 
 impl<S: Real> Deviations<S> {
-    /// Standard normal numbers that the errors of a robot with `n_arms` arms are made of.
-    pub(crate) fn draws(n_arms: usize) -> usize {
-        12 + n_arms * 24
+    /// Standard normal numbers that the errors of a robot with these joints are made of.
+    pub(crate) fn draws(joints: &Joints) -> usize {
+        12 + 12 * joints.n_arms() + 2 * joints.n_joints()
     }
 
     /// Adds errors to `readings`, made of `normals`, [`Deviations::draws`] of them.

@@ -1,5 +1,6 @@
 #![expect(clippy::approx_constant, reason = "the released model's own rounded numbers")]
 
+use crate::robot::Joints;
 use proto::config::{Layers, Preset};
 
 use super::*;
@@ -34,9 +35,10 @@ fn home_is_the_released_models() {
 fn a_state_beyond_bounds_is_named() {
     let robot = Robot::builtin("paper").expect("built in");
     let mut state = State::<f64>::home(&robot);
-    check_state(&state, 40, 3, 8, 7).expect("home is fine");
+    check_state(&Joints::of_sixes(4), &state, 40, 3, 8, 7).expect("home is fine");
     state.qd[13] = f64::NAN;
-    let message = check_state(&state, 40, 3, 8, 7).expect_err("NaN").to_string();
+    let message =
+        check_state(&Joints::of_sixes(4), &state, 40, 3, 8, 7).expect_err("NaN").to_string();
     // Joint 13 is the second joint of agent 4; lane 0 of the group at 3 of a shard from 40 on.
     assert!(
         message.contains("environment 43, step 7, agent 4: joint rate (rad/s) is NaN"),
@@ -44,7 +46,8 @@ fn a_state_beyond_bounds_is_named() {
     );
     state.qd[13] = 0.0;
     state.base_position[1] = -2e3;
-    let message = check_state(&state, 40, 3, 8, 7).expect_err("far").to_string();
+    let message =
+        check_state(&Joints::of_sixes(4), &state, 40, 3, 8, 7).expect_err("far").to_string();
     assert!(message.contains("step 7: base position (m) is -2000, beyond ±1000"), "{message}");
 }
 

@@ -19,7 +19,7 @@ use crate::collision::Touching;
 use crate::dynamics::Hand;
 use crate::env::{EpisodeError, Physics, Push, step_options};
 use crate::policy::Policy;
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::{Joints, Robot};
 use crate::rollout::World;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{Mat3, Vec3};
@@ -124,7 +124,7 @@ impl Episode {
         for member in &members {
             assert_eq!(member.world.dimensions.n_arms, robot.n_arms, "one robot for all");
         }
-        let course = Course::new(robot.n_arms);
+        let course = Course::new(&robot.joints);
         let players: Vec<Player<'_>> = members.iter().map(|member| member.player()).collect();
         let (envs, drawn) = addresses(&start);
         let goals = Aims { drawn, given: &[], fixed: &FixedGoals::default() };
@@ -156,7 +156,7 @@ impl Episode {
         group.command.fill(0.0);
         group.waiting.clear();
         self.stepper.envs = envs;
-        self.course = Course::new(self.robot.n_arms);
+        self.course = Course::new(&self.robot.joints);
         self.start = start;
         if remade {
             self.stepper.physics = Physics::with_options(&self.robot, self.options);
@@ -211,7 +211,7 @@ impl Episode {
                 self.course.arms[*arm] = *control;
             }
             Event::Effect { effect, steps } => {
-                effect.check(n_arms)?;
+                effect.check(&self.robot.joints)?;
                 let until =
                     steps.map_or(usize::MAX, |steps| self.course.step.saturating_add(steps));
                 self.course.effects.push(Happening { effect: effect.clone(), until });
@@ -401,15 +401,15 @@ impl Member {
 }
 
 impl Course {
-    fn new(n_arms: usize) -> Self {
+    fn new(joints: &Joints) -> Self {
         Self {
             step: 0,
-            arms: vec![Control::Policy(0); n_arms],
+            arms: vec![Control::Policy(0); joints.n_arms()],
             effects: Vec::new(),
             sensors: SensorNoise::NONE,
             base_mass: None,
             pushes: Vec::new(),
-            torques: vec![0.0; n_arms * JOINTS_PER_ARM],
+            torques: vec![0.0; joints.n_joints()],
         }
     }
 }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Effect, SensorNoise};
-use crate::robot::{JOINTS_PER_ARM, RobotError};
+use crate::robot::{Joints, RobotError};
 
 /// Most control steps between an action and its execution: ten seconds.
 pub const LONGEST_DELAY: usize = 25;
@@ -163,9 +163,9 @@ pub(super) fn finite(what: &'static str, values: &[f64]) -> Result<(), EventErro
 }
 
 impl Effect {
-    /// Refuses what a robot with `n_arms` arms has not.
-    pub(super) fn check(&self, n_arms: usize) -> Result<(), EventError> {
-        let n_joints = n_arms * JOINTS_PER_ARM;
+    /// Refuses what a robot with these joints has not.
+    pub(super) fn check(&self, joints: &Joints) -> Result<(), EventError> {
+        let (n_arms, n_joints) = (joints.n_arms(), joints.n_joints());
         match self {
             Self::Action { joints, value } => {
                 within("joint", joints.start, n_joints + 1)?;

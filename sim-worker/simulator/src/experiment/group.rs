@@ -1,6 +1,6 @@
 //! Episodes in lanes: one group of them.
 
-use proto::layout::JOINTS_PER_AGENT;
+use std::ops::Range;
 
 use crate::collision::Touching;
 use crate::env::{EpisodeError, check_means};
@@ -46,7 +46,8 @@ impl<S: Real> Group<S> {
     pub(super) fn act(
         &mut self,
         agent: usize,
-        means: &[S; JOINTS_PER_AGENT],
+        joints: Range<usize>,
+        means: &[S],
         limits: &[S],
         (env, step): (u32, usize),
     ) -> Result<(), EpisodeError> {
@@ -54,8 +55,7 @@ impl<S: Real> Group<S> {
             let Self { state, goals, command, .. } = self;
             return Err(error.keep(env, state, goals, command));
         }
-        for (u, mean) in means.iter().enumerate() {
-            let joint = agent * JOINTS_PER_AGENT + u;
+        for (joint, mean) in joints.zip(means) {
             self.action[joint] = mean.clamp(-limits[joint], limits[joint]);
         }
         Ok(())

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::chunk::Chunk;
 use crate::env::draw_normals;
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::Joints;
 use crate::scalar::Real;
 use crate::step::{Disturbance, Wrench};
 
@@ -97,6 +97,7 @@ impl Effect {
     #[inline(always)]
     pub(super) fn disturb<S: Real>(
         &self,
+        joints: &Joints,
         lanes: Lanes,
         step: usize,
         drawn: &mut [S],
@@ -120,10 +121,7 @@ impl Effect {
                     *slot = normal.mul_add(S::splat(*std), *slot);
                 }
             }
-            Self::Limp { arm } => {
-                let first = arm * JOINTS_PER_ARM;
-                disturbance.servo[first..first + JOINTS_PER_ARM].fill(S::zero());
-            }
+            Self::Limp { arm } => disturbance.servo[joints.of_arm(*arm)].fill(S::zero()),
             Self::Wrench { body, point, force, torque } => {
                 disturbance.wrenches.push(Wrench {
                     link: body.checked_sub(1),

@@ -63,7 +63,7 @@ impl Motion {
             physics: Physics::with_options(robot, options),
             state,
             goals,
-            readings: Readings::new(robot.n_arms),
+            readings: Readings::new(&robot.joints),
             errors: Errors::new(robot.n_arms),
             touching: None,
             commands: zeros.clone(),
@@ -168,9 +168,9 @@ impl Kernel<f32> for Advance<'_> {
     type Output = Result<(), EpisodeError>;
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Motion { physics, state, commands, torques, pushes, steps, .. } = &mut *self.0;
+        let Motion { robot, physics, state, commands, torques, pushes, steps, .. } = &mut *self.0;
         physics.step(state, commands);
-        check_state(state, 0, 0, 1, *steps)?;
+        check_state(&robot.joints, state, 0, 0, 1, *steps)?;
         *steps += 1;
         physics.torques(commands, &state.qd, torques);
         physics.pushes(state, pushes);

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::intervention::Lanes;
 use crate::env::Deviations;
+use crate::robot::Joints;
 use crate::scalar::Real;
 use crate::task::Readings;
 
@@ -34,8 +35,8 @@ impl SensorNoise {
     }
 
     /// Numbers that are drawn in a step for a robot with `n_arms` arms.
-    pub(super) fn draws(n_arms: usize) -> usize {
-        Deviations::<f64>::draws(n_arms)
+    pub(super) fn draws(joints: &Joints) -> usize {
+        Deviations::<f64>::draws(joints)
     }
 
     /// Adds errors to `readings`; `drawn` is scratch memory, [`SensorNoise::draws`] numbers.

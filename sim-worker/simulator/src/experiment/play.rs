@@ -13,7 +13,7 @@ pub fn play(
     executor: &dyn Executor,
     on_step: &(dyn Fn() + Sync),
 ) -> Result<Recording, EpisodeError> {
-    let mut recording = Recording::new(trial.n_arms(), trial.episodes, trial.steps);
+    let mut recording = Recording::new(trial.robot.joints, trial.episodes, trial.steps);
     let chunks = recording.chunks_mut(CHUNK).enumerate().collect();
     executor::for_each(executor, chunks, |(index, series): (usize, &mut [f32])| {
         let first = index * CHUNK;

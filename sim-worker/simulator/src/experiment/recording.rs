@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::group::Group;
 use crate::collision::Touching;
 use crate::model::ContactKind;
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::Joints;
 use crate::scalar::Real;
 
 /// Control steps that the mean over an episode's tail takes.
@@ -25,11 +25,11 @@ pub struct Pose {
 /// Errors, base rates, contacts and poses after every control step of every episode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    n_arms: usize,
+    joints: Joints,
     episodes: usize,
     steps: usize,
-    /// `[episode][step][6 errors a hand, 3 errors of the base, 3 rates of the base, contacts by kind, 3 + 4 of the base's pose, 6 joint
-    /// angles an arm]`.
+    /// `[episode][step][6 errors a hand, 3 errors of the base, 3 rates of the base, contacts by kind, 3 + 4 of the base's pose, all joint
+    /// angles]`.
     series: Vec<f32>,
 }
 
@@ -39,14 +39,14 @@ const REST: usize = POSE + 7;
 const POSE: usize = 6 + ContactKind::COUNT;
 
 /// Numbers of a step.
-fn width(n_arms: usize) -> usize {
-    (6 + JOINTS_PER_ARM) * n_arms + REST
+fn width(joints: &Joints) -> usize {
+    6 * joints.n_arms() + joints.n_joints() + REST
 }
 
 impl Recording {
     /// Zeros.
-    pub(crate) fn new(n_arms: usize, episodes: usize, steps: usize) -> Self {
-        Self { n_arms, episodes, steps, series: vec![0.0; episodes * steps * width(n_arms)] }
+    pub(crate) fn new(joints: Joints, episodes: usize, steps: usize) -> Self {
+        Self { joints, episodes, steps, series: vec![0.0; episodes * steps * width(&joints)] }
     }
 
     /// Everything, flat.
@@ -56,13 +56,18 @@ impl Recording {
 
     /// Parts of `episodes` episodes.
     pub(super) fn chunks_mut(&mut self, episodes: usize) -> impl Iterator<Item = &mut [f32]> {
-        let len = episodes * self.steps * width(self.n_arms);
+        let len = episodes * self.steps * width(&self.joints);
         self.series.chunks_mut(len.max(1))
     }
 
     /// Arms of the robot.
     pub fn n_arms(&self) -> usize {
-        self.n_arms
+        self.joints.n_arms()
+    }
+
+    /// Which joints are whose.
+    pub fn joints(&self) -> &Joints {
+        &self.joints
     }
 
     /// E: episodes.
@@ -78,7 +83,7 @@ impl Recording {
     /// All numbers after `step`.
     pub(super) fn row(&self, episode: usize, step: usize) -> &[f32] {
         assert!(episode < self.episodes && step < self.steps, "episode {episode}, step {step}");
-        let width = width(self.n_arms);
+        let width = width(&self.joints);
         let at = (episode * self.steps + step) * width;
         &self.series[at..at + width]
     }
@@ -92,24 +97,24 @@ impl Recording {
     /// Attitude errors of the base after `step` (rad), goal − actual.
     pub fn base(&self, episode: usize, step: usize) -> [f32; 3] {
         let row = self.row(episode, step);
-        std::array::from_fn(|i| row[6 * self.n_arms + i])
+        std::array::from_fn(|i| row[6 * self.joints.n_arms() + i])
     }
 
     /// Angular velocity of the base after `step`, base axes (rad/s).
     pub fn base_rate(&self, episode: usize, step: usize) -> [f32; 3] {
         let row = self.row(episode, step);
-        std::array::from_fn(|i| row[6 * self.n_arms + 3 + i])
+        std::array::from_fn(|i| row[6 * self.joints.n_arms() + 3 + i])
     }
 
     /// Touching pairs after `step`, by [`ContactKind`].
     pub fn contacts(&self, episode: usize, step: usize) -> [u32; ContactKind::COUNT] {
         let row = self.row(episode, step);
-        std::array::from_fn(|i| row[6 * self.n_arms + 6 + i] as u32)
+        std::array::from_fn(|i| row[6 * self.joints.n_arms() + 6 + i] as u32)
     }
 
     /// Where the robot stands after `step`.
     pub fn pose(&self, episode: usize, step: usize) -> Pose {
-        let rest = &self.row(episode, step)[6 * self.n_arms + POSE..];
+        let rest = &self.row(episode, step)[6 * self.joints.n_arms() + POSE..];
         Pose {
             base_position: std::array::from_fn(|i| rest[i]),
             base_quaternion: std::array::from_fn(|i| rest[3 + i]),
@@ -151,7 +156,7 @@ pub(super) fn record<S: Real>(
     let Group { state, errors, touching, .. } = read;
     let Some(Touching { by_kind: contacts, .. }) = touching else { return };
     let n_arms = errors.hands.len();
-    let width = width(n_arms);
+    let width = 6 * n_arms + state.q.len() + REST;
     for lane in 0..S::LANES.min(n_envs - group) {
         let at = ((group + lane) * steps + step) * width;
         let (hands, rest) = series[at..at + width].split_at_mut(6 * n_arms);

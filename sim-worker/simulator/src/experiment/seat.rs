@@ -1,6 +1,6 @@
 //! The seat of a player: what it sees of all episodes, and what it decides.
 
-use proto::layout::JOINTS_PER_AGENT;
+use proto::agents::MAX_JOINTS_PER_AGENT;
 
 use super::group::Group;
 use super::trial::{actors, moves};
@@ -8,7 +8,6 @@ use super::{Driver, Player};
 use crate::controller::{JacobianController, Memory};
 use crate::env::EpisodeError;
 use crate::policy::Scratch;
-use crate::robot::JOINTS_PER_ARM;
 use crate::rollout::World;
 use crate::scalar::Real;
 use crate::state::State;
@@ -52,12 +51,12 @@ impl<S: Real> Seat<S> {
             Driver::Policy(policy) => Self::Policy {
                 observations: zeros(dimensions.n_actors * n_groups * dimensions.actor_input()),
                 means: zeros(n_groups * dimensions.actor_output()),
-                guidance: zeros(n_groups * dimensions.n_arms * JOINTS_PER_ARM),
+                guidance: zeros(n_groups * dimensions.joints.n_joints()),
                 inference: Scratch::new(policy, n_groups),
             },
             Driver::Jacobian(_) => Self::Jacobian {
                 memories: vec![Memory::default(); n_groups * S::LANES],
-                rates: zeros(n_groups * dimensions.n_arms * JOINTS_PER_ARM),
+                rates: zeros(n_groups * dimensions.joints.n_joints()),
             },
         }
     }
@@ -91,7 +90,7 @@ impl<S: Real> Seat<S> {
             }
             (Self::Jacobian { memories, rates }, Driver::Jacobian(controller)) => {
                 let moves: Vec<bool> = arms.iter().map(|arm| *arm == Some(number)).collect();
-                let n_joints = arms.len() * JOINTS_PER_ARM;
+                let n_joints = limits.len();
                 let memories = &mut memories[index * S::LANES..(index + 1) * S::LANES];
                 let rates = &mut rates[index * n_joints..(index + 1) * n_joints];
                 control((controller, &moves), seen, left, memories, rates);
@@ -129,10 +128,15 @@ impl<S: Real> Seat<S> {
                             continue;
                         }
                         for (index, group) in groups.iter_mut().enumerate() {
-                            let at = index * output + part * JOINTS_PER_AGENT;
-                            let joint = index * limits.len() + agent * JOINTS_PER_AGENT;
-                            let mean = std::array::from_fn(|u| means[at + u] + guidance[joint + u]);
-                            group.act(agent, &mean, limits, (env(index), step))?;
+                            let joints = dimensions.joints.of_agent(agent);
+                            let means = &means[index * output + part * dimensions.n_actions..];
+                            let guidance = &guidance[index * limits.len() + joints.start..];
+                            let mut wanted = [S::zero(); MAX_JOINTS_PER_AGENT];
+                            for u in 0..joints.len() {
+                                wanted[u] = means[u] + guidance[u];
+                            }
+                            let wanted = &wanted[..joints.len()];
+                            group.act(agent, joints, wanted, limits, (env(index), step))?;
                         }
                     }
                 }
@@ -141,11 +145,16 @@ impl<S: Real> Seat<S> {
                 let per_action = S::splat(1.0 / action_scale);
                 for (index, group) in groups.iter_mut().enumerate() {
                     let n_joints = group.action.len();
-                    for agent in 0..n_joints / JOINTS_PER_AGENT {
+                    for agent in 0..dimensions.n_agents {
                         if moves(arms, number, agent) {
-                            let at = index * n_joints + agent * JOINTS_PER_AGENT;
-                            let mean = std::array::from_fn(|u| rates[at + u] * per_action);
-                            group.act(agent, &mean, limits, (env(index), step))?;
+                            let joints = dimensions.joints.of_agent(agent);
+                            let rates = &rates[index * n_joints + joints.start..];
+                            let mut wanted = [S::zero(); MAX_JOINTS_PER_AGENT];
+                            for u in 0..joints.len() {
+                                wanted[u] = rates[u] * per_action;
+                            }
+                            let wanted = &wanted[..joints.len()];
+                            group.act(agent, joints, wanted, limits, (env(index), step))?;
                         }
                     }
                 }

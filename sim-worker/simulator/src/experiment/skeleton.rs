@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use super::Pose;
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::Robot;
 
 /// Where the parts of a robot are (m, world).
 #[derive(Debug, Clone, PartialEq)]
@@ -31,17 +31,17 @@ impl Skeleton {
             let corner = Vector3::from(signs).component_mul(&cube.half);
             (origin + base * (cube.centre + cube.rotation * corner)).into()
         };
-        let arms = robot.arms.iter().zip(pose.joints.chunks_exact(JOINTS_PER_ARM));
-        let arms = arms.map(|(arm, joints)| {
+        let arms = robot.arms.iter().enumerate().map(|(index, arm)| {
+            let (kind, joints) = (robot.type_of(index), &pose.joints[robot.joints.of_arm(index)]);
             let (mut r, mut o) = (base * arm.rotation, origin + base * arm.position);
             // The foot is where the mount's far side meets the base.
             let foot = arm.mount.centre - arm.mount.rotation.column(2) * arm.mount.half.z;
             let mut points = vec![(origin + base * foot).into(), o.into()];
-            for (index, (link, &q)) in robot.links.iter().zip(joints).enumerate() {
+            for (index, (link, &q)) in kind.links.iter().zip(joints).enumerate() {
                 let (sin, cos) = libm::sincos(f64::from(q));
                 r *= Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-                if index + 1 == JOINTS_PER_ARM {
-                    points.push((o + r * robot.tool_position).into());
+                if index + 1 == kind.links.len() {
+                    points.push((o + r * kind.tool_position).into());
                 } else {
                     o += r * link.shift;
                     r *= link.twist;

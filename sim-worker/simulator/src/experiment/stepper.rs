@@ -9,7 +9,7 @@ use super::intervention::Lanes;
 use super::seat::{Seat, Seen};
 use super::{Effect, FixedGoals, Player, SensorNoise};
 use crate::env::{EpisodeError, Physics, check_state};
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::{Joints, Robot};
 use crate::rollout::World;
 use crate::scalar::Real;
 use crate::state::State;
@@ -23,6 +23,7 @@ use crate::task::{Errors, Goals, Readings};
 /// every player.
 pub(super) struct Stepper<S: Real> {
     pub(super) envs: Chunk,
+    joints: Joints,
     pub(super) physics: Physics<S>,
     pub(super) groups: Vec<Group<S>>,
     seats: Vec<Seat<S>>,
@@ -48,11 +49,11 @@ impl<S: Real> Stepper<S> {
         let n_arms = robot.n_arms;
         let n_groups = envs.n_envs.div_ceil(S::LANES);
         let task = &players[0].world.task;
-        let joints = vec![S::zero(); n_arms * JOINTS_PER_ARM];
+        let joints = vec![S::zero(); robot.n_joints()];
         let groups = (0..n_groups).map(|group| Group {
             state: State::home(robot),
-            readings: Readings::new(n_arms),
-            seen: Readings::new(n_arms),
+            readings: Readings::new(&robot.joints),
+            seen: Readings::new(&robot.joints),
             goals: draw_goals(players, goals, envs, group * S::LANES),
             errors: Errors::new(n_arms),
             seen_errors: Errors::new(n_arms),
@@ -63,13 +64,14 @@ impl<S: Real> Stepper<S> {
         });
         let mut stepper = Self {
             envs,
+            joints: robot.joints,
             physics: Physics::with_options(robot, options),
             groups: groups.collect(),
             seats: Vec::new(),
             limits: task.action_limit.iter().map(|&limit| S::splat(limit)).collect(),
-            drawn: vec![S::zero(); SensorNoise::draws(n_arms)],
-            disturbance: Disturbance::none(n_arms),
-            undisturbed: Disturbance::none(n_arms),
+            drawn: vec![S::zero(); SensorNoise::draws(&robot.joints)],
+            disturbance: Disturbance::none(&robot.joints),
+            undisturbed: Disturbance::none(&robot.joints),
             before: State::home(robot),
         };
         stepper.seat(players);
@@ -153,7 +155,8 @@ impl<S: Real> Stepper<S> {
         effects: &(impl Iterator<Item = &'e Effect> + Clone),
         step: usize,
     ) -> Result<(), EpisodeError> {
-        let Self { envs, physics, groups, drawn, disturbance, undisturbed, before, .. } = self;
+        let Self { envs, joints, physics, groups, drawn, disturbance, undisturbed, before, .. } =
+            self;
         let Chunk { first, n_envs, .. } = *envs;
         for (index, group) in groups.iter_mut().enumerate() {
             let local = index * S::LANES;
@@ -163,11 +166,12 @@ impl<S: Real> Stepper<S> {
             for effect in effects.clone() {
                 effect.replace(&mut group.action);
                 let lanes = Lanes { envs: *envs, group: local };
-                disturbed |= effect.disturb(lanes, step, &mut drawn[..n_joints], disturbance);
+                disturbed |=
+                    effect.disturb(joints, lanes, step, &mut drawn[..n_joints], disturbance);
             }
             for (arm, player) in arms.iter().enumerate() {
                 let scale = S::splat(players[player.unwrap_or(0)].action_scale);
-                for joint in arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM {
+                for joint in joints.of_arm(arm) {
                     group.command[joint] = group.action[joint] * scale;
                 }
             }
@@ -182,7 +186,7 @@ impl<S: Real> Stepper<S> {
             } else {
                 physics.step(&mut group.state, &group.command);
             }
-            if let Err(error) = check_state(&group.state, first, local, n_envs, step) {
+            if let Err(error) = check_state(joints, &group.state, first, local, n_envs, step) {
                 let env = first + local as u32;
                 return Err(error.keep(env, before, &group.goals, &group.command));
             }

@@ -1,5 +1,6 @@
 //! Every way in which a trial differs from a plain episode.
 
+use crate::robot::Joints;
 use std::path::Path;
 
 use proto::config::{Layers, Preset, TaskName};
@@ -233,9 +234,9 @@ fn sensors_err_as_told() {
     use crate::task::Readings;
     let noise = SensorNoise { position: 0.1, angle: 0.01, velocity: 10.0, rate: 1.0 };
     let (mut squares, mut n) = ([0.0_f64; 4], 0.0);
-    let mut drawn = vec![0.0; SensorNoise::draws(4)];
+    let mut drawn = vec![0.0; SensorNoise::draws(&Joints::of_sixes(4))];
     for step in 0..200 {
-        let mut readings = Readings::<f64>::new(4);
+        let mut readings = Readings::<f64>::new(&Joints::of_sixes(4));
         let envs = Chunk { seed: 1, first: 7, n_envs: 1 };
         let lanes = Lanes { envs, group: 0 };
         noise.add_to(lanes, step, &mut drawn, &mut readings);
@@ -320,9 +321,9 @@ fn another_robot_than_the_policy_knows() {
     let of_heavy = recorded(&trial);
     assert!(turned(&of_heavy) < 0.8 * turned(&known), "a heavy base turns less");
     let slow = robot.with_arm_mass(0.5).expect("valid");
-    assert_eq!(slow.links[1].body.mass, 0.5 * robot.links[1].body.mass);
-    assert_eq!(slow.links[1].body.inertia, 0.5 * robot.links[1].body.inertia);
-    assert_eq!(slow.links[1].armature, robot.links[1].armature);
+    assert_eq!(slow.types[0].links[1].body.mass, 0.5 * robot.types[0].links[1].body.mass);
+    assert_eq!(slow.types[0].links[1].body.inertia, 0.5 * robot.types[0].links[1].body.inertia);
+    assert_eq!(slow.types[0].links[1].armature, robot.types[0].links[1].armature);
     trial.robot = &slow;
     assert!(turned(&recorded(&trial)) < 0.8 * turned(&known), "light arms turn the base less");
     assert!(robot.with_arm_mass(-1.0).is_err());

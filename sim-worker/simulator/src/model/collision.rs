@@ -3,16 +3,18 @@
 use nalgebra::Vector3;
 
 use super::shape::{Bound, FixedBox, Rounded};
-use crate::robot::{ArmBody, BaseBox, JOINTS_PER_ARM, Robot, Shape};
+use crate::robot::{ArmBody, ArmType, BaseBox, MAX_JOINTS_PER_ARM, Robot, Shape};
 use crate::scalar::Real;
 
-/// A moving link's shapes, the same for every arm, link frame.
+/// A moving link's shapes, the same for every arm of a type, link frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MovingBody<S> {
     /// Its shapes.
     pub shapes: Vec<Rounded<S>>,
     /// Around all of them.
     pub bound: Bound<S>,
+    /// `[j]`: no point of the link is farther than this from joint j's axis, in any pose (m); zero for joints behind it.
+    pub levers: [S; MAX_JOINTS_PER_ARM],
 }
 
 /// What is fixed to the base, base frame.
@@ -80,26 +82,25 @@ pub struct Pair<S> {
 /// Everything collisions need of a robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CollisionModel<S> {
-    /// Six, the same for every arm.
+    /// Of all types of arms, one type after the other; arms of one type share theirs.
     pub links: Vec<MovingBody<S>>,
+    /// By joint of the robot: the link behind it, of `links`.
+    pub link_of: Vec<usize>,
     /// What is fixed to the base: its boxes, then mount and pedestal of each arm.
     pub fixed: Vec<FixedBody<S>>,
     /// Which bodies can touch.
     pub pairs: Vec<Pair<S>>,
-    /// `[j][l]`: no point of link l is farther than this from joint j's axis, in any pose (m); zero for l < j.
-    pub levers: [[S; JOINTS_PER_ARM]; JOINTS_PER_ARM],
 }
 
 /// A ball (m).
 type Ball = (Vector3<f64>, f64);
 
 /// The distance from joint `joint`'s axis that no point of `link` exceeds in any pose: along the chain, each step as long as its shift.
-fn lever(robot: &Robot, balls: &[Ball], joint: usize, link: usize) -> f64 {
+fn lever(kind: &ArmType, (centre, radius): Ball, joint: usize, link: usize) -> f64 {
     if link < joint {
         return 0.0;
     }
-    let chain: f64 = robot.links[joint..link].iter().map(|l| l.shift.norm()).sum();
-    let (centre, radius) = balls[link];
+    let chain: f64 = kind.links[joint..link].iter().map(|l| l.shift.norm()).sum();
     chain + centre.norm() + radius
 }
 
@@ -117,13 +118,26 @@ impl<S: Real> CollisionModel<S> {
     /// Not pairs: bodies without shapes; bodies fixed to each other; a link with the link or the base that carries it; pairs told by joint angle.
     pub(crate) fn new(robot: &Robot) -> Self {
         let nothing = Bound { from: [0.0; 3], to: [0.0; 3], radius: 0.0 };
-        let bounds: Vec<Bound<f64>> =
-            robot.links.iter().map(|l| Bound::around(&l.shapes).unwrap_or(nothing)).collect();
-        let balls: Vec<Ball> = bounds.iter().map(Bound::ball).collect();
-        let links = robot.links.iter().zip(&bounds).map(|(link, bound)| MovingBody {
-            shapes: link.shapes.iter().map(Rounded::new).collect(),
-            bound: Bound::new(bound),
+        let mut links = Vec::new();
+        let mut first_of_type = Vec::new();
+        for kind in &robot.types {
+            first_of_type.push(links.len());
+            for (l, link) in kind.links.iter().enumerate() {
+                let bound = Bound::around(&link.shapes).unwrap_or(nothing);
+                let lever = |joint| S::splat(lever(kind, bound.ball(), joint, l));
+                links.push(MovingBody {
+                    shapes: link.shapes.iter().map(Rounded::new).collect(),
+                    bound: Bound::new(&bound),
+                    levers: std::array::from_fn(lever),
+                });
+            }
+        }
+        let joints = robot.joints;
+        let link_of = (0..joints.n_joints()).map(|joint| {
+            first_of_type[robot.arms[joints.arm_of(joint)].arm_type] + joints.within_arm(joint)
         });
+        let ball_radius =
+            |joint: usize| Bound::around(&robot.link(joint).shapes).unwrap_or(nothing).ball().1;
 
         // Fixed bodies: the base's boxes, then mount and pedestal of each arm.
         let (mut fixed, mut fixed_radius) = (Vec::new(), Vec::new());
@@ -142,65 +156,66 @@ impl<S: Real> CollisionModel<S> {
         }
         let mount = |arm: usize| n_boxes + 2 * arm;
 
-        let shaped = |l: usize| !robot.links[l % JOINTS_PER_ARM].shapes.is_empty();
-        let by_angle = |x: ArmBody, y: ArmBody| {
-            robot.angle_contacts.iter().any(|c| c.pair == [x, y] || c.pair == [y, x])
+        let shaped = |joint: &usize| !robot.link(*joint).shapes.is_empty();
+        let by_angle = |arm: usize, x: ArmBody, y: ArmBody| {
+            robot.type_of(arm).angle_contacts.iter().any(|c| c.pair == [x, y] || c.pair == [y, x])
         };
-        let link_radius: Vec<f64> = balls.iter().map(|b| b.1).collect();
         let mut pairs = Vec::new();
         let mut pair = |a: usize, b: Partner| {
             let (other, shapes) = match b {
-                Partner::Link(b) => (
-                    link_radius[b % JOINTS_PER_ARM],
-                    robot.links[b % JOINTS_PER_ARM].shapes.as_slice(),
-                ),
+                Partner::Link(b) => (ball_radius(b), robot.link(b).shapes.as_slice()),
                 Partner::Fixed(b) => (fixed_radius[b], [].as_slice()),
             };
-            let reach = S::splat(link_radius[a % JOINTS_PER_ARM] + other);
-            let own = robot.links[a % JOINTS_PER_ARM].shapes.as_slice();
+            let reach = S::splat(ball_radius(a) + other);
+            let own = robot.link(a).shapes.as_slice();
             let simple =
                 matches!((own, shapes), ([Shape::Capsule { .. }], [Shape::Capsule { .. }]));
             let kind = match b {
                 Partner::Fixed(b) if b < n_boxes => ContactKind::Base,
                 Partner::Fixed(_) => ContactKind::Mount,
-                Partner::Link(b) if b / JOINTS_PER_ARM == a / JOINTS_PER_ARM => ContactKind::Own,
+                Partner::Link(b) if joints.arm_of(b) == joints.arm_of(a) => ContactKind::Own,
                 Partner::Link(_) => ContactKind::Arms,
             };
             pairs.push(Pair { a, b, kind, reach, simple });
         };
-        let at = |arm: usize, l: usize| arm * JOINTS_PER_ARM + l;
         for arm in 0..robot.n_arms {
-            for l in (0..JOINTS_PER_ARM).filter(|&l| shaped(l)) {
+            let of_arm = joints.of_arm(arm);
+            let body = |joint: usize| ArmBody::Link(joints.within_arm(joint));
+            for l in of_arm.clone().filter(shaped) {
                 // The base carries the first link and so never touches it.
-                if l > 0 {
+                if l > of_arm.start {
                     for b in 0..n_boxes {
-                        pair(at(arm, l), Partner::Fixed(b));
+                        pair(l, Partner::Fixed(b));
                     }
                     for other in 0..robot.n_arms {
                         let own = other == arm;
-                        if !(own && by_angle(ArmBody::Mount, ArmBody::Link(l))) {
-                            pair(at(arm, l), Partner::Fixed(mount(other)));
+                        if !(own && by_angle(arm, ArmBody::Mount, body(l))) {
+                            pair(l, Partner::Fixed(mount(other)));
                         }
                         let shapes = !robot.arms[other].pedestal_shapes.is_empty();
-                        if shapes && !(own && by_angle(ArmBody::Pedestal, ArmBody::Link(l))) {
-                            pair(at(arm, l), Partner::Fixed(mount(other) + 1));
+                        if shapes && !(own && by_angle(arm, ArmBody::Pedestal, body(l))) {
+                            pair(l, Partner::Fixed(mount(other) + 1));
                         }
                     }
                 }
-                for m in (l + 2..JOINTS_PER_ARM).filter(|&m| shaped(m)) {
-                    if !by_angle(ArmBody::Link(l), ArmBody::Link(m)) {
-                        pair(at(arm, m), Partner::Link(at(arm, l)));
+                for m in (l + 2..of_arm.end).filter(shaped) {
+                    if !by_angle(arm, body(l), body(m)) {
+                        pair(m, Partner::Link(l));
                     }
                 }
                 for other in arm + 1..robot.n_arms {
-                    for m in (0..JOINTS_PER_ARM).filter(|&m| shaped(m)) {
-                        pair(at(arm, l), Partner::Link(at(other, m)));
+                    for m in joints.of_arm(other).filter(shaped) {
+                        pair(l, Partner::Link(m));
                     }
                 }
             }
         }
-        let levers =
-            std::array::from_fn(|j| std::array::from_fn(|l| S::splat(lever(robot, &balls, j, l))));
-        Self { links: links.collect(), fixed, pairs, levers }
+        Self { links, link_of: link_of.collect(), fixed, pairs }
+    }
+
+    /// The link behind a joint of the robot.
+    #[inline(always)]
+    pub(crate) fn link(&self, joint: usize) -> &MovingBody<S> {
+        &self.links[self.link_of[joint]]
     }
 }

@@ -1,9 +1,11 @@
 //! The constants of a robot in the scalar and the layout of the hot path.
 
+use std::ops::Range;
+
 use nalgebra::Matrix3;
 
 use super::collision::{CollisionModel, ContactKind};
-use crate::robot::{JOINTS_PER_ARM, RigidBody, Robot, is_rotation};
+use crate::robot::{Arm, Joints, RigidBody, Robot, is_rotation};
 use crate::scalar::Real;
 use crate::spatial::{Mat3, Vec3};
 
@@ -87,8 +89,8 @@ pub struct SignedPermutation<S> {
     pub sign: [S; 3],
 }
 
-/// Pose of an arm's frame 0 in the base frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// An arm: the pose of its frame 0 in the base frame, and what it shares with the others of its type.
+#[derive(Clone, Debug, PartialEq)]
 pub struct ArmModel<S> {
     /// Origin (m).
     pub position: Vec3<S>,
@@ -96,12 +98,20 @@ pub struct ArmModel<S> {
     pub rotation: Mat3<S>,
     /// The same rotation where it is one by right angles, as on every face of a cube.
     pub permutation: Option<SignedPermutation<S>>,
+    /// Its links, of those of all types.
+    pub links: Range<usize>,
+    /// Its contacts by joint angle, of those of all types.
+    pub angle_contacts: Range<usize>,
+    /// Origin of the hand in the last link frame (m).
+    pub tool_position: Vec3<S>,
+    /// Axes of the hand to axes of the last link.
+    pub tool_rotation: Mat3<S>,
 }
 
 /// A joint interval in which a pair touches (see [`AngleContact`](crate::robot::AngleContact)).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngleContactModel<S> {
-    /// The joint, 0…5.
+    /// The joint of its arm, from 0.
     pub joint: usize,
     /// Middle of the interval (rad).
     pub centre: S,
@@ -109,7 +119,7 @@ pub struct AngleContactModel<S> {
     pub half: S,
     /// The half is shorter by this times |sin 2q| (rad).
     pub narrowing: S,
-    /// The joint q of the narrowing, 0…5.
+    /// The joint q of the narrowing, from 0.
     pub narrowing_joint: usize,
     /// Whether the ends of the interval push back.
     pub push: bool,
@@ -123,18 +133,16 @@ pub struct AngleContactModel<S> {
 pub struct Model<S: Real> {
     /// Number of arms.
     pub n_arms: usize,
+    /// Which joints are whose.
+    pub joints: Joints,
     /// Inertia of the base with all that is welded to it, base frame.
     pub base: RigidInertia<S>,
-    /// The same six for every arm.
+    /// Of all types of arms, one type after the other; arms of one type share theirs.
     pub links: Vec<LinkModel<S>>,
     /// Where arms stand.
     pub arms: Vec<ArmModel<S>>,
-    /// Pairs that touch by a joint's angle, the same for every arm.
+    /// Pairs that touch by a joint's angle, of all types of arms.
     pub angle_contacts: Vec<AngleContactModel<S>>,
-    /// Origin of the hand in the last link frame (m).
-    pub tool_position: Vec3<S>,
-    /// Axes of the hand to axes of the last link.
-    pub tool_rotation: Mat3<S>,
     /// What can touch.
     pub collision: CollisionModel<S>,
 }
@@ -155,7 +163,7 @@ fn signed_permutation<S: Real>(m: &Matrix3<f64>) -> Option<SignedPermutation<S>>
 impl<S: Real> Model<S> {
     /// The constants of `robot`.
     pub fn new(robot: &Robot) -> Self {
-        let links = robot.links.iter().map(|link| {
+        let links = robot.types.iter().flat_map(|kind| &kind.links).map(|link| {
             let t = &link.twist;
             LinkModel {
                 sparsity: Sparsity {
@@ -178,15 +186,24 @@ impl<S: Real> Model<S> {
                 max_torque: S::splat(link.max_torque),
             }
         });
+        let before = |arm: &Arm| &robot.types[..arm.arm_type];
         let arms = robot.arms.iter().map(|arm| {
+            let kind = &robot.types[arm.arm_type];
+            let links: usize = before(arm).iter().map(|kind| kind.links.len()).sum();
+            let contacts: usize = before(arm).iter().map(|kind| kind.angle_contacts.len()).sum();
             assert!(is_rotation(&arm.rotation), "mount rotation {}", arm.rotation);
             ArmModel {
                 position: arm.position.map(S::splat).into(),
                 rotation: splat_matrix(&arm.rotation),
                 permutation: signed_permutation(&arm.rotation),
+                links: links..links + kind.links.len(),
+                angle_contacts: contacts..contacts + kind.angle_contacts.len(),
+                tool_position: kind.tool_position.map(S::splat).into(),
+                tool_rotation: splat_matrix(&kind.tool_rotation),
             }
         });
-        let angle_contacts = robot.angle_contacts.iter().map(|contact| AngleContactModel {
+        let angle_contacts = robot.types.iter().flat_map(|kind| &kind.angle_contacts);
+        let angle_contacts = angle_contacts.map(|contact| AngleContactModel {
             joint: contact.joint,
             centre: S::splat(contact.centre),
             half: S::splat(contact.half),
@@ -197,12 +214,11 @@ impl<S: Real> Model<S> {
         });
         Self {
             n_arms: robot.n_arms,
+            joints: robot.joints,
             base: RigidInertia::new(&robot.base),
             links: links.collect(),
             arms: arms.collect(),
             angle_contacts: angle_contacts.collect(),
-            tool_position: robot.tool_position.map(S::splat).into(),
-            tool_rotation: splat_matrix(&robot.tool_rotation),
             collision: CollisionModel::new(robot),
         }
     }
@@ -214,6 +230,18 @@ impl<S: Real> Model<S> {
 
     /// Number of joints, all arms.
     pub fn n_joints(&self) -> usize {
-        self.n_arms * JOINTS_PER_ARM
+        self.joints.n_joints()
+    }
+
+    /// The pairs of an arm that touch by a joint's angle.
+    #[inline(always)]
+    pub fn angle_contacts_of(&self, arm: usize) -> &[AngleContactModel<S>] {
+        &self.angle_contacts[self.arms[arm].angle_contacts.clone()]
+    }
+
+    /// The links of an arm.
+    #[inline(always)]
+    pub fn links_of(&self, arm: usize) -> &[LinkModel<S>] {
+        &self.links[self.arms[arm].links.clone()]
     }
 }

@@ -6,9 +6,8 @@ use super::candidates::{Candidate, Course};
 use super::question::{Commands, Search};
 use super::reaction::hold_base;
 use crate::collision::count_contacts;
-use crate::inverse_kinematics::{Angles, approach, base_pose};
+use crate::inverse_kinematics::{Angles, approach, base_pose, padded};
 use crate::model::Model;
-use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{LaneFn, Real};
 use crate::state::State;
 use crate::step::step;
@@ -153,7 +152,8 @@ impl<'a> Driver<'a> {
         for (arm, target) in search.question.targets() {
             targets[arm] = Some(target);
         }
-        let free = targets.iter().flat_map(|target| [target.is_none(); JOINTS_PER_ARM]).collect();
+        let joints = search.robot.joints;
+        let free = (0..joints.n_joints()).map(|j| targets[joints.arm_of(j)].is_none()).collect();
         let base = base_pose(&search.question.start);
         let limits = search.robot.max_rates().into_iter();
         let limits = limits.map(|rate| rate.min(search.question.fastest)).collect();
@@ -167,8 +167,8 @@ impl<'a> Driver<'a> {
         let mut rates = vec![0.0; now.q.len()];
         let Lane { courses, on_detour, .. } = of;
         for (arm, course) in courses.iter_mut().enumerate() {
-            let first = arm * JOINTS_PER_ARM;
-            let q: Angles = std::array::from_fn(|j| now.q[first + j]);
+            let joints = robot.joints.of_arm(arm);
+            let q = padded(&now.q[joints.clone()]);
             let wanted = match course {
                 Course::Still => continue,
                 Course::Posture(angles) => *angles,
@@ -187,9 +187,9 @@ impl<'a> Driver<'a> {
                     }
                 }
             };
-            let limits = &self.limits[first..first + JOINTS_PER_ARM];
+            let limits = &self.limits[joints.clone()];
             let towards = towards(&q, &wanted, limits, options.control_period);
-            rates[first..first + JOINTS_PER_ARM].copy_from_slice(&towards);
+            rates[joints.clone()].copy_from_slice(&towards[..joints.len()]);
         }
         if question.hold_base {
             hold_base(robot, now, &self.base, &self.free, &mut rates);

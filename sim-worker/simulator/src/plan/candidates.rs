@@ -5,8 +5,8 @@ use std::f64::consts::TAU;
 use proto::rng::{Address, Purpose};
 
 use super::question::Question;
-use crate::inverse_kinematics::{Angles, base_pose, candidates, forward, pose};
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::inverse_kinematics::{Angles, base_pose, candidates, forward, padded, pose};
+use crate::robot::{Joints, Robot};
 
 /// Longest wait of an arm (control steps).
 const LONGEST_WAIT: f64 = 12.0;
@@ -35,6 +35,7 @@ pub(super) type Candidate = Vec<Course>;
 /// All candidates of a question.
 pub(super) struct Candidates<'a> {
     question: &'a Question,
+    joints: Joints,
     /// Where the joints are, by arm.
     now: Vec<Angles>,
     /// Joint angles for the pose of each asked arm, the best first.
@@ -48,9 +49,9 @@ impl<'a> Candidates<'a> {
             question.hands.iter().enumerate().map(|(arm, goal)| {
                 Some(candidates(robot, arm, &(base.inverse() * pose((*goal)?))))
             });
-        let now = question.start.q.chunks_exact(JOINTS_PER_ARM);
-        let now = now.map(|q| std::array::from_fn(|j| q[j])).collect();
-        Self { question, now, ways: ways.collect() }
+        let of_arm = |arm: usize| padded(&question.start.q[robot.joints.of_arm(arm)]);
+        let now = (0..robot.n_arms).map(of_arm).collect();
+        Self { question, joints: robot.joints, now, ways: ways.collect() }
     }
 
     /// An asked arm for which inverse kinematics finds nothing.
@@ -112,11 +113,15 @@ impl<'a> Candidates<'a> {
             address.uniforms().map(f64::from)
         };
         let wide = 0.3 + 0.9 * (f64::from(index) / 256.0).min(1.0);
-        // Offsets of six joints, from two groups of numbers.
+        // Offsets of an arm's joints, from two groups of numbers.
         let around = |middle: &Angles, arm: usize, group: u32, width: f64| -> Angles {
             let [a, b] = [uniforms(arm, group), uniforms(arm, group + 1)];
-            let u = [a[0], a[1], a[2], a[3], b[0], b[1]];
-            std::array::from_fn(|j| middle[j] + width * (2.0 * u[j] - 1.0))
+            let mut around = *middle;
+            let n_joints = self.joints.of_arm(arm).len();
+            for (angle, u) in around[..n_joints].iter_mut().zip(a.into_iter().chain(b)) {
+                *angle += width * (2.0 * u - 1.0);
+            }
+            around
         };
         let each = self.ways.iter().zip(&self.now).enumerate().map(|(arm, (ways, now))| {
             let [which, kind, share, turn] = uniforms(arm, 0);
@@ -131,7 +136,8 @@ impl<'a> Candidates<'a> {
             let mut way = ways[((which * which) * ways.len() as f64) as usize];
             if turn < 0.2 {
                 // One joint goes the other way round, if that is not more than a turn from where it is.
-                let joint = (turn * 5.0 * JOINTS_PER_ARM as f64) as usize % JOINTS_PER_ARM;
+                let n_joints = self.joints.of_arm(arm).len();
+                let joint = (turn * 5.0 * n_joints as f64) as usize % n_joints;
                 way[joint] -= TAU.copysign(way[joint] - now[joint]);
             }
             let middle = std::array::from_fn(|j| now[j] + share * (way[j] - now[j]));

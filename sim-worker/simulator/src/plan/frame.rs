@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 
-use crate::inverse_kinematics::{base_pose, forward, pose};
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::inverse_kinematics::{base_pose, forward, padded, pose};
+use crate::robot::Robot;
 use crate::spatial::euler_xyz;
 use crate::state::State;
 
@@ -61,8 +61,7 @@ pub fn hand_pose(robot: &Robot, state: &State<f64>, arm: usize) -> [f64; 6] {
 }
 
 pub(super) fn hand(robot: &Robot, state: &State<f64>, arm: usize) -> Isometry3<f64> {
-    let first = arm * JOINTS_PER_ARM;
-    let q = std::array::from_fn(|j| state.q[first + j]);
+    let q = padded(&state.q[robot.joints.of_arm(arm)]);
     base_pose(state) * forward(robot, arm, &q).0
 }
 

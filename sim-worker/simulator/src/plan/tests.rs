@@ -21,7 +21,7 @@ fn question(robot: &Robot, arm: usize, goal: [f64; 6]) -> Question {
 
 /// Pose of a hand with its arm's joints moved from home.
 fn moved(robot: &Robot, arm: usize, by: [f64; 6]) -> [f64; 6] {
-    let mut q = robot.arms[arm].home;
+    let mut q = crate::inverse_kinematics::padded(&robot.arms[arm].home);
     for (angle, by) in q.iter_mut().zip(by) {
         *angle += by;
     }

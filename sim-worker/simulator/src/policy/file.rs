@@ -153,6 +153,7 @@ fn is_rounded(name: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use proto::agents::Joints;
     use proto::config::{Layers, Preset};
 
     use super::*;
@@ -164,7 +165,7 @@ mod tests {
         let mut config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
         config.network.hidden = vec![16, 24];
         config.network.inference = inference;
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         let mut flat = parameters(&config, &dimensions, 3);
         for spec in &ActorLayout::new(&config, &dimensions).tensors {
             if spec.name != "hidden.0.bias" {

@@ -1,7 +1,7 @@
 //! Parameters of an untrained policy.
 
 use proto::config::{Config, ParameterSharing};
-use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions};
 use proto::rng::{Address, Purpose};
 
 /// Actors like those that a training begins with: weights of the learner's scale, normal instead of
@@ -18,7 +18,7 @@ pub fn initial_parameters(config: &Config, dimensions: &Dimensions, seed: u64) -
                 fill(part, (seed, index), config.network.head_gain / fan_in.sqrt());
             }
             ("log_std", _) => {
-                for (agent, joints) in part.chunks_exact_mut(JOINTS_PER_AGENT).enumerate() {
+                for (agent, joints) in part.chunks_exact_mut(dimensions.n_actions).enumerate() {
                     joints.fill(config.network.initial_log_std_of(agent) as f32);
                 }
             }
@@ -51,6 +51,7 @@ fn fill(part: &mut [f32], (seed, tensor): (u64, usize), deviation: f64) {
 
 #[cfg(test)]
 mod tests {
+    use proto::agents::Joints;
     use proto::config::{Layers, Preset};
 
     use super::*;
@@ -58,7 +59,7 @@ mod tests {
     #[test]
     fn actors_are_of_the_scale_that_training_begins_with() {
         let config = Layers::new(Preset::Paper, None).resolve().expect("valid");
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         let parameters = initial_parameters(&config, &dimensions, 1);
         let layout = ActorLayout::new(&config, &dimensions);
         let square = |name: &str| {
@@ -75,7 +76,7 @@ mod tests {
     #[test]
     fn actors_that_share_a_network_begin_as_one() {
         let config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         let parameters = initial_parameters(&config, &dimensions, 1);
         let policy = crate::policy::Policy::new(&config, &dimensions, &parameters);
         let policy = policy.expect("of this configuration");

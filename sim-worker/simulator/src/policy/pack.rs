@@ -1,7 +1,8 @@
 //! A policy version, checked and packed for inference.
 
+use proto::agents::MAX_JOINTS_PER_AGENT;
 use proto::config::{Activation, Config, Inference, InputNorm};
-use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{ActorLayout, Dimensions};
 
 use super::dense::Dense;
 use crate::scalar::{WeightPair, elementary};
@@ -102,8 +103,8 @@ pub struct Policy {
     /// Which network each actor has.
     pub(super) network_of: Vec<usize>,
     /// One entry an agent; none if actors are deterministic.
-    log_std: Vec<[f32; JOINTS_PER_AGENT]>,
-    std: Vec<[f32; JOINTS_PER_AGENT]>,
+    log_std: Vec<[f32; MAX_JOINTS_PER_AGENT]>,
+    std: Vec<[f32; MAX_JOINTS_PER_AGENT]>,
 }
 
 impl Policy {
@@ -190,7 +191,12 @@ impl Policy {
             .collect();
         // Actors one after the other are their agents one after the other.
         let log_std = layout.get(LOG_STD).map_or(&[][..], |tensor| &parameters[tensor.range()]);
-        let log_std = log_std.as_chunks().0.to_vec();
+        let of_agents = log_std.chunks_exact(dimensions.n_actions);
+        let log_std: Vec<[f32; MAX_JOINTS_PER_AGENT]> = of_agents
+            .map(|of_agent| {
+                std::array::from_fn(|action| of_agent.get(action).copied().unwrap_or_default())
+            })
+            .collect();
         Ok(Self {
             input: dimensions.actor_input(),
             output: dimensions.actor_output(),
@@ -231,19 +237,19 @@ impl Policy {
         self.output
     }
 
-    /// Standard deviation of each action of `agent`.
+    /// Standard deviation of each action of `agent`; what is behind its actions means nothing.
     ///
     /// # Panics
     /// If actors are deterministic.
-    pub fn std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
+    pub fn std(&self, agent: usize) -> [f32; MAX_JOINTS_PER_AGENT] {
         self.std[agent]
     }
 
-    /// Logarithm of the standard deviation of each action of `agent`.
+    /// Logarithm of the standard deviation of each action of `agent`; what is behind its actions means nothing.
     ///
     /// # Panics
     /// If actors are deterministic.
-    pub fn log_std(&self, agent: usize) -> [f32; JOINTS_PER_AGENT] {
+    pub fn log_std(&self, agent: usize) -> [f32; MAX_JOINTS_PER_AGENT] {
         self.log_std[agent]
     }
 

@@ -1,7 +1,8 @@
+use crate::robot::Joints;
 use proto::config::{
     Activation, AlgorithmName, Config, CriticState, Inference, InputNorm, Layers, Preset,
 };
-use proto::layout::{ActorLayout, Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{ActorLayout, Dimensions};
 use proto::rng::{Address, Purpose};
 
 use super::*;
@@ -176,7 +177,7 @@ pub(crate) fn plain_mean(
 #[test]
 fn inference_agrees_with_plain_f64_loops() {
     for config in configurations() {
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         let flat = parameters(&config, &dimensions, 3);
         let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
         let o = dimensions.actor_input();
@@ -211,7 +212,7 @@ fn inference_agrees_with_plain_f64_loops() {
 #[test]
 fn an_environments_mean_does_not_depend_on_its_company() {
     for config in configurations() {
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         let flat = parameters(&config, &dimensions, 3);
         let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
         let o = dimensions.actor_input();
@@ -231,7 +232,7 @@ fn an_environments_mean_does_not_depend_on_its_company() {
 #[test]
 fn every_back_end_gives_the_same_means() {
     for config in configurations() {
-        let dimensions = Dimensions::new(&config, 4);
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         let flat = parameters(&config, &dimensions, 3);
         let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
         let observations = normals(79, 37 * dimensions.actor_input());
@@ -251,13 +252,13 @@ fn every_back_end_gives_the_same_means() {
 #[test]
 fn wrong_parameters_are_named() {
     let config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
-    let dimensions = Dimensions::new(&config, 4);
+    let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
     let mut flat = parameters(&config, &dimensions, 3);
     let error = Policy::new(&config, &dimensions, &flat[1..]).expect_err("too short");
     assert_eq!(error, PolicyError::Length { found: flat.len() - 1, expected: flat.len() });
     let layout = ActorLayout::new(&config, &dimensions);
     let bias = layout.get("head.bias").expect("exists");
-    flat[bias.offset + 6 * JOINTS_PER_AGENT + 1] = f32::INFINITY;
+    flat[bias.offset + 6 * 3 + 1] = f32::INFINITY;
     let message = Policy::new(&config, &dimensions, &flat).expect_err("infinite").to_string();
     assert!(message.contains("`head.bias` of actor 6 holds inf"), "{message}");
 }
@@ -265,7 +266,7 @@ fn wrong_parameters_are_named() {
 #[test]
 fn actors_of_the_same_network_are_found() {
     let config = configurations().remove(0);
-    let dimensions = Dimensions::new(&config, 4);
+    let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
     let mut flat = parameters(&config, &dimensions, 3);
     let sharing = |flat: &[f32]| {
         Policy::new(&config, &dimensions, flat).expect("a policy").sharing().to_vec()

@@ -2,7 +2,7 @@
 
 use super::chain::{Angles, Chain, Frame, seen_from};
 use super::search::{Question, STARTS, STOPPED, UNSOLVED};
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::{Joints, MAX_JOINTS_PER_ARM};
 use crate::scalar::{Mask, Real};
 use crate::spatial::{Vec3, euler_xyz_to_rotation, quaternion_to_rotation};
 
@@ -14,8 +14,8 @@ const SAME: [f64; 2] = [0.05, 0.1];
 /// The goal posture of one arm.
 #[derive(Debug, Clone)]
 pub(crate) struct Posture<S> {
-    /// What is left to go, a joint each (rad).
-    pub(crate) left: Angles<S>,
+    /// What is left to go, a joint each (rad); zero behind the arm's last.
+    left: Angles<S>,
     /// One where the posture brings the hand to its goal and no joint is stopped there, else zero.
     pub(crate) good: S,
     /// One where no joint is stopped there, else zero.
@@ -44,6 +44,7 @@ pub(super) struct Place<'a, S> {
     pub(super) position: Vec3<S>,
     pub(super) quaternion: [S; 4],
     pub(super) q: &'a [S],
+    pub(super) joints: Joints,
 }
 
 impl<S: Real> Place<'_, S> {
@@ -58,13 +59,19 @@ impl<S: Real> Place<'_, S> {
     /// The joint angles of an arm.
     #[inline(always)]
     pub(super) fn stands(&self, arm: usize) -> Angles<S> {
-        let mut stands = [S::zero(); JOINTS_PER_ARM];
-        stands.copy_from_slice(&self.q[arm * JOINTS_PER_ARM..][..JOINTS_PER_ARM]);
+        let mut stands = [S::zero(); MAX_JOINTS_PER_ARM];
+        let q = &self.q[self.joints.of_arm(arm)];
+        stands[..q.len()].copy_from_slice(q);
         stands
     }
 }
 
 impl<S: Real> Posture<S> {
+    /// What is left to go, a joint each (rad).
+    pub(crate) fn left(&self) -> &[S] {
+        &self.left[..self.chain.n_joints()]
+    }
+
     /// Forgets its goal.
     pub(super) fn forget(&mut self) {
         self.goal = [S::splat(f64::NAN); 6];
@@ -73,7 +80,7 @@ impl<S: Real> Posture<S> {
     pub(super) fn new(chain: Chain<S>) -> Self {
         let angles = chain.home;
         let (zero, goal) = (S::zero(), [S::splat(f64::NAN); 6]);
-        let left = [zero; JOINTS_PER_ARM];
+        let left = [zero; MAX_JOINTS_PER_ARM];
         Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
     }
 
@@ -131,7 +138,7 @@ impl<S: Real> Posture<S> {
         let is_good = S::select(cost.lt(S::splat(STOPPED)), S::one(), S::zero());
         *good = S::select(rests, *good, is_good);
         *free = S::select(chain.is_stopped(angles), S::zero(), S::one());
-        for joint in 0..JOINTS_PER_ARM {
+        for joint in 0..self.chain.n_joints() {
             self.left[joint] = self.chain.way(joint, stands[joint], self.angles[joint]);
         }
     }

@@ -4,12 +4,12 @@
 
 use std::f64::consts::{PI, TAU};
 
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::{MAX_JOINTS_PER_ARM, Robot};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Mat3, Vec3, add, cross, dot, mat_mat, mat_vec, rotation_difference, sub};
 
-/// Joint angles of an arm (rad).
-pub(super) type Angles<S> = [S; JOINTS_PER_ARM];
+/// Joint angles of an arm (rad); zero behind its last joint.
+pub(super) type Angles<S> = [S; MAX_JOINTS_PER_ARM];
 
 /// Where a hand is or shall be, axes of the base.
 #[derive(Debug, Clone, Copy)]
@@ -39,7 +39,7 @@ pub(super) struct Chain<S> {
     tool: Frame<S>,
     pub(super) home: Angles<S>,
     /// Of joints that stop because two bodies touch: where, and half of the interval in which they do (rad).
-    stops: [Option<[S; 2]>; JOINTS_PER_ARM],
+    stops: [Option<[S; 2]>; MAX_JOINTS_PER_ARM],
 }
 
 impl<S: Real> Chain<S> {
@@ -47,10 +47,14 @@ impl<S: Real> Chain<S> {
         let vector = |v: nalgebra::Vector3<f64>| [0, 1, 2].map(|i| S::splat(v[i]));
         let matrix =
             |m: nalgebra::Matrix3<f64>| [0, 1, 2].map(|i| [0, 1, 2].map(|j| S::splat(m[(i, j)])));
-        let mount = &robot.arms[arm];
-        let mut stops = [None; JOINTS_PER_ARM];
-        for stop in robot.angle_contacts.iter().filter(|stop| stop.push) {
+        let (mount, kind) = (&robot.arms[arm], robot.type_of(arm));
+        let mut stops = [None; MAX_JOINTS_PER_ARM];
+        for stop in kind.angle_contacts.iter().filter(|stop| stop.push) {
             stops[stop.joint] = Some([stop.centre, stop.half].map(S::splat));
+        }
+        let mut home = [S::zero(); MAX_JOINTS_PER_ARM];
+        for (home, &angle) in home.iter_mut().zip(&mount.home) {
+            *home = S::splat(angle);
         }
         let step = |link: &crate::robot::Link| Step {
             shift: vector(link.shift),
@@ -58,22 +62,28 @@ impl<S: Real> Chain<S> {
         };
         Self {
             mount: Frame { rotation: matrix(mount.rotation), position: vector(mount.position) },
-            steps: robot.links.iter().map(step).collect(),
+            steps: kind.links.iter().map(step).collect(),
             tool: Frame {
-                rotation: matrix(robot.tool_rotation),
-                position: vector(robot.tool_position),
+                rotation: matrix(kind.tool_rotation),
+                position: vector(kind.tool_position),
             },
-            home: mount.home.map(S::splat),
+            home,
             stops,
         }
+    }
+
+    /// Number of its joints.
+    #[inline(always)]
+    pub(super) fn n_joints(&self) -> usize {
+        self.steps.len()
     }
 
     /// Where the hand is, and how its pose changes with the joint angles: for each joint linear (m/rad) and angular
     /// (rad/rad).
     #[inline(always)]
-    fn forward(&self, q: &Angles<S>) -> (Frame<S>, [[S; 6]; JOINTS_PER_ARM]) {
+    fn forward(&self, q: &Angles<S>) -> (Frame<S>, [[S; 6]; MAX_JOINTS_PER_ARM]) {
         let Frame { rotation: mut r, position: mut o } = self.mount;
-        let mut joints = [([S::zero(); 3], [S::zero(); 3]); JOINTS_PER_ARM];
+        let mut joints = [([S::zero(); 3], [S::zero(); 3]); MAX_JOINTS_PER_ARM];
         let mut hand = self.mount;
         for (j, step) in self.steps.iter().enumerate() {
             let (sin, cos) = q[j].sin_cos();
@@ -83,7 +93,7 @@ impl<S: Real> Chain<S> {
                 row[1] = sin.neg_mul_add(x, cos * y);
             }
             joints[j] = ([r[0][2], r[1][2], r[2][2]], o);
-            if j + 1 == JOINTS_PER_ARM {
+            if j + 1 == self.n_joints() {
                 hand = Frame {
                     rotation: mat_mat(&r, &self.tool.rotation),
                     position: add(o, mat_vec(&r, self.tool.position)),
@@ -93,10 +103,10 @@ impl<S: Real> Chain<S> {
                 r = mat_mat(&r, &step.twist);
             }
         }
-        let mut jacobian = [[S::zero(); 6]; JOINTS_PER_ARM];
-        for (column, (axis, origin)) in jacobian.iter_mut().zip(joints) {
-            column[..3].copy_from_slice(&cross(axis, sub(hand.position, origin)));
-            column[3..].copy_from_slice(&axis);
+        let mut jacobian = [[S::zero(); 6]; MAX_JOINTS_PER_ARM];
+        for (column, (axis, origin)) in jacobian.iter_mut().zip(&joints[..self.n_joints()]) {
+            column[..3].copy_from_slice(&cross(*axis, sub(hand.position, *origin)));
+            column[3..].copy_from_slice(axis);
         }
         (hand, jacobian)
     }
@@ -116,7 +126,7 @@ impl<S: Real> Chain<S> {
         let [l, a] = [linear, angular];
         let error = [l[0], l[1], l[2], a[0], a[1], a[2]];
         let damping = square.mul_add(S::splat(DAMPING[0]), S::splat(DAMPING[1]));
-        let mut step = least_squares(&jacobian, damping, error);
+        let mut step = least_squares(&jacobian[..self.n_joints()], damping, error);
         let mut longest = S::splat(1e-9);
         for x in step {
             longest = longest.max(x.abs());
@@ -178,11 +188,7 @@ fn nearest_turn<S: Real>(angle: S) -> S {
 
 /// Jᵀ (J Jᵀ + λ)⁻¹ e, by L D Lᵀ [Golub and Van Loan, section 4.1.2].
 #[inline(always)]
-fn least_squares<S: Real>(
-    jacobian: &[[S; 6]; JOINTS_PER_ARM],
-    damping: S,
-    error: [S; 6],
-) -> Angles<S> {
+fn least_squares<S: Real>(jacobian: &[[S; 6]], damping: S, error: [S; 6]) -> Angles<S> {
     let mut l = [[S::zero(); 6]; 6];
     let mut d = [S::zero(); 6];
     let mut y = error;
@@ -212,7 +218,7 @@ fn least_squares<S: Real>(
             y[i] = l[k][i].neg_mul_add(y[k], y[i]);
         }
     }
-    let mut step = [S::zero(); JOINTS_PER_ARM];
+    let mut step = [S::zero(); MAX_JOINTS_PER_ARM];
     for (sum, column) in step.iter_mut().zip(jacobian) {
         for (x, y) in column.iter().zip(y) {
             *sum = x.mul_add(y, *sum);

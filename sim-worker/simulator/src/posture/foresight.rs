@@ -10,7 +10,7 @@ use super::search::{Question, STARTS, STOPPED};
 use crate::collision::count_contacts;
 use crate::dynamics::invariants::{BaseMotion, invariants};
 use crate::model::Model;
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::Robot;
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{
     Vec3, mat_vec, mul_add, quaternion_exp, quaternion_normalised, quaternion_product,
@@ -128,11 +128,11 @@ fn play<S: Real>(
     let mut touched = S::zero();
     let moving = S::Mask::splat(false);
     for step in 0..=STEPS {
-        let now =
-            Place { position: state.base_position, quaternion: state.base_quaternion, q: &state.q };
+        let (position, quaternion) = (state.base_position, state.base_quaternion);
+        let now = Place { position, quaternion, q: &state.q, joints: place.joints };
         for (index, arm) in arms.iter_mut().enumerate() {
             arm.follow(&goals[index], (&now, moving), index);
-            let joints = index * JOINTS_PER_ARM..(index + 1) * JOINTS_PER_ARM;
+            let joints = place.joints.of_arm(index);
             let factor = pace.gain / pace.period;
             arm.rates(factor, &pace.limits[joints.clone()], &mut state.qd[joints]);
         }

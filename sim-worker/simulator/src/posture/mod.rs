@@ -16,7 +16,7 @@ pub(crate) use self::arm::{Pace, Posture};
 use self::arm::{Place, equal};
 use self::chain::Chain;
 use self::foresight::Foresight;
-use crate::robot::{JOINTS_PER_ARM, MAX_ARMS, Robot};
+use crate::robot::{MAX_ARMS, Robot};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::Vec3;
 
@@ -65,9 +65,9 @@ impl<S: Real> Postures<S> {
     #[inline(always)]
     pub(crate) fn guide(&self, gain: f64, scale: f64, limits: &[S], out: &mut [S]) {
         let factor = gain / (self.pace.period * scale);
-        let arms = self.arms.iter().zip(limits.chunks_exact(JOINTS_PER_ARM));
-        for ((arm, limits), out) in arms.zip(out.chunks_exact_mut(JOINTS_PER_ARM)) {
-            arm.rates(factor, limits, out);
+        for (index, arm) in self.arms.iter().enumerate() {
+            let joints = self.robot.joints.of_arm(index);
+            arm.rates(factor, &limits[joints.clone()], &mut out[joints]);
         }
     }
 }
@@ -89,7 +89,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         let now = [x, y, z, q0, q1, q2, q3];
         let rests = equal(&now, &postures.base);
         postures.base = now;
-        let place = Place { position, quaternion, q };
+        let place = Place { position, quaternion, q, joints: postures.robot.joints };
         let mut open = [S::Mask::splat(false); MAX_ARMS];
         let mut still = open;
         let mut any = false;

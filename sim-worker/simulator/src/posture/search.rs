@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::chain::{Angles, Chain, Frame};
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::MAX_JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Mask, Real};
 
 /// Starts of a whole search beside where the arm stands and home.
@@ -20,9 +20,12 @@ const SOLVED: f64 = 1e-3;
 pub(super) const STOPPED: f64 = 20.0;
 /// and those that do not bring the hand to its goal.
 pub(super) const UNSOLVED: f64 = 40.0;
-/// Powers of 1/φ with φ⁷ = φ + 1.
-const RECURRENCE: [f64; JOINTS_PER_ARM] =
+/// Powers of 1/φ with φ⁷ = φ + 1, for arms of up to six joints;
+const RECURRENCE_OF_SIX: [f64; 6] =
     [0.898_653_7, 0.807_578_5, 0.725_733_4, 0.652_183_0, 0.586_086_7, 0.526_689_0];
+/// with φ⁸ = φ + 1, for those of seven.
+const RECURRENCE_OF_SEVEN: [f64; MAX_JOINTS_PER_ARM] =
+    [0.911_592_4, 0.831_000_6, 0.757_533_8, 0.690_562_0, 0.629_511_1, 0.573_857_5, 0.523_124_1];
 
 /// An arm, where its hand shall go, and where its joints stand.
 pub(super) struct Question<'a, S> {
@@ -38,7 +41,7 @@ impl<S: Real> Question<'_, S> {
         let Self { chain, target, stands } = self;
         let miss = chain.approach(target, q).1;
         let mut farthest = S::zero();
-        for joint in 0..JOINTS_PER_ARM {
+        for joint in 0..chain.n_joints() {
             farthest = farthest.max(chain.way(joint, stands[joint], q[joint]).abs());
         }
         let unsolved = S::splat(UNSOLVED) + miss;
@@ -54,7 +57,7 @@ impl<S: Real> Question<'_, S> {
     /// What start number `index` leads to.
     #[inline(always)]
     pub(super) fn later(&self, index: S) -> Angles<S> {
-        let mut q = start(&self.chain.home, index);
+        let mut q = start(self.chain, index);
         for _ in 0..LATER_STEPS {
             q = self.chain.approach(self.target, &q).0;
         }
@@ -76,7 +79,7 @@ impl<S: Real> Kernel<S> for Search<'_, S> {
             let mut q = match index {
                 0 => *stands,
                 1 => chain.home,
-                _ => start(&chain.home, S::splat((index - 1) as f64)),
+                _ => start(chain, S::splat((index - 1) as f64)),
             };
             for _ in 0..STEPS {
                 let (next, left) = chain.approach(target, &q);
@@ -103,9 +106,14 @@ impl<S: Real> Kernel<S> for Search<'_, S> {
 /// Where a search begins: a point of the additive recurrence of Roberts (2018, "The unreasonable effectiveness of quasirandom sequences"), which
 /// fills the half turns around home evenly.
 #[inline(always)]
-fn start<S: Real>(home: &Angles<S>, index: S) -> Angles<S> {
-    let mut q = *home;
-    for (q, share) in q.iter_mut().zip(RECURRENCE) {
+fn start<S: Real>(chain: &Chain<S>, index: S) -> Angles<S> {
+    let mut q = chain.home;
+    let shares = if chain.n_joints() > RECURRENCE_OF_SIX.len() {
+        &RECURRENCE_OF_SEVEN[..]
+    } else {
+        &RECURRENCE_OF_SIX[..chain.n_joints()]
+    };
+    for (q, &share) in q.iter_mut().zip(shares) {
         let x = index * S::splat(share);
         let uniform = x - x.floor();
         *q += (uniform - S::splat(0.5)) * S::splat(TAU);

@@ -43,7 +43,7 @@ fn world(robot: &Robot) -> World {
 
 /// No postures yet, of the paces of preset `tuned`.
 fn none_yet<S: Real>(robot: &Robot) -> Postures<S> {
-    let limit = |joint: usize| S::splat(0.8 * robot.links[joint % JOINTS_PER_ARM].max_rate);
+    let limit = |joint: usize| S::splat(0.8 * robot.link(joint).max_rate);
     let limits = (0..robot.n_joints()).map(limit).collect();
     Postures::new(robot, Pace { gain: 0.7, period: 0.4, limits })
 }
@@ -53,7 +53,7 @@ fn look<S: Real>(postures: &mut Postures<S>, seen: &Readings<S>, goals: &Goals<S
 }
 
 fn left<S: Real>(postures: &Postures<S>) -> Vec<S> {
-    postures.arms.iter().flat_map(|arm| arm.left).collect()
+    postures.arms.iter().flat_map(|arm| arm.left().to_vec()).collect()
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn the_posture_is_the_nearest_of_the_twins() {
         for i in 0..3 {
             target.translation.vector[i] -= home.base_position[i];
         }
-        let turn = |way: &[f64; 6]| {
+        let turn = |way: &inverse_kinematics::Angles| {
             let turns = way.iter().zip(&home.q[6..12]).map(|(way, home)| (way - home).abs());
             turns.fold(0.0, f64::max)
         };
@@ -78,14 +78,50 @@ fn the_posture_is_the_nearest_of_the_twins() {
         });
         let nearest = exact.min_by(|a, b| turn(a).total_cmp(&turn(b))).expect("off home by `off`");
         for j in 0..6 {
-            let way = postures.arms[1].left[j];
+            let way = postures.arms[1].left()[j];
             assert!((way - (nearest[j] - home.q[6 + j])).abs() < 1e-5, "joint {j}: {way}");
         }
         // Arms that are at their goals stay; at home they have a wrist that turns without moving the hand.
         for arm in [0, 2, 3] {
-            let left = postures.arms[arm].left;
+            let left = postures.arms[arm].left();
             assert!(left.iter().all(|left| left.abs() < 0.1), "arm {arm}: {left:?}");
         }
+    }
+}
+
+/// An arm of seven joints has more ways to a pose than can be counted: some posture is found, and brings the hand there.
+#[test]
+fn a_posture_of_seven_joints_brings_the_hand_to_its_goal() {
+    let text = include_str!("../../robots/seven-joints.toml");
+    let robot = Robot::from_toml(text, std::path::Path::new("seven-joints.toml")).expect("valid");
+    let home = State::<f64>::home(&robot);
+    let arm = 2;
+    let mut there = home.clone();
+    let offsets = [0.4, -0.3, 0.5, 0.6, -0.4, 0.3, 0.7];
+    for (q, off) in there.q[robot.joints.of_arm(arm)].iter_mut().zip(offsets) {
+        *q += off;
+    }
+    let [at_home, wanted] = [&home, &there].map(|state| {
+        let hands = readings(&robot, state).hands;
+        let pose = |hand: &crate::task::HandReading<f64>| {
+            let ([x, y, z], [a, b, c]) = (hand.position, hand.euler);
+            [x, y, z, a, b, c]
+        };
+        hands.iter().map(pose).collect::<Vec<_>>()
+    });
+    let mut goals = Goals::fixed(at_home, [0.0; 3]);
+    goals.hands[arm] = wanted[arm];
+    let mut postures = none_yet(&robot);
+    look(&mut postures, &readings(&robot, &home), &goals);
+    let mut arrived = home.clone();
+    assert_eq!(left(&postures).len(), robot.n_joints());
+    for (q, left) in arrived.q.iter_mut().zip(left(&postures)) {
+        *q += left;
+    }
+    let hand = readings(&robot, &arrived).hands[arm];
+    for i in 0..3 {
+        assert!((hand.position[i] - wanted[arm][i]).abs() < 1e-5, "{hand:?}");
+        assert!((hand.euler[i] - wanted[arm][3 + i]).abs() < 1e-5, "{hand:?}");
     }
 }
 

@@ -2,39 +2,31 @@
 
 use std::path::Path;
 
-use nalgebra::{Matrix3, Vector3};
-
 use super::wording;
-use super::{
-    AngleContact, Arm, BaseBox, JOINTS_PER_ARM, Link, RigidBody, RobotDescription, RobotError,
-};
+use super::{Arm, ArmType, BaseBox, Joints, Link, RigidBody, RobotDescription, RobotError};
 
 const BUILTIN: [(&str, &str); 2] = [
     ("paper", include_str!("../../robots/paper.toml")),
     ("release", include_str!("../../robots/release.toml")),
 ];
 
-/// A validated robot: a free-floating base with identical arms. Immutable.
+/// A validated robot: a free-floating base with arms of one or several types. Immutable.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Robot {
     /// Name.
     pub name: String,
     /// Number of arms, 1…[`MAX_ARMS`](super::MAX_ARMS).
     pub n_arms: usize,
+    /// Which joints are whose.
+    pub joints: Joints,
     /// Base with mounts and pedestals welded on, in the base frame.
     pub base: RigidBody,
     /// Boxes of the base, without the mounts.
     pub boxes: Vec<BaseBox>,
-    /// The links of every arm.
-    pub links: Vec<Link>,
-    /// The hand's origin in the last link's frame (m).
-    pub tool_position: Vector3<f64>,
-    /// The hand's rotation to the last link's frame.
-    pub tool_rotation: Matrix3<f64>,
+    /// The types of its arms.
+    pub types: Vec<ArmType>,
     /// The arms.
     pub arms: Vec<Arm>,
-    /// Pairs that touch by joint angle, in every arm.
-    pub angle_contacts: Vec<AngleContact>,
     /// Origin of the base frame in the world at home (m).
     pub home_position: [f64; 3],
     pub(super) description: RobotDescription,
@@ -73,36 +65,53 @@ impl Robot {
 
     /// Number of joints, all arms.
     pub fn n_joints(&self) -> usize {
-        self.n_arms * JOINTS_PER_ARM
+        self.joints.n_joints()
+    }
+
+    /// The type of an arm.
+    pub fn type_of(&self, arm: usize) -> &ArmType {
+        &self.types[self.arms[arm].arm_type]
+    }
+
+    /// The link behind a joint, joints counted over all arms.
+    pub fn link(&self, joint: usize) -> &Link {
+        &self.type_of(self.joints.arm_of(joint)).links[self.joints.within_arm(joint)]
     }
 
     /// Joint angles at home (rad), arm-major.
     pub fn home_q(&self) -> Vec<f64> {
-        self.arms.iter().flat_map(|a| a.home).collect()
+        self.arms.iter().flat_map(|arm| arm.home.iter().copied()).collect()
     }
 
     /// Largest commanded rate of each joint (rad/s), arm-major.
     pub fn max_rates(&self) -> Vec<f64> {
-        (0..self.n_joints()).map(|j| self.links[j % JOINTS_PER_ARM].max_rate).collect()
+        (0..self.n_joints()).map(|joint| self.link(joint).max_rate).collect()
     }
 
     /// Torque of a joint's drive (N m) for a commanded rate at the rate `qd` (rad/s): clamp(k (clamp(c, ±c_max) − q̇), ±τ_max).
     pub fn torque(&self, joint: usize, command: f64, qd: f64) -> f64 {
-        let link = &self.links[joint % JOINTS_PER_ARM];
+        let link = self.link(joint);
         let rate = command.clamp(-link.max_rate, link.max_rate);
         (link.gain * (rate - qd)).clamp(-link.max_torque, link.max_torque)
     }
 
-    /// Length of a stretched arm from its mount to the hand, at most (m).
+    /// Length of the longest arm stretched, from its mount to the hand, at most (m).
     pub fn reach(&self) -> f64 {
-        // The last link's own shift is in the tool's place.
-        let links = &self.links[..JOINTS_PER_ARM - 1];
-        links.iter().map(|link| link.shift.norm()).sum::<f64>() + self.tool_position.norm()
+        self.types.iter().map(ArmType::reach).fold(0.0, f64::max)
     }
 
     /// Mass of everything (kg).
     pub fn total_mass(&self) -> f64 {
-        self.base.mass + self.n_arms as f64 * self.links.iter().map(|l| l.body.mass).sum::<f64>()
+        self.base.mass + self.mass_of_arms()
+    }
+
+    /// Mass of what moves against the base (kg).
+    pub fn mass_of_arms(&self) -> f64 {
+        let of_type = |index: usize| {
+            let arms = self.arms.iter().filter(|arm| arm.arm_type == index).count();
+            arms as f64 * self.types[index].mass()
+        };
+        (0..self.types.len()).map(of_type).sum()
     }
 
     /// The same robot with another mass of the base's first box; its inertia scales along.
@@ -115,7 +124,8 @@ impl Robot {
     /// The same robot with moving links of `factor` times their mass and inertia; the drives' inertias stay.
     pub fn with_arm_mass(&self, factor: f64) -> Result<Self, RobotError> {
         let mut description = self.description.clone();
-        for link in &mut description.links {
+        let others = description.arm_types.values_mut().flat_map(|other| &mut other.links);
+        for link in description.links.iter_mut().chain(others) {
             link.mass *= factor;
             link.inertia = link.inertia.map(|element| factor * element);
         }

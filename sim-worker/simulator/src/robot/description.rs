@@ -1,5 +1,7 @@
 //! The robot description as it stands in a TOML file: data, not code.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 /// A robot as described in a file; [`Robot`](super::Robot) is its validated form.
@@ -15,19 +17,39 @@ pub struct RobotDescription {
     pub home_position: [f64; 3],
     /// Boxes that make up the base. The first is the one whose mass `with_base_mass` changes.
     pub base: Vec<BoxDescription>,
-    /// The box between the base and each arm; its pose is in the mount frame.
+    /// The box between the base and each arm; its pose is in the mount frame. What follows is of all arms that name no type.
     pub mount: MountDescription,
     /// The fixed first link of each arm.
     pub pedestal: PedestalDescription,
-    /// The six moving links of each arm, in the order of the chain.
+    /// The moving links of each arm, 2 to 7, in the order of the chain.
     pub links: Vec<LinkDescription>,
     /// The hand.
     pub tool: ToolDescription,
     /// Pairs of one arm that touch by joint angle; the key in files is `stops`.
     #[serde(default, rename = "stops")]
     pub angle_contacts: Vec<AngleContactDescription>,
+    /// Arms of other types, by the name that `type` of an arm gives.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub arm_types: BTreeMap<String, ArmTypeDescription>,
     /// The arms: where they stand and how they are folded at home.
     pub arms: Vec<ArmDescription>,
+}
+
+/// What arms of another type are made of; keys as at the top of the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArmTypeDescription {
+    /// The box between the base and each arm.
+    pub mount: MountDescription,
+    /// The fixed first link of each arm.
+    pub pedestal: PedestalDescription,
+    /// The moving links of each arm, 2 to 7, in the order of the chain.
+    pub links: Vec<LinkDescription>,
+    /// The hand.
+    pub tool: ToolDescription,
+    /// Pairs of one arm that touch by joint angle; the key in files is `stops`.
+    #[serde(default, rename = "stops")]
+    pub angle_contacts: Vec<AngleContactDescription>,
 }
 
 /// A solid box of the base.
@@ -192,6 +214,9 @@ fn first_joint() -> usize {
 pub struct ArmDescription {
     /// Name in messages and exported models.
     pub name: String,
+    /// Its type, one of `arm_types`; without, the type that the file describes at its top.
+    #[serde(default, rename = "type", skip_serializing_if = "Option::is_none")]
+    pub arm_type: Option<String>,
     /// Origin of the mount frame in the base frame.
     pub mount_position: [f64; 3],
     /// Rotation of the mount frame to the base frame, intrinsic x-y-z.

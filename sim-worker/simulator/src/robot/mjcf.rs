@@ -8,6 +8,9 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use super::xml::{Xml, numbers};
 use super::{ArmBody, BaseBox, RigidBody, Robot, Shape};
 
+/// Capsules that are shorter (m) are balls.
+const SHORTEST: f64 = 1e-9;
+
 /// What goes into the model beside bodies, joints and servos.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct MjcfOptions {
@@ -33,12 +36,13 @@ pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
         put_solid(&mut x, b, options);
     }
     for arm in &robot.arms {
+        let kind = &robot.types[arm.arm_type];
         put_solid(&mut x, &arm.mount, options);
         for (i, shape) in arm.pedestal_shapes.iter().enumerate() {
             put_shape(&mut x, (&format!("{}_pedestal_{i}", arm.name), shape), options);
         }
         let (mut position, mut rotation) = (arm.position, arm.rotation);
-        for (j, link) in robot.links.iter().enumerate() {
+        for (j, link) in kind.links.iter().enumerate() {
             let name = format!("{}_{}", arm.name, link.name);
             x.open(&format!("body name=\"{name}\" {}", pose(&position, &rotation)));
             x.line(&format!(
@@ -50,12 +54,12 @@ pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
                 put_shape(&mut x, (&format!("{name}_{i}"), shape), options);
             }
             (position, rotation) = (link.shift, link.twist);
-            if j + 1 == robot.links.len() {
-                let at = pose(&robot.tool_position, &robot.tool_rotation);
+            if j + 1 == kind.links.len() {
+                let at = pose(&kind.tool_position, &kind.tool_rotation);
                 x.line(&format!("site name=\"{}_hand\" {at}", arm.name));
             }
         }
-        for _ in &robot.links {
+        for _ in &kind.links {
             x.close("body");
         }
     }
@@ -66,7 +70,7 @@ pub fn mjcf(robot: &Robot, options: MjcfOptions) -> String {
     }
     x.open("actuator");
     for arm in &robot.arms {
-        for link in &robot.links {
+        for link in &robot.types[arm.arm_type].links {
             x.line(&format!(
                 "general name=\"{0}_{1}\" joint=\"{0}_{1}\" ctrlrange=\"{2} {3}\" forcerange=\"{4} {5}\" gainprm=\"{6}\" biastype=\"affine\" biasprm=\"0 0 {7}\"",
                 arm.name, link.name, -link.max_rate, link.max_rate, -link.max_torque, link.max_torque, link.gain, -link.gain
@@ -98,9 +102,10 @@ fn put_inertial(x: &mut Xml, body: &RigidBody) {
 fn put_exclusions(x: &mut Xml, robot: &Robot) {
     x.open("contact");
     for arm in &robot.arms {
-        for contact in &robot.angle_contacts {
+        let kind = &robot.types[arm.arm_type];
+        for contact in &kind.angle_contacts {
             if let [ArmBody::Link(a), ArmBody::Link(b)] = contact.pair {
-                let name = |l: usize| format!("{}_{}", arm.name, robot.links[l].name);
+                let name = |l: usize| format!("{}_{}", arm.name, kind.links[l].name);
                 x.line(&format!("exclude body1=\"{}\" body2=\"{}\"", name(a), name(b)));
             }
         }
@@ -129,6 +134,11 @@ fn put_solid(x: &mut Xml, b: &BaseBox, options: MjcfOptions) {
 fn put_shape(x: &mut Xml, (name, shape): (&str, &Shape), options: MjcfOptions) {
     let touching = touching(options);
     match shape {
+        // MuJoCo takes no capsule without a length.
+        Shape::Capsule { from, to, radius } if (to - from).norm() < SHORTEST => x.line(&format!(
+            "geom name=\"{name}\" type=\"sphere\" size=\"{radius}\" pos=\"{}\" {touching}",
+            numbers(((from + to) / 2.0).as_slice())
+        )),
         Shape::Capsule { from, to, radius } => x.line(&format!(
             "geom name=\"{name}\" type=\"capsule\" size=\"{radius}\" fromto=\"{} {}\" {touching}",
             numbers(from.as_slice()),

@@ -20,7 +20,10 @@ pub use assembly::Robot;
 pub use description::RobotDescription;
 pub use error::RobotError;
 pub use mjcf::MjcfOptions;
-pub use parts::{AngleContact, Arm, ArmBody, JOINTS_PER_ARM, Link, MAX_ARMS};
+pub use parts::{
+    AngleContact, Arm, ArmBody, ArmType, Joints, Link, MAX_ARMS, MAX_JOINTS_PER_ARM,
+    MIN_JOINTS_PER_ARM,
+};
 pub use rigid_body::RigidBody;
 pub(crate) use rigid_body::is_rotation;
 pub use shape::{BaseBox, Shape};

@@ -5,11 +5,12 @@ use std::path::Path;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::description::{
-    AngleContactDescription, CapsuleDescription, DiscDescription, LinkDescription, RobotDescription,
+    AngleContactDescription, CapsuleDescription, DiscDescription, LinkDescription,
+    MountDescription, PedestalDescription, RobotDescription, ToolDescription,
 };
 use super::{
-    AngleContact, Arm, ArmBody, BaseBox, JOINTS_PER_ARM, Link, MAX_ARMS, RigidBody, Robot,
-    RobotError, Shape,
+    AngleContact, Arm, ArmBody, ArmType, BaseBox, Joints, Link, MAX_ARMS, MAX_JOINTS_PER_ARM,
+    MIN_JOINTS_PER_ARM, RigidBody, Robot, RobotError, Shape,
 };
 
 impl Robot {
@@ -20,14 +21,6 @@ impl Robot {
         check.finite("home_position", &d.home_position)?;
         check.that(!d.base.is_empty(), "base", "no box", "at least one [[base]] box")?;
         check.that(
-            d.links.len() == JOINTS_PER_ARM,
-            "links",
-            &format!("{} rows", d.links.len()),
-            &format!(
-                "{JOINTS_PER_ARM} [[links]] rows, one a joint, each with dh, mass, com and inertia"
-            ),
-        )?;
-        check.that(
             (1..=MAX_ARMS).contains(&d.arms.len()),
             "arms",
             &format!("{} arms", d.arms.len()),
@@ -37,8 +30,6 @@ impl Robot {
         // Keys hold names, so these come first.
         let box_names: Vec<&str> = d.base.iter().map(|b| b.name.as_str()).collect();
         check.names("base", &box_names, &[])?;
-        let link_names: Vec<&str> = d.links.iter().map(|link| link.name.as_str()).collect();
-        check.names("links", &link_names, &["mount", "pedestal"])?;
         let arm_names: Vec<&str> = d.arms.iter().map(|arm| arm.name.as_str()).collect();
         check.names("arms", &arm_names, &[])?;
         let mut boxes = Vec::new();
@@ -57,22 +48,32 @@ impl Robot {
                 b.position.into(),
             )?);
         }
-        let links = d
-            .links
+        // The type that arms have who name none, then the others by their names.
+        let unnamed = ArmTypeParts {
+            prefix: String::new(),
+            mount: &d.mount,
+            pedestal: &d.pedestal,
+            links: &d.links,
+            tool: &d.tool,
+            angle_contacts: &d.angle_contacts,
+        };
+        let others = d.arm_types.iter().map(|(name, other)| ArmTypeParts {
+            prefix: format!("arm_types.{name}."),
+            mount: &other.mount,
+            pedestal: &other.pedestal,
+            links: &other.links,
+            tool: &other.tool,
+            angle_contacts: &other.angle_contacts,
+        });
+        let parts: Vec<ArmTypeParts> = std::iter::once(unnamed).chain(others).collect();
+        let type_names: Vec<&str> = d.arm_types.keys().map(String::as_str).collect();
+        check.names("arm_types", &type_names, &[])?;
+        let types =
+            parts.iter().map(|part| resolve_type(&check, part)).collect::<Result<Vec<_>, _>>()?;
+        let pedestals = parts
             .iter()
-            .enumerate()
-            .map(|(i, link)| resolve_link(&check, i, link))
+            .map(|part| resolve_pedestal(&check, part))
             .collect::<Result<Vec<_>, _>>()?;
-        check.finite("tool.position", &d.tool.position)?;
-        let last = &links[JOINTS_PER_ARM - 1];
-        let tool_position = last.shift + last.twist * Vector3::from(d.tool.position);
-        let tool_rotation = last.twist;
-
-        let p = &d.pedestal;
-        let pedestal = rigid_body(&check, "pedestal", p.mass, p.com, p.inertia)?;
-        check.finite("pedestal.euler_deg", &p.euler_deg)?;
-        let pedestal_shapes = shapes(&check, "pedestal", &p.capsules, &p.discs)?;
-        check.finite("mount.position", &d.mount.position)?;
 
         let mut arms = Vec::new();
         for (i, a) in d.arms.iter().enumerate() {
@@ -80,25 +81,36 @@ impl Robot {
             check.finite(&format!("{key}.mount_position"), &a.mount_position)?;
             check.finite(&format!("{key}.mount_euler_deg"), &a.mount_euler_deg)?;
             check.finite(&format!("{key}.home"), &a.home)?;
-            let home = a.home.as_slice().try_into().map_err(|_| {
-                check.error(
-                    &format!("{key}.home"),
-                    &format!("{} angles", a.home.len()),
-                    &format!("{JOINTS_PER_ARM} angles, one a joint"),
-                )
-            })?;
+            let arm_type = match &a.arm_type {
+                None => 0,
+                Some(name) => {
+                    let place = type_names.iter().position(|other| other == name);
+                    1 + place.ok_or_else(|| {
+                        let expected = format!("one of `arm_types`: {}", type_names.join(", "));
+                        check.error(&format!("{key}.type"), &format!("{name:?}"), &expected)
+                    })?
+                }
+            };
+            let (part, n_joints) = (&parts[arm_type], types[arm_type].links.len());
+            let (pedestal, pedestal_shapes) = &pedestals[arm_type];
+            check.that(
+                a.home.len() == n_joints,
+                &format!("{key}.home"),
+                &format!("{} angles", a.home.len()),
+                &format!("{n_joints} angles, one a joint"),
+            )?;
             let mount_rotation = rotation_xyz_deg(a.mount_euler_deg);
             let position = Vector3::from(a.mount_position);
-            let rotation = mount_rotation * rotation_xyz_deg(p.euler_deg);
-            let centre = position + mount_rotation * Vector3::from(d.mount.position);
+            let rotation = mount_rotation * rotation_xyz_deg(part.pedestal.euler_deg);
+            let centre = position + mount_rotation * Vector3::from(part.mount.position);
             let name = format!("{}_mount", a.name);
             arms.push(Arm {
                 mount: solid_box(
                     &check,
-                    "mount",
+                    &format!("{}mount", part.prefix),
                     &name,
-                    d.mount.size,
-                    d.mount.mass,
+                    part.mount.size,
+                    part.mount.mass,
                     mount_rotation,
                     centre,
                 )?,
@@ -110,33 +122,85 @@ impl Robot {
                 name: a.name.clone(),
                 position,
                 rotation,
-                home,
+                home: a.home.clone(),
+                arm_type,
             });
         }
-        let angle_contacts = d
-            .angle_contacts
-            .iter()
-            .enumerate()
-            .map(|(i, s)| resolve_angle_contact(&check, i, s, &d))
-            .collect::<Result<Vec<_>, _>>()?;
-
+        let joints: Vec<usize> = arms.iter().map(|arm| arm.home.len()).collect();
         let welded = boxes.iter().map(|b| &b.body);
         let welded = welded.chain(arms.iter().flat_map(|a| [&a.mount.body, &a.pedestal]));
         let base = welded.cloned().reduce(|a, b| a.welded(&b)).expect("a base has a box");
         Ok(Self {
             name: d.name.clone(),
             n_arms: arms.len(),
+            joints: Joints::new(&joints),
             base,
             boxes,
-            links,
-            tool_position,
-            tool_rotation,
+            types,
             arms,
-            angle_contacts,
             home_position: d.home_position,
             description: d,
         })
     }
+}
+
+/// The parts of one type of arms, and what stands before their keys in messages.
+struct ArmTypeParts<'a> {
+    prefix: String,
+    mount: &'a MountDescription,
+    pedestal: &'a PedestalDescription,
+    links: &'a [LinkDescription],
+    tool: &'a ToolDescription,
+    angle_contacts: &'a [AngleContactDescription],
+}
+
+fn resolve_type(check: &Check, part: &ArmTypeParts<'_>) -> Result<ArmType, RobotError> {
+    let prefix = &part.prefix;
+    check.that(
+        (MIN_JOINTS_PER_ARM..=MAX_JOINTS_PER_ARM).contains(&part.links.len()),
+        &format!("{prefix}links"),
+        &format!("{} rows", part.links.len()),
+        &format!(
+            "{MIN_JOINTS_PER_ARM} to {MAX_JOINTS_PER_ARM} [[{prefix}links]] rows, one a joint, each with dh, mass, com and inertia"
+        ),
+    )?;
+    let names: Vec<&str> = part.links.iter().map(|link| link.name.as_str()).collect();
+    check.names(&format!("{prefix}links"), &names, &["mount", "pedestal"])?;
+    let links = part
+        .links
+        .iter()
+        .enumerate()
+        .map(|(i, link)| resolve_link(check, &format!("{prefix}links[{i}] ({})", link.name), link))
+        .collect::<Result<Vec<_>, _>>()?;
+    check.finite(&format!("{prefix}tool.position"), &part.tool.position)?;
+    let last = links.last().expect("an arm has links");
+    let angle_contacts = part
+        .angle_contacts
+        .iter()
+        .enumerate()
+        .map(|(i, contact)| {
+            resolve_angle_contact(check, &format!("{prefix}stops[{i}]"), contact, part.links)
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(ArmType {
+        tool_position: last.shift + last.twist * Vector3::from(part.tool.position),
+        tool_rotation: last.twist,
+        angle_contacts,
+        links,
+    })
+}
+
+/// The pedestal of a type, its inertial and its shapes in frame 0.
+fn resolve_pedestal(
+    check: &Check,
+    part: &ArmTypeParts<'_>,
+) -> Result<(RigidBody, Vec<Shape>), RobotError> {
+    let (p, key) = (part.pedestal, format!("{}pedestal", part.prefix));
+    let body = rigid_body(check, &key, p.mass, p.com, p.inertia)?;
+    check.finite(&format!("{key}.euler_deg"), &p.euler_deg)?;
+    let shapes = shapes(check, &key, &p.capsules, &p.discs)?;
+    check.finite(&format!("{}mount.position", part.prefix), &part.mount.position)?;
+    Ok((body, shapes))
 }
 
 /// What a name is made of: it goes into file names, messages and MJCF as it is.
@@ -199,11 +263,10 @@ impl Check {
     }
 }
 
-fn resolve_link(check: &Check, i: usize, link: &LinkDescription) -> Result<Link, RobotError> {
-    let key = format!("links[{i}] ({})", link.name);
+fn resolve_link(check: &Check, key: &str, link: &LinkDescription) -> Result<Link, RobotError> {
     let dh = link.dh;
     check.finite(&format!("{key}.dh"), &[dh.a, dh.d, dh.alpha_deg])?;
-    let body = rigid_body(check, &key, link.mass, link.com, link.inertia)?;
+    let body = rigid_body(check, key, link.mass, link.com, link.inertia)?;
     let armature_ok = link.armature >= 0.0 && link.armature.is_finite();
     check.that(
         armature_ok,
@@ -217,7 +280,7 @@ fn resolve_link(check: &Check, i: usize, link: &LinkDescription) -> Result<Link,
     let (s, c) = sin_cos_deg(dh.alpha_deg);
     let twist = Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c);
     let shift = Vector3::new(dh.a, 0.0, dh.d);
-    let local = shapes(check, &key, &link.capsules, &link.discs)?;
+    let local = shapes(check, key, &link.capsules, &link.discs)?;
     Ok(Link {
         name: link.name.clone(),
         shift,
@@ -233,15 +296,14 @@ fn resolve_link(check: &Check, i: usize, link: &LinkDescription) -> Result<Link,
 
 fn resolve_angle_contact(
     check: &Check,
-    i: usize,
+    key: &str,
     contact: &AngleContactDescription,
-    d: &RobotDescription,
+    links: &[LinkDescription],
 ) -> Result<AngleContact, RobotError> {
-    let key = format!("stops[{i}]");
     let body = |name: &str| match name {
         "mount" => Some(ArmBody::Mount),
         "pedestal" => Some(ArmBody::Pedestal),
-        _ => d.links.iter().position(|l| l.name == name).map(ArmBody::Link),
+        _ => links.iter().position(|l| l.name == name).map(ArmBody::Link),
     };
     let named = |name: &str| {
         body(name).ok_or_else(|| {
@@ -251,10 +313,10 @@ fn resolve_angle_contact(
     let pair = [named(&contact.pair[0])?, named(&contact.pair[1])?];
     for (what, joint) in [("joint", contact.joint), ("narrowing_joint", contact.narrowing_joint)] {
         check.that(
-            (1..=JOINTS_PER_ARM).contains(&joint),
+            (1..=links.len()).contains(&joint),
             &format!("{key}.{what}"),
             &joint.to_string(),
-            &format!("a joint from 1 to {JOINTS_PER_ARM}"),
+            &format!("a joint from 1 to {}", links.len()),
         )?;
     }
     check.finite(&format!("{key}.interval"), &contact.interval)?;
@@ -273,7 +335,7 @@ fn resolve_angle_contact(
         "at least zero and less than half of the interval",
     )?;
     check.that(
-        !contact.push || d.links[contact.joint - 1].armature > 0.0,
+        !contact.push || links[contact.joint - 1].armature > 0.0,
         &format!("{key}.push"),
         "true at a joint whose link has no armature",
         "an armature above zero, which is the mass that the end of the interval pushes against",

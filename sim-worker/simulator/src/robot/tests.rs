@@ -86,9 +86,45 @@ fn bad_descriptions_name_file_key_and_expectation() {
             assert!(message.contains(word), "{message:?} lacks {word:?}");
         }
     }
-    let last = PAPER.find("[[links]]\nname = \"wrist_3\"").unwrap();
+    let second = PAPER.find("[[links]]\nname = \"upper_arm\"").unwrap();
     let tool = PAPER.find("# The hand").unwrap();
-    let text = format!("{}{}", &PAPER[..last], &PAPER[tool..]);
+    let text = format!("{}{}", &PAPER[..second], &PAPER[tool..]);
     let message = Robot::from_toml(&text, Path::new("my-robot.toml")).unwrap_err().to_string();
-    assert!(message.contains("5 rows") && message.contains("6 [[links]]"), "{message}");
+    assert!(message.contains("1 rows") && message.contains("2 to 7 [[links]]"), "{message}");
+}
+
+const SEVEN: &str = include_str!("../../robots/seven-joints.toml");
+
+#[test]
+fn arms_of_different_types_stand_on_one_base() {
+    let robot = Robot::from_toml(SEVEN, Path::new("x")).unwrap();
+    assert_eq!(robot.joints.by_arm().collect::<Vec<_>>(), [6, 6, 7, 7]);
+    assert_eq!(Robot::from_toml(&robot.to_toml(), Path::new("x")).unwrap(), robot);
+    assert_eq!(robot.link(6).name, robot.type_of(0).links[0].name);
+    assert_eq!(robot.link(25).name, robot.type_of(3).links[6].name);
+    let arms: f64 = robot.total_mass() - robot.base.mass;
+    assert!((arms - 2.0 * robot.type_of(0).mass() - 2.0 * robot.type_of(2).mass()).abs() < 1e-9);
+    let heavier = robot.with_arm_mass(2.0).unwrap();
+    assert!((heavier.mass_of_arms() / robot.mass_of_arms() - 2.0).abs() < 1e-12);
+    for (from, to, words) in [
+        ("type = \"panda\"", "type = \"pandas\"", &["arms[2] (plus_z).type", "pandas", "panda"]),
+        ("arm_types.panda", "arm_types.\"a b\"", &["arm_types[0].name", "a b", "letters"]),
+        (
+            "mass = 0.735522",
+            "mass = -1.0",
+            &["arm_types.panda.links[6] (link7).mass", "-1", "zero"],
+        ),
+        (
+            "home = [0.0, -0.785",
+            "home = [-0.785",
+            &["arms[2] (plus_z).home", "6 angles", "7 angles"],
+        ),
+    ] {
+        assert!(SEVEN.contains(from), "{from}");
+        let text = SEVEN.replace(from, to);
+        let message = Robot::from_toml(&text, Path::new("mine.toml")).unwrap_err().to_string();
+        for word in words {
+            assert!(message.contains(word), "{message:?} lacks {word:?}");
+        }
+    }
 }

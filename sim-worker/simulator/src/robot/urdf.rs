@@ -32,7 +32,8 @@ pub fn urdf(robot: &Robot) -> String {
     for arm in &robot.arms {
         let (mut parent, mut position, mut rotation) =
             ("base".to_owned(), arm.position, arm.rotation);
-        for link in &robot.links {
+        let kind = &robot.types[arm.arm_type];
+        for link in &kind.links {
             let name = format!("{}_{}", arm.name, link.name);
             x.open(&format!("joint name=\"{name}\" type=\"continuous\""));
             x.line(&format!("origin {}", pose(&position, &rotation)));
@@ -50,7 +51,7 @@ pub fn urdf(robot: &Robot) -> String {
             (parent, position, rotation) = (name, link.shift, link.twist);
         }
         x.open(&format!("joint name=\"{}_hand\" type=\"fixed\"", arm.name));
-        x.line(&format!("origin {}", pose(&robot.tool_position, &robot.tool_rotation)));
+        x.line(&format!("origin {}", pose(&kind.tool_position, &kind.tool_rotation)));
         x.line(&format!("parent link=\"{parent}\""));
         x.line(&format!("child link=\"{}_hand\"", arm.name));
         x.close("joint");

@@ -3,7 +3,7 @@
 //! A rollout acts by a policy ([`Running`](super::running::Running)), a [`stepping::Batch`](crate::stepping::Batch) as
 //! somebody outside says. Both go through here, and so make the same bits.
 
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::{Dimensions, Joints};
 
 use super::conditions::Conditions;
 use super::lane_group::LaneGroup;
@@ -35,6 +35,7 @@ pub(crate) struct Environments<S: Real> {
     physics: Physics<S>,
     pub(crate) groups: Vec<LaneGroup<S>>,
     pub(crate) seen: Seen<S>,
+    joints: Joints,
     /// Limits of the actions, one a joint.
     limits: Vec<S>,
     scale: S,
@@ -62,6 +63,7 @@ impl<S: Real> Environments<S> {
                 rewards: zeros(dimensions.n_agents),
                 touching_pairs: S::zero(),
             },
+            joints: robot.joints,
             limits: task.action_limit.iter().map(|&limit| S::splat(limit)).collect(),
             scale: S::splat(task.action_scale),
             period: task.control_period,
@@ -124,11 +126,10 @@ impl<S: Real> Environments<S> {
 
     /// Has `agent` of group `index` do this in the next step: what it says is clipped and scaled.
     #[inline(always)]
-    pub(crate) fn command(&mut self, index: usize, agent: usize, actions: &[S; JOINTS_PER_AGENT]) {
-        let Self { groups, limits, scale, .. } = self;
+    pub(crate) fn command(&mut self, index: usize, agent: usize, actions: &[S]) {
+        let Self { groups, joints, limits, scale, .. } = self;
         let group = &mut groups[index];
-        for (u, action) in actions.iter().enumerate() {
-            let joint = agent * JOINTS_PER_AGENT + u;
+        for (joint, action) in joints.of_agent(agent).zip(actions) {
             let clipped = (*action + group.guidance[joint]).clamp(-limits[joint], limits[joint]);
             group.action[joint] = clipped;
             group.command[joint] = clipped * *scale;
@@ -146,7 +147,7 @@ impl<S: Real> Environments<S> {
         n_envs: usize,
         step: usize,
     ) -> Result<(), EpisodeError> {
-        let Self { physics, groups, before, period, .. } = self;
+        let Self { physics, groups, joints, before, period, .. } = self;
         for (index, group) in groups.iter_mut().enumerate() {
             before.clone_from(&group.state);
             let LaneGroup { state, command, randomized, .. } = group;
@@ -156,7 +157,7 @@ impl<S: Real> Environments<S> {
             };
             physics.step(state, executed);
             let local = index * S::LANES;
-            if let Err(error) = check_state(&group.state, first, local, n_envs, step) {
+            if let Err(error) = check_state(joints, &group.state, first, local, n_envs, step) {
                 let env = first + local as u32;
                 return Err(error.keep(env, before, &group.goals, &group.command));
             }

@@ -1,7 +1,7 @@
 //! How actions depart from what actors say, by numbers that are drawn by address.
 
+use proto::agents::MAX_JOINTS_PER_AGENT;
 use proto::config::Exploration;
-use proto::layout::JOINTS_PER_AGENT;
 use proto::rng::{Address, Purpose};
 
 use super::output::Row;
@@ -44,14 +44,14 @@ impl Place<'_> {
     }
 }
 
-/// Turns what an actor says into actions, in `sample`; returns the logarithms of their probability
+/// Turns what an actor says into actions, in `sample`, one a joint of the agent; returns the logarithms of their probability
 /// densities, zero for deterministic actors.
 #[inline(always)]
 pub(crate) fn explore<S: Real>(
     policy: &Policy,
     noise: Noise,
     place: Place<'_>,
-    sample: &mut [S; JOINTS_PER_AGENT],
+    sample: &mut [S],
 ) -> S {
     match noise.exploration {
         None => draw(policy, noise, place, sample),
@@ -66,14 +66,9 @@ pub(crate) fn explore<S: Real>(
 ///
 /// log p = Σ −½((a − μ)/σ)² − ln σ − ½ ln 2π, taken from the rounded action, as the learner will.
 #[inline(always)]
-fn draw<S: Real>(
-    policy: &Policy,
-    noise: Noise,
-    place: Place<'_>,
-    sample: &mut [S; JOINTS_PER_AGENT],
-) -> S {
+fn draw<S: Real>(policy: &Policy, noise: Noise, place: Place<'_>, sample: &mut [S]) -> S {
     let Place { agent, row, .. } = place;
-    let mut drawn = [S::zero(); JOINTS_PER_AGENT];
+    let mut drawn = [S::zero(); MAX_JOINTS_PER_AGENT];
     let mut normals = [0.0; 4];
     for lane in 0..S::LANES {
         if row.group + lane < row.n_envs {
@@ -84,7 +79,7 @@ fn draw<S: Real>(
         }
     }
     let mut log_prob = S::zero();
-    for u in 0..JOINTS_PER_AGENT {
+    for u in 0..sample.len() {
         let std = S::splat(f64::from(policy.std(agent)[u]));
         let constant = f64::from(policy.log_std(agent)[u]) + HALF_LN_TAU;
         let mean = sample[u];
@@ -98,20 +93,21 @@ fn draw<S: Real>(
 /// Perturbs a deterministic actor's actions by normal noise, or replaces all of the agent's actions by
 /// uniform ones, and keeps them within the limit.
 #[inline(always)]
-fn perturb<S: Real>(
-    exploration: Exploration,
-    noise: Noise,
-    place: Place<'_>,
-    sample: &mut [S; JOINTS_PER_AGENT],
-) {
+fn perturb<S: Real>(exploration: Exploration, noise: Noise, place: Place<'_>, sample: &mut [S]) {
     let Exploration { limit, std, random } = exploration;
-    let mut normals = [0.0; 4];
-    let mut uniforms = [1.0; 4];
+    let mut normals = [0.0; MAX_JOINTS_PER_AGENT];
+    let mut uniforms = [1.0; 1 + MAX_JOINTS_PER_AGENT];
     for lane in 0..S::LANES {
         // Lanes beyond the last environment repeat it.
         if place.row.group + lane < place.row.n_envs {
             normals = place.address(noise, Purpose::ActionNoise, lane).normals();
-            uniforms = place.address(noise, Purpose::RandomAction, lane).uniforms();
+            let first = place.address(noise, Purpose::RandomAction, lane);
+            uniforms[..4].copy_from_slice(&first.uniforms());
+            if sample.len() > 3 {
+                // The choice and three actions take up a group of four; agents are far fewer than this.
+                let second = Address { index: first.index + (1 << 16), ..first };
+                uniforms[4..].copy_from_slice(&second.uniforms()[..1]);
+            }
         }
         let [choice, uniforms @ ..] = uniforms;
         for ((action, normal), uniform) in sample.iter_mut().zip(normals).zip(uniforms) {

@@ -5,7 +5,7 @@ use super::extremes::Extremes;
 use super::randomization::Randomized;
 use super::start::scatter;
 use crate::env::Physics;
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::Robot;
 use crate::scalar::{Kernel, Real};
 use crate::state::State;
 use crate::task::goal::GoalAddress;
@@ -68,11 +68,11 @@ impl<S: Real> Kernel<S> for Begin<'_, S> {
         }
         drawn.attach();
         let mut state = State::home(robot);
-        let mut readings = Readings::new(robot.n_arms);
+        let mut readings = Readings::new(&robot.joints);
         scatter(&conditions.start, robot, physics, &mut readings, (goals, env_of), &mut state);
         let randomized =
             Randomized::draw(&conditions.randomization, (robot, task), (goals, env_of));
-        let joints = vec![S::zero(); robot.n_arms * JOINTS_PER_ARM];
+        let joints = vec![S::zero(); robot.n_joints()];
         LaneGroup {
             state,
             readings,

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use proto::layout::{BlockLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
+use proto::layout::{BlockLayout, Dimensions, EpisodeMetrics};
 
 use super::extremes::Extremes;
 use crate::scalar::{LANES, Real};
@@ -81,13 +81,13 @@ impl Output<'_> {
         row: Row<'_>,
         step: usize,
         agent: usize,
-        sample: &[S; JOINTS_PER_AGENT],
+        sample: &[S],
         log_prob: S,
     ) {
         let Self { layout, block } = self;
         let Row { group, n_envs: n, n_steps, .. } = row;
         let at = (agent * n_steps + step) * n + group;
-        let actions = from(&layout.action, at * JOINTS_PER_AGENT);
+        let actions = from(&layout.action, at * sample.len());
         write_rows(&mut block[actions], n - group, sample);
         write_rows(&mut block[from(&layout.log_prob, at)], n - group, &[log_prob]);
     }

@@ -19,7 +19,7 @@ use proto::config::Randomization;
 use proto::rng::{Address, Purpose};
 
 use crate::env::{Deviations, draw_normals};
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::Robot;
 use crate::scalar::Real;
 use crate::task::goal::GoalAddress;
 use crate::task::{Errors, Goals, Readings, Task};
@@ -56,7 +56,7 @@ impl<S: Real> Randomized<S> {
             return None;
         }
         let GoalAddress { seed, iteration, .. } = goals;
-        let (n_arms, n_joints) = (robot.n_arms, robot.n_joints());
+        let n_joints = robot.n_joints();
         let joints = vec![S::zero(); n_joints];
         let zero = S::zero();
         let Randomization { position, angle, velocity, rate, .. } = *ranges;
@@ -69,8 +69,8 @@ impl<S: Real> Randomized<S> {
             factor: vec![S::one(); n_joints],
             before: joints.clone(),
             executed: joints,
-            normals: vec![zero; Deviations::<S>::draws(n_arms)],
-            readings: Readings::new(n_arms),
+            normals: vec![zero; Deviations::<S>::draws(&robot.joints)],
+            readings: Readings::new(&robot.joints),
             errors: Errors::of(task, robot),
         };
         for lane in 0..S::LANES {
@@ -95,7 +95,7 @@ impl<S: Real> Randomized<S> {
             for joint in 0..n_joints {
                 let [friction, faster, ..] = uniforms(2 + joint as u32);
                 if sticks {
-                    let gain = robot.links[joint % JOINTS_PER_ARM].gain;
+                    let gain = robot.link(joint).gain;
                     drawn.lost[joint].set_lane(lane, friction * ranges.friction / gain);
                 }
                 if is_scaled {
@@ -203,7 +203,7 @@ mod tests {
             let erring = drawn(RANGES, env).expect("something errs");
             late = late.max(erring.late);
             for (joint, &rate) in erring.lost.iter().enumerate() {
-                lost = lost.max(rate * robot.links[joint % JOINTS_PER_ARM].gain);
+                lost = lost.max(rate * robot.link(joint).gain);
             }
             for &f in &erring.factor {
                 factor = [factor[0].min(f), factor[1].max(f)];
@@ -239,7 +239,7 @@ mod tests {
     fn sensors_err_anew_in_each_step_around_the_truth() {
         let mut erring = drawn(RANGES, 7).expect("something errs");
         let deviation = erring.deviations.position;
-        let truth = Readings::<f64>::new(4);
+        let truth = Readings::<f64>::new(&robot().joints);
         let task_goals = Goals::fixed(vec![[0.1; 6]; 4], [0.0; 3]);
         let (mut sum, mut squares, mut n) = (0.0, 0.0, 0.0);
         let mut before = f64::NAN;

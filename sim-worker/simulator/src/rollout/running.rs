@@ -1,6 +1,7 @@
 //! Episodes on their way: the three parts of a control step.
 
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::agents::MAX_JOINTS_PER_AGENT;
+use proto::layout::Dimensions;
 
 use super::batch::{Batch, Episodes, Stage};
 use super::conditions::Conditions;
@@ -102,7 +103,7 @@ impl<'a, S: Real> Running<'a, S> {
         let Batch { first, n_envs, n_steps } = self.batch;
         let n_groups = environments.groups.len();
         let (input, output_len) = (dimensions.actor_input(), dimensions.actor_output());
-        let agents_per_actor = dimensions.agents_per_actor();
+        let (agents_per_actor, n_actions) = (dimensions.agents_per_actor(), dimensions.n_actions);
         let mut place = 0;
         for actors in policy.sharing() {
             let groups = actors.len() * n_groups;
@@ -116,20 +117,22 @@ impl<'a, S: Real> Running<'a, S> {
                     let agent = actor * agents_per_actor + part;
                     for index in 0..n_groups {
                         let row = Row { group: index * S::LANES, n_envs, n_steps, dimensions };
-                        let at = index * output_len + part * JOINTS_PER_AGENT;
-                        let mean = &means[at..at + JOINTS_PER_AGENT];
+                        let at = index * output_len + part * n_actions;
+                        let mean = &means[at..at + n_actions];
                         let env = first + row.group as u32;
                         if let Err(error) = check_means(mean, env, step, agent) {
                             let group = &environments.groups[index];
                             let (state, goals) = (&group.state, &group.goals);
                             return Err(error.keep(env, state, goals, &group.command));
                         }
-                        let mut sample = [S::zero(); JOINTS_PER_AGENT];
-                        sample.copy_from_slice(mean);
+                        // What there is no joint for stays zero.
+                        let mut sample = [S::zero(); MAX_JOINTS_PER_AGENT];
+                        let own = dimensions.joints.of_agent(agent).len();
+                        sample[..own].copy_from_slice(&mean[..own]);
                         let place = Place { agent, first, row, step };
-                        let log_prob = explore(policy, *noise, place, &mut sample);
-                        output.act(row, step, agent, &sample, log_prob);
-                        environments.command(index, agent, &sample);
+                        let log_prob = explore(policy, *noise, place, &mut sample[..own]);
+                        output.act(row, step, agent, &sample[..n_actions], log_prob);
+                        environments.command(index, agent, &sample[..own]);
                     }
                 }
             }

@@ -4,9 +4,9 @@
 //! else has brought the robot. (Starts from many states: Kakade and Langford 2002, "Approximately
 //! optimal approximate reinforcement learning", section 4, there called restart distribution.)
 //!
-//! Half of the reaching episodes of preset `tuned` begin away from home: joints scattered, base turned, a fifth
+//! Half of the episodes of preset `tuned` begin away from home: joints scattered, base turned, a fifth
 //! of the arms at any angles at all, at rest (unless `task.start.turning` says otherwise), nothing touching. What gains is an arm that has to reach after it
-//! has held the base, or after a push. Only arms that touch something are drawn again: an arm at any angles often
+//! has held the base, or after a push, and arms that turn the base after they were driven elsewhere. Only arms that touch something are drawn again: an arm at any angles often
 //! does, and with the whole robot drawn again most of them were lost.
 
 use std::f64::consts::PI;
@@ -15,7 +15,7 @@ use proto::config::Start;
 use proto::rng::{Address, Purpose};
 
 use crate::env::Physics;
-use crate::robot::{JOINTS_PER_ARM, Robot};
+use crate::robot::Robot;
 use crate::scalar::Real;
 use crate::spatial::quaternion_exp;
 use crate::state::State;
@@ -66,15 +66,15 @@ pub(super) fn scatter<S: Real>(
                 let [x, y, z, _] = uniforms(lane, draw, 1).map(|u| offset(start.attitude, u));
                 pose.base_quaternion = quaternion_exp([x, y, z]);
             }
-            // Two groups of four words an arm: three of each tell the angles, the first one's last
+            // Two groups of four words an arm: three of the first and those of the second tell the angles, the first one's last
             // word whether the arm stands anywhere.
-            let joints = pose.q.chunks_exact_mut(JOINTS_PER_ARM);
-            let joints = joints.zip(home.q.chunks_exact(JOINTS_PER_ARM)).enumerate();
-            for (arm, (q, home)) in joints.filter(|(arm, _)| arms[*arm]) {
+            for arm in (0..robot.n_arms).filter(|&arm| arms[arm]) {
+                let joints = robot.joints.of_arm(arm);
+                let (q, home) = (&mut pose.q[joints.clone()], &home.q[joints]);
                 let words = [0, 1].map(|half| uniforms(lane, draw, 2 + (2 * arm + half) as u32));
                 // It stays so when it is drawn again.
                 let anywhere = uniforms(lane, 0, 2 + 2 * arm as u32)[3] < start.anywhere;
-                let angles = words.iter().flat_map(|half| &half[..JOINTS_PER_ARM / 2]);
+                let angles = words[0][..3].iter().chain(&words[1]);
                 for ((q, home), &u) in q.iter_mut().zip(home).zip(angles) {
                     *q = home
                         + if anywhere { PI * (2.0 * u - 1.0) } else { offset(start.joints, u) };
@@ -116,7 +116,7 @@ mod tests {
     fn starts(start: Start) -> Vec<State<f64>> {
         let robot = Robot::builtin("paper").expect("built in");
         let mut physics = Physics::with_options(&robot, StepOptions::default());
-        let mut readings = Readings::new(robot.n_arms);
+        let mut readings = Readings::new(&robot.joints);
         let goals = GoalAddress { seed: 7, purpose: Purpose::Goal, iteration: 3, env: 0 };
         let states = (0..400).map(|env| {
             let mut state = State::home(&robot);
@@ -131,7 +131,7 @@ mod tests {
         let robot = Robot::builtin("paper").expect("built in");
         let home = State::<f64>::home(&robot);
         let mut physics = Physics::with_options(&robot, StepOptions::default());
-        let mut readings = Readings::new(robot.n_arms);
+        let mut readings = Readings::new(&robot.joints);
         let states = starts(START);
         let away: Vec<_> = states.iter().filter(|state| **state != home).collect();
         // 200 ± 3 standard deviations.
@@ -164,10 +164,10 @@ mod tests {
         let home = State::<f64>::home(&robot);
         let start = Start { share: 1.0, joints: 0.1, attitude: 0.0, anywhere: 0.25, turning: 0.0 };
         let mut far = 0;
-        let mut largest = [0.0_f64; JOINTS_PER_ARM];
+        let mut largest = [0.0_f64; 6];
         for state in starts(start) {
-            let arms = state.q.chunks_exact(JOINTS_PER_ARM);
-            for (q, home) in arms.zip(home.q.chunks_exact(JOINTS_PER_ARM)) {
+            let arms = state.q.chunks_exact(6);
+            for (q, home) in arms.zip(home.q.chunks_exact(6)) {
                 let offset: Vec<f64> =
                     q.iter().zip(home).map(|(q, home)| (q - home).abs()).collect();
                 if offset.iter().any(|&offset| offset > start.joints) {
@@ -191,7 +191,7 @@ mod tests {
         let robot = Robot::builtin("paper").expect("built in");
         let options = StepOptions { contacts: false, ..StepOptions::default() };
         let mut physics = Physics::with_options(&robot, options);
-        let mut readings = Readings::new(robot.n_arms);
+        let mut readings = Readings::new(&robot.joints);
         let turning = Start { turning: 0.02, ..START };
         let mut fastest = 0.0_f64;
         for (mut state, still) in starts(turning).into_iter().zip(starts(START)) {

@@ -1,5 +1,5 @@
 use proto::config::{Layers, ParameterSharing, Preset, TaskName};
-use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions, EpisodeMetrics, JOINTS_PER_AGENT};
+use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions, EpisodeMetrics};
 use proto::rng::Purpose;
 
 use super::*;
@@ -23,6 +23,13 @@ fn world_of(layers: &Layers, n_envs: usize, n_shards: usize, steps: usize) -> Wo
     config.validate().expect("valid");
     let robot = Robot::builtin(&config.robot.description).expect("built in");
     World::new(&config, &robot)
+}
+
+/// The same on a robot with arms of six and of seven joints.
+fn on_seven_joints(world: &World) -> World {
+    let text = include_str!("../../robots/seven-joints.toml");
+    let robot = Robot::from_toml(text, std::path::Path::new("seven-joints.toml")).expect("valid");
+    World::new(&world.config, &robot)
 }
 
 /// Parameters; where agents of a role are one actor, the last one is another, so that not all networks have as many actors.
@@ -65,7 +72,7 @@ fn rows(world: &World, block: &[f32], n: usize) -> Vec<u32> {
     for (range, outer, inner) in [
         (&layout.observation, n_agents * (n_steps + 1), observation),
         (&layout.state, n_steps + 1, state),
-        (&layout.action, n_agents * n_steps, JOINTS_PER_AGENT),
+        (&layout.action, n_agents * n_steps, world.dimensions.n_actions),
         (&layout.log_prob, n_agents * n_steps, 1),
         (&layout.reward, n_agents * n_steps, 1),
         (&layout.terminated, n_steps, 1),
@@ -92,10 +99,13 @@ fn an_environments_rows_do_not_depend_on_the_sharding() {
     ] {
         // 42 environments: groups of 16, 16 and 10; of 14; of 6; alone.
         let whole = world(preset, task, 42, 1, 3);
+        let differing = preset == Preset::Guided;
+        let whole = if differing { on_seven_joints(&whole) } else { whole };
         let reference = block(&whole, 2, 0);
         assert!(reference.iter().all(|x| x.is_finite()), "everything is written");
         for n_shards in [3, 7, 42] {
             let split = world(preset, task, 42, n_shards, 3);
+            let split = if differing { on_seven_joints(&split) } else { split };
             let n = split.dimensions.n_envs;
             for shard in 0..n_shards as u32 {
                 let part = block(&split, 2, shard);
@@ -179,7 +189,9 @@ fn actions_and_log_probabilities_follow_from_the_observations() {
     for algorithm in ["mappo", "ppo"] {
         let layers = Layers::new(Preset::Tuned, None);
         let layers = layers.set(&format!("algorithm.name={algorithm}")).expect("well formed");
-        check_actions(&world_of(&layers, 3, 1, 4));
+        let world = world_of(&layers, 3, 1, 4);
+        check_actions(&world);
+        check_actions(&on_seven_joints(&world));
     }
 }
 
@@ -188,7 +200,8 @@ fn check_actions(world: &World) {
     let policy = world.policy(&flat).expect("a policy");
     let block = block(world, 7, 0);
     let layout = world.block_layout();
-    let Dimensions { n_agents, n_steps, n_envs, observation: o, .. } = world.dimensions;
+    let Dimensions { joints, n_agents, n_steps, n_envs, n_actions, observation: o, .. } =
+        world.dimensions;
     let (mut close, mut all) = (0, 0);
     for agent in 0..n_agents {
         for step in 0..n_steps {
@@ -204,7 +217,7 @@ fn check_actions(world: &World) {
                     .map(|&x| f64::from(x))
                     .collect();
                 let means = plain_mean(&world.config, &world.dimensions, &flat, actor, &seen);
-                let mean = &means[agent % per_actor * JOINTS_PER_AGENT..];
+                let mean = &means[agent % per_actor * n_actions..];
                 let normals = proto::rng::Address {
                     seed: 5,
                     purpose: Purpose::ActionNoise,
@@ -216,10 +229,13 @@ fn check_actions(world: &World) {
                 .normals();
                 let row = (agent * n_steps + step) * n_envs + env;
                 let mut log_prob = 0.0;
-                for u in 0..JOINTS_PER_AGENT {
+                let actions = &block[layout.action.start + row * n_actions..][..n_actions];
+                let own = joints.of_agent(agent).len();
+                assert!(actions[own..].iter().all(|&x| x == 0.0), "without a joint");
+                for u in 0..own {
                     let std = f64::from(policy.log_std(agent)[u]).exp();
                     let by_hand = mean[u] + std * f64::from(normals[u]);
-                    let action = f64::from(block[layout.action.start + row * 3 + u]);
+                    let action = f64::from(actions[u]);
                     // Sums of tens of products in single precision; where an activation rounds to
                     // the other bfloat16, 2⁻⁸ of it.
                     let error = (action - by_hand).abs();
@@ -254,12 +270,18 @@ fn deterministic_actors_explore_as_they_are_scheduled() {
     .into_iter()
     .fold(Layers::new(Preset::Tuned, None), |layers, a| layers.set(a).expect("well formed"));
     let world = world_of(&layers, 3, 1, 8);
-    let flat = flat(&world);
+    check_exploration(&world);
+    check_exploration(&on_seven_joints(&world));
+}
+
+fn check_exploration(world: &World) {
+    let flat = flat(world);
     let layout = world.block_layout();
-    let Dimensions { n_agents, n_steps, n_envs, observation: o, .. } = world.dimensions;
+    let Dimensions { joints, n_agents, n_steps, n_envs, n_actions, observation: o, .. } =
+        world.dimensions;
     // Halfway: 5 iterations of 24 steps. Then at the end.
     for (iteration, std, random) in [(5, 2.5 * 0.7, 0.35), (20, 2.5 * 0.5, 0.45)] {
-        let block = block(&world, iteration, 0);
+        let block = block(world, iteration, 0);
         assert!(block[layout.log_prob.clone()].iter().all(|&x| x == 0.0));
         let (mut uniform, mut clipped, mut close, mut all) = (0, 0, 0, 0);
         for (agent, step, env) in (0..n_agents)
@@ -269,18 +291,24 @@ fn deterministic_actors_explore_as_they_are_scheduled() {
             let seen = &block[layout.observation.start + row * o..][..o];
             let seen: Vec<f64> = seen.iter().map(|&x| f64::from(x)).collect();
             let output = plain_mean(&world.config, &world.dimensions, &flat, agent, &seen);
-            let address = |purpose| proto::rng::Address {
+            let address = |purpose, index| proto::rng::Address {
                 seed: 5,
                 purpose,
                 iteration: iteration as u32,
                 env: env as u32,
                 step: step as u32,
-                index: agent as u32,
+                index,
             };
-            let normals = address(Purpose::ActionNoise).normals();
-            let uniforms = address(Purpose::RandomAction).uniforms().map(f64::from);
+            let index = agent as u32;
+            let normals = address(Purpose::ActionNoise, index).normals();
+            let uniforms = [index, index + 65_536]
+                .map(|index| address(Purpose::RandomAction, index).uniforms().map(f64::from))
+                .concat();
             let row = (agent * n_steps + step) * n_envs + env;
-            for u in 0..JOINTS_PER_AGENT {
+            let actions = &block[layout.action.start + row * n_actions..][..n_actions];
+            let own = joints.of_agent(agent).len();
+            assert!(actions[own..].iter().all(|&x| x == 0.0), "without a joint");
+            for u in 0..own {
                 let expected = if uniforms[0] < random {
                     uniform += 1;
                     5.0 * uniforms[u + 1] - 2.5
@@ -288,7 +316,7 @@ fn deterministic_actors_explore_as_they_are_scheduled() {
                     output[u] + std * f64::from(normals[u])
                 };
                 clipped += usize::from(expected.abs() > 2.5);
-                let action = f64::from(block[layout.action.start + row * 3 + u]);
+                let action = f64::from(actions[u]);
                 let error = (action - expected.clamp(-2.5, 2.5)).abs();
                 // As for stochastic actors, times the limit.
                 assert!(error < 1.3e-2, "{action} vs {expected}");

@@ -24,7 +24,7 @@ pub struct World {
 impl World {
     /// The world of a configuration and a robot.
     pub fn new(config: &Config, robot: &Robot) -> Self {
-        let dimensions = Dimensions::new(config, robot.n_arms);
+        let dimensions = Dimensions::new(config, robot.joints);
         Self {
             config: config.clone(),
             dimensions,

@@ -1,6 +1,6 @@
 //! What a policy would do.
 
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::Dimensions;
 
 use crate::executor::{self, Executor};
 use crate::policy::{Policy, Scratch};
@@ -47,14 +47,14 @@ pub enum ActError {
         env: usize,
         /// The agent.
         agent: usize,
-        /// Which of its three actions.
+        /// Which of its actions.
         action: usize,
         /// The value.
         value: f32,
     },
 }
 
-/// The mean actions of `policy`, `[N, A, 3]` (before clipping and scaling), for `observations`, `[N, A, O]`, of `n_envs` environments.
+/// The mean actions of `policy`, `[N, A, U]` (before clipping and scaling), for `observations`, `[N, A, O]`, of `n_envs` environments.
 ///
 /// # Errors
 /// If arrays are of other sizes, an agent sees what is no number, or an actor gives none.
@@ -67,7 +67,7 @@ pub fn act(
 ) -> Result<(), ActError> {
     let dimensions = &world.dimensions;
     let seen = dimensions.n_agents * dimensions.observation;
-    let done = dimensions.n_agents * JOINTS_PER_AGENT;
+    let done = dimensions.n_agents * dimensions.n_actions;
     for (what, found, width) in
         [("observations", observations.len(), seen), ("actions", actions.len(), done)]
     {
@@ -90,8 +90,8 @@ pub fn act(
             None => Ok(()),
             Some(at) => Err(ActError::Mean {
                 env: index * CHUNK + at / done,
-                agent: at % done / JOINTS_PER_AGENT,
-                action: at % JOINTS_PER_AGENT,
+                agent: at % done / dimensions.n_actions,
+                action: at % dimensions.n_actions,
                 value: actions[at],
             }),
         }
@@ -115,10 +115,11 @@ impl LaneFn for Act<'_> {
         let n_groups = n_envs.div_ceil(S::LANES);
         let (input, output) = (dimensions.actor_input(), dimensions.actor_output());
         let (n_agents, o) = (dimensions.n_agents, dimensions.observation);
+        let width = n_agents * dimensions.n_actions;
         let mut scratch = Scratch::<S>::new(policy, n_groups);
         let mut seen = vec![S::zero(); n_groups * input];
         let mut means = vec![S::zero(); n_groups * output];
-        let mut all = vec![S::zero(); n_groups * n_agents * JOINTS_PER_AGENT];
+        let mut all = vec![S::zero(); n_groups * width];
         for actor in 0..dimensions.n_actors {
             for group in 0..n_groups {
                 for i in 0..input {
@@ -133,12 +134,11 @@ impl LaneFn for Act<'_> {
             policy.mean(actor, &seen, &mut scratch, &mut means);
             for group in 0..n_groups {
                 for i in 0..output {
-                    let at = group * n_agents * JOINTS_PER_AGENT + actor * output + i;
+                    let at = group * width + actor * output + i;
                     all[at] = means[group * output + i];
                 }
             }
         }
-        let width = n_agents * JOINTS_PER_AGENT;
         for group in 0..n_groups {
             let first = group * S::LANES;
             let of_group = &all[group * width..(group + 1) * width];

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use proto::layout::JOINTS_PER_AGENT;
+use proto::layout::Dimensions;
 use proto::rng::Purpose;
 
 use super::chunk::{Chunk, Make};
@@ -160,8 +160,8 @@ impl Batch {
         rows: Rows<'_>,
     ) -> Result<(), StepError> {
         let world = Arc::clone(&self.world);
-        let n_agents = world.dimensions.n_agents;
-        let width = n_agents * JOINTS_PER_AGENT;
+        let Dimensions { n_agents, n_actions, .. } = world.dimensions;
+        let width = n_agents * n_actions;
         rows.check(self.n_envs, &world.dimensions)?;
         let (found, expected) = (actions.len(), self.n_envs * width);
         if found != expected {
@@ -177,7 +177,7 @@ impl Batch {
         };
         if let Some(at) = actions.iter().position(|action| !action.is_finite()) {
             let (env, rest, value) = (at / width, at % width, actions[at]);
-            let (agent, action) = (rest / JOINTS_PER_AGENT, rest % JOINTS_PER_AGENT);
+            let (agent, action) = (rest / n_actions, rest % n_actions);
             return Err(StepError::Action { env, agent, action, value });
         }
         self.each(executor, rows, |chunk, first, rows| {

@@ -1,6 +1,7 @@
 //! Some environments of a batch, in lanes: the unit of work of a thread.
 
-use proto::layout::JOINTS_PER_AGENT;
+use proto::agents::MAX_JOINTS_PER_AGENT;
+use proto::layout::Dimensions;
 
 use super::rows::{Rows, robot_width};
 use crate::env::{EpisodeError, step_options};
@@ -16,7 +17,7 @@ pub(super) trait Chunk: Send {
     /// Begins episodes, and shows them; `goals` is the address of the first one's.
     fn begin(&mut self, world: &World, conditions: &Conditions, goals: GoalAddress, rows: Rows<'_>);
 
-    /// Holds `actions`, `[n, A, 3]`, for a control period, and shows what it led to. On an error nothing is shown.
+    /// Holds `actions`, `[n, A, U]`, for a control period, and shows what it led to. On an error nothing is shown.
     fn step(
         &mut self,
         world: &World,
@@ -40,7 +41,7 @@ impl LaneFn for Make<'_> {
         let Self { world, n_envs } = self;
         let World { config, robot, task, dimensions, .. } = world;
         let environments = Environments::<S>::new((robot, step_options(config)), task, dimensions);
-        let robot = vec![S::zero(); robot_width(dimensions.n_arms)];
+        let robot = vec![S::zero(); robot_width(dimensions)];
         Box::new(InLanes { environments, n_envs, first: 0, robot })
     }
 }
@@ -77,21 +78,23 @@ impl<S: Real> Chunk for InLanes<S> {
 }
 
 impl<S: Real> InLanes<S> {
-    /// Has all agents do as `actions` say, `[n, A, 3]`.
+    /// Has all agents do as `actions` say, `[n, A, U]`.
     #[inline(always)]
-    fn command(&mut self, n_agents: usize, actions: &[f32]) {
+    fn command(&mut self, dimensions: &Dimensions, actions: &[f32]) {
+        let Dimensions { n_agents, n_actions, joints, .. } = *dimensions;
         for index in 0..self.environments.groups.len() {
             for agent in 0..n_agents {
-                let mut lanes = [S::zero(); JOINTS_PER_AGENT];
+                let own = joints.of_agent(agent).len();
+                let mut lanes = [S::zero(); MAX_JOINTS_PER_AGENT];
                 for lane in 0..S::LANES {
                     // Lanes beyond the last environment repeat it.
                     let env = (index * S::LANES + lane).min(self.n_envs - 1);
-                    let at = (env * n_agents + agent) * JOINTS_PER_AGENT;
-                    for u in 0..JOINTS_PER_AGENT {
+                    let at = (env * n_agents + agent) * n_actions;
+                    for u in 0..own {
                         lanes[u].set_lane(lane, f64::from(actions[at + u]));
                     }
                 }
-                self.environments.command(index, agent, &lanes);
+                self.environments.command(index, agent, &lanes[..own]);
             }
         }
     }
@@ -170,7 +173,7 @@ impl<S: Real> Kernel<S> for StepChunk<'_, S> {
     #[inline(always)]
     fn run(self) -> Self::Output {
         let Self { chunk, world, actions, step, mut rows } = self;
-        chunk.command(world.dimensions.n_agents, actions);
+        chunk.command(&world.dimensions, actions);
         chunk.environments.advance(chunk.first, chunk.n_envs, step)?;
         chunk.show(world, &mut rows, step + 1);
         Ok(())

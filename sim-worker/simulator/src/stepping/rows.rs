@@ -3,7 +3,6 @@
 use proto::layout::Dimensions;
 
 use super::StepError;
-use crate::robot::JOINTS_PER_ARM;
 
 /// What environments show: an array a quantity, row-major, a row an environment.
 #[derive(Debug)]
@@ -32,8 +31,8 @@ pub struct Rows<'a> {
 }
 
 /// Numbers of a row of [`Rows::robot`].
-pub(super) fn robot_width(n_arms: usize) -> usize {
-    13 + 2 * n_arms * JOINTS_PER_ARM
+pub(super) fn robot_width(dimensions: &Dimensions) -> usize {
+    13 + 2 * dimensions.joints.n_joints()
 }
 
 impl<'a> Rows<'a> {
@@ -133,7 +132,7 @@ impl<'a> Rows<'a> {
     /// Numbers of a row of every array, in the order of the fields.
     pub fn widths(dimensions: &Dimensions) -> [usize; ARRAYS] {
         let Dimensions { n_agents, n_arms, observation, state, .. } = *dimensions;
-        let robot = robot_width(n_arms);
+        let robot = robot_width(dimensions);
         [n_agents * observation, state, n_agents, n_arms, n_arms, 1, 1, 6 * n_arms, 3, robot]
     }
 }

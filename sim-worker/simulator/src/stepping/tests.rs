@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use proto::config::{Layers, Preset, TaskName};
-use proto::layout::{Dimensions, JOINTS_PER_AGENT};
+use proto::layout::Dimensions;
 
 use super::*;
 use crate::executor::tests::Apart;
@@ -46,7 +46,7 @@ const BEGIN: Begin = Begin { seed: 5, iteration: 2, first: 0, goals: GoalKind::T
 /// Everything that a batch shows when it is given the actions of a block, `[step][array]`; compared with the block on the way.
 fn replay(world: &World, block: &[f32], mut batch: Batch, executor: &dyn Executor) -> Vec<Memory> {
     let layout = world.block_layout();
-    let Dimensions { n_agents, n_steps, n_envs: n, observation: o, state: s, .. } =
+    let Dimensions { n_agents, n_steps, n_envs: n, n_actions: u, observation: o, state: s, .. } =
         world.dimensions;
     let mut shown = Vec::new();
     let mut memory = Memory::new(n, &world.dimensions);
@@ -72,12 +72,12 @@ fn replay(world: &World, block: &[f32], mut batch: Batch, executor: &dyn Executo
         if step == n_steps {
             break;
         }
-        let mut actions = vec![0.0; n * n_agents * JOINTS_PER_AGENT];
-        for (at, action) in actions.chunks_exact_mut(JOINTS_PER_AGENT).enumerate() {
+        let mut actions = vec![0.0; n * n_agents * u];
+        for (at, action) in actions.chunks_exact_mut(u).enumerate() {
             let (env, agent) = (at / n_agents, at % n_agents);
             let row = (agent * n_steps + step) * n + env;
-            let from = layout.action.start + row * JOINTS_PER_AGENT;
-            action.copy_from_slice(&block[from..from + JOINTS_PER_AGENT]);
+            let from = layout.action.start + row * u;
+            action.copy_from_slice(&block[from..from + u]);
         }
         batch.step(&actions, executor, memory.rows()).expect("a step");
     }
@@ -97,6 +97,11 @@ fn the_actions_of_a_block_make_the_bits_of_the_block() {
     ] {
         let n = 42;
         let world = world(preset, task, n, 3);
+        // Also with arms of six and of seven joints.
+        let seven = include_str!("../../robots/seven-joints.toml");
+        let seven = Robot::from_toml(seven, std::path::Path::new("seven-joints.toml"));
+        let differing = World::new(&world.config, &seven.expect("valid"));
+        let world = if preset == Preset::Robust { differing } else { world };
         let flat = parameters(&world.config, &world.dimensions, 8);
         let policy = world.policy(&flat).expect("a policy");
         let mut block = vec![0.0; world.block_layout().len];

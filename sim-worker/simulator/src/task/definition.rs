@@ -4,12 +4,15 @@ use proto::config::{CriticState, JointAngles, Observation, Posture, Reward, Task
 
 use super::frame::ArmFrame;
 use super::{Aim, GoalRanges, Home};
+use crate::robot::Joints;
 
 /// A task on a robot: everything that is the same in every environment and step.
 #[derive(Debug, Clone)]
 pub struct Task {
     /// Which task.
     pub name: TaskName,
+    /// Which joints are whose.
+    pub joints: Joints,
     /// What each arm works for.
     pub aims: Vec<Aim>,
     /// What agents see.
@@ -40,6 +43,7 @@ impl Task {
         let task = &config.task;
         Self {
             name: task.name,
+            joints: Joints::new(&home.arms.iter().map(|arm| arm.q.len()).collect::<Vec<_>>()),
             aims: (0..home.arms.len()).map(|arm| task.name.aim(arm, home.arms.len())).collect(),
             observation: task.observation,
             joint_angles: task.joint_angles,
@@ -47,7 +51,11 @@ impl Task {
             control_period: config.env.control_period,
             critic_state: config.network.critic_state,
             action_scale: task.action_scale,
-            action_limit: home.arms.iter().flat_map(|arm| arm.command_limit).collect(),
+            action_limit: home
+                .arms
+                .iter()
+                .flat_map(|arm| arm.command_limit.iter().copied())
+                .collect(),
             frames: home.arms.iter().map(ArmFrame::new).collect(),
             reward: task.reward,
             goals: GoalRanges::new(task.goal_box, task.base_goal_range, task.target, home),

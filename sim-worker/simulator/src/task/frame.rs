@@ -54,7 +54,7 @@ fn along<S: Real>(axis: [f64; 3], v: [S; 3]) -> S {
 mod tests {
     use super::*;
     use crate::env::{Physics, home};
-    use crate::robot::{JOINTS_PER_ARM, Robot};
+    use crate::robot::Robot;
     use crate::spatial::{euler_xyz_to_rotation, rotation_difference};
     use crate::state::State;
     use crate::step::StepOptions;
@@ -65,12 +65,12 @@ mod tests {
     fn arms_in_the_same_pose_look_the_same_from_their_frames() {
         let robot = Robot::builtin("paper").expect("built in");
         let mut state = State::<f64>::home(&robot);
-        for q in state.q.chunks_exact_mut(JOINTS_PER_ARM) {
+        for q in state.q.chunks_exact_mut(6) {
             for (angle, offset) in q.iter_mut().zip([0.3, -0.4, 0.5, 0.2, -0.3, 0.4]) {
                 *angle += offset;
             }
         }
-        let mut readings = Readings::new(robot.n_arms);
+        let mut readings = Readings::new(&robot.joints);
         Physics::with_options(&robot, StepOptions::default()).read(&state, &mut readings);
         let home = home(&robot);
         let moved = home.arms.iter().zip(&readings.hands).map(|(arm, hand)| {
@@ -92,8 +92,8 @@ mod tests {
     #[test]
     fn a_turned_arm_sees_vectors_from_the_other_side() {
         let arm = HomeArm {
-            q: [3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            command_limit: [1.0; 6],
+            q: vec![3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            command_limit: vec![1.0; 6],
             position: [0.0; 3],
             euler: [0.0; 3],
             mount: [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],

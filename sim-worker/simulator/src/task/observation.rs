@@ -40,14 +40,17 @@
 //! `task.joint_angles = "unwound"` the angles themselves (rad) stand in the place of sines and cosines,
 //! and what follows moves up by six.
 //!
+//! Numbers of joints are those of arms of six. Where arms differ, what is told of joints has room for the longest arm (in the layouts `paper` and `release` for the
+//! agent with most joints), and what a shorter one leaves of it is zero.
+//!
 //! Nothing in it tells where the base is or how it is turned: see [`Errors`].
 
 use proto::config::{JointAngles, Observation};
-use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
+use proto::layout::AGENTS_PER_ARM;
 
 use super::frame::ArmFrame;
 use super::{Aim, Errors, Goals, Readings, Task};
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::MAX_JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{mat_t_vec, quaternion_to_rotation};
 
@@ -73,6 +76,15 @@ impl<'a, S: Real> Writer<'a, S> {
     pub(super) fn put(&mut self, values: &[S]) {
         self.out[self.at..self.at + values.len()].copy_from_slice(values);
         self.at += values.len();
+    }
+
+    /// What belongs to the joints of an arm, or of an agent, and zeros up to `room`.
+    #[inline(always)]
+    fn put_of_joints(&mut self, values: &[S], room: usize) {
+        self.put(values);
+        for _ in values.len()..room {
+            self.put(&[S::zero()]);
+        }
     }
 
     /// Asserts that everything was filled.
@@ -102,24 +114,26 @@ impl<'a, S: Real> Writer<'a, S> {
     /// cosines; rates.
     #[inline(always)]
     pub(super) fn put_joints(&mut self, task: &Task, readings: &Readings<S>, arm: usize) {
-        let first = arm * JOINTS_PER_ARM;
-        let mut angles = [S::default(); JOINTS_PER_ARM];
+        let (joints, room) = (task.joints.of_arm(arm), task.joints.longest_arm());
+        let mut angles = [S::default(); MAX_JOINTS_PER_ARM];
+        let angles = &mut angles[..joints.len()];
         let home = &task.goals.home.arms[arm].q;
-        for ((angle, &home), &q) in angles.iter_mut().zip(home).zip(&readings.q[first..]) {
+        for ((angle, &home), &q) in angles.iter_mut().zip(home).zip(&readings.q[joints.clone()]) {
             *angle = q - S::splat(home);
         }
         match task.joint_angles {
-            JointAngles::Unwound => self.put(&angles),
+            JointAngles::Unwound => self.put_of_joints(angles, room),
             JointAngles::SinCos => {
-                let (mut sines, mut cosines) = (angles, angles);
-                for (sine, cosine) in sines.iter_mut().zip(&mut cosines) {
+                let mut cosines = [S::default(); MAX_JOINTS_PER_ARM];
+                let cosines = &mut cosines[..joints.len()];
+                for (sine, cosine) in angles.iter_mut().zip(&mut *cosines) {
                     (*sine, *cosine) = sine.sin_cos();
                 }
-                self.put(&sines);
-                self.put(&cosines);
+                self.put_of_joints(angles, room);
+                self.put_of_joints(cosines, room);
             }
         }
-        self.put(&readings.qd[first..first + JOINTS_PER_ARM]);
+        self.put_of_joints(&readings.qd[joints], room);
     }
 
     /// Errors of the hand of `arm`, plain and squashed, and how its goal moves; zeros where it has no goal.
@@ -175,16 +189,21 @@ impl<'a, S: Real> Writer<'a, S> {
         let postures = errors.postures.as_ref().expect("a task that tells them has them");
         let posture = &postures.arms[arm];
         self.put(&[posture.good, posture.free]);
-        self.put(&posture.left);
-        for left in posture.left {
-            self.put(&[(left * S::splat(1.0 / POSTURE_WIDTH)).tanh()]);
+        let room = task.joints.longest_arm();
+        let mut squashed = [S::default(); MAX_JOINTS_PER_ARM];
+        let squashed = &mut squashed[..posture.left().len()];
+        for (squashed, &left) in squashed.iter_mut().zip(posture.left()) {
+            *squashed = (left * S::splat(1.0 / POSTURE_WIDTH)).tanh();
         }
+        self.put_of_joints(posture.left(), room);
+        self.put_of_joints(squashed, room);
     }
 
     /// Last action of `arm`.
     #[inline(always)]
-    pub(super) fn put_action(&mut self, readings: &Readings<S>, arm: usize) {
-        self.put(&readings.last_action[arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM]);
+    pub(super) fn put_action(&mut self, task: &Task, readings: &Readings<S>, arm: usize) {
+        let joints = task.joints.of_arm(arm);
+        self.put_of_joints(&readings.last_action[joints], task.joints.longest_arm());
     }
 }
 
@@ -249,16 +268,16 @@ impl<S: Real> Kernel<S> for Observe<'_, S> {
                         out.put(&frame.vector(three(&errors.squashed_base, at)));
                     }
                 }
-                out.put_action(readings, arm);
+                out.put_action(task, readings, arm);
             }
             Observation::Paper | Observation::Release => {
-                let first = agent * JOINTS_PER_AGENT;
+                let (joints, room) = (task.joints.of_agent(agent), task.joints.per_agent());
                 out.put(&readings.base_position);
                 out.put(&readings.base_quaternion);
-                out.put(&readings.q[first..first + JOINTS_PER_AGENT]);
+                out.put_of_joints(&readings.q[joints.clone()], room);
                 out.put(&readings.base_linear);
                 out.put(&readings.base_angular);
-                out.put(&readings.qd[first..first + JOINTS_PER_AGENT]);
+                out.put_of_joints(&readings.qd[joints], room);
                 // Hands or the base: with these layouts no task has both.
                 match task.aims[arm] {
                     Aim::Hand => {

@@ -2,7 +2,7 @@
 
 use super::{Goals, Task};
 use crate::posture::{Pace, Posture, Postures};
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::Joints;
 use crate::robot::Robot;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{
@@ -53,9 +53,9 @@ pub struct Readings<S> {
 }
 
 impl<S: Real> Readings<S> {
-    /// Zeros for `n_arms` arms.
-    pub fn new(n_arms: usize) -> Self {
-        let joints = vec![S::zero(); n_arms * JOINTS_PER_ARM];
+    /// Zeros for a robot with these joints.
+    pub fn new(of_robot: &Joints) -> Self {
+        let joints = vec![S::zero(); of_robot.n_joints()];
         let zero = [S::zero(); 3];
         Self {
             base_position: zero,
@@ -65,7 +65,7 @@ impl<S: Real> Readings<S> {
             base_angular: zero,
             q: joints.clone(),
             qd: joints.clone(),
-            hands: vec![HandReading::default(); n_arms],
+            hands: vec![HandReading::default(); of_robot.n_arms()],
             last_action: joints,
         }
     }
@@ -138,13 +138,8 @@ impl<S: Real> Errors<S> {
 
     /// Goal postures of the hands as agents see them, an arm each, where a task tells them: whether they bring the hand to its goal (1 or 0),
     /// whether they are free of stops (1 or 0), what is left to each joint (rad).
-    pub fn postures(&self) -> Option<Vec<[S; 2 + JOINTS_PER_ARM]>> {
-        let of_arm = |arm: &Posture<S>| {
-            let mut seen = [arm.good; 2 + JOINTS_PER_ARM];
-            seen[1] = arm.free;
-            seen[2..].copy_from_slice(&arm.left);
-            seen
-        };
+    pub fn postures(&self) -> Option<Vec<Vec<S>>> {
+        let of_arm = |arm: &Posture<S>| [&[arm.good, arm.free], arm.left()].concat();
         self.postures.as_ref().map(|postures| postures.arms.iter().map(of_arm).collect())
     }
 

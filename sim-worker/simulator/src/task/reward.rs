@@ -7,7 +7,7 @@
 //! e is `scale` times the error norm after the step, u the clipped action before scaling, u⁻ the
 //! step before's, co the number of touching pairs of the whole robot after the step (or of those in
 //! which the agent's arm takes part), or whether any touch. Of an arm that reaches, position and orientation agents each have their own e and weights and the
-//! norms run over the agent's three joints. For all agents of arms that turn the base e and the norms, which run over the joints of these
+//! norms run over the agent's joints. For all agents of arms that turn the base e and the norms, which run over the joints of these
 //! arms, are the same.
 //!
 //! The two agents of an arm that reaches may share: each then gets (1 − τ) times its own reward and
@@ -16,11 +16,10 @@
 //! cares for position alone leaves the wrist where it cannot turn without touching the arm.
 
 use proto::config::{Reward, RewardWeights};
-use proto::layout::{AGENTS_PER_ARM, JOINTS_PER_AGENT};
+use proto::layout::AGENTS_PER_ARM;
 
 use super::{Aim, Errors, Task};
 use crate::collision::Touching;
-use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Real};
 
 /// The formula; `error` is the plain norm, `change` and `effort` squared norms.
@@ -100,7 +99,7 @@ fn of_hand<S: Real>(
     ];
     for (index, ((weights, error), out)) in cares.into_iter().zip(&mut *out).enumerate() {
         let agent = arm * AGENTS_PER_ARM + index;
-        let joints = agent * JOINTS_PER_AGENT..(agent + 1) * JOINTS_PER_AGENT;
+        let joints = task.joints.of_agent(agent);
         let mut motion = (S::zero(), S::zero());
         add_squared_norms(&action[joints.clone()], &last_action[joints], &mut motion);
         let (change, effort) = motion;
@@ -123,7 +122,7 @@ fn motion_of_turning_arms<S: Real>(task: &Task, action: &[S], last_action: &[S])
     let mut motion = (S::zero(), S::zero());
     for (arm, aim) in task.aims.iter().enumerate() {
         if *aim == Aim::Base {
-            let joints = arm * JOINTS_PER_ARM..(arm + 1) * JOINTS_PER_ARM;
+            let joints = task.joints.of_arm(arm);
             add_squared_norms(&action[joints.clone()], &last_action[joints], &mut motion);
         }
     }

@@ -55,7 +55,7 @@ impl<S: Real> Kernel<S> for Critic<'_, S> {
                         out.put_hand(task, errors, arm);
                         out.put_posture(task, errors, arm);
                     }
-                    out.put_action(readings, arm);
+                    out.put_action(task, readings, arm);
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! Every layout and every term, worked by hand in `f64`.
 #![expect(clippy::approx_constant, reason = "the released model's own rounded numbers")]
 
+use crate::robot::Joints;
 use proto::config::{Config, JointAngles, Layers, Preset, Reward, TaskName};
 use proto::layout::Dimensions;
 use proto::rng::Purpose;
@@ -24,8 +25,8 @@ use crate::step::StepOptions;
 /// The released robot at home, from `reference` values of its model.
 fn home() -> Home {
     let arm = |q: [f64; 6], position, euler, mount| HomeArm {
-        q,
-        command_limit: [2.0942, 2.0942, 2.0942, 3.14, 3.14, 3.14],
+        q: q.to_vec(),
+        command_limit: vec![2.0942, 2.0942, 2.0942, 3.14, 3.14, 3.14],
         position,
         euler,
         mount,
@@ -59,7 +60,7 @@ fn config(preset: Preset, name: TaskName) -> Config {
 
 /// A state in which every number says where it comes from.
 fn readings() -> Readings<f64> {
-    let mut r = Readings::new(4);
+    let mut r = Readings::new(&Joints::of_sixes(4));
     r.base_position = [0.1, 0.2, 4.3];
     r.base_quaternion = [0.7, 0.1, 0.5, 0.5];
     r.base_euler = [0.01, -0.02, 0.03];
@@ -98,7 +99,7 @@ fn errors() -> Errors<f64> {
 fn observed(preset: Preset, name: TaskName, agent: usize) -> Vec<f64> {
     let config = config(preset, name);
     let task = Task::new(&config, home());
-    let mut out = vec![f64::NAN; Dimensions::new(&config, 4).observation];
+    let mut out = vec![f64::NAN; Dimensions::new(&config, Joints::of_sixes(4)).observation];
     observe(&task, &readings(), &goals(), &errors(), agent, &mut out);
     out
 }
@@ -236,7 +237,7 @@ fn seen_after_turns(joint_angles: JointAngles, turns: f64) -> [Vec<f64>; 2] {
     for q in &mut readings.q[12..18] {
         *q += turns * std::f64::consts::TAU;
     }
-    let sizes = Dimensions::new(&config, 4);
+    let sizes = Dimensions::new(&config, Joints::of_sixes(4));
     let mut seen = [sizes.observation, sizes.state].map(|len| vec![f64::NAN; len]);
     observe(&task, &readings, &goals(), &errors(), 4, &mut seen[0]);
     critic_state(&task, &readings, &errors(), &[], &mut seen[1]);
@@ -304,11 +305,11 @@ fn tuned_observations_do_not_tell_where_the_base_is() {
         }
         far.base = turned(goals.base);
         let mut seen = |state: &State<f64>, goals: &Goals<f64>, agent: usize| {
-            let mut readings = Readings::new(robot.n_arms);
+            let mut readings = Readings::new(&robot.joints);
             physics.read(state, &mut readings);
             let mut errors = Errors::new(robot.n_arms);
             errors.update(&readings, goals);
-            let mut out = vec![f64::NAN; Dimensions::new(&config, robot.n_arms).observation];
+            let mut out = vec![f64::NAN; Dimensions::new(&config, robot.joints).observation];
             observe(&task, &readings, goals, &errors, agent, &mut out);
             out
         };
@@ -324,7 +325,7 @@ fn compact_critic_state_holds_every_quantity_once() {
     for name in [TaskName::Trajectory, TaskName::Reorientation] {
         let config = config(Preset::Tuned, name);
         let task = Task::new(&config, home());
-        let mut out = vec![f64::NAN; Dimensions::new(&config, 4).state];
+        let mut out = vec![f64::NAN; Dimensions::new(&config, Joints::of_sixes(4)).state];
         critic_state(&task, &readings(), &errors(), &[], &mut out);
         assert_close(&out[..13], &TUNED_BASE);
         let (arm_2, of_arm) = if name == TaskName::Trajectory {
@@ -355,7 +356,7 @@ fn in_a_mixed_task_all_see_the_base_and_hands_are_seen_by_those_that_reach() {
     assert_eq!(mixed[42..], turning[24..]);
 
     let config = config(Preset::Tuned, TaskName::Mixed);
-    let mut out = vec![f64::NAN; Dimensions::new(&config, 4).state];
+    let mut out = vec![f64::NAN; Dimensions::new(&config, Joints::of_sixes(4)).state];
     critic_state(&Task::new(&config, home()), &readings(), &errors(), &[], &mut out);
     assert_close(&out[13..22], &tuned_base_errors());
     // Then four arms of 42; arm 2 has no goal for its hand.
@@ -387,7 +388,7 @@ fn the_motion_of_a_goal_is_seen_beside_its_place() {
     let mut readings = readings();
     let length = readings.base_quaternion.map(|x| x * x).iter().sum::<f64>().sqrt();
     readings.base_quaternion = readings.base_quaternion.map(|x| x / length);
-    let mut seen = vec![f64::NAN; Dimensions::new(&config, 4).observation];
+    let mut seen = vec![f64::NAN; Dimensions::new(&config, Joints::of_sixes(4)).observation];
     let mut errors = Errors::new(4);
     errors.update(&readings, &goals);
     // Agent 4 is of arm 2, whose frame has the base's axes.

@@ -1,7 +1,7 @@
 //! The contacts of a substep, and what tells when a pair must be looked at again.
 
 use crate::model::{Bound, Model};
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::MAX_JOINTS_PER_ARM;
 use crate::scalar::{Mask, Real};
 use crate::spatial::Vec3;
 
@@ -47,8 +47,8 @@ const FASTEST: f64 = 1e3;
 /// How long the motion at hand says something about speeds (s).
 pub(crate) const OUTLOOK: f64 = 0.1;
 
-/// A force carried up an arm: u at each joint.
-pub(crate) type Response<S> = [S; JOINTS_PER_ARM];
+/// A force carried up an arm: u at each joint, zero behind the arm's last.
+pub(crate) type Response<S> = [S; MAX_JOINTS_PER_ARM];
 
 /// Contacts of a substep, and what tells when a pair must be looked at again.
 #[derive(Clone, Debug)]
@@ -115,10 +115,11 @@ impl<S: Real> ContactSet<S> {
             self.rates[i] = rate.mul_add(S::splat(1.25), S::splat(0.1));
         }
         for i in 0..self.speeds.len() {
-            let (first, l) = (i - i % JOINTS_PER_ARM, i % JOINTS_PER_ARM);
+            let first = model.joints.of_arm(model.joints.arm_of(i)).start;
+            let levers = &model.collision.link(i).levers;
             let mut speed = S::zero();
-            for j in 0..=l {
-                speed = model.collision.levers[j][l].mul_add(self.rates[first + j], speed);
+            for (&rate, lever) in self.rates[first..=i].iter().zip(levers) {
+                speed = lever.mul_add(rate, speed);
             }
             self.speeds[i] = speed;
             self.speeds_ahead[i] = speed;

@@ -2,7 +2,6 @@
 
 use super::contact_set::ContactSet;
 use crate::model::Model;
-use crate::robot::JOINTS_PER_ARM;
 use crate::scalar::Real;
 use crate::spatial::{Mat3, Vec3, Vec6};
 
@@ -38,9 +37,9 @@ pub(crate) struct LinkPose<S> {
 /// Scratch memory for one robot (or one robot per lane). Holds nothing from one call to the next that matters.
 #[derive(Clone, Debug)]
 pub struct Workspace<S: Real> {
-    /// Six a arm, arm-major.
+    /// One a joint, arm-major.
     pub(crate) links: Vec<LinkScratch<S>>,
-    /// Six a arm, arm-major; filled where contacts or hands need them.
+    /// One a joint, arm-major; filled where contacts or hands need them.
     pub(crate) poses: Vec<LinkPose<S>>,
     /// Whether each link feels an outside force in some lane.
     pub(crate) forced: Vec<bool>,
@@ -77,7 +76,7 @@ impl<S: Real> Workspace<S> {
         let flat = vec![zero; 13 + 2 * n];
         Self {
             links: vec![link; n],
-            poses: vec![pose; model.n_arms() * JOINTS_PER_ARM],
+            poses: vec![pose; n],
             forced: vec![false; n],
             base_f_ext: Vec6::zero(),
             base_v: Vec6::zero(),

@@ -1,12 +1,12 @@
 //! The ways to disturb, as the released scripts do it and from outside.
 
+use proto::agents::Joints;
 use std::fmt;
 use std::ops::Range;
 
 use proto::config::TaskName;
 use serde::{Deserialize, Serialize};
 use simulator::experiment::{Effect, Intervention};
-use simulator::robot::JOINTS_PER_ARM;
 
 use super::study::Study;
 
@@ -54,8 +54,8 @@ pub(super) struct Case {
     pub(super) interventions: Vec<Intervention>,
 }
 
-/// All ways to disturb a task of a robot with so many joints.
-pub(super) fn cases(study: &Study, task: TaskName, n_joints: usize) -> Vec<Case> {
+/// All ways to disturb a task of a robot with these joints.
+pub(super) fn cases(study: &Study, task: TaskName, joints: &Joints) -> Vec<Case> {
     let first = study.at;
     let all_along = |steps: Range<usize>, effect| Intervention { steps, effect };
     // A force that is given and taken back leaves angular momentum, because the hand has moved meanwhile; a torque leaves none.
@@ -68,7 +68,9 @@ pub(super) fn cases(study: &Study, task: TaskName, n_joints: usize) -> Vec<Case>
         let effect = move |sign: f64| Effect::BaseTorque([0.0, 0.0, sign * torque]);
         (format!("{} N m on the base", study.torque), BASE_STEPS, Box::new(effect))
     };
-    let lift = (study.arm - 1) * JOINTS_PER_ARM + 1;
+    // The second joint lifts.
+    let lift = joints.of_arm(study.arm - 1).start + 1;
+    let n_joints = joints.n_joints();
     let (joints, value) =
         if task.reaches() { (lift..lift + 1, LIFT_ACTION) } else { (0..n_joints, BASE_ACTION) };
     let (once, twice) = (first..first + length, first + length..first + 2 * length);
@@ -105,14 +107,14 @@ mod tests {
     #[test]
     fn the_released_overrides_and_pushes_that_are_taken_back() {
         let study = Study { arm: 3, force: 20.0, at: 10, ..Study::default() };
-        let trajectory = cases(&study, TaskName::Trajectory, 24);
+        let trajectory = cases(&study, TaskName::Trajectory, &Joints::of_sixes(4));
         // Arm 3's lift is joint 13.
         assert_eq!(
             trajectory[0].interventions[0].effect,
             Effect::Action { joints: 13..14, value: 1.3 }
         );
         assert_eq!(trajectory[0].steps, 10..11);
-        let base = cases(&study, TaskName::Reorientation, 24);
+        let base = cases(&study, TaskName::Reorientation, &Joints::of_sixes(4));
         assert_eq!(base[0].interventions[0].effect, Effect::Action { joints: 0..24, value: 1.0 });
         assert_eq!(base[0].steps, 10..15);
         for cases in [trajectory, base] {

@@ -160,6 +160,8 @@ mod tests {
     use super::super::super::report::tests::changed;
     use super::super::cases::cases;
     use super::super::study::Study;
+    use proto::agents::Joints;
+
     use super::*;
 
     /// So that the two disturbances of the base can be compared, in the authors' scale.
@@ -171,7 +173,8 @@ mod tests {
             let recording = changed(task, 1, 6, |trial| {
                 trial.fixed.base = Some([0.0; 3]);
                 trial.players[0].action_scale = 0.5;
-                trial.interventions = cases(&study, task, 24).swap_remove(case).interventions;
+                trial.interventions =
+                    cases(&study, task, &Joints::of_sixes(4)).swap_remove(case).interventions;
             });
             assert_eq!(recording.attitude(0, 0), 0.0, "it rests before");
             recording.base(0, 5)[2].abs()
@@ -198,7 +201,8 @@ mod tests {
         let study = Study { at: 1, ..Study::default() };
         let turned = |task: TaskName, case: usize| {
             let recording = changed(task, 1, 40, |trial| {
-                trial.interventions = cases(&study, task, 24).swap_remove(case).interventions;
+                trial.interventions =
+                    cases(&study, task, &Joints::of_sixes(4)).swap_remove(case).interventions;
             });
             let [from, to] = [15, 39].map(|step| recording.pose(0, step).base_quaternion);
             angle_between(from, to)

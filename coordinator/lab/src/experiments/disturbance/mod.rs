@@ -83,7 +83,7 @@ impl Experiment for Study {
     fn measure(&self, lab: &Lab) -> anyhow::Result<Vec<Disturbed>> {
         let mut results = Vec::new();
         for policy in lab.policies() {
-            for case in cases(self, policy.task(), lab.robot.n_joints()) {
+            for case in cases(self, policy.task(), &lab.robot.joints) {
                 results.push(measure(lab, policy, self.arm - 1, case)?);
             }
         }

@@ -1,3 +1,4 @@
+use proto::agents::Joints;
 use safetensors::SafeTensors;
 
 use super::*;
@@ -39,10 +40,14 @@ fn every_arm_keeps_its_own_rows_and_its_origin() {
     let composed = store.load(&entry.dir).expect("whole");
     assert!(!composed.manifest.has_state());
     assert!(store.verify(&entry.name).expect("there").is_whole());
-    let (actors, from_a, from_b) = (composed.actors(4), a.actors(4), b.actors(4));
+    let (actors, from_a, from_b) = (
+        composed.actors(Joints::of_sixes(4)),
+        a.actors(Joints::of_sixes(4)),
+        b.actors(Joints::of_sixes(4)),
+    );
     let (actors, from_a, from_b) =
         (actors.expect("actors"), from_a.expect("actors"), from_b.expect("actors"));
-    let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), 4));
+    let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), Joints::of_sixes(4)));
     for tensor in &layout.tensors {
         let len = tensor.len() / 8;
         for agent in 0..8 {

@@ -1,3 +1,4 @@
+use proto::agents::Joints;
 use proto::config::Precision;
 use proto::layout::SnapshotHeader;
 
@@ -12,8 +13,8 @@ fn a_committed_snapshot_comes_back() {
     assert_eq!(checkpoint.manifest.iteration, 7);
     assert_eq!(checkpoint.manifest.env_steps, 7 * config().steps_per_iteration());
     assert_eq!(checkpoint.config, config());
-    let actors = checkpoint.actors(4).expect("actors");
-    let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), 4));
+    let actors = checkpoint.actors(Joints::of_sixes(4)).expect("actors");
+    let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), Joints::of_sixes(4)));
     let bias = layout.get("head.bias").expect("every actor has one");
     assert_eq!(actors[bias.offset], bias.offset as f32);
 }

@@ -1,3 +1,4 @@
+use proto::agents::Joints;
 use safetensors::SafeTensors;
 
 use super::*;
@@ -75,8 +76,8 @@ fn a_whole_checkpoint_passes() {
     let (_dir, store) = store_with(&[1]);
     let found = store.verify(&nth(1)).expect("there");
     assert!(found.is_whole(), "{:?}", found.problems);
-    let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), 4));
-    let state = StateLayout::new(&config(), &Dimensions::new(&config(), 4));
+    let layout = ActorLayout::new(&config(), &Dimensions::new(&config(), Joints::of_sixes(4)));
+    let state = StateLayout::new(&config(), &Dimensions::new(&config(), Joints::of_sixes(4)));
     let tensors = state.tensors.len() + layout.tensors.len();
     assert_eq!((found.files, found.tensors), (4, tensors));
     assert!(matches!(store.verify(&nth(2)), Err(CheckpointError::Absent { .. })));

@@ -8,7 +8,7 @@
 use crate::collision;
 use crate::dynamics::kinematics::poses_of_arm;
 use crate::model::Model;
-use crate::robot::JOINTS_PER_ARM;
+use crate::robot::Joints;
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Mat3, Vec3, Vec6, add, cross_add, mat_t_vec, mat_vec};
 use crate::workspace::Workspace;
@@ -44,14 +44,14 @@ pub struct Wrench<S> {
 }
 
 impl<S: Real> Disturbance<S> {
-    /// No disturbance of a robot with `n_arms` arms.
-    pub fn none(n_arms: usize) -> Self {
+    /// No disturbance of a robot with these joints.
+    pub fn none(joints: &Joints) -> Self {
         let zero = S::zero();
         Self {
-            hand_force: vec![[zero; 3]; n_arms],
+            hand_force: vec![[zero; 3]; joints.n_arms()],
             base_torque: [zero; 3],
-            joint_torque: vec![zero; n_arms * JOINTS_PER_ARM],
-            servo: vec![S::one(); n_arms * JOINTS_PER_ARM],
+            joint_torque: vec![zero; joints.n_joints()],
+            servo: vec![S::one(); joints.n_joints()],
             wrenches: Vec::new(),
         }
     }
@@ -69,7 +69,7 @@ impl<S: Real> Disturbance<S> {
 /// Weakens the servos' torques and adds those from outside: changes `tau` of `ws.links`.
 #[inline(always)]
 pub(super) fn disturb_joints<S: Real>(ws: &mut Workspace<S>, disturbance: &Disturbance<S>) {
-    S::compiled(Joints { ws, disturbance });
+    S::compiled(OnJoints { ws, disturbance });
 }
 
 /// Puts the forces from outside on base and links, on top of the contacts', and leaves their wrench on the whole robot in `ws.outside`.
@@ -84,17 +84,17 @@ pub(super) fn disturb_bodies<S: Real>(
     r_wb: &Mat3<S>,
     travelled: Vec3<S>,
 ) {
-    S::compiled(Bodies { model, ws, disturbance, r_wb, travelled });
+    S::compiled(OnBodies { model, ws, disturbance, r_wb, travelled });
 }
 
 // In functions of their own, so that the code around them is the same with and without them.
 
-struct Joints<'a, S: Real> {
+struct OnJoints<'a, S: Real> {
     ws: &'a mut Workspace<S>,
     disturbance: &'a Disturbance<S>,
 }
 
-impl<S: Real> Kernel<S> for Joints<'_, S> {
+impl<S: Real> Kernel<S> for OnJoints<'_, S> {
     type Output = ();
 
     #[inline(always)]
@@ -107,7 +107,7 @@ impl<S: Real> Kernel<S> for Joints<'_, S> {
     }
 }
 
-struct Bodies<'a, S: Real> {
+struct OnBodies<'a, S: Real> {
     model: &'a Model<S>,
     ws: &'a mut Workspace<S>,
     disturbance: &'a Disturbance<S>,
@@ -115,7 +115,7 @@ struct Bodies<'a, S: Real> {
     travelled: Vec3<S>,
 }
 
-impl<S: Real> Kernel<S> for Bodies<'_, S> {
+impl<S: Real> Kernel<S> for OnBodies<'_, S> {
     type Output = ();
 
     #[inline(always)]
@@ -131,9 +131,9 @@ impl<S: Real> Kernel<S> for Bodies<'_, S> {
                 continue;
             }
             poses_of_arm(model, ws, arm);
-            let last = arm * JOINTS_PER_ARM + JOINTS_PER_ARM - 1;
+            let last = model.joints.of_arm(arm).end - 1;
             let pose = ws.poses[last];
-            let point = add(pose.o, mat_vec(&pose.r, model.tool_position));
+            let point = add(pose.o, mat_vec(&pose.r, model.arms[arm].tool_position));
             collision::push_link(ws, last, point, mat_t_vec(r_wb, force));
             let from_start = add(travelled, mat_vec(r_wb, point));
             outside.ang = cross_add(from_start, force, outside.ang);
@@ -150,7 +150,7 @@ impl<S: Real> Kernel<S> for Bodies<'_, S> {
                     wrench.point
                 }
                 Some(link) => {
-                    poses_of_arm(model, ws, link / JOINTS_PER_ARM);
+                    poses_of_arm(model, ws, model.joints.arm_of(link));
                     let pose = ws.poses[link];
                     let point = add(pose.o, mat_vec(&pose.r, wrench.point));
                     collision::push_link(ws, link, point, force);

@@ -1,5 +1,6 @@
 //! What acts from outside changes momentum and energy by its impulse and its work.
 
+use crate::robot::Joints;
 use nalgebra::Vector3;
 
 use super::*;
@@ -48,7 +49,7 @@ fn struck(
 
 /// A pull of 50 N at the hand of arm 1 and of another at that of arm 3.
 fn pull() -> Disturbance<f64> {
-    let mut disturbance = Disturbance::none(4);
+    let mut disturbance = Disturbance::none(&Joints::of_sixes(4));
     disturbance.hand_force[1] = [30.0, -24.0, 32.0];
     disturbance.hand_force[3] = [0.0, 10.0, -5.0];
     disturbance
@@ -74,7 +75,8 @@ fn a_torque_leaves_its_angular_impulse_and_nothing_else() {
     let robot = paper();
     let state = moving(&robot, 3);
     let torque = Vector3::new(15.0, -20.0, 10.0);
-    let disturbance = Disturbance { base_torque: torque.into(), ..Disturbance::none(4) };
+    let disturbance =
+        Disturbance { base_torque: torque.into(), ..Disturbance::none(&Joints::of_sixes(4)) };
     let after = struck(&robot, &state, &disturbance, &training());
     let (m0, m1) = (momentum(&robot, &state), momentum(&robot, &after));
     assert!((m1.angular - m0.angular - torque * 0.4).norm() < 1e-10, "{}", m1.angular);
@@ -102,15 +104,17 @@ fn a_forces_angular_impulse_is_that_of_the_converged_solution() {
 fn a_wrench_at_a_hand_is_a_pull_there_and_one_on_the_base_turns_it() {
     let robot = paper();
     let state = moving(&robot, 3);
-    let tool: [f64; 3] = robot.tool_position.into();
+    let tool: [f64; 3] = robot.types[0].tool_position.into();
     let at_hand = |arm: usize| {
-        let link = Some(arm * JOINTS_PER_ARM + JOINTS_PER_ARM - 1);
+        let link = Some(robot.joints.of_arm(arm).end - 1);
         Wrench { link, point: tool, force: pull().hand_force[arm], torque: [0.0; 3] }
     };
     let torque = [15.0, -20.0, 10.0];
     let on_base = Wrench { link: None, point: [0.0; 3], force: [0.0; 3], torque };
-    let ours =
-        Disturbance { wrenches: vec![at_hand(1), at_hand(3), on_base], ..Disturbance::none(4) };
+    let ours = Disturbance {
+        wrenches: vec![at_hand(1), at_hand(3), on_base],
+        ..Disturbance::none(&Joints::of_sixes(4))
+    };
     let theirs = Disturbance { base_torque: torque, ..pull() };
     let [ours, theirs] = [ours, theirs].map(|d| struck(&robot, &state, &d, &training()));
     assert!((ours.qd[8] - state.qd[8]).abs() > 1e-3, "it does something");
@@ -134,7 +138,8 @@ fn a_wrench_on_any_body_leaves_its_impulse() {
         let acts = |force: Vector3<f64>, torque: Vector3<f64>| {
             let point = [0.1, -0.05, 0.02];
             let wrench = Wrench { link, point, force: force.into(), torque: torque.into() };
-            let disturbance = Disturbance { wrenches: vec![wrench], ..Disturbance::none(4) };
+            let disturbance =
+                Disturbance { wrenches: vec![wrench], ..Disturbance::none(&Joints::of_sixes(4)) };
             let after = struck(&robot, &state, &disturbance, &training());
             (momentum(&robot, &state), momentum(&robot, &after))
         };
@@ -155,7 +160,8 @@ fn a_pushs_angular_impulse_is_that_of_the_converged_solution() {
     let state = moving(&robot, 3);
     for (link, point) in [(None, [0.4, 0.4, -0.4]), (Some(7), [0.2, 0.0, 0.1])] {
         let wrench = Wrench { link, point, force: [30.0, -24.0, 32.0], torque: [0.0; 3] };
-        let disturbance = Disturbance { wrenches: vec![wrench], ..Disturbance::none(4) };
+        let disturbance =
+            Disturbance { wrenches: vec![wrench], ..Disturbance::none(&Joints::of_sixes(4)) };
         let before = momentum(&robot, &state).angular;
         let [ours, converged] = [0.016, 0.00016].map(|substep| {
             let options = StepOptions { substep, ..training() };
@@ -172,7 +178,7 @@ fn limp_joints_keep_their_energy_and_torques_do_their_work() {
     let robot = paper();
     let state = moving(&robot, 3);
     let fine = StepOptions { substep: 0.001, ..training() };
-    let mut limp = Disturbance::none(4);
+    let mut limp = Disturbance::none(&Joints::of_sixes(4));
     limp.servo.fill(0.0);
     let energy = |state: &State<f64>| kinetic_energy(&robot, state);
     let before = energy(&state);
@@ -180,7 +186,7 @@ fn limp_joints_keep_their_energy_and_torques_do_their_work() {
     let coasting = struck(&robot, &state, &limp, &fine);
     assert!((energy(&coasting) - before).abs() < 1e-7 * before, "{}", energy(&coasting));
     // Held, the servos brake.
-    let held = struck(&robot, &state, &Disturbance::none(4), &fine);
+    let held = struck(&robot, &state, &Disturbance::none(&Joints::of_sixes(4)), &fine);
     assert!(energy(&held) < 0.5 * before, "{}", energy(&held));
     limp.joint_torque[8] = 7.0;
     let driven = struck(&robot, &state, &limp, &fine);
@@ -200,7 +206,7 @@ fn no_disturbance_is_none() {
         let mut ws = Workspace::new(&model);
         let mut plain = state.clone();
         step(&model, &mut ws, &mut plain, &[0.0; 24], &options);
-        let none = struck(&robot, &state, &Disturbance::none(4), &options);
+        let none = struck(&robot, &state, &Disturbance::none(&Joints::of_sixes(4)), &options);
         assert_eq!(plain, none, "contacts {contacts}");
     }
 }
@@ -217,7 +223,7 @@ impl LaneFn for Lanes<'_> {
         let mut ws = Workspace::new(&model);
         let mut state = State::<S>::home(self.0);
         let command = vec![S::splat(0.2); self.0.n_joints()];
-        let mut disturbance = Disturbance::<S>::none(self.0.n_arms);
+        let mut disturbance = Disturbance::<S>::none(&self.0.joints);
         for lane in 0..S::LANES {
             let force = 5.0 * lane as f64;
             disturbance.hand_force[0][2].set_lane(lane, -force);
@@ -245,7 +251,7 @@ fn lanes_follow_the_f64_twin_each_with_its_own() {
     let model = Model::<f64>::new(&robot);
     for (lane, ours) in lanes.iter().enumerate() {
         let force = 5.0 * lane as f64;
-        let mut disturbance = Disturbance::none(4);
+        let mut disturbance = Disturbance::none(&Joints::of_sixes(4));
         disturbance.hand_force[0][2] = -force;
         disturbance.joint_torque[13] = force;
         disturbance.base_torque[1] = force;
