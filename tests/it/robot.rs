@@ -1,10 +1,12 @@
 //! Robots of other programs: brought from URDF, and what MuJoCo reads in the same file.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
+use simulator::robot::Robot;
 use tests::{crosscheck, octopus, python, stderr};
 
 use crate::mujoco::Noise;
@@ -76,6 +78,19 @@ fn random_urdf(seed: u64, arms: usize) -> String {
     text + "</robot>\n"
 }
 
+/// How far a robot file is from what MuJoCo reads in the URDF that it was made of; files are the URDF, a model to be written, the robot file.
+fn beside_mujoco([urdf, mjcf, toml]: &[&str; 3]) -> Value {
+    let made = octopus(&["mjcf", "--robot", toml, "--contacts=off", "--out", mjcf]);
+    assert!(made.status.success(), "{}", stderr(&made));
+    let output = Command::new(python())
+        .arg(crosscheck("urdf.py"))
+        .args([urdf, mjcf, toml, "7"])
+        .output()
+        .expect("Python starts");
+    assert!(output.status.success(), "{}", stderr(&output));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
 #[test]
 fn what_is_brought_from_urdf_is_what_mujoco_reads_in_it() {
     let dir = tempfile::tempdir().expect("a directory");
@@ -94,19 +109,61 @@ fn what_is_brought_from_urdf_is_what_mujoco_reads_in_it() {
             ["urdf", "toml", "xml"].map(|end| at(&name).replace(".urdf", &format!(".{end}")));
         let imported = octopus(&["robot", "import", &urdf, "--out", &toml]);
         assert!(imported.status.success(), "{}", stderr(&imported));
-        let made = octopus(&["mjcf", "--robot", &toml, "--contacts=off", "--out", &mjcf]);
-        assert!(made.status.success(), "{}", stderr(&made));
-        let output = Command::new(python())
-            .arg(crosscheck("urdf.py"))
-            .args([&urdf, &mjcf, &toml, "7"])
-            .output()
-            .expect("Python starts");
-        assert!(output.status.success(), "{}", stderr(&output));
-        let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let answer = beside_mujoco(&[&urdf, &mjcf, &toml]);
         let number = |key: &str| answer[key].as_f64().expect("a number");
         // What stands for mount and pedestal is a milligram; files have sixteen digits, angles of rows nine.
         assert!(number("inertia") < 1e-6, "{name}: {answer}");
         assert!(number("masses") < 1e-6, "{name}: {answer}");
+    }
+}
+
+/// Files of the package example-robot-data, and the links where their arms begin: those of Universal Robots (UR10) and Kinova (Jaco 2) have six joints, those of
+/// Franka (Panda), UFactory (xArm 7), Unitree (Z1 with its gripper) and Rethink Robotics (Baxter) seven.
+const ARMS: [&str; 6] = [
+    "ur_description/urdf/ur10_robot.urdf:base_link",
+    "panda_description/urdf/panda_collision.urdf:panda_link0",
+    "xarm_description/urdf/xarm7.urdf:link_base",
+    "kinova_description/robots/kinova.urdf:j2s6s200_link_base",
+    "z1_description/urdf/z1.urdf:link00",
+    "baxter_description/urdf/baxter.urdf:right_arm_mount",
+];
+
+/// A satellite with these arms of other people, as URDF.
+fn satellite(out: &str, arms: &[&str]) {
+    let output = Command::new(python())
+        .arg(crosscheck("satellite.py"))
+        .arg(out)
+        .args(arms)
+        .output()
+        .expect("Python starts");
+    assert!(output.status.success(), "{}", stderr(&output));
+}
+
+/// Each alone, and different ones on one base: what they weigh and how they move is what MuJoCo reads in the same URDF.
+#[test]
+fn arms_of_other_people_are_what_mujoco_reads_also_different_ones_on_one_base() {
+    let dir = tempfile::tempdir().expect("a directory");
+    let at = |name: &str| dir.path().join(name).to_str().expect("UTF-8").to_owned();
+    let alone = ARMS.iter().map(|arm| vec![*arm]);
+    let together = [ARMS[..4].to_vec(), vec![ARMS[1], ARMS[5], ARMS[1]]];
+    for (number, arms) in alone.chain(together).enumerate() {
+        let [urdf, toml, mjcf] = ["urdf", "toml", "xml"].map(|end| at(&format!("{number}.{end}")));
+        satellite(&urdf, &arms);
+        let imported = octopus(&["robot", "import", &urdf, "--out", &toml]);
+        assert!(imported.status.success(), "{arms:?}: {}", stderr(&imported));
+        let robot =
+            Robot::from_toml(&std::fs::read_to_string(&toml).expect("written"), Path::new(&toml))
+                .unwrap_or_else(|error| panic!("{arms:?}: {error}"));
+        let expected: Vec<usize> = arms
+            .iter()
+            .map(|arm| if arm.starts_with("ur") || arm.starts_with("kinova") { 6 } else { 7 })
+            .collect();
+        assert_eq!(robot.joints.by_arm().collect::<Vec<_>>(), expected);
+        let types: BTreeSet<&str> = arms.iter().copied().collect();
+        assert_eq!(robot.types.len(), types.len(), "arms that are alike are of one type");
+        let answer = beside_mujoco(&[&urdf, &mjcf, &toml]);
+        assert!(answer["inertia"].as_f64() < Some(1e-6), "{arms:?}: {answer}");
+        assert!(answer["masses"].as_f64() < Some(1e-6), "{arms:?}: {answer}");
     }
 }
 
