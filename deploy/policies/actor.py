@@ -32,8 +32,8 @@ def layer_norm(x, gain, shift):
 class Actor:
     """The actors of a checkpoint, a directory with policy.safetensors, config.toml and robot.toml.
 
-    There are A agents, two an arm: the shoulder (joints 1 to 3), then the wrist (4 to 6). Each sees O
-    numbers and moves three joints. Observations are arrays or nested lists of shape (A, O), or (A, ..., O)
+    There are A agents, two an arm: the shoulder (the first half of the joints), then the wrist. Each sees O
+    numbers and has U actions, one for each of its joints: three where arms have six. Observations are arrays or nested lists of shape (A, O), or (A, ..., O)
     for many robots at once.
     """
 
@@ -42,8 +42,15 @@ class Actor:
         self.parameters = safetensors.numpy.load_file(checkpoint / "policy.safetensors")
         self.config = tomllib.loads((checkpoint / "config.toml").read_text())
         robot = tomllib.loads((checkpoint / "robot.toml").read_text())
-        rates = [link["servo"]["max_rate"] for link in robot["links"]]
-        self.limits = np.tile(rates, len(robot["arms"]))
+        of_arm = lambda arm: robot["arm_types"][arm["type"]]["links"] if "type" in arm else robot["links"]
+        rates = [[link["servo"]["max_rate"] for link in of_arm(arm)] for arm in robot["arms"]]
+        self.limits = np.concatenate(rates)
+        # Agents have as many actions as the one with most joints, and postures room for the longest arm: which of them are there.
+        joints = np.array([len(arm) for arm in rates])
+        self.n_actions = (joints.max() + 1) // 2
+        of_agents = np.stack([(joints + 1) // 2, joints // 2], 1).reshape(-1)
+        self.agent_moves = np.arange(self.n_actions) < of_agents[:, None]
+        self.arm_has = np.arange(joints.max()) < joints[:, None]
         self.scale = self.config["task"]["action_scale"]
         # One actor an agent; with `ppo` one for all, which sees their observations one after the other.
         self.n_agents = 2 * len(robot["arms"])
@@ -69,7 +76,7 @@ class Actor:
         return x
 
     def means(self, observations):
-        """What the networks say, before it is clipped: (A, ..., 3) for observations (A, ..., O)."""
+        """What the networks say, before it is clipped: (A, ..., U) for observations (A, ..., O)."""
         observations = self.check(observations)
         network, algorithm = self.config["network"], self.config["algorithm"]
         head = self.parameters["head.weight"]
@@ -97,30 +104,32 @@ class Actor:
         if network["squash_mean"]:
             limit = algorithm["maddpg"]["action_limit"] if algorithm["name"] == "maddpg" else 1.0
             x = limit * np.tanh(x)
-        x = x.reshape(*x.shape[:-1], agents // actors, 3)
-        return np.moveaxis(x, -2, 1).reshape(agents, *observations.shape[1:-1], 3)
+        x = x.reshape(*x.shape[:-1], agents // actors, self.n_actions)
+        return np.moveaxis(x, -2, 1).reshape(agents, *observations.shape[1:-1], self.n_actions)
 
     def actions(self, observations):
-        """Clipped actions, joint after joint: (..., 3 A) for observations (A, ..., O).
+        """Clipped actions, joint after joint: (..., J) for observations (A, ..., O).
 
         These, not the commands, are the last action that the next observations hold.
         """
-        means = np.moveaxis(self.means(observations), 0, -2)
-        means = means.reshape(*means.shape[:-2], -1) + self.guidance(observations)
+        means = np.moveaxis(self.means(observations), 0, -2)[..., self.agent_moves]
+        means = means + self.guidance(observations)
         return np.clip(means, -self.limits, self.limits)
 
     def guidance(self, observations):
-        """What is added to what the networks say, (..., 3 A): actions that go to the goal postures, which observations tell."""
+        """What is added to what the networks say, (..., J): actions that go to the goal postures, which observations tell."""
         gain = self.config["task"].get("posture", {"gain": 0.0})["gain"]
         if gain == 0.0:
             return 0.0
         # Of the shoulders' observations: whether the posture is free of stops, and what is left to it (rad).
-        seen = np.moveaxis(self.check(observations)[::2], 0, -2)[..., -20:-12]
+        room = self.arm_has.shape[1]
+        seen = np.moveaxis(self.check(observations)[::2], 0, -2)[..., -3 * room - 2 : -2 * room]
         free, left = seen[..., 1:2], seen[..., 2:]
         there = gain / (self.config["env"]["control_period"] * self.scale) * free * left
-        excess = np.abs(there) / self.limits.reshape(-1, 6)
-        there = there / np.maximum(excess.max(-1, keepdims=True), 1.0)
-        return there.reshape(*there.shape[:-2], -1)
+        limits = np.full(self.arm_has.shape, np.inf)
+        limits[self.arm_has] = self.limits
+        there = there / np.maximum((np.abs(there) / limits).max(-1, keepdims=True), 1.0)
+        return there[..., self.arm_has]
 
     def commands(self, observations):
         """Joint velocities (rad/s), joint after joint, to hold for a control period: (..., 3 A)."""

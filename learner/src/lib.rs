@@ -19,7 +19,7 @@
 //!
 //! ```
 //! use learner::{Update as _, mappo::Mappo, precision::Arithmetic, state::TrainingState, synthetic};
-//! use proto::{config::{Layers, Preset}, layout::Dimensions};
+//! use proto::{agents::Joints, config::{Layers, Preset}, layout::Dimensions};
 //!
 //! let config = Layers::new(Preset::Tuned, None)
 //!     .set("env.n_envs=8")?

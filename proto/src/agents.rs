@@ -3,6 +3,11 @@
 //! Each arm has two agents: the first moves the half of its joints that stands at the base (the shoulder), the second the others (the wrist). Where the
 //! number is odd, the shoulder has one more.
 
+#![expect(
+    clippy::inline_always,
+    reason = "asked in the innermost loops, which are compiled for the processor's vectors"
+)]
+
 use std::fmt;
 use std::ops::Range;
 

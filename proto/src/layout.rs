@@ -395,6 +395,7 @@ pub struct SnapshotHeader {
 pub fn layout_hash() -> String {
     let text = concat!(
         include_str!("layout.rs"),
+        include_str!("agents.rs"),
         include_str!("message.rs"),
         include_str!("digest.rs"),
         include_str!("../channels/src/line.rs"),

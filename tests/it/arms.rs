@@ -25,8 +25,8 @@ fn trained(task: &str, more: &[&str]) -> Run {
 #[test]
 fn arms_that_differ_learn_to_the_same_bits() {
     for (task, more) in [
-        ("trajectory", &WITH_POSTURES[..]),
-        ("reorientation", &["--set=algorithm.name=maddpg"]),
+        ("trajectory", WITH_POSTURES),
+        ("reorientation", &["--set=algorithm.name=maddpg"][..]),
         ("trajectory", &["--set=algorithm.name=ppo"]),
         ("mixed", &["--set=algorithm.name=ippo"]),
     ] {

@@ -18,7 +18,7 @@ pub enum ExportError {
     Task(&'static str),
     /// The controllers' kinematics are those of like arms of six joints.
     #[error(
-        "policies of robot `{0}` cannot be exported yet, expected a robot whose arms are all of the type at the top of its file, with six joints; \
+        "policies of robot `{0}` cannot be exported yet, expected a robot whose file describes one type of arms, with six joints; \
          let `octopus`, the page or the Python package play it"
     )]
     Robot(String),

@@ -69,7 +69,7 @@ pub fn import(
             arm_type: None,
             mount_position: mount.translation.vector.into(),
             mount_euler_deg: euler_deg(mount.rotation.to_rotation_matrix().matrix()),
-            home: chain.zeros.to_vec(),
+            home: chain.zeros.clone(),
         });
         if chain.left_over.abs() > 1e-3 {
             notes.add(format!(

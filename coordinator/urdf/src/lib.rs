@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! text ── document: links and joints, every number checked
-//!            └── tree: the base, and six moving links for each arm; what is fixed belongs to what it is fixed to
+//!            └── tree: the base, and the moving links of each arm; what is fixed belongs to what it is fixed to
 //!                  └── chain: Denavit–Hartenberg rows of the joints' axes, and the frames that they lead to
 //!                        └── bodies: masses, inertias and shapes in these frames
 //! ```

@@ -11,7 +11,7 @@ use crate::error::UrdfError;
 /// Links that do not move against each other, with their poses in the frame of the root link while all angles are zero.
 pub(crate) type Body<'d> = Vec<(&'d Link, Isometry3<f64>)>;
 
-/// An arm: six joints one after the other, and what each of them moves.
+/// An arm: joints one after the other, and what each of them moves.
 #[derive(Debug)]
 pub(crate) struct Arm<'d> {
     pub(crate) joints: Vec<Axis<'d>>,

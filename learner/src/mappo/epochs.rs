@@ -100,7 +100,13 @@ impl Group {
         let std = options.actor_loss.log_std(&parameter).exp();
         let report = UpdateReport {
             entropy: numbers(options.actor_loss.entropy(&parameter, self.own.as_ref())),
-            action_std: numbers(std.mean_dim(&[1i64][..], false, None)),
+            action_std: numbers(match &self.own {
+                None => std.mean_dim(&[1i64][..], false, None),
+                Some(own) => {
+                    let sum = |x: &Tensor| x.sum_dim_intlist(&[1i64][..], false, Kind::Float);
+                    sum(&(std * own)) / sum(own)
+                }
+            }),
             explained_variance: samples.explained_variance,
             returns: samples.episode_return,
             ..sums.means()

@@ -21,8 +21,8 @@ type Floats = Py<PyArrayDyn<f32>>;
 
 /// Many environments that are stepped together, all agents at once.
 ///
-/// Letters: N environments, A agents, O numbers that an agent sees, S numbers that critics see. Agent 2i moves joints 1 to 3 of arm i,
-/// agent 2i + 1 joints 4 to 6. All arrays are float32 and stay the same objects: `reset` and `step` fill them in place, so copy what you
+/// Letters: N environments, A agents, O numbers that an agent sees, S numbers that critics see. U actions of an agent. Agent 2i moves the first
+/// half of the joints of arm i, agent 2i + 1 the others. All arrays are float32 and stay the same objects: `reset` and `step` fill them in place, so copy what you
 /// keep.
 ///
 /// `config` is the name of a preset ("guided", "tuned", "paper", "release", "robust"), the path of a TOML file, or a `Config`; `task` and `set` are
@@ -140,7 +140,7 @@ impl Batch {
         })
     }
 
-    /// Holds actions [N, A, 3] for a control step (0.4 s by default), and shows what it led to.
+    /// Holds actions [N, A, U] for a control step (0.4 s by default), and shows what it led to.
     ///
     /// Actions are joint velocities before `task.action_scale` (0.8 in preset guided); what is beyond the joints' limits is clipped. Float32 in
     /// C order is taken as it is, other real numbers are converted.

@@ -14,7 +14,7 @@ use crate::robot;
 ///
 /// Returns arrays by name, a row a control step, after it: "t" [T] (s), "base_position" [T, 3] (m), "base_quaternion" [T, 4] (w first),
 /// "base_linear_velocity" [T, 3] (m/s, world), "base_angular_velocity" [T, 3] (rad/s, base axes), "joint_angles" and "joint_rates"
-/// [T, arms, 6] (rad, rad/s), "hands" [T, arms, 3] (m, world), "contacts" [T] (touching pairs).
+/// [T, arms, J] (rad, rad/s; J are the joints of the longest arm), "hands" [T, arms, 3] (m, world), "contacts" [T] (touching pairs).
 ///
 /// `precision` is "f32", as training runs it, or "f64"; `integrator` "rk3", "rk4" or "euler"; `substep` and `control_period` are in seconds.
 /// `ValueError` says what is wrong with an argument, `RuntimeError` that the simulation blew up.

@@ -111,7 +111,8 @@ fn parts(robot: &Robot) -> Vec<Part> {
             };
             [mount, pedestal].into_iter().chain(links).collect::<Vec<Part>>()
         });
-    boxes.chain(of_types).collect()
+    // A type that no arm has is no part of the robot.
+    boxes.chain(of_types).filter(|part| part.count > 0.0).collect()
 }
 
 /// Moves every joint a little and judges what comes of it.

@@ -20,8 +20,9 @@ export class RobotView {
         this.bodies = description.bodies.map((body, index) => {
             const group = new THREE.Group();
             group.matrixAutoUpdate = false;
+            const [first, end] = description.joints[body.arm ?? 0] ?? [0, 0];
             const material = new THREE.MeshStandardMaterial({
-                color: body.arm === null ? "#c9ced6" : armColour(body.arm, index - 1 - (description.joints[body.arm]?.[0] ?? 0)),
+                color: body.arm === null ? "#c9ced6" : armColour(body.arm, index - 1 - first, end - first),
                 roughness: 0.62,
                 metalness: 0.05,
                 emissive: CONTACT,
@@ -66,9 +67,10 @@ export class RobotView {
     }
 }
 
-/** Light links, with the arm's colour towards the hand. */
-function armColour(arm: number, link: number): THREE.Color {
-    const share = [0.35, 0.2, 0.2, 0.55, 0.75, 1][link] ?? 0.3;
+/** Light links, with the arm's colour towards the hand; `links` are those of the arm. */
+function armColour(arm: number, link: number, links: number): THREE.Color {
+    const shares = [0.35, 0.2, 0.2, 0.55, 0.75, 1];
+    const share = shares[Math.round((link * (shares.length - 1)) / Math.max(links - 1, 1))] ?? 0.3;
     return new THREE.Color("#e4e7ec").lerp(new THREE.Color(ofArm(arm)), share);
 }
 

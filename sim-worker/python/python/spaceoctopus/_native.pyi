@@ -230,7 +230,7 @@ class Postures:
     def update(
         self, base_position: ArrayLike, base_attitude: ArrayLike, joint_angles: ArrayLike, goals: ArrayLike
     ) -> _Floats:
-        """Looks once a control step; returns [arms, 8]: good, free, what is left to each joint (rad)."""
+        """Looks once a control step; returns [arms, 2 + J]: good, free, what is left to each joint (rad), J those of the longest arm."""
     def forget(self) -> None:
         """Forgets all goals, because another episode begins."""
 

@@ -117,12 +117,12 @@ impl Episode {
     /// An episode at its beginning: on the robot of the first member and integrated as its configuration says, every arm moved by the first member.
     ///
     /// # Panics
-    /// If there are no members or robots with different numbers of arms.
+    /// If there are no members, or their robots have other joints.
     pub fn new(members: Vec<Arc<Member>>, start: Start) -> Result<Self, EventError> {
         let World { robot, config, .. } = &members[0].world;
         let (robot, options) = (robot.clone(), step_options(config));
         for member in &members {
-            assert_eq!(member.world.dimensions.n_arms, robot.n_arms, "one robot for all");
+            assert_eq!(member.world.dimensions.joints, robot.joints, "one robot for all");
         }
         let course = Course::new(&robot.joints);
         let players: Vec<Player<'_>> = members.iter().map(|member| member.player()).collect();
@@ -167,9 +167,9 @@ impl Episode {
 
     /// Another policy takes part, or the one of index `at` gives its place to it.
     pub fn seat(&mut self, at: Option<usize>, member: Arc<Member>) -> Result<usize, EventError> {
-        let (found, limit) = (member.world.dimensions.n_arms, self.robot.n_arms);
-        if found != limit {
-            return Err(EventError::Beyond { what: "arms of the policy:", found, limit });
+        let (moved, there) = (member.world.dimensions.joints, self.robot.joints);
+        if moved != there {
+            return Err(EventError::Joints(Box::new([moved, there])));
         }
         let at = at.unwrap_or(self.members.len());
         within("policy", at, self.members.len() + 1)?;

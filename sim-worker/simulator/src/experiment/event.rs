@@ -144,6 +144,9 @@ pub enum EventError {
         /// What would do.
         expected: &'static str,
     },
+    /// A policy for other arms.
+    #[error("the policy moves {}, the robot has {}", .0[0], .0[1])]
+    Joints(Box<[Joints; 2]>),
     /// A robot that cannot be.
     #[error(transparent)]
     Robot(#[from] RobotError),

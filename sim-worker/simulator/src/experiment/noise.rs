@@ -34,7 +34,7 @@ impl SensorNoise {
         *self != Self::NONE
     }
 
-    /// Numbers that are drawn in a step for a robot with `n_arms` arms.
+    /// Numbers that are drawn in a step for a robot with these joints.
     pub(super) fn draws(joints: &Joints) -> usize {
         Deviations::<f64>::draws(joints)
     }

@@ -208,7 +208,7 @@ impl<'a> Trial<'a> {
             assert!(phase.arms.iter().flatten().all(known), "players of {phase:?}");
         }
         for Player { world, driver, .. } in &self.players {
-            assert_eq!(world.dimensions.n_arms, n_arms, "players know the robot");
+            assert_eq!(world.dimensions.joints, self.robot.joints, "players know the robot");
             if let Driver::Policy(policy) = driver {
                 let n_actors = world.dimensions.n_actors;
                 assert_eq!(policy.n_actors(), n_actors, "the policy is of its world");

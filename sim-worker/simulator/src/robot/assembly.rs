@@ -97,7 +97,7 @@ impl Robot {
 
     /// Length of the longest arm stretched, from its mount to the hand, at most (m).
     pub fn reach(&self) -> f64 {
-        self.types.iter().map(ArmType::reach).fold(0.0, f64::max)
+        (0..self.n_arms).map(|arm| self.type_of(arm).reach()).fold(0.0, f64::max)
     }
 
     /// Mass of everything (kg).

@@ -67,7 +67,9 @@ impl Robot {
         });
         let parts: Vec<ArmTypeParts> = std::iter::once(unnamed).chain(others).collect();
         let type_names: Vec<&str> = d.arm_types.keys().map(String::as_str).collect();
-        check.names("arm_types", &type_names, &[])?;
+        for name in &type_names {
+            check.that(is_plain(name), &format!("arm_types.{name:?}"), "a name", PLAIN)?;
+        }
         let types =
             parts.iter().map(|part| resolve_type(&check, part)).collect::<Result<Vec<_>, _>>()?;
         let pedestals = parts
@@ -86,7 +88,10 @@ impl Robot {
                 Some(name) => {
                     let place = type_names.iter().position(|other| other == name);
                     1 + place.ok_or_else(|| {
-                        let expected = format!("one of `arm_types`: {}", type_names.join(", "));
+                        let expected = match type_names.as_slice() {
+                            [] => "no `type`, as the file has no `arm_types`".to_owned(),
+                            names => format!("one of `arm_types`: {}", names.join(", ")),
+                        };
                         check.error(&format!("{key}.type"), &format!("{name:?}"), &expected)
                     })?
                 }
@@ -199,7 +204,11 @@ fn resolve_pedestal(
     let body = rigid_body(check, &key, p.mass, p.com, p.inertia)?;
     check.finite(&format!("{key}.euler_deg"), &p.euler_deg)?;
     let shapes = shapes(check, &key, &p.capsules, &p.discs)?;
-    check.finite(&format!("{}mount.position", part.prefix), &part.mount.position)?;
+    let (mount, key) = (part.mount, format!("{}mount", part.prefix));
+    check.finite(&format!("{key}.position"), &mount.position)?;
+    // Also of a type that no arm has.
+    let [origin, axes] = [Vector3::zeros(), Vector3::zeros()];
+    solid_box(check, &key, "mount", mount.size, mount.mass, rotation_xyz_deg(axes.into()), origin)?;
     Ok((body, shapes))
 }
 

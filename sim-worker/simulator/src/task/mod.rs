@@ -10,8 +10,8 @@
 //! All of it is generic over [`Real`](crate::scalar::Real) and reads one [`Readings`], so the same
 //! text serves the lanes of a rollout and the `f64` of a test worked by hand.
 //!
-//! Agents: agent 2i moves joints 1–3 of arm i and cares for its hand's position, agent 2i + 1 moves
-//! joints 4–6 and cares for its orientation. Agents of arms that turn the base share their reward, but for contacts.
+//! Agents: agent 2i moves the first half of the joints of arm i and cares for its hand's position, agent 2i + 1 moves
+//! the others and cares for its orientation. Agents of arms that turn the base share their reward, but for contacts.
 //!
 //! Attitudes are Euler angles (a, b, c) of R = Rx(a)·Ry(b)·Rz(c). Attitude errors are plain
 //! differences, goal − actual, without wrapping: every goal is far from the singular b = ±π/2, also where it
