@@ -68,7 +68,7 @@ impl Robot {
         let parts: Vec<ArmTypeParts> = std::iter::once(unnamed).chain(others).collect();
         let type_names: Vec<&str> = d.arm_types.keys().map(String::as_str).collect();
         for name in &type_names {
-            check.that(is_plain(name), &format!("arm_types.{name:?}"), "a name", PLAIN)?;
+            check.that(is_plain(name), "a name in arm_types", &format!("{name:?}"), PLAIN)?;
         }
         let types =
             parts.iter().map(|part| resolve_type(&check, part)).collect::<Result<Vec<_>, _>>()?;
