@@ -3,9 +3,11 @@
 //! integrator, ends a training after a while with a number that is none, far from its cause.
 
 mod fault;
+mod keys;
 mod touches;
 
 use self::fault::Fault;
+use self::keys::type_prefix;
 use proto::{ExitCode, ExitError};
 use simulator::dynamics::reference_dynamics;
 use simulator::robot::Robot;
@@ -212,12 +214,6 @@ fn stands(robot: &Robot, far: &SimulationRow) -> Option<(String, &'static str)> 
         }
     }
     None
-}
-
-/// What stands before the keys of an arm's type in the description.
-fn type_prefix(robot: &Robot, arm: usize) -> String {
-    let named = &robot.description().arms[arm].arm_type;
-    named.as_ref().map_or_else(String::new, |name| format!("arm_types.{name}."))
 }
 
 /// The likeliest cause that a robot cannot be simulated, as advice.

@@ -10,7 +10,7 @@ use simulator::state::State;
 use simulator::workspace::Workspace;
 
 use super::fault::Fault;
-use super::type_prefix;
+use super::keys::type_prefix;
 
 /// The first two bodies that touch at home, and what to change.
 pub(super) fn touches_at_home(robot: &Robot) -> Option<Fault> {
