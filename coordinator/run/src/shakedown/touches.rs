@@ -123,9 +123,7 @@ fn overlap(robot: &Robot, more: &str) -> Option<Fault> {
 /// The robot with no shapes on its links but on these, each a type and the number of a link.
 fn with_shapes_of(robot: &Robot, kept: &[(usize, usize)]) -> Option<Robot> {
     let mut description = robot.description().clone();
-    let others = description.arm_types.values_mut().map(|other| &mut other.links);
-    let types = std::iter::once(&mut description.links).chain(others);
-    for (arm_type, links) in types.enumerate() {
+    for (arm_type, links) in description.links_of_types_mut().enumerate() {
         for (index, link) in links.iter_mut().enumerate() {
             if !kept.contains(&(arm_type, index)) {
                 link.capsules.clear();

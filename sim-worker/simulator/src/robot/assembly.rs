@@ -124,8 +124,7 @@ impl Robot {
     /// The same robot with moving links of `factor` times their mass and inertia; the drives' inertias stay.
     pub fn with_arm_mass(&self, factor: f64) -> Result<Self, RobotError> {
         let mut description = self.description.clone();
-        let others = description.arm_types.values_mut().flat_map(|other| &mut other.links);
-        for link in description.links.iter_mut().chain(others) {
+        for link in description.links_of_types_mut().flatten() {
             link.mass *= factor;
             link.inertia = link.inertia.map(|element| factor * element);
         }

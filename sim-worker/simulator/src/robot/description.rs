@@ -35,6 +35,14 @@ pub struct RobotDescription {
     pub arms: Vec<ArmDescription>,
 }
 
+impl RobotDescription {
+    /// The links of each type of arms: the type at the top of the file, then the others.
+    pub fn links_of_types_mut(&mut self) -> impl Iterator<Item = &mut Vec<LinkDescription>> {
+        let others = self.arm_types.values_mut().map(|other| &mut other.links);
+        std::iter::once(&mut self.links).chain(others)
+    }
+}
+
 /// What arms of another type are made of; keys as at the top of the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

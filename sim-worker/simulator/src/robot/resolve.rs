@@ -207,8 +207,8 @@ fn resolve_pedestal(
     let (mount, key) = (part.mount, format!("{}mount", part.prefix));
     check.finite(&format!("{key}.position"), &mount.position)?;
     // Also of a type that no arm has.
-    let [origin, axes] = [Vector3::zeros(), Vector3::zeros()];
-    solid_box(check, &key, "mount", mount.size, mount.mass, rotation_xyz_deg(axes.into()), origin)?;
+    let (rotation, centre) = (Matrix3::identity(), Vector3::zeros());
+    solid_box(check, &key, "mount", mount.size, mount.mass, rotation, centre)?;
     Ok((body, shapes))
 }
 
