@@ -72,7 +72,7 @@ wheel-test: wheel venv ## try the wheel itself; make test tries what was built b
 # The page in a browser: types, then one script, one style and the simulator as a WebAssembly module, compressed.
 # The service's build script puts them into the program.
 NODE = $(abspath .node/bin/node)
-MODULE = $(abspath $(TARGET))/wasm32-unknown-unknown/web/browser.wasm
+MODULE = $(abspath $(TARGET))/wasm32-unknown-unknown/release/browser.wasm
 # What needs the page less than the training goes on without it.
 PAGELESS = { echo 'make: no page: all else works, `make page` tries again and says what is wrong' >&2; }
 
@@ -81,7 +81,8 @@ page: ## build the page that runs show in a browser (part of make build)
 	@$(PYTHON) deploy/setup.py page
 	@cd coordinator/web && $(NODE) node_modules/typescript/bin/tsc --noEmit -p .
 	@{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } 2>/dev/null
-	$(CARGO) build $(LOCKED) --profile web -p browser --target wasm32-unknown-unknown
+	@# In the profile of the programs, so that macros are compiled once for both.
+	$(CARGO) build $(LOCKED) --release -p browser --target wasm32-unknown-unknown
 	@cd coordinator/web && $(NODE) build.mjs $(MODULE)
 
 .PHONY: build

@@ -1,6 +1,6 @@
 //! The module, run by Node, against the native program: every state of whole episodes, to the bit.
 //!
-//! It needs a module (`cargo build --profile web -p browser --target wasm32-unknown-unknown`) and a Node: `SPACEOCTOPUS_NODE`, that of
+//! It needs a module (`cargo build --release -p browser --target wasm32-unknown-unknown`) and a Node: `SPACEOCTOPUS_NODE`, that of
 //! `deploy/setup.py page`, or `node`. Where one of them is missing the test says so and ends; with `SPACEOCTOPUS_WASM` it must run.
 
 use std::env;
@@ -34,7 +34,7 @@ fn module() -> Option<PathBuf> {
     }
     let target =
         env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
-    let path = target.join("wasm32-unknown-unknown/web/browser.wasm");
+    let path = target.join("wasm32-unknown-unknown/release/browser.wasm");
     path.is_file().then_some(path)
 }
 

@@ -21,6 +21,8 @@ thread_local! {
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Counted(f32);
 
+/// Not inlined: there are thousands in one function, which nobody waits for when it runs, but everybody when it is compiled.
+#[inline(never)]
 fn counted(operations: u64, value: f32) -> Counted {
     OPERATIONS.set(OPERATIONS.get() + operations);
     Counted(value)

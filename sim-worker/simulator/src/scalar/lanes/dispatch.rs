@@ -12,7 +12,7 @@
     )
 )]
 
-#[cfg(not(target_arch = "wasm32"))]
+#[cfg(all(not(target_arch = "wasm32"), any(test, not(target_arch = "x86_64"))))]
 use super::portable::F32x16Portable;
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512};
@@ -27,7 +27,7 @@ pub enum Backend {
     Avx512,
     /// One register of 256 bits (AVX2, FMA).
     Avx2,
-    /// Plain Rust; in WebAssembly one lone number.
+    /// Plain Rust: sixteen numbers, on x86-64 and in WebAssembly one lone number.
     Portable,
 }
 
@@ -79,11 +79,11 @@ pub fn dispatch_on<F: LaneFn>(backend: Backend, f: F) -> F::Output {
         // SAFETY: the processor features were asserted above.
         #[cfg(target_arch = "x86_64")]
         Backend::Avx2 => unsafe { avx2::call(f) },
-        // Lanes would be a loop of lone numbers there.
-        #[cfg(target_arch = "wasm32")]
-        _ => f.call::<f32>(),
-        #[cfg(not(target_arch = "wasm32"))]
+        #[cfg(all(not(target_arch = "wasm32"), any(test, not(target_arch = "x86_64"))))]
         _ => f.call::<F32x16Portable>(),
+        // Lanes would be a loop of lone numbers there.
+        #[cfg(any(target_arch = "wasm32", all(target_arch = "x86_64", not(test))))]
+        _ => f.call::<f32>(),
     }
 }
 

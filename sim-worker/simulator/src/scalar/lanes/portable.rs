@@ -1,7 +1,7 @@
-//! Sixteen `f32` in plain Rust.
+//! Sixteen `f32` in plain Rust, for processors that are neither x86-64 nor WebAssembly's.
 //!
-//! On x86-64 without fused multiply-add each operation is a function that is called, not code that is inlined: sixteen calls of a
-//! library's `fmaf` cost far more than one call around them, and inlined they were most of what compiling the simulator took.
+//! In tests they are there on x86-64, too. There each operation is a function that is called, not code that is inlined: sixteen calls of a
+//! library's `fmaf` cost far more than one call around them, and inlined they would be most of what compiling the tests takes.
 
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
@@ -10,7 +10,7 @@ use crate::scalar::bf16::{self, pairs_side_by_side};
 use crate::scalar::single::{self, single_precision_functions};
 use crate::scalar::{LANES, Mask, Real, elementary};
 
-/// Sixteen `f32` in plain Rust: any processor. Without hardware fused multiply-add it is slow and still right.
+/// Sixteen `f32` in plain Rust. Without hardware fused multiply-add they are slow and still right.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
 pub(crate) struct F32x16Portable([f32; LANES]);

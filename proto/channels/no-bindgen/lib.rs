@@ -1,0 +1,1 @@
+//! Nothing: what would be here is never called.
