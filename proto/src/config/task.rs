@@ -124,7 +124,7 @@ pub struct Randomization {
 }
 
 /// Table `task.posture`: what agents know of the joint angles that bring the hand to its goal (`trajectory`, layout `arm`).
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Posture {
     /// Whether an agent sees how far its arm's joints are from there, and critics of layout `compact` those of all arms.
@@ -132,6 +132,19 @@ pub struct Posture {
     /// Share of the way there that a command covers in a control step by itself; what an agent does is added to it (residual
     /// policy learning; Silver et al. 2018, Johannink et al. 2019).
     pub gain: f64,
+    /// What postures believe of a newly read pose of the base, 1 being everything: they follow an exponential moving average with this weight.
+    #[serde(default = "everything")]
+    pub trust: f64,
+}
+
+impl Default for Posture {
+    fn default() -> Self {
+        Self { seen: false, gain: 0.0, trust: everything() }
+    }
+}
+
+fn everything() -> f64 {
+    1.0
 }
 
 /// Group `task`.

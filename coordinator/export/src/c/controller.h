@@ -54,7 +54,8 @@ typedef struct {
     float action[OCTOPUS_JOINTS];
 #if OCTOPUS_POSTURES
     octopus_posture postures[OCTOPUS_ARMS];
-    float base[7]; /* where the base was when they last followed it */
+    float base[7];     /* where the base was read to be when they last followed it */
+    float believed[7]; /* where it is taken to be */
 #endif
 } octopus_memory;
 

@@ -1126,6 +1126,27 @@ static int is_near(const float goal[6], const float was[6])
     return 1;
 }
 
+/* Takes in where the base is read to be, unless it `rests`, and puts where it is taken to be into `place`: an exponential moving average,
+ * so that the goals of a robot whose sensors err do not tremble. */
+static void believe(float believed[7], int rests, place_type *place)
+{
+    float now[7], along, s;
+    int i, known = believed[0] <= believed[0];
+    if (!(OCTOPUS_TRUST < 1.0f)) return;
+    memcpy(now, place->position, sizeof place->position);
+    memcpy(now + 3, place->attitude, sizeof place->attitude);
+    /* An attitude has two quaternions. */
+    along = fma_(believed[6], now[6], fma_(believed[5], now[5], fma_(believed[4], now[4], believed[3] * now[3])));
+    if (along < 0.0f) for (i = 3; i < 7; i++) now[i] = -now[i];
+    if (known) for (i = 0; i < 7; i++) now[i] = fma_(OCTOPUS_TRUST, now[i] - believed[i], believed[i]);
+    s = 1.0f / sqrtf(fma_(now[6], now[6], fma_(now[5], now[5], fma_(now[4], now[4], now[3] * now[3]))));
+    for (i = 3; i < 7; i++) now[i] = now[i] * s;
+    if (!rests) memcpy(believed, now, sizeof now);
+    memcpy(place->position, believed, sizeof place->position);
+    memcpy(place->attitude, believed + 3, sizeof place->attitude);
+    quaternion_to_rotation(place->attitude, &place->rotation);
+}
+
 /* Looks for postures of new goals, and has the others follow their goals and the base. */
 static void look(const reading_type *reading, octopus_memory *memory)
 {
@@ -1141,6 +1162,7 @@ static void look(const reading_type *reading, octopus_memory *memory)
     memcpy(now + 3, place.attitude, sizeof place.attitude);
     rests = same(now, memory->base, 7);
     memcpy(memory->base, now, sizeof now);
+    believe(memory->believed, rests, &place);
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
         octopus_posture *posture = &memory->postures[arm];
         open[arm] = !is_near(reading->hand_goals[arm], posture->goal);

@@ -18,7 +18,10 @@ use self::chain::Chain;
 use self::foresight::Foresight;
 use crate::robot::{MAX_ARMS, Robot};
 use crate::scalar::{Kernel, Mask, Real};
-use crate::spatial::Vec3;
+use crate::spatial::{Vec3, quaternion_normalised};
+
+/// A pose of the base that is not known: nothing is the same as what is not a number.
+const UNKNOWN: [f64; 7] = [f64::NAN; 7];
 
 /// The goal postures of one lane group.
 #[derive(Debug, Clone)]
@@ -26,19 +29,25 @@ pub(crate) struct Postures<S> {
     pub(crate) arms: Vec<Posture<S>>,
     robot: Arc<Robot>,
     pace: Pace<S>,
-    /// Where the base was when they last followed it: who looks twice sees the same.
+    /// Where the base was read to be when they last followed it: who looks twice sees the same.
     base: [S; 7],
+    /// Where it is taken to be.
+    believed: [S; 7],
+    /// What of a newly read pose of the base is believed, up to 1: everything.
+    trust: f64,
 }
 
 impl<S: Real> Postures<S> {
     /// None yet.
-    pub(crate) fn new(robot: &Robot, pace: Pace<S>) -> Self {
+    pub(crate) fn new(robot: &Robot, pace: Pace<S>, trust: f64) -> Self {
         let arms = (0..robot.n_arms).map(|arm| Posture::new(Chain::new(robot, arm)));
         Self {
             arms: arms.collect(),
             robot: Arc::new(robot.clone()),
             pace,
-            base: [S::splat(f64::NAN); 7],
+            base: UNKNOWN.map(S::splat),
+            believed: UNKNOWN.map(S::splat),
+            trust,
         }
     }
 
@@ -47,6 +56,43 @@ impl<S: Real> Postures<S> {
         for arm in &mut self.arms {
             arm.forget();
         }
+        self.base = UNKNOWN.map(S::splat);
+        self.believed = self.base;
+    }
+
+    /// Takes in where the base is read to be, but in lanes where it `rests`; says where it is taken to be.
+    ///
+    /// Sensors err anew in every control step, and goals are seen from the base: a posture that cannot follow what trembles is given up for another one.
+    #[inline(always)]
+    fn believe(
+        &mut self,
+        (position, quaternion): (Vec3<S>, [S; 4]),
+        rests: S::Mask,
+    ) -> (Vec3<S>, [S; 4]) {
+        if self.trust >= 1.0 {
+            return (position, quaternion);
+        }
+        let was = self.believed;
+        let known = was[0].le(was[0]);
+        // An attitude has two quaternions.
+        let [q0, q1, q2, q3] = quaternion;
+        let along = was[6].mul_add(q3, was[5].mul_add(q2, was[4].mul_add(q1, was[3] * q0)));
+        let other = along.lt(S::zero());
+        let [q0, q1, q2, q3] = [q0, q1, q2, q3].map(|part| S::select(other, -part, part));
+        let [x, y, z] = position;
+        let read = [x, y, z, q0, q1, q2, q3];
+        let weight = S::splat(self.trust);
+        let mut now = read;
+        for (now, was) in now.iter_mut().zip(was) {
+            *now = S::select(known, weight.mul_add(*now - was, was), *now);
+        }
+        let [x, y, z, q0, q1, q2, q3] = now;
+        let [q0, q1, q2, q3] = quaternion_normalised(&[q0, q1, q2, q3]);
+        for (believed, now) in self.believed.iter_mut().zip([x, y, z, q0, q1, q2, q3]) {
+            *believed = S::select(rests, *believed, now);
+        }
+        let [x, y, z, q0, q1, q2, q3] = self.believed;
+        ([x, y, z], [q0, q1, q2, q3])
     }
 
     /// Looks for postures of new goals of the hands (m, rad; world), and has the others follow the base, which is at `position` (m) with the
@@ -89,6 +135,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         let now = [x, y, z, q0, q1, q2, q3];
         let rests = equal(&now, &postures.base);
         postures.base = now;
+        let (position, quaternion) = postures.believe((position, quaternion), rests);
         let place = Place { position, quaternion, q, joints: postures.robot.joints };
         let mut open = [S::Mask::splat(false); MAX_ARMS];
         let mut still = open;

@@ -155,7 +155,7 @@ impl<S: Real> Errors<S> {
 
     /// Has what `task` tells be known, too.
     pub(crate) fn tell(&mut self, task: &Task, robot: &Robot) {
-        let proto::config::Posture { seen, gain } = task.posture;
+        let proto::config::Posture { seen, gain, trust } = task.posture;
         if (seen || gain > 0.0) && self.postures.is_none() {
             let limit = |limit: &f64| S::splat(limit * task.action_scale);
             let pace = Pace {
@@ -163,7 +163,7 @@ impl<S: Real> Errors<S> {
                 period: task.control_period,
                 limits: task.action_limit.iter().map(limit).collect(),
             };
-            self.postures = Some(Postures::new(robot, pace));
+            self.postures = Some(Postures::new(robot, pace, trust));
         }
     }
 
