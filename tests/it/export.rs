@@ -342,15 +342,15 @@ fn policies_that_act_beside_goal_postures_do_outside_what_they_do_here() {
         Robot::from_toml(&text, &two_arms).expect("valid"),
         Robot::from_toml(&skewed, &two_arms).expect("valid"),
     ];
-    let settings = [
-        "network.hidden=[24, 17, 15]",
-        "task.joint_angles=unwound",
-        "task.posture.gain=0.4",
-        "task.posture.gain=0",
+    let settings: [&[&str]; 4] = [
+        &[],
+        &["task.joint_angles=unwound", "task.posture.trust=0.3"],
+        &["task.posture.gain=0.4"],
+        &["task.posture.gain=0", "task.posture.trust=0.1"],
     ];
     let mut dirs = Vec::new();
     for (index, (robot, more)) in robots.iter().zip(settings).enumerate() {
-        let settings = ["network.hidden=[24, 17, 15]", more];
+        let settings = [&["network.hidden=[24, 17, 15]"], *more].concat();
         let controlled =
             Controlled::untrained(Preset::Guided, TaskName::Trajectory, &settings, robot)
                 .expect("a policy");

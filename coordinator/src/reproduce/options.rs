@@ -33,7 +33,7 @@ the MAPPO runs whose best checkpoints have the lowest scores, and land in OUT/po
 #[command(after_help = EXAMPLES)]
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of the command line")]
 pub struct ReproduceArgs {
-    /// A directory that holds `trajectory` and `reorientation` [default: deploy/policies, where it exists].
+    /// A directory that holds `trajectory` and `reorientation`, perhaps `robust`, too: a policy that learned with a robot that errs [default: deploy/policies, where it exists].
     #[arg(long, value_name = "DIR")]
     pub policies: Option<PathBuf>,
     /// A controller that is not learned, instead of policies: the yardstick beside which they stand.

@@ -233,8 +233,11 @@ impl Lab {
                         return Err(ExitError::new(ExitCode::BadInput, message).into());
                     };
                     together(policy, &one)?;
-                    let name = path.file_name().unwrap_or(path.as_os_str());
-                    self.beside.push((name.to_string_lossy().into_owned(), one));
+                    let own = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+                    // Folders of different runs may be called the same.
+                    let taken = self.beside.iter().any(|(name, _)| *name == own);
+                    let name = if taken { path.to_string_lossy() } else { own };
+                    self.beside.push((name.into_owned(), one));
                 }
             }
         }
