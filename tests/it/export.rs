@@ -350,7 +350,7 @@ fn policies_that_act_beside_goal_postures_do_outside_what_they_do_here() {
     ];
     let mut dirs = Vec::new();
     for (index, (robot, more)) in robots.iter().zip(settings).enumerate() {
-        let settings = [&["network.hidden=[24, 17, 15]"], *more].concat();
+        let settings = [&["network.hidden=[24, 17, 15]"][..], more].concat();
         let controlled =
             Controlled::untrained(Preset::Guided, TaskName::Trajectory, &settings, robot)
                 .expect("a policy");
