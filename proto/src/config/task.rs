@@ -132,7 +132,7 @@ pub struct Posture {
     /// Share of the way there that a command covers in a control step by itself; what an agent does is added to it (residual
     /// policy learning; Silver et al. 2018, Johannink et al. 2019).
     pub gain: f64,
-    /// What postures believe of a newly read pose of the base, 1 being everything: they follow an exponential moving average with this weight.
+    /// Weight of a newly read pose of the base in the exponential moving average that postures follow; with 1 they follow what is read.
     #[serde(default = "everything")]
     pub trust: f64,
 }

@@ -256,6 +256,8 @@ fn a_base_that_is_read_badly_is_averaged() {
     let goals = goals_at(&robot, goal(&robot, [0.4, -0.3, 0.6, 0.2, 0.5, -0.4]));
     let mut exact = none_yet::<f64>(&robot);
     look(&mut exact, &home, &goals);
+    // The other arms are at their goals, where a wrist turns without moving the hand.
+    let left = |postures: &Postures<f64>| postures.arms[1].left().to_vec();
     let trembling = |trust: f64| {
         let mut postures = Postures { trust, ..none_yet(&robot) };
         look(&mut postures, &home, &goals);
