@@ -87,7 +87,7 @@ page: ## build the page that runs show in a browser (part of make build)
 
 .PHONY: build
 build: libtorch ## build the programs: octopus, learner, sim-worker
-	@test -e $(TARGET)/release/octopus || echo 'compiling everything, once: 5 to 13 minutes on two cores'
+	@test -e $(TARGET)/release/octopus || echo 'compiling everything, once: about 7 minutes on two cores'
 	@$(MAKE) page || $(PAGELESS)
 	$(CARGO) build --release --bins -p coordinator -p learner -p sim-worker $(FEATURES)
 

@@ -233,11 +233,10 @@ impl Lab {
                         return Err(ExitError::new(ExitCode::BadInput, message).into());
                     };
                     together(policy, &one)?;
-                    let own = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
-                    // Folders of different runs may be called the same.
-                    let taken = self.beside.iter().any(|(name, _)| *name == own);
-                    let name = if taken { path.to_string_lossy() } else { own };
-                    self.beside.push((name.into_owned(), one));
+                    let names = self.beside.iter().filter(|(_, other)| other.task() == one.task());
+                    let name =
+                        distinct(path, &names.map(|(name, _)| name.as_str()).collect::<Vec<_>>());
+                    self.beside.push((name, one));
                 }
             }
         }
@@ -418,6 +417,15 @@ fn place(args: &Common, task: TaskName, needs: Needs) -> Option<PathBuf> {
     own.clone().or_else(of_all)
 }
 
+/// What a policy is called beside others: its folder, and where that is `taken` its whole path, with a number if need be.
+fn distinct(path: &Path, taken: &[&str]) -> String {
+    let folder = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+    let whole = path.to_string_lossy();
+    let numbered = (2..).map(|number| format!("{whole} ({number})"));
+    let mut names = [folder.into_owned(), whole.clone().into_owned()].into_iter().chain(numbered);
+    names.find(|name| !taken.contains(&name.as_str())).expect("numbers do not end")
+}
+
 /// Refuses two policies that cannot move one robot at the same time.
 fn together(one: &Contender, other: &Contender) -> Result<(), ExitError> {
     let refuse = |what: String| {
@@ -437,4 +445,21 @@ fn together(one: &Contender, other: &Contender) -> Result<(), ExitError> {
         ));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn policies_beside_others_have_names_of_their_own() {
+        let mut names = Vec::new();
+        for path in ["a/robust", "robust", "b/robust", "robust", "a/robust", "c"] {
+            let taken: Vec<&str> = names.iter().map(String::as_str).collect();
+            let name = distinct(Path::new(path), &taken);
+            names.push(name);
+        }
+        let wanted = ["robust", "robust (2)", "b/robust", "robust (3)", "a/robust", "c"];
+        assert_eq!(names, wanted);
+    }
 }

@@ -225,6 +225,9 @@ impl Episode {
             Event::Sensors(noise) => {
                 let SensorNoise { position, angle, velocity, rate } = *noise;
                 finite("the deviation", &[position, angle, velocity, rate])?;
+                if !self.course.sensors.any() {
+                    self.stepper.groups[0].seen_errors.forget_base();
+                }
                 self.course.sensors = *noise;
             }
         }

@@ -78,14 +78,18 @@ impl<S: Real> Stepper<S> {
         stepper
     }
 
-    /// Makes room for what other players see and say. Goal postures are those of the robot that a player knows, which may not be the one that moves.
+    /// Makes room for what other players see and say. Goal postures are those of the robot that a player knows, which may not be the one that moves;
+    /// of several players the last one that knows any says how they are gone to.
     pub(super) fn seat(&mut self, players: &[Player<'_>]) {
         let n_groups = self.groups.len();
-        for player in players {
-            let World { task, robot, .. } = player.world;
-            for group in &mut self.groups {
-                group.errors.tell(task, robot);
-                group.seen_errors.tell(task, robot);
+        for group in &mut self.groups {
+            for errors in [&mut group.errors, &mut group.seen_errors] {
+                for player in players.iter().rev() {
+                    let World { task, robot, .. } = player.world;
+                    if errors.tell(task, robot) {
+                        break;
+                    }
+                }
             }
         }
         self.seats = players.iter().map(|player| Seat::new(player, n_groups)).collect();

@@ -29,7 +29,7 @@ pub(crate) struct Posture<S> {
 }
 
 /// How fast arms go to their postures.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Pace<S> {
     /// Share of the way that is left which a control step covers.
     pub(crate) gain: f64,

@@ -33,7 +33,7 @@ pub(crate) struct Postures<S> {
     base: [S; 7],
     /// Where it is taken to be.
     believed: [S; 7],
-    /// What of a newly read pose of the base is believed, up to 1: everything.
+    /// Weight of a newly read pose of the base in where it is taken to be, in single precision as elsewhere.
     trust: f64,
 }
 
@@ -47,8 +47,13 @@ impl<S: Real> Postures<S> {
             pace,
             base: UNKNOWN.map(S::splat),
             believed: UNKNOWN.map(S::splat),
-            trust,
+            trust: f64::from(trust as f32),
         }
+    }
+
+    /// Whether they go at this pace, and trust so much.
+    pub(crate) fn are(&self, pace: &Pace<S>, trust: f64) -> bool {
+        self.pace == *pace && self.trust == f64::from(trust as f32)
     }
 
     /// Forgets all goals, because another episode begins.
@@ -56,6 +61,11 @@ impl<S: Real> Postures<S> {
         for arm in &mut self.arms {
             arm.forget();
         }
+        self.forget_base();
+    }
+
+    /// Forgets where the base was, because it was not looked at for a while.
+    pub(crate) fn forget_base(&mut self) {
         self.base = UNKNOWN.map(S::splat);
         self.believed = self.base;
     }

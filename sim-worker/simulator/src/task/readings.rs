@@ -153,17 +153,28 @@ impl<S: Real> Errors<S> {
         added
     }
 
-    /// Has what `task` tells be known, too.
-    pub(crate) fn tell(&mut self, task: &Task, robot: &Robot) {
+    /// Has the goal postures that `task` tells be known, instead of others; says whether it tells any.
+    pub(crate) fn tell(&mut self, task: &Task, robot: &Robot) -> bool {
         let proto::config::Posture { seen, gain, trust } = task.posture;
-        if (seen || gain > 0.0) && self.postures.is_none() {
+        let tells = seen || gain > 0.0;
+        if tells {
             let limit = |limit: &f64| S::splat(limit * task.action_scale);
             let pace = Pace {
                 gain: if gain > 0.0 { gain } else { UNGUIDED },
                 period: task.control_period,
                 limits: task.action_limit.iter().map(limit).collect(),
             };
-            self.postures = Some(Postures::new(robot, pace, trust));
+            if !self.postures.as_ref().is_some_and(|postures| postures.are(&pace, trust)) {
+                self.postures = Some(Postures::new(robot, pace, trust));
+            }
+        }
+        tells
+    }
+
+    /// Forgets where the base was, because nobody looked at it for a while.
+    pub(crate) fn forget_base(&mut self) {
+        if let Some(postures) = &mut self.postures {
+            postures.forget_base();
         }
     }
 
