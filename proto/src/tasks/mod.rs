@@ -63,7 +63,7 @@ pub trait TaskDefinition: Sync {
     /// What arm `arm` of a robot with `n_arms` works for.
     fn aim(&self, arm: usize, n_arms: usize) -> Aim;
 
-    /// Goals of the episode at `address`; a pure function of the address. What has no goal stays at home.
+    /// Goals of the episode at `address`; a pure function of the address. A hand has one exactly where [`TaskDefinition::aim`] says [`Aim::Hand`], the base where an arm works for it.
     fn goals(&self, ranges: &GoalRanges, address: GoalAddress) -> EpisodeGoals;
 
     /// Whether goals move: then [`EpisodeGoals::body`] carries them, and agents see how fast.
