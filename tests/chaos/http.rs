@@ -210,6 +210,11 @@ pub fn run(
     let holder: Value = serde_json::from_slice(&std::fs::read(run.path().join("run.lock"))?)?;
     let address = holder["http"].as_str().context("a service")?.parse()?;
     let token = std::fs::read_to_string(run.path().join("http.token"))?;
+    // A checkpoint is there a moment before the service knows of it.
+    let bearer = format!("Authorization: Bearer {}\r\n", token.trim_end());
+    let newest = request("GET /v1/checkpoints/latest", &bearer, "");
+    let newest = Attempt { kind: Kind::Read, bytes: newest };
+    wait_for(&mut run, stop, |_| newest.make(address).is_ok())?;
 
     let next = AtomicUsize::new(0);
     let failed = Mutex::new(None);
@@ -252,8 +257,7 @@ pub fn run(
     // It goes on, and is there for others.
     let asked = iterations(&run);
     wait_for(&mut run, stop, |run| iterations(run) > asked + 1)?;
-    let read =
-        request("GET /v1/status", &format!("Authorization: Bearer {}\r\n", token.trim_end()), "");
+    let read = request("GET /v1/status", &bearer, "");
     Attempt { kind: Kind::Read, bytes: read }.make(address)?;
     run.signal(Signal::INT);
     run.succeed();
