@@ -8,7 +8,8 @@ mod dispatch;
 mod lone;
 #[cfg(not(target_arch = "wasm32"))]
 mod operators;
-// An x86-64 without AVX2 runs lone numbers: in plain Rust sixteen would be no faster there, and were a third of what compiling the simulator took.
+// An x86-64 without AVX2 runs lone numbers: each multiply-add is a call of a library there, with sixteen in plain Rust, too, which were a third of
+// what compiling the simulator took.
 #[cfg(all(not(target_arch = "wasm32"), any(test, not(target_arch = "x86_64"))))]
 mod portable;
 
