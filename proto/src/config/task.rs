@@ -99,13 +99,13 @@ pub struct Start {
     pub turning: f64,
 }
 
-/// Table `task.randomization`: training episodes of a robot whose drives and sensors err (domain randomization; Tobin et al.
+/// Table `task.randomization`: training episodes of a robot whose drives and sensors err, and whose masses are others (domain randomization; Tobin et al.
 /// 2017, Peng et al. 2018). What errs is drawn for each episode, and no agent is told. Rewards and critics know
 /// the truth. Evaluations and experiments have a robot that does not err.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Randomization {
-    /// Share of the episodes in which commands are late. As many have friction, a wrong gain, and sensors that err, each drawn by itself.
+    /// Share of the episodes in which commands are late. As many have friction, a wrong gain, other masses, and sensors that err, each drawn by itself.
     pub share: f64,
     /// Commands are late by up to this share of a control period, long delays being more frequent.
     pub delay: f64,
@@ -113,6 +113,9 @@ pub struct Randomization {
     pub friction: f64,
     /// Each joint is faster or slower than commanded by up to this share.
     pub gain: f64,
+    /// Each link of a type of arm, and the base, is heavier or lighter than described by up to this share, and its inertia is larger or smaller by as much.
+    #[serde(default)]
+    pub mass: f64,
     /// Sensors of positions err with a standard deviation of up to this, each axis (m), anew in each step; bad sensors are more frequent.
     pub position: f64,
     /// Sensors of angles and attitudes, likewise (rad).

@@ -87,6 +87,7 @@ impl Config {
         within("task.randomization.delay", erring.delay, 0.0, 1.0)?;
         within("task.randomization.friction", erring.friction, 0.0, 100.0)?;
         within("task.randomization.gain", erring.gain, 0.0, 0.9)?;
+        within("task.randomization.mass", erring.mass, 0.0, 0.9)?;
         within("task.randomization.position", erring.position, 0.0, 1.0)?;
         within("task.randomization.angle", erring.angle, 0.0, 1.0)?;
         within("task.randomization.velocity", erring.velocity, 0.0, 10.0)?;

@@ -6,7 +6,7 @@ use crate::collision::{Touching, touching};
 use crate::dynamics::invariants::{BaseMotion, Invariants, invariants};
 use crate::dynamics::servo::servo;
 use crate::dynamics::{Hand, hands};
-use crate::model::{Model, Partner};
+use crate::model::{Masses, Model, Partner};
 use crate::robot::Robot;
 use crate::scalar::Real;
 use crate::spatial::{
@@ -36,6 +36,12 @@ impl<S: Real> Physics<S> {
         let model = Model::new(robot);
         let workspace = Workspace::new(&model);
         Self { model, workspace, options, hands: vec![Hand::default(); robot.n_arms] }
+    }
+
+    /// Gives all bodies these masses from now on.
+    #[inline(always)]
+    pub(crate) fn weigh(&mut self, masses: &Masses<S>) {
+        self.model.weigh(masses);
     }
 
     /// Holds joint rate commands (rad/s, arm-major) for a control period.

@@ -1,6 +1,6 @@
 //! The constants of a robot in the scalar and the layout of the hot path.
 
-use std::ops::Range;
+use std::ops::{Mul, Range};
 
 use nalgebra::Matrix3;
 
@@ -53,6 +53,40 @@ impl<S: Real> RigidInertia<S> {
             mass: S::splat(body.mass),
             h: (body.com * body.mass).map(S::splat).into(),
             inertia: [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| S::splat(i[at])),
+        }
+    }
+}
+
+impl<S: Real> Mul<S> for RigidInertia<S> {
+    type Output = Self;
+
+    /// A body so many times as heavy, of the same shape.
+    #[inline(always)]
+    fn mul(self, factor: S) -> Self {
+        Self {
+            mass: self.mass * factor,
+            h: self.h.map(|h| h * factor),
+            inertia: self.inertia.map(|i| i * factor),
+        }
+    }
+}
+
+/// What bodies of a robot weigh.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Masses<S: Real> {
+    /// The base with all that is welded to it, base frame.
+    pub base: RigidInertia<S>,
+    /// The links of all types of arms, one type after the other.
+    pub links: Vec<RigidInertia<S>>,
+}
+
+impl<S: Real> Masses<S> {
+    /// As `robot` is described.
+    pub fn of(robot: &Robot) -> Self {
+        let links = robot.types.iter().flat_map(|kind| &kind.links);
+        Self {
+            base: RigidInertia::new(&robot.base),
+            links: links.map(|link| RigidInertia::new(&link.body)).collect(),
         }
     }
 }
@@ -220,6 +254,15 @@ impl<S: Real> Model<S> {
             arms: arms.collect(),
             angle_contacts: angle_contacts.collect(),
             collision: CollisionModel::new(robot),
+        }
+    }
+
+    /// Gives all bodies these masses.
+    #[inline(always)]
+    pub fn weigh(&mut self, masses: &Masses<S>) {
+        self.base = masses.base;
+        for (link, body) in self.links.iter_mut().zip(&masses.links) {
+            link.body = *body;
         }
     }
 

@@ -8,6 +8,7 @@ use proto::layout::{Dimensions, Joints};
 use super::conditions::Conditions;
 use super::lane_group::LaneGroup;
 use crate::env::{EpisodeError, Physics, check_state};
+use crate::model::Masses;
 use crate::robot::Robot;
 use crate::scalar::Real;
 use crate::state::State;
@@ -82,6 +83,8 @@ impl<S: Real> Environments<S> {
     ) {
         let n_groups = n_envs.div_ceil(S::LANES);
         self.groups.clear();
+        // Those before may have had other masses.
+        self.physics.weigh(&Masses::of(robot));
         for group in 0..n_groups {
             let lanes = (group * S::LANES, n_envs);
             let Self { physics, groups, .. } = self;
@@ -152,7 +155,12 @@ impl<S: Real> Environments<S> {
             before.clone_from(&group.state);
             let LaneGroup { state, command, randomized, .. } = group;
             let executed = match randomized {
-                Some(erring) => erring.drive(command),
+                Some(erring) => {
+                    if let Some(masses) = &erring.masses {
+                        physics.weigh(masses);
+                    }
+                    erring.drive(command)
+                }
                 None => command,
             };
             physics.step(state, executed);

@@ -69,9 +69,12 @@ impl<S: Real> Kernel<S> for Begin<'_, S> {
         drawn.attach();
         let mut state = State::home(robot);
         let mut readings = Readings::new(&robot.joints);
-        scatter(&conditions.start, robot, physics, &mut readings, (goals, env_of), &mut state);
         let randomized =
             Randomized::draw(&conditions.randomization, (robot, task), (goals, env_of));
+        if let Some(masses) = randomized.as_ref().and_then(|erring| erring.masses.as_ref()) {
+            physics.weigh(masses);
+        }
+        scatter(&conditions.start, robot, physics, &mut readings, (goals, env_of), &mut state);
         let joints = vec![S::zero(); robot.n_joints()];
         LaneGroup {
             state,

@@ -1,4 +1,4 @@
-//! Robots whose drives and sensors err, other ones in each episode (domain randomization).
+//! Robots whose drives and sensors err and whose masses are others, other ones in each episode (domain randomization).
 //!
 //! J. Tobin et al., "Domain randomization for transferring deep neural networks from simulation to the real world", IROS 2017;
 //! X. B. Peng et al., "Sim-to-real transfer of robotic control with dynamics randomization", ICRA 2018.
@@ -9,7 +9,9 @@
 //! * **dry friction** of f N m: a servo of gain k (N m s/rad) stands still below a rate of f/k, and loses as much above;
 //! * **gain**: a factor on the rate.
 //!
-//! Drives are late, stick, or are scaled, and sensors err, each in its own share of the episodes: together they would teach what only
+//! **Masses**: each link of a type of arm, and the base, is so many times as heavy as described, and has as many times the inertia.
+//!
+//! Drives are late, stick, or are scaled, masses are others, and sensors err, each in its own share of the episodes: together they would teach what only
 //! helps against all of them. A policy that never meets a robot without friction shakes one.
 //!
 //! Rewards and critic states are made from the truth, which training knows; only actors see what sensors say (L. Pinto et al.,
@@ -19,6 +21,7 @@ use proto::config::Randomization;
 use proto::rng::{Address, Purpose};
 
 use crate::env::{Deviations, draw_normals};
+use crate::model::Masses;
 use crate::robot::Robot;
 use crate::scalar::Real;
 use crate::task::goal::GoalAddress;
@@ -36,6 +39,8 @@ pub(crate) struct Randomized<S: Real> {
     lost: Vec<S>,
     /// Factors on rates, one a joint.
     factor: Vec<S>,
+    /// What bodies weigh, if that is drawn.
+    pub(super) masses: Option<Masses<S>>,
     /// Commands of the step before, and what drives make of those of this one, one a joint (rad/s).
     before: Vec<S>,
     executed: Vec<S>,
@@ -67,6 +72,7 @@ impl<S: Real> Randomized<S> {
             late: zero,
             lost: joints.clone(),
             factor: vec![S::one(); n_joints],
+            masses: (ranges.mass > 0.0).then(|| Masses::of(robot)),
             before: joints.clone(),
             executed: joints,
             normals: vec![zero; Deviations::<S>::draws(&robot.joints)],
@@ -81,6 +87,7 @@ impl<S: Real> Randomized<S> {
             let [is_late, sticks, is_scaled, is_misled] = errs;
             // The square root makes large ones more frequent: small ones need no learning.
             let [late, misled, ..] = uniforms(1).map(libm::sqrt);
+            let [.., weighs_other, _] = uniforms(1);
             if is_late {
                 drawn.late.set_lane(lane, late * ranges.delay);
             }
@@ -91,6 +98,17 @@ impl<S: Real> Randomized<S> {
                 drawn.deviations.angle.set_lane(lane, misled * angle);
                 drawn.deviations.velocity.set_lane(lane, misled * velocity);
                 drawn.deviations.rate.set_lane(lane, misled * rate);
+            }
+            if weighs_other < ranges.share
+                && let Some(masses) = &mut drawn.masses
+            {
+                let bodies = std::iter::once(&mut masses.base).chain(&mut masses.links);
+                for (index, body) in bodies.enumerate() {
+                    let [heavier, ..] = uniforms((2 + n_joints + index) as u32);
+                    let mut factor = S::one();
+                    factor.set_lane(lane, 1.0 + ranges.mass * (2.0 * heavier - 1.0));
+                    *body = *body * factor;
+                }
             }
             for joint in 0..n_joints {
                 let [friction, faster, ..] = uniforms(2 + joint as u32);
@@ -146,12 +164,16 @@ mod tests {
     use proto::config::{Layers, Preset};
 
     use super::*;
+    use crate::env::Physics;
+    use crate::state::State;
+    use crate::step::StepOptions;
 
     const RANGES: Randomization = Randomization {
         share: 1.0,
         delay: 1.0,
         friction: 5.0,
         gain: 0.2,
+        mass: 0.5,
         position: 0.01,
         angle: 0.02,
         velocity: 0.03,
@@ -168,6 +190,33 @@ mod tests {
         let config = Layers::new(Preset::Tuned, None).resolve().expect("a preset");
         let task = Task::new(&config, crate::env::home(&robot()));
         Randomized::draw(&ranges, (&robot(), &task), (goals, |_| env))
+    }
+
+    /// Twice as heavy arms, by masses and by description.
+    #[test]
+    fn a_robot_that_was_given_masses_moves_as_one_that_is_described_with_them() {
+        let robot = robot();
+        let heavy = robot.with_arm_mass(2.0).expect("a robot");
+        let mut masses = Masses::<f64>::of(&robot);
+        for link in &mut masses.links {
+            *link = *link * 2.0;
+        }
+        assert_eq!(masses, Masses::of(&heavy));
+        let mut given = Physics::with_options(&robot, StepOptions::default());
+        given.weigh(&masses);
+        let mut described = Physics::with_options(&heavy, StepOptions::default());
+        let mut as_it_is = Physics::with_options(&robot, StepOptions::default());
+        let mut states = [&robot; 3].map(State::home);
+        for step in 0..20 {
+            let command = [0.02 * f64::from(step % 7) - 0.05; 24];
+            for (physics, state) in
+                [&mut given, &mut described, &mut as_it_is].into_iter().zip(&mut states)
+            {
+                physics.step(state, &command);
+            }
+        }
+        assert_eq!(states[0], states[1]);
+        assert_ne!(states[0], states[2]);
     }
 
     /// By hand: of the first command (0.5 rad/s) joints get what is not late of it, of the second (−0.02) the late part of the
@@ -199,6 +248,9 @@ mod tests {
         let robot = robot();
         let (mut late, mut lost, mut factor, mut position) =
             (0.0_f64, 0.0_f64, [1.0_f64; 2], 0.0_f64);
+        let mut factor_of_mass = [1.0_f64; 2];
+        let Masses { base, links } = Masses::<f64>::of(&robot);
+        let described: Vec<_> = std::iter::once(base).chain(links).collect();
         for env in 0..400 {
             let erring = drawn(RANGES, env).expect("something errs");
             late = late.max(erring.late);
@@ -207,6 +259,15 @@ mod tests {
             }
             for &f in &erring.factor {
                 factor = [factor[0].min(f), factor[1].max(f)];
+            }
+            let masses = erring.masses.as_ref().expect("they are drawn");
+            let bodies = std::iter::once(&masses.base).chain(&masses.links);
+            for (body, described) in bodies.zip(&described) {
+                let f = body.mass / described.mass;
+                factor_of_mass = [factor_of_mass[0].min(f), factor_of_mass[1].max(f)];
+                for (inertia, of_described) in body.inertia.iter().zip(described.inertia) {
+                    assert!((inertia - f * of_described).abs() < 1e-12, "no such body");
+                }
             }
             let Deviations { position: p, angle, velocity, rate } = erring.deviations;
             position = position.max(p);
@@ -217,6 +278,8 @@ mod tests {
         assert!(late > 0.98 && late < 1.0, "{late}");
         assert!(lost > 4.98 && lost < 5.0, "{lost}");
         assert!(factor[0] > 0.8 && factor[0] < 0.802 && factor[1] > 1.198 && factor[1] < 1.2);
+        let [least, most] = factor_of_mass;
+        assert!(least > 0.5 && least < 0.51 && most > 1.49 && most < 1.5, "{least} to {most}");
         assert!(position > 0.0098 && position < 0.01, "{position}");
     }
 
@@ -224,15 +287,18 @@ mod tests {
     fn a_share_of_the_episodes_errs_and_the_others_are_exact() {
         assert!(drawn(Randomization { share: 0.0, ..RANGES }, 0).is_none());
         let commands: Vec<f64> = (0..24).map(|joint| 0.03 * f64::from(joint) - 0.3).collect();
-        let mut n = [0; 2];
+        let described = Masses::<f64>::of(&robot());
+        let mut n = [0; 3];
         for env in 0..400 {
             let mut erring = drawn(Randomization { share: 0.25, ..RANGES }, env).expect("some err");
             let exact = erring.drive(&commands) == commands;
             n[0] += usize::from(!exact);
             n[1] += usize::from(erring.addresses[0].is_some());
+            n[2] += usize::from(erring.masses.expect("they are drawn") != described);
         }
-        // Drives err in 1 − 0.75³ = 58 % of 400, sensors in 25 %; ± 3.5 standard deviations.
-        assert!((197..=266).contains(&n[0]) && (70..=130).contains(&n[1]), "{n:?}");
+        // Drives err in 1 − 0.75³ = 58 % of 400, sensors and masses in 25 %; ± 3.5 standard deviations.
+        assert!((197..=266).contains(&n[0]), "{n:?}");
+        assert!((70..=130).contains(&n[1]) && (70..=130).contains(&n[2]), "{n:?}");
     }
 
     #[test]

@@ -145,6 +145,25 @@ fn environments_of_an_address_are_the_same_in_any_batch() {
     assert!(many.0[9].chunks_exact(61).any(|robot| robot != robots[0]));
 }
 
+/// Robots of training may weigh other than described; those of evaluations never do.
+#[test]
+fn an_evaluation_after_a_training_is_that_of_a_new_batch() {
+    let world = Arc::new(world(Preset::Robust, TaskName::Trajectory, 20, 3));
+    let mut memory = Memory::new(20, &world.dimensions);
+    let mut play = |batch: &mut Batch, goals| {
+        batch.reset(Begin { goals, ..BEGIN }, &InOrder, memory.rows()).expect("episodes");
+        let actions = vec![0.5; 20 * world.dimensions.n_agents * world.dimensions.n_actions];
+        batch.step(&actions, &InOrder, memory.rows()).expect("a step");
+        Memory(memory.0.clone())
+    };
+    let mut used = Batch::new(Arc::clone(&world), 20, 1);
+    let training = play(&mut used, GoalKind::Training);
+    let evaluation = play(&mut used, GoalKind::Evaluation);
+    let mut new = Batch::new(Arc::clone(&world), 20, 1);
+    assert_eq!(evaluation, play(&mut new, GoalKind::Evaluation));
+    assert_ne!(evaluation, training);
+}
+
 /// Leaves the last task out.
 struct GivesUp;
 
