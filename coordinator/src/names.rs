@@ -90,7 +90,9 @@ impl Names for Preset {
             Self::Tuned => "The same with policies that find everything themselves",
             Self::Paper => "The paper's text; where it is silent, the released code",
             Self::Release => "The authors' released code",
-            Self::Robust => "Preset `guided`, trained with a robot whose drives and sensors err",
+            Self::Robust => {
+                "Preset `guided`, trained with a robot whose drives and sensors err and whose masses are others"
+            }
         }
     }
 }

@@ -6,14 +6,14 @@
 //! `[A, in, out]` (weights multiply row vectors from the left) is what checkpoints hold.
 //!
 //! A shared network is kept once for each agent that it is: row r of a stack of N networks holds network
-//! r mod N, as agents of one role stand [`AGENTS_PER_ARM`] rows apart. Rows of one network are equal
+//! r mod N, as agents of one role stand [`AGENTS_PER_ARM`](proto::layout::AGENTS_PER_ARM) rows apart. Rows of one network are equal
 //! except for the bias of the first hidden layer, which tells the agents apart;
 //! [`NetworkSpec::unify`] keeps them equal.
 
 use std::collections::BTreeSet;
 
 use proto::config::{Config, CriticState, InputNorm, Network, ParameterSharing};
-use proto::layout::{AGENTS_PER_ARM, Dimensions};
+use proto::layout::Dimensions;
 use proto::rng::{Address, Purpose};
 use tch::{Kind, Tensor};
 
@@ -78,7 +78,7 @@ impl NetworkKind {
 pub struct NetworkSpec {
     /// Actor or critic.
     pub kind: NetworkKind,
-    /// A: rows, one an actor.
+    /// A: rows, one an actor; of critics that agents share (`network.shared_critics`) one a critic.
     pub n_actors: usize,
     /// N: networks that differ in more than the first hidden bias; divides A.
     pub n_networks: usize,
@@ -86,7 +86,7 @@ pub struct NetworkSpec {
     pub input: i64,
     /// Widths of the hidden layers.
     pub hidden: Vec<i64>,
-    /// Width of the output.
+    /// Width of the output; of a critic one for each agent whose it is.
     pub output: i64,
     /// Actions of an agent.
     pub n_actions: usize,
@@ -108,7 +108,14 @@ impl NetworkSpec {
             NetworkKind::Actor => {
                 (dimensions.actor_input(), network.hidden.as_slice(), dimensions.actor_output())
             }
-            NetworkKind::Critic => (dimensions.critic_input(), network.hidden_of_critics(), 1),
+            NetworkKind::Critic => {
+                let outputs = dimensions.n_actors / config.critics(dimensions.n_actors);
+                (dimensions.critic_input(), network.hidden_of_critics(), outputs)
+            }
+        };
+        let rows = match kind {
+            NetworkKind::Actor => dimensions.n_actors,
+            NetworkKind::Critic => config.critics(dimensions.n_actors),
         };
         let hidden: Vec<i64> = hidden.iter().map(|&width| width as i64).collect();
         let input_layer_norm = network.input_norm == InputNorm::LayerNorm;
@@ -140,14 +147,12 @@ impl NetworkSpec {
         }
         let sees_what_actors_see =
             kind == NetworkKind::Actor || network.critic_state == CriticState::Own;
-        let n_networks = match network.parameter_sharing {
-            ParameterSharing::All => 1,
-            ParameterSharing::Roles if sees_what_actors_see => AGENTS_PER_ARM,
-            ParameterSharing::Roles | ParameterSharing::None => dimensions.n_actors,
-        };
+        let all_alike = network.parameter_sharing == ParameterSharing::All;
+        let n_networks =
+            if sees_what_actors_see || all_alike { network.actor_networks(rows) } else { rows };
         Self {
             kind,
-            n_actors: dimensions.n_actors,
+            n_actors: rows,
             n_networks,
             n_actions: dimensions.n_actions,
             input: input as i64,

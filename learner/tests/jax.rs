@@ -328,6 +328,13 @@ fn a_network_for_each_role() {
 }
 
 #[test]
+fn a_critic_for_each_role_with_an_output_for_each_agent() {
+    let shared = "network.shared_critics=true";
+    cross_check(&["network.parameter_sharing=roles", shared]);
+    cross_check(&["network.parameter_sharing=all", shared, "algorithm.max_grad_norm=0.3"]);
+}
+
+#[test]
 fn deterministic_actors_with_the_tuned_preset() {
     cross_check_maddpg(&[]);
 }

@@ -65,6 +65,8 @@ class Learner:
         self.agents = len(self.before["actor.head.bias"])
         if "reward" in self.record:
             self.agents = self.record["reward"].shape[0]
+        # Fewer than agents where one has an output for each of several: agent a's is number a // C of critic a % C.
+        self.critics = len(self.before["critic.head.bias"])
         self.central = self.config["algorithm"]["name"] == "ppo"
         self.activation = {"relu": jax.nn.relu, "elu": jax.nn.elu, "tanh": jnp.tanh}[
             self.config["network"]["activation"]
@@ -120,7 +122,7 @@ class Learner:
         agents, steps, envs = r["reward"].shape
         actor_in, critic_in = self.inputs()
         actors = network("actor", self.before, agents)
-        critics = network("critic", self.before, agents)
+        critics = network("critic", self.before, self.critics)
 
         # Values and advantages, one environment after the other.
         norm = {k: self.before[f"value_norm.{k}"].copy() for k in ("mean", "mean_square", "debias")}
@@ -132,7 +134,10 @@ class Learner:
             mean = norm["mean"] / debias
             return mean, np.sqrt(np.maximum(norm["mean_square"] / debias - mean**2, 1e-2))
 
-        value = np.stack([np.asarray(self.apply(p, x))[..., 0] for p, x in zip(critics, critic_in)])
+        def value_of(p, a, x):
+            return self.apply(p, x)[..., a // self.critics]
+
+        value = np.stack([np.asarray(value_of(critics[a % self.critics], a, x)) for a, x in enumerate(critic_in)])
         compare("value", value, r["value"], GRADIENT)
         mean, std = moments()
         scaled = value * std[:, None, None] + mean[:, None, None]
@@ -199,7 +204,7 @@ class Learner:
             return jnp.where(jnp.abs(e) <= d, e**2 / 2, d * (jnp.abs(e) - d / 2))
 
         def critic_loss(p, a, batch, target_mean, target_std):
-            v = self.apply(p, critic_in[a][batch])[:, 0]
+            v = value_of(p, a, critic_in[a][batch])
             old = samples["old"][a][batch]
             target = (samples["returns"][a][batch] - target_mean) / target_std
             loss = huber(v - target)
@@ -213,29 +218,30 @@ class Learner:
 
         def pack(stacked, networks):
             """Trees that an optimiser each moves: one a network, with the own biases of its agents."""
-            if networks == agents:
+            if networks == len(stacked):
                 return stacked
             return [
                 {**stacked[n], own: jnp.stack([p[own] for p in stacked[n::networks]])}
                 for n in range(networks)
             ]
 
-        def unpack(trees):
-            """The tree of each agent."""
+        def unpack(trees, rows):
+            """The tree of each row."""
             networks = len(trees)
-            if networks == agents:
+            if networks == rows:
                 return trees
             pick = lambda a: trees[a % networks]
             return [{**pick(a), own: pick(a)[own][a // networks]} for a in range(agents)]
 
-        def total(loss, networks):
+        def total(loss, networks, rows):
             """Per tree: loss of one agent, or the mean over a network's agents."""
             if networks == agents:
                 return lambda tree, a, *rest: loss(tree, a, *[x[a] if k else x for k, x in enumerate(rest)])
 
             def mean_loss(tree, n, batch, *rest):
+                tree_of = lambda i: {**tree, own: tree[own][i]} if rows == agents else tree
                 parts = [
-                    loss({**tree, own: tree[own][i]}, a, batch, *[x[a] for x in rest])
+                    loss(tree_of(i), a, batch, *[x[a] for x in rest])
                     for i, a in enumerate(range(n, agents, networks))
                 ]
                 return sum(p[0] for p in parts) / len(parts), jnp.stack([p[1] for p in parts])
@@ -254,21 +260,24 @@ class Learner:
             def __init__(half, kind, loss):
                 half.kind, half.rate = kind, optimizer[f"{kind}_lr"] * factor
                 networks = self.networks(kind)
-                half.trees = pack(network(kind, self.before, agents), networks)
+                half.rows = agents if kind == "actor" else self.critics
+                half.trees = pack(network(kind, self.before, half.rows), networks)
                 transform = optax.adam(
                     half.rate, b1=optimizer["beta1"], b2=optimizer["beta2"], eps=optimizer["epsilon"]
                 )
                 limit = algorithm["max_grad_norm"]
                 clip = optax.clip_by_global_norm(limit) if limit > 0 else optax.identity()
                 half.optimizer = optax.chain(clip, transform)
-                half.gradient = jax.jit(jax.value_and_grad(total(loss, networks), has_aux=True), static_argnums=1)
+                half.gradient = jax.jit(
+                    jax.value_and_grad(total(loss, networks, half.rows), has_aux=True), static_argnums=1
+                )
                 half.states = []
                 moments = {}
                 for moment in ("m", "v"):
                     of_moment = {
                         f"{kind}.{n}": self.before[f"{kind}.adam.{moment}.{n}"] for n in half.trees[0]
                     }
-                    moments[moment] = pack(network(kind, of_moment, agents), networks)
+                    moments[moment] = pack(network(kind, of_moment, half.rows), networks)
                 for i, tree in enumerate(half.trees):
                     state = half.optimizer.init(tree)
                     adam = state[1][0]._replace(
@@ -300,12 +309,12 @@ class Learner:
                 compare(f"{half.kind} loss {index}", losses, r[f"loss.{index}.{half.kind}"], tolerance, scale)
                 for name in half.trees[0]:
                     recorded = r[f"gradient.{index}.{half.kind}.{name}"]
-                    theirs = np.stack([g[name] for g in unpack(gradients)])
+                    theirs = np.stack([g[name] for g in unpack(gradients, half.rows)])
                     compare(f"{half.kind} gradient {index} of {name}", recorded, theirs, tolerance)
 
             def finish(half, steps):
                 for name in half.trees[0]:
-                    theirs = np.stack([p[name] for p in unpack(half.trees)])
+                    theirs = np.stack([p[name] for p in unpack(half.trees, half.rows)])
                     ours = self.after[f"{half.kind}.{name}"]
                     scale = half.rate * steps
                     worst = compare(f"{half.kind} {name} after", ours, theirs, 2e-2, scale)
@@ -346,9 +355,9 @@ class Learner:
     def networks(self, kind):
         """How many actors or critics differ in more than a bias; agent a has number a modulo that."""
         own_state = self.config["network"]["critic_state"] == "own"
-        actors = len(self.before["actor.head.bias"])
-        roles = 2 if kind == "actor" or own_state else actors
-        return {"none": actors, "roles": roles, "all": 1}[self.config["network"]["parameter_sharing"]]
+        rows = len(self.before[f"{kind}.head.bias"])
+        roles = 2 if kind == "actor" or own_state else rows
+        return {"none": rows, "roles": roles, "all": 1}[self.config["network"]["parameter_sharing"]]
 
     def check_input_norms(self):
         """The normalisers after the update hold the samples' moments as well."""

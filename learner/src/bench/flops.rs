@@ -27,8 +27,10 @@ pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
     };
     let (actor, actor_first) =
         products(dimensions.actor_input(), &network.hidden, dimensions.actor_output());
+    let n_critics = config.critics(dimensions.n_actors);
+    let values_of_each = dimensions.n_actors / n_critics;
     let (critic, critic_first) =
-        products(dimensions.critic_input(), network.hidden_of_critics(), 1);
+        products(dimensions.critic_input(), network.hidden_of_critics(), values_of_each);
     if config.algorithm.name == AlgorithmName::Maddpg {
         let settings = &config.algorithm.maddpg;
         let samples = settings.updates_per_step * settings.batch_size as f64;
@@ -37,10 +39,11 @@ pub fn per_env_step(config: &Config, dimensions: &Dimensions) -> f64 {
         let critics = 6.0 * critic - 2.0 * critic_first + actions;
         return dimensions.n_actors as f64 * samples * (actors + critics);
     }
-    let epoch = 3.0 * (actor + critic) - actor_first - critic_first;
+    let epochs = config.algorithm.epochs as f64;
     let steps = dimensions.n_steps as f64;
-    let values = critic * (steps + 1.0) / steps;
-    dimensions.n_actors as f64 * (config.algorithm.epochs as f64 * epoch + values)
+    let of_actor = epochs * (3.0 * actor - actor_first);
+    let of_critic = epochs * (3.0 * critic - critic_first) + critic * (steps + 1.0) / steps;
+    dimensions.n_actors as f64 * of_actor + n_critics as f64 * of_critic
 }
 
 #[cfg(test)]
@@ -65,6 +68,21 @@ mod tests {
             .expect("valid");
         let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         assert_eq!(per_env_step(&config, &dimensions), 323_480.0);
+    }
+
+    /// Worked by hand: as the first, with two critics of 4 outputs, so 2,380 weights: an epoch is 6·2,380 − 2·2,240 = 9,800, values are
+    /// 2·2,380·5/4 = 5,950. In all 8·3·1,900 + 2·(3·9,800 + 5,950).
+    #[test]
+    fn operations_of_shared_critics_are_those_of_the_hand_worked_example() {
+        let config = Layers::new(Preset::Paper, None)
+            .text("[network]\nhidden = [10, 10]\nshared_critics = true", "test")
+            .and_then(|layers| layers.set("network.parameter_sharing=roles"))
+            .and_then(|layers| layers.set("task.episode_steps=4"))
+            .and_then(|layers| layers.set("algorithm.epochs=3"))
+            .and_then(|layers| layers.resolve())
+            .expect("valid");
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
+        assert_eq!(per_env_step(&config, &dimensions), 116_300.0);
     }
 
     /// Worked by hand: as above, and 24 actions beside the critic state, so 2,590 weights, 2,480 of them in

@@ -59,7 +59,8 @@ pub(super) fn best_rate(
 fn widest(config: &Config, dimensions: &Dimensions) -> [i64; 2] {
     let network = &config.network;
     let actor = (dimensions.actor_input(), network.hidden.as_slice(), dimensions.actor_output());
-    let critic = (dimensions.critic_input(), network.hidden_of_critics(), 1);
+    let values = dimensions.n_actors / config.critics(dimensions.n_actors);
+    let critic = (dimensions.critic_input(), network.hidden_of_critics(), values);
     [actor, critic]
         .into_iter()
         .flat_map(|(input, hidden, output)| {

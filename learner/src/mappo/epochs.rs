@@ -191,7 +191,7 @@ impl Group {
         sums: &mut Sums,
         step: (usize, usize),
     ) -> Result<(), LearnerError> {
-        let a = self.actors.len as i64;
+        let (a, critics) = (self.actors.len as i64, self.critics.len as i64);
         let batch = rows.size()[0];
         let NetworkPasses { compute, gradient, .. } = &mut self.critic;
         let _ = gradient.zero_();
@@ -200,8 +200,8 @@ impl Group {
         for chunk in chunks(batch, self.chunk_rows) {
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
             let x = match &samples.state {
-                Some(state) => shared_input(&state.index_select(0, &rows), a),
-                None => actor_input(&samples.observation.index_select(0, &rows), a),
+                Some(state) => shared_input(&state.index_select(0, &rows), critics),
+                None => actor_input(&samples.observation.index_select(0, &rows), critics),
             };
             let columns = columns(&samples.critic.index_select(0, &rows), a);
             let old = columns.select(1, 0);
@@ -209,20 +209,36 @@ impl Group {
                 Some((mean, std)) => (columns.select(1, 1) - mean) / std,
                 None => columns.select(1, 1),
             };
-            let value = compute.forward(&x).squeeze_dim(1);
+            let value = by_actor(&compute.forward(&x));
             let (d_value, sum) = inputs.options.critic_loss.gradient(&value, &old, &target, batch);
-            compute.backward(&x, &d_value.unsqueeze(1), gradient);
+            compute.backward(&x, &by_critic(&d_value, critics), gradient);
             let _ = total.g_add_(&sum);
         }
         compute.unfold(&learned.flat, gradient);
-        let active = vec![true; self.actors.len];
-        let rates = vec![inputs.critic_lr; self.actors.len];
+        let active = vec![true; self.critics.len];
+        let rates = vec![inputs.critic_lr; self.critics.len];
         let norms = inputs.options.descent.step(learned, &mut self.critic, &rates, &active);
         check(&norms, "critic", self.actors, inputs.iteration, step)?;
+        // Those who share a critic share its norm.
+        let norms: Vec<f64> = norms.iter().copied().cycle().take(self.actors.len).collect();
         let losses = Vec::<f32>::try_from(total / batch as f64).expect("one number an agent");
         sums.critic(losses.into_iter().map(f64::from), &norms);
         Ok(())
     }
+}
+
+/// The values `[A, B]` of what critics say, `[C, A / C, B]`. Critic c is that of the actors c, c + C, c + 2C …
+pub(super) fn by_actor(output: &Tensor) -> Tensor {
+    let batch = output.size()[2];
+    output.transpose(0, 1).reshape([-1, batch])
+}
+
+/// The gradient `[C, A / C, B]` of the mean loss over a critic's agents by what it says, from those `[A, B]` of each agent's loss by its value.
+fn by_critic(d_value: &Tensor, critics: i64) -> Tensor {
+    let (agents, batch) = d_value.size2().expect("[A, B]");
+    let each = agents / critics;
+    let d_output = d_value.view([each, critics, batch]).transpose(0, 1).contiguous();
+    if each == 1 { d_output } else { d_output / each as f64 }
 }
 
 /// Gives every `networks`-th entry their mean.

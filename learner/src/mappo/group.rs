@@ -16,6 +16,8 @@ use crate::report::UpdateReport;
 #[derive(Debug)]
 pub(super) struct Group {
     pub(super) actors: Actors,
+    /// The rows of their critics: as many as actors, or fewer that have an output for each.
+    pub(super) critics: Actors,
     pub(super) actor: NetworkPasses,
     pub(super) critic: NetworkPasses,
     /// `[A, U]`: one where an action moves a joint, zero elsewhere; nothing where all do.

@@ -9,6 +9,7 @@ use proto::layout::Dimensions;
 use tch::{Kind, Tensor};
 
 use super::MappoTrace;
+use super::epochs::by_actor;
 use super::group::{Group, IterationInputs};
 use crate::actors::Actors;
 use crate::gae::standardise;
@@ -158,17 +159,17 @@ impl Group {
         critic: &Tensor,
         rows: i64,
     ) -> Tensor {
-        let a = self.actors.len as i64;
+        let (a, critics) = (self.actors.len as i64, self.critics.len as i64);
         let value = Tensor::empty([a, rows], (Kind::Float, self.device));
         self.critic.compute.load(critic);
         for chunk in chunks(rows, self.chunk_rows) {
             let len = chunk.end - chunk.start;
             let x = match state {
-                Some(state) => shared_input(&state.narrow(0, chunk.start, len), a),
-                None => actor_input(&observation.narrow(0, chunk.start, len), a),
+                Some(state) => shared_input(&state.narrow(0, chunk.start, len), critics),
+                None => actor_input(&observation.narrow(0, chunk.start, len), critics),
             };
             let output = self.critic.compute.forward(&x);
-            value.narrow(1, chunk.start, len).copy_(&output.squeeze_dim(1));
+            value.narrow(1, chunk.start, len).copy_(&by_actor(&output));
         }
         value
     }

@@ -65,7 +65,7 @@ impl Run {
     }
 }
 
-const VARIANTS: [&[&str]; 9] = [
+const VARIANTS: [&[&str]; 10] = [
     &[],
     &["network.parameter_sharing=all", "run.learner_threads=1"],
     &["network.parameter_sharing=roles", "algorithm.name=ippo", "network.critic_state=own"],
@@ -81,6 +81,7 @@ const VARIANTS: [&[&str]; 9] = [
     &["algorithm.max_kl=0.001", "algorithm.value_norm=false", "algorithm.huber_delta=0"],
     &["network.input_norm=none", "network.critic_state=concatenated", "run.learner_threads=1"],
     &["algorithm.name=ppo", "run.learner_threads=1"],
+    &["network.parameter_sharing=roles", "network.shared_critics=true"],
 ];
 
 #[test]
@@ -229,15 +230,24 @@ fn what_is_learned_does_not_depend_on_the_number_of_threads() {
 #[test]
 fn agents_learn_together_what_each_learns_alone() {
     let _alone = crate::alone();
-    let config = config(&[]);
-    let mut alone = Run::new(&config, Arithmetic::F32);
-    let mut together = Run::new(&config, Arithmetic::F32);
-    together.mappo = Mappo::in_one_group(&config, &together.dimensions, &together.state);
+    learn_together_and_alone(&config(&[]));
+    learn_together_and_alone(&config(VARIANTS[9]));
+}
+
+fn learn_together_and_alone(config: &Config) {
+    let mut alone = Run::new(config, Arithmetic::F32);
+    let mut together = Run::new(config, Arithmetic::F32);
+    together.mappo = Mappo::in_one_group(config, &together.dimensions, &together.state);
     let (alone_report, together_report) = (alone.update(1), together.update(1));
     // Products of another shape sum in another order: some roundings of 2⁻²⁴, which forty steps of
     // Adam, each of length 1e-3 whatever the size of the gradient, make visible.
-    let difference = (&alone.state.actor.flat - &together.state.actor.flat).abs().max();
-    assert!(difference.double_value(&[]) < 1e-4, "{difference:?}");
+    for (alone, together) in [
+        (&alone.state.actor.flat, &together.state.actor.flat),
+        (&alone.state.critic.flat, &together.state.critic.flat),
+    ] {
+        let difference = (alone - together).abs().max();
+        assert!(difference.double_value(&[]) < 1e-4, "{difference:?}");
+    }
     for (one, other) in alone_report.value_loss.iter().zip(&together_report.value_loss) {
         assert!((one - other).abs() < 1e-3 * one.abs(), "{one} {other}");
     }
@@ -253,6 +263,23 @@ fn a_shared_network_stays_one_network() {
     assert_eq!(weight.get(0), weight.get(3));
     let bias = spec.view("hidden.0.bias", flat);
     assert_ne!(bias.get(0), bias.get(3), "agents are told apart");
+}
+
+#[test]
+fn agents_of_one_actor_share_a_critic_with_an_output_each() {
+    let _alone = crate::alone();
+    let run = Run::new(&config(VARIANTS[9]), Arithmetic::F32);
+    let spec = &run.state.critic.spec;
+    assert_eq!((run.dimensions.n_actors, spec.n_actors, spec.output), (4, 2, 2));
+    assert_eq!(run.state.actor.spec.n_actors, 4);
+    // Where every agent is an actor of its own there is nothing to share.
+    let [own, shared] = ["false", "true"].map(|shared| {
+        let mut run =
+            Run::new(&config(&[&format!("network.shared_critics={shared}")]), Arithmetic::F32);
+        run.update(1);
+        run.state.digest()
+    });
+    assert_eq!(own, shared);
 }
 
 #[test]

@@ -61,16 +61,20 @@ impl Mappo {
             .map(|first| {
                 let len = dimensions.n_actors / n_groups;
                 let actors = Actors { first, step: n_groups, len };
-                let passes =
-                    |network: &NetworkState| NetworkPasses::new(config, network, len, kind, device);
+                let n_critics = state.critic.spec.n_actors / n_groups;
+                let critics = Actors { len: n_critics, ..actors };
+                let passes = |network: &NetworkState, rows: &Actors| {
+                    NetworkPasses::new(config, network, rows.len, kind, device)
+                };
                 let own = dimensions.actions_with_joint().map(|flags| {
                     let shape = [dimensions.n_actors as i64, dimensions.actor_output() as i64];
                     actors.rows(&Tensor::from_slice(&flags).view(shape)).to_device(device)
                 });
                 Group {
                     own,
-                    actor: passes(&state.actor),
-                    critic: passes(&state.critic),
+                    actor: passes(&state.actor, &actors),
+                    critic: passes(&state.critic, &critics),
+                    critics,
                     chunk_rows: if device.is_cuda() { i64::MAX } else { CHUNK_ROWS },
                     actors,
                     device,
@@ -164,7 +168,7 @@ fn run_groups(
             let actors = group.actors;
             let learned = (
                 NetworkPart::part(&state.actor, &actors),
-                NetworkPart::part(&state.critic, &actors),
+                NetworkPart::part(&state.critic, &group.critics),
             );
             let norm = state.value_norm.part(&actors);
             (group, learned, norm, outcome)
@@ -179,7 +183,7 @@ fn run_groups(
             let trace = trace.as_deref_mut();
             let result =
                 tch::no_grad(|| group.update(inputs, &mut actor, &mut critic, norm, trace));
-            *outcome = Some((result, group.actors, actor, critic));
+            *outcome = Some((result, group.actors, group.critics, actor, critic));
         }
     };
     std::thread::scope(|scope| {
@@ -189,10 +193,10 @@ fn run_groups(
         work(trace);
     });
     let put_back = |outcome: Option<_>| {
-        let (result, actors, actor, critic): (_, _, NetworkPart, NetworkPart) =
+        let (result, actors, critics, actor, critic): (_, _, _, NetworkPart, NetworkPart) =
             outcome.expect("every group was computed");
         actor.put_back(&state.actor, &actors);
-        critic.put_back(&state.critic, &actors);
+        critic.put_back(&state.critic, &critics);
         result
     };
     outcomes.into_iter().map(put_back).collect()

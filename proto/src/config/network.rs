@@ -63,7 +63,7 @@ pub enum ParameterSharing {
     None,
     /// Agents of the same role, which move the same joints of different arms, are one actor; and one
     /// critic if critics see what actors see. A critic that sees the whole robot stays its agent's own:
-    /// what it sees does not say whose arm is meant.
+    /// what it sees does not say whose arm is meant. But see `shared_critics`.
     Roles,
     /// All agents are one actor and one critic.
     All,
@@ -92,6 +92,10 @@ pub struct Network {
     pub critic_state: CriticState,
     /// Which agents are one network, told apart by a learned first-layer bias an agent.
     pub parameter_sharing: ParameterSharing,
+    /// Whether agents who are one actor have one critic, with an output for each, where critics see the whole robot (`mappo`):
+    /// its layers are computed once for all of them, and learn from the returns of all.
+    #[serde(default)]
+    pub shared_critics: bool,
     /// Squashes the mean action with tanh.
     pub squash_mean: bool,
     /// Initial logarithm of the actions' standard deviation; of wrists' but for `wrist_log_std_offset`.
@@ -113,6 +117,15 @@ impl Network {
         let apart = self.parameter_sharing != ParameterSharing::All;
         let is_wrist = agent % AGENTS_PER_ARM == 1;
         self.initial_log_std + if apart && is_wrist { self.wrist_log_std_offset } else { 0.0 }
+    }
+
+    /// Networks of `n_actors` actors that differ in more than the bias of their first layer.
+    pub fn actor_networks(&self, n_actors: usize) -> usize {
+        match self.parameter_sharing {
+            ParameterSharing::All => 1,
+            ParameterSharing::Roles => AGENTS_PER_ARM.min(n_actors),
+            ParameterSharing::None => n_actors,
+        }
     }
 
     /// Width of each hidden layer of critics.

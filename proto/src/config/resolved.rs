@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::algorithm::{Algorithm, AlgorithmName};
 use super::env::{Env, RobotSection};
 use super::maddpg::Exploration;
-use super::network::Network;
+use super::network::{CriticState, Network};
 use super::optimizer::Optimizer;
 use super::run::Run;
 use super::task::Task;
@@ -39,6 +39,15 @@ impl Config {
             AlgorithmName::Mappo | AlgorithmName::Ippo | AlgorithmName::Ppo => None,
             AlgorithmName::Maddpg => Some(self.algorithm.maddpg.exploration(steps)),
         }
+    }
+
+    /// Critics of `n_actors` actors: one each, or with `network.shared_critics` one with an output for each of those who are one actor.
+    /// Critic c of C is that of the actors c, c + C, c + 2C and so on.
+    pub fn critics(&self, n_actors: usize) -> usize {
+        let Network { shared_critics, critic_state, .. } = self.network;
+        let name = self.algorithm.name;
+        let see_all = name == AlgorithmName::Mappo && critic_state != CriticState::Own;
+        if shared_critics && see_all { self.network.actor_networks(n_actors) } else { n_actors }
     }
 
     /// Env-steps that one iteration collects.

@@ -74,7 +74,8 @@ impl StateLayout {
                 }
             }
             let steps = format!("{network}.adam.steps");
-            layout.add(&steps, Dtype::I64, vec![rows], Numbers::NotNegative);
+            let networks = if network == "critic" { config.critics(rows) } else { rows };
+            layout.add(&steps, Dtype::I64, vec![networks], Numbers::NotNegative);
         }
         if config.optimizer.target_kl > 0.0 {
             layout.add("actor.rate", Dtype::F64, vec![rows], Numbers::NotNegative);
@@ -142,10 +143,11 @@ pub(super) fn is_moment(published: &str) -> bool {
     [MEAN, INVERSE_STD].contains(&published)
 }
 
-/// Names and shapes of the critics' parameters: one critic an actor.
+/// Names and shapes of the critics' parameters: one critic an actor, or one with an output for each of several.
 fn critics(config: &Config, dimensions: &Dimensions) -> Vec<(String, Vec<usize>)> {
     let network = &config.network;
-    let rows = dimensions.n_actors;
+    let rows = config.critics(dimensions.n_actors);
+    let values = dimensions.n_actors / rows;
     let mut width = dimensions.critic_input();
     let mut parameters = Vec::new();
     let mut add = |name: String, shape: Vec<usize>| parameters.push((name, shape));
@@ -162,7 +164,7 @@ fn critics(config: &Config, dimensions: &Dimensions) -> Vec<(String, Vec<usize>)
         }
         width = units;
     }
-    add("head.weight".to_owned(), vec![rows, width, 1]);
-    add("head.bias".to_owned(), vec![rows, 1]);
+    add("head.weight".to_owned(), vec![rows, width, values]);
+    add("head.bias".to_owned(), vec![rows, values]);
     parameters
 }

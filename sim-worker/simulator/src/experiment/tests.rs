@@ -19,7 +19,11 @@ use crate::rollout::{RolloutSpec, World, rollout};
 
 /// A world with a small network, whose exploration is too small to change a bit.
 pub(super) fn world(task: TaskName, robot: &Robot) -> World {
-    let mut config = Layers::new(Preset::Tuned, Some(task)).resolve().expect("valid");
+    world_of(Preset::Tuned, task, robot)
+}
+
+pub(super) fn world_of(preset: Preset, task: TaskName, robot: &Robot) -> World {
+    let mut config = Layers::new(preset, Some(task)).resolve().expect("valid");
     config.network.hidden = vec![16];
     config.env.n_envs = 18;
     config.env.n_shards = 1;

@@ -6,6 +6,7 @@ mod shape;
 
 pub use collision::{CollisionModel, ContactKind, FixedBody, MovingBody, Pair, Partner};
 pub use constants::{
-    AngleContactModel, ArmModel, LinkModel, Masses, Model, RigidInertia, SignedPermutation, Sparsity, Twist,
+    AngleContactModel, ArmModel, LinkModel, Masses, Model, RigidInertia, SignedPermutation,
+    Sparsity, Twist,
 };
 pub use shape::{Bound, Core, FixedBox, Rounded};

@@ -1,7 +1,7 @@
 //! Parameters of an untrained policy.
 
-use proto::config::{Config, ParameterSharing};
-use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions};
+use proto::config::Config;
+use proto::layout::{ActorLayout, Dimensions};
 use proto::rng::{Address, Purpose};
 
 /// Actors like those that a training begins with: weights of the learner's scale, normal instead of
@@ -26,11 +26,7 @@ pub fn initial_parameters(config: &Config, dimensions: &Dimensions, seed: u64) -
             (_, "gain" | "inverse_std") => part.fill(1.0),
             _ => {}
         }
-        let networks = match config.network.parameter_sharing {
-            ParameterSharing::All => 1,
-            ParameterSharing::Roles => AGENTS_PER_ARM,
-            ParameterSharing::None => dimensions.n_actors,
-        };
+        let networks = config.network.actor_networks(dimensions.n_actors);
         let row = part.len() / dimensions.n_actors;
         for actor in networks..dimensions.n_actors {
             part.copy_within(actor % networks * row..(actor % networks + 1) * row, actor * row);

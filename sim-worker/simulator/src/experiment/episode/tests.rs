@@ -1,11 +1,11 @@
 //! An episode in somebody's hands is a trial's, goes back in time, and refuses what cannot be.
 
-use proto::config::TaskName;
+use proto::config::{Preset, TaskName};
 
 use super::*;
 use crate::executor::InOrder;
 use crate::experiment::event::TimedEvent;
-use crate::experiment::tests::{paper, policy, world};
+use crate::experiment::tests::{paper, policy, world, world_of};
 use crate::experiment::{Intervention, Phase, Recording, Trial, play};
 
 fn member(task: TaskName) -> Arc<Member> {
@@ -126,6 +126,34 @@ fn an_episode_is_that_of_a_trial_to_the_bit() {
     let text = toml::to_string(&script).expect("a script is plain data");
     let again: Script = toml::from_str(&text).expect("a script");
     assert_eq!(again, script);
+}
+
+/// Goal postures are told as the policy wants them that sits there: at its pace, and after an average of the base's pose or not.
+#[test]
+fn who_is_seated_later_plays_as_if_it_had_been_alone() {
+    let of = |preset| {
+        let world = world_of(preset, TaskName::Trajectory, &paper());
+        let policy = policy(&world);
+        Arc::new(Member { world, policy })
+    };
+    let [guided, robust] = [Preset::Guided, Preset::Robust].map(of);
+    let sensors = SensorNoise { position: 0.01, angle: 0.02, velocity: 0.01, rate: 0.01 };
+    let rows = |members: Vec<Arc<Member>>, seated: usize| {
+        let mut episode = Episode::new(members, start()).expect("an episode");
+        episode.apply(&Event::Sensors(sensors)).expect("sensors");
+        for arm in 0..4 {
+            let control = Control::Policy(seated);
+            episode.apply(&Event::Arm { arm, control }).expect("a seat");
+        }
+        let step = |_| {
+            episode.step().expect("a step");
+            row(&episode)
+        };
+        (0..5).map(step).collect::<Vec<_>>()
+    };
+    let alone = rows(vec![Arc::clone(&robust)], 0);
+    assert_eq!(rows(vec![guided.clone(), robust], 1), alone);
+    assert_ne!(rows(vec![guided], 0), alone);
 }
 
 #[test]
