@@ -91,7 +91,7 @@ fn the_reference_of_the_configuration_is_current() {
         "| `env.substep` | `0.016` |",
         "| 1e-5 to 0.4 |",
         "| `algorithm.dual_clip` | `0.0` |",
-        "| `network.hidden` | `[256, 256, 256]` |",
+        "| `network.hidden` | `[256, 256, 256]`; `reorientation` `[128, 128]` |",
         "* `sin-cos`: Its sine and cosine",
     ] {
         assert!(found.contains(row), "{row} is not in\n{found}");

@@ -9,7 +9,7 @@ use tch::{Kind, Tensor};
 
 use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
-use super::samples::{Samples, actor_input, chunks, columns, moments, shared_input};
+use super::samples::{Samples, actor_input, by_actor, chunks, columns, moments, shared_input};
 use crate::LearnerError;
 use crate::loss::ActorSamples;
 use crate::optimizer_step::{NetworkPart, NetworkPasses, check};
@@ -225,12 +225,6 @@ impl Group {
         sums.critic(losses.into_iter().map(f64::from), &norms);
         Ok(())
     }
-}
-
-/// The values `[A, B]` of what critics say, `[C, A / C, B]`. Critic c is that of the actors c, c + C, c + 2C …
-pub(super) fn by_actor(output: &Tensor) -> Tensor {
-    let batch = output.size()[2];
-    output.transpose(0, 1).reshape([-1, batch])
 }
 
 /// The gradient `[C, A / C, B]` of the mean loss over a critic's agents by what it says, from those `[A, B]` of each agent's loss by its value.

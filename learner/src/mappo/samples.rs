@@ -9,7 +9,6 @@ use proto::layout::Dimensions;
 use tch::{Kind, Tensor};
 
 use super::MappoTrace;
-use super::epochs::by_actor;
 use super::group::{Group, IterationInputs};
 use crate::actors::Actors;
 use crate::gae::standardise;
@@ -195,6 +194,12 @@ fn over_agents(x: &Tensor) -> Tensor {
 pub(super) fn shared_input(rows: &Tensor, agents: i64) -> Tensor {
     let (b, f) = rows.size2().expect("[B, F]");
     rows.unsqueeze(0).expand([agents, b, f], true)
+}
+
+/// The values `[A, B]` of what critics say, `[C, A / C, B]`. Critic c is that of the actors c, c + C, c + 2C …
+pub(super) fn by_actor(output: &Tensor) -> Tensor {
+    let batch = output.size()[2];
+    output.transpose(0, 1).reshape([-1, batch])
 }
 
 /// `[B, A·C]` as columns `[A, C, B]`, contiguous.
