@@ -79,7 +79,7 @@ pub struct NetworkSpec {
     /// Actor or critic.
     pub kind: NetworkKind,
     /// A: rows, one an actor; of critics that agents share (`network.shared_critics`) one a critic.
-    pub n_actors: usize,
+    pub rows: usize,
     /// N: networks that differ in more than the first hidden bias; divides A.
     pub n_networks: usize,
     /// Width of the input.
@@ -152,7 +152,7 @@ impl NetworkSpec {
             if sees_what_actors_see || all_alike { network.actor_networks(rows) } else { rows };
         Self {
             kind,
-            n_actors: rows,
+            rows,
             n_networks,
             n_actions: dimensions.n_actions,
             input: input as i64,
@@ -185,7 +185,7 @@ impl NetworkSpec {
     /// for hidden layers, `head_gain` for the actors' head and 1 for the critics'; zero biases, unit
     /// gains, the initial deviations of the configuration.
     pub fn initial(&self, network: &Network, seed: u64) -> Tensor {
-        let mut flat = vec![0.0f32; self.n_actors * self.len as usize];
+        let mut flat = vec![0.0f32; self.rows * self.len as usize];
         let (networks, repeats) = flat.split_at_mut(self.n_networks * self.len as usize);
         for (network_index, row) in networks.chunks_exact_mut(self.len as usize).enumerate() {
             for (index, parameter) in self.parameters.iter().enumerate() {
@@ -230,19 +230,19 @@ impl NetworkSpec {
         for rows in repeats.chunks_exact_mut(networks.len()) {
             rows.copy_from_slice(networks);
         }
-        Tensor::from_slice(&flat).view([self.n_actors as i64, self.len])
+        Tensor::from_slice(&flat).view([self.rows as i64, self.len])
     }
 
     /// Whether a network is several agents'.
     pub fn is_shared(&self) -> bool {
-        self.n_networks < self.n_actors
+        self.n_networks < self.rows
     }
 
     /// The specification of a part of the rows, which are either all agents of one network or all there are.
     #[must_use]
     pub fn part(&self, rows: &[usize]) -> Self {
         let networks: BTreeSet<usize> = rows.iter().map(|row| row % self.n_networks).collect();
-        Self { n_actors: rows.len(), n_networks: networks.len(), ..self.clone() }
+        Self { rows: rows.len(), n_networks: networks.len(), ..self.clone() }
     }
 
     /// Turns per-agent gradients `[A, P]` of shared networks into those of the mean loss over a network's
@@ -251,7 +251,7 @@ impl NetworkSpec {
         if !self.is_shared() {
             return;
         }
-        let _ = gradient.g_div_scalar_((self.n_actors / self.n_networks) as f64);
+        let _ = gradient.g_div_scalar_((self.rows / self.n_networks) as f64);
         for columns in self.shared_columns() {
             let mut part = self.by_network(gradient, columns);
             let sum = part.sum_dim_intlist(&[0i64][..], true, Kind::Float);
@@ -275,7 +275,7 @@ impl NetworkSpec {
             .iter()
             .map(|&columns| rows(&self.by_network(gradient, columns).get(0)))
             .fold(own, |total, part| total + part);
-        common.repeat([self.n_actors as i64 / networks])
+        common.repeat([self.rows as i64 / networks])
     }
 
     /// Copies the shared columns of each network's first row of `flat` to its other rows. Rows see the same

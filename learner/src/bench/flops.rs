@@ -53,6 +53,16 @@ mod tests {
 
     use super::*;
 
+    /// Of preset `paper` with two layers of 10 and what else is said.
+    fn operations(assignments: &[&str]) -> f64 {
+        let small = Layers::new(Preset::Paper, None).set("network.hidden=[10,10]");
+        let layers = assignments
+            .iter()
+            .fold(small, |layers, assignment| layers.and_then(|layers| layers.set(assignment)));
+        let config = layers.and_then(|layers| layers.resolve()).expect("valid");
+        per_env_step(&config, &Dimensions::new(&config, Joints::of_sixes(4)))
+    }
+
     /// Worked by hand: O = 28, S = 8·28 = 224, two layers of 10, T = 4, 3 epochs, 8 agents.
     ///
     /// Actor: 28·10 + 10·10 + 10·3 = 410 weights, 280 of them in the first layer; an epoch is
@@ -60,44 +70,33 @@ mod tests {
     /// is 6·2,350 − 2·2,240 = 9,620. Values: 2·2,350·5/4 = 5,875. In all 8·(3·11,520 + 5,875).
     #[test]
     fn operations_are_those_of_the_hand_worked_example() {
-        let config = Layers::new(Preset::Paper, None)
-            .text("[network]\nhidden = [10, 10]", "test")
-            .and_then(|layers| layers.set("task.episode_steps=4"))
-            .and_then(|layers| layers.set("algorithm.epochs=3"))
-            .and_then(|layers| layers.resolve())
-            .expect("valid");
-        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
-        assert_eq!(per_env_step(&config, &dimensions), 323_480.0);
+        let assignments = ["task.episode_steps=4", "algorithm.epochs=3"];
+        assert_eq!(operations(&assignments), 323_480.0);
     }
 
     /// Worked by hand: as the first, with two critics of 4 outputs, so 2,380 weights: an epoch is 6·2,380 − 2·2,240 = 9,800, values are
     /// 2·2,380·5/4 = 5,950. In all 8·3·1,900 + 2·(3·9,800 + 5,950).
     #[test]
     fn operations_of_shared_critics_are_those_of_the_hand_worked_example() {
-        let config = Layers::new(Preset::Paper, None)
-            .text("[network]\nhidden = [10, 10]\nshared_critics = true", "test")
-            .and_then(|layers| layers.set("network.parameter_sharing=roles"))
-            .and_then(|layers| layers.set("task.episode_steps=4"))
-            .and_then(|layers| layers.set("algorithm.epochs=3"))
-            .and_then(|layers| layers.resolve())
-            .expect("valid");
-        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
-        assert_eq!(per_env_step(&config, &dimensions), 116_300.0);
+        let assignments = [
+            "network.shared_critics=true",
+            "network.parameter_sharing=roles",
+            "task.episode_steps=4",
+            "algorithm.epochs=3",
+        ];
+        assert_eq!(operations(&assignments), 116_300.0);
     }
 
-    /// Worked by hand: as above, and 24 actions beside the critic state, so 2,590 weights, 2,480 of them in
+    /// Worked by hand: as the first, and 24 actions beside the critic state, so 2,590 weights, 2,480 of them in
     /// the first layer. Actor: 4·820 − 560 = 2,720. Critic: 6·5,180 − 2·4,960 + 2·3·10 = 21,220. Half an
     /// update of 20 samples a step: 8·10·23,940.
     #[test]
     fn operations_of_maddpg_are_those_of_the_hand_worked_example() {
-        let config = Layers::new(Preset::Paper, None)
-            .text("[network]\nhidden = [10, 10]", "test")
-            .and_then(|layers| layers.set("algorithm.name=maddpg"))
-            .and_then(|layers| layers.set("algorithm.maddpg.batch_size=20"))
-            .and_then(|layers| layers.set("algorithm.maddpg.updates_per_step=0.5"))
-            .and_then(|layers| layers.resolve())
-            .expect("valid");
-        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
-        assert_eq!(per_env_step(&config, &dimensions), 1_915_200.0);
+        let assignments = [
+            "algorithm.name=maddpg",
+            "algorithm.maddpg.batch_size=20",
+            "algorithm.maddpg.updates_per_step=0.5",
+        ];
+        assert_eq!(operations(&assignments), 1_915_200.0);
     }
 }

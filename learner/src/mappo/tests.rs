@@ -270,8 +270,8 @@ fn agents_of_one_actor_share_a_critic_with_an_output_each() {
     let _alone = crate::alone();
     let run = Run::new(&config(VARIANTS[9]), Arithmetic::F32);
     let spec = &run.state.critic.spec;
-    assert_eq!((run.dimensions.n_actors, spec.n_actors, spec.output), (4, 2, 2));
-    assert_eq!(run.state.actor.spec.n_actors, 4);
+    assert_eq!((run.dimensions.n_actors, spec.rows, spec.output), (4, 2, 2));
+    assert_eq!(run.state.actor.spec.rows, 4);
     // Where every agent is an actor of its own there is nothing to share.
     let [own, shared] = ["false", "true"].map(|shared| {
         let mut run =

@@ -61,7 +61,7 @@ impl Mappo {
             .map(|first| {
                 let len = dimensions.n_actors / n_groups;
                 let actors = Actors { first, step: n_groups, len };
-                let n_critics = state.critic.spec.n_actors / n_groups;
+                let n_critics = state.critic.spec.rows / n_groups;
                 let critics = Actors { len: n_critics, ..actors };
                 let passes = |network: &NetworkState, rows: &Actors| {
                     NetworkPasses::new(config, network, rows.len, kind, device)

@@ -56,9 +56,10 @@ impl StateLayout {
         let mut layout = Self { tensors: BTreeMap::new() };
         let rows = dimensions.n_actors;
         let maddpg = config.algorithm.name == AlgorithmName::Maddpg;
-        for (network, parameters) in
-            [("actor", actors(config, dimensions)), ("critic", critics(config, dimensions))]
-        {
+        for (network, networks, parameters) in [
+            ("actor", rows, actors(config, dimensions)),
+            ("critic", config.critics(rows), critics(config, dimensions)),
+        ] {
             for (parameter, shape) in parameters {
                 let weights = parameter.starts_with("hidden.") && parameter.ends_with(".weight");
                 let numbers = if weights { Numbers::Weights } else { Numbers::Any };
@@ -74,7 +75,6 @@ impl StateLayout {
                 }
             }
             let steps = format!("{network}.adam.steps");
-            let networks = if network == "critic" { config.critics(rows) } else { rows };
             layout.add(&steps, Dtype::I64, vec![networks], Numbers::NotNegative);
         }
         if config.optimizer.target_kl > 0.0 {

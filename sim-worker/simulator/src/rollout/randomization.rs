@@ -86,8 +86,8 @@ impl<S: Real> Randomized<S> {
             let errs = uniforms(0).map(|chosen| chosen < ranges.share);
             let [is_late, sticks, is_scaled, is_misled] = errs;
             // The square root makes large ones more frequent: small ones need no learning.
-            let [late, misled, ..] = uniforms(1).map(libm::sqrt);
-            let [.., weighs_other, _] = uniforms(1);
+            let [late, misled, weighs_other, _] = uniforms(1);
+            let [late, misled] = [late, misled].map(libm::sqrt);
             if is_late {
                 drawn.late.set_lane(lane, late * ranges.delay);
             }
