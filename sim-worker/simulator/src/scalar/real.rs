@@ -230,6 +230,13 @@ pub(super) fn run_apart<S: Real, K: Kernel<S>>(kernel: K) -> K::Output {
     kernel.run()
 }
 
+/// [`run_apart`] for what nobody waits for when it runs: compiled with less effort, as what is called seldom is.
+#[cold]
+#[inline(never)]
+pub(super) fn run_seldom<S: Real, K: Kernel<S>>(kernel: K) -> K::Output {
+    kernel.run()
+}
+
 /// Whether all lanes of `x` are finite.
 pub fn is_finite<S: Real>(x: S) -> bool {
     (0..S::LANES).all(|i| x.lane(i).is_finite())
