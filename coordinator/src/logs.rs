@@ -8,24 +8,28 @@ use output::printable::printable;
 use run::report::progress::LogWriter;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
+use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::registry::LookupSpan;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Sends the logs of this program to standard error, around a progress bar if there is one.
 ///
 /// Without `RUST_LOG` these are warnings and errors, and read like the program's own: `warning: …`.
 /// Who sets it wants a log, and gets times, levels and fields.
 pub fn init() {
-    let logs = tracing_subscriber::fmt().with_writer(|| LogWriter).log_internal_errors(false);
-    match EnvFilter::try_from_default_env() {
-        Ok(filter) => logs
-            .with_env_filter(filter)
-            .with_target(false)
-            .with_ansi(std::io::stderr().is_terminal())
-            .init(),
-        Err(_) => logs.with_env_filter(EnvFilter::new("warn")).event_format(Console).init(),
+    let logs = tracing_subscriber::fmt()
+        .with_writer(|| LogWriter)
+        .with_max_level(LevelFilter::TRACE)
+        .log_internal_errors(false);
+    if let Some(filter) = process::logging::filter() {
+        let ansi = std::io::stderr().is_terminal();
+        logs.with_target(false).with_ansi(ansi).finish().with(filter).init();
+    } else {
+        let filter = Targets::new().with_default(LevelFilter::WARN);
+        logs.event_format(Console).finish().with(filter).init();
     }
 }
 
