@@ -70,26 +70,30 @@ wheel-test: wheel venv ## try the wheel itself; make test tries what was built b
 	SPACEOCTOPUS_WHEEL="$$(ls -t $(abspath $(TARGET))/wheels/spaceoctopus-*.whl | head -1)" $(CARGO) test $(LOCKED) --workspace --test it $(FEATURES) -- python::
 
 # The page in a browser: types, then one script, one style and the simulator as a WebAssembly module, compressed.
-# The service's build script puts them into the program.
+# The programs look for it in this folder, which is beside theirs.
+PAGE = $(abspath $(TARGET))/octopus-page
 NODE = $(abspath .node/bin/node)
 MODULE = $(abspath $(TARGET))/wasm32-unknown-unknown/release/browser.wasm
-# What needs the page less than the training goes on without it.
+# Without the page all else works.
 PAGELESS = { echo 'make: no page: all else works, `make page` tries again and says what is wrong' >&2; }
 
 .PHONY: page
-page: ## build the page that runs show in a browser (part of make build)
+page: ## build the page that shows runs in a browser (part of make build)
 	@$(PYTHON) deploy/setup.py page
 	@cd coordinator/web && $(NODE) node_modules/typescript/bin/tsc --noEmit -p .
 	@{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } 2>/dev/null
 	@# In the profile of the programs, so that macros are compiled once for both.
 	$(CARGO) build $(LOCKED) --release -p browser --target wasm32-unknown-unknown
-	@cd coordinator/web && $(NODE) build.mjs $(MODULE)
+	@cd coordinator/web && $(NODE) build.mjs $(MODULE) $(PAGE)
+
+.PHONY: programs
+programs: libtorch
+	@test -e $(TARGET)/release/octopus || echo 'compiling the programs, once: about 5 minutes on two cores'
+	$(CARGO) build --release --bins -p coordinator -p learner -p sim-worker $(FEATURES)
 
 .PHONY: build
-build: libtorch ## build the programs: octopus, learner, sim-worker
-	@test -e $(TARGET)/release/octopus || echo 'compiling everything, once: about 7 minutes on two cores'
+build: programs ## build the programs, octopus, learner and sim-worker, and the page
 	@$(MAKE) page || $(PAGELESS)
-	$(CARGO) build --release --bins -p coordinator -p learner -p sim-worker $(FEATURES)
 
 # What carries a run to other machines is large, and nobody who trains on one needs it.
 .PHONY: gateway
@@ -97,8 +101,11 @@ gateway: build ## build the program that lets other machines help: octopus join
 	$(CARGO) build --release --bins -p gateway
 
 .PHONY: train
-train: build ## train, with ARGS="..." for octopus train
+train: programs ## train, with ARGS="..." for octopus train
+	@# A page that is there is kept current. A first one takes a minute that nobody who wants to train should wait for.
+	@test ! -e $(PAGE) || $(MAKE) page || $(PAGELESS)
 	$(TARGET)/release/octopus train $(ARGS)
+	@test -e $(PAGE) || { echo 'building the page for browsers, once: about a minute'; $(MAKE) page || $(PAGELESS); }
 
 .PHONY: bench
 bench: build venv-benches ## measure this machine and the peers, with ARGS="..." for octopus bench
@@ -194,7 +201,6 @@ miri: ## run portable lanes and byte views in an interpreter that knows the rule
 .PHONY: clean
 clean: ## remove what was built; set-up and runs are kept
 	$(CARGO) clean
-	rm -f coordinator/web/dist/*
 
 .PHONY: distclean
 distclean: clean ## remove what was built and what was set up; runs are kept

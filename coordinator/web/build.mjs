@@ -1,17 +1,18 @@
-// Makes of the page's sources what the program carries, in dist/: each file compressed, and the frame of the one file that holds all.
+// Makes of the page's sources what the service reads: a folder with each file compressed, and the frame of the one file that holds all.
 //
-//     node build.mjs simulator.wasm
+//     node build.mjs simulator.wasm FOLDER
 
-import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { mkdirSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 import { build } from "esbuild";
 
 const here = dirname(fileURLToPath(import.meta.url));
-const dist = join(here, "dist");
-const [module] = process.argv.slice(2);
-if (module === undefined) throw new Error("usage: node build.mjs simulator.wasm");
+const [module, folder] = process.argv.slice(2);
+if (folder === undefined) throw new Error("usage: node build.mjs simulator.wasm FOLDER");
+// It comes into place as a whole: a service may be reading it.
+const fresh = `${folder}.tmp`;
 
 const common = {
     absWorkingDir: here,
@@ -38,30 +39,22 @@ const files = {
     "worker.js": Buffer.from(text(worker)),
     "simulator.wasm": readFileSync(module),
 };
-mkdirSync(dist, { recursive: true });
+rmSync(fresh, { recursive: true, force: true });
+mkdirSync(fresh, { recursive: true });
 let sum = 0;
 for (const [name, bytes] of Object.entries(files)) {
     const compressed = gzipSync(bytes, { level: 9 });
     sum += compressed.length;
-    put(`${name}.gz`, compressed);
+    writeFileSync(join(fresh, `${name}.gz`), compressed);
     console.log(`${name.padEnd(16)} ${kb(bytes.length)}, compressed ${kb(compressed.length)}`);
 }
 const frame = readFileSync(join(here, "src/single.html"), "utf8");
 // A function, so that `$` in the scripts means itself.
 const filled = frame.replace("/* style */", () => text(style)).replace("/* boot */", () => text(boot));
-put("single.html", Buffer.from(filled));
+writeFileSync(join(fresh, "single.html"), filled);
+rmSync(folder, { recursive: true, force: true });
+renameSync(fresh, folder);
 console.log(`${"in all".padEnd(16)} compressed ${kb(sum)}`);
-
-/** Writes a file if it is another one than before, so that cargo builds nothing anew for the same page. */
-function put(name, bytes) {
-    const path = join(dist, name);
-    try {
-        if (readFileSync(path).equals(bytes)) return;
-    } catch {
-        // Not there yet.
-    }
-    writeFileSync(path, bytes);
-}
 
 function kb(bytes) {
     return `${(bytes / 1000).toFixed(1).padStart(8)} kB`;

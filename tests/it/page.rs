@@ -1,4 +1,4 @@
-//! The page, in a real browser. Skipped, with a word, where there is no Chromium or the program has no page.
+//! The page, in a real browser. Skipped, with a word, where there is no Chromium or the page is not built.
 
 use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt as _;

@@ -15,7 +15,7 @@ use crate::standalone::enclosed;
 /// The file's name beside the report.
 pub(super) const FILE: &str = "episodes.html";
 
-/// The file, its policies called by their tasks, as recordings call them; none where the program was built without its page.
+/// The file, its policies called by their tasks, as recordings call them; none where the page is not there.
 pub(super) fn file(policies: &[Contender]) -> anyhow::Result<Option<String>> {
     if !page::is_built() {
         return Ok(None);

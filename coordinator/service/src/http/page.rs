@@ -26,7 +26,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
 #[utoipa::path(get, path = "/", tag = "service", security(()), responses(
     (status = 200, description = "The page", body = String, content_type = "text/html"),
     (status = 304, description = "The client has it"),
-    (status = 404, description = "The program was built without it", body = ErrorBody),
+    (status = 404, description = "The page has not been built", body = ErrorBody),
 ))]
 pub(super) async fn home(method: Method, headers: HeaderMap) -> Result<Response, Problem> {
     at("/", &method, &headers)
@@ -66,7 +66,7 @@ fn send(asset: &'static page::Asset, method: &Method, headers: &HeaderMap) -> Re
     });
     // Another program may listen at this address next time, so a browser asks each time.
     let common = [
-        (ETAG, HeaderValue::from_static(asset.etag)),
+        (ETAG, HeaderValue::from_static(&asset.etag)),
         (CACHE_CONTROL, HeaderValue::from_static("no-cache")),
         (VARY, HeaderValue::from_static("accept-encoding")),
         (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
@@ -79,6 +79,6 @@ fn send(asset: &'static page::Asset, method: &Method, headers: &HeaderMap) -> Re
         (CONTENT_TYPE, HeaderValue::from_static(asset.kind)),
         (CONTENT_ENCODING, HeaderValue::from_static("gzip")),
     ];
-    let body = if method == Method::HEAD { &[][..] } else { asset.gzip };
+    let body = if method == Method::HEAD { &[][..] } else { &asset.gzip };
     (common, described, body).into_response()
 }

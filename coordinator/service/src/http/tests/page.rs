@@ -17,7 +17,7 @@ async fn the_page_needs_no_token_and_may_do_little() {
         assert!(answer.error().contains("make page"), "{answer:?}");
         return;
     }
-    let names = page::ASSETS.iter().map(|asset| format!("GET /page/{}", asset.name));
+    let names = page::assets().iter().map(|asset| format!("GET /page/{}", asset.name));
     for line in std::iter::once("GET /".to_owned()).chain(names) {
         let answer = bench.send(&line, &[STRANGER], "").await;
         assert_eq!(answer.status, StatusCode::OK, "{line}");
