@@ -82,13 +82,14 @@ page: ## build the page that shows runs in a browser (part of make build)
 	@$(PYTHON) deploy/setup.py page
 	@cd coordinator/web && $(NODE) node_modules/typescript/bin/tsc --noEmit -p .
 	@{ ! command -v rustup >/dev/null || rustup target add wasm32-unknown-unknown; } 2>/dev/null
-	@# In the profile of the programs, so that macros are compiled once for both.
-	$(CARGO) build $(LOCKED) --release -p browser --target wasm32-unknown-unknown
+	@# In the profile of the programs, so that macros are compiled once for both. But a browser, which has one lone number where they have
+	@# lanes, takes a third longer for a step without the last level of optimisation.
+	$(CARGO) build $(LOCKED) --release -p browser --target wasm32-unknown-unknown --config profile.release.package.simulator.opt-level=3
 	@cd coordinator/web && $(NODE) build.mjs $(MODULE) $(PAGE)
 
 .PHONY: programs
 programs: libtorch
-	@test -e $(TARGET)/release/octopus || echo 'compiling the programs, once: about 5 minutes on two cores'
+	@test -e $(TARGET)/release/octopus || echo 'compiling the programs, once: about 6 minutes on two cores'
 	$(CARGO) build --release --bins -p coordinator -p learner -p sim-worker $(FEATURES)
 
 .PHONY: build
