@@ -62,6 +62,7 @@ pub mod mlp;
 pub mod network;
 mod number;
 mod optimizer_step;
+pub mod panics;
 pub mod precision;
 pub mod report;
 pub mod state;

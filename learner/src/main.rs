@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use learner::bench::{self, Measurement};
 use learner::learner::{Arguments, run};
+use learner::panics;
 
 /// Trains the policies of a SpaceOctopus run; started by `octopus`, not by hand.
 #[derive(Debug, Parser)]
@@ -34,6 +35,7 @@ enum Command {
 fn main() -> ExitCode {
     let cli = Cli::parse();
     process::logging::init();
+    panics::log();
     let result = match (cli.command, cli.arguments) {
         (Some(Command::Bench(measurement)), _) => bench::run(&measurement),
         (Some(Command::Probe { device }), _) => {
