@@ -74,6 +74,41 @@ fn one_file_shows_the_robot_without_a_network() {
     assert_eq!(refused.status.code(), Some(5), "{}", stderr(&refused));
 }
 
+/// It may be built while the program is there already, and is none before it is whole.
+#[test]
+fn the_page_is_found_beside_the_program() {
+    let dir = tempfile::tempdir().expect("a directory");
+    // As cargo nests them, so that no folder above is looked into but this test's own.
+    let place = dir.path().join("target/debug/deps");
+    std::fs::create_dir_all(&place).expect("a directory");
+    let octopus = place.join("octopus");
+    std::fs::copy(program("octopus"), &octopus).expect("copies");
+    let out = dir.path().join("robot.html");
+    let view = || {
+        let mut command = Command::new(&octopus);
+        command.arg("view").arg(policy()).arg("--out").arg(&out).output().expect("starts")
+    };
+    let without = view();
+    assert_eq!(without.status.code(), Some(4), "{}", stderr(&without));
+    assert!(stderr(&without).contains("`make page` builds it"), "{}", stderr(&without));
+
+    let page = dir.path().join("target/octopus-page");
+    std::fs::create_dir(&page).expect("a directory");
+    for name in ["index.html", "page.css", "page.js", "worker.js", "simulator.wasm"] {
+        std::fs::write(page.join(format!("{name}.gz")), name).expect("writes");
+    }
+    let half = view();
+    assert_eq!(half.status.code(), Some(4), "{}", stderr(&half));
+    assert!(!out.exists());
+    std::fs::write(page.join("single.html"), "<!doctype html>\n<!-- data -->").expect("writes");
+    let with = view();
+    assert!(with.status.success(), "{}", stderr(&with));
+    let written = std::fs::read_to_string(&out).expect("a file");
+    for asset in ["page.css", "page.js", "worker.js", "simulator.wasm"] {
+        assert!(written.contains(&format!("data-asset=\"{asset}\"")), "{asset}");
+    }
+}
+
 /// Goals that are turned, arms that are held and limp; in full also other masses, late commands, and a robot of two policies
 /// whose base's goal is turned. The native program then does all that again, with the same bits.
 #[test]
