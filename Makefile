@@ -75,7 +75,7 @@ PAGE = $(abspath $(TARGET))/octopus-page
 NODE = $(abspath .node/bin/node)
 MODULE = $(abspath $(TARGET))/wasm32-unknown-unknown/release/browser.wasm
 # Without the page all else works.
-PAGELESS = { echo 'make: no page: all else works, `make page` tries again and says what is wrong' >&2; }
+PAGELESS = { echo 'make: the page was not built (one that is there is an older one): all else works, `make page` tries again and says what is wrong' >&2; }
 
 .PHONY: page
 page: ## build the page that shows runs in a browser (part of make build)
@@ -106,7 +106,8 @@ train: programs ## train, with ARGS="..." for octopus train
 	@# A page that is there is kept current. A first one takes a minute that nobody who wants to train should wait for.
 	@test ! -e $(PAGE) || $(MAKE) page || $(PAGELESS)
 	$(TARGET)/release/octopus train $(ARGS)
-	@test -e $(PAGE) || { echo 'building the page for browsers, once: about a minute'; $(MAKE) page || $(PAGELESS); }
+	@# Quietly: the results of the training stay in sight.
+	@test -e $(PAGE) || { echo 'building the page for browsers, once: about a minute' >&2; $(MAKE) page CARGO='$(CARGO) --quiet' >/dev/null || $(PAGELESS); }
 
 .PHONY: bench
 bench: build venv-benches ## measure this machine and the peers, with ARGS="..." for octopus bench

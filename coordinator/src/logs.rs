@@ -20,16 +20,14 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 /// Without `RUST_LOG` these are warnings and errors, and read like the program's own: `warning: …`.
 /// Who sets it wants a log, and gets times, levels and fields.
 pub fn init() {
-    let logs = tracing_subscriber::fmt()
-        .with_writer(|| LogWriter)
-        .with_max_level(LevelFilter::TRACE)
-        .log_internal_errors(false);
+    let lines =
+        tracing_subscriber::fmt::layer().with_writer(|| LogWriter).log_internal_errors(false);
     if let Some(filter) = process::logging::filter() {
-        let ansi = std::io::stderr().is_terminal();
-        logs.with_target(false).with_ansi(ansi).finish().with(filter).init();
+        let lines = lines.with_target(false).with_ansi(std::io::stderr().is_terminal());
+        tracing_subscriber::registry().with(filter).with(lines).init();
     } else {
         let filter = Targets::new().with_default(LevelFilter::WARN);
-        logs.event_format(Console).finish().with(filter).init();
+        tracing_subscriber::registry().with(filter).with(lines.event_format(Console)).init();
     }
 }
 

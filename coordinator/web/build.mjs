@@ -2,7 +2,7 @@
 //
 //     node build.mjs simulator.wasm FOLDER
 
-import { mkdirSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
+import { existsSync, mkdirSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
@@ -52,8 +52,11 @@ const frame = readFileSync(join(here, "src/single.html"), "utf8");
 // A function, so that `$` in the scripts means itself.
 const filled = frame.replace("/* style */", () => text(style)).replace("/* boot */", () => text(boot));
 writeFileSync(join(fresh, "single.html"), filled);
-rmSync(folder, { recursive: true, force: true });
+const old = `${folder}.old`;
+rmSync(old, { recursive: true, force: true });
+if (existsSync(folder)) renameSync(folder, old);
 renameSync(fresh, folder);
+rmSync(old, { recursive: true, force: true });
 console.log(`${"in all".padEnd(16)} compressed ${kb(sum)}`);
 
 function kb(bytes) {

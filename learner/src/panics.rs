@@ -1,5 +1,6 @@
 //! What a panic says: in one line, as the end of a log is what people are shown.
 
+use std::io::Write as _;
 use std::panic::{self, PanicHookInfo};
 
 /// Where libtorch's errors turn into a list of addresses, about thirty lines of them.
@@ -9,8 +10,9 @@ const ADDRESSES: &str = "Exception raised from";
 pub fn log() {
     let whole = panic::take_hook();
     panic::set_hook(Box::new(move |panic: &PanicHookInfo<'_>| {
-        tracing::error!("{}", brief(&panic.to_string()));
-        if std::env::var_os("RUST_BACKTRACE").is_some() {
+        // Whatever is filtered of the log. Nobody is left to be told if this fails.
+        let _ = writeln!(std::io::stderr(), "{}", brief(&panic.to_string()));
+        if std::env::var_os("RUST_BACKTRACE").is_some_and(|value| value != "0") {
             whole(panic);
         }
     }));

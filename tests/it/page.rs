@@ -77,12 +77,13 @@ fn one_file_shows_the_robot_without_a_network() {
 /// It may be built while the program is there already, and is none before it is whole.
 #[test]
 fn the_page_is_found_beside_the_program() {
-    let dir = tempfile::tempdir().expect("a directory");
-    // As cargo nests them, so that no folder above is looked into but this test's own.
-    let place = dir.path().join("target/debug/deps");
+    // On the program's own file system, for a second name of it.
+    let programs = program("octopus").with_file_name("");
+    let dir = tempfile::tempdir_in(programs).expect("a directory");
+    let place = dir.path().join("target/debug");
     std::fs::create_dir_all(&place).expect("a directory");
     let octopus = place.join("octopus");
-    std::fs::copy(program("octopus"), &octopus).expect("copies");
+    std::fs::hard_link(program("octopus"), &octopus).expect("can be linked");
     let out = dir.path().join("robot.html");
     let view = || {
         let mut command = Command::new(&octopus);

@@ -5,6 +5,7 @@
 
 use std::fmt::Write as _;
 use std::fs;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -46,7 +47,8 @@ struct Page {
 }
 
 /// What is said where the page is not there.
-pub const MISSING: &str = "the page for browsers is not beside the program; `make page` builds it";
+pub const MISSING: &str = "the page for browsers is missing: there is no folder octopus-page beside the program or beside the folder that it is in; \
+                           `make page` builds it into target/";
 
 /// The page, read when it is first asked for. Where it is not there it is looked for again the next time: it may be built meanwhile.
 fn page() -> Option<&'static Page> {
@@ -54,26 +56,32 @@ fn page() -> Option<&'static Page> {
     if let Some(page) = PAGE.get() {
         return Some(page);
     }
-    let page = folders().iter().find_map(|folder| Page::read(folder))?;
+    let program = std::env::current_exe().ok()?;
+    let page = folders(&program).iter().find_map(|folder| Page::read(folder))?;
     Some(PAGE.get_or_init(|| page))
 }
 
-/// Where the page may lie: beside the program, or beside one of the two folders that it is in, as cargo nests them.
-fn folders() -> Vec<PathBuf> {
-    let program = std::env::current_exe().unwrap_or_default();
-    program.ancestors().skip(1).take(3).map(|dir| dir.join(FOLDER)).collect()
+/// Where the page may lie: beside the program, or beside the folder that it is in. Programs that cargo makes of tests and
+/// examples are a folder deeper than others. No further up: what lies there may be somebody else's.
+fn folders(program: &Path) -> Vec<PathBuf> {
+    let deeper = |dir: &Path| dir.ends_with("deps") || dir.ends_with("examples");
+    let dirs = program.ancestors().skip(1).skip_while(|dir| deeper(dir));
+    dirs.take(2).map(|dir| dir.join(FOLDER)).collect()
 }
 
 impl Page {
-    /// None where a file is missing: the folder comes into place as a whole.
+    /// None where a file is missing, or where another folder has taken this one's place meanwhile.
     fn read(folder: &Path) -> Option<Self> {
+        let inode = || fs::metadata(folder).ok().map(|folder| folder.ino());
+        let before = inode();
         let mut assets = Vec::with_capacity(FILES.len());
         for (name, kind) in FILES {
             let gzip = fs::read(folder.join(format!("{name}.gz"))).ok()?;
             let etag = format!("\"{}\"", blake3::hash(&gzip).to_hex());
             assets.push(Asset { name, kind, etag, gzip });
         }
-        Some(Self { assets, single: fs::read_to_string(folder.join(SINGLE)).ok()? })
+        let single = fs::read_to_string(folder.join(SINGLE)).ok()?;
+        (inode() == before).then_some(Self { assets, single })
     }
 }
 
@@ -147,6 +155,16 @@ fn push(out: &mut String, kind: &str, name: &str, bytes: &[u8]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_page_lies_beside_the_program_or_one_folder_up() {
+        let of = |program: &str| folders(Path::new(program));
+        let built =
+            [PathBuf::from("/r/target/release").join(FOLDER), "/r/target/octopus-page".into()];
+        assert_eq!(of("/r/target/release/octopus"), built);
+        assert_eq!(of("/r/target/release/deps/it-1"), built);
+        assert_eq!(of("/r/target/release/examples/chaos"), built);
+    }
 
     /// Half a page is none.
     #[test]
