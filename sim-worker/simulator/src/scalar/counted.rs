@@ -19,11 +19,11 @@ thread_local! {
 }
 
 /// A single-precision number that counts operations.
-///
-/// None of them is inlined: there are thousands in one function, which nobody waits for when it runs, but everybody when it is compiled.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Counted(f32);
 
+/// Not inlined: there are thousands in one function, which nobody waits for when it runs, but everybody when it is compiled.
+#[inline(never)]
 fn counted(operations: u64, value: f32) -> Counted {
     OPERATIONS.set(OPERATIONS.get() + operations);
     Counted(value)
@@ -33,7 +33,6 @@ macro_rules! operator {
     ($trait:ident, $method:ident) => {
         impl $trait for Counted {
             type Output = Self;
-            #[inline(never)]
             fn $method(self, other: Self) -> Self {
                 counted(1, self.0.$method(other.0))
             }
@@ -47,25 +46,21 @@ operator!(Div, div);
 
 impl Neg for Counted {
     type Output = Self;
-    #[inline(never)]
     fn neg(self) -> Self {
         Self(-self.0)
     }
 }
 impl AddAssign for Counted {
-    #[inline(never)]
     fn add_assign(&mut self, other: Self) {
         *self = *self + other;
     }
 }
 impl SubAssign for Counted {
-    #[inline(never)]
     fn sub_assign(&mut self, other: Self) {
         *self = *self - other;
     }
 }
 impl MulAssign for Counted {
-    #[inline(never)]
     fn mul_assign(&mut self, other: Self) {
         *self = *self * other;
     }
@@ -76,106 +71,81 @@ impl Real for Counted {
     type Mask = bool;
     type Pair = [Self; 2];
 
-    #[inline(never)]
     fn pair(first: Self, second: Self) -> [Self; 2] {
         [first, second]
     }
-    #[inline(never)]
     fn add_pair_product<P: PairProducts>(self, x: [Self; 2], w: WeightPair, _: P) -> Self {
         let [first, second] = w.widened();
         x[0].mul_add(Self(first), x[1].mul_add(Self(second), self))
     }
 
-    #[inline(never)]
     fn splat(x: f64) -> Self {
         Self(x as f32)
     }
-    #[inline(never)]
     fn lane(self, _: usize) -> f64 {
         f64::from(self.0)
     }
-    #[inline(never)]
     fn set_lane(&mut self, _: usize, x: f64) {
         self.0 = x as f32;
     }
-    #[inline(never)]
     fn mul_add(self, a: Self, b: Self) -> Self {
         counted(2, f32::mul_add(self.0, a.0, b.0))
     }
-    #[inline(never)]
     fn neg_mul_add(self, a: Self, b: Self) -> Self {
         counted(2, f32::mul_add(-self.0, a.0, b.0))
     }
-    #[inline(never)]
     fn sqrt(self) -> Self {
         counted(1, self.0.sqrt())
     }
-    #[inline(never)]
     fn abs(self) -> Self {
         Self(self.0.abs())
     }
-    #[inline(never)]
     fn min(self, other: Self) -> Self {
         if self.0 < other.0 { self } else { other }
     }
-    #[inline(never)]
     fn max(self, other: Self) -> Self {
         if self.0 > other.0 { self } else { other }
     }
-    #[inline(never)]
     fn round(self) -> Self {
         Self(self.0.round_ties_even())
     }
-    #[inline(never)]
     fn floor(self) -> Self {
         Self(self.0.floor())
     }
-    #[inline(never)]
     fn lt(self, other: Self) -> bool {
         self.0 < other.0
     }
-    #[inline(never)]
     fn le(self, other: Self) -> bool {
         self.0 <= other.0
     }
-    #[inline(never)]
     fn select(m: bool, a: Self, b: Self) -> Self {
         if m { a } else { b }
     }
-    #[inline(never)]
     fn copy_sign_to(self, magnitude: Self) -> Self {
         Self(magnitude.0.copysign(self.0))
     }
-    #[inline(never)]
     fn pow2i(self) -> Self {
         Self(self.0.exp2())
     }
-    #[inline(never)]
     fn frexp(self) -> (Self, Self) {
         let (mantissa, exponent) = self.lane(0).frexp();
         (Self(mantissa as f32), Self(exponent as f32))
     }
-    #[inline(never)]
     fn sin_cos(self) -> (Self, Self) {
         elementary::sin_cos(self)
     }
-    #[inline(never)]
     fn atan2(self, x: Self) -> Self {
         elementary::atan2(self, x)
     }
-    #[inline(never)]
     fn exp(self) -> Self {
         elementary::exp(self)
     }
-    #[inline(never)]
     fn ln(self) -> Self {
         elementary::ln(self)
     }
-    #[inline(never)]
     fn log10(self) -> Self {
         elementary::log10(self)
     }
-    #[inline(never)]
     fn tanh(self) -> Self {
         elementary::tanh(self)
     }
