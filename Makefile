@@ -75,7 +75,7 @@ PAGE = $(abspath $(TARGET))/octopus-page
 NODE = $(abspath .node/bin/node)
 MODULE = $(abspath $(TARGET))/wasm32-unknown-unknown/release/browser.wasm
 # Without the page all else works.
-PAGELESS = { echo 'make: the page was not built (one that is there is an older one): all else works, `make page` tries again and says what is wrong' >&2; }
+PAGELESS = { echo 'make: the page was not built, an older one stays; all else works, and `make page` tries again and says what is wrong' >&2; }
 
 .PHONY: page
 page: ## build the page that shows runs in a browser (part of make build)

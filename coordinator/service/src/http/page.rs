@@ -1,7 +1,7 @@
 //! The page's files, as browsers ask for them.
 //!
-//! A browser that opens an address cannot show a token, so these need none; they are the same in every copy of the
-//! program and say nothing of the run. What they may do in the browser is as little as they need.
+//! A browser that opens an address cannot show a token, so these need none; they are the same for every run
+//! and say nothing of it. What they may do in the browser is as little as they need.
 
 use axum::extract::Request;
 use axum::http::header::{
