@@ -11,6 +11,8 @@
 //! Own code, because libtorch's binding cannot save an optimiser's moments. Every agent counts its
 //! own steps: early stopping may hold one back.
 
+use std::ops::Range;
+
 use tch::{Device, Kind, Tensor};
 
 use crate::features::{Features, Loop, mul_add, run_for};
@@ -45,7 +47,8 @@ impl Adam {
     }
 
     /// One step of `flat` against `gradient`, both `[A, P]`, for the agents that are `active`, each at
-    /// its own rate. `scratch` may be overwritten.
+    /// its own rate, in those of its columns that are learned. `scratch` may be overwritten.
+    #[expect(clippy::too_many_arguments, reason = "what a step of Adam is of")]
     pub fn step(
         &mut self,
         options: &AdamOptions,
@@ -54,39 +57,41 @@ impl Adam {
         gradient: &Tensor,
         scratch: &Tensor,
         active: &[bool],
+        columns: impl Fn(usize) -> Range<i64>,
     ) {
-        let agents = self.steps.len();
         debug_assert_eq!(flat.size(), gradient.size());
         for (count, _) in self.steps.iter_mut().zip(active).filter(|(_, active)| **active) {
             *count += 1;
         }
         let on_cpu = flat.device() == Device::Cpu;
-        let apply = |start: usize, len: usize, step: i64| {
-            let part = |tensor: &Tensor| tensor.narrow(0, start as i64, len as i64);
+        // A pass on a CPU wants its numbers side by side. A GPU wants few operations: neighbours who do the same step together.
+        let alike = |&one: &usize, &next: &usize| {
+            !on_cpu
+                && [active[one], active[next]] == [true, true]
+                && self.steps[one] == self.steps[next]
+                && learning_rates[one] == learning_rates[next]
+                && columns(one) == columns(next)
+        };
+        let agents: Vec<usize> = (0..self.steps.len()).collect();
+        for together in agents.chunk_by(alike).filter(|together| active[together[0]]) {
+            let (first, columns) = (together[0], columns(together[0]));
+            let part = |tensor: &Tensor| {
+                let rows = tensor.narrow(0, first as i64, together.len() as i64);
+                rows.narrow(1, columns.start, columns.end - columns.start)
+            };
             let parts = [part(flat), part(&self.m), part(&self.v), part(gradient)];
-            let correction1 = 1.0 - options.beta1.powf(step as f64);
-            let correction2 = 1.0 - options.beta2.powf(step as f64);
+            let step = self.steps[first] as f64;
             let rates = Rates {
                 first: 1.0 - options.beta1,
                 second: 1.0 - options.beta2,
-                correction: 1.0 / correction2.sqrt(),
+                correction: 1.0 / (1.0 - options.beta2.powf(step)).sqrt(),
                 epsilon: options.epsilon,
-                length: learning_rates[start] / correction1,
+                length: learning_rates[first] / (1.0 - options.beta1.powf(step)),
             };
             if on_cpu {
                 step_in_one_pass(&rates, parts);
             } else {
                 step_by_operations(&rates, parts, &part(scratch));
-            }
-        };
-        let together = active.iter().all(|&active| active)
-            && self.steps.iter().all(|&step| step == self.steps[0])
-            && learning_rates.iter().all(|&rate| rate == learning_rates[0]);
-        if together {
-            apply(0, agents, self.steps[0]);
-        } else {
-            for agent in (0..agents).filter(|&agent| active[agent]) {
-                apply(agent, 1, self.steps[agent]);
             }
         }
     }
@@ -166,14 +171,19 @@ impl Loop for Pass<'_> {
     }
 }
 
-/// Scales rows of `gradient` `[A, P]` whose norm exceeds `max_norm`; 0 turns it off. `squared` are
+/// Scales rows of the gradient whose norm exceeds `max_norm`; 0 turns it off. The `parts` have A rows together, `squared` are
 /// the squared norms `[A]`. Returns the norms before.
-pub fn clip_gradient(gradient: &mut Tensor, squared: &Tensor, max_norm: f64) -> Vec<f64> {
+pub fn clip_gradient(parts: &[Tensor], squared: &Tensor, max_norm: f64) -> Vec<f64> {
     let norm = squared.to_kind(Kind::Double).sqrt();
     let norms = Vec::<f64>::try_from(&norm).expect("a vector of f64");
     if max_norm > 0.0 && norms.iter().any(|&norm| norm > max_norm) {
         let scale = (max_norm / (norm + 1e-6)).clamp_max(1.0).to_kind(Kind::Float);
-        let _ = gradient.g_mul_(&scale.unsqueeze(1));
+        let mut first = 0;
+        for part in parts {
+            let rows = part.size()[0];
+            let _ = part.shallow_clone().g_mul_(&scale.narrow(0, first, rows).unsqueeze(1));
+            first += rows;
+        }
     }
     norms
 }
@@ -206,7 +216,7 @@ mod tests {
             theirs.zero_grad();
             ((&theirs - &target).square().sum(Kind::Float) * 0.5).backward();
             let gradient = theirs.grad().copy();
-            adam.step(&OPTIONS, &[0.01; 2], &ours, &gradient, &scratch, &[true, true]);
+            adam.step(&OPTIONS, &[0.01; 2], &ours, &gradient, &scratch, &[true, true], |_| 0..50);
             optimizer.step();
             let error = (&ours - theirs.detach()).abs().max().double_value(&[]);
             // A few roundings of values of order 1 a step, 2⁻²⁴ each.
@@ -238,7 +248,8 @@ mod tests {
     #[should_panic(expected = "share memory")]
     fn a_gradient_that_is_the_parameters_is_refused() {
         let flat = Tensor::ones([1, 3], (Kind::Float, Device::Cpu));
-        Adam::new(&flat).step(&OPTIONS, &[0.1], &flat, &flat, &flat.zeros_like(), &[true]);
+        let scratch = flat.zeros_like();
+        Adam::new(&flat).step(&OPTIONS, &[0.1], &flat, &flat, &scratch, &[true], |_| 0..3);
     }
 
     #[test]
@@ -247,14 +258,26 @@ mod tests {
         let gradient = flat.copy();
         let scratch = flat.zeros_like();
         let mut adam = Adam::new(&flat);
-        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[true, false]);
+        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[true, false], |_| 0..3);
         assert_eq!(adam.steps, [1, 0]);
         assert_eq!(flat.get(1), Tensor::ones([3], (Kind::Float, Device::Cpu)));
         assert_eq!(adam.v.get(1).double_value(&[0]), 0.0);
         let once = flat.get(0).copy();
-        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[false, true]);
+        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[false, true], |_| 0..3);
         assert_eq!(flat.get(1), once, "its first step is what the other's was");
         assert_eq!(adam.steps, [1, 1]);
+    }
+
+    #[test]
+    fn columns_that_are_not_learned_stay_as_they_are() {
+        let flat = Tensor::ones([2, 4], (Kind::Float, Device::Cpu));
+        let (gradient, scratch) = (flat.copy(), flat.zeros_like());
+        let columns = |row| if row == 0 { 0..4 } else { 1..3 };
+        let mut adam = Adam::new(&flat);
+        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[true; 2], columns);
+        let moved = flat.lt(1.0).to_kind(Kind::Float);
+        let expected = [1.0f32, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0];
+        assert_eq!(moved.view([-1]), Tensor::from_slice(&expected));
     }
 
     #[test]
@@ -262,7 +285,8 @@ mod tests {
         let flat = Tensor::zeros([2, 3], (Kind::Float, Device::Cpu));
         let gradient = flat.ones_like();
         let mut adam = Adam::new(&flat);
-        adam.step(&OPTIONS, &[0.1, 0.025], &flat, &gradient, &flat.zeros_like(), &[true, true]);
+        let (rates, scratch) = ([0.1, 0.025], flat.zeros_like());
+        adam.step(&OPTIONS, &rates, &flat, &gradient, &scratch, &[true, true], |_| 0..3);
         // A first step is as long as the rate, but for ε.
         for (agent, rate) in [(0, 0.1), (1, 0.025)] {
             assert!((flat.double_value(&[agent, 2]) + rate).abs() < 1e-5 * rate + 1e-6);
@@ -271,9 +295,10 @@ mod tests {
 
     #[test]
     fn only_rows_above_the_limit_are_scaled() {
-        let mut gradient = Tensor::from_slice(&[3.0f32, 4.0, 0.3, 0.4]).view([2, 2]);
+        let gradient = Tensor::from_slice(&[3.0f32, 4.0, 0.3, 0.4]).view([2, 2]);
         let squared = gradient.square().sum_dim_intlist(&[1i64][..], false, Kind::Float);
-        let norms = clip_gradient(&mut gradient, &squared, 1.0);
+        let parts = [gradient.narrow(0, 0, 1), gradient.narrow(0, 1, 1)];
+        let norms = clip_gradient(&parts, &squared, 1.0);
         assert!((norms[0] - 5.0).abs() < 1e-6 && (norms[1] - 0.5).abs() < 1e-6);
         assert!((gradient.double_value(&[0, 1]) - 0.8).abs() < 1e-6);
         assert!((gradient.double_value(&[1, 1]) - 0.4).abs() < 1e-7, "below the limit");

@@ -50,6 +50,7 @@ pub mod bench;
 mod error;
 mod features;
 pub mod gae;
+mod gradient_norm;
 pub mod inbox;
 pub mod input_norm;
 mod layer_norm;

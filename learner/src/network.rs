@@ -7,15 +7,18 @@
 //!
 //! A shared network is kept once for each agent that it is: row r of a stack of N networks holds network
 //! r mod N, as agents of one role stand [`AGENTS_PER_ARM`](proto::layout::AGENTS_PER_ARM) rows apart. Rows of one network are equal
-//! except for the bias of the first hidden layer, which tells the agents apart;
-//! [`NetworkSpec::unify`] keeps them equal.
+//! except for the bias of the first hidden layer, which tells the agents apart. An update learns the first N rows and
+//! every row's first bias ([`NetworkSpec::learned`]); after it [`NetworkSpec::unify`] makes the others equal again.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 use proto::config::{Config, CriticState, InputNorm, Network, ParameterSharing};
 use proto::layout::Dimensions;
 use proto::rng::{Address, Purpose};
 use tch::{Kind, Tensor};
+
+use crate::gradient_norm::squared_norms;
 
 /// Name, shape and columns of one parameter.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,7 +43,7 @@ impl Parameter {
     }
 
     /// Its columns in an array `[A, P]`.
-    pub fn columns(&self) -> std::ops::Range<usize> {
+    pub fn columns(&self) -> Range<usize> {
         self.offset as usize..(self.offset + self.len()) as usize
     }
 
@@ -245,41 +248,61 @@ impl NetworkSpec {
         Self { rows: rows.len(), n_networks: networks.len(), ..self.clone() }
     }
 
-    /// Turns per-agent gradients `[A, P]` of shared networks into those of the mean loss over a network's
-    /// agents: shared columns become the mean in every row, the first hidden bias its share.
-    pub fn share_gradient(&self, gradient: &mut Tensor) {
-        if !self.is_shared() {
-            return;
+    /// K: rows of a network.
+    pub fn rows_per_network(&self) -> i64 {
+        (self.rows / self.n_networks) as i64
+    }
+
+    /// The columns of a row that are learned there: all of the first N rows, of others the first hidden bias.
+    pub fn learned_columns(&self, row: usize) -> Range<i64> {
+        if row < self.n_networks {
+            return 0..self.len;
         }
-        let _ = gradient.g_div_scalar_((self.rows / self.n_networks) as f64);
-        for columns in self.shared_columns() {
-            let mut part = self.by_network(gradient, columns);
-            let sum = part.sum_dim_intlist(&[0i64][..], true, Kind::Float);
-            part.copy_(&sum);
+        let bias = self.get("hidden.0.bias");
+        bias.offset..bias.offset + bias.len()
+    }
+
+    /// What is learned of a tensor `[A, P]`, in the same memory: its first N rows, and the first hidden bias of the others,
+    /// if there are others.
+    pub fn learned_parts(&self, flat: &Tensor) -> Vec<Tensor> {
+        let (networks, rows) = (self.n_networks as i64, self.rows as i64);
+        let others = self.is_shared().then(|| {
+            let columns = self.learned_columns(self.n_networks);
+            flat.narrow(0, networks, rows - networks).narrow(
+                1,
+                columns.start,
+                columns.end - columns.start,
+            )
+        });
+        std::iter::once(flat.narrow(0, 0, networks)).chain(others).collect()
+    }
+
+    /// What is learned of a parameter, in the same memory: `[N, …]`, of the first hidden bias `[A, H]`.
+    pub fn learned(&self, name: &str, flat: &Tensor) -> Tensor {
+        let all = self.view(name, flat);
+        if name == "hidden.0.bias" { all } else { all.narrow(0, 0, self.n_networks as i64) }
+    }
+
+    /// Turns the gradients of the summed loss of a network's agents into those of its mean, where they are learned.
+    pub fn average_gradient(&self, gradient: &Tensor) {
+        if self.is_shared() {
+            for mut part in self.learned_parts(gradient) {
+                let _ = part.g_div_scalar_(self.rows_per_network() as f64);
+            }
         }
     }
 
     /// Squared gradient norm `[A]` of what an optimiser moves together: a network, with the first hidden
     /// biases of all its agents; the same in the row of each.
     pub fn squared_norm(&self, gradient: &Tensor) -> Tensor {
-        let rows = |part: &Tensor| part.square().sum_dim_intlist(&[1i64][..], false, Kind::Float);
-        if !self.is_shared() {
-            return rows(gradient);
-        }
-        let networks = self.n_networks as i64;
-        let bias = self.get("hidden.0.bias");
-        let own = rows(&gradient.narrow(1, bias.offset, bias.len())).view([-1, networks]);
-        let own = own.sum_dim_intlist(&[0i64][..], false, Kind::Float);
-        let common = self
-            .shared_columns()
-            .iter()
-            .map(|&columns| rows(&self.by_network(gradient, columns).get(0)))
-            .fold(own, |total, part| total + part);
-        common.repeat([self.rows as i64 / networks])
+        let parts = self.learned_parts(gradient);
+        let [learned, others] = &parts[..] else { return squared_norms(gradient) };
+        let others = squared_norms(others).view([-1, self.n_networks as i64]);
+        let others = others.sum_dim_intlist(&[0i64][..], false, Kind::Float);
+        (squared_norms(learned) + others).repeat([self.rows_per_network()])
     }
 
-    /// Copies the shared columns of each network's first row of `flat` to its other rows. Rows see the same
-    /// numbers, but vector and scalar code of a kernel may round differently.
+    /// Copies the shared columns of each network's first row of `flat` to its other rows.
     pub fn unify(&self, flat: &Tensor) {
         if !self.is_shared() {
             return;
@@ -451,23 +474,26 @@ mod tests {
     }
 
     #[test]
-    fn a_shared_gradient_is_that_of_the_mean_loss_and_keeps_the_first_bias_apart() {
+    fn a_shared_network_is_learned_in_one_row_but_for_the_first_bias() {
         let config = config(&["network.parameter_sharing=all", "network.hidden=[4]"]);
         let spec = NetworkSpec::new(
             NetworkKind::Critic,
             &config,
             &Dimensions::new(&config, Joints::of_sixes(1)),
         );
-        let mut gradient =
-            Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);
-        let raw = gradient.copy();
-        spec.share_gradient(&mut gradient);
-        let bias = spec.view("hidden.0.bias", &gradient);
-        assert_eq!(bias, spec.view("hidden.0.bias", &raw) / 2.0);
+        let gradient = Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);
+        let sum = gradient.copy();
+        spec.average_gradient(&gradient);
+        let [bias, head] = ["hidden.0.bias", "head.weight"].map(|name| {
+            let learned = spec.learned(name, &gradient);
+            assert_eq!(learned, spec.learned(name, &sum) / 2.0, "{name}");
+            learned
+        });
+        assert_eq!((bias.size(), head.size()), (vec![2, 4], vec![1, 4, 1]));
+        spec.unify(&gradient);
         let head = spec.view("head.weight", &gradient);
         assert_eq!(head.get(0), head.get(1));
-        let raw_head = spec.view("head.weight", &raw);
-        assert_eq!(head.get(0), (raw_head.get(0) + raw_head.get(1)) / 2.0);
+        assert_eq!(spec.view("hidden.0.bias", &gradient), bias, "unlike each other");
         // The norm counts shared columns once and every agent's bias.
         let once = spec.len - 4;
         let norm = spec.squared_norm(&Tensor::ones([2, spec.len], (Kind::Float, Device::Cpu)));

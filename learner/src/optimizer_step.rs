@@ -51,7 +51,12 @@ impl NetworkPart {
     }
 
     /// Brings what was learned into the state's memory, but for the counts of steps.
+    ///
+    /// All rows of a shared network become those that were learned.
     pub(crate) fn put_back(&self, network: &NetworkState, actors: &Actors) {
+        for tensor in [&self.flat, &self.adam.m, &self.adam.v] {
+            self.spec.unify(tensor);
+        }
         let Adam { m, v, .. } = &network.adam;
         actors.put_back(&self.flat, &network.flat);
         actors.put_back(&self.adam.m, m);
@@ -60,18 +65,18 @@ impl NetworkPart {
 }
 
 impl NetworkPasses {
-    /// For `len` actors' networks of `network`, with products in `kind`.
+    /// For the networks of `actors` among those of `network`, with products in `kind`.
     pub(crate) fn new(
         config: &Config,
         network: &NetworkState,
-        len: usize,
+        actors: &Actors,
         kind: Kind,
         device: Device,
     ) -> Self {
-        let flat = network.flat.narrow(0, 0, len as i64);
-        let activation = config.network.activation;
+        let flat = network.flat.narrow(0, 0, actors.len as i64);
+        let spec = network.spec.part(&actors.iter().collect::<Vec<_>>());
         Self {
-            compute: Compute::new(&network.spec, activation, len, kind, device),
+            compute: Compute::new(&spec, config.network.activation, kind, device),
             gradient: flat.zeros_like(),
             scratch: flat.zeros_like(),
             recorded: None,
@@ -108,18 +113,18 @@ impl Descent {
         active: &[bool],
     ) -> Vec<f64> {
         let NetworkPasses { gradient, scratch, recorded, .. } = passes;
-        learned.spec.share_gradient(gradient);
+        let NetworkPart { spec, flat, adam } = learned;
+        spec.average_gradient(gradient);
         if recorded.is_some() {
-            *recorded = Some(gradient.copy());
+            let all = gradient.copy();
+            spec.unify(&all);
+            *recorded = Some(all);
         }
-        let squared = learned.spec.squared_norm(gradient);
-        let norms = clip_gradient(gradient, &squared, self.max_grad_norm);
+        let squared = spec.squared_norm(gradient);
+        let norms = clip_gradient(&spec.learned_parts(gradient), &squared, self.max_grad_norm);
         if norms.iter().all(|norm| norm.is_finite()) {
-            let NetworkPart { spec, flat, adam } = learned;
-            adam.step(&self.adam, learning_rates, flat, gradient, scratch, active);
-            for tensor in [&*flat, &adam.m, &adam.v] {
-                spec.unify(tensor);
-            }
+            let columns = |row| spec.learned_columns(row);
+            adam.step(&self.adam, learning_rates, flat, gradient, scratch, active, columns);
         }
         norms
     }

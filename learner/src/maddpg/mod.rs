@@ -114,7 +114,7 @@ impl Maddpg {
         let (kind, device) = (state.arithmetic.kind(), state.device());
         let off_policy = state.off_policy.as_ref().expect("a state of MADDPG");
         let passes = |network: &NetworkState| {
-            NetworkPasses::new(config, network, dimensions.n_agents, kind, device)
+            NetworkPasses::new(config, network, &Actors::all(dimensions.n_agents), kind, device)
         };
         let settings = config.algorithm.maddpg;
         Self {
@@ -309,7 +309,6 @@ impl Maddpg {
 
         let x = self.critic_input(&state, &taken);
         let NetworkPasses { compute, gradient, .. } = &mut self.critic;
-        let _ = gradient.zero_();
         compute.load(&critic.flat);
         let error = compute.forward(&x).squeeze_dim(1) - &target;
         // d/dQ of mean (Q − y)².
@@ -324,10 +323,8 @@ impl Maddpg {
         add(explained, Vec::<f64>::try_from(share).expect("one number an agent").into_iter());
 
         // Each agent's own action is its actor's now, the others' are those that were taken.
-        let NetworkPasses { compute, gradient, .. } = &mut self.actor;
-        let _ = gradient.zero_();
-        compute.load(&actor.flat);
-        let action = compute.forward(&seen).tanh();
+        self.actor.compute.load(&actor.flat);
+        let action = self.actor.compute.forward(&seen).tanh();
         let x = self.critic_input(&state, &taken).contiguous();
         let own = |agent: i64| state.size()[1] + agent * u;
         let moving = with_joint(action.shallow_clone(), flags);

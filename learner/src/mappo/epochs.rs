@@ -9,7 +9,7 @@ use tch::{Kind, Tensor};
 
 use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
-use super::samples::{Samples, actor_input, by_actor, chunks, columns, moments, shared_input};
+use super::samples::{Samples, by_actor, chunks, columns, moments};
 use crate::LearnerError;
 use crate::loss::ActorSamples;
 use crate::optimizer_step::{NetworkPart, NetworkPasses, check};
@@ -93,7 +93,7 @@ impl Group {
                 }
             }
         }
-        let parameter = actor.spec.view("log_std", &actor.flat);
+        let parameter = log_std(actor);
         let numbers = |tensor: Tensor| {
             Vec::<f64>::try_from(tensor.to_kind(Kind::Double)).expect("one number an actor")
         };
@@ -137,15 +137,14 @@ impl Group {
         let u = inputs.dimensions.actor_output() as i64;
         let batch = rows.size()[0];
         let NetworkPasses { compute, gradient, .. } = &mut self.actor;
-        let _ = gradient.zero_();
         compute.load(&learned.flat);
-        let parameter = learned.spec.view("log_std", &learned.flat);
+        let parameter = log_std(learned);
         let options = (Kind::Float, self.device);
         let mut log_std_gradient = Tensor::zeros([a, u], options);
         let mut statistics = Tensor::zeros([a, 3], options);
         for chunk in chunks(batch, self.chunk_rows) {
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
-            let x = actor_input(&samples.observation.index_select(0, &rows), a);
+            let x = compute.by_network(&samples.observation.index_select(0, &rows));
             let columns = columns(&samples.actor.index_select(0, &rows), a);
             let samples = ActorSamples {
                 action: columns.narrow(1, 0, u),
@@ -159,8 +158,11 @@ impl Group {
             let _ = statistics.g_add_(&part.sums);
         }
         compute.unfold(&learned.flat, gradient);
-        let mut slot = learned.spec.view("log_std", gradient);
-        slot.copy_(&loss.finish_log_std(&log_std_gradient, &parameter, self.own.as_ref()));
+        let own = self.own.as_ref();
+        let by_actor = loss.finish_log_std(&log_std_gradient, &parameter, own);
+        let by_actor = by_actor.view([-1, learned.spec.n_networks as i64, u]);
+        let mut slot = learned.spec.learned("log_std", gradient);
+        slot.copy_(&by_actor.sum_dim_intlist(&[0i64][..], false, Kind::Float));
         let statistics = Vec::<f32>::try_from((statistics / batch as f64).view([-1]))
             .expect("three numbers an agent");
         let column = |index: usize| statistics.iter().skip(index).step_by(3).map(|&x| f64::from(x));
@@ -174,7 +176,7 @@ impl Group {
         let rates: Vec<f64> = self.actors.iter().map(|actor| inputs.actor_lr[actor]).collect();
         let norms = inputs.options.descent.step(learned, &mut self.actor, &rates, active);
         check(&norms, "actor", self.actors, inputs.iteration, step)?;
-        loss.project(&learned.spec.view("log_std", &learned.flat));
+        loss.project(&learned.spec.learned("log_std", &learned.flat));
         sums.actor(column(0), column(1), column(2), &norms);
         Ok(kl)
     }
@@ -194,14 +196,13 @@ impl Group {
         let (a, critics) = (self.actors.len as i64, self.critics.len as i64);
         let batch = rows.size()[0];
         let NetworkPasses { compute, gradient, .. } = &mut self.critic;
-        let _ = gradient.zero_();
         compute.load(&learned.flat);
         let mut total = Tensor::zeros([a], (Kind::Float, self.device));
         for chunk in chunks(batch, self.chunk_rows) {
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
             let x = match &samples.state {
-                Some(state) => shared_input(&state.index_select(0, &rows), critics),
-                None => actor_input(&samples.observation.index_select(0, &rows), critics),
+                Some(state) => compute.for_all(&state.index_select(0, &rows)),
+                None => compute.by_network(&samples.observation.index_select(0, &rows)),
             };
             let columns = columns(&samples.critic.index_select(0, &rows), a);
             let old = columns.select(1, 0);
@@ -225,6 +226,12 @@ impl Group {
         sums.critic(losses.into_iter().map(f64::from), &norms);
         Ok(())
     }
+}
+
+/// The logarithms of the deviations `[A, U]`, each actor's that of its network.
+fn log_std(actor: &NetworkPart) -> Tensor {
+    let learned = actor.spec.learned("log_std", &actor.flat);
+    learned.repeat([actor.spec.rows_per_network(), 1])
 }
 
 /// The gradient `[C, A / C, B]` of the mean loss over a critic's agents by what it says, from those `[A, B]` of each agent's loss by its value.

@@ -158,17 +158,16 @@ impl Group {
         critic: &Tensor,
         rows: i64,
     ) -> Tensor {
-        let (a, critics) = (self.actors.len as i64, self.critics.len as i64);
-        let value = Tensor::empty([a, rows], (Kind::Float, self.device));
-        self.critic.compute.load(critic);
+        let value = Tensor::empty([self.actors.len as i64, rows], (Kind::Float, self.device));
+        let compute = &mut self.critic.compute;
+        compute.load(critic);
         for chunk in chunks(rows, self.chunk_rows) {
             let len = chunk.end - chunk.start;
             let x = match state {
-                Some(state) => shared_input(&state.narrow(0, chunk.start, len), critics),
-                None => actor_input(&observation.narrow(0, chunk.start, len), critics),
+                Some(state) => compute.for_all(&state.narrow(0, chunk.start, len)),
+                None => compute.by_network(&observation.narrow(0, chunk.start, len)),
             };
-            let output = self.critic.compute.forward(&x);
-            value.narrow(1, chunk.start, len).copy_(&by_actor(&output));
+            value.narrow(1, chunk.start, len).copy_(&by_actor(&compute.forward(&x)));
         }
         value
     }
@@ -180,20 +179,9 @@ pub(super) fn chunks(rows: i64, limit: i64) -> impl Iterator<Item = Range<i64>> 
     (0..count).map(move |i| i * rows / count..(i + 1) * rows / count)
 }
 
-/// `[B, A·F]` as the actors' inputs `[A, B, F]`.
-pub(super) fn actor_input(rows: &Tensor, agents: i64) -> Tensor {
-    rows.view([rows.size()[0], agents, -1]).transpose(0, 1)
-}
-
 /// `[A, G, …]` summed over the agents of each actor.
 fn over_agents(x: &Tensor) -> Tensor {
     x.sum_dim_intlist(&[1i64][..], false, Kind::Float)
-}
-
-/// `[B, F]` as the same input of all actors, `[A, B, F]`.
-pub(super) fn shared_input(rows: &Tensor, agents: i64) -> Tensor {
-    let (b, f) = rows.size2().expect("[B, F]");
-    rows.unsqueeze(0).expand([agents, b, f], true)
 }
 
 /// The values `[A, B]` of what critics say, `[C, A / C, B]`. Critic c is that of the actors c, c + C, c + 2C …

@@ -64,7 +64,7 @@ impl Mappo {
                 let n_critics = state.critic.spec.rows / n_groups;
                 let critics = Actors { len: n_critics, ..actors };
                 let passes = |network: &NetworkState, rows: &Actors| {
-                    NetworkPasses::new(config, network, rows.len, kind, device)
+                    NetworkPasses::new(config, network, rows, kind, device)
                 };
                 let own = dimensions.actions_with_joint().map(|flags| {
                     let shape = [dimensions.n_actors as i64, dimensions.actor_output() as i64];

@@ -3,7 +3,7 @@
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
-use super::passes::Passes;
+use super::passes::{Passes, Sums};
 use super::plain::PlainPasses;
 use super::stack::Stack;
 use super::torch::TorchPasses;
@@ -14,34 +14,32 @@ use crate::network::NetworkSpec;
 pub struct Compute {
     pub(super) stack: Stack,
     pub(super) passes: Box<dyn Passes>,
+    /// No chunk went back since the parameters were taken over.
+    is_first: bool,
 }
 
 impl Compute {
-    /// Buffers for `n_agents` of the networks `spec`, with products in `kind`.
-    pub fn new(
-        spec: &NetworkSpec,
-        activation: Activation,
-        n_agents: usize,
-        kind: Kind,
-        device: Device,
-    ) -> Self {
-        let stack = Stack::new(spec, activation, n_agents, kind, device);
+    /// Buffers for the networks `spec`, with products in `kind`.
+    pub fn new(spec: &NetworkSpec, activation: Activation, kind: Kind, device: Device) -> Self {
+        let stack = Stack::new(spec, activation, kind, device);
         let passes: Box<dyn Passes> = match PlainPasses::new(&stack) {
             Some(plain) => Box::new(plain),
             None => Box::new(TorchPasses::new(&stack)),
         };
-        Self { stack, passes }
+        Self { stack, passes, is_first: true }
     }
 
     /// Takes over the parameters `[A, P]`: folds and rounds them. Once before the passes of a step.
     pub fn load(&mut self, flat: &Tensor) {
-        let Self { stack, passes } = self;
+        self.is_first = true;
+        let Self { stack, passes, .. } = self;
         for layer in 0..=stack.spec.hidden.len() {
             let (weight_name, bias_name) = stack.names(layer);
-            let mut weight = stack.spec.view(&weight_name, flat);
-            let mut bias = stack.spec.view(&bias_name, flat).unsqueeze(1);
+            let mut weight = stack.spec.learned(&weight_name, flat);
+            let mut bias = stack.spec.learned(&bias_name, flat).unsqueeze(1);
             if let Some((gain, shift)) = stack.preceding(layer, flat) {
-                bias = shift.unsqueeze(1).bmm(&weight) + bias;
+                let shifted = shift.unsqueeze(1).bmm(&weight);
+                bias = shifted.repeat([bias.size()[0] / shifted.size()[0], 1, 1]) + bias;
                 weight = gain.unsqueeze(2) * weight;
             }
             if layer == stack.spec.hidden.len() {
@@ -55,10 +53,30 @@ impl Compute {
         }
     }
 
-    /// The outputs `[A, U, B]`, in f32, for standardised inputs `x` `[A, B, in]` in the products'
+    /// `rows` `[B, A·F]`, sample by sample what all actors see, as the networks' inputs `[N, R, F]`.
+    pub fn by_network(&self, rows: &Tensor) -> Tensor {
+        let spec = &self.stack.spec;
+        let (networks, each) = (spec.n_networks as i64, spec.rows_per_network());
+        rows.view([rows.size()[0] * each, networks, -1]).transpose(0, 1)
+    }
+
+    /// `rows` `[B, F]`, which all actors see, likewise.
+    pub fn for_all(&self, rows: &Tensor) -> Tensor {
+        let spec = &self.stack.spec;
+        let (networks, each) = (spec.n_networks as i64, spec.rows_per_network());
+        let (b, f) = rows.size2().expect("[B, F]");
+        let rows = match each {
+            1 => rows.shallow_clone(),
+            _ => rows.unsqueeze(1).expand([b, each, f], true).reshape([b * each, f]),
+        };
+        // Both products with it would copy it otherwise.
+        rows.unsqueeze(0).expand([networks, b * each, f], true).contiguous()
+    }
+
+    /// The outputs `[A, U, B]`, in f32, for standardised inputs `x` `[N, R, in]` in the products'
     /// kind. What the backward pass needs stays in the buffers.
     pub fn forward(&mut self, x: &Tensor) -> Tensor {
-        let Self { stack, passes } = self;
+        let Self { stack, passes, .. } = self;
         let rows = x.size()[1];
         if stack.buffers.rows < rows {
             passes.reserve(stack, rows);
@@ -67,14 +85,16 @@ impl Compute {
         passes.forward(stack, x)
     }
 
-    /// Adds to `gradient` `[A, P]` the folded gradients for the chunk that went through
-    /// [`Self::forward`] last, given its inputs and the loss's gradient `[A, U, B]` by the outputs.
+    /// Writes the folded gradients for the chunk that went through [`Self::forward`] last, given its inputs and the loss's gradient `[A, U, B]` by
+    /// the outputs, where `gradient` `[A, P]` is learned, as sums over a network's actors. Further chunks of a step add theirs.
     pub fn backward(&mut self, x: &Tensor, d_output: &Tensor, gradient: &Tensor) {
-        self.passes.backward(&self.stack, x, d_output, Some(gradient));
+        let sums = Sums { gradient, is_first: self.is_first };
+        self.passes.backward(&self.stack, x, d_output, Some(sums));
+        self.is_first = false;
     }
 
     /// The gradient `[A, B, width]` by some of the inputs, for the chunk that went through
-    /// [`Self::forward`] last: by the `width` columns of network i's input from `columns[i]` on.
+    /// [`Self::forward`] last: by the `width` columns of actor i's input from `columns[i]` on.
     pub fn input_gradient(
         &mut self,
         x: &Tensor,
@@ -82,14 +102,17 @@ impl Compute {
         columns: &[i64],
         width: i64,
     ) -> Tensor {
-        let Self { stack, passes } = self;
+        let Self { stack, passes, .. } = self;
         passes.backward(stack, x, d_output, None);
         let layers = stack.spec.hidden.len();
         let first = stack.gradient_chunk(layers - 1, x.size()[1], stack.spec.hidden[0]);
+        let first = stack.by_actor(&first);
+        let networks = stack.spec.n_networks as i64;
+        let weight_of = |actor: usize| stack.weight[0].get(actor as i64 % networks);
         let weight: Vec<Tensor> = columns
             .iter()
             .enumerate()
-            .map(|(index, &column)| stack.weight[0].get(index as i64).narrow(0, column, width))
+            .map(|(actor, &column)| weight_of(actor).narrow(0, column, width))
             .collect();
         first.bmm(&Tensor::stack(&weight, 0).transpose(1, 2)).to_kind(Kind::Float)
     }
@@ -102,9 +125,12 @@ impl Compute {
             let (mut d_gain, mut d_shift) =
                 self.stack.preceding(layer, gradient).expect("same parameters");
             let (weight_name, bias_name) = self.stack.names(layer);
-            let weight = self.stack.spec.view(&weight_name, flat);
-            let mut d_weight = self.stack.spec.view(&weight_name, gradient);
-            let d_bias = self.stack.spec.view(&bias_name, gradient);
+            let weight = self.stack.spec.learned(&weight_name, flat);
+            let mut d_weight = self.stack.spec.learned(&weight_name, gradient);
+            let d_bias = self.stack.spec.learned(&bias_name, gradient);
+            // The first bias is an actor's own, what it is folded with its network's.
+            let d_bias = d_bias.view([-1, weight.size()[0], weight.size()[2]]);
+            let d_bias = d_bias.sum_dim_intlist(&[0i64][..], false, Kind::Float);
             d_gain.copy_(&(&weight * &d_weight).sum_dim_intlist(&[2i64][..], false, Kind::Float));
             d_shift.copy_(&weight.bmm(&d_bias.unsqueeze(2)).squeeze_dim(2));
             let _ = d_weight.g_mul_(&gain.unsqueeze(2));

@@ -1,12 +1,13 @@
-//! ReLU or ELU of hidden layers, LayerNorm if there is one, and the head, in one pass over each sample, forward and backward, on a CPU.
+//! ReLU or ELU of hidden layers, LayerNorm if there is one, and the head, in one pass over each row, forward and backward, on a CPU.
 //!
 //! libtorch does the matrix products; what stands between them would be a dozen of its operations, each a pass over activations that
-//! do not fit into the first caches. Here a sample's features are read once and written once, in f32 in between. `torch.rs` holds the
+//! do not fit into the first caches. Here a row's features are read once and written once, in f32 in between. `torch.rs` holds the
 //! same passes in libtorch's operations, for other activations and devices and as the twin that tests this one.
 //!
 //! The arithmetic is plain Rust ([`crate::features`]). Sums run in sixteen interleaved chains and an order that only the shapes fix.
 //!
-//! Letters as in [`super`]: `A` agents, `B` samples, `H` features, `U` outputs of the head. All arrays are row-major.
+//! Letters as in [`super`]: `N` networks, `K` actors of each, `A = K·N`, `B` samples, `R = B·K` rows, `H` features, `U` outputs of the head. All
+//! arrays are row-major.
 
 use crate::features::{Features, Loop, mul_add, run_for};
 use crate::layer_norm::LAYER_NORM_EPSILON;
@@ -15,12 +16,12 @@ use crate::number::Number;
 /// Interleaved chains of a sum.
 const CHAINS: usize = 16;
 
-/// What a hidden layer makes of its product, `[A, B, H]` each, and reciprocal deviations `[A, B]`.
+/// What a hidden layer makes of its product, `[N, R, H]` each, and reciprocal deviations `[N, R]`.
 #[derive(Debug)]
 pub(crate) struct Forward<'a, T> {
     /// Products without bias.
     pub(crate) product: &'a [T],
-    /// `[A, H]`.
+    /// `[A, H]`, or `[N, H]` if actors have none of their own.
     pub(crate) bias: &'a [f32],
     /// Activations, standardised if there is a LayerNorm.
     pub(crate) hidden: &'a mut [T],
@@ -33,9 +34,9 @@ pub(crate) struct Forward<'a, T> {
 /// The head's outputs.
 #[derive(Debug)]
 pub(crate) struct HeadForward<'a> {
-    /// `[A, U, H]`.
+    /// `[N, U, H]`.
     pub(crate) weight: &'a [f32],
-    /// `[A, U]`.
+    /// `[N, U]`.
     pub(crate) bias: &'a [f32],
     /// `[A, U, B]`.
     pub(crate) output: &'a mut [f32],
@@ -44,17 +45,17 @@ pub(crate) struct HeadForward<'a> {
 /// The way back through a hidden layer.
 #[derive(Debug)]
 pub(crate) struct Backward<'a, T> {
-    /// Products of the way forward, `[A, B, H]`.
+    /// Products of the way forward, `[N, R, H]`. Only a LayerNorm needs them: without one, what became of them says as much.
     pub(crate) product: &'a [T],
-    /// `[A, H]`.
+    /// `[A, H]` or `[N, H]`.
     pub(crate) bias: &'a [f32],
-    /// What the way forward made of them, `[A, B, H]`.
+    /// What the way forward made of them, `[N, R, H]`.
     pub(crate) hidden: &'a [T],
-    /// Reciprocal deviations, `[A, B]`, with LayerNorm.
+    /// Reciprocal deviations, `[N, R]`, with LayerNorm.
     pub(crate) inverse_std: Option<&'a [f32]>,
-    /// In: gradient by `hidden`, unless `head` gives it; out: gradient by the products. `[A, B, H]`.
+    /// In: gradient by `hidden`, unless `head` gives it; out: gradient by the products. `[N, R, H]`.
     pub(crate) gradient: &'a mut [T],
-    /// Gains the gradient by the bias, `[A, H]`.
+    /// Gains the gradient by the bias, `[A, H]` or `[N, H]`.
     pub(crate) bias_gradient: &'a mut [f32],
     /// The head, of the last layer.
     pub(crate) head: Option<HeadBackward<'a>>,
@@ -63,23 +64,52 @@ pub(crate) struct Backward<'a, T> {
 /// The way back through the head.
 #[derive(Debug)]
 pub(crate) struct HeadBackward<'a> {
-    /// `[A, U, H]`.
+    /// `[N, U, H]`.
     pub(crate) weight: &'a [f32],
     /// Gradient by the outputs, `[A, U, B]`.
     pub(crate) output_gradient: &'a [f32],
-    /// Gains the gradient by the weights, `[A, U, H]`.
+    /// Gains the gradient by the weights, `[N, U, H]`.
     pub(crate) weight_gradient: &'a mut [f32],
-    /// Gains the gradient by the bias, `[A, U]`.
+    /// Gains the gradient by the bias, `[N, U]`.
     pub(crate) bias_gradient: &'a mut [f32],
 }
 
 /// Sizes of the arrays.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sizes {
-    pub(crate) agents: usize,
+    pub(crate) networks: usize,
     pub(crate) samples: usize,
+    /// Of a network.
+    pub(crate) actors: usize,
+    /// Whether every actor has a bias of its own.
+    pub(crate) own_bias: bool,
     pub(crate) features: usize,
     pub(crate) outputs: usize,
+}
+
+/// Where a row's numbers are.
+struct Row {
+    network: usize,
+    /// Among the biases.
+    bias: usize,
+    /// Of its actor's first output.
+    output: usize,
+}
+
+impl Sizes {
+    fn rows(self) -> usize {
+        self.networks * self.samples * self.actors
+    }
+
+    /// The `index`-th row of all in memory. No closure is called for each row, as it would be compiled without the features of its caller.
+    #[inline(always)]
+    fn row(self, index: usize) -> Row {
+        let (before, k) = (index / self.actors, index % self.actors);
+        let (network, sample) = (before / self.samples, before % self.samples);
+        let actor = k * self.networks + network;
+        let bias = if self.own_bias { actor } else { network };
+        Row { network, bias, output: actor * self.outputs * self.samples + sample }
+    }
 }
 
 /// What a hidden unit makes of its input.
@@ -96,6 +126,8 @@ trait Nonlinearity {
     fn of<const FMA: bool>(self, x: f32) -> f32;
     /// The gradient by x from that by what became of it.
     fn back<const FMA: bool>(self, x: f32, d: f32) -> f32;
+    /// The same where x is not at hand, but `y`, what became of it.
+    fn back_from_result(self, y: f32, d: f32) -> f32;
 }
 
 #[derive(Clone, Copy)]
@@ -109,6 +141,10 @@ impl Nonlinearity for Relu {
     #[inline(always)]
     fn back<const FMA: bool>(self, x: f32, d: f32) -> f32 {
         if x > 0.0 { d } else { 0.0 }
+    }
+    #[inline(always)]
+    fn back_from_result(self, y: f32, d: f32) -> f32 {
+        if y > 0.0 { d } else { 0.0 }
     }
 }
 
@@ -126,11 +162,18 @@ impl Nonlinearity for Elu {
         let below = d * exp_of_negative::<FMA>(x);
         if x > 0.0 { d } else { below }
     }
+    /// eˣ is y + 1, without another exponential.
+    #[inline(always)]
+    fn back_from_result(self, y: f32, d: f32) -> f32 {
+        let below = d * (y + 1.0);
+        if y > 0.0 { d } else { below }
+    }
 }
 
 /// eˣ for x ≤ 0, within 2⁻²³; 1 above. NaN gives NaN.
 ///
-/// x = n ln 2 + r with |r| ≤ ½ ln 2, and the Taylor series of eʳ to r⁷, whose rest is below 2⁻²⁷.
+/// x = n ln 2 + r with |r| ≤ ½ ln 2, and the Taylor series of eʳ to r⁷, whose rest is below 2⁻²⁷, by Estrin's scheme: half as many steps wait for one
+/// another as in Horner's.
 #[inline(always)]
 fn exp_of_negative<const FMA: bool>(x: f32) -> f32 {
     /// 1.5 · 2²³: sums with it have no digits behind the point.
@@ -143,16 +186,19 @@ fn exp_of_negative<const FMA: bool>(x: f32) -> f32 {
     let x = if x < -87.0 { -87.0 } else { x };
     let n = mul_add::<FMA>(x, std::f32::consts::LOG2_E, ROUND) - ROUND;
     let r = mul_add::<FMA>(n, -LN_2_LOW, mul_add::<FMA>(n, -LN_2_HIGH, x));
-    let mut sum = 1.0 / 5040.0;
-    for coefficient in [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
-        sum = mul_add::<FMA>(sum, r, coefficient);
-    }
+    let r2 = r * r;
+    let to_1 = r + 1.0;
+    let to_3 = mul_add::<FMA>(r, 1.0 / 6.0, 0.5);
+    let to_5 = mul_add::<FMA>(r, 1.0 / 120.0, 1.0 / 24.0);
+    let to_7 = mul_add::<FMA>(r, 1.0 / 5040.0, 1.0 / 720.0);
+    let (low, high) = (mul_add::<FMA>(to_3, r2, to_1), mul_add::<FMA>(to_7, r2, to_5));
+    let sum = mul_add::<FMA>(high, r2 * r2, low);
     // 2ⁿ, −126 ≤ n ≤ 0, by its exponent; whole numbers below 2²³ stand in the lower bits of a sum with ROUND.
     let exponent = (n + ROUND).to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127);
     sum * f32::from_bits(exponent << 23)
 }
 
-/// Scratch memory of the passes: one sample's features, twice.
+/// Scratch memory of the passes: one row's features, twice.
 #[derive(Debug)]
 pub(crate) struct RowPasses {
     features: Features,
@@ -267,44 +313,44 @@ fn forward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
     rows: [&mut [f32]; 2],
     unit: N,
 ) {
-    let Sizes { agents, samples, features: h, outputs } = sizes;
+    let Sizes { samples, features: h, outputs, .. } = sizes;
     let Forward { product, bias, hidden, mut inverse_std, mut head } = arrays;
-    let (product, hidden) = (&product[..agents * samples * h], &mut hidden[..agents * samples * h]);
+    let (product, hidden) = (&product[..sizes.rows() * h], &mut hidden[..sizes.rows() * h]);
     let [row, _] = rows;
     let row = &mut row[..h];
     let per_feature = 1.0 / h as f32;
-    for agent in 0..agents {
-        let bias = &bias[agent * h..][..h];
-        for sample in 0..samples {
-            let at = (agent * samples + sample) * h;
-            let (product, hidden) = (&product[at..][..h], &mut hidden[at..][..h]);
+    for index in 0..sizes.rows() {
+        let at = sizes.row(index);
+        let bias = &bias[at.bias * h..][..h];
+        let (product, hidden) = (&product[index * h..][..h], &mut hidden[index * h..][..h]);
+        if let Some(inverse_std) = &mut inverse_std {
             for i in 0..h {
                 row[i] = unit.of::<FMA>(product[i].widen() + bias[i]);
             }
-            if let Some(inverse_std) = &mut inverse_std {
-                let mean = sum!(x in row => |sum| sum + x) * per_feature;
-                for x in &mut *row {
-                    *x -= mean;
-                }
-                let variance = sum!(x in row => |sum| mul_add::<FMA>(x, x, sum)) * per_feature;
-                let inverse = 1.0 / (variance + LAYER_NORM_EPSILON as f32).sqrt();
-                inverse_std[agent * samples + sample] = inverse;
-                for x in &mut *row {
-                    *x *= inverse;
-                }
+            let mean = sum!(x in row => |sum| sum + x) * per_feature;
+            for x in &mut *row {
+                *x -= mean;
             }
+            let variance = sum!(x in row => |sum| mul_add::<FMA>(x, x, sum)) * per_feature;
+            let inverse = 1.0 / (variance + LAYER_NORM_EPSILON as f32).sqrt();
+            inverse_std[index] = inverse;
             for i in 0..h {
-                hidden[i] = T::round(row[i]);
+                hidden[i] = T::round(row[i] * inverse);
             }
-            if let Some(head) = &mut head {
-                for i in 0..h {
-                    row[i] = hidden[i].widen();
-                }
-                for u in 0..outputs {
-                    let weight = &head.weight[(agent * outputs + u) * h..][..h];
-                    head.output[(agent * outputs + u) * samples + sample] = sum!(x in row, w in weight => |sum| mul_add::<FMA>(x, w, sum))
-                        + head.bias[agent * outputs + u];
-                }
+        } else {
+            for i in 0..h {
+                hidden[i] = T::round(unit.of::<FMA>(product[i].widen() + bias[i]));
+            }
+        }
+        if let Some(head) = &mut head {
+            for i in 0..h {
+                row[i] = hidden[i].widen();
+            }
+            for u in 0..outputs {
+                let of_network = at.network * outputs + u;
+                let weight = &head.weight[of_network * h..][..h];
+                head.output[at.output + u * samples] = sum!(x in row, w in weight => |sum| mul_add::<FMA>(x, w, sum))
+                    + head.bias[of_network];
             }
         }
     }
@@ -318,56 +364,63 @@ fn backward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
     rows: [&mut [f32]; 2],
     unit: N,
 ) {
-    let Sizes { agents, samples, features: h, outputs } = sizes;
+    let Sizes { samples, features: h, outputs, .. } = sizes;
     let Backward { product, bias, hidden, inverse_std, gradient, bias_gradient, mut head } = arrays;
     let [row, wide] = rows;
     let (row, wide) = (&mut row[..h], &mut wide[..h]);
     let per_feature = 1.0 / h as f32;
-    for agent in 0..agents {
-        let bias = &bias[agent * h..][..h];
-        let bias_gradient = &mut bias_gradient[agent * h..][..h];
-        for sample in 0..samples {
-            let at = (agent * samples + sample) * h;
-            let (product, hidden) = (&product[at..][..h], &hidden[at..][..h]);
-            let gradient = &mut gradient[at..][..h];
+    for index in 0..sizes.rows() {
+        let at = sizes.row(index);
+        let hidden = &hidden[index * h..][..h];
+        let gradient = &mut gradient[index * h..][..h];
+        let bias_gradient = &mut bias_gradient[at.bias * h..][..h];
+        if head.is_none() && inverse_std.is_none() {
             for i in 0..h {
-                wide[i] = hidden[i].widen();
+                let d = unit.back_from_result(hidden[i].widen(), gradient[i].widen());
+                bias_gradient[i] += d;
+                gradient[i] = T::round(d);
             }
-            if let Some(head) = &mut head {
-                row.fill(0.0);
-                for u in 0..outputs {
-                    let d = head.output_gradient[(agent * outputs + u) * samples + sample];
-                    let weight = &head.weight[(agent * outputs + u) * h..][..h];
-                    let weight_gradient =
-                        &mut head.weight_gradient[(agent * outputs + u) * h..][..h];
-                    head.bias_gradient[agent * outputs + u] += d;
-                    for i in 0..h {
-                        row[i] = mul_add::<FMA>(d, weight[i], row[i]);
-                    }
-                    for i in 0..h {
-                        weight_gradient[i] = mul_add::<FMA>(d, wide[i], weight_gradient[i]);
-                    }
-                }
-            } else {
+            continue;
+        }
+        for i in 0..h {
+            wide[i] = hidden[i].widen();
+        }
+        if let Some(head) = &mut head {
+            row.fill(0.0);
+            for u in 0..outputs {
+                let d = head.output_gradient[at.output + u * samples];
+                let of_network = at.network * outputs + u;
+                let weight = &head.weight[of_network * h..][..h];
+                let weight_gradient = &mut head.weight_gradient[of_network * h..][..h];
+                head.bias_gradient[of_network] += d;
                 for i in 0..h {
-                    row[i] = gradient[i].widen();
+                    row[i] = mul_add::<FMA>(d, weight[i], row[i]);
                 }
-            }
-            if let Some(inverse_std) = inverse_std {
-                let mean = sum!(d in row => |sum| sum + d) * per_feature;
-                let along =
-                    sum!(d in row, x in wide => |sum| mul_add::<FMA>(d, x, sum)) * per_feature;
-                let inverse = inverse_std[agent * samples + sample];
                 for i in 0..h {
-                    row[i] = (row[i] - mul_add::<FMA>(wide[i], along, mean)) * inverse;
+                    weight_gradient[i] = mul_add::<FMA>(d, wide[i], weight_gradient[i]);
                 }
             }
+        } else {
             for i in 0..h {
-                row[i] = unit.back::<FMA>(product[i].widen() + bias[i], row[i]);
-                bias_gradient[i] += row[i];
+                row[i] = gradient[i].widen();
             }
+        }
+        if let Some(inverse_std) = inverse_std {
+            let mean = sum!(d in row => |sum| sum + d) * per_feature;
+            let along = sum!(d in row, x in wide => |sum| mul_add::<FMA>(d, x, sum)) * per_feature;
+            let inverse = inverse_std[index];
+            let (product, bias) = (&product[index * h..][..h], &bias[at.bias * h..][..h]);
             for i in 0..h {
-                gradient[i] = T::round(row[i]);
+                let d = (row[i] - mul_add::<FMA>(wide[i], along, mean)) * inverse;
+                let d = unit.back::<FMA>(product[i].widen() + bias[i], d);
+                bias_gradient[i] += d;
+                gradient[i] = T::round(d);
+            }
+        } else {
+            for i in 0..h {
+                let d = unit.back_from_result(wide[i], row[i]);
+                bias_gradient[i] += d;
+                gradient[i] = T::round(d);
             }
         }
     }

@@ -1,6 +1,6 @@
 //! Forward and backward passes of stacked multi-layer perceptrons, by hand.
 //!
-//! All agents of a group go through one batched product a layer. The passes are written out instead
+//! All networks of a group go through one batched product a layer, each with the samples of all its actors. The passes are written out instead
 //! of recorded by automatic differentiation: an MLP's are short, need no graph, and write into
 //! buffers that are allocated once. A twin with libtorch's own differentiation tests them.
 //!
@@ -18,7 +18,12 @@
 //! between them; parameters, sums over samples, the heads and all losses are f32. Samples go
 //! through in chunks, so that activations stay in cache.
 //!
-//! Letters: `A` agents of the group, `B` samples of a chunk, `H` width of a layer, `U` outputs.
+//! **Shared networks.** Actors of one network differ by the bias of the first hidden layer alone. So a sample of an actor is a row of its
+//! network's products, and weights are rounded, packed and summed over once for all its actors. Rows stand sample by sample, then actor by actor, as
+//! samples are gathered: nothing moves. Outputs and their gradients are by actor, as the losses are.
+//!
+//! Letters: `N` networks of the group, `K` actors of a network, `A = K·N` actors, actor k·N + n being the k-th of network n, `B` samples of a chunk,
+//! `R = B·K` rows of a network, `H` width of a layer, `U` outputs.
 
 mod compute;
 mod fused;

@@ -5,23 +5,45 @@ use std::fmt::Debug;
 use tch::Tensor;
 
 use super::stack::Stack;
+use crate::network::NetworkSpec;
 
 /// The way forward and back through the folded layers of a [`Stack`].
 pub(super) trait Passes: Debug + Send {
-    /// Takes over the folded bias `[A, 1, H]` of a hidden layer.
+    /// Takes over the folded bias of a hidden layer, `[A, 1, H]` of the first, `[N, 1, H]` of the others.
     fn load_bias(&mut self, layer: usize, bias: &Tensor);
 
-    /// Takes over the folded head `[A, U, H]`.
+    /// Takes over the folded head `[N, U, H]`.
     fn load_head(&mut self, head: &Tensor);
 
-    /// Gets memory for chunks of `rows` samples.
+    /// Gets memory for chunks of `rows` rows.
     fn reserve(&mut self, stack: &mut Stack, rows: i64);
 
-    /// The outputs `[A, U, B]`, in f32, for standardised inputs `x` `[A, B, in]` in the products' kind. What the way back needs
+    /// The outputs `[A, U, B]`, in f32, for standardised inputs `x` `[N, R, in]` in the products' kind. What the way back needs
     /// stays in the buffers.
     fn forward(&mut self, stack: &mut Stack, x: &Tensor) -> Tensor;
 
-    /// Goes back to the first layer from the loss's gradient `[A, U, B]` by the outputs; what the folded parameters' gradients add up to on the
-    /// way goes into `gradient` `[A, P]`, if any.
-    fn backward(&mut self, stack: &Stack, x: &Tensor, d_output: &Tensor, gradient: Option<&Tensor>);
+    /// Goes back to the first layer from the loss's gradient `[A, U, B]` by the outputs; the folded parameters' gradients, which are found on the
+    /// way, go into `sums`, if any.
+    fn backward(&mut self, stack: &Stack, x: &Tensor, d_output: &Tensor, sums: Option<Sums<'_>>);
+}
+
+/// Where the gradients of a step's chunks add up.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sums<'a> {
+    /// `[A, P]`.
+    pub(super) gradient: &'a Tensor,
+    /// Whether what stands there is older.
+    pub(super) is_first: bool,
+}
+
+impl Sums<'_> {
+    /// Takes in a chunk's gradient by what is learned of a parameter.
+    pub(super) fn take(self, spec: &NetworkSpec, name: &str, part: &Tensor) {
+        let mut sum = spec.learned(name, self.gradient);
+        if self.is_first {
+            sum.copy_(part);
+        } else {
+            let _ = sum.g_add_(part);
+        }
+    }
 }

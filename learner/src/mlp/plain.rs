@@ -4,7 +4,7 @@ use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
 use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes, Unit};
-use super::passes::Passes;
+use super::passes::{Passes, Sums};
 use super::stack::Stack;
 use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::number::{Bf16, Number};
@@ -13,7 +13,7 @@ use crate::number::{Bf16, Number};
 #[derive(Debug)]
 pub(super) struct PlainPasses {
     rows: RowPasses,
-    /// `[A, H]` of each hidden layer, folded.
+    /// `[A, H]` of the first hidden layer, `[N, H]` of the others, folded.
     bias: Vec<Tensor>,
 }
 
@@ -26,26 +26,31 @@ impl PlainPasses {
             Activation::Tanh => return None,
         };
         let options = (Kind::Float, stack.device);
-        let bias = |&units: &i64| Tensor::zeros([stack.n_agents, units], options);
+        let hidden = stack.spec.hidden.iter().enumerate();
         (stack.device == Device::Cpu).then(|| Self {
             rows: RowPasses::new(unit),
-            bias: stack.spec.hidden.iter().map(bias).collect(),
+            bias: hidden
+                .map(|(layer, &units)| Tensor::zeros([stack.biases(layer), units], options))
+                .collect(),
         })
     }
 
     /// [`Passes::forward`] with activations of `T`.
     #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     fn forward_in<T: Number + Element>(&mut self, stack: &mut Stack, x: &Tensor) -> Tensor {
-        let (a, rows, layers) = (stack.n_agents, x.size()[1], stack.spec.hidden.len());
+        let (rows, layers) = (x.size()[1], stack.spec.hidden.len());
         let float = (Kind::Float, stack.device);
-        let mut output = Tensor::zeros([a, stack.spec.output, rows], float);
+        let spec = &stack.spec;
+        let output = [spec.rows as i64, spec.output, rows / spec.rows_per_network()];
+        let mut output = Tensor::zeros(output, float);
         let mut input = x.shallow_clone();
         for layer in 0..layers {
             let width = stack.spec.hidden[layer];
             let product = stack.chunk(&stack.buffers.active[layer], rows, width);
             let mut hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
             let _ = input.bmm_out(&product, &stack.weight[layer]);
-            let mut inverse_std = stack.spec.layer_norm.then(|| Tensor::zeros([a, rows], float));
+            let deviations = [stack.networks(), rows];
+            let mut inverse_std = stack.spec.layer_norm.then(|| Tensor::zeros(deviations, float));
             let sizes = sizes(stack, layer, rows);
             // SAFETY: every tensor here was made of zeros by this type, its stack or this call and has a
             // storage of its own: `active` and `standard` of this layer are two buffers. No handle of them
@@ -77,22 +82,19 @@ impl PlainPasses {
         stack: &Stack,
         x: &Tensor,
         d_output: &Tensor,
-        gradient: Option<&Tensor>,
+        sums: Option<Sums<'_>>,
     ) {
-        let (a, rows, layers) = (stack.n_agents, x.size()[1], stack.spec.hidden.len());
+        let (networks, rows, layers) = (stack.networks(), x.size()[1], stack.spec.hidden.len());
         let float = (Kind::Float, stack.device);
-        let add = |name: &str, part: &Tensor, gradient: &Tensor| {
-            let _ = stack.spec.view(name, gradient).g_add_(part);
-        };
         let d_output = d_output.contiguous();
         for layer in (0..layers).rev() {
             let width = stack.spec.hidden[layer];
             let mut d = stack.gradient_chunk(layers - 1 - layer, rows, width);
             let product = stack.chunk(&stack.buffers.active[layer], rows, width);
             let hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
-            let mut d_bias = Tensor::zeros([a, width], float);
-            let mut d_head = Tensor::zeros([a, stack.spec.output, width], float);
-            let mut d_head_bias = Tensor::zeros([a, stack.spec.output], float);
+            let mut d_bias = Tensor::zeros([stack.biases(layer), width], float);
+            let mut d_head = Tensor::zeros([networks, stack.spec.output, width], float);
+            let mut d_head_bias = Tensor::zeros([networks, stack.spec.output], float);
             let is_last = layer + 1 == layers;
             assert!(
                 are_apart(&[&d, &d_output]),
@@ -120,10 +122,10 @@ impl PlainPasses {
                 }
             };
             self.rows.backward::<T>(sizes, arrays);
-            if let Some(gradient) = gradient {
+            if let Some(sums) = sums {
                 if is_last {
-                    add("head.weight", &d_head.transpose(1, 2), gradient);
-                    add("head.bias", &d_head_bias, gradient);
+                    sums.take(&stack.spec, "head.weight", &d_head.transpose(1, 2));
+                    sums.take(&stack.spec, "head.bias", &d_head_bias);
                 }
                 let input = if layer == 0 {
                     x.shallow_clone()
@@ -137,8 +139,8 @@ impl PlainPasses {
                 let part = &stack.buffers.weight_gradient[layer];
                 let _ = input.transpose(1, 2).bmm_out(part, &d);
                 let (weight_name, bias_name) = stack.names(layer);
-                add(&weight_name, part, gradient);
-                add(&bias_name, &d_bias, gradient);
+                sums.take(&stack.spec, &weight_name, part);
+                sums.take(&stack.spec, &bias_name, &d_bias);
             }
             if layer > 0 {
                 let below =
@@ -167,25 +169,22 @@ impl Passes for PlainPasses {
         }
     }
 
-    fn backward(
-        &mut self,
-        stack: &Stack,
-        x: &Tensor,
-        d_output: &Tensor,
-        gradient: Option<&Tensor>,
-    ) {
+    fn backward(&mut self, stack: &Stack, x: &Tensor, d_output: &Tensor, sums: Option<Sums<'_>>) {
         match stack.kind {
-            Kind::BFloat16 => self.backward_in::<Bf16>(stack, x, d_output, gradient),
-            _ => self.backward_in::<f32>(stack, x, d_output, gradient),
+            Kind::BFloat16 => self.backward_in::<Bf16>(stack, x, d_output, sums),
+            _ => self.backward_in::<f32>(stack, x, d_output, sums),
         }
     }
 }
 
 /// Sizes of hidden layer `layer`'s arrays.
 fn sizes(stack: &Stack, layer: usize, rows: i64) -> Sizes {
+    let each = stack.spec.rows_per_network();
     Sizes {
-        agents: stack.n_agents as usize,
-        samples: rows as usize,
+        networks: stack.spec.n_networks,
+        samples: (rows / each) as usize,
+        actors: each as usize,
+        own_bias: layer == 0,
         features: stack.spec.hidden[layer] as usize,
         outputs: stack.spec.output as usize,
     }

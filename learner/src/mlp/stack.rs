@@ -11,13 +11,12 @@ pub(super) struct Stack {
     pub(super) spec: NetworkSpec,
     pub(super) activation: Activation,
     pub(super) kind: Kind,
-    pub(super) n_agents: i64,
     pub(super) device: Device,
-    /// `[A, in, H]` of each hidden layer, folded, in `kind`.
+    /// `[N, in, H]` of each hidden layer, folded, in `kind`.
     pub(super) weight: Vec<Tensor>,
-    /// `[A, U, H]`: the head, transposed, folded.
+    /// `[N, U, H]`: the head, transposed, folded.
     pub(super) head: Tensor,
-    /// `[A, U, 1]`.
+    /// `[N, U, 1]`.
     pub(super) head_bias: Tensor,
     pub(super) buffers: Buffers,
 }
@@ -30,7 +29,7 @@ pub(super) struct Buffers {
     pub(super) active: Vec<Tensor>,
     /// After the standardisation, of each layer; with libtorch's operations empty without LayerNorm.
     pub(super) standard: Vec<Tensor>,
-    /// Reciprocal deviations `[A, B, 1]` of the last pass.
+    /// Reciprocal deviations `[N, R, 1]` of the last pass.
     pub(super) inverse_std: Vec<Tensor>,
     /// Gradients, alternating.
     gradient: [Option<Tensor>; 2],
@@ -39,20 +38,19 @@ pub(super) struct Buffers {
 }
 
 impl Stack {
-    /// Layers for `n_agents` of the networks `spec`, with products in `kind`.
+    /// Layers of the networks `spec`, with products in `kind`.
     pub(super) fn new(
         spec: &NetworkSpec,
         activation: Activation,
-        n_agents: usize,
         kind: Kind,
         device: Device,
     ) -> Self {
-        let a = n_agents as i64;
+        let networks = spec.n_networks as i64;
         let zeros = |shape: &[i64], kind| Tensor::zeros(shape, (kind, device));
         let mut weight = Vec::new();
         let mut width = spec.input;
         for &units in &spec.hidden {
-            weight.push(zeros(&[a, width, units], kind));
+            weight.push(zeros(&[networks, width, units], kind));
             width = units;
         }
         let weight_gradient = weight.iter().map(Tensor::zeros_like).collect();
@@ -60,18 +58,35 @@ impl Stack {
             spec: spec.clone(),
             activation,
             kind,
-            n_agents: a,
             device,
             weight,
-            head: zeros(&[a, spec.output, width], Kind::Float),
-            head_bias: zeros(&[a, spec.output, 1], Kind::Float),
+            head: zeros(&[networks, spec.output, width], Kind::Float),
+            head_bias: zeros(&[networks, spec.output, 1], Kind::Float),
             buffers: Buffers { weight_gradient, ..Buffers::default() },
         }
     }
 
-    /// Flat memory for `rows` samples of `width` features.
+    /// N.
+    pub(super) fn networks(&self) -> i64 {
+        self.spec.n_networks as i64
+    }
+
+    /// Biases of hidden layer `layer`: A in the first, N in the others.
+    pub(super) fn biases(&self, layer: usize) -> i64 {
+        if layer == 0 { self.spec.rows as i64 } else { self.networks() }
+    }
+
+    /// Flat memory for `rows` rows of `width` features.
     pub(super) fn flat(&self, rows: i64, width: i64, kind: Kind) -> Tensor {
-        Tensor::zeros([self.n_agents * rows * width], (kind, self.device))
+        Tensor::zeros([self.networks() * rows * width], (kind, self.device))
+    }
+
+    /// Rows `[N, R, F]` by actor, `[A, B, F]`.
+    pub(super) fn by_actor(&self, rows: &Tensor) -> Tensor {
+        let (networks, each) = (self.networks(), self.spec.rows_per_network());
+        let (_, r, f) = rows.size3().expect("[N, R, F]");
+        let by_actor = rows.view([networks, r / each, each, f]).permute([2, 0, 1, 3]);
+        by_actor.reshape([each * networks, r / each, f])
     }
 
     /// Units of the widest hidden layer.
@@ -79,7 +94,7 @@ impl Stack {
         self.spec.hidden.iter().copied().max().unwrap_or(1)
     }
 
-    /// Gets buffers for `rows` samples; those after the standardisation only where `standard` asks for them.
+    /// Gets buffers for `rows` rows; those after the standardisation only where `standard` asks for them.
     pub(super) fn reserve(&mut self, rows: i64, standard: bool) {
         let layers = |stack: &Self| {
             let hidden = stack.spec.hidden.iter();
@@ -104,7 +119,7 @@ impl Stack {
             }
             _ => return None,
         };
-        Some((self.spec.view(&names.0, flat), self.spec.view(&names.1, flat)))
+        Some((self.spec.learned(&names.0, flat), self.spec.learned(&names.1, flat)))
     }
 
     /// Names of the weight and bias of hidden layer `layer`, or of the head for the last index.
@@ -116,9 +131,9 @@ impl Stack {
         }
     }
 
-    /// `[A, B, width]` at the beginning of a flat buffer.
+    /// `[N, rows, width]` at the beginning of a flat buffer.
     pub(super) fn chunk(&self, flat: &Tensor, rows: i64, width: i64) -> Tensor {
-        flat.narrow(0, 0, self.n_agents * rows * width).view([self.n_agents, rows, width])
+        flat.narrow(0, 0, self.networks() * rows * width).view([self.networks(), rows, width])
     }
 
     /// One of the two buffers between which the gradient by activations alternates.

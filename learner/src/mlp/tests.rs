@@ -8,7 +8,7 @@ use tch::{Device, Kind, Tensor};
 use super::torch::TorchPasses;
 use super::*;
 use crate::layer_norm::standardise_input;
-use crate::network::{NetworkKind, NetworkSpec};
+use crate::network::{NetworkKind, NetworkSpec, Parameter};
 use crate::precision::Arithmetic;
 
 fn config(assignments: &[&str]) -> Config {
@@ -51,12 +51,15 @@ fn definition(spec: &NetworkSpec, activation: Activation, flat: &Tensor, x: &Ten
 #[test]
 fn passes_by_hand_are_those_of_automatic_differentiation() {
     for activation in ["relu", "elu", "tanh"] {
-        for norm in ["false", "true"] {
+        for (norm, sharing) in
+            [("false", "none"), ("true", "none"), ("false", "all"), ("true", "all")]
+        {
             for kind in [NetworkKind::Actor, NetworkKind::Critic] {
                 let input = if norm == "true" { "layer_norm" } else { "none" };
                 let config = config(&[
                     &format!("network.activation={activation}"),
                     &format!("network.layer_norm={norm}"),
+                    &format!("network.parameter_sharing={sharing}"),
                     &format!("network.input_norm={input}"),
                     "network.hidden=[24,16,20]",
                     "network.critic_hidden=[]",
@@ -66,7 +69,7 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
                     .chain(crate::gpu().map(|gpu| (gpu, false)))
                 {
                     compare(&config, kind, Arithmetic::F32, device, fused, 3e-6);
-                    compare(&config, kind, Arithmetic::Bf16, device, fused, 0.2);
+                    compare(&config, kind, Arithmetic::Bf16, device, fused, 0.25);
                 }
             }
         }
@@ -84,29 +87,32 @@ fn compare(
     fused: bool,
     tolerance: f64,
 ) {
-    let spec = NetworkSpec::new(kind, config, &Dimensions::new(config, Joints::of_sixes(1)));
-    let (a, b) = (2, 30);
+    let spec = NetworkSpec::new(kind, config, &Dimensions::new(config, Joints::of_sixes(2)));
+    let (a, b) = (4, 30);
     tch::manual_seed(4);
     let options = (Kind::Float, device);
     // Away from the initial values, where gains are one and shifts zero.
     let start = spec.initial(&config.network, 3).to_device(device);
-    let flat = (&start + Tensor::randn_like(&start) * 0.1).set_requires_grad(true);
-    let x = Tensor::randn([a, b, spec.input], options).to_kind(arithmetic.kind());
+    let flat = &start + Tensor::randn_like(&start) * 0.1;
+    spec.unify(&flat);
+    let flat = flat.set_requires_grad(true);
+    // As samples are gathered: one after the other, of each what all see.
+    let x = Tensor::randn([b, a * spec.input], options).to_kind(arithmetic.kind());
     let weights = Tensor::randn([a, spec.output, b], options);
-    let leaf = x.to_kind(Kind::Float).copy().set_requires_grad(true);
+    let leaf = x.view([b, a, -1]).transpose(0, 1).to_kind(Kind::Float).contiguous();
+    let leaf = leaf.set_requires_grad(true);
     let expected = definition(&spec, config.network.activation, &flat, &leaf);
     (&expected * &weights).sum(Kind::Float).backward();
 
     tch::no_grad(|| {
-        let mut compute =
-            Compute::new(&spec, config.network.activation, 2, arithmetic.kind(), device);
+        let mut compute = Compute::new(&spec, config.network.activation, arithmetic.kind(), device);
         if !fused {
             compute.passes = Box::new(TorchPasses::new(&compute.stack));
         }
         // A larger chunk first: later ones use the beginning of its buffers.
-        let larger = Tensor::randn([a, b + 7, spec.input], options).to_kind(arithmetic.kind());
+        let larger = Tensor::randn([b + 7, a * spec.input], options).to_kind(arithmetic.kind());
         compute.load(&flat);
-        let _ = compute.forward(&larger);
+        let _ = compute.forward(&compute.by_network(&larger));
         let gradient = flat.zeros_like();
         let near = |ours: &Tensor, theirs: &Tensor, what: &str| {
             let error = ((ours - theirs).norm() / theirs.norm()).double_value(&[]);
@@ -114,20 +120,28 @@ fn compare(
         };
         // Two halves add up to the whole.
         for start in [0, b / 2] {
-            let half = x.narrow(1, start, b / 2);
+            let half = compute.by_network(&x.narrow(0, start, b / 2));
             let output = compute.forward(&half);
             near(&output, &expected.narrow(2, start, b / 2), "output");
             compute.backward(&half, &weights.narrow(2, start, b / 2).contiguous(), &gradient);
         }
         compute.unfold(&flat, &gradient);
         // By three inputs of each network, other ones for each; adds nothing to the parameters' gradient.
+        let columns = [1, 4, 0, 5];
+        let x = compute.by_network(&x);
         let _ = compute.forward(&x);
-        let ours = compute.input_gradient(&x, &weights, &[1, 4], 3);
-        let theirs = leaf.grad();
-        let theirs = [(0, 1), (1, 4)].map(|(i, column)| theirs.get(i).narrow(1, column, 3));
-        near(&ours, &Tensor::stack(&theirs, 0), "input gradient");
-        for parameter in spec.parameters.iter().filter(|p| p.name != "log_std") {
-            near(&parameter.view(&gradient), &parameter.view(&flat.grad()), &parameter.name);
+        let ours = compute.input_gradient(&x, &weights, &columns, 3);
+        let theirs = (0..a).zip(columns).map(|(i, column)| leaf.grad().get(i).narrow(1, column, 3));
+        near(&ours, &Tensor::stack(&theirs.collect::<Vec<_>>(), 0), "input gradient");
+        // Of rows of one network, the sum; but each has its first bias.
+        for Parameter { name, .. } in spec.parameters.iter().filter(|p| p.name != "log_std") {
+            let ours = spec.learned(name, &gradient);
+            let theirs = spec.view(name, &flat.grad());
+            let networks: Vec<Tensor> = (0..ours.size()[0])
+                .map(|row| theirs.slice(0, row, None, ours.size()[0]))
+                .map(|rows| rows.sum_dim_intlist(&[0i64][..], false, Kind::Float))
+                .collect();
+            near(&ours, &Tensor::stack(&networks, 0), name);
         }
     });
 }

@@ -3,16 +3,16 @@
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
-use super::passes::Passes;
+use super::passes::{Passes, Sums};
 use super::stack::Stack;
 use crate::layer_norm::LAYER_NORM_EPSILON;
 
 /// Several operations a layer.
 #[derive(Debug)]
 pub(super) struct TorchPasses {
-    /// `[A, 1, H]` of each hidden layer, folded, in the products' kind.
+    /// `[A, 1, H]` of the first hidden layer, `[N, 1, H]` of the others, folded, in the products' kind.
     bias: Vec<Tensor>,
-    /// `[A, U, H]`: the head in the products' kind.
+    /// `[N, U, H]`: the head in the products' kind.
     head_low: Tensor,
     /// The last hidden layer in f32, if the products' kind is another.
     last: Option<Tensor>,
@@ -23,9 +23,9 @@ impl TorchPasses {
     /// For the layers of `stack`.
     pub(super) fn new(stack: &Stack) -> Self {
         let zeros = |shape: &[i64]| Tensor::zeros(shape, (stack.kind, stack.device));
-        let hidden = stack.spec.hidden.iter();
+        let hidden = stack.spec.hidden.iter().enumerate();
         Self {
-            bias: hidden.map(|&units| zeros(&[stack.n_agents, 1, units])).collect(),
+            bias: hidden.map(|(layer, &units)| zeros(&[stack.biases(layer), 1, units])).collect(),
             head_low: zeros(&stack.head.size()),
             last: None,
             scratch: None,
@@ -68,7 +68,16 @@ impl Passes for TorchPasses {
         for layer in 0..stack.spec.hidden.len() {
             let width = stack.spec.hidden[layer];
             let mut active = stack.chunk(&stack.buffers.active[layer], rows, width);
-            let _ = self.bias[layer].baddbmm_out(&active, &input, &stack.weight[layer]);
+            let bias = &self.bias[layer];
+            if bias.size()[0] == stack.networks() {
+                let _ = bias.baddbmm_out(&active, &input, &stack.weight[layer]);
+            } else {
+                // [A, 1, H] is [K, N, H], which every sample's rows [N, B, K, H] take.
+                let _ = input.bmm_out(&active, &stack.weight[layer]);
+                let each = stack.spec.rows_per_network();
+                let bias = bias.view([each, stack.networks(), 1, width]).permute([1, 2, 0, 3]);
+                let _ = active.view([stack.networks(), -1, each, width]).g_add_(&bias);
+            }
             let _ = match stack.activation {
                 Activation::Relu => active.relu_(),
                 Activation::Elu => active.elu_(),
@@ -84,16 +93,11 @@ impl Passes for TorchPasses {
             };
         }
         let last = self.last_hidden(stack, &input, rows);
-        stack.head.bmm(&last.transpose(1, 2)) + &stack.head_bias
+        let output = stack.head.bmm(&last.transpose(1, 2)) + &stack.head_bias;
+        stack.by_actor(&output.transpose(1, 2)).transpose(1, 2).contiguous()
     }
 
-    fn backward(
-        &mut self,
-        stack: &Stack,
-        x: &Tensor,
-        d_output: &Tensor,
-        gradient: Option<&Tensor>,
-    ) {
+    fn backward(&mut self, stack: &Stack, x: &Tensor, d_output: &Tensor, sums: Option<Sums<'_>>) {
         let rows = x.size()[1];
         let layers = stack.spec.hidden.len();
         let kind = stack.kind;
@@ -102,19 +106,20 @@ impl Passes for TorchPasses {
             let flat = if stack.spec.layer_norm { &buffers.standard } else { &buffers.active };
             stack.chunk(&flat[layer], rows, stack.spec.hidden[layer])
         };
-        let add = |name: &str, part: &Tensor, gradient: &Tensor| {
-            let _ = stack.spec.view(name, gradient).g_add_(part);
-        };
+        let (networks, each) = (stack.networks(), stack.spec.rows_per_network());
+        // [A, U, B] is [K, N, U, B]; rows are [N, B, K], of U numbers each.
+        let d_output = d_output.view([each, networks, stack.spec.output, rows / each]);
+        let d_output = d_output.permute([1, 2, 3, 0]).reshape([networks, stack.spec.output, rows]);
 
         let width = stack.spec.hidden[layers - 1];
         let last = match &self.last {
             Some(flat) => stack.chunk(flat, rows, width),
             None => hidden(layers - 1),
         };
-        if let Some(gradient) = gradient {
-            add("head.weight", &d_output.bmm(&last).transpose(1, 2), gradient);
+        if let Some(sums) = sums {
+            sums.take(&stack.spec, "head.weight", &d_output.bmm(&last).transpose(1, 2));
             let d_bias = d_output.sum_dim_intlist(&[2i64][..], false, Kind::Float);
-            add("head.bias", &d_bias, gradient);
+            sums.take(&stack.spec, "head.bias", &d_bias);
         }
 
         let mut d_hidden = stack.gradient_chunk(0, rows, width);
@@ -144,14 +149,15 @@ impl Passes for TorchPasses {
                 }
                 Activation::Tanh => Tensor::tanh_backward_grad_input(d, d, &active),
             };
-            if let Some(gradient) = gradient {
+            if let Some(sums) = sums {
                 let input = if layer == 0 { x.shallow_clone() } else { hidden(layer - 1) };
                 let part = &stack.buffers.weight_gradient[layer];
                 let _ = input.transpose(1, 2).bmm_out(part, d);
                 let (weight_name, bias_name) = stack.names(layer);
-                add(&weight_name, part, gradient);
-                let d_bias = d.sum_dim_intlist(&[1i64][..], false, Kind::Float);
-                add(&bias_name, &d_bias, gradient);
+                sums.take(&stack.spec, &weight_name, part);
+                let d_bias = if layer == 0 { &stack.by_actor(d) } else { d };
+                let d_bias = d_bias.sum_dim_intlist(&[1i64][..], false, Kind::Float);
+                sums.take(&stack.spec, &bias_name, &d_bias);
             }
             if layer > 0 {
                 let below =
