@@ -7,7 +7,7 @@ use proto::config::{Activation, InputNorm};
 
 use super::dense::tile_groups;
 use super::pack::{Affine, Policy, Product};
-use crate::scalar::{Kernel, Real};
+use crate::scalar::{Kernel, Real, elementary};
 
 /// ε of LayerNorm (Ba, Kiros and Hinton 2016), PyTorch's default.
 const LAYER_NORM_EPSILON: f64 = 1e-5;
@@ -214,7 +214,8 @@ fn activate<S: Real>(x: &mut [S], activation: Activation) {
         }
         Activation::Elu => {
             for value in x {
-                let negative = value.min(S::zero()).exp() - S::one();
+                // Where e^x is cut off it is lost beside the one.
+                let negative = elementary::exp_of_negative(value.min(S::zero())) - S::one();
                 *value = S::select(value.gt(S::zero()), *value, negative);
             }
         }
