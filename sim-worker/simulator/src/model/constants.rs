@@ -22,6 +22,18 @@ pub enum Twist {
     General,
 }
 
+impl Twist {
+    /// The kind of a rotation about x.
+    pub(crate) fn of(rotation: &Matrix3<f64>) -> Self {
+        match (rotation[(1, 1)], rotation[(2, 1)]) {
+            (1.0, 0.0) => Self::None,
+            (0.0, 1.0) => Self::Quarter,
+            (0.0, -1.0) => Self::MinusQuarter,
+            _ => Self::General,
+        }
+    }
+}
+
 /// Which parts of a link's step to the next frame there are: the sparsity of its Denavit–Hartenberg row.
 ///
 /// Functions of the hot path take it beside the link. Where `for_sparsity` of the dynamics makes it a constant, what is not there costs nothing.
@@ -201,12 +213,7 @@ impl<S: Real> Model<S> {
             let t = &link.twist;
             LinkModel {
                 sparsity: Sparsity {
-                    twist: match (t[(1, 1)], t[(2, 1)]) {
-                        (1.0, 0.0) => Twist::None,
-                        (0.0, 1.0) => Twist::Quarter,
-                        (0.0, -1.0) => Twist::MinusQuarter,
-                        _ => Twist::General,
-                    },
+                    twist: Twist::of(t),
                     has_a: link.shift.x != 0.0,
                     has_d: link.shift.z != 0.0,
                 },

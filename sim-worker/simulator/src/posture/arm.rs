@@ -116,12 +116,14 @@ impl<S: Real> Posture<S> {
         let (target, stands) = (place.seen(goal), place.stands(index));
         let question = Question { chain, target: &target, stands: &stands };
         let before = *angles;
-        for _ in 0..FOLLOWING {
+        let (first, missed) = chain.approach(&target, &before);
+        *angles = first;
+        for _ in 1..FOLLOWING {
             *angles = chain.approach(&target, angles).0;
         }
         // Angles that only come near would wander with the base.
         let mut cost = question.cost(angles);
-        let cost_before = question.cost(&before);
+        let cost_before = question.cost_of(&before, missed);
         let astray = cost.ge(S::splat(UNSOLVED)) & cost_before.le(cost);
         choose(astray, before, angles);
         cost = S::select(astray, cost_before, cost);

@@ -4,6 +4,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use crate::model::Twist;
 use crate::robot::{MAX_JOINTS_PER_ARM, Robot};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Mat3, Vec3, add, cross, dot, mat_mat, mat_vec, rotation_difference, sub};
@@ -18,6 +19,16 @@ pub(super) struct Frame<S> {
     pub(super) position: Vec3<S>,
 }
 
+impl<S: Real> Frame<S> {
+    /// What is missing from `hand` to here (m and rad), and its square.
+    #[inline(always)]
+    fn residual(&self, hand: &Self) -> ([S; 6], S) {
+        let l = sub(self.position, hand.position);
+        let a = rotation_difference(&self.rotation, &hand.rotation);
+        ([l[0], l[1], l[2], a[0], a[1], a[2]], dot(l, l) + dot(a, a))
+    }
+}
+
 /// Longest change of a joint in a step (rad).
 const LONGEST: f64 = 0.5;
 /// Damping in parts of the square of the error (m and rad, together), and what remains of it at the goal: in single
@@ -29,7 +40,28 @@ const DAMPING: [f64; 2] = [1e-2, 1e-6];
 struct Step<S> {
     shift: Vec3<S>,
     twist: Mat3<S>,
+    /// Which twist that is.
+    kind: Twist,
 }
+
+impl<S: Real> Step<S> {
+    /// The axes `r` behind the twist. By right angles columns change places.
+    ///
+    /// The product has the same bits but for the signs of zeros, and those reach no angle: sums of products begin at +0, which no zero changes.
+    #[inline(always)]
+    fn twisted(&self, r: &Mat3<S>) -> Mat3<S> {
+        let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = *r;
+        match self.kind {
+            Twist::None => *r,
+            Twist::Quarter => [[xx, xz, -xy], [yx, yz, -yy], [zx, zz, -zy]],
+            Twist::MinusQuarter => [[xx, -xz, xy], [yx, -yz, yy], [zx, -zz, zy]],
+            Twist::General => mat_mat(r, &self.twist),
+        }
+    }
+}
+
+/// Joints' axes: where each points, and a point on it, axes of the base.
+type Axes<S> = [(Vec3<S>, Vec3<S>); MAX_JOINTS_PER_ARM];
 
 /// An arm as its hand's pose depends on it.
 #[derive(Debug, Clone)]
@@ -59,6 +91,7 @@ impl<S: Real> Chain<S> {
         let step = |link: &crate::robot::Link| Step {
             shift: vector(link.shift),
             twist: matrix(link.twist),
+            kind: Twist::of(&link.twist),
         };
         Self {
             mount: Frame { rotation: matrix(mount.rotation), position: vector(mount.position) },
@@ -78,10 +111,9 @@ impl<S: Real> Chain<S> {
         self.steps.len()
     }
 
-    /// Where the hand is, and how its pose changes with the joint angles: for each joint linear (m/rad) and angular
-    /// (rad/rad).
+    /// Where the hand and the joints' axes are.
     #[inline(always)]
-    fn forward(&self, q: &Angles<S>) -> (Frame<S>, [[S; 6]; MAX_JOINTS_PER_ARM]) {
+    fn forward(&self, q: &Angles<S>) -> (Frame<S>, Axes<S>) {
         let Frame { rotation: mut r, position: mut o } = self.mount;
         let mut joints = [([S::zero(); 3], [S::zero(); 3]); MAX_JOINTS_PER_ARM];
         let mut hand = self.mount;
@@ -100,15 +132,10 @@ impl<S: Real> Chain<S> {
                 };
             } else {
                 o = add(o, mat_vec(&r, step.shift));
-                r = mat_mat(&r, &step.twist);
+                r = step.twisted(&r);
             }
         }
-        let mut jacobian = [[S::zero(); 6]; MAX_JOINTS_PER_ARM];
-        for (column, (axis, origin)) in jacobian.iter_mut().zip(&joints[..self.n_joints()]) {
-            column[..3].copy_from_slice(&cross(*axis, sub(hand.position, *origin)));
-            column[3..].copy_from_slice(axis);
-        }
-        (hand, jacobian)
+        (hand, joints)
     }
 
     /// One step from `q` towards `target`: the angles after it, and the length of the residual before it (m and rad, together).
@@ -117,14 +144,22 @@ impl<S: Real> Chain<S> {
         S::compiled(Approach { chain: self, target, q })
     }
 
+    /// The length of the residual at `q` (m and rad, together), as [`Chain::approach`] tells it, without its step.
+    #[inline(always)]
+    pub(super) fn miss(&self, target: &Frame<S>, q: &Angles<S>) -> S {
+        S::compiled(Miss { chain: self, target, q })
+    }
+
     #[inline(always)]
     fn step(&self, target: &Frame<S>, q: &Angles<S>) -> (Angles<S>, S) {
-        let (hand, jacobian) = self.forward(q);
-        let linear = sub(target.position, hand.position);
-        let angular = rotation_difference(&target.rotation, &hand.rotation);
-        let square = dot(linear, linear) + dot(angular, angular);
-        let [l, a] = [linear, angular];
-        let error = [l[0], l[1], l[2], a[0], a[1], a[2]];
+        let (hand, joints) = self.forward(q);
+        // How the hand's pose changes with each angle: linear (m/rad) and angular (rad/rad).
+        let mut jacobian = [[S::zero(); 6]; MAX_JOINTS_PER_ARM];
+        for (column, (axis, origin)) in jacobian.iter_mut().zip(&joints[..self.n_joints()]) {
+            column[..3].copy_from_slice(&cross(*axis, sub(hand.position, *origin)));
+            column[3..].copy_from_slice(axis);
+        }
+        let (error, square) = target.residual(&hand);
         let damping = square.mul_add(S::splat(DAMPING[0]), S::splat(DAMPING[1]));
         let mut step = least_squares(&jacobian[..self.n_joints()], damping, error);
         let mut longest = S::splat(1e-9);
@@ -176,6 +211,22 @@ impl<S: Real> Kernel<S> for Approach<'_, S> {
     #[inline(always)]
     fn run(self) -> Self::Output {
         self.chain.step(self.target, self.q)
+    }
+}
+
+/// The arguments of [`Chain::miss`].
+struct Miss<'a, S> {
+    chain: &'a Chain<S>,
+    target: &'a Frame<S>,
+    q: &'a Angles<S>,
+}
+
+impl<S: Real> Kernel<S> for Miss<'_, S> {
+    type Output = S;
+    #[inline(always)]
+    fn run(self) -> S {
+        let (hand, _) = self.chain.forward(self.q);
+        self.target.residual(&hand).1.sqrt()
     }
 }
 
@@ -239,5 +290,30 @@ pub(super) fn seen_from<S: Real>(
     Frame {
         rotation: mat_mat(&transposed, rotation),
         position: mat_vec(&transposed, sub(position, base)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quick_ways_are_as_good_as_long_ones() {
+        let robot = Robot::builtin("paper").expect("built in");
+        let chain = Chain::<f32>::new(&robot, 1);
+        let mut q = chain.home;
+        for (number, angle) in q.iter_mut().enumerate() {
+            *angle += 0.3 * number as f32 - 0.7;
+        }
+        let target = chain.forward(&chain.home).0;
+        let (_, left) = chain.approach(&target, &q);
+        assert_eq!(chain.miss(&target, &q).to_bits(), left.to_bits());
+        let r = chain.forward(&q).0.rotation;
+        let mut by_right_angles = 0;
+        for step in &chain.steps {
+            assert_eq!(step.twisted(&r), mat_mat(&r, &step.twist), "{:?}", step.kind);
+            by_right_angles += usize::from(step.kind != Twist::General);
+        }
+        assert!(by_right_angles > 3, "nothing was quick");
     }
 }

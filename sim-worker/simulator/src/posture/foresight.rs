@@ -61,6 +61,7 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
         let mut best: Vec<Angles<S>> = arms.iter().map(|arm| arm.angles).collect();
         let mut best_cost = S::splat(f64::INFINITY);
         let n_arms = arms.len() as u64;
+        let any_open = open.iter().fold(S::Mask::splat(false), |any, open| any | *open);
         for set in 0..SETS {
             let mut tried = arms.to_vec();
             let mut cost = S::zero();
@@ -81,11 +82,8 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
                 cost += S::select(of_way.lt(S::splat(STOPPED)), of_way, S::zero());
             }
             let first: Vec<Angles<S>> = tried.iter().map(|arm| arm.angles).collect();
-            let touched = play((&model, &mut workspace), pace, goals, place, &mut tried);
-            cost += touched * S::splat(TOUCHES);
-            for arm in &tried {
-                cost += (S::one() - arm.good) * S::splat(MISSED);
-            }
+            let costs = Costs { ways: cost, best: best_cost, any_open };
+            let cost = play((&model, &mut workspace), pace, goals, place, costs, &mut tried);
             let better = cost.lt(best_cost);
             best_cost = S::select(better, cost, best_cost);
             for (best, first) in best.iter_mut().zip(first) {
@@ -104,13 +102,29 @@ fn is_varied(set: u64, index: u64, n_arms: u64) -> bool {
     set < SPREAD || index == set % n_arms || index == second
 }
 
-/// Has all arms go to their postures, which follow the base on the way; how many pairs touch on it, control step by control step.
+/// What is known of the costs of a set of ways before it is tried.
+#[derive(Clone, Copy)]
+struct Costs<S: Real> {
+    /// What its ways cost.
+    ways: S,
+    /// What the best set so far costs.
+    best: S,
+    /// Lanes for which sets are tried.
+    any_open: S::Mask,
+}
+
+/// Has all arms go to their postures, which follow the base on the way; what that costs, with all pairs that touch on it, control step by control step,
+/// and all arms that do not arrive.
+///
+/// Costs only grow. A lane in which they are no longer below the best takes no part from then on, and its cost may come out lower than it is, but
+/// not below the best.
 #[inline(always)]
 fn play<S: Real>(
     (model, workspace): (&Model<S>, &mut Workspace<S>),
     pace: &Pace<S>,
     goals: &[[S; 6]],
     place: &Place<'_, S>,
+    costs: Costs<S>,
     arms: &mut [Posture<S>],
 ) -> S {
     let period = S::splat(pace.period);
@@ -126,12 +140,17 @@ fn play<S: Real>(
         qd: rates,
     };
     let mut touched = S::zero();
-    let moving = S::Mask::splat(false);
+    let mut cost = costs.ways;
     for step in 0..=STEPS {
+        cost = costs.ways + touched * S::splat(TOUCHES);
+        let undecided = costs.any_open & cost.lt(costs.best);
+        if !undecided.any() {
+            return cost;
+        }
         let (position, quaternion) = (state.base_position, state.base_quaternion);
         let now = Place { position, quaternion, q: &state.q, joints: place.joints };
         for (index, arm) in arms.iter_mut().enumerate() {
-            arm.follow(&goals[index], (&now, moving), index);
+            arm.follow(&goals[index], (&now, !undecided), index);
             let joints = place.joints.of_arm(index);
             let factor = pace.gain / pace.period;
             arm.rates(factor, &pace.limits[joints.clone()], &mut state.qd[joints]);
@@ -154,7 +173,10 @@ fn play<S: Real>(
         state.base_quaternion = turned(&quaternion, period, v.ang);
         touched += count_contacts(model, workspace, &state);
     }
-    touched
+    for arm in arms {
+        cost += (S::one() - arm.good) * S::splat(MISSED);
+    }
+    cost
 }
 
 /// An attitude after a time (s) at an angular velocity (rad/s, its own axes).

@@ -38,8 +38,13 @@ impl<S: Real> Question<'_, S> {
     /// What is to be said against going to `q`: the longest way of a joint (rad), [`STOPPED`], [`UNSOLVED`].
     #[inline(always)]
     pub(super) fn cost(&self, q: &Angles<S>) -> S {
-        let Self { chain, target, stands } = self;
-        let miss = chain.approach(target, q).1;
+        self.cost_of(q, self.chain.miss(self.target, q))
+    }
+
+    /// [`Question::cost`], where it is known by how much `q` misses the goal.
+    #[inline(always)]
+    pub(super) fn cost_of(&self, q: &Angles<S>, miss: S) -> S {
+        let Self { chain, stands, .. } = self;
         let mut farthest = S::zero();
         for joint in 0..chain.n_joints() {
             farthest = farthest.max(chain.way(joint, stands[joint], q[joint]).abs());
