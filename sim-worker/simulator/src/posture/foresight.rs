@@ -37,6 +37,8 @@ pub(super) struct Foresight<'a, S: Real> {
     pub(super) goals: &'a [[S; 6]],
     pub(super) place: &'a Place<'a, S>,
     pub(super) open: &'a [S::Mask],
+    /// Whether every set is tried to its end, also when it cannot become the best any more: the twin that tests giving up.
+    pub(super) to_the_end: bool,
 }
 
 impl<S: Real> Foresight<'_, S> {
@@ -55,7 +57,8 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
     type Output = ();
     #[inline(always)]
     fn run(self) {
-        let Self { foresight: Foresight { robot, pace, goals, place, open }, arms } = self;
+        let Self { foresight, arms } = self;
+        let Foresight { robot, pace, goals, place, open, to_the_end } = foresight;
         let model = Model::<S>::new(robot);
         let mut workspace = Workspace::new(&model);
         let mut best: Vec<Angles<S>> = arms.iter().map(|arm| arm.angles).collect();
@@ -82,7 +85,8 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
                 cost += S::select(of_way.lt(S::splat(STOPPED)), of_way, S::zero());
             }
             let first: Vec<Angles<S>> = tried.iter().map(|arm| arm.angles).collect();
-            let costs = Costs { ways: cost, best: best_cost, any_open };
+            let limit = if to_the_end { S::splat(f64::INFINITY) } else { best_cost };
+            let costs = Costs { ways: cost, limit, any_open };
             let cost = play((&model, &mut workspace), pace, goals, place, costs, &mut tried);
             let better = cost.lt(best_cost);
             best_cost = S::select(better, cost, best_cost);
@@ -107,8 +111,8 @@ fn is_varied(set: u64, index: u64, n_arms: u64) -> bool {
 struct Costs<S: Real> {
     /// What its ways cost.
     ways: S,
-    /// What the best set so far costs.
-    best: S,
+    /// What the best set so far costs; a set that reaches it is given up.
+    limit: S,
     /// Lanes for which sets are tried.
     any_open: S::Mask,
 }
@@ -143,7 +147,7 @@ fn play<S: Real>(
     let mut cost = costs.ways;
     for step in 0..=STEPS {
         cost = costs.ways + touched * S::splat(TOUCHES);
-        let undecided = costs.any_open & cost.lt(costs.best);
+        let undecided = costs.any_open & cost.lt(costs.limit);
         if !undecided.any() {
             return cost;
         }

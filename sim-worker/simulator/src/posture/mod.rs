@@ -157,7 +157,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         if any {
             let Postures { arms, robot, pace, .. } = &mut *postures;
             let open = &open[..arms.len()];
-            Foresight { robot, pace, goals, place: &place, open }.choose(arms);
+            Foresight { robot, pace, goals, place: &place, open, to_the_end: false }.choose(arms);
         }
         for (index, (arm, goal)) in postures.arms.iter_mut().zip(goals).enumerate() {
             arm.follow(goal, (&place, rests & still[index]), index);

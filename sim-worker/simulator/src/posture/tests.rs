@@ -220,6 +220,47 @@ fn every_goal_that_the_twin_solves_has_a_good_posture() {
     assert_eq!(good, solved);
 }
 
+#[test]
+fn sets_that_are_given_up_are_not_missed() {
+    let robot = robot();
+    let evaluated = world(&robot);
+    let state = State::<f64>::home(&robot);
+    let place = Place {
+        position: state.base_position,
+        quaternion: state.base_quaternion,
+        q: &state.q,
+        joints: robot.joints,
+    };
+    let mut others = 0;
+    for episode in 0..40 {
+        let hand = |arm| EvaluationGoals::drawn(5).hand(&evaluated, episode, arm);
+        let goals: Vec<[f64; 6]> = (0..4).map(hand).collect();
+        let Postures { arms: mut begun, pace, .. } = none_yet(&robot);
+        for (index, (arm, goal)) in begun.iter_mut().zip(&goals).enumerate() {
+            arm.begin(goal, &place, index);
+        }
+        let choose = |to_the_end| {
+            let mut arms = begun.clone();
+            let open = &[true; 4];
+            Foresight {
+                robot: &robot,
+                pace: &pace,
+                goals: &goals,
+                place: &place,
+                open,
+                to_the_end,
+            }
+            .choose(&mut arms);
+            arms.iter().flat_map(|arm| arm.angles).collect::<Vec<_>>()
+        };
+        let chosen = choose(false);
+        assert_eq!(chosen, choose(true), "episode {episode}");
+        others +=
+            usize::from(chosen != begun.iter().flat_map(|arm| arm.angles).collect::<Vec<_>>());
+    }
+    assert!(others > 10, "only {others} choices differ from the nearest ways");
+}
+
 /// Along a circle of 0.05 m in small steps a hand keeps its way: back at the start, its joints are.
 #[test]
 fn a_goal_that_moves_is_followed() {
