@@ -2,7 +2,7 @@
 //!
 //! Actors and critics are multi-layer perceptrons of one shape. The parameters of all actors stand
 //! in one tensor `[A, P]`, one row an actor (see [`proto::layout`]), and so do those of the critics, so that an optimiser step is a handful of operations
-//! and a gradient norm is the norm of a row. A named parameter is a range of columns; its view
+//! and, of networks that are not shared, a gradient norm is the norm of a row. A named parameter is a range of columns; its view
 //! `[A, in, out]` (weights multiply row vectors from the left) is what checkpoints hold.
 //!
 //! A shared network is kept once for each agent that it is: row r of a stack of N networks holds network

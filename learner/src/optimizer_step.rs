@@ -24,13 +24,15 @@ pub(crate) struct Descent {
 #[derive(Debug)]
 pub(crate) struct NetworkPasses {
     pub(crate) compute: Compute,
+    /// `[A, P]`. Means something where it is learned ([`NetworkSpec::learned_parts`]).
     pub(crate) gradient: Tensor,
     scratch: Tensor,
     /// The last unclipped gradient, kept if there is something to replace.
     pub(crate) recorded: Option<Tensor>,
 }
 
-/// One kind of network of some actors: their part of the state, in the state's memory or copied.
+/// One kind of network of some actors: their part of the state, in the state's memory or copied. Of shared networks parameters and moments are those of
+/// before the update, where they are not learned, until [`NetworkPart::put_back`].
 pub(crate) struct NetworkPart {
     pub(crate) spec: NetworkSpec,
     pub(crate) flat: Tensor,

@@ -109,10 +109,11 @@ impl Maddpg {
     /// Buffers and options for `config`; `state` says precision and device.
     ///
     /// # Panics
-    /// If `state` is not MADDPG's.
+    /// If `state` is not MADDPG's, or agents share networks.
     pub fn new(config: &Config, dimensions: &Dimensions, state: &TrainingState) -> Self {
         let (kind, device) = (state.arithmetic.kind(), state.device());
         let off_policy = state.off_policy.as_ref().expect("a state of MADDPG");
+        assert!(!state.actor.spec.is_shared(), "every agent of MADDPG has networks of its own");
         let passes = |network: &NetworkState| {
             NetworkPasses::new(config, network, &Actors::all(dimensions.n_agents), kind, device)
         };
@@ -250,8 +251,7 @@ impl Maddpg {
     fn actor_input(&self, shared: &IterationSettings, observation: &Tensor) -> Tensor {
         let agents = self.dimensions.n_agents as i64;
         let x = self.normalise(observation, shared.moments.observation.as_ref(), agents);
-        let x = x.to_kind(self.kind);
-        x.view([x.size()[0], agents, -1]).transpose(0, 1)
+        self.actor.compute.by_network(&x.to_kind(self.kind))
     }
 
     /// What critics see of the environment, `[B, S]`.
@@ -266,9 +266,7 @@ impl Maddpg {
 
     /// Inputs `[A, B, F]` of all critics, the same for all: states `[B, S]`, actions `[B, A·U]`.
     fn critic_input(&self, state: &Tensor, action: &Tensor) -> Tensor {
-        let x = Tensor::cat(&[state, action], 1).to_kind(self.kind);
-        let (b, f) = x.size2().expect("[B, F]");
-        x.unsqueeze(0).expand([self.dimensions.n_agents as i64, b, f], true)
+        self.critic.compute.for_all(&Tensor::cat(&[state, action], 1).to_kind(self.kind))
     }
 
     /// An update on the batch at hand; returns the targets `[A, B]`.

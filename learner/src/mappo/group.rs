@@ -22,7 +22,7 @@ pub(super) struct Group {
     pub(super) critic: NetworkPasses,
     /// `[A, U]`: one where an action moves a joint, zero elsewhere; nothing where all do.
     pub(super) own: Option<Tensor>,
-    pub(super) chunk_rows: i64,
+    pub(super) chunk_samples: i64,
     pub(super) device: Device,
     pub(super) kind: Kind,
 }

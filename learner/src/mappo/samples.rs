@@ -161,7 +161,7 @@ impl Group {
         let value = Tensor::empty([self.actors.len as i64, rows], (Kind::Float, self.device));
         let compute = &mut self.critic.compute;
         compute.load(critic);
-        for chunk in chunks(rows, self.chunk_rows) {
+        for chunk in chunks(rows, self.chunk_samples) {
             let len = chunk.end - chunk.start;
             let x = match state {
                 Some(state) => compute.for_all(&state.narrow(0, chunk.start, len)),

@@ -266,6 +266,32 @@ fn a_shared_network_stays_one_network() {
 }
 
 #[test]
+fn nothing_is_read_of_a_shared_network_where_it_is_not_learned() {
+    let _alone = crate::alone();
+    for variant in [VARIANTS[1], VARIANTS[2], VARIANTS[3], VARIANTS[9]] {
+        let learn = |spoil: bool| {
+            let mut run = Run::new(&config(variant), Arithmetic::F32);
+            run.update(1);
+            let state = &run.state;
+            for NetworkState { spec, flat, adam } in [&state.actor, &state.critic] {
+                for tensor in [flat, &adam.m, &adam.v].into_iter().filter(|_| spoil) {
+                    let learned: Vec<Tensor> =
+                        spec.learned_parts(tensor).iter().map(Tensor::copy).collect();
+                    let _ = tensor.shallow_clone().fill_(f64::NAN);
+                    for (mut part, learned) in spec.learned_parts(tensor).into_iter().zip(learned) {
+                        part.copy_(&learned);
+                    }
+                }
+            }
+            run.update(2);
+            [run.state.actor, run.state.critic]
+                .map(|NetworkState { flat, adam, .. }| [flat, adam.m, adam.v])
+        };
+        assert_eq!(learn(true), learn(false), "{variant:?}");
+    }
+}
+
+#[test]
 fn agents_of_one_actor_share_a_critic_with_an_output_each() {
     let _alone = crate::alone();
     let run = Run::new(&config(VARIANTS[9]), Arithmetic::F32);

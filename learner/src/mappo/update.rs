@@ -20,7 +20,7 @@ use crate::update::Update;
 
 /// Samples that go through the networks at once on a CPU. Activations of so many fit in the cache; of
 /// fewer, the gradients of weights are summed more often.
-const CHUNK_ROWS: i64 = 1600;
+const CHUNK_SAMPLES: i64 = 1600;
 
 /// The update with its buffers.
 #[derive(Debug)]
@@ -75,7 +75,7 @@ impl Mappo {
                     actor: passes(&state.actor, &actors),
                     critic: passes(&state.critic, &critics),
                     critics,
-                    chunk_rows: if device.is_cuda() { i64::MAX } else { CHUNK_ROWS },
+                    chunk_samples: if device.is_cuda() { i64::MAX } else { CHUNK_SAMPLES },
                     actors,
                     device,
                     kind,

@@ -3,7 +3,7 @@
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
-use super::passes::{Passes, Sums};
+use super::passes::{Passes, StepGradient};
 use super::plain::PlainPasses;
 use super::stack::Stack;
 use super::torch::TorchPasses;
@@ -29,7 +29,8 @@ impl Compute {
         Self { stack, passes, is_first: true }
     }
 
-    /// Takes over the parameters `[A, P]`: folds and rounds them. Once before the passes of a step.
+    /// Takes over the parameters `[A, P]`: folds and rounds them. Once before the passes of a step, whose first [`Self::backward`] overwrites the
+    /// gradient.
     pub fn load(&mut self, flat: &Tensor) {
         self.is_first = true;
         let Self { stack, passes, .. } = self;
@@ -69,8 +70,9 @@ impl Compute {
             1 => rows.shallow_clone(),
             _ => rows.unsqueeze(1).expand([b, each, f], true).reshape([b * each, f]),
         };
-        // Both products with it would copy it otherwise.
-        rows.unsqueeze(0).expand([networks, b * each, f], true).contiguous()
+        let rows = rows.unsqueeze(0).expand([networks, b * each, f], true);
+        // On a CPU both products with it would copy it otherwise.
+        if rows.device() == Device::Cpu { rows.contiguous() } else { rows }
     }
 
     /// The outputs `[A, U, B]`, in f32, for standardised inputs `x` `[N, R, in]` in the products'
@@ -88,7 +90,7 @@ impl Compute {
     /// Writes the folded gradients for the chunk that went through [`Self::forward`] last, given its inputs and the loss's gradient `[A, U, B]` by
     /// the outputs, where `gradient` `[A, P]` is learned, as sums over a network's actors. Further chunks of a step add theirs.
     pub fn backward(&mut self, x: &Tensor, d_output: &Tensor, gradient: &Tensor) {
-        let sums = Sums { gradient, is_first: self.is_first };
+        let sums = StepGradient { gradient, is_first: self.is_first };
         self.passes.backward(&self.stack, x, d_output, Some(sums));
         self.is_first = false;
     }
@@ -106,7 +108,7 @@ impl Compute {
         passes.backward(stack, x, d_output, None);
         let layers = stack.spec.hidden.len();
         let first = stack.gradient_chunk(layers - 1, x.size()[1], stack.spec.hidden[0]);
-        let first = stack.by_actor(&first);
+        let first = stack.rows_by_actor(&first);
         let networks = stack.spec.n_networks as i64;
         let weight_of = |actor: usize| stack.weight[0].get(actor as i64 % networks);
         let weight: Vec<Tensor> = columns

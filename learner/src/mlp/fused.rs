@@ -45,7 +45,7 @@ pub(crate) struct HeadForward<'a> {
 /// The way back through a hidden layer.
 #[derive(Debug)]
 pub(crate) struct Backward<'a, T> {
-    /// Products of the way forward, `[N, R, H]`. Only a LayerNorm needs them: without one, what became of them says as much.
+    /// Products of the way forward, `[N, R, H]`. Only a LayerNorm needs them: without one the way back goes by what became of them, as rounded as that is.
     pub(crate) product: &'a [T],
     /// `[A, H]` or `[N, H]`.
     pub(crate) bias: &'a [f32],

@@ -22,7 +22,7 @@
 //! network's products, and weights are rounded, packed and summed over once for all its actors. Rows stand sample by sample, then actor by actor, as
 //! samples are gathered: nothing moves. Outputs and their gradients are by actor, as the losses are.
 //!
-//! Letters: `N` networks of the group, `K` actors of a network, `A = K·N` actors, actor k·N + n being the k-th of network n, `B` samples of a chunk,
+//! Letters: `N` networks of the group, `K` actors of a network, `A = K·N` actors (or critics), actor k·N + n being the k-th of network n, `B` samples of a chunk,
 //! `R = B·K` rows of a network, `H` width of a layer, `U` outputs.
 
 mod compute;

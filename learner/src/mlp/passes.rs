@@ -24,19 +24,25 @@ pub(super) trait Passes: Debug + Send {
 
     /// Goes back to the first layer from the loss's gradient `[A, U, B]` by the outputs; the folded parameters' gradients, which are found on the
     /// way, go into `sums`, if any.
-    fn backward(&mut self, stack: &Stack, x: &Tensor, d_output: &Tensor, sums: Option<Sums<'_>>);
+    fn backward(
+        &mut self,
+        stack: &Stack,
+        x: &Tensor,
+        d_output: &Tensor,
+        sums: Option<StepGradient<'_>>,
+    );
 }
 
 /// Where the gradients of a step's chunks add up.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sums<'a> {
+pub(super) struct StepGradient<'a> {
     /// `[A, P]`.
     pub(super) gradient: &'a Tensor,
     /// Whether what stands there is older.
     pub(super) is_first: bool,
 }
 
-impl Sums<'_> {
+impl StepGradient<'_> {
     /// Takes in a chunk's gradient by what is learned of a parameter.
     pub(super) fn take(self, spec: &NetworkSpec, name: &str, part: &Tensor) {
         let mut sum = spec.learned(name, self.gradient);

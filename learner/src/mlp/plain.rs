@@ -4,7 +4,7 @@ use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
 use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes, Unit};
-use super::passes::{Passes, Sums};
+use super::passes::{Passes, StepGradient};
 use super::stack::Stack;
 use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::number::{Bf16, Number};
@@ -82,7 +82,7 @@ impl PlainPasses {
         stack: &Stack,
         x: &Tensor,
         d_output: &Tensor,
-        sums: Option<Sums<'_>>,
+        sums: Option<StepGradient<'_>>,
     ) {
         let (networks, rows, layers) = (stack.networks(), x.size()[1], stack.spec.hidden.len());
         let float = (Kind::Float, stack.device);
@@ -169,7 +169,13 @@ impl Passes for PlainPasses {
         }
     }
 
-    fn backward(&mut self, stack: &Stack, x: &Tensor, d_output: &Tensor, sums: Option<Sums<'_>>) {
+    fn backward(
+        &mut self,
+        stack: &Stack,
+        x: &Tensor,
+        d_output: &Tensor,
+        sums: Option<StepGradient<'_>>,
+    ) {
         match stack.kind {
             Kind::BFloat16 => self.backward_in::<Bf16>(stack, x, d_output, sums),
             _ => self.backward_in::<f32>(stack, x, d_output, sums),

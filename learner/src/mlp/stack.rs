@@ -82,7 +82,7 @@ impl Stack {
     }
 
     /// Rows `[N, R, F]` by actor, `[A, B, F]`.
-    pub(super) fn by_actor(&self, rows: &Tensor) -> Tensor {
+    pub(super) fn rows_by_actor(&self, rows: &Tensor) -> Tensor {
         let (networks, each) = (self.networks(), self.spec.rows_per_network());
         let (_, r, f) = rows.size3().expect("[N, R, F]");
         let by_actor = rows.view([networks, r / each, each, f]).permute([2, 0, 1, 3]);

@@ -3,7 +3,7 @@
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
-use super::passes::{Passes, Sums};
+use super::passes::{Passes, StepGradient};
 use super::stack::Stack;
 use crate::layer_norm::LAYER_NORM_EPSILON;
 
@@ -94,10 +94,16 @@ impl Passes for TorchPasses {
         }
         let last = self.last_hidden(stack, &input, rows);
         let output = stack.head.bmm(&last.transpose(1, 2)) + &stack.head_bias;
-        stack.by_actor(&output.transpose(1, 2)).transpose(1, 2).contiguous()
+        stack.rows_by_actor(&output.transpose(1, 2)).transpose(1, 2).contiguous()
     }
 
-    fn backward(&mut self, stack: &Stack, x: &Tensor, d_output: &Tensor, sums: Option<Sums<'_>>) {
+    fn backward(
+        &mut self,
+        stack: &Stack,
+        x: &Tensor,
+        d_output: &Tensor,
+        sums: Option<StepGradient<'_>>,
+    ) {
         let rows = x.size()[1];
         let layers = stack.spec.hidden.len();
         let kind = stack.kind;
@@ -155,8 +161,11 @@ impl Passes for TorchPasses {
                 let _ = input.transpose(1, 2).bmm_out(part, d);
                 let (weight_name, bias_name) = stack.names(layer);
                 sums.take(&stack.spec, &weight_name, part);
-                let d_bias = if layer == 0 { &stack.by_actor(d) } else { d };
+                // Over samples; of the first layer, whose biases are the actors' own, each actor's by themselves.
+                let of_bias = stack.biases(layer) / networks;
+                let d_bias = d.view([networks, -1, of_bias, width]);
                 let d_bias = d_bias.sum_dim_intlist(&[1i64][..], false, Kind::Float);
+                let d_bias = d_bias.transpose(0, 1).reshape([-1, width]);
                 sums.take(&stack.spec, &bias_name, &d_bias);
             }
             if layer > 0 {
@@ -169,13 +178,13 @@ impl Passes for TorchPasses {
     }
 }
 
-/// Standardises each sample of `x` `[A, B, H]` over its features into `out`; returns the
-/// reciprocal deviations `[A, B, 1]`.
+/// Standardises each row of `x` `[N, R, H]` over its features into `out`; returns the
+/// reciprocal deviations `[N, R, 1]`.
 fn standardise(x: &Tensor, out: &Tensor) -> Tensor {
-    let (a, b, h) = x.size3().expect("[A, B, H]");
+    let (n, r, h) = x.size3().expect("[N, R, H]");
     let options = (Kind::Float, x.device());
-    let mean = Tensor::empty([a, b, 1], options);
-    let inverse_std = Tensor::empty([a, b, 1], options);
+    let mean = Tensor::empty([n, r, 1], options);
+    let inverse_std = Tensor::empty([n, r, 1], options);
     // On a CPU the moments of bf16 input are bf16 unless there is an f32 gain. On a GPU they are f32, and an f32 gain is refused.
     let affine = (x.device() == Device::Cpu)
         .then(|| (Tensor::ones([h], options), Tensor::zeros([h], options)));

@@ -185,6 +185,15 @@ fn lanes_do_not_mix() {
         }
         let mut postures = none_yet(&robot);
         look(&mut postures, &readings(&robot, &state), &goals);
+        // Every other lane gets another goal: postures are chosen anew there, and nowhere else.
+        for lane in (0..S::LANES).filter(|lane| (first + lane) % 2 == 1) {
+            let turn = 0.1 * (first + lane) as f64;
+            let hand = goal(&robot, [turn, -0.6, 0.9, 0.2, turn - 0.5, 0.4]);
+            for (slot, x) in goals.hands[1].iter_mut().zip(hand) {
+                slot.set_lane(lane, x);
+            }
+        }
+        look(&mut postures, &readings(&robot, &state), &goals);
         let lane = |lane: usize| left(&postures).iter().map(|x| x.lane(lane)).collect();
         (0..S::LANES).map(lane).collect()
     }
