@@ -57,6 +57,9 @@ impl Parameter {
     }
 }
 
+/// The parameter in which the agents of a shared network differ.
+const OWN: &str = "hidden.0.bias";
+
 /// Which network of an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NetworkKind {
@@ -255,11 +258,13 @@ impl NetworkSpec {
 
     /// The columns of a row that are learned there: all of the first N rows, of others the first hidden bias.
     pub fn learned_columns(&self, row: usize) -> Range<i64> {
-        if row < self.n_networks {
-            return 0..self.len;
-        }
-        let bias = self.get("hidden.0.bias");
-        bias.offset..bias.offset + bias.len()
+        if row < self.n_networks { 0..self.len } else { self.own_columns() }
+    }
+
+    /// The columns of [`OWN`].
+    fn own_columns(&self) -> Range<i64> {
+        let own = self.get(OWN);
+        own.offset..own.offset + own.len()
     }
 
     /// What is learned of a tensor `[A, P]`, in the same memory: its first N rows, and the first hidden bias of the others,
@@ -267,7 +272,7 @@ impl NetworkSpec {
     pub fn learned_parts(&self, flat: &Tensor) -> Vec<Tensor> {
         let (networks, rows) = (self.n_networks as i64, self.rows as i64);
         let others = self.is_shared().then(|| {
-            let columns = self.learned_columns(self.n_networks);
+            let columns = self.own_columns();
             flat.narrow(0, networks, rows - networks).narrow(
                 1,
                 columns.start,
@@ -280,7 +285,7 @@ impl NetworkSpec {
     /// What is learned of a parameter, in the same memory: `[N, …]`, of the first hidden bias `[A, H]`.
     pub fn learned(&self, name: &str, flat: &Tensor) -> Tensor {
         let all = self.view(name, flat);
-        if name == "hidden.0.bias" { all } else { all.narrow(0, 0, self.n_networks as i64) }
+        if name == OWN { all } else { all.narrow(0, 0, self.n_networks as i64) }
     }
 
     /// Turns the gradients of the summed loss of a network's agents into those of its mean, where they are learned.
@@ -307,24 +312,14 @@ impl NetworkSpec {
         if !self.is_shared() {
             return;
         }
-        for columns in self.shared_columns() {
-            let mut part = self.by_network(flat, columns);
+        // [K, N, P]
+        let rows = flat.view([-1, self.n_networks as i64, self.len]);
+        let own = self.own_columns();
+        for shared in [0..own.start, own.end..self.len] {
+            let mut part = rows.narrow(2, shared.start, shared.end - shared.start);
             let first = part.narrow(0, 0, 1).copy();
             part.copy_(&first);
         }
-    }
-
-    /// Columns (start, length) of `flat` `[A, P]` as `[A / N, N, length]`, in the same memory.
-    fn by_network(&self, flat: &Tensor, (start, len): (i64, i64)) -> Tensor {
-        let networks = self.n_networks as i64;
-        flat.view([-1, networks, flat.size()[1]]).narrow(2, start, len)
-    }
-
-    /// Column ranges (start, length) that the agents of a network share.
-    fn shared_columns(&self) -> [(i64, i64); 2] {
-        let own = self.get("hidden.0.bias");
-        let after = own.offset + own.len();
-        [(0, own.offset), (after, self.len - after)]
     }
 }
 

@@ -125,7 +125,7 @@ impl Group {
     fn actor_step(
         &mut self,
         inputs: &IterationInputs<'_>,
-        part: &mut NetworkPart,
+        network: &mut NetworkPart,
         samples: &Samples,
         rows: &Tensor,
         active: &mut [bool],
@@ -137,8 +137,8 @@ impl Group {
         let u = inputs.dimensions.actor_output() as i64;
         let batch = rows.size()[0];
         let NetworkPasses { compute, gradient, .. } = &mut self.actor;
-        compute.load(&part.flat);
-        let parameter = log_std(part);
+        compute.load(&network.flat);
+        let parameter = log_std(network);
         let options = (Kind::Float, self.device);
         let mut log_std_gradient = Tensor::zeros([a, u], options);
         let mut statistics = Tensor::zeros([a, 3], options);
@@ -157,26 +157,26 @@ impl Group {
             let _ = log_std_gradient.g_add_(&part.log_std);
             let _ = statistics.g_add_(&part.sums);
         }
-        compute.unfold(&part.flat, gradient);
+        compute.unfold(&network.flat, gradient);
         let own = self.own.as_ref();
         let by_actor = loss.finish_log_std(&log_std_gradient, &parameter, own);
-        let by_actor = by_actor.view([-1, part.spec.n_networks as i64, u]);
-        let mut slot = part.spec.learned("log_std", gradient);
+        let by_actor = by_actor.view([-1, network.spec.n_networks as i64, u]);
+        let mut slot = network.spec.learned("log_std", gradient);
         slot.copy_(&by_actor.sum_dim_intlist(&[0i64][..], false, Kind::Float));
         let statistics = Vec::<f32>::try_from((statistics / batch as f64).view([-1]))
             .expect("three numbers an agent");
         let column = |index: usize| statistics.iter().skip(index).step_by(3).map(|&x| f64::from(x));
         let mut kl: Vec<f64> = column(1).collect();
-        average_over_networks(&mut kl, part.spec.n_networks);
+        average_over_networks(&mut kl, network.spec.n_networks);
         if inputs.options.max_kl > 0.0 {
             for (active, &kl) in active.iter_mut().zip(&kl) {
                 *active &= kl <= inputs.options.max_kl;
             }
         }
         let rates: Vec<f64> = self.actors.iter().map(|actor| inputs.actor_lr[actor]).collect();
-        let norms = inputs.options.descent.step(part, &mut self.actor, &rates, active);
+        let norms = inputs.options.descent.step(network, &mut self.actor, &rates, active);
         check(&norms, "actor", self.actors, inputs.iteration, step)?;
-        loss.project(&part.spec.learned("log_std", &part.flat));
+        loss.project(&network.spec.learned("log_std", &network.flat));
         sums.actor(column(0), column(1), column(2), &norms);
         Ok(kl)
     }
@@ -186,7 +186,7 @@ impl Group {
     fn critic_step(
         &mut self,
         inputs: &IterationInputs<'_>,
-        part: &mut NetworkPart,
+        network: &mut NetworkPart,
         samples: &Samples,
         rows: &Tensor,
         moments: Option<&(Tensor, Tensor)>,
@@ -196,7 +196,7 @@ impl Group {
         let (a, critics) = (self.actors.len as i64, self.critics.len as i64);
         let batch = rows.size()[0];
         let NetworkPasses { compute, gradient, .. } = &mut self.critic;
-        compute.load(&part.flat);
+        compute.load(&network.flat);
         let mut total = Tensor::zeros([a], (Kind::Float, self.device));
         for chunk in chunks(batch, self.chunk_samples) {
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
@@ -215,10 +215,10 @@ impl Group {
             compute.backward(&x, &by_critic(&d_value, critics), gradient);
             let _ = total.g_add_(&sum);
         }
-        compute.unfold(&part.flat, gradient);
+        compute.unfold(&network.flat, gradient);
         let active = vec![true; self.critics.len];
         let rates = vec![inputs.critic_lr; self.critics.len];
-        let norms = inputs.options.descent.step(part, &mut self.critic, &rates, &active);
+        let norms = inputs.options.descent.step(network, &mut self.critic, &rates, &active);
         check(&norms, "critic", self.actors, inputs.iteration, step)?;
         // Those who share a critic share its norm.
         let norms: Vec<f64> = norms.iter().copied().cycle().take(self.actors.len).collect();

@@ -18,7 +18,7 @@ use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
 use crate::update::Update;
 
-/// Samples that go through the networks at once on a CPU. Activations of so many fit in the cache; of
+/// Samples of each actor that go through the networks at once on a CPU. Activations of so many fit in the cache; of
 /// fewer, the gradients of weights are summed more often.
 const CHUNK_SAMPLES: i64 = 1600;
 

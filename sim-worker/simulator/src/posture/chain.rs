@@ -298,7 +298,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quick_ways_are_as_good_as_long_ones() {
+    fn a_miss_is_that_of_a_step_and_twists_are_products() {
         let robot = Robot::builtin("paper").expect("built in");
         let chain = Chain::<f32>::new(&robot, 1);
         let mut q = chain.home;

@@ -101,7 +101,7 @@ fn exp_reduced<S: Real>(x: S) -> (S, S) {
     (n, p.mul_add(r * r, r + S::one()))
 }
 
-/// e^x for x ≤ 0 in half as many operations: the bits of [`exp`] down to −87, and below that e^−87.
+/// e^x for x ≤ 0 in half as many operations: the bits of [`exp`] down to −87, and below that, and for NaN, e^−87.
 #[inline(always)]
 pub fn exp_of_negative<S: Real>(x: S) -> S {
     let c = x.max(S::splat(-87.0));
