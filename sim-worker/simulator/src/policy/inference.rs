@@ -6,29 +6,51 @@
 use proto::config::{Activation, InputNorm};
 
 use super::dense::tile_groups;
-use super::pack::{Affine, Policy, Product};
+use super::pack::{Affine, Network, Policy, Product};
 use crate::scalar::{Kernel, Real, elementary};
 
 /// ε of LayerNorm (Ba, Kiros and Hinton 2016), PyTorch's default.
 const LAYER_NORM_EPSILON: f64 = 1e-5;
 
-/// Activations of one network for all lane groups of the actors that share it: two buffers that layers alternate, and one for pairs.
+/// Activations of one network for all lane groups of the actors that share it.
 #[derive(Debug, Clone)]
 pub struct Scratch<S: Real> {
+    /// Of groups that fill registers together.
+    full: Buffers<S::Register>,
+    /// Of what is left of them.
+    rest: Buffers<S>,
+}
+
+/// Two buffers that layers alternate, and one for pairs.
+#[derive(Debug, Clone)]
+struct Buffers<R: Real> {
     stride: usize,
-    ping: Vec<S>,
-    pong: Vec<S>,
-    pairs: Vec<S::Pair>,
+    ping: Vec<R>,
+    pong: Vec<R>,
+    pairs: Vec<R::Pair>,
 }
 
 impl<S: Real> Scratch<S> {
     /// Room for `policy` on `groups` lane groups.
     pub fn new(policy: &Policy, groups: usize) -> Self {
         let stride = policy.stride();
-        let buffer = vec![S::zero(); stride * groups];
-        let pairs = vec![S::pair(S::zero(), S::zero()); stride * groups];
+        let full = Buffers::new(stride, groups / joined::<S>());
+        Self { full, rest: Buffers::new(stride, joined::<S>() - 1) }
+    }
+}
+
+impl<R: Real> Buffers<R> {
+    fn new(stride: usize, registers: usize) -> Self {
+        let buffer = vec![R::zero(); stride * registers];
+        let pairs = vec![R::pair(R::zero(), R::zero()); stride * registers];
         Self { stride, ping: buffer.clone(), pong: buffer, pairs }
     }
+}
+
+/// How many lane groups fill a register.
+#[inline(always)]
+fn joined<S: Real>() -> usize {
+    S::Register::LANES / S::LANES
 }
 
 impl Policy {
@@ -44,89 +66,6 @@ impl Policy {
         means: &mut [S],
     ) {
         S::compiled(Mean { policy: self, actor, observations, scratch, means });
-    }
-
-    #[inline(always)]
-    fn infer<S: Real>(
-        &self,
-        actor: usize,
-        observations: &[S],
-        scratch: &mut Scratch<S>,
-        means: &mut [S],
-    ) {
-        let (input, output) = (self.input, self.output);
-        let limit = S::splat(self.action_limit);
-        let groups = means.len() / output;
-        assert_eq!(observations.len(), groups * input, "one row of inputs a lane group");
-        assert!(scratch.ping.len() >= groups * scratch.stride, "scratch is made for fewer groups");
-        let network = &self.networks[self.network_of[actor]];
-        let Scratch { stride, ping, pong, pairs } = scratch;
-        let stride = *stride;
-        let mut group = 0;
-        while group < groups {
-            let width = tile_groups(group, groups);
-            for g in 0..width {
-                let from = &observations[(group + g) * input..][..input];
-                let to = &mut ping[group * stride..];
-                for (o, &value) in from.iter().enumerate() {
-                    to[o * width + g] = value;
-                }
-            }
-            group += width;
-        }
-        if let Some(affine) = &network.input {
-            let mut group = 0;
-            while group < groups {
-                let width = tile_groups(group, groups);
-                let x = &mut ping[group * stride..];
-                match self.input_norm {
-                    InputNorm::Running => standardise(x, width, affine, self.input_clip),
-                    _ => layer_norm(x, width, affine),
-                }
-                group += width;
-            }
-        }
-        let mut features = input;
-        for hidden in &network.hidden {
-            match &hidden.product {
-                Product::Single(dense) => dense.apply(ping, pong, groups, stride),
-                Product::Pairs(dense) => {
-                    let mut group = 0;
-                    while group < groups {
-                        let width = tile_groups(group, groups);
-                        let from = group * stride;
-                        to_pairs::<S>(&ping[from..], &mut pairs[from..], features, width);
-                        group += width;
-                    }
-                    dense.apply(pairs, pong, groups, stride);
-                }
-            }
-            features = hidden.product.outputs();
-            let mut group = 0;
-            while group < groups {
-                let width = tile_groups(group, groups);
-                let x = &mut pong[group * stride..];
-                activate(&mut x[..features * width], self.activation);
-                if let Some(affine) = &hidden.norm {
-                    layer_norm(x, width, affine);
-                }
-                group += width;
-            }
-            std::mem::swap(ping, pong);
-        }
-        network.head.apply(ping, pong, groups, stride);
-        let mut group = 0;
-        while group < groups {
-            let width = tile_groups(group, groups);
-            for g in 0..width {
-                for u in 0..output {
-                    let y = pong[group * stride + u * width + g];
-                    means[(group + g) * output + u] =
-                        if self.squash_mean { y.tanh() * limit } else { y };
-                }
-            }
-            group += width;
-        }
     }
 }
 
@@ -144,7 +83,170 @@ impl<S: Real> Kernel<S> for Mean<'_, S> {
     #[inline(always)]
     fn run(self) {
         let Self { policy, actor, observations, scratch, means } = self;
-        policy.infer(actor, observations, scratch, means);
+        let (input, output) = (policy.input, policy.output);
+        let groups = means.len() / output;
+        assert_eq!(observations.len(), groups * input, "one row of inputs a lane group");
+        let network = &policy.networks[policy.network_of[actor]];
+        let full = groups / joined::<S>() * joined::<S>();
+        let (observations, left) = observations.split_at(full * input);
+        let (means, left_means) = means.split_at_mut(full * output);
+        infer::<S, Full>(policy, network, observations, &mut scratch.full, means);
+        // A constant condition: this is compiled only where there can be some.
+        if joined::<S>() > 1 && !left.is_empty() {
+            infer::<S, Alone>(policy, network, left, &mut scratch.rest, left_means);
+        }
+    }
+}
+
+/// How lane groups stand in registers.
+trait Packing<S: Real> {
+    type Register: Real;
+    /// Groups in a register.
+    const GROUPS: usize;
+    /// One number of each group in a register; their rows are `stride` apart.
+    fn join(rows: &[S], stride: usize) -> Self::Register;
+    /// What group `i` of a register has.
+    fn part(register: Self::Register, i: usize) -> S;
+}
+
+/// So many groups as a register has room for.
+struct Full;
+
+impl<S: Real> Packing<S> for Full {
+    type Register = S::Register;
+    const GROUPS: usize = S::Register::LANES / S::LANES;
+
+    #[inline(always)]
+    fn join(rows: &[S], stride: usize) -> S::Register {
+        S::join(rows, stride)
+    }
+
+    #[inline(always)]
+    fn part(register: S::Register, i: usize) -> S {
+        S::part(register, i)
+    }
+}
+
+/// One group.
+struct Alone;
+
+impl<S: Real> Packing<S> for Alone {
+    type Register = S;
+    const GROUPS: usize = 1;
+
+    #[inline(always)]
+    fn join(rows: &[S], _: usize) -> S {
+        rows[0]
+    }
+
+    #[inline(always)]
+    fn part(register: S, _: usize) -> S {
+        register
+    }
+}
+
+/// Takes rows of lane groups through `network`, in registers as `P` packs them.
+#[inline(always)]
+fn infer<S: Real, P: Packing<S>>(
+    policy: &Policy,
+    network: &Network,
+    observations: &[S],
+    buffers: &mut Buffers<P::Register>,
+    means: &mut [S],
+) {
+    let (input, output) = (policy.input, policy.output);
+    let registers = means.len() / (P::GROUPS * output);
+    let stride = buffers.stride;
+    assert!(buffers.ping.len() >= registers * stride, "scratch is made for fewer groups");
+    let mut register = 0;
+    while register < registers {
+        let width = tile_groups(register, registers);
+        for r in 0..width {
+            let first = (register + r) * P::GROUPS * input;
+            let from = &observations[first..first + P::GROUPS * input];
+            let to = &mut buffers.ping[register * stride..];
+            for o in 0..input {
+                to[o * width + r] = P::join(&from[o..], input);
+            }
+        }
+        register += width;
+    }
+    P::Register::compiled(Layers { policy, network, buffers, registers });
+    let limit = P::Register::splat(policy.action_limit);
+    let mut register = 0;
+    while register < registers {
+        let width = tile_groups(register, registers);
+        for r in 0..width {
+            let first = (register + r) * P::GROUPS * output;
+            for u in 0..output {
+                let y = buffers.pong[register * stride + u * width + r];
+                let mean = if policy.squash_mean { y.tanh() * limit } else { y };
+                for part in 0..P::GROUPS {
+                    means[first + part * output + u] = P::part(mean, part);
+                }
+            }
+        }
+        register += width;
+    }
+}
+
+/// A network's layers on as many registers: from inputs in `ping` to outputs in `pong`.
+struct Layers<'a, R: Real> {
+    policy: &'a Policy,
+    network: &'a Network,
+    buffers: &'a mut Buffers<R>,
+    registers: usize,
+}
+
+impl<R: Real> Kernel<R> for Layers<'_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { policy, network, buffers, registers } = self;
+        let Buffers { stride, ping, pong, pairs } = buffers;
+        let stride = *stride;
+        if let Some(affine) = &network.input {
+            let mut register = 0;
+            while register < registers {
+                let width = tile_groups(register, registers);
+                let x = &mut ping[register * stride..];
+                match policy.input_norm {
+                    InputNorm::Running => standardise(x, width, affine, policy.input_clip),
+                    _ => layer_norm(x, width, affine),
+                }
+                register += width;
+            }
+        }
+        let mut features = policy.input;
+        for hidden in &network.hidden {
+            match &hidden.product {
+                Product::Single(dense) => dense.apply(ping, pong, registers, stride),
+                Product::Pairs(dense) => {
+                    let mut register = 0;
+                    while register < registers {
+                        let width = tile_groups(register, registers);
+                        let from = register * stride;
+                        to_pairs::<R>(&ping[from..], &mut pairs[from..], features, width);
+                        register += width;
+                    }
+                    dense.apply(pairs, pong, registers, stride);
+                }
+            }
+            features = hidden.product.outputs();
+            let mut register = 0;
+            while register < registers {
+                let width = tile_groups(register, registers);
+                let x = &mut pong[register * stride..];
+                activate(&mut x[..features * width], policy.activation);
+                if let Some(affine) = &hidden.norm {
+                    layer_norm(x, width, affine);
+                }
+                register += width;
+            }
+            std::mem::swap(ping, pong);
+        }
+        network.head.apply(ping, pong, registers, stride);
     }
 }
 

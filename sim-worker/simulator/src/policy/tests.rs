@@ -6,7 +6,7 @@ use proto::layout::{ActorLayout, Dimensions};
 use proto::rng::{Address, Purpose};
 
 use super::*;
-use crate::scalar::{Backend, LANES, LaneFn, Real, dispatch, dispatch_on};
+use crate::scalar::{Backend, LANES, LaneFn, Real, dispatch, dispatch_for, dispatch_on};
 
 /// Normal numbers from an address, for parameters and inputs.
 pub(crate) fn normals(seed: u64, n: usize) -> Vec<f32> {
@@ -225,6 +225,12 @@ fn an_environments_mean_does_not_depend_on_its_company() {
         let all = means(0..70);
         for (start, end) in [(0, 1), (3, 40), (17, 70), (69, 70), (5, 37)] {
             assert_eq!(means(start..end), all[start..end], "rows {start}..{end}");
+        }
+        // Groups of eight lanes stand side by side in registers; of three the last stands alone.
+        for n in [3, 8, 13, 16, 24] {
+            let observations = &observations[..n * o];
+            let of_eight = Means { policy: &policy, actor, observations };
+            assert_eq!(dispatch_for(1, Backend::detect(), of_eight), all[..n], "{n} rows");
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-use super::real::run_seldom;
+use super::real::{fills_register, run_seldom};
 use super::{Kernel, PairProducts, Real, WeightPair, elementary};
 
 /// Operations that `work` does on [`Counted`] numbers: additions, multiplications, divisions and square
@@ -69,6 +69,7 @@ impl MulAssign for Counted {
 impl Real for Counted {
     const LANES: usize = 1;
     type Mask = bool;
+    fills_register!();
     type Pair = [Self; 2];
 
     fn pair(first: Self, second: Self) -> [Self; 2] {

@@ -1,11 +1,13 @@
 //! `f64`, the reference scalar. Elementary functions come from `libm` (pure Rust): the same bits on every C library.
 
 use super::bf16::{self, pairs_side_by_side};
+use super::real::fills_register;
 use super::{Kernel, Real, lanes};
 
 impl Real for f64 {
     const LANES: usize = 1;
     type Mask = bool;
+    fills_register!();
     pairs_side_by_side!(|x: f64| f64::from(bf16::round(x as f32)));
 
     #[inline(always)]

@@ -64,6 +64,9 @@ pub trait Real:
     /// Result of comparisons.
     type Mask: Mask;
 
+    /// Lanes of this kind that fill a register of the processor: this type, or one with more.
+    type Register: Real;
+
     /// Two bfloat16 numbers in each lane (see `bf16.rs`).
     type Pair: Copy + Debug + Send + Sync + 'static;
 
@@ -154,6 +157,11 @@ pub trait Real:
     /// Hyperbolic tangent.
     fn tanh(self) -> Self;
 
+    /// A register with `rows[0]`, `rows[stride]` and so on side by side.
+    fn join(rows: &[Self], stride: usize) -> Self::Register;
+    /// The `i`-th of what was joined.
+    fn part(register: Self::Register, i: usize) -> Self;
+
     /// `first` and `second`, rounded to bfloat16.
     fn pair(first: Self, second: Self) -> Self::Pair;
     /// `x.first · w.first + (x.second · w.second + self)`, each product and sum with one rounding, second first.
@@ -174,6 +182,22 @@ pub trait Real:
         run_apart(kernel)
     }
 }
+
+/// A type that fills its register.
+macro_rules! fills_register {
+    () => {
+        type Register = Self;
+        #[inline(always)]
+        fn join(rows: &[Self], _: usize) -> Self {
+            rows[0]
+        }
+        #[inline(always)]
+        fn part(register: Self, _: usize) -> Self {
+            register
+        }
+    };
+}
+pub(super) use fills_register;
 
 /// A computation in one scalar type, see [`Real::compiled`]. `run` must be `#[inline(always)]`.
 pub trait Kernel<S: Real> {

@@ -3,6 +3,7 @@
 use super::bf16::{self, pairs_side_by_side};
 #[cfg(target_arch = "wasm32")]
 use super::fused::mul_add as fused;
+use super::real::fills_register;
 use super::{Kernel, Real, elementary, lanes};
 #[cfg(target_arch = "wasm32")]
 use super::{PairKernel, real::BySums};
@@ -75,6 +76,7 @@ pub(super) use single_precision_functions;
 impl Real for f32 {
     const LANES: usize = 1;
     type Mask = bool;
+    fills_register!();
     pairs_side_by_side!(bf16::round);
 
     #[inline(always)]

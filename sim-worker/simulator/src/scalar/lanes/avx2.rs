@@ -16,6 +16,7 @@ use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub
 
 use super::operators::{derive_operators, operator};
 use crate::scalar::bf16::{self, PairProducts, WeightPair};
+use crate::scalar::real::fills_register;
 use crate::scalar::single::single_precision_functions;
 use crate::scalar::{Kernel, LaneFn, Mask, Real, elementary};
 
@@ -143,6 +144,7 @@ impl Real for F32x8Avx2 {
     const LANES: usize = WIDTH;
     const PRODUCT_SUMS: usize = 8;
     type Mask = Mask8Avx2;
+    fills_register!();
     type Pair = [Self; 2];
 
     #[inline(always)]

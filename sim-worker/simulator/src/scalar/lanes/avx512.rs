@@ -81,7 +81,16 @@ macro_rules! back_end {
             const LANES: usize = $lanes;
             type Mask = $mask;
             type Pair = $pair;
+            type Register = sixteen::F32x16Avx512;
 
+            #[inline(always)]
+            fn join(rows: &[Self], stride: usize) -> Self::Register {
+                join(rows, stride)
+            }
+            #[inline(always)]
+            fn part(register: Self::Register, i: usize) -> Self {
+                part(register, i)
+            }
             #[inline(always)]
             fn pair(first: Self, second: Self) -> $pair {
                 // SAFETY: as for `splat`.
@@ -253,17 +262,18 @@ macro_rules! back_end {
 
 pub(super) mod sixteen {
     use std::arch::x86_64::{
-        __m512 as Floats, __m512bh as Bf16s, __m512i as Ints, _mm512_add_epi32 as add_epi32,
-        _mm512_add_ps as add_ps, _mm512_and_si512 as and_si, _mm512_andnot_si512 as andnot_si,
-        _mm512_castps_si512 as castps_si, _mm512_castsi512_ps as castsi_ps,
+        __m256, __m512 as Floats, __m512bh as Bf16s, __m512i as Ints,
+        _mm512_add_epi32 as add_epi32, _mm512_add_ps as add_ps, _mm512_and_si512 as and_si,
+        _mm512_andnot_si512 as andnot_si, _mm512_castps_si512 as castps_si, _mm512_castps256_ps512,
+        _mm512_castps512_ps256, _mm512_castsi512_ps as castsi_ps,
         _mm512_cmp_ps_mask as cmp_ps_mask, _mm512_cvtepi32_ps as cvtepi32_ps,
         _mm512_cvtps_epi32 as cvtps_epi32, _mm512_div_ps as div_ps, _mm512_dpbf16_ps as dpbf16_ps,
-        _mm512_fmadd_ps as fmadd_ps, _mm512_fnmadd_ps as fnmadd_ps,
-        _mm512_mask_blend_ps as mask_blend_ps, _mm512_maskz_add_epi32 as maskz_add_epi32,
-        _mm512_max_ps as max_ps, _mm512_min_ps as min_ps, _mm512_mul_ps as mul_ps,
-        _mm512_or_si512 as or_si, _mm512_roundscale_ps as roundscale_ps,
-        _mm512_set1_epi32 as set1_epi32, _mm512_set1_ps as set1_ps,
-        _mm512_slli_epi32 as slli_epi32, _mm512_sqrt_ps as sqrt_ps,
+        _mm512_extractf32x8_ps, _mm512_fmadd_ps as fmadd_ps, _mm512_fnmadd_ps as fnmadd_ps,
+        _mm512_insertf32x8, _mm512_mask_blend_ps as mask_blend_ps,
+        _mm512_maskz_add_epi32 as maskz_add_epi32, _mm512_max_ps as max_ps,
+        _mm512_min_ps as min_ps, _mm512_mul_ps as mul_ps, _mm512_or_si512 as or_si,
+        _mm512_roundscale_ps as roundscale_ps, _mm512_set1_epi32 as set1_epi32,
+        _mm512_set1_ps as set1_ps, _mm512_slli_epi32 as slli_epi32, _mm512_sqrt_ps as sqrt_ps,
         _mm512_srli_epi32 as srli_epi32, _mm512_storeu_ps as storeu_ps,
         _mm512_sub_epi32 as sub_epi32, _mm512_sub_ps as sub_ps,
     };
@@ -271,6 +281,38 @@ pub(super) mod sixteen {
     use super::*;
 
     back_end!(F32x16Avx512, Mask16(u16), PairX16, 16);
+
+    #[inline(always)]
+    fn join(rows: &[F32x16Avx512], _: usize) -> F32x16Avx512 {
+        rows[0]
+    }
+
+    #[inline(always)]
+    fn part(register: F32x16Avx512, _: usize) -> F32x16Avx512 {
+        register
+    }
+
+    impl F32x16Avx512 {
+        /// `low` and `high` side by side.
+        #[inline(always)]
+        pub(super) fn of_halves(low: __m256, high: __m256) -> Self {
+            // SAFETY: values of these types exist only where there is AVX-512.
+            Self(unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(low), high) })
+        }
+
+        /// What [`of_halves`](Self::of_halves) put together.
+        #[inline(always)]
+        pub(super) fn half(self, i: usize) -> __m256 {
+            // SAFETY: as above.
+            unsafe {
+                if i == 0 {
+                    _mm512_castps512_ps256(self.0)
+                } else {
+                    _mm512_extractf32x8_ps::<1>(self.0)
+                }
+            }
+        }
+    }
 }
 
 pub(super) mod eight {
@@ -290,7 +332,18 @@ pub(super) mod eight {
         _mm256_sub_epi32 as sub_epi32, _mm256_sub_ps as sub_ps,
     };
 
+    use super::sixteen::F32x16Avx512;
     use super::*;
 
     back_end!(F32x8Avx512, Mask8(u8), PairX8, 8);
+
+    #[inline(always)]
+    fn join(rows: &[F32x8Avx512], stride: usize) -> F32x16Avx512 {
+        F32x16Avx512::of_halves(rows[0].0, rows[stride].0)
+    }
+
+    #[inline(always)]
+    fn part(register: F32x16Avx512, i: usize) -> F32x8Avx512 {
+        F32x8Avx512(register.half(i))
+    }
 }

@@ -7,6 +7,7 @@ use std::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
 use super::operators::{Mask16, derive_operators};
 use crate::scalar::bf16::{self, pairs_side_by_side};
+use crate::scalar::real::fills_register;
 use crate::scalar::single::{self, single_precision_functions};
 use crate::scalar::{LANES, Mask, Real, elementary};
 
@@ -85,6 +86,7 @@ derive_operators!(F32x16Portable);
 impl Real for F32x16Portable {
     const LANES: usize = LANES;
     type Mask = Mask16;
+    fills_register!();
     pairs_side_by_side!(|x: Self| x.map(bf16::round));
 
     #[inline(always)]
