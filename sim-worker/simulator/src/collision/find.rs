@@ -281,7 +281,7 @@ pub(crate) fn find<S: Real>(model: &Model<S>, ws: &mut Workspace<S>, now: f64, h
     }
     if scans {
         // Most have just been sent to sleep.
-        ws.contacts.list_due();
+        ws.contacts.keep_due();
     }
     couple(model, ws);
 }

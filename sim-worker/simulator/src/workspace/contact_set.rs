@@ -145,6 +145,21 @@ impl<S: Real> ContactSet<S> {
         }
     }
 
+    /// Takes off the list what has no alarm before the next scan any more.
+    #[inline(always)]
+    pub(crate) fn keep_due(&mut self) {
+        let next_scan = S::splat(self.next_scan);
+        let mut kept = 0;
+        for i in 0..self.due.len() {
+            let pair = self.due[i];
+            if self.wake[pair].lt(next_scan).any() {
+                self.due[kept] = pair;
+                kept += 1;
+            }
+        }
+        self.due.truncate(kept);
+    }
+
     /// ω² (1/s²) and 2 ζ ω (1/s) of contacts.
     #[inline(always)]
     pub(crate) fn rates(&self) -> (S, S) {
