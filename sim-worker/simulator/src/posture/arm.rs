@@ -25,7 +25,7 @@ pub(crate) struct Posture<S> {
     goal: [S; 6],
     pub(super) angles: Angles<S>,
     /// Starts of the search that were tried.
-    tried: S,
+    pub(super) tried: S,
 }
 
 /// How fast arms go to their postures.
@@ -37,6 +37,21 @@ pub(crate) struct Pace<S> {
     pub(crate) period: f64,
     /// Fastest joint rates (rad/s), arm-major.
     pub(crate) limits: Vec<S>,
+}
+
+/// A posture on the way after its goal.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pursuit<S: Real> {
+    /// Where the hand shall go.
+    pub(super) target: Frame<S>,
+    /// Where the arm's joints stand.
+    pub(super) stands: Angles<S>,
+    before: Angles<S>,
+    /// What is to be said against the angles.
+    pub(super) cost: S,
+    /// Lanes that need another way.
+    pub(super) bad: S::Mask,
+    rests: S::Mask,
 }
 
 /// Where the robot is.
@@ -84,6 +99,16 @@ impl<S: Real> Posture<S> {
         Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
     }
 
+    /// Becomes the other one with these angles, where the mask is set; both have the same goal.
+    #[inline(always)]
+    pub(super) fn become_in(&mut self, lanes: S::Mask, other: &Self, angles: &Angles<S>) {
+        choose(lanes, *angles, &mut self.angles);
+        choose(lanes, other.left, &mut self.left);
+        self.good = S::select(lanes, other.good, self.good);
+        self.free = S::select(lanes, other.free, self.free);
+        self.tried = S::select(lanes, other.tried, self.tried);
+    }
+
     /// Looks for a posture where the goal is a new one; says where it is, and where the goal has not moved at all.
     #[inline(always)]
     pub(super) fn begin(
@@ -104,15 +129,15 @@ impl<S: Real> Posture<S> {
         (new, rests)
     }
 
-    /// Follows the base, but in lanes where it `rests`.
+    /// Goes after its goal, which the base carries away, but in lanes where it `rests`.
     #[inline(always)]
-    pub(super) fn follow(
+    pub(super) fn go_after(
         &mut self,
         goal: &[S; 6],
         (place, rests): (&Place<'_, S>, S::Mask),
         index: usize,
-    ) {
-        let Self { chain, good, free, angles, tried, .. } = self;
+    ) -> Pursuit<S> {
+        let Self { chain, angles, tried, .. } = self;
         let (target, stands) = (place.seen(goal), place.stands(index));
         let question = Question { chain, target: &target, stands: &stands };
         let before = *angles;
@@ -128,20 +153,21 @@ impl<S: Real> Posture<S> {
         choose(astray, before, angles);
         cost = S::select(astray, cost_before, cost);
         let bad = !rests & cost.ge(S::splat(STOPPED));
-        if bad.any() {
-            *tried = S::select(bad, *tried + S::one(), *tried);
-            let other = question.later(*tried);
-            let other_cost = question.cost(&other);
-            let better = bad & other_cost.lt(S::splat(STOPPED));
-            choose(better, other, angles);
-            cost = S::select(better, other_cost, cost);
-        }
-        choose(rests, before, angles);
+        *tried = S::select(bad, *tried + S::one(), *tried);
+        Pursuit { target, stands, before, cost, bad, rests }
+    }
+
+    /// Ends a step of [`Posture::go_after`].
+    #[inline(always)]
+    pub(super) fn settle(&mut self, pursuit: &Pursuit<S>) {
+        let Self { left, good, free, chain, angles, .. } = self;
+        let Pursuit { stands, before, cost, rests, .. } = pursuit;
+        choose(*rests, *before, angles);
         let is_good = S::select(cost.lt(S::splat(STOPPED)), S::one(), S::zero());
-        *good = S::select(rests, *good, is_good);
+        *good = S::select(*rests, *good, is_good);
         *free = S::select(chain.is_stopped(angles), S::zero(), S::one());
-        for joint in 0..self.chain.n_joints() {
-            self.left[joint] = self.chain.way(joint, stands[joint], self.angles[joint]);
+        for joint in 0..chain.n_joints() {
+            left[joint] = chain.way(joint, stands[joint], angles[joint]);
         }
     }
 

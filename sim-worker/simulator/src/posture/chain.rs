@@ -3,9 +3,10 @@
 //! The lanes' twin of [`inverse_kinematics`](crate::inverse_kinematics), which is slow, readable and tests it.
 
 use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
 
 use crate::model::Twist;
-use crate::robot::{MAX_JOINTS_PER_ARM, Robot};
+use crate::robot::{Arm, ArmType, Link, MAX_JOINTS_PER_ARM, Robot};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Mat3, Vec3, add, cross, dot, mat_mat, mat_vec, rotation_difference, sub};
 
@@ -26,6 +27,23 @@ impl<S: Real> Frame<S> {
         let l = sub(self.position, hand.position);
         let a = rotation_difference(&self.rotation, &hand.rotation);
         ([l[0], l[1], l[2], a[0], a[1], a[2]], dot(l, l) + dot(a, a))
+    }
+
+    /// Puts lane `from` of another frame into lane `to`.
+    #[inline(always)]
+    pub(super) fn put_lane(&mut self, to: usize, other: &Self, from: usize) {
+        for (row, other) in self.rotation.iter_mut().zip(&other.rotation) {
+            put_lane(row, to, other, from);
+        }
+        put_lane(&mut self.position, to, &other.position, from);
+    }
+}
+
+/// Puts lane `from` of other numbers into lane `to` of these.
+#[inline(always)]
+pub(super) fn put_lane<S: Real>(these: &mut [S], to: usize, others: &[S], from: usize) {
+    for (this, other) in these.iter_mut().zip(others) {
+        this.set_lane(to, other.lane(from));
     }
 }
 
@@ -60,82 +78,110 @@ impl<S: Real> Step<S> {
     }
 }
 
-/// Joints' axes: where each points, and a point on it, axes of the base.
-type Axes<S> = [(Vec3<S>, Vec3<S>); MAX_JOINTS_PER_ARM];
+/// A column a joint: how the hand's pose changes with its angle, linear (m/rad) and angular (rad/rad), axes of the base.
+type Jacobian<S> = [[S; 6]; MAX_JOINTS_PER_ARM];
 
 /// An arm as its hand's pose depends on it.
 #[derive(Debug, Clone)]
 pub(super) struct Chain<S> {
     mount: Frame<S>,
+    pub(super) home: Angles<S>,
+    kind: Arc<Kind<S>>,
+}
+
+/// What arms of one type have in common.
+#[derive(Debug)]
+struct Kind<S> {
     steps: Vec<Step<S>>,
     tool: Frame<S>,
-    pub(super) home: Angles<S>,
     /// Of joints that stop because two bodies touch: where, and half of the interval in which they do (rad).
     stops: [Option<[S; 2]>; MAX_JOINTS_PER_ARM],
 }
 
-impl<S: Real> Chain<S> {
-    pub(super) fn new(robot: &Robot, arm: usize) -> Self {
-        let vector = |v: nalgebra::Vector3<f64>| [0, 1, 2].map(|i| S::splat(v[i]));
-        let matrix =
-            |m: nalgebra::Matrix3<f64>| [0, 1, 2].map(|i| [0, 1, 2].map(|j| S::splat(m[(i, j)])));
-        let (mount, kind) = (&robot.arms[arm], robot.type_of(arm));
+impl<S: Real> Kind<S> {
+    fn new(arm_type: &ArmType) -> Self {
         let mut stops = [None; MAX_JOINTS_PER_ARM];
-        for stop in kind.angle_contacts.iter().filter(|stop| stop.push) {
+        for stop in arm_type.angle_contacts.iter().filter(|stop| stop.push) {
             stops[stop.joint] = Some([stop.centre, stop.half].map(S::splat));
         }
-        let mut home = [S::zero(); MAX_JOINTS_PER_ARM];
-        for (home, &angle) in home.iter_mut().zip(&mount.home) {
-            *home = S::splat(angle);
-        }
-        let step = |link: &crate::robot::Link| Step {
+        let step = |link: &Link| Step {
             shift: vector(link.shift),
             twist: matrix(link.twist),
             kind: Twist::of(&link.twist),
         };
-        Self {
-            mount: Frame { rotation: matrix(mount.rotation), position: vector(mount.position) },
-            steps: kind.links.iter().map(step).collect(),
-            tool: Frame {
-                rotation: matrix(kind.tool_rotation),
-                position: vector(kind.tool_position),
-            },
-            home,
-            stops,
-        }
+        let tool = Frame {
+            rotation: matrix(arm_type.tool_rotation),
+            position: vector(arm_type.tool_position),
+        };
+        Self { steps: arm_type.links.iter().map(step).collect(), tool, stops }
+    }
+}
+
+fn vector<S: Real>(v: nalgebra::Vector3<f64>) -> Vec3<S> {
+    [0, 1, 2].map(|i| S::splat(v[i]))
+}
+
+fn matrix<S: Real>(m: nalgebra::Matrix3<f64>) -> Mat3<S> {
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| S::splat(m[(i, j)])))
+}
+
+impl<S: Real> Chain<S> {
+    /// The arms of a robot.
+    pub(super) fn of(robot: &Robot) -> Vec<Self> {
+        let kinds: Vec<_> = robot.types.iter().map(|of| Arc::new(Kind::new(of))).collect();
+        let chain = |arm: &Arm| {
+            let mut home = [S::zero(); MAX_JOINTS_PER_ARM];
+            for (home, &angle) in home.iter_mut().zip(&arm.home) {
+                *home = S::splat(angle);
+            }
+            let mount = Frame { rotation: matrix(arm.rotation), position: vector(arm.position) };
+            Self { mount, home, kind: kinds[arm.arm_type].clone() }
+        };
+        robot.arms.iter().map(chain).collect()
+    }
+
+    /// Whether the other is an arm of the same type: lanes of the two can stand side by side.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.kind, &other.kind)
+    }
+
+    /// Puts lane `from` of an arm of the same type into lane `to`.
+    #[inline(always)]
+    pub(super) fn put_lane(&mut self, to: usize, other: &Self, from: usize) {
+        self.mount.put_lane(to, &other.mount, from);
+        put_lane(&mut self.home, to, &other.home, from);
     }
 
     /// Number of its joints.
     #[inline(always)]
     pub(super) fn n_joints(&self) -> usize {
-        self.steps.len()
+        self.kind.steps.len()
     }
 
-    /// Where the hand and the joints' axes are.
+    /// Where the hand is; leaves a point on each joint's axis and where it points in `axes`.
     #[inline(always)]
-    fn forward(&self, q: &Angles<S>) -> (Frame<S>, Axes<S>) {
+    fn forward(&self, q: &Angles<S>, axes: &mut Jacobian<S>) -> Frame<S> {
         let Frame { rotation: mut r, position: mut o } = self.mount;
-        let mut joints = [([S::zero(); 3], [S::zero(); 3]); MAX_JOINTS_PER_ARM];
         let mut hand = self.mount;
-        for (j, step) in self.steps.iter().enumerate() {
+        for (j, step) in self.kind.steps.iter().enumerate() {
             let (sin, cos) = q[j].sin_cos();
             for row in &mut r {
                 let [x, y, _] = *row;
                 row[0] = cos.mul_add(x, sin * y);
                 row[1] = sin.neg_mul_add(x, cos * y);
             }
-            joints[j] = ([r[0][2], r[1][2], r[2][2]], o);
+            axes[j] = [o[0], o[1], o[2], r[0][2], r[1][2], r[2][2]];
             if j + 1 == self.n_joints() {
                 hand = Frame {
-                    rotation: mat_mat(&r, &self.tool.rotation),
-                    position: add(o, mat_vec(&r, self.tool.position)),
+                    rotation: mat_mat(&r, &self.kind.tool.rotation),
+                    position: add(o, mat_vec(&r, self.kind.tool.position)),
                 };
             } else {
                 o = add(o, mat_vec(&r, step.shift));
                 r = step.twisted(&r);
             }
         }
-        (hand, joints)
+        hand
     }
 
     /// One step from `q` towards `target`: the angles after it, and the length of the residual before it (m and rad, together).
@@ -152,12 +198,13 @@ impl<S: Real> Chain<S> {
 
     #[inline(always)]
     fn step(&self, target: &Frame<S>, q: &Angles<S>) -> (Angles<S>, S) {
-        let (hand, joints) = self.forward(q);
-        // How the hand's pose changes with each angle: linear (m/rad) and angular (rad/rad).
         let mut jacobian = [[S::zero(); 6]; MAX_JOINTS_PER_ARM];
-        for (column, (axis, origin)) in jacobian.iter_mut().zip(&joints[..self.n_joints()]) {
-            column[..3].copy_from_slice(&cross(*axis, sub(hand.position, *origin)));
-            column[3..].copy_from_slice(axis);
+        let hand = self.forward(q, &mut jacobian);
+        for column in &mut jacobian[..self.n_joints()] {
+            let [x, y, z, axis @ ..] = *column;
+            let [x, y, z] = cross(axis, sub(hand.position, [x, y, z]));
+            let [a, b, c] = axis;
+            *column = [x, y, z, a, b, c];
         }
         let (error, square) = target.residual(&hand);
         let damping = square.mul_add(S::splat(DAMPING[0]), S::splat(DAMPING[1]));
@@ -176,7 +223,7 @@ impl<S: Real> Chain<S> {
     /// How far joint `joint` has to turn from `from` to `to`, whole turns aside, on a way that leads through no stop (rad).
     #[inline(always)]
     pub(super) fn way(&self, joint: usize, from: S, to: S) -> S {
-        match self.stops[joint] {
+        match self.kind.stops[joint] {
             None => nearest_turn(to - from),
             Some([centre, _]) => {
                 // Turns are counted from the stop on.
@@ -190,7 +237,7 @@ impl<S: Real> Chain<S> {
     #[inline(always)]
     pub(super) fn is_stopped(&self, q: &Angles<S>) -> S::Mask {
         let mut stopped = S::Mask::splat(false);
-        for (q, stop) in q.iter().zip(&self.stops) {
+        for (q, stop) in q.iter().zip(&self.kind.stops) {
             if let Some([centre, half]) = stop {
                 stopped = stopped | nearest_turn(*q - *centre).abs().lt(*half);
             }
@@ -225,7 +272,7 @@ impl<S: Real> Kernel<S> for Miss<'_, S> {
     type Output = S;
     #[inline(always)]
     fn run(self) -> S {
-        let (hand, _) = self.chain.forward(self.q);
+        let hand = self.chain.forward(self.q, &mut [[S::zero(); 6]; MAX_JOINTS_PER_ARM]);
         self.target.residual(&hand).1.sqrt()
     }
 }
@@ -300,17 +347,18 @@ mod tests {
     #[test]
     fn a_miss_is_that_of_a_step_and_twists_are_products() {
         let robot = Robot::builtin("paper").expect("built in");
-        let chain = Chain::<f32>::new(&robot, 1);
+        let chain = &Chain::<f32>::of(&robot)[1];
         let mut q = chain.home;
         for (number, angle) in q.iter_mut().enumerate() {
             *angle += 0.3 * number as f32 - 0.7;
         }
-        let target = chain.forward(&chain.home).0;
+        let mut axes = [[0.0; 6]; MAX_JOINTS_PER_ARM];
+        let target = chain.forward(&chain.home, &mut axes);
         let (_, left) = chain.approach(&target, &q);
         assert_eq!(chain.miss(&target, &q).to_bits(), left.to_bits());
-        let r = chain.forward(&q).0.rotation;
+        let r = chain.forward(&q, &mut axes).rotation;
         let mut by_right_angles = 0;
-        for step in &chain.steps {
+        for step in &chain.kind.steps {
             assert_eq!(step.twisted(&r), mat_mat(&r, &step.twist), "{:?}", step.kind);
             by_right_angles += usize::from(step.kind != Twist::General);
         }

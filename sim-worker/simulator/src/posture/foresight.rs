@@ -1,38 +1,26 @@
-//! Where the base will be when all hands have gone to their goals.
+//! Which ways the arms take together, by where the base will be when all hands have gone to their goals.
 //!
 //! Arms that move push the base, and a base that has moved by centimetres brings goals into the reach of an arm or takes them out of it. So ways are
-//! judged together: a rollout of the kinematics alone, in which joints go as they are guided and the base goes as no momentum
-//! lets it [Umetani and Yoshida 1989, eq. 9], tells where all arms end. A control step of it costs a hundredth of one of the dynamics.
+//! judged together, a set with one way of each arm at a time, by a [rollout of the kinematics](KinematicRollout).
+//!
+//! **Each lane at its own pace.** Most sets are given up after a few control steps. A lane that gives one up begins its next one at once, while others
+//! go on with theirs.
 
 use super::arm::{Pace, Place, Posture, choose};
-use super::chain::Angles;
+use super::chain::{Angles, put_lane};
+use super::kinematic_rollout::KinematicRollout;
 use super::search::{Question, STARTS, STOPPED};
-use crate::collision::count_contacts;
-use crate::dynamics::invariants::{BaseMotion, invariants};
 use crate::model::Model;
-use crate::robot::Robot;
-use crate::scalar::{Kernel, Mask, Real};
-use crate::spatial::{
-    Vec3, mat_vec, mul_add, quaternion_exp, quaternion_normalised, quaternion_product,
-    quaternion_to_rotation, scale,
-};
-use crate::state::State;
-use crate::workspace::Workspace;
+use crate::scalar::{Kernel, LANES, Mask, Real};
 
 /// Sets of ways that are judged: the nearest of each arm,
 const SETS: u64 = 40;
 /// so many in which every arm takes another one, and then the best so far with another way of one or two arms.
 const SPREAD: u64 = 8;
-/// Control steps that are looked ahead: half a turn at 0.8 rad/s takes ten.
-const STEPS: usize = 15;
-/// What an arm that does not arrive counts, in longest ways (rad).
-const MISSED: f64 = 100.0;
-/// What a pair that touches counts in a control step (rad): an arm that touches for five of them is held up and does not arrive.
-const TOUCHES: f64 = 20.0;
 
 /// The postures of a lane group that are yet to be chosen, in the lanes of `open`, an entry an arm.
 pub(super) struct Foresight<'a, S: Real> {
-    pub(super) robot: &'a Robot,
+    pub(super) model: &'a Model<S>,
     pub(super) pace: &'a Pace<S>,
     pub(super) goals: &'a [[S; 6]],
     pub(super) place: &'a Place<'a, S>,
@@ -58,44 +46,137 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
     #[inline(always)]
     fn run(self) {
         let Self { foresight, arms } = self;
-        let Foresight { robot, pace, goals, place, open, to_the_end } = foresight;
-        let model = Model::<S>::new(robot);
-        let mut workspace = Workspace::new(&model);
-        let mut best: Vec<Angles<S>> = arms.iter().map(|arm| arm.angles).collect();
-        let mut best_cost = S::splat(f64::INFINITY);
-        let n_arms = arms.len() as u64;
-        let any_open = open.iter().fold(S::Mask::splat(false), |any, open| any | *open);
-        for set in 0..SETS {
-            let mut tried = arms.to_vec();
-            let mut cost = S::zero();
-            for (index, arm) in tried.iter_mut().enumerate() {
-                let target = place.seen(&goals[index]);
-                let stands = place.stands(index);
-                let question = Question { chain: &arm.chain, target: &target, stands: &stands };
-                arm.angles = best[index];
-                let mut of_way = question.cost(&arm.angles);
-                if set > 0 && is_varied(set, index as u64, n_arms) {
-                    let number = STARTS + 1 + set * n_arms + index as u64;
-                    let other = question.later(S::splat(number as f64));
-                    let other_cost = question.cost(&other);
-                    let taken = open[index] & other_cost.lt(S::splat(STOPPED));
-                    choose(taken, other, &mut arm.angles);
-                    of_way = S::select(taken, other_cost, of_way);
-                }
-                cost += S::select(of_way.lt(S::splat(STOPPED)), of_way, S::zero());
+        let Foresight { model, pace, goals, place, open, to_the_end } = foresight;
+        let mut sets = Sets::new(arms, goals, place, open);
+        let mut rollout = KinematicRollout::new(model, arms, place);
+        let mut active = S::Mask::splat(false);
+        for open in open {
+            active = active | *open;
+        }
+        let mut beginning = active;
+        loop {
+            // Costs only grow: a set that costs no less than the best is given up.
+            let limit = if to_the_end { S::splat(f64::INFINITY) } else { sets.best_cost };
+            // A set's ways alone may cost too much.
+            while beginning.any() {
+                let past_the_last = sets.next(beginning, open);
+                active = active & !past_the_last;
+                beginning = beginning & !past_the_last;
+                rollout.begin(beginning, arms, &sets.tried, place);
+                beginning = beginning & !rollout.cost().lt(limit);
             }
-            let first: Vec<Angles<S>> = tried.iter().map(|arm| arm.angles).collect();
-            let limit = if to_the_end { S::splat(f64::INFINITY) } else { best_cost };
-            let costs = Costs { ways: cost, limit, any_open };
-            let cost = play((&model, &mut workspace), pace, goals, place, costs, &mut tried);
-            let better = cost.lt(best_cost);
-            best_cost = S::select(better, cost, best_cost);
-            for (best, first) in best.iter_mut().zip(first) {
-                choose(better, first, best);
+            if !active.any() {
+                break;
+            }
+            rollout.follow(goals, active);
+            let ended = active & rollout.has_ended();
+            sets.judge(ended, rollout.final_cost());
+            rollout.advance(model, pace);
+            beginning = ended | (active & !rollout.cost().lt(limit));
+        }
+        for ((arm, best), open) in arms.iter_mut().zip(&sets.best).zip(open) {
+            choose(*open, best.angles, &mut arm.angles);
+        }
+    }
+}
+
+/// One way of an arm.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Way<S> {
+    pub(super) angles: Angles<S>,
+    /// What is to be said against it, as [`Question::cost`] tells it.
+    pub(super) cost: S,
+}
+
+impl<S: Real> Way<S> {
+    /// Becomes the other one in these lanes.
+    #[inline(always)]
+    fn take(&mut self, lanes: S::Mask, other: &Self) {
+        choose(lanes, other.angles, &mut self.angles);
+        self.cost = S::select(lanes, other.cost, self.cost);
+    }
+}
+
+/// The sets that lanes try, and the best of them so far.
+struct Sets<S> {
+    /// `[set, arm]`: what an arm takes instead of the best way so far.
+    others: Vec<Option<Way<S>>>,
+    /// Which set each lane tries next.
+    numbers: [u64; LANES],
+    /// An entry an arm.
+    tried: Vec<Way<S>>,
+    best: Vec<Way<S>>,
+    best_cost: S,
+}
+
+impl<S: Real> Sets<S> {
+    #[inline(always)]
+    fn new(arms: &[Posture<S>], goals: &[[S; 6]], place: &Place<'_, S>, open: &[S::Mask]) -> Self {
+        let n_arms = arms.len();
+        let mut nearest = Vec::with_capacity(n_arms);
+        let mut others = vec![None; SETS as usize * n_arms];
+        for (index, arm) in arms.iter().enumerate() {
+            let (target, stands) = (place.seen(&goals[index]), place.stands(index));
+            let question = Question { chain: &arm.chain, target: &target, stands: &stands };
+            nearest.push(Way { angles: arm.angles, cost: question.cost(&arm.angles) });
+            if !open[index].any() {
+                continue;
+            }
+            for set in 1..SETS {
+                if is_varied(set, index as u64, n_arms as u64) {
+                    let at = set as usize * n_arms + index;
+                    let angles = question.later(S::splat((STARTS as usize + 1 + at) as f64));
+                    others[at] = Some(Way { angles, cost: question.cost(&angles) });
+                }
             }
         }
-        for ((arm, best), open) in arms.iter_mut().zip(best).zip(open) {
-            choose(*open, best, &mut arm.angles);
+        Self {
+            others,
+            numbers: [0; LANES],
+            tried: nearest.clone(),
+            best: nearest,
+            best_cost: S::splat(f64::INFINITY),
+        }
+    }
+
+    /// Goes to the next set in these lanes; says where there is none.
+    #[inline(always)]
+    fn next(&mut self, lanes: S::Mask, open: &[S::Mask]) -> S::Mask {
+        let Self { others, numbers, tried, best, .. } = self;
+        for (tried, best) in tried.iter_mut().zip(best) {
+            tried.take(lanes, best);
+        }
+        let mut past_the_last = S::Mask::splat(false);
+        for lane in 0..S::LANES {
+            if !lanes.lane(lane) {
+                continue;
+            }
+            if numbers[lane] == SETS {
+                past_the_last.set_lane(lane, true);
+                continue;
+            }
+            let first = numbers[lane] as usize * tried.len();
+            numbers[lane] += 1;
+            for (index, tried) in tried.iter_mut().enumerate() {
+                if let Some(other) = &others[first + index]
+                    && open[index].lane(lane)
+                    && other.cost.lane(lane) < STOPPED
+                {
+                    put_lane(&mut tried.angles, lane, &other.angles, lane);
+                    tried.cost.set_lane(lane, other.cost.lane(lane));
+                }
+            }
+        }
+        past_the_last
+    }
+
+    /// Takes over what these lanes tried where it cost less than the best.
+    #[inline(always)]
+    fn judge(&mut self, lanes: S::Mask, cost: S) {
+        let better = lanes & cost.lt(self.best_cost);
+        self.best_cost = S::select(better, cost, self.best_cost);
+        for (best, tried) in self.best.iter_mut().zip(&self.tried) {
+            best.take(better, tried);
         }
     }
 }
@@ -104,88 +185,4 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
 fn is_varied(set: u64, index: u64, n_arms: u64) -> bool {
     let second = (set / n_arms) % n_arms;
     set < SPREAD || index == set % n_arms || index == second
-}
-
-/// What is known of the costs of a set of ways before it is tried.
-#[derive(Clone, Copy)]
-struct Costs<S: Real> {
-    /// What its ways cost.
-    ways: S,
-    /// What the best set so far costs; a set that reaches it is given up.
-    limit: S,
-    /// Lanes for which sets are tried.
-    any_open: S::Mask,
-}
-
-/// Has all arms go to their postures, which follow the base on the way; what that costs, with all pairs that touch on it, control step by control step,
-/// and all arms that do not arrive.
-///
-/// Costs only grow. A lane in which they are no longer below the best takes no part from then on, and its cost may come out lower than it is, but
-/// not below the best.
-#[inline(always)]
-fn play<S: Real>(
-    (model, workspace): (&Model<S>, &mut Workspace<S>),
-    pace: &Pace<S>,
-    goals: &[[S; 6]],
-    place: &Place<'_, S>,
-    costs: Costs<S>,
-    arms: &mut [Posture<S>],
-) -> S {
-    let period = S::splat(pace.period);
-    let half = S::splat(0.5);
-    let zero = [S::zero(); 3];
-    let rates = vec![S::zero(); place.q.len()];
-    let mut state = State {
-        base_position: place.position,
-        base_quaternion: place.quaternion,
-        base_linear_velocity: zero,
-        base_angular_velocity: zero,
-        q: place.q.to_vec(),
-        qd: rates,
-    };
-    let mut touched = S::zero();
-    let mut cost = costs.ways;
-    for step in 0..=STEPS {
-        cost = costs.ways + touched * S::splat(TOUCHES);
-        let undecided = costs.any_open & cost.lt(costs.limit);
-        if !undecided.any() {
-            return cost;
-        }
-        let (position, quaternion) = (state.base_position, state.base_quaternion);
-        let now = Place { position, quaternion, q: &state.q, joints: place.joints };
-        for (index, arm) in arms.iter_mut().enumerate() {
-            arm.follow(&goals[index], (&now, !undecided), index);
-            let joints = place.joints.of_arm(index);
-            let factor = pace.gain / pace.period;
-            arm.rates(factor, &pace.limits[joints.clone()], &mut state.qd[joints]);
-        }
-        if step == STEPS {
-            break;
-        }
-        // Midpoint rule.
-        for (q, rate) in state.q.iter_mut().zip(&state.qd) {
-            *q = (half * period).mul_add(*rate, *q);
-        }
-        let quaternion = state.base_quaternion;
-        let at_rest = BaseMotion { position: zero, quaternion, linear: zero, angular: zero };
-        let v = invariants(model, workspace, &at_rest, &state.q, &state.qd).recoil();
-        for (q, rate) in state.q.iter_mut().zip(&state.qd) {
-            *q = (half * period).mul_add(*rate, *q);
-        }
-        let middle = quaternion_to_rotation(&turned(&quaternion, half * period, v.ang));
-        state.base_position = mul_add(period, mat_vec(&middle, v.lin), state.base_position);
-        state.base_quaternion = turned(&quaternion, period, v.ang);
-        touched += count_contacts(model, workspace, &state);
-    }
-    for arm in arms {
-        cost += (S::one() - arm.good) * S::splat(MISSED);
-    }
-    cost
-}
-
-/// An attitude after a time (s) at an angular velocity (rad/s, its own axes).
-#[inline(always)]
-fn turned<S: Real>(quaternion: &[S; 4], time: S, rates: Vec3<S>) -> [S; 4] {
-    let by = quaternion_exp(scale(time, rates));
-    quaternion_normalised(&quaternion_product(quaternion, &by))
 }

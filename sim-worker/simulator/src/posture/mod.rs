@@ -7,7 +7,9 @@
 
 mod arm;
 mod chain;
+mod follow;
 mod foresight;
+mod kinematic_rollout;
 mod search;
 
 use std::sync::Arc;
@@ -15,7 +17,9 @@ use std::sync::Arc;
 pub(crate) use self::arm::{Pace, Posture};
 use self::arm::{Place, equal};
 use self::chain::Chain;
+use self::follow::follow;
 use self::foresight::Foresight;
+use crate::model::Model;
 use crate::robot::{MAX_ARMS, Robot};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Vec3, quaternion_normalised};
@@ -25,9 +29,9 @@ const UNKNOWN: [f64; 7] = [f64::NAN; 7];
 
 /// The goal postures of one lane group.
 #[derive(Debug, Clone)]
-pub(crate) struct Postures<S> {
+pub(crate) struct Postures<S: Real> {
     pub(crate) arms: Vec<Posture<S>>,
-    robot: Arc<Robot>,
+    model: Arc<Model<S>>,
     pace: Pace<S>,
     /// Where the base was read to be when they last followed it: who looks twice sees the same.
     base: [S; 7],
@@ -40,10 +44,10 @@ pub(crate) struct Postures<S> {
 impl<S: Real> Postures<S> {
     /// None yet.
     pub(crate) fn new(robot: &Robot, pace: Pace<S>, trust: f64) -> Self {
-        let arms = (0..robot.n_arms).map(|arm| Posture::new(Chain::new(robot, arm)));
+        let arms = Chain::of(robot).into_iter().map(Posture::new);
         Self {
             arms: arms.collect(),
-            robot: Arc::new(robot.clone()),
+            model: Arc::new(Model::new(robot)),
             pace,
             base: UNKNOWN.map(S::splat),
             believed: UNKNOWN.map(S::splat),
@@ -122,7 +126,7 @@ impl<S: Real> Postures<S> {
     pub(crate) fn guide(&self, gain: f64, scale: f64, limits: &[S], out: &mut [S]) {
         let factor = gain / (self.pace.period * scale);
         for (index, arm) in self.arms.iter().enumerate() {
-            let joints = self.robot.joints.of_arm(index);
+            let joints = self.model.joints.of_arm(index);
             arm.rates(factor, &limits[joints.clone()], &mut out[joints]);
         }
     }
@@ -146,7 +150,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         let rests = equal(&now, &postures.base);
         postures.base = now;
         let (position, quaternion) = postures.believe((position, quaternion), rests);
-        let place = Place { position, quaternion, q, joints: postures.robot.joints };
+        let place = Place { position, quaternion, q, joints: postures.model.joints };
         let mut open = [S::Mask::splat(false); MAX_ARMS];
         let mut still = open;
         let mut any = false;
@@ -155,13 +159,14 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
             any |= open[index].any();
         }
         if any {
-            let Postures { arms, robot, pace, .. } = &mut *postures;
+            let Postures { arms, model, pace, .. } = &mut *postures;
             let open = &open[..arms.len()];
-            Foresight { robot, pace, goals, place: &place, open, to_the_end: false }.choose(arms);
+            Foresight { model, pace, goals, place: &place, open, to_the_end: false }.choose(arms);
         }
-        for (index, (arm, goal)) in postures.arms.iter_mut().zip(goals).enumerate() {
-            arm.follow(goal, (&place, rests & still[index]), index);
+        for still in &mut still {
+            *still = *still & rests;
         }
+        follow(&mut postures.arms, goals, &place, &still);
     }
 }
 

@@ -244,7 +244,7 @@ fn sets_that_are_given_up_are_not_missed() {
     for episode in 0..40 {
         let hand = |arm| EvaluationGoals::drawn(5).hand(&evaluated, episode, arm);
         let goals: Vec<[f64; 6]> = (0..4).map(hand).collect();
-        let Postures { arms: mut begun, pace, .. } = none_yet(&robot);
+        let Postures { arms: mut begun, model, pace, .. } = none_yet(&robot);
         for (index, (arm, goal)) in begun.iter_mut().zip(&goals).enumerate() {
             arm.begin(goal, &place, index);
         }
@@ -252,7 +252,7 @@ fn sets_that_are_given_up_are_not_missed() {
             let mut arms = begun.clone();
             let open = &[true; 4];
             Foresight {
-                robot: &robot,
+                model: &model,
                 pace: &pace,
                 goals: &goals,
                 place: &place,

@@ -86,7 +86,7 @@ pub const UNGUIDED: f64 = 0.7;
 /// [`rotation_difference`]): where the base is and how it is turned makes no difference to what an
 /// arm has to do, nor, without gravity, to how it moves, and so an agent does not have to learn it.
 #[derive(Debug, Clone)]
-pub struct Errors<S> {
+pub struct Errors<S: Real> {
     /// Position (m, world) and Euler angles (rad) of each hand.
     pub hands: Vec<[S; 6]>,
     /// Attitude of the base (rad).

@@ -1,0 +1,161 @@
+//! A rollout of the kinematics alone: joints go as they are guided, and the base as no momentum lets it [Umetani and Yoshida 1989, eq. 9].
+//!
+//! A control step of it costs a hundredth of one of the dynamics.
+
+use super::arm::{Pace, Place, Posture};
+use super::follow::follow;
+use super::foresight::Way;
+use super::search::STOPPED;
+use crate::collision::count_contacts;
+use crate::dynamics::invariants::{BaseMotion, invariants};
+use crate::model::Model;
+use crate::robot::{Joints, MAX_ARMS};
+use crate::scalar::Real;
+use crate::spatial::{
+    Vec3, mat_vec, mul_add, quaternion_exp, quaternion_normalised, quaternion_product,
+    quaternion_to_rotation, scale,
+};
+use crate::state::State;
+use crate::workspace::Workspace;
+
+/// Control steps that are looked ahead: half a turn at 0.8 rad/s takes ten.
+const STEPS: usize = 15;
+/// What an arm that does not arrive counts, in longest ways (rad).
+const MISSED: f64 = 100.0;
+/// What a pair that touches counts in a control step (rad): an arm that touches for five of them is held up and does not arrive.
+const TOUCHES: f64 = 20.0;
+
+/// All arms go to their postures, which follow the base on the way; each lane has begun when it liked.
+pub(super) struct KinematicRollout<S: Real> {
+    workspace: Workspace<S>,
+    joints: Joints,
+    arms: Vec<Posture<S>>,
+    state: State<S>,
+    /// Control steps so far.
+    steps: S,
+    /// What its ways cost.
+    ways: S,
+    /// All pairs that touched, control step by control step.
+    touched: S,
+}
+
+impl<S: Real> KinematicRollout<S> {
+    /// From `place`; no lane has begun.
+    #[inline(always)]
+    pub(super) fn new(model: &Model<S>, arms: &[Posture<S>], place: &Place<'_, S>) -> Self {
+        let zero = [S::zero(); 3];
+        let state = State {
+            base_position: place.position,
+            base_quaternion: place.quaternion,
+            base_linear_velocity: zero,
+            base_angular_velocity: zero,
+            q: place.q.to_vec(),
+            qd: vec![S::zero(); place.q.len()],
+        };
+        Self {
+            workspace: Workspace::new(model),
+            joints: place.joints,
+            arms: arms.to_vec(),
+            state,
+            steps: S::zero(),
+            ways: S::zero(),
+            touched: S::zero(),
+        }
+    }
+
+    /// Begins anew in these lanes: from `place`, with arms that go these ways.
+    #[inline(always)]
+    pub(super) fn begin(
+        &mut self,
+        lanes: S::Mask,
+        arms: &[Posture<S>],
+        ways: &[Way<S>],
+        place: &Place<'_, S>,
+    ) {
+        let mut of_ways = S::zero();
+        for ((arm, from), way) in self.arms.iter_mut().zip(arms).zip(ways) {
+            arm.become_in(lanes, from, &way.angles);
+            of_ways += S::select(way.cost.lt(S::splat(STOPPED)), way.cost, S::zero());
+        }
+        self.ways = S::select(lanes, of_ways, self.ways);
+        self.touched = S::select(lanes, S::zero(), self.touched);
+        self.steps = S::select(lanes, S::zero(), self.steps);
+        let State { base_position, base_quaternion, q, .. } = &mut self.state;
+        take(lanes, base_position, &place.position);
+        take(lanes, base_quaternion, &place.quaternion);
+        take(lanes, q, place.q);
+    }
+
+    /// What its ways and all that touched cost (rad).
+    #[inline(always)]
+    pub(super) fn cost(&self) -> S {
+        self.ways + self.touched * S::splat(TOUCHES)
+    }
+
+    /// [`cost`](Self::cost), and that of arms that have not arrived.
+    #[inline(always)]
+    pub(super) fn final_cost(&self) -> S {
+        let mut cost = self.cost();
+        for arm in &self.arms {
+            cost += (S::one() - arm.good) * S::splat(MISSED);
+        }
+        cost
+    }
+
+    /// Lanes that have looked far enough ahead.
+    #[inline(always)]
+    pub(super) fn has_ended(&self) -> S::Mask {
+        self.steps.ge(S::splat(STEPS as f64))
+    }
+
+    /// Has postures follow the base in these lanes.
+    #[inline(always)]
+    pub(super) fn follow(&mut self, goals: &[[S; 6]], lanes: S::Mask) {
+        let State { base_position: position, base_quaternion: quaternion, q, .. } = &self.state;
+        let now = Place { position: *position, quaternion: *quaternion, q, joints: self.joints };
+        follow(&mut self.arms, goals, &now, &[!lanes; MAX_ARMS]);
+    }
+
+    /// Goes on for a control step, by the midpoint rule.
+    #[inline(always)]
+    pub(super) fn advance(&mut self, model: &Model<S>, pace: &Pace<S>) {
+        let Self { workspace, joints, arms, state, steps, touched, .. } = self;
+        for (index, arm) in arms.iter().enumerate() {
+            let joints = joints.of_arm(index);
+            let factor = pace.gain / pace.period;
+            arm.rates(factor, &pace.limits[joints.clone()], &mut state.qd[joints]);
+        }
+        let period = S::splat(pace.period);
+        let half = S::splat(0.5);
+        let zero = [S::zero(); 3];
+        for (q, rate) in state.q.iter_mut().zip(&state.qd) {
+            *q = (half * period).mul_add(*rate, *q);
+        }
+        let quaternion = state.base_quaternion;
+        let at_rest = BaseMotion { position: zero, quaternion, linear: zero, angular: zero };
+        let v = invariants(model, workspace, &at_rest, &state.q, &state.qd).recoil();
+        for (q, rate) in state.q.iter_mut().zip(&state.qd) {
+            *q = (half * period).mul_add(*rate, *q);
+        }
+        let middle = quaternion_to_rotation(&turned(&quaternion, half * period, v.ang));
+        state.base_position = mul_add(period, mat_vec(&middle, v.lin), state.base_position);
+        state.base_quaternion = turned(&quaternion, period, v.ang);
+        *touched += count_contacts(model, workspace, state);
+        *steps += S::one();
+    }
+}
+
+/// Takes over the others in these lanes.
+#[inline(always)]
+fn take<S: Real>(lanes: S::Mask, these: &mut [S], others: &[S]) {
+    for (this, other) in these.iter_mut().zip(others) {
+        *this = S::select(lanes, *other, *this);
+    }
+}
+
+/// An attitude after a time (s) at an angular velocity (rad/s, its own axes).
+#[inline(always)]
+fn turned<S: Real>(quaternion: &[S; 4], time: S, rates: Vec3<S>) -> [S; 4] {
+    let by = quaternion_exp(scale(time, rates));
+    quaternion_normalised(&quaternion_product(quaternion, &by))
+}
