@@ -285,29 +285,36 @@ fn nearest_turn<S: Real>(angle: S) -> S {
 }
 
 /// Jᵀ (J Jᵀ + λ)⁻¹ e, by L D Lᵀ [Golub and Van Loan, section 4.1.2].
+///
+/// Columns outside, so that many sums are under way at a time.
 #[inline(always)]
 fn least_squares<S: Real>(jacobian: &[[S; 6]], damping: S, error: [S; 6]) -> Angles<S> {
+    // The lower triangle of J Jᵀ + λ, then L below its diagonal.
     let mut l = [[S::zero(); 6]; 6];
-    let mut d = [S::zero(); 6];
-    let mut y = error;
-    for i in 0..6 {
-        for j in 0..=i {
-            let mut sum = if i == j { damping } else { S::zero() };
-            for column in jacobian {
-                sum = column[i].mul_add(column[j], sum);
-            }
-            for k in 0..j {
-                sum = (l[i][k] * d[k]).neg_mul_add(l[j][k], sum);
-            }
-            if i == j {
-                // Rounding may eat a pivot that the damping makes positive.
-                d[i] = sum.max(damping);
-            } else {
-                l[i][j] = sum / d[j];
+    for (i, row) in l.iter_mut().enumerate() {
+        row[i] = damping;
+    }
+    for column in jacobian {
+        for i in 0..6 {
+            for j in 0..=i {
+                l[i][j] = column[i].mul_add(column[j], l[i][j]);
             }
         }
-        for k in 0..i {
+    }
+    let mut d = [S::zero(); 6];
+    let mut y = error;
+    for k in 0..6 {
+        // Rounding may eat a pivot that the damping makes positive.
+        d[k] = l[k][k].max(damping);
+        for i in k + 1..6 {
+            l[i][k] = l[i][k] / d[k];
             y[i] = l[i][k].neg_mul_add(y[k], y[i]);
+        }
+        for i in k + 1..6 {
+            let scaled = l[i][k] * d[k];
+            for j in k + 1..=i {
+                l[i][j] = scaled.neg_mul_add(l[j][k], l[i][j]);
+            }
         }
     }
     for i in (0..6).rev() {
