@@ -1,6 +1,6 @@
 //! The goal posture of one arm: chosen, followed, gone to.
 
-use super::chain::{Angles, Chain, Frame, seen_from};
+use super::chain::{Angles, Chain, Frame, choose, seen_from};
 use super::search::{Question, STARTS, STOPPED, UNSOLVED};
 use crate::robot::{Joints, MAX_JOINTS_PER_ARM};
 use crate::scalar::{Mask, Real};
@@ -183,14 +183,6 @@ impl<S: Real> Posture<S> {
         for out in out {
             *out = *out / excess;
         }
-    }
-}
-
-/// Puts `these` in where the mask is set.
-#[inline(always)]
-pub(super) fn choose<S: Real>(mask: S::Mask, these: Angles<S>, angles: &mut Angles<S>) {
-    for (angle, this) in angles.iter_mut().zip(these) {
-        *angle = S::select(mask, this, *angle);
     }
 }
 

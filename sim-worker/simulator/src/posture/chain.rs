@@ -47,6 +47,14 @@ pub(super) fn put_lane<S: Real>(these: &mut [S], to: usize, others: &[S], from: 
     }
 }
 
+/// Puts `these` in where the mask is set.
+#[inline(always)]
+pub(super) fn choose<S: Real>(mask: S::Mask, these: Angles<S>, angles: &mut Angles<S>) {
+    for (angle, this) in angles.iter_mut().zip(these) {
+        *angle = S::select(mask, this, *angle);
+    }
+}
+
 /// Longest change of a joint in a step (rad).
 const LONGEST: f64 = 0.5;
 /// Damping in parts of the square of the error (m and rad, together), and what remains of it at the goal: in single

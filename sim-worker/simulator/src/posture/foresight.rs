@@ -6,10 +6,10 @@
 //! **Each lane at its own pace.** Most sets are given up after a few control steps. A lane that gives one up begins its next one at once, while others
 //! go on with theirs.
 
-use super::arm::{Pace, Place, Posture, choose};
-use super::chain::{Angles, put_lane};
+use super::arm::{Pace, Place, Posture};
+use super::chain::{choose, put_lane};
 use super::kinematic_rollout::KinematicRollout;
-use super::search::{Question, STARTS, STOPPED};
+use super::search::{Question, STARTS, STOPPED, Way};
 use crate::model::Model;
 use crate::scalar::{Kernel, LANES, Mask, Real};
 
@@ -77,23 +77,6 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
         for ((arm, best), open) in arms.iter_mut().zip(&sets.best).zip(open) {
             choose(*open, best.angles, &mut arm.angles);
         }
-    }
-}
-
-/// One way of an arm.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Way<S> {
-    pub(super) angles: Angles<S>,
-    /// What is to be said against it, as [`Question::cost`] tells it.
-    pub(super) cost: S,
-}
-
-impl<S: Real> Way<S> {
-    /// Becomes the other one in these lanes.
-    #[inline(always)]
-    fn take(&mut self, lanes: S::Mask, other: &Self) {
-        choose(lanes, other.angles, &mut self.angles);
-        self.cost = S::select(lanes, other.cost, self.cost);
     }
 }
 

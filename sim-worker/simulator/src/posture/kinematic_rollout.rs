@@ -4,8 +4,7 @@
 
 use super::arm::{Pace, Place, Posture};
 use super::follow::follow;
-use super::foresight::Way;
-use super::search::STOPPED;
+use super::search::{STOPPED, Way};
 use crate::collision::count_contacts;
 use crate::dynamics::invariants::{BaseMotion, invariants};
 use crate::model::Model;

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::chain::{Angles, Chain, Frame};
+use super::chain::{Angles, Chain, Frame, choose};
 use crate::robot::MAX_JOINTS_PER_ARM;
 use crate::scalar::{Kernel, Mask, Real};
 
@@ -67,6 +67,23 @@ impl<S: Real> Question<'_, S> {
             q = self.chain.approach(self.target, &q).0;
         }
         q
+    }
+}
+
+/// One way of an arm.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Way<S> {
+    pub(super) angles: Angles<S>,
+    /// What is to be said against it, as [`Question::cost`] tells it.
+    pub(super) cost: S,
+}
+
+impl<S: Real> Way<S> {
+    /// Becomes the other one in these lanes.
+    #[inline(always)]
+    pub(super) fn take(&mut self, lanes: S::Mask, other: &Self) {
+        choose(lanes, other.angles, &mut self.angles);
+        self.cost = S::select(lanes, other.cost, self.cost);
     }
 }
 
