@@ -65,6 +65,7 @@ mod number;
 mod optimizer_step;
 pub mod panics;
 pub mod precision;
+mod product;
 pub mod report;
 pub mod state;
 pub mod synthetic;

@@ -1,5 +1,7 @@
 //! Numbers as activations are kept: f32 and bfloat16.
 
+use crate::features::{Features, Loop, run_for};
+
 /// A number as activations are kept.
 pub(crate) trait Number: Copy {
     /// Widened exactly.
@@ -34,5 +36,25 @@ impl Number for Bf16 {
         let bits = x.to_bits();
         // Half of the last place, less one if that is even; NaN stays NaN, because libtorch's has its upper bits set.
         Self((bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16) as u16)
+    }
+}
+
+/// Rounds number by number.
+pub(crate) fn round_all(from: &[f32], to: &mut [Bf16]) {
+    run_for(Features::detect(), Round { from, to });
+}
+
+/// The arguments of [`round_all`].
+struct Round<'a> {
+    from: &'a [f32],
+    to: &'a mut [Bf16],
+}
+
+impl Loop for Round<'_> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        for (&from, to) in self.from.iter().zip(self.to) {
+            *to = Bf16::round(from);
+        }
     }
 }

@@ -64,7 +64,11 @@ impl Mappo {
                 let n_critics = state.critic.spec.rows / n_groups;
                 let critics = Actors { len: n_critics, ..actors };
                 let passes = |network: &NetworkState, rows: &Actors| {
-                    NetworkPasses::new(config, network, rows, kind, device)
+                    let mut passes = NetworkPasses::new(config, network, rows, kind, device);
+                    if threads / at_once == 1 {
+                        passes.compute.multiply_alone();
+                    }
+                    passes
                 };
                 let own = dimensions.actions_with_joint().map(|flags| {
                     let shape = [dimensions.n_actors as i64, dimensions.actor_output() as i64];

@@ -29,6 +29,11 @@ impl Compute {
         Self { stack, passes, is_first: true }
     }
 
+    /// From now on one thread computes. A product's bits need not be those of several threads.
+    pub fn multiply_alone(&mut self) {
+        self.passes.multiply_alone(&self.stack);
+    }
+
     /// Takes over the parameters `[A, P]`: folds and rounds them. Once before the passes of a step, whose first [`Self::backward`] overwrites the
     /// gradient.
     pub fn load(&mut self, flat: &Tensor) {
@@ -48,7 +53,7 @@ impl Compute {
                 passes.load_head(&stack.head);
                 stack.head_bias.copy_(&bias.transpose(1, 2));
             } else {
-                stack.weight[layer].copy_(&weight);
+                passes.load_weight(layer, &weight, &mut stack.weight[layer]);
                 passes.load_bias(layer, &bias);
             }
         }
@@ -71,8 +76,9 @@ impl Compute {
             _ => rows.unsqueeze(1).expand([b, each, f], true).reshape([b * each, f]),
         };
         let rows = rows.unsqueeze(0).expand([networks, b * each, f], true);
-        // On a CPU both products with it would copy it otherwise.
-        if rows.device() == Device::Cpu { rows.contiguous() } else { rows }
+        // On a CPU both of libtorch's products with it would copy it otherwise.
+        let is_copied = rows.device() == Device::Cpu && !self.passes.share_input();
+        if is_copied { rows.contiguous() } else { rows }
     }
 
     /// The outputs `[A, U, B]`, in f32, for standardised inputs `x` `[N, R, in]` in the products'

@@ -9,6 +9,19 @@ use crate::network::NetworkSpec;
 
 /// The way forward and back through the folded layers of a [`Stack`].
 pub(super) trait Passes: Debug + Send {
+    /// From now on one thread multiplies, without libtorch if that is faster.
+    fn multiply_alone(&mut self, _stack: &Stack) {}
+
+    /// Whether an input that all networks share may lie in memory once.
+    fn share_input(&self) -> bool {
+        false
+    }
+
+    /// Takes over the folded weights `[N, in, H]` of a hidden layer, which are rounded into the stack's.
+    fn load_weight(&mut self, _layer: usize, weight: &Tensor, rounded: &mut Tensor) {
+        rounded.copy_(weight);
+    }
+
     /// Takes over the folded bias of a hidden layer, `[A, 1, H]` of the first, `[N, 1, H]` of the others.
     fn load_bias(&mut self, layer: usize, bias: &Tensor);
 

@@ -1,10 +1,11 @@
-//! The passes on a CPU with ReLU or ELU: libtorch multiplies, and what stands between two products is one loop over the samples in plain Rust.
+//! The passes on a CPU with ReLU or ELU: what stands between two products (`products.rs`) is one loop over the samples in plain Rust.
 
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
 use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes, Unit};
 use super::passes::{Passes, StepGradient};
+use super::products::Products;
 use super::stack::Stack;
 use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::number::{Bf16, Number};
@@ -13,6 +14,7 @@ use crate::number::{Bf16, Number};
 #[derive(Debug)]
 pub(super) struct PlainPasses {
     rows: RowPasses,
+    products: Products,
     /// `[A, H]` of the first hidden layer, `[N, H]` of the others, folded.
     bias: Vec<Tensor>,
 }
@@ -29,6 +31,7 @@ impl PlainPasses {
         let hidden = stack.spec.hidden.iter().enumerate();
         (stack.device == Device::Cpu).then(|| Self {
             rows: RowPasses::new(unit),
+            products: Products::default(),
             bias: hidden
                 .map(|(layer, &units)| Tensor::zeros([stack.biases(layer), units], options))
                 .collect(),
@@ -46,9 +49,9 @@ impl PlainPasses {
         let mut input = x.shallow_clone();
         for layer in 0..layers {
             let width = stack.spec.hidden[layer];
-            let product = stack.chunk(&stack.buffers.active[layer], rows, width);
+            let mut product = stack.chunk(&stack.buffers.active[layer], rows, width);
             let mut hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
-            let _ = input.bmm_out(&product, &stack.weight[layer]);
+            self.products.forward(stack, layer, &input, &mut product);
             let deviations = [stack.networks(), rows];
             let mut inverse_std = stack.spec.layer_norm.then(|| Tensor::zeros(deviations, float));
             let sizes = sizes(stack, layer, rows);
@@ -136,22 +139,32 @@ impl PlainPasses {
                         stack.spec.hidden[layer - 1],
                     )
                 };
-                let part = &stack.buffers.weight_gradient[layer];
-                let _ = input.transpose(1, 2).bmm_out(part, &d);
-                let (weight_name, bias_name) = stack.names(layer);
-                sums.take(&stack.spec, &weight_name, part);
+                self.products.weight_gradient(stack, layer, [&input, &d], sums);
+                let (_, bias_name) = stack.names(layer);
                 sums.take(&stack.spec, &bias_name, &d_bias);
             }
             if layer > 0 {
-                let below =
+                let mut below =
                     stack.gradient_chunk(layers - layer, rows, stack.spec.hidden[layer - 1]);
-                let _ = d.bmm_out(&below, &stack.weight[layer].transpose(1, 2));
+                self.products.input_gradient(stack, layer, &d, &mut below);
             }
         }
     }
 }
 
 impl Passes for PlainPasses {
+    fn multiply_alone(&mut self, stack: &Stack) {
+        self.products.multiply_alone(stack);
+    }
+
+    fn share_input(&self) -> bool {
+        self.products.share_input()
+    }
+
+    fn load_weight(&mut self, layer: usize, weight: &Tensor, rounded: &mut Tensor) {
+        self.products.load(layer, weight, rounded);
+    }
+
     fn load_bias(&mut self, layer: usize, bias: &Tensor) {
         self.bias[layer].copy_(&bias.squeeze_dim(1));
     }

@@ -65,16 +65,28 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
                     "network.hidden=[24,16,20]",
                     "network.critic_hidden=[]",
                 ]);
-                for (device, fused) in [(Device::Cpu, true), (Device::Cpu, false)]
+                for (device, way) in [Way::Alone, Way::Fused, Way::Operations]
+                    .map(|way| (Device::Cpu, way))
                     .into_iter()
-                    .chain(crate::gpu().map(|gpu| (gpu, false)))
+                    .chain(crate::gpu().map(|gpu| (gpu, Way::Operations)))
                 {
-                    compare(&config, kind, Arithmetic::F32, device, fused, 3e-6);
-                    compare(&config, kind, Arithmetic::Bf16, device, fused, 0.25);
+                    compare(&config, kind, Arithmetic::F32, device, way, 3e-6);
+                    compare(&config, kind, Arithmetic::Bf16, device, way, 0.25);
                 }
             }
         }
     }
+}
+
+/// How passes are computed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Way {
+    /// With products of our own, where there are some.
+    Alone,
+    /// With libtorch's products.
+    Fused,
+    /// With libtorch's operations alone.
+    Operations,
 }
 
 /// Tolerances relative to the norm: in f32 about 50 roundings of 2⁻²⁴ = 6e-8 each. In bf16 a few of
@@ -85,7 +97,7 @@ fn compare(
     kind: NetworkKind,
     arithmetic: Arithmetic,
     device: Device,
-    fused: bool,
+    way: Way,
     tolerance: f64,
 ) {
     let spec = NetworkSpec::new(kind, config, &Dimensions::new(config, Joints::of_sixes(2)));
@@ -107,8 +119,10 @@ fn compare(
 
     tch::no_grad(|| {
         let mut compute = Compute::new(&spec, config.network.activation, arithmetic.kind(), device);
-        if !fused {
-            compute.passes = Box::new(TorchPasses::new(&compute.stack));
+        match way {
+            Way::Alone => compute.multiply_alone(),
+            Way::Fused => {}
+            Way::Operations => compute.passes = Box::new(TorchPasses::new(&compute.stack)),
         }
         // A larger chunk first: later ones use the beginning of its buffers.
         let larger = Tensor::randn([b + 7, a * spec.input], options).to_kind(arithmetic.kind());
@@ -125,7 +139,10 @@ fn compare(
         let gradient = flat.full_like(f64::NAN);
         let near = |ours: &Tensor, theirs: &Tensor, what: &str| {
             let error = ((ours - theirs).norm() / theirs.norm()).double_value(&[]);
-            assert!(error < tolerance, "{what} of {kind:?} {arithmetic:?} on {device:?}: {error}");
+            assert!(
+                error < tolerance,
+                "{what} of {kind:?} {arithmetic:?} on {device:?}, {way:?}: {error}"
+            );
         };
         // Two halves add up to the whole.
         for start in [0, b / 2] {

@@ -1,0 +1,59 @@
+//! The product itself.
+
+use super::native::Native;
+use super::packed::Packed;
+use crate::number::Bf16;
+
+/// The left factor `[M, K]`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Left<'a> {
+    /// Row-major, as it lies in memory.
+    Rows(&'a [Bf16]),
+    /// By its transpose `[K, M]`.
+    Transposed(&'a Packed),
+}
+
+/// Where the product `[M, N]` goes, row-major.
+#[derive(Debug)]
+pub(crate) enum Out<'a> {
+    /// Rounded.
+    Rounded(&'a mut [Bf16]),
+    /// Rounded and widened, in the place of what is there.
+    Widened(&'a mut [f32]),
+    /// Rounded and widened, added to what is there.
+    Added(&'a mut [f32]),
+}
+
+impl Out<'_> {
+    fn len(&self) -> usize {
+        match self {
+            Self::Rounded(out) => out.len(),
+            Self::Widened(out) | Self::Added(out) => out.len(),
+        }
+    }
+}
+
+/// The product of `left` with `right` `[K, N]`.
+///
+/// # Panics
+/// If the sizes do not fit each other.
+pub(crate) fn multiply(native: Native, left: Left<'_>, right: &Packed, out: Out<'_>) {
+    let (inner, columns) = (right.rows(), right.columns());
+    let rows = match left {
+        Left::Rows(numbers) => {
+            let rows = numbers.len() / inner.max(1);
+            assert_eq!(numbers.len(), rows * inner, "the left factor has other rows");
+            rows
+        }
+        Left::Transposed(packed) => {
+            assert_eq!(packed.rows(), inner, "the factors do not fit each other");
+            packed.columns()
+        }
+    };
+    assert_eq!(out.len(), rows * columns, "the product has another size");
+    assert!(inner > 0, "factors of nothing");
+    #[cfg(target_arch = "x86_64")]
+    super::pairs::multiply(native, left, right, out, rows);
+    #[cfg(not(target_arch = "x86_64"))]
+    match native {}
+}

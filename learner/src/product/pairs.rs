@@ -1,0 +1,188 @@
+//! The loops of a product, in instructions that multiply bfloat16 in pairs.
+#![expect(
+    unsafe_code,
+    reason = "instructions of detected processor features, and reads without a check of bounds in the innermost loop"
+)]
+
+use std::arch::x86_64::{
+    __m256bh, __m256i, __m512, __m512bh, __m512i, _mm256_mask_storeu_epi16, _mm512_add_ps,
+    _mm512_castsi512_ps, _mm512_cvtepu16_epi32, _mm512_cvtneps_pbh, _mm512_dpbf16_ps,
+    _mm512_loadu_si512, _mm512_mask_storeu_ps, _mm512_maskz_loadu_ps, _mm512_set1_epi32,
+    _mm512_setzero_ps, _mm512_slli_epi32,
+};
+
+use super::multiply::{Left, Out};
+use super::native::Native;
+use super::packed::{PANEL, Packed, PairRow};
+use crate::number::Bf16;
+
+/// Rows of a tile.
+const TILE: usize = 8;
+
+/// Numbers in a register; a panel's row takes two.
+const LANES: usize = 16;
+
+/// The sums of a tile.
+type Sums<const M: usize> = [[__m512; 2]; M];
+
+/// The product of `left` `[rows, K]` with `right` `[K, N]`. The sizes fit each other, and K is not zero.
+pub(super) fn multiply(_: Native, left: Left<'_>, right: &Packed, mut out: Out<'_>, rows: usize) {
+    // SAFETY: there is no `Native` without these features.
+    unsafe { multiply_compiled(left, right, &mut out, rows) };
+}
+
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512bf16")]
+fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: usize) {
+    for (panel, pairs) in right.panels().enumerate() {
+        let mut row = 0;
+        while row < rows {
+            let at = [row, panel * PANEL, right.columns()];
+            // SAFETY: this function is compiled for the features that all below it use.
+            unsafe {
+                match rows - row {
+                    1 => tile::<1>(left, right.rows(), pairs, out, at),
+                    2 => tile::<2>(left, right.rows(), pairs, out, at),
+                    3 => tile::<3>(left, right.rows(), pairs, out, at),
+                    4 => tile::<4>(left, right.rows(), pairs, out, at),
+                    5 => tile::<5>(left, right.rows(), pairs, out, at),
+                    6 => tile::<6>(left, right.rows(), pairs, out, at),
+                    7 => tile::<7>(left, right.rows(), pairs, out, at),
+                    _ => tile::<TILE>(left, right.rows(), pairs, out, at),
+                }
+            }
+            row += TILE;
+        }
+    }
+}
+
+/// Rows `row` to `row + M` of the product with a panel, whose first column is `column` of `columns`.
+///
+/// # Safety
+/// Called from code that is compiled for AVX-512 with bfloat16. M is at most [`TILE`].
+#[inline(always)]
+unsafe fn tile<const M: usize>(
+    left: Left<'_>,
+    inner: usize,
+    panel: &[PairRow],
+    out: &mut Out<'_>,
+    [row, column, columns]: [usize; 3],
+) {
+    // SAFETY: the caller's promise is that of all below. The slices hold every address that is read: of M rows of K numbers those of K / 2 pairs, and of a panel its
+    // K / 2 rows (rounded up), M pairs each; tiles do not reach over the end of a panel, as that is a multiple of theirs.
+    unsafe {
+        let sums = match left {
+            Left::Rows(numbers) => {
+                let numbers = &numbers[row * inner..][..M * inner];
+                let (pairs, odd) = panel.split_at(inner / 2);
+                let mut sums = sums::<M>(numbers.as_ptr().cast(), [inner * 2, 4], pairs);
+                if let [last] = odd {
+                    for (m, sums) in sums.iter_mut().enumerate() {
+                        let x = u32::from(numbers[(m + 1) * inner - 1].0);
+                        add_products(sums, x, halves(last));
+                    }
+                }
+                sums
+            }
+            Left::Transposed(packed) => {
+                let each = panel.len();
+                let of_rows = packed.panels().nth(row / PANEL).expect("as many panels as rows");
+                debug_assert_eq!(of_rows.len(), each);
+                let first = of_rows.as_flattened().as_ptr().add(row % PANEL);
+                sums::<M>(first.cast(), [4, size_of::<PairRow>()], panel)
+            }
+        };
+        for (m, sums) in sums.into_iter().enumerate() {
+            for (half, sums) in sums.into_iter().enumerate() {
+                let column = column + half * LANES;
+                if column < columns {
+                    put(sums, out, (row + m) * columns + column, columns - column);
+                }
+            }
+        }
+    }
+}
+
+/// The sums over all rows of `panel`, times the pair at `first`, `step` bytes further with each row of the panel, and `row` bytes with each of the tile.
+///
+/// # Safety
+/// As for [`tile`]; all these pairs can be read.
+#[inline(always)]
+unsafe fn sums<const M: usize>(
+    first: *const u8,
+    [row, step]: [usize; 2],
+    panel: &[PairRow],
+) -> Sums<M> {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let mut sums = [[_mm512_setzero_ps(); 2]; M];
+        let mut at = first;
+        for pairs in panel {
+            let pairs = halves(pairs);
+            for (m, sums) in sums.iter_mut().enumerate() {
+                let x = at.wrapping_add(m * row).cast::<u32>().read_unaligned();
+                add_products(sums, x, pairs);
+            }
+            at = at.wrapping_add(step);
+        }
+        sums
+    }
+}
+
+/// A row of a panel in two registers.
+///
+/// # Safety
+/// As for [`tile`].
+#[inline(always)]
+unsafe fn halves(row: &PairRow) -> [__m512bh; 2] {
+    // SAFETY: a row has twice sixteen pairs, and the loads ask for no alignment. The transmuted types are of one size, and every bit pattern is a value of both.
+    unsafe {
+        let (first, second) = (row.as_ptr(), row.as_ptr().add(LANES));
+        [
+            std::mem::transmute::<__m512i, __m512bh>(_mm512_loadu_si512(first.cast())),
+            std::mem::transmute::<__m512i, __m512bh>(_mm512_loadu_si512(second.cast())),
+        ]
+    }
+}
+
+/// Adds the products of the pair `x` with sixteen pairs, twice.
+///
+/// # Safety
+/// As for [`tile`].
+#[inline(always)]
+unsafe fn add_products(sums: &mut [__m512; 2], x: u32, pairs: [__m512bh; 2]) {
+    // SAFETY: the caller's promise; transmuted as above.
+    unsafe {
+        let x = std::mem::transmute::<__m512i, __m512bh>(_mm512_set1_epi32(x as i32));
+        sums[0] = _mm512_dpbf16_ps(sums[0], x, pairs[0]);
+        sums[1] = _mm512_dpbf16_ps(sums[1], x, pairs[1]);
+    }
+}
+
+/// Rounds sixteen sums and puts the first `left` of them at `at`.
+///
+/// # Safety
+/// As for [`tile`].
+#[inline(always)]
+unsafe fn put(sums: __m512, out: &mut Out<'_>, at: usize, left: usize) {
+    let len = left.min(LANES);
+    let mask = (0xffff_u32 >> (LANES - len)) as u16;
+    // SAFETY: the caller's promise; what the mask leaves of sixteen numbers lies within the slice of `len`. Transmuted as above.
+    unsafe {
+        let rounded = std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(sums));
+        let widened = _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(rounded)));
+        match out {
+            Out::Rounded(out) => {
+                let out: &mut [Bf16] = &mut out[at..at + len];
+                _mm256_mask_storeu_epi16(out.as_mut_ptr().cast(), mask, rounded);
+            }
+            Out::Widened(out) => {
+                _mm512_mask_storeu_ps(out[at..at + len].as_mut_ptr(), mask, widened);
+            }
+            Out::Added(out) => {
+                let out = &mut out[at..at + len];
+                let sum = _mm512_add_ps(_mm512_maskz_loadu_ps(mask, out.as_ptr()), widened);
+                _mm512_mask_storeu_ps(out.as_mut_ptr(), mask, sum);
+            }
+        }
+    }
+}
