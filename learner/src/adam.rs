@@ -13,7 +13,7 @@
 
 use std::ops::Range;
 
-use tch::{Device, Kind, Tensor};
+use tch::{Device, Tensor};
 
 use crate::features::{Features, Loop, mul_add, run_for};
 use crate::memory::{are_apart, numbers, numbers_mut};
@@ -76,8 +76,9 @@ impl Adam {
         for together in agents.chunk_by(alike).filter(|together| active[together[0]]) {
             let (first, columns) = (together[0], columns(together[0]));
             let part = |tensor: &Tensor| {
-                let rows = tensor.narrow(0, first as i64, together.len() as i64);
-                rows.narrow(1, columns.start, columns.end - columns.start)
+                let (rows, row) = (together.len() as i64, tensor.stride()[0]);
+                let start = tensor.storage_offset() + first as i64 * row + columns.start;
+                tensor.as_strided([rows, columns.end - columns.start], [row, 1], start)
             };
             let parts = [part(flat), part(&self.m), part(&self.v), part(gradient)];
             let step = self.steps[first] as f64;
@@ -174,10 +175,12 @@ impl Loop for Pass<'_> {
 /// Scales rows of the gradient whose norm exceeds `max_norm`; 0 turns it off. The `parts` have A rows together, `squared` are
 /// the squared norms `[A]`. Returns the norms before.
 pub fn clip_gradient(parts: &[Tensor], squared: &Tensor, max_norm: f64) -> Vec<f64> {
-    let norm = squared.to_kind(Kind::Double).sqrt();
-    let norms = Vec::<f64>::try_from(&norm).expect("a vector of f64");
+    let squared = Vec::<f32>::try_from(squared).expect("a vector of f32");
+    let norms: Vec<f64> = squared.into_iter().map(|squared| f64::from(squared).sqrt()).collect();
     if max_norm > 0.0 && norms.iter().any(|&norm| norm > max_norm) {
-        let scale = (max_norm / (norm + 1e-6)).clamp_max(1.0).to_kind(Kind::Float);
+        let scale = |norm: &f64| (max_norm / (norm + 1e-6)).min(1.0) as f32;
+        let scale: Vec<f32> = norms.iter().map(scale).collect();
+        let scale = Tensor::from_slice(&scale).to_device(parts[0].device());
         let mut first = 0;
         for part in parts {
             let rows = part.size()[0];

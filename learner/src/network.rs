@@ -49,7 +49,12 @@ impl Parameter {
 
     /// The parameter's part `[A, …]` of `flat` `[A, P]`, in the same memory.
     pub fn view(&self, flat: &Tensor) -> Tensor {
-        let mut shape = vec![flat.size()[0]];
+        self.of_rows(flat, flat.size()[0])
+    }
+
+    /// The same of the first `rows` rows, by one operation.
+    fn of_rows(&self, flat: &Tensor, rows: i64) -> Tensor {
+        let mut shape = vec![rows];
         shape.extend(&self.shape);
         let mut strides = vec![flat.stride()[0]];
         strides.extend((0..self.shape.len()).map(|d| self.shape[d + 1..].iter().product::<i64>()));
@@ -284,8 +289,8 @@ impl NetworkSpec {
 
     /// What is learned of a parameter, in the same memory: `[N, …]`, of the first hidden bias `[A, H]`.
     pub fn learned(&self, name: &str, flat: &Tensor) -> Tensor {
-        let all = self.view(name, flat);
-        if name == OWN { all } else { all.narrow(0, 0, self.n_networks as i64) }
+        let rows = if name == OWN { self.rows } else { self.n_networks };
+        self.get(name).of_rows(flat, rows as i64)
     }
 
     /// Turns the gradients of the summed loss of a network's agents into those of its mean, where they are learned.
@@ -304,7 +309,8 @@ impl NetworkSpec {
         let [learned, others] = &parts[..] else { return squared_norms(gradient) };
         let others = squared_norms(others).view([-1, self.n_networks as i64]);
         let others = others.sum_dim_intlist(&[0i64][..], false, Kind::Float);
-        (squared_norms(learned) + others).repeat([self.rows_per_network()])
+        let norms = squared_norms(learned) + others;
+        norms.unsqueeze(0).expand([self.rows_per_network(), -1], false).reshape([-1])
     }
 
     /// Copies the shared columns of each network's first row of `flat` to its other rows.

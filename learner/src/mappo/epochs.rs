@@ -228,10 +228,12 @@ impl Group {
     }
 }
 
-/// The logarithms of the deviations `[A, U]`, each actor's that of its network.
+/// The logarithms of the deviations `[A, U]`, each actor's that of its network. In the parameters' memory where no network is shared.
 fn log_std(actor: &NetworkPart) -> Tensor {
     let learned = actor.spec.learned("log_std", &actor.flat);
-    learned.repeat([actor.spec.rows_per_network(), 1])
+    let (networks, actions) = learned.size2().expect("[N, U]");
+    let each = actor.spec.rows_per_network();
+    learned.unsqueeze(0).expand([each, networks, actions], false).reshape([-1, actions])
 }
 
 /// The gradient `[C, A / C, B]` of the mean loss over a critic's agents by what it says, from those `[A, B]` of each agent's loss by its value.

@@ -96,9 +96,11 @@ impl PlainPasses {
             let product = stack.chunk(&stack.buffers.active[layer], rows, width);
             let hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
             let mut d_bias = Tensor::zeros([stack.biases(layer), width], float);
-            let mut d_head = Tensor::zeros([networks, stack.spec.output, width], float);
-            let mut d_head_bias = Tensor::zeros([networks, stack.spec.output], float);
-            let is_last = layer + 1 == layers;
+            let mut d_head = (layer + 1 == layers).then(|| {
+                let outputs = stack.spec.output;
+                let weight = Tensor::zeros([networks, outputs, width], float);
+                (weight, Tensor::zeros([networks, outputs], float))
+            });
             assert!(
                 are_apart(&[&d, &d_output]),
                 "the loss's gradient lies in a buffer of the passes"
@@ -116,19 +118,19 @@ impl PlainPasses {
                     inverse_std: stack.buffers.inverse_std.get(layer).map(|tensor| numbers(tensor)),
                     gradient: numbers_mut(&mut d),
                     bias_gradient: numbers_mut(&mut d_bias),
-                    head: is_last.then(|| HeadBackward {
+                    head: d_head.as_mut().map(|(weight, bias)| HeadBackward {
                         weight: numbers(&stack.head),
                         output_gradient: numbers(&d_output),
-                        weight_gradient: numbers_mut(&mut d_head),
-                        bias_gradient: numbers_mut(&mut d_head_bias),
+                        weight_gradient: numbers_mut(weight),
+                        bias_gradient: numbers_mut(bias),
                     }),
                 }
             };
             self.rows.backward::<T>(sizes, arrays);
             if let Some(sums) = sums {
-                if is_last {
-                    sums.take(&stack.spec, "head.weight", &d_head.transpose(1, 2));
-                    sums.take(&stack.spec, "head.bias", &d_head_bias);
+                if let Some((weight, bias)) = &d_head {
+                    sums.take(&stack.spec, "head.weight", &weight.transpose(1, 2));
+                    sums.take(&stack.spec, "head.bias", bias);
                 }
                 let input = if layer == 0 {
                     x.shallow_clone()

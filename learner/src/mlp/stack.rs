@@ -133,7 +133,7 @@ impl Stack {
 
     /// `[N, rows, width]` at the beginning of a flat buffer.
     pub(super) fn chunk(&self, flat: &Tensor, rows: i64, width: i64) -> Tensor {
-        flat.narrow(0, 0, self.networks() * rows * width).view([self.networks(), rows, width])
+        flat.as_strided([self.networks(), rows, width], [rows * width, width, 1], 0)
     }
 
     /// One of the two buffers between which the gradient by activations alternates.
