@@ -19,6 +19,9 @@ use crate::number::Bf16;
 /// Rows of a tile.
 const TILE: usize = 8;
 
+/// Rows that meet all panels before others do, so that they are fetched into the second cache once.
+const BLOCK: usize = 64;
+
 /// Numbers in a register; a panel's row takes two.
 const LANES: usize = 16;
 
@@ -33,21 +36,25 @@ pub(super) fn multiply(_: Native, left: Left<'_>, right: &Packed, mut out: Out<'
 
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512bf16")]
 fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: usize) {
-    for (panel, pairs) in right.panels().enumerate() {
-        let mut row = 0;
-        while row < rows {
+    let (panels, inner) = (right.panels().len(), right.rows());
+    for index in 0..panels * rows.div_ceil(BLOCK) {
+        let (block, panel) = (index / panels, index % panels);
+        let pairs = right.panels().nth(panel).expect("one of them");
+        let mut row = block * BLOCK;
+        let end = rows.min(row + BLOCK);
+        while row < end {
             let at = [row, panel * PANEL, right.columns()];
             // SAFETY: this function is compiled for the features that all below it use.
             unsafe {
                 match rows - row {
-                    1 => tile::<1>(left, right.rows(), pairs, out, at),
-                    2 => tile::<2>(left, right.rows(), pairs, out, at),
-                    3 => tile::<3>(left, right.rows(), pairs, out, at),
-                    4 => tile::<4>(left, right.rows(), pairs, out, at),
-                    5 => tile::<5>(left, right.rows(), pairs, out, at),
-                    6 => tile::<6>(left, right.rows(), pairs, out, at),
-                    7 => tile::<7>(left, right.rows(), pairs, out, at),
-                    _ => tile::<TILE>(left, right.rows(), pairs, out, at),
+                    1 => tile::<1>(left, inner, pairs, out, at),
+                    2 => tile::<2>(left, inner, pairs, out, at),
+                    3 => tile::<3>(left, inner, pairs, out, at),
+                    4 => tile::<4>(left, inner, pairs, out, at),
+                    5 => tile::<5>(left, inner, pairs, out, at),
+                    6 => tile::<6>(left, inner, pairs, out, at),
+                    7 => tile::<7>(left, inner, pairs, out, at),
+                    _ => tile::<TILE>(left, inner, pairs, out, at),
                 }
             }
             row += TILE;
