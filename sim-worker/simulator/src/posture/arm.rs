@@ -13,7 +13,7 @@ const SAME: [f64; 2] = [0.05, 0.1];
 
 /// The goal posture of one arm.
 #[derive(Debug, Clone)]
-pub(crate) struct Posture<S> {
+pub(crate) struct Posture<S: Real> {
     /// What is left to go, a joint each (rad); zero behind the arm's last.
     left: Angles<S>,
     /// One where the posture brings the hand to its goal and no joint is stopped there, else zero.
@@ -26,6 +26,8 @@ pub(crate) struct Posture<S> {
     pub(super) angles: Angles<S>,
     /// Starts of the search that were tried.
     pub(super) tried: S,
+    /// The step of following that is under way, or was last.
+    pub(super) pursuit: Pursuit<S>,
 }
 
 /// How fast arms go to their postures.
@@ -52,6 +54,15 @@ pub(super) struct Pursuit<S: Real> {
     /// Lanes that need another way.
     pub(super) bad: S::Mask,
     rests: S::Mask,
+}
+
+impl<S: Real> Pursuit<S> {
+    /// None yet.
+    fn new(chain: &Chain<S>) -> Self {
+        let none = S::Mask::splat(false);
+        let (stands, before) = (chain.home, chain.home);
+        Self { target: chain.mount, stands, before, cost: S::zero(), bad: none, rests: none }
+    }
 }
 
 /// Where the robot is.
@@ -96,7 +107,8 @@ impl<S: Real> Posture<S> {
         let angles = chain.home;
         let (zero, goal) = (S::zero(), [S::splat(f64::NAN); 6]);
         let left = [zero; MAX_JOINTS_PER_ARM];
-        Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
+        let pursuit = Pursuit::new(&chain);
+        Self { left, good: zero, free: zero, chain, goal, angles, tried: zero, pursuit }
     }
 
     /// Becomes the other one with these angles, where the mask is set; both have the same goal.
@@ -129,14 +141,14 @@ impl<S: Real> Posture<S> {
         (new, rests)
     }
 
-    /// Goes after its goal, which the base carries away, but in lanes where it `rests`.
+    /// Goes after its goal, which the base carries away, but in lanes where it `rests`; says whether some lane needs another way.
     #[inline(always)]
     pub(super) fn go_after(
         &mut self,
         goal: &[S; 6],
         (place, rests): (&Place<'_, S>, S::Mask),
         index: usize,
-    ) -> Pursuit<S> {
+    ) -> bool {
         let Self { chain, angles, tried, .. } = self;
         let (target, stands) = (place.seen(goal), place.stands(index));
         let question = Question { chain, target: &target, stands: &stands };
@@ -154,13 +166,14 @@ impl<S: Real> Posture<S> {
         cost = S::select(astray, cost_before, cost);
         let bad = !rests & cost.ge(S::splat(STOPPED));
         *tried = S::select(bad, *tried + S::one(), *tried);
-        Pursuit { target, stands, before, cost, bad, rests }
+        self.pursuit = Pursuit { target, stands, before, cost, bad, rests };
+        bad.any()
     }
 
     /// Ends a step of [`Posture::go_after`].
     #[inline(always)]
-    pub(super) fn settle(&mut self, pursuit: &Pursuit<S>) {
-        let Self { left, good, free, chain, angles, .. } = self;
+    pub(super) fn settle(&mut self) {
+        let Self { left, good, free, chain, angles, pursuit, .. } = self;
         let Pursuit { stands, before, cost, rests, .. } = pursuit;
         choose(*rests, *before, angles);
         let is_good = S::select(cost.lt(S::splat(STOPPED)), S::one(), S::zero());

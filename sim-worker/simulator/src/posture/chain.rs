@@ -92,7 +92,7 @@ type Jacobian<S> = [[S; 6]; MAX_JOINTS_PER_ARM];
 /// An arm as its hand's pose depends on it.
 #[derive(Debug, Clone)]
 pub(super) struct Chain<S> {
-    mount: Frame<S>,
+    pub(super) mount: Frame<S>,
     pub(super) home: Angles<S>,
     kind: Arc<Kind<S>>,
 }

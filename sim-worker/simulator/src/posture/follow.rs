@@ -5,7 +5,6 @@
 use super::arm::{Place, Posture, Pursuit};
 use super::chain::put_lane;
 use super::search::{Question, STOPPED};
-use crate::robot::MAX_ARMS;
 use crate::scalar::{LANES, Mask, Real};
 
 /// Has all arms follow their goals, but in lanes where they `rests`, an entry an arm.
@@ -16,24 +15,21 @@ pub(super) fn follow<S: Real>(
     place: &Place<'_, S>,
     rests: &[S::Mask],
 ) {
-    let mut pursuits = Vec::with_capacity(MAX_ARMS);
     let mut looks = false;
     for (index, arm) in arms.iter_mut().enumerate() {
-        let pursuit = arm.go_after(&goals[index], (place, rests[index]), index);
-        looks |= pursuit.bad.any();
-        pursuits.push(pursuit);
+        looks |= arm.go_after(&goals[index], (place, rests[index]), index);
     }
     if looks {
-        look(arms, &mut pursuits);
+        look(arms);
     }
-    for (arm, pursuit) in arms.iter_mut().zip(&pursuits) {
-        arm.settle(pursuit);
+    for arm in arms {
+        arm.settle();
     }
 }
 
 /// Looks for another way in all lanes that need one; arms of one type together.
 #[inline(always)]
-fn look<S: Real>(arms: &mut [Posture<S>], pursuits: &mut [Pursuit<S>]) {
+fn look<S: Real>(arms: &mut [Posture<S>]) {
     for first in 0..arms.len() {
         let mut is_first = true;
         for earlier in &arms[..first] {
@@ -45,23 +41,23 @@ fn look<S: Real>(arms: &mut [Posture<S>], pursuits: &mut [Pursuit<S>]) {
         let mut seats = [Seat { arm: 0, lane: 0 }; LANES];
         let mut taken = 0;
         for arm in first..arms.len() {
-            if !pursuits[arm].bad.any() || !arms[arm].chain.is_like(&arms[first].chain) {
+            if !arms[arm].pursuit.bad.any() || !arms[arm].chain.is_like(&arms[first].chain) {
                 continue;
             }
             for lane in 0..S::LANES {
-                if !pursuits[arm].bad.lane(lane) {
+                if !arms[arm].pursuit.bad.lane(lane) {
                     continue;
                 }
                 seats[taken] = Seat { arm, lane };
                 taken += 1;
                 if taken == S::LANES {
-                    look_together(arms, pursuits, &seats[..taken]);
+                    look_together(arms, &seats[..taken]);
                     taken = 0;
                 }
             }
         }
         if taken > 0 {
-            look_together(arms, pursuits, &seats[..taken]);
+            look_together(arms, &seats[..taken]);
         }
     }
 }
@@ -75,17 +71,17 @@ struct Seat {
 
 /// [`look`] for as many lanes as there are at most.
 #[inline(always)]
-fn look_together<S: Real>(arms: &mut [Posture<S>], pursuits: &mut [Pursuit<S>], seats: &[Seat]) {
+fn look_together<S: Real>(arms: &mut [Posture<S>], seats: &[Seat]) {
     // Lanes that nobody takes keep what the first arm has there.
     let first = seats[0].arm;
     let mut chain = arms[first].chain.clone();
-    let Pursuit { mut target, mut stands, .. } = pursuits[first];
+    let Pursuit { mut target, mut stands, .. } = arms[first].pursuit;
     let mut tried = arms[first].tried;
     for (to, &Seat { arm, lane }) in seats.iter().enumerate() {
-        let (posture, pursuit) = (&arms[arm], &pursuits[arm]);
+        let posture = &arms[arm];
         chain.put_lane(to, &posture.chain, lane);
-        target.put_lane(to, &pursuit.target, lane);
-        put_lane(&mut stands, to, &pursuit.stands, lane);
+        target.put_lane(to, &posture.pursuit.target, lane);
+        put_lane(&mut stands, to, &posture.pursuit.stands, lane);
         tried.set_lane(to, posture.tried.lane(lane));
     }
     let question = Question { chain: &chain, target: &target, stands: &stands };
@@ -93,8 +89,9 @@ fn look_together<S: Real>(arms: &mut [Posture<S>], pursuits: &mut [Pursuit<S>], 
     let cost = question.cost(&other);
     for (from, &Seat { arm, lane }) in seats.iter().enumerate() {
         if cost.lane(from) < STOPPED {
-            put_lane(&mut arms[arm].angles, lane, &other, from);
-            pursuits[arm].cost.set_lane(lane, cost.lane(from));
+            let posture = &mut arms[arm];
+            put_lane(&mut posture.angles, lane, &other, from);
+            posture.pursuit.cost.set_lane(lane, cost.lane(from));
         }
     }
 }
