@@ -12,12 +12,14 @@
 
 mod multiply;
 mod native;
+mod operands;
 mod packed;
 #[cfg(target_arch = "x86_64")]
 mod pairs;
 
-pub(crate) use multiply::{Left, Out, multiply};
+pub(crate) use multiply::multiply;
 pub(crate) use native::Native;
+pub(crate) use operands::{Left, Out};
 pub(crate) use packed::Packed;
 
 #[cfg(test)]

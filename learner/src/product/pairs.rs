@@ -11,8 +11,8 @@ use std::arch::x86_64::{
     _mm512_setzero_ps, _mm512_slli_epi32,
 };
 
-use super::multiply::{Left, Out};
 use super::native::Native;
+use super::operands::{Left, Out};
 use super::packed::{PANEL, Packed, PairRow};
 use crate::number::Bf16;
 

@@ -1,0 +1,34 @@
+//! What products read and write.
+
+use super::packed::Packed;
+use crate::number::Bf16;
+
+/// The left factor `[M, K]`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Left<'a> {
+    /// Row-major, as it lies in memory.
+    Rows(&'a [Bf16]),
+    /// By its transpose `[K, M]`.
+    Transposed(&'a Packed),
+}
+
+/// Where the product `[M, N]` goes, row-major.
+#[derive(Debug)]
+pub(crate) enum Out<'a> {
+    /// Rounded.
+    Rounded(&'a mut [Bf16]),
+    /// Rounded and widened, in the place of what is there.
+    Widened(&'a mut [f32]),
+    /// Rounded and widened, added to what is there.
+    Added(&'a mut [f32]),
+}
+
+impl Out<'_> {
+    /// M · N.
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::Rounded(out) => out.len(),
+            Self::Widened(out) | Self::Added(out) => out.len(),
+        }
+    }
+}
