@@ -7,7 +7,7 @@ use super::chain::put_lane;
 use super::search::{Question, STOPPED};
 use crate::scalar::{LANES, Mask, Real};
 
-/// Has all arms follow their goals, but in lanes where they `rests`, an entry an arm.
+/// Has all arms follow their goals, but in the lanes of `rests`, an entry an arm.
 #[inline(always)]
 pub(super) fn follow<S: Real>(
     arms: &mut [Posture<S>],
