@@ -134,7 +134,7 @@ impl Example {
             let mut seen = vec![0.0; dimensions.observation];
             observe(&world.task, &found, &goals, &errors, agent, &mut seen);
             let mut mean = [0.0; 3];
-            policy.mean(agent, &seen, &mut scratch, &mut mean);
+            policy.mean(&[agent], &seen, &mut scratch, &mut mean);
             actions.extend(mean);
             observations.push(seen);
         }

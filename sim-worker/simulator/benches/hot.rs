@@ -99,7 +99,7 @@ impl LaneFn for Inference<'_, '_> {
         let mut means = vec![S::zero(); GROUPS * 3];
         self.0.throughput(Throughput::Elements((GROUPS * S::LANES) as u64));
         self.0.bench_function("one_agent/2x512", |bencher| {
-            bencher.iter(|| policy.mean(0, &observations, &mut scratch, &mut means));
+            bencher.iter(|| policy.mean(&[0], &observations, &mut scratch, &mut means));
         });
     }
 }

@@ -121,7 +121,7 @@ impl<S: Real> Seat<S> {
                 let (input, output) = (dimensions.actor_input(), dimensions.actor_output());
                 for actor in actors(arms, number, dimensions) {
                     let of_actor = actor * n_groups * input..(actor + 1) * n_groups * input;
-                    policy.mean(actor, &observations[of_actor], inference, means);
+                    policy.mean(&[actor], &observations[of_actor], inference, means);
                     for part in 0..agents_per_actor {
                         let agent = actor * agents_per_actor + part;
                         if !moves(arms, number, agent) {

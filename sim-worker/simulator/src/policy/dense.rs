@@ -74,8 +74,23 @@ impl Dense<f32> {
     /// `x` and `out` hold tile `t` from `first group · stride` on, as `[feature][group of the tile]`.
     #[inline(always)]
     pub(super) fn apply<S: Real>(&self, x: &[S], out: &mut [S], groups: usize, stride: usize) {
-        self.tiles(x, out, groups, stride, Single);
+        self.tiles(x, out, groups, stride, Single, Start::Bias);
     }
+
+    /// As [`Self::apply`], but sums start from what is in `out`, not from the bias.
+    #[inline(always)]
+    pub(super) fn add_to<S: Real>(&self, x: &[S], out: &mut [S], groups: usize, stride: usize) {
+        self.tiles(x, out, groups, stride, Single, Start::Out);
+    }
+}
+
+/// Where sums start.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Start {
+    /// From the layer's bias.
+    Bias,
+    /// From what is in the output's place.
+    Out,
 }
 
 impl Dense<WeightPair> {
@@ -120,10 +135,10 @@ impl<S: Real> PairKernel<S> for PairProduct<'_, S> {
     #[inline(always)]
     fn run<P: PairProducts>(self, products: P) {
         let Self { dense, x, out, groups, stride } = self;
-        dense.tiles(x, out, groups, stride, Pairs(products));
+        dense.tiles(x, out, groups, stride, Pairs(products), Start::Bias);
         if products.rounded_apart() && !all_finite(out) {
             // A product may have overflowed that fused would not have. A sum that did stays so.
-            dense.tiles(x, out, groups, stride, Pairs(Fused));
+            dense.tiles(x, out, groups, stride, Pairs(Fused), Start::Bias);
         }
     }
 }
@@ -151,6 +166,7 @@ impl<W: Copy> Dense<W> {
         groups: usize,
         stride: usize,
         accumulate: A,
+        start: Start,
     ) {
         let panels = self.bias.len();
         let mut panel = 0;
@@ -164,20 +180,24 @@ impl<W: Copy> Dense<W> {
                 let width = if left >= 2 { 2 } else { 1 };
                 match (width, pair) {
                     (1, true) if S::PRODUCT_SUMS >= 2 * PANEL => {
-                        self.multiply::<S, X, A, 2, 1, PANEL>(panel, x, out, accumulate);
+                        self.multiply::<S, X, A, 2, 1, PANEL>(panel, x, out, accumulate, start);
                     }
                     (1, _) => {
                         for panel in panel..=panel + usize::from(pair) {
-                            self.multiply::<S, X, A, 1, 1, PANEL>(panel, x, out, accumulate);
+                            self.multiply::<S, X, A, 1, 1, PANEL>(panel, x, out, accumulate, start);
                         }
                     }
                     _ => {
                         for panel in panel..=panel + usize::from(pair) {
                             if S::PRODUCT_SUMS >= 2 * PANEL {
-                                self.multiply::<S, X, A, 1, 2, PANEL>(panel, x, out, accumulate);
+                                self.multiply::<S, X, A, 1, 2, PANEL>(
+                                    panel, x, out, accumulate, start,
+                                );
                             } else {
                                 const HALF: usize = PANEL / 2;
-                                self.multiply::<S, X, A, 1, 2, HALF>(panel, x, out, accumulate);
+                                self.multiply::<S, X, A, 1, 2, HALF>(
+                                    panel, x, out, accumulate, start,
+                                );
                             }
                         }
                     }
@@ -203,6 +223,7 @@ impl<W: Copy> Dense<W> {
         x: &[X],
         out: &mut [S],
         accumulate: A,
+        start: Start,
     ) {
         let n = self.rows;
         let x = &x.as_chunks::<G>().0[..n];
@@ -214,8 +235,13 @@ impl<W: Copy> Dense<W> {
             let mut sums = [[[S::zero(); G]; U]; Q];
             for q in 0..Q {
                 for unit in 0..U {
-                    let bias = self.bias[panel + q][first + unit];
-                    sums[q][unit] = [S::splat(f64::from(bias)); G];
+                    sums[q][unit] = match start {
+                        Start::Bias => {
+                            let bias = self.bias[panel + q][first + unit];
+                            [S::splat(f64::from(bias)); G]
+                        }
+                        Start::Out => out[q * PANEL + first + unit],
+                    };
                 }
             }
             for k in 0..n {

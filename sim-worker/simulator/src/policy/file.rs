@@ -186,7 +186,7 @@ mod tests {
         let mut all = Vec::new();
         for actor in 0..policy.n_actors() {
             let mut means = vec![0.0; policy.output()];
-            policy.mean(actor, &seen, &mut scratch, &mut means);
+            policy.mean(&[actor], &seen, &mut scratch, &mut means);
             all.extend(means.iter().map(|mean| mean.to_bits()));
         }
         all

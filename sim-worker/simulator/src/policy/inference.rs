@@ -7,6 +7,7 @@ use proto::config::{Activation, InputNorm};
 
 use super::dense::tile_groups;
 use super::pack::{Affine, Network, Policy, Product};
+use super::registers::{Full, MAX_JOINED, Packing, Single, joined};
 use crate::scalar::{Kernel, Real, elementary};
 
 /// ε of LayerNorm (Ba, Kiros and Hinton 2016), PyTorch's default.
@@ -47,31 +48,28 @@ impl<R: Real> Buffers<R> {
     }
 }
 
-/// How many lane groups fill a register.
-#[inline(always)]
-fn joined<S: Real>() -> usize {
-    S::Register::LANES / S::LANES
-}
-
 impl Policy {
-    /// Mean actions of `actor`, or of all that share its network.
+    /// Mean actions of `actors`, who share a network.
     ///
-    /// Shape: `observations` is `[group][input]`, `means` is `[group][output]`; groups of several actors stand one after the other.
+    /// Shape: `observations` is `[actor][group][input]`, `means` is `[actor][group][output]`.
+    ///
+    /// # Panics
+    /// If their networks differ.
     #[inline(always)]
     pub fn mean<S: Real>(
         &self,
-        actor: usize,
+        actors: &[usize],
         observations: &[S],
         scratch: &mut Scratch<S>,
         means: &mut [S],
     ) {
-        S::compiled(Mean { policy: self, actor, observations, scratch, means });
+        S::compiled(Mean { policy: self, actors, observations, scratch, means });
     }
 }
 
 struct Mean<'a, S: Real> {
     policy: &'a Policy,
-    actor: usize,
+    actors: &'a [usize],
     observations: &'a [S],
     scratch: &'a mut Scratch<S>,
     means: &'a mut [S],
@@ -82,74 +80,40 @@ impl<S: Real> Kernel<S> for Mean<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { policy, actor, observations, scratch, means } = self;
+        let Self { policy, actors, observations, scratch, means } = self;
         let (input, output) = (policy.input, policy.output);
         let groups = means.len() / output;
         assert_eq!(observations.len(), groups * input, "one row of inputs a lane group");
-        let network = &policy.networks[policy.network_of[actor]];
+        assert_eq!(groups % actors.len(), 0, "as many groups of each actor");
+        for actor in actors {
+            assert_eq!(policy.network_of[*actor], policy.network_of[actors[0]], "one network");
+        }
+        let crowd = Crowd { actors, groups: groups / actors.len() };
         let full = groups / joined::<S>() * joined::<S>();
         let (observations, left) = observations.split_at(full * input);
         let (means, left_means) = means.split_at_mut(full * output);
-        infer::<S, Full>(policy, network, observations, &mut scratch.full, means);
+        infer::<S, Full>(policy, crowd, 0, observations, &mut scratch.full, means);
         // A constant condition: this is compiled only where there can be some.
         if joined::<S>() > 1 && !left.is_empty() {
-            infer::<S, Alone>(policy, network, left, &mut scratch.rest, left_means);
+            infer::<S, Single>(policy, crowd, full, left, &mut scratch.rest, left_means);
         }
     }
 }
 
-/// How lane groups stand in registers.
-trait Packing<S: Real> {
-    type Register: Real;
-    /// Groups in a register.
-    const GROUPS: usize;
-    /// One number of each group in a register; their rows are `stride` apart.
-    fn join(rows: &[S], stride: usize) -> Self::Register;
-    /// What group `i` of a register has.
-    fn part(register: Self::Register, i: usize) -> S;
+/// Who shares a network: lane groups of one actor after those of the other.
+#[derive(Clone, Copy)]
+struct Crowd<'a> {
+    actors: &'a [usize],
+    /// Of each actor.
+    groups: usize,
 }
 
-/// So many groups as a register has room for.
-struct Full;
-
-impl<S: Real> Packing<S> for Full {
-    type Register = S::Register;
-    const GROUPS: usize = S::Register::LANES / S::LANES;
-
-    #[inline(always)]
-    fn join(rows: &[S], stride: usize) -> S::Register {
-        S::join(rows, stride)
-    }
-
-    #[inline(always)]
-    fn part(register: S::Register, i: usize) -> S {
-        S::part(register, i)
-    }
-}
-
-/// One group.
-struct Alone;
-
-impl<S: Real> Packing<S> for Alone {
-    type Register = S;
-    const GROUPS: usize = 1;
-
-    #[inline(always)]
-    fn join(rows: &[S], _: usize) -> S {
-        rows[0]
-    }
-
-    #[inline(always)]
-    fn part(register: S, _: usize) -> S {
-        register
-    }
-}
-
-/// Takes rows of lane groups through `network`, in registers as `P` packs them.
+/// Takes rows of lane groups, from `first_group` of all on, through their network, in registers as `P` packs them.
 #[inline(always)]
 fn infer<S: Real, P: Packing<S>>(
     policy: &Policy,
-    network: &Network,
+    crowd: Crowd<'_>,
+    first_group: usize,
     observations: &[S],
     buffers: &mut Buffers<P::Register>,
     means: &mut [S],
@@ -168,9 +132,13 @@ fn infer<S: Real, P: Packing<S>>(
             for o in 0..input {
                 to[o * width + r] = P::join(&from[o..], input);
             }
+            let group = first_group + (register + r) * P::GROUPS;
+            let out = &mut buffers.pong[register * stride + r..];
+            start::<S, P>(policy, crowd, group, out, width);
         }
         register += width;
     }
+    let network = &policy.networks[policy.network_of[crowd.actors[0]]];
     P::Register::compiled(Layers { policy, network, buffers, registers });
     let limit = P::Register::splat(policy.action_limit);
     let mut register = 0;
@@ -190,7 +158,29 @@ fn infer<S: Real, P: Packing<S>>(
     }
 }
 
-/// A network's layers on as many registers: from inputs in `ping` to outputs in `pong`.
+/// Writes a register's first biases, those of the actors of its groups from `group` on, a unit `width` places after the other.
+#[inline(always)]
+fn start<S: Real, P: Packing<S>>(
+    policy: &Policy,
+    crowd: Crowd<'_>,
+    group: usize,
+    out: &mut [P::Register],
+    width: usize,
+) {
+    let mut of_groups: [&[f32]; MAX_JOINED] = [&[]; MAX_JOINED];
+    for part in 0..P::GROUPS {
+        of_groups[part] = &policy.first_bias[crowd.actors[(group + part) / crowd.groups]];
+    }
+    for unit in 0..of_groups[0].len() {
+        let mut parts = [S::zero(); MAX_JOINED];
+        for part in 0..P::GROUPS {
+            parts[part] = S::splat(f64::from(of_groups[part][unit]));
+        }
+        out[unit * width] = P::join(&parts, 1);
+    }
+}
+
+/// A network's layers on as many registers: from inputs in `ping`, and first biases in `pong`, to outputs in `pong`.
 struct Layers<'a, R: Real> {
     policy: &'a Policy,
     network: &'a Network,
@@ -219,8 +209,11 @@ impl<R: Real> Kernel<R> for Layers<'_, R> {
             }
         }
         let mut features = policy.input;
-        for hidden in &network.hidden {
+        for (layer, hidden) in network.hidden.iter().enumerate() {
             match &hidden.product {
+                Product::Single(dense) if layer == 0 => {
+                    dense.add_to(ping, pong, registers, stride);
+                }
                 Product::Single(dense) => dense.apply(ping, pong, registers, stride),
                 Product::Pairs(dense) => {
                     let mut register = 0;

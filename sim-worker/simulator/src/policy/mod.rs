@@ -9,6 +9,8 @@
 //! its inputs in order, whatever the tile shape, so the result for an environment is the same bits
 //! beside any other environments.
 //!
+//! **Shared networks.** Actors that share a network go through it together: they differ by the bias of the first layer alone, from which its sums start.
+//!
 //! **bfloat16** (`network.inference`). Hidden layers after the first multiply pairs of bfloat16, with the same
 //! bits on every processor: what AVX-512 BF16 does in one instruction two fused multiply-adds do elsewhere, and
 //! numbers so small that the instruction would flush them are rounded to zero everywhere. The first layer and the
@@ -20,6 +22,7 @@ pub mod file;
 mod inference;
 mod initial;
 mod pack;
+mod registers;
 
 pub use inference::Scratch;
 pub use initial::initial_parameters;

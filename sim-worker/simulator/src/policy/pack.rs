@@ -10,6 +10,9 @@ use crate::scalar::{WeightPair, elementary};
 /// Name of the tensor with the deviations, the only one that is not of a network.
 const LOG_STD: &str = "log_std";
 
+/// Name of the bias that actors of one network have of their own.
+const OWN: &str = "hidden.0.bias";
+
 /// Why flat parameters are no policy of this run.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -76,7 +79,7 @@ pub(super) struct Hidden {
     pub(super) norm: Option<Affine>,
 }
 
-/// A network: of one actor, or of several that share it.
+/// A network: of one actor, or of several that share all but the bias of the first hidden layer.
 #[derive(Debug, Clone)]
 pub(super) struct Network {
     pub(super) input: Option<Affine>,
@@ -102,6 +105,8 @@ pub struct Policy {
     sharing: Vec<Vec<usize>>,
     /// Which network each actor has.
     pub(super) network_of: Vec<usize>,
+    /// `[actor][unit]`: the bias of the first hidden layer, filled up with zeros to whole panels.
+    pub(super) first_bias: Vec<Vec<f32>>,
     /// One entry an agent; none if actors are deterministic.
     log_std: Vec<[f32; MAX_JOINTS_PER_AGENT]>,
     std: Vec<[f32; MAX_JOINTS_PER_AGENT]>,
@@ -140,7 +145,8 @@ impl Policy {
             second: row(second, actor).to_vec(),
         };
         let sharing = sharing(n_actors, |one, other| {
-            let mut of_network = layout.tensors.iter().filter(|tensor| tensor.name != LOG_STD);
+            let is_of_network = |name: &str| name != LOG_STD && name != OWN;
+            let mut of_network = layout.tensors.iter().filter(|tensor| is_of_network(&tensor.name));
             of_network.all(|tensor| {
                 let bits = |actor| row(&tensor.name, actor).iter().map(|value| value.to_bits());
                 bits(one).eq(bits(other))
@@ -153,7 +159,7 @@ impl Policy {
             }
         }
         let network = &config.network;
-        let networks = sharing
+        let networks: Vec<Network> = sharing
             .iter()
             .map(|actors| {
                 let actor = actors[0];
@@ -169,6 +175,7 @@ impl Policy {
                         .map(|i| Hidden {
                             product: {
                                 let weight = row(&format!("hidden.{i}.weight"), actor);
+                                // Nobody reads that of the first layer here: each actor has its own.
                                 let bias = row(&format!("hidden.{i}.bias"), actor);
                                 if i > 0 && network.inference == Inference::Bf16 {
                                     Product::Pairs(Dense::pack_pairs(weight, bias))
@@ -189,6 +196,12 @@ impl Policy {
                 }
             })
             .collect();
+        let first_bias = (0..n_actors).map(|actor| {
+            let mut bias = row(OWN, actor).to_vec();
+            bias.resize(networks[network_of[actor]].hidden[0].product.padded_outputs(), 0.0);
+            bias
+        });
+        let first_bias = first_bias.collect();
         // Actors one after the other are their agents one after the other.
         let log_std = layout.get(LOG_STD).map_or(&[][..], |tensor| &parameters[tensor.range()]);
         let of_agents = log_std.chunks_exact(dimensions.n_actions);
@@ -212,6 +225,7 @@ impl Policy {
             networks,
             sharing,
             network_of,
+            first_bias,
             std: log_std.iter().map(|log_std| log_std.map(elementary::exp)).collect(),
             log_std,
         })
@@ -222,7 +236,7 @@ impl Policy {
         self.network_of.len()
     }
 
-    /// The actors by network: those of a list have the same one, so their environments go through it together.
+    /// The actors by network: those of a list have the same one but for the first bias, so their environments go through it together.
     pub fn sharing(&self) -> &[Vec<usize>] {
         &self.sharing
     }

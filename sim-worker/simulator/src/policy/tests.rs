@@ -43,29 +43,32 @@ pub(crate) fn parameters(config: &Config, dimensions: &Dimensions, seed: u64) ->
 
 struct Means<'a> {
     policy: &'a Policy,
-    actor: usize,
-    /// `[environment][input]`
+    actors: &'a [usize],
+    /// `[actor][environment][input]`
     observations: &'a [f32],
 }
 
 impl LaneFn for Means<'_> {
+    /// `[actor][environment][output]`, the first two in one.
     type Output = Vec<Vec<f32>>;
     #[inline(always)]
     fn call<S: Real>(self) -> Self::Output {
         let (o, outputs) = (self.policy.input(), self.policy.output());
-        let n = self.observations.len() / o;
+        let n = self.observations.len() / (self.actors.len() * o);
         let groups = n.div_ceil(S::LANES);
-        let mut x = vec![S::zero(); groups * o];
+        let mut x = vec![S::zero(); self.actors.len() * groups * o];
         for (i, &value) in self.observations.iter().enumerate() {
-            let (env, o_idx) = (i / o, i % o);
-            x[env / S::LANES * o + o_idx].set_lane(env % S::LANES, f64::from(value));
+            let (actor, env, o_idx) = (i / (n * o), i / o % n, i % o);
+            let group = actor * groups + env / S::LANES;
+            x[group * o + o_idx].set_lane(env % S::LANES, f64::from(value));
         }
-        let mut scratch = Scratch::new(self.policy, groups);
-        let mut means = vec![S::zero(); groups * outputs];
-        self.policy.mean(self.actor, &x, &mut scratch, &mut means);
-        (0..n)
-            .map(|env| {
-                let row = &means[env / S::LANES * outputs..][..outputs];
+        let mut scratch = Scratch::new(self.policy, self.actors.len() * groups);
+        let mut means = vec![S::zero(); self.actors.len() * groups * outputs];
+        self.policy.mean(self.actors, &x, &mut scratch, &mut means);
+        (0..self.actors.len() * n)
+            .map(|i| {
+                let (actor, env) = (i / n, i % n);
+                let row = &means[(actor * groups + env / S::LANES) * outputs..][..outputs];
                 row.iter().map(|mean| mean.lane(env % S::LANES) as f32).collect()
             })
             .collect()
@@ -186,7 +189,8 @@ fn inference_agrees_with_plain_f64_loops() {
         let (mut close, mut all) = (0, 0);
         let observations = normals(77, n * o);
         for actor in [0, 5 % dimensions.n_actors] {
-            let means = dispatch(Means { policy: &policy, actor, observations: &observations });
+            let means =
+                dispatch(Means { policy: &policy, actors: &[actor], observations: &observations });
             for (row, mean) in observations.chunks_exact(o).zip(means) {
                 let row: Vec<f64> = row.iter().map(|&x| f64::from(x)).collect();
                 let plain = plain_mean(&config, &dimensions, &flat, actor, &row);
@@ -220,7 +224,7 @@ fn an_environments_mean_does_not_depend_on_its_company() {
         let observations = normals(78, 70 * o);
         let means = |rows: std::ops::Range<usize>| {
             let observations = &observations[rows.start * o..rows.end * o];
-            dispatch(Means { policy: &policy, actor, observations })
+            dispatch(Means { policy: &policy, actors: &[actor], observations })
         };
         let all = means(0..70);
         for (start, end) in [(0, 1), (3, 40), (17, 70), (69, 70), (5, 37)] {
@@ -229,7 +233,7 @@ fn an_environments_mean_does_not_depend_on_its_company() {
         // Groups of eight lanes stand side by side in registers; of three the last stands alone.
         for n in [3, 8, 13, 16, 24] {
             let observations = &observations[..n * o];
-            let of_eight = Means { policy: &policy, actor, observations };
+            let of_eight = Means { policy: &policy, actors: &[actor], observations };
             assert_eq!(dispatch_for(1, Backend::detect(), of_eight), all[..n], "{n} rows");
         }
     }
@@ -244,7 +248,10 @@ fn every_back_end_gives_the_same_means() {
         let observations = normals(79, 37 * dimensions.actor_input());
         let actor = 2 % dimensions.n_actors;
         let on = |backend| {
-            dispatch_on(backend, Means { policy: &policy, actor, observations: &observations })
+            dispatch_on(
+                backend,
+                Means { policy: &policy, actors: &[actor], observations: &observations },
+            )
         };
         let portable = on(Backend::Portable);
         for backend in [Backend::Avx2, Backend::Avx512] {
@@ -269,27 +276,63 @@ fn wrong_parameters_are_named() {
     assert!(message.contains("`head.bias` of actor 6 holds inf"), "{message}");
 }
 
-#[test]
-fn actors_of_the_same_network_are_found() {
-    let config = configurations().remove(0);
-    let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
-    let mut flat = parameters(&config, &dimensions, 3);
-    let sharing = |flat: &[f32]| {
-        Policy::new(&config, &dimensions, flat).expect("a policy").sharing().to_vec()
-    };
-    assert_eq!(sharing(&flat), (0..8).map(|actor| vec![actor]).collect::<Vec<_>>());
-    let layout = ActorLayout::new(&config, &dimensions);
-    for tensor in layout.tensors.iter().filter(|tensor| tensor.name != "log_std") {
+/// Parameters of eight actors, of which every second has the same network.
+fn shared(config: &Config, dimensions: &Dimensions) -> Vec<f32> {
+    let mut flat = parameters(config, dimensions, 3);
+    let layout = ActorLayout::new(config, dimensions);
+    let is_of_network = |name: &str| name != "log_std" && name != "hidden.0.bias";
+    for tensor in layout.tensors.iter().filter(|tensor| is_of_network(&tensor.name)) {
         let length = tensor.len() / 8;
         let rows = &mut flat[tensor.range()];
         for actor in 2..8 {
             rows.copy_within(actor % 2 * length..(actor % 2 + 1) * length, actor * length);
         }
     }
+    flat
+}
+
+#[test]
+fn actors_of_the_same_network_are_found() {
+    let config = configurations().remove(0);
+    let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
+    let sharing = |flat: &[f32]| {
+        Policy::new(&config, &dimensions, flat).expect("a policy").sharing().to_vec()
+    };
+    let flat = parameters(&config, &dimensions, 3);
+    assert_eq!(sharing(&flat), (0..8).map(|actor| vec![actor]).collect::<Vec<_>>());
+    let mut flat = shared(&config, &dimensions);
     assert_eq!(sharing(&flat), [[0, 2, 4, 6], [1, 3, 5, 7]]);
     // One bit of one weight.
+    let layout = ActorLayout::new(&config, &dimensions);
     let head = layout.get("head.weight").expect("every network has one");
     let last = &mut flat[head.range().end - 1];
     *last = f32::from_bits(last.to_bits() ^ 1);
     assert_eq!(sharing(&flat), [vec![0, 2, 4, 6], vec![1, 3, 5], vec![7]]);
+}
+
+#[test]
+fn actors_that_share_a_network_have_their_own_first_bias() {
+    for config in configurations() {
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
+        if dimensions.n_actors != 8 {
+            continue;
+        }
+        let flat = shared(&config, &dimensions);
+        let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
+        let o = dimensions.actor_input();
+        let actors = [1, 3, 7];
+        // One group of eight lanes each, and then two: some registers hold groups of two actors.
+        for n in [5, 13, 40] {
+            let observations = normals(80, n * o);
+            let of_all = observations.repeat(actors.len());
+            let together = || Means { policy: &policy, actors: &actors, observations: &of_all };
+            let means = dispatch(together());
+            for (&actor, means) in actors.iter().zip(means.chunks_exact(n)) {
+                let own = Means { policy: &policy, actors: &[actor], observations: &observations };
+                assert_eq!(dispatch(own), means, "actor {actor}");
+            }
+            assert_ne!(means[0], means[n], "biases differ");
+            assert_eq!(dispatch_for(1, Backend::detect(), together()), means, "{n} rows");
+        }
+    }
 }

@@ -109,7 +109,7 @@ impl<'a, S: Real> Running<'a, S> {
             let groups = actors.len() * n_groups;
             let seen = &self.observations[place * n_groups * input..][..groups * input];
             let means = &mut means[..groups * output_len];
-            policy.mean(actors[0], seen, scratch, means);
+            policy.mean(actors, seen, scratch, means);
             place += actors.len();
             let of_actors = means.chunks_exact(n_groups * output_len);
             for (&actor, means) in actors.iter().zip(of_actors) {

@@ -131,7 +131,7 @@ impl LaneFn for Act<'_> {
                     }
                 }
             }
-            policy.mean(actor, &seen, &mut scratch, &mut means);
+            policy.mean(&[actor], &seen, &mut scratch, &mut means);
             for group in 0..n_groups {
                 for i in 0..output {
                     let at = group * width + actor * output + i;
