@@ -4,9 +4,12 @@
 //! processor features and calls the best one that the processor has. Results may differ between the sets in their last bits (fused multiply-add);
 //! the promise of equal bits holds for one processor type.
 
-#![expect(
-    unsafe_code,
-    reason = "calls of functions compiled for detected processor features have no safe form"
+#![cfg_attr(
+    target_arch = "x86_64",
+    expect(
+        unsafe_code,
+        reason = "calls of functions compiled for detected processor features have no safe form"
+    )
 )]
 
 /// Which processor features loops use. Those that not every processor has come from [`Features::detect`]

@@ -23,8 +23,12 @@ pub(crate) fn multiply(native: Native, left: Left<'_>, right: &Packed, out: Out<
     };
     assert_eq!(out.len(), rows * columns, "the product has another size");
     assert!(inner > 0, "factors of nothing");
-    #[cfg(target_arch = "x86_64")]
-    super::pairs::multiply(native, left, right, out, rows);
-    #[cfg(not(target_arch = "x86_64"))]
-    match native {}
+    match native {
+        #[cfg(target_arch = "x86_64")]
+        Native::Pairs(pairs) => super::pairs::multiply(pairs, left, right, out, rows),
+        #[cfg(target_arch = "x86_64")]
+        Native::Tiles(tiles) => super::tiles::multiply(tiles, left, right, out, rows),
+        #[cfg(test)]
+        Native::Plain => super::plain::multiply(left, right, out, rows),
+    }
 }

@@ -6,11 +6,16 @@ use crate::number::Bf16;
 /// Columns of a panel.
 pub(crate) const PANEL: usize = 32;
 
-/// A row of a panel: numbers of two rows of the matrix side by side, the first in the lower half.
-pub(crate) type PairRow = [u32; PANEL];
+/// A row of a panel: numbers of two rows of the matrix side by side, the first in the lower half. Two cache lines.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+pub(crate) struct PairRow(pub(super) [u32; PANEL]);
 
-/// A matrix `[R, C]` in panels of [`PANEL`] columns one after the other, each with its rows in pairs. An odd row is paired with zeros, and the last panel
-/// is filled up with them.
+/// Panels have a multiple of so many rows of pairs, as many as a tile has.
+pub(super) const TILE: usize = 16;
+
+/// A matrix `[R, C]` in panels of [`PANEL`] columns one after the other, each with its rows in pairs. An odd row is paired with zeros, and panels and the last
+/// of them are filled up with zeros.
 #[derive(Debug, Default)]
 pub(crate) struct Packed {
     rows: usize,
@@ -29,9 +34,23 @@ impl Packed {
         self.columns
     }
 
-    /// All panels, each of `R / 2` rows, rounded up.
-    pub(crate) fn panels(&self) -> std::slice::ChunksExact<'_, PairRow> {
-        self.pairs.chunks_exact(self.rows.div_ceil(2).max(1))
+    /// How many panels there are.
+    #[cfg(any(test, target_arch = "x86_64"))]
+    pub(super) fn panels(&self) -> usize {
+        self.columns.div_ceil(PANEL)
+    }
+
+    /// A panel's `R / 2` rows, rounded up.
+    #[cfg(any(test, target_arch = "x86_64"))]
+    pub(super) fn panel(&self, index: usize) -> &[PairRow] {
+        &self.filled_panel(index)[..self.rows.div_ceil(2)]
+    }
+
+    /// A panel with the rows of zeros that fill it up.
+    #[cfg(any(test, target_arch = "x86_64"))]
+    pub(super) fn filled_panel(&self, index: usize) -> &[PairRow] {
+        let each = filled(self.rows);
+        &self.pairs[index * each..][..each]
     }
 
     /// Takes over `matrix` `[rows, columns]`, row-major.
@@ -45,16 +64,16 @@ impl Packed {
     pub(crate) fn pack_transposed(&mut self, matrix: &[Bf16], rows: usize, columns: usize) {
         assert_eq!(matrix.len(), rows * columns, "another matrix");
         self.resize(rows, columns);
-        let each = rows.div_ceil(2);
+        let each = filled(rows);
         for (panel, columns) in matrix.chunks(PANEL * rows).enumerate() {
-            let panel = &mut self.pairs[panel * each..][..each];
+            let panel = &mut self.pairs[panel * each..][..rows.div_ceil(2)];
             for (column, numbers) in columns.chunks_exact(rows).enumerate() {
                 let (pairs, rest) = numbers.as_chunks::<2>();
                 for (row, &[first, second]) in panel.iter_mut().zip(pairs) {
-                    row[column] = pair(first, second);
+                    row.0[column] = pair(first, second);
                 }
                 if let (Some(row), &[odd]) = (panel.last_mut(), rest) {
-                    row[column] = pair(odd, Bf16(0));
+                    row.0[column] = pair(odd, Bf16(0));
                 }
             }
         }
@@ -65,9 +84,14 @@ impl Packed {
         if (self.rows, self.columns) != (rows, columns) {
             (self.rows, self.columns) = (rows, columns);
             self.pairs.clear();
-            self.pairs.resize(rows.div_ceil(2) * columns.div_ceil(PANEL), [0; PANEL]);
+            self.pairs.resize(filled(rows) * columns.div_ceil(PANEL), PairRow([0; PANEL]));
         }
     }
+}
+
+/// Rows of a panel of a matrix with so many rows.
+fn filled(rows: usize) -> usize {
+    rows.div_ceil(2).next_multiple_of(TILE)
 }
 
 #[inline(always)]
@@ -87,11 +111,11 @@ impl Loop for Pack<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { matrix, rows, columns, pairs } = self;
-        let each = rows.div_ceil(2);
+        let (each, used) = (filled(rows), rows.div_ceil(2));
         for (panel, pairs) in pairs.chunks_exact_mut(each.max(1)).enumerate() {
             let first = panel * PANEL;
             let width = PANEL.min(columns - first);
-            for (row, out) in pairs.iter_mut().enumerate() {
+            for (row, PairRow(out)) in pairs[..used].iter_mut().enumerate() {
                 let part = |row: usize| &matrix[row * columns + first..][..width];
                 let upper = part(2 * row);
                 let lower = if 2 * row + 1 < rows { part(2 * row + 1) } else { &[] };
@@ -110,7 +134,7 @@ impl Loop for Pack<'_> {
 
 /// By value: what is written through a reference might be what is read, for all that the compiler knows, and no vector instructions.
 #[inline(always)]
-fn whole_row(upper: &[Bf16; PANEL], lower: &[Bf16; PANEL]) -> PairRow {
+fn whole_row(upper: &[Bf16; PANEL], lower: &[Bf16; PANEL]) -> [u32; PANEL] {
     let mut row = [0; PANEL];
     for i in 0..PANEL {
         row[i] = pair(upper[i], lower[i]);

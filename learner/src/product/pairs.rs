@@ -5,16 +5,14 @@
 )]
 
 use std::arch::x86_64::{
-    __m256bh, __m256i, __m512, __m512bh, __m512i, _mm256_mask_storeu_epi16, _mm512_add_ps,
-    _mm512_castsi512_ps, _mm512_cvtepu16_epi32, _mm512_cvtneps_pbh, _mm512_dpbf16_ps,
-    _mm512_loadu_si512, _mm512_mask_storeu_ps, _mm512_maskz_loadu_ps, _mm512_set1_epi32,
-    _mm512_setzero_ps, _mm512_slli_epi32,
+    __m512, __m512bh, __m512i, _mm512_dpbf16_ps, _mm512_load_si512, _mm512_set1_epi32,
+    _mm512_setzero_ps,
 };
 
-use super::native::Native;
+use super::native::Pairs;
 use super::operands::{Left, Out};
 use super::packed::{PANEL, Packed, PairRow};
-use crate::number::Bf16;
+use super::sums::{LANES, put};
 
 /// Rows of a tile.
 const TILE: usize = 8;
@@ -22,24 +20,21 @@ const TILE: usize = 8;
 /// Rows that meet all panels before others do, so that they are fetched into the second cache once.
 const BLOCK: usize = 64;
 
-/// Numbers in a register; a panel's row takes two.
-const LANES: usize = 16;
-
 /// The sums of a tile.
-type Sums<const M: usize> = [[__m512; 2]; M];
+type TileSums<const M: usize> = [[__m512; 2]; M];
 
 /// The product of `left` `[rows, K]` with `right` `[K, N]`. The sizes fit each other, and K is not zero.
-pub(super) fn multiply(_: Native, left: Left<'_>, right: &Packed, mut out: Out<'_>, rows: usize) {
-    // SAFETY: there is no `Native` without these features.
+pub(super) fn multiply(_: Pairs, left: Left<'_>, right: &Packed, mut out: Out<'_>, rows: usize) {
+    // SAFETY: there is no `Pairs` without these features.
     unsafe { multiply_compiled(left, right, &mut out, rows) };
 }
 
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512bf16")]
 fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: usize) {
-    let (panels, inner) = (right.panels().len(), right.rows());
+    let (panels, inner) = (right.panels(), right.rows());
     for index in 0..panels * rows.div_ceil(BLOCK) {
         let (block, panel) = (index / panels, index % panels);
-        let pairs = right.panels().nth(panel).expect("one of them");
+        let pairs = right.panel(panel);
         let mut row = block * BLOCK;
         let end = rows.min(row + BLOCK);
         while row < end {
@@ -92,9 +87,9 @@ unsafe fn tile<const M: usize>(
             }
             Left::Transposed(packed) => {
                 let each = panel.len();
-                let of_rows = packed.panels().nth(row / PANEL).expect("as many panels as rows");
+                let of_rows = packed.panel(row / PANEL);
                 debug_assert_eq!(of_rows.len(), each);
-                let first = of_rows.as_flattened().as_ptr().add(row % PANEL);
+                let first = of_rows.as_ptr().cast::<u32>().add(row % PANEL);
                 sums::<M>(first.cast(), [4, size_of::<PairRow>()], panel)
             }
         };
@@ -118,7 +113,7 @@ unsafe fn sums<const M: usize>(
     first: *const u8,
     [row, step]: [usize; 2],
     panel: &[PairRow],
-) -> Sums<M> {
+) -> TileSums<M> {
     // SAFETY: the caller's promise.
     unsafe {
         let mut sums = [[_mm512_setzero_ps(); 2]; M];
@@ -141,12 +136,13 @@ unsafe fn sums<const M: usize>(
 /// As for [`tile`].
 #[inline(always)]
 unsafe fn halves(row: &PairRow) -> [__m512bh; 2] {
-    // SAFETY: a row has twice sixteen pairs, and the loads ask for no alignment. The transmuted types are of one size, and every bit pattern is a value of both.
+    // SAFETY: a row has twice sixteen pairs, and begins where a cache line does. The transmuted types are of one size, and every bit pattern is a
+    // value of both.
     unsafe {
-        let (first, second) = (row.as_ptr(), row.as_ptr().add(LANES));
+        let (first, second) = (row.0.as_ptr(), row.0.as_ptr().add(LANES));
         [
-            std::mem::transmute::<__m512i, __m512bh>(_mm512_loadu_si512(first.cast())),
-            std::mem::transmute::<__m512i, __m512bh>(_mm512_loadu_si512(second.cast())),
+            std::mem::transmute::<__m512i, __m512bh>(_mm512_load_si512(first.cast())),
+            std::mem::transmute::<__m512i, __m512bh>(_mm512_load_si512(second.cast())),
         ]
     }
 }
@@ -162,34 +158,5 @@ unsafe fn add_products(sums: &mut [__m512; 2], x: u32, pairs: [__m512bh; 2]) {
         let x = std::mem::transmute::<__m512i, __m512bh>(_mm512_set1_epi32(x as i32));
         sums[0] = _mm512_dpbf16_ps(sums[0], x, pairs[0]);
         sums[1] = _mm512_dpbf16_ps(sums[1], x, pairs[1]);
-    }
-}
-
-/// Rounds sixteen sums and puts the first `left` of them at `at`.
-///
-/// # Safety
-/// As for [`tile`].
-#[inline(always)]
-unsafe fn put(sums: __m512, out: &mut Out<'_>, at: usize, left: usize) {
-    let len = left.min(LANES);
-    let mask = (0xffff_u32 >> (LANES - len)) as u16;
-    // SAFETY: the caller's promise; what the mask leaves of sixteen numbers lies within the slice of `len`. Transmuted as above.
-    unsafe {
-        let rounded = std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(sums));
-        let widened = _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(rounded)));
-        match out {
-            Out::Rounded(out) => {
-                let out: &mut [Bf16] = &mut out[at..at + len];
-                _mm256_mask_storeu_epi16(out.as_mut_ptr().cast(), mask, rounded);
-            }
-            Out::Widened(out) => {
-                _mm512_mask_storeu_ps(out[at..at + len].as_mut_ptr(), mask, widened);
-            }
-            Out::Added(out) => {
-                let out = &mut out[at..at + len];
-                let sum = _mm512_add_ps(_mm512_maskz_loadu_ps(mask, out.as_ptr()), widened);
-                _mm512_mask_storeu_ps(out.as_mut_ptr(), mask, sum);
-            }
-        }
     }
 }

@@ -28,7 +28,6 @@ const SIZES: [[usize; 3]; 8] = [
 
 #[test]
 fn products_are_sums_of_products() {
-    let Some(native) = Native::detect() else { return };
     // Packed twice: what was there is not added to.
     let (mut right, mut left_packed) = (Packed::default(), Packed::default());
     for [m, k, n] in SIZES {
@@ -40,8 +39,10 @@ fn products_are_sums_of_products() {
                 (0..k).map(|i| x(i) * f64::from(b[i * n + column].widen())).sum()
             })
             .collect();
-        for is_transposed in [[false, false], [true, false], [false, true], [true, true]] {
-            let [left_is, right_is] = is_transposed;
+        let ways = [[false, false], [true, false], [false, true], [true, true]];
+        for (native, [left_is, right_is]) in
+            Native::all().into_iter().flat_map(|native| ways.map(|way| (native, way)))
+        {
             if right_is {
                 right.pack_transposed(&transposed(&b, k, n), k, n);
             } else {
@@ -60,7 +61,10 @@ fn products_are_sums_of_products() {
                 assert_eq!(widened[i] + 100.0, added[i]);
                 let error = (f64::from(widened[i]) - expected[i]).abs();
                 // A rounding to bfloat16, and those of K / 2 sums of order 10 in f32.
-                assert!(error < expected[i].abs() * 2f64.powi(-8) + 1e-4, "{m}×{k}×{n}: {error}");
+                assert!(
+                    error < expected[i].abs() * 2f64.powi(-8) + 1e-4,
+                    "{native:?}, {m}×{k}×{n}: {error}"
+                );
             }
         }
     }
@@ -70,7 +74,6 @@ fn products_are_sums_of_products() {
 #[test]
 #[expect(unsafe_code, reason = "libtorch's numbers are read")]
 fn products_are_those_of_libtorch() {
-    let Some(native) = Native::detect() else { return };
     let mut right = Packed::default();
     for [m, k, n] in SIZES.into_iter().chain([[800, 256, 256], [256, 800, 256], [237, 200, 128]]) {
         let (a, b) = (matrix(3, m * k), matrix(4, k * n));
@@ -82,11 +85,13 @@ fn products_are_those_of_libtorch() {
         let theirs = tensor(&a, m, k).bmm(&tensor(&b, k, n)).contiguous();
         assert_eq!(theirs.device(), Device::Cpu);
         right.pack(&b, k, n);
-        let mut ours = vec![Bf16(0); m * n];
-        multiply(native, Left::Rows(&a), &right, Out::Rounded(&mut ours));
         // SAFETY: filled, and nobody writes.
         let theirs: &[Bf16] = unsafe { numbers(&theirs) };
-        let differ = ours.iter().zip(theirs).filter(|(ours, theirs)| ours != theirs).count();
-        assert!(differ * 100 <= m * n, "{m}×{k}×{n}: {differ} of {} differ", m * n);
+        for native in Native::all() {
+            let mut ours = vec![Bf16(0); m * n];
+            multiply(native, Left::Rows(&a), &right, Out::Rounded(&mut ours));
+            let differ = ours.iter().zip(theirs).filter(|(ours, theirs)| ours != theirs).count();
+            assert!(differ * 100 <= m * n, "{native:?}, {m}×{k}×{n}: {differ} differ");
+        }
     }
 }

@@ -1,0 +1,382 @@
+//! The loops of a product, in tiles of bfloat16 (AMX).
+//!
+//! Two by two tiles of sums stay in the registers: 32 rows of the left factor meet a panel. A step multiplies 32 numbers of each of these rows with as
+//! many of each of the panel's columns. A panel lies as the instructions read it; so do whole blocks of rows whose inner index fills its steps,
+//! and others are copied.
+#![expect(
+    unsafe_code,
+    reason = "instructions of detected processor features, which no safe function stands for"
+)]
+
+use std::arch::asm;
+use std::arch::x86_64::{
+    __m512i, _mm512_load_ps, _mm512_load_si512, _mm512_maskz_loadu_epi16, _mm512_setzero_si512,
+    _mm512_shuffle_i32x4, _mm512_store_si512, _mm512_unpackhi_epi32, _mm512_unpackhi_epi64,
+    _mm512_unpacklo_epi32, _mm512_unpacklo_epi64,
+};
+
+use super::native::Tiles;
+use super::operands::{Left, Out};
+use super::packed::{PANEL, Packed, PairRow, TILE};
+use super::sums::{LANES, put};
+use crate::number::Bf16;
+
+/// Rows of the left factor that go together: two tiles.
+const BLOCK: usize = 2 * TILE;
+
+/// Numbers of the inner index in a step.
+const STEP: usize = 2 * TILE;
+
+/// A row of a tile: sixteen pairs, or sixteen sums.
+const ROW_BYTES: usize = 64;
+
+/// A tile of the left factor: sixteen pairs of sixteen rows. Cache lines.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Tile([[u32; TILE]; TILE]);
+
+/// The sums of a block's rows with a panel.
+#[repr(align(64))]
+struct Sums([[f32; PANEL]; BLOCK]);
+
+/// Where a block of the left factor lies: its first two tiles, the bytes from a row to the next, and those from a step to the next.
+#[derive(Clone, Copy)]
+struct Block {
+    tiles: [*const u8; 2],
+    row: usize,
+    step: usize,
+}
+
+/// The product of `left` `[rows, K]` with `right` `[K, N]`. The sizes fit each other, and K is not zero.
+pub(super) fn multiply(_: Tiles, left: Left<'_>, right: &Packed, mut out: Out<'_>, rows: usize) {
+    // SAFETY: there is no `Tiles` without these features, nor without the kernel's leave to use tiles.
+    unsafe { multiply_compiled(left, right, &mut out, rows) };
+}
+
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512bf16")]
+fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: usize) {
+    let (inner, columns) = (right.rows(), right.columns());
+    let steps = inner.div_ceil(STEP);
+    let mut copy = vec![Tile([[0; TILE]; TILE]); 2 * steps];
+    let mut sums = Sums([[0.0; PANEL]; BLOCK]);
+    // SAFETY: `multiply` stands for the features. Tiles are configured as long as they are used, and blocks and panels have `steps` steps.
+    unsafe {
+        let found = configure();
+        for row in (0..rows).step_by(BLOCK) {
+            let count = BLOCK.min(rows - row);
+            let block = match left {
+                Left::Rows(numbers) => {
+                    let numbers = &numbers[row * inner..][..count * inner];
+                    if count == BLOCK && inner.is_multiple_of(STEP) {
+                        in_place(numbers, inner)
+                    } else {
+                        copy_rows(numbers, inner, &mut copy);
+                        copied(&copy)
+                    }
+                }
+                Left::Transposed(packed) => {
+                    transpose(packed.filled_panel(row / PANEL), &mut copy);
+                    copied(&copy)
+                }
+            };
+            for panel in 0..right.panels() {
+                let pairs = right.filled_panel(panel);
+                if count > TILE {
+                    multiply_block(block, pairs.as_ptr(), steps, &mut sums);
+                } else {
+                    multiply_half(block, pairs.as_ptr(), steps, &mut sums);
+                }
+                for (m, sums) in sums.0[..count].iter().enumerate() {
+                    for (half, sums) in sums.as_chunks::<LANES>().0.iter().enumerate() {
+                        let column = panel * PANEL + half * LANES;
+                        if column < columns {
+                            let at = (row + m) * columns + column;
+                            put(_mm512_load_ps(sums.as_ptr()), out, at, columns - column);
+                        }
+                    }
+                }
+            }
+        }
+        restore(&found);
+    }
+}
+
+/// 32 rows of the left factor, `[32, inner]`, as they lie in memory.
+fn in_place(rows: &[Bf16], inner: usize) -> Block {
+    let second = &rows[TILE * inner..];
+    Block {
+        tiles: [rows.as_ptr().cast(), second.as_ptr().cast()],
+        row: inner * size_of::<Bf16>(),
+        step: ROW_BYTES,
+    }
+}
+
+/// A block that was copied: two tiles a step.
+fn copied(copy: &[Tile]) -> Block {
+    let second = &copy[1..];
+    Block {
+        tiles: [copy.as_ptr().cast(), second.as_ptr().cast()],
+        row: ROW_BYTES,
+        step: 2 * size_of::<Tile>(),
+    }
+}
+
+/// Copies up to 32 rows of `inner` numbers, and fills up the last step with zeros. Tiles' other rows stay as they are: nobody reads their sums.
+///
+/// # Safety
+/// Called from code that is compiled for AVX-512 with 16-bit numbers.
+#[inline(always)]
+unsafe fn copy_rows(rows: &[Bf16], inner: usize, copy: &mut [Tile]) {
+    for (row, numbers) in rows.chunks_exact(inner).enumerate() {
+        let (half, row) = (row / TILE, row % TILE);
+        for (numbers, tiles) in numbers.chunks(STEP).zip(copy.as_chunks_mut::<2>().0) {
+            let mask = u32::MAX >> (STEP - numbers.len());
+            let to = &mut tiles[half].0[row];
+            // SAFETY: the caller's promise. The mask leaves the numbers that there are; a tile's row begins a cache line.
+            unsafe {
+                let numbers = _mm512_maskz_loadu_epi16(mask, numbers.as_ptr().cast());
+                _mm512_store_si512(to.as_mut_ptr().cast(), numbers);
+            }
+        }
+    }
+}
+
+/// Takes a panel of the transposed factor over: columns become rows.
+///
+/// # Safety
+/// Called from code that is compiled for AVX-512.
+#[inline(always)]
+unsafe fn transpose(panel: &[PairRow], copy: &mut [Tile]) {
+    let steps = panel.as_chunks::<TILE>().0;
+    for (rows, tiles) in steps.iter().zip(copy.as_chunks_mut::<2>().0) {
+        for (half, tile) in tiles.iter_mut().enumerate() {
+            // SAFETY: the caller's promise; rows of panels and tiles begin cache lines.
+            unsafe {
+                let mut lanes = [_mm512_setzero_si512(); TILE];
+                for (lanes, row) in lanes.iter_mut().zip(rows) {
+                    *lanes = _mm512_load_si512(row.0[half * TILE..].as_ptr().cast());
+                }
+                for (row, lanes) in tile.0.iter_mut().zip(transposed(lanes)) {
+                    _mm512_store_si512(row.as_mut_ptr().cast(), lanes);
+                }
+            }
+        }
+    }
+}
+
+/// Sixteen rows of sixteen numbers as their columns: numbers of two rows side by side, then those of four, then blocks of four by four to their
+/// places.
+///
+/// # Safety
+/// Called from code that is compiled for AVX-512.
+#[inline(always)]
+unsafe fn transposed(rows: [__m512i; TILE]) -> [__m512i; TILE] {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let (mut twos, mut fours) = (rows, rows);
+        for i in 0..8 {
+            twos[2 * i] = _mm512_unpacklo_epi32(rows[2 * i], rows[2 * i + 1]);
+            twos[2 * i + 1] = _mm512_unpackhi_epi32(rows[2 * i], rows[2 * i + 1]);
+        }
+        // Of rows 4 i to 4 i + 3: `fours[4 i + j]` has columns j, 4 + j, 8 + j and 12 + j.
+        for i in 0..4 {
+            let [a, b, c, d] = [twos[4 * i], twos[4 * i + 1], twos[4 * i + 2], twos[4 * i + 3]];
+            fours[4 * i] = _mm512_unpacklo_epi64(a, c);
+            fours[4 * i + 1] = _mm512_unpackhi_epi64(a, c);
+            fours[4 * i + 2] = _mm512_unpacklo_epi64(b, d);
+            fours[4 * i + 3] = _mm512_unpackhi_epi64(b, d);
+        }
+        let mut columns = rows;
+        for j in 0..4 {
+            let [a, b, c, d] = [fours[j], fours[4 + j], fours[8 + j], fours[12 + j]];
+            // The even quarters of two registers, and the odd ones.
+            let even = [_mm512_shuffle_i32x4::<0x88>(a, b), _mm512_shuffle_i32x4::<0x88>(c, d)];
+            let odd = [_mm512_shuffle_i32x4::<0xdd>(a, b), _mm512_shuffle_i32x4::<0xdd>(c, d)];
+            columns[j] = _mm512_shuffle_i32x4::<0x88>(even[0], even[1]);
+            columns[4 + j] = _mm512_shuffle_i32x4::<0x88>(odd[0], odd[1]);
+            columns[8 + j] = _mm512_shuffle_i32x4::<0xdd>(even[0], even[1]);
+            columns[12 + j] = _mm512_shuffle_i32x4::<0xdd>(odd[0], odd[1]);
+        }
+        columns
+    }
+}
+
+/// How tiles are cut, as `ldtilecfg` reads it and `sttilecfg` writes it.
+#[repr(C, align(64))]
+struct Configuration {
+    /// 0: tiles are not in use, 1: eight of at most sixteen rows of 64 bytes.
+    palette: u8,
+    start_row: u8,
+    reserved: [u8; 14],
+    row_bytes: [u16; 16],
+    rows: [u8; 16],
+}
+
+/// Takes eight whole tiles, and gives back what was configured before: a library that is in between two products of its own may not look again.
+///
+/// # Safety
+/// The processor has tiles, and the process may use them. Nobody's numbers are in them.
+unsafe fn configure() -> Configuration {
+    let whole = Configuration {
+        palette: 1,
+        start_row: 0,
+        reserved: [0; 14],
+        row_bytes: std::array::from_fn(|tile| if tile < 8 { ROW_BYTES as u16 } else { 0 }),
+        rows: std::array::from_fn(|tile| if tile < 8 { TILE as u8 } else { 0 }),
+    };
+    let mut found = Configuration {
+        palette: 0,
+        start_row: 0,
+        reserved: [0; 14],
+        row_bytes: [0; 16],
+        rows: [0; 16],
+    };
+    // SAFETY: both are 64 bytes; the rest is the caller's promise.
+    unsafe {
+        asm!(
+            "sttilecfg [{found}]",
+            "ldtilecfg [{whole}]",
+            found = in(reg) &raw mut found,
+            whole = in(reg) &raw const whole,
+            options(nostack, preserves_flags),
+        );
+    }
+    found
+}
+
+/// Configures tiles as they were found. What was in them is gone.
+///
+/// # Safety
+/// As for [`configure`], which gave `found`.
+unsafe fn restore(found: &Configuration) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        asm!("ldtilecfg [{found}]", found = in(reg) found, options(nostack, preserves_flags, readonly));
+    }
+}
+
+/// The sums of a block with a panel.
+///
+/// # Safety
+/// Tiles are configured. Block and panel have `steps` steps, at least one.
+unsafe fn multiply_block(block: Block, panel: *const PairRow, steps: usize, sums: &mut Sums) {
+    let sums = sums.0.as_mut_ptr();
+    // SAFETY: the caller's promise; `sums` are four tiles, side by side and one above the other.
+    unsafe {
+        asm!(
+            "tilezero tmm0",
+            "tilezero tmm1",
+            "tilezero tmm2",
+            "tilezero tmm3",
+            "2:",
+            "tileloadd tmm4, [{first} + {row}*1]",
+            "tileloadd tmm6, [{panel} + {width}*1]",
+            "tileloadd tmm7, [{panel} + {width}*1 + 64]",
+            "tdpbf16ps tmm0, tmm4, tmm6",
+            "tileloadd tmm5, [{second} + {row}*1]",
+            "tdpbf16ps tmm1, tmm4, tmm7",
+            "tdpbf16ps tmm2, tmm5, tmm6",
+            "tdpbf16ps tmm3, tmm5, tmm7",
+            "add {first}, {step}",
+            "add {second}, {step}",
+            "add {panel}, 2048",
+            "dec {steps}",
+            "jnz 2b",
+            "tilestored [{sums} + {width}*1], tmm0",
+            "tilestored [{sums} + {width}*1 + 64], tmm1",
+            "tilestored [{sums} + {width}*1 + 2048], tmm2",
+            "tilestored [{sums} + {width}*1 + 2112], tmm3",
+            first = inout(reg) block.tiles[0] => _,
+            second = inout(reg) block.tiles[1] => _,
+            panel = inout(reg) panel => _,
+            steps = inout(reg) steps => _,
+            row = in(reg) block.row,
+            step = in(reg) block.step,
+            width = in(reg) size_of::<PairRow>(),
+            sums = in(reg) sums,
+            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+            out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+            options(nostack),
+        );
+    }
+}
+
+/// The sums of a block's first sixteen rows with a panel.
+///
+/// # Safety
+/// As for [`multiply_block`].
+unsafe fn multiply_half(block: Block, panel: *const PairRow, steps: usize, sums: &mut Sums) {
+    let sums = sums.0.as_mut_ptr();
+    // SAFETY: the caller's promise; `sums` begin with two tiles side by side.
+    unsafe {
+        asm!(
+            "tilezero tmm0",
+            "tilezero tmm1",
+            "2:",
+            "tileloadd tmm4, [{first} + {row}*1]",
+            "tileloadd tmm6, [{panel} + {width}*1]",
+            "tileloadd tmm7, [{panel} + {width}*1 + 64]",
+            "tdpbf16ps tmm0, tmm4, tmm6",
+            "tdpbf16ps tmm1, tmm4, tmm7",
+            "add {first}, {step}",
+            "add {panel}, 2048",
+            "dec {steps}",
+            "jnz 2b",
+            "tilestored [{sums} + {width}*1], tmm0",
+            "tilestored [{sums} + {width}*1 + 64], tmm1",
+            first = inout(reg) block.tiles[0] => _,
+            panel = inout(reg) panel => _,
+            steps = inout(reg) steps => _,
+            row = in(reg) block.row,
+            step = in(reg) block.step,
+            width = in(reg) size_of::<PairRow>(),
+            sums = in(reg) sums,
+            out("tmm0") _, out("tmm1") _,
+            out("tmm4") _, out("tmm6") _, out("tmm7") _,
+            options(nostack),
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What needs no tiles itself.
+    #[test]
+    fn blocks_are_copied_row_by_row_and_column_by_column() {
+        use std::arch::is_x86_feature_detected as has;
+        if !has!("avx512f") || !has!("avx512bw") {
+            return;
+        }
+        #[target_feature(enable = "avx512f,avx512bw")]
+        fn copy_both(rows: &[Bf16], inner: usize, panel: &[PairRow], copies: [&mut [Tile]; 2]) {
+            // SAFETY: compiled for both features.
+            unsafe {
+                copy_rows(rows, inner, copies[0]);
+                transpose(panel, copies[1]);
+            }
+        }
+        let inner = 37;
+        let number = |row: usize, k: usize| Bf16((row * inner + k + 1) as u16);
+        let rows: Vec<_> = (0..BLOCK * inner).map(|i| number(i / inner, i % inner)).collect();
+        let columns: Vec<_> = (0..BLOCK * inner).map(|i| number(i % BLOCK, i / BLOCK)).collect();
+        let mut packed = Packed::default();
+        packed.pack(&columns, inner, BLOCK);
+        let [mut by_row, mut by_column] = [(); 2].map(|()| vec![Tile([[0; TILE]; TILE]); 4]);
+        // SAFETY: the processor has both features.
+        unsafe { copy_both(&rows, inner, packed.filled_panel(0), [&mut by_row, &mut by_column]) };
+        for row in 0..BLOCK {
+            for pair in 0..2 * TILE {
+                let expected = [0, 1].map(|i| {
+                    let k = 2 * pair + i;
+                    if k < inner { u32::from(number(row, k).0) } else { 0 }
+                });
+                let expected = expected[0] | expected[1] << 16;
+                let at = (2 * (pair / TILE) + row / TILE, row % TILE, pair % TILE);
+                assert_eq!(by_row[at.0].0[at.1][at.2], expected, "row {row}, pair {pair}");
+                assert_eq!(by_column[at.0].0[at.1][at.2], expected, "row {row}, pair {pair}");
+            }
+        }
+    }
+}
