@@ -9,7 +9,7 @@ use tch::{Device, Kind, Tensor};
 use crate::LearnerError;
 use crate::actors::Actors;
 use crate::adam::{Adam, AdamOptions, clip_gradient};
-use crate::mlp::Compute;
+use crate::mlp::{Compute, Threads};
 use crate::network::NetworkSpec;
 use crate::state::NetworkState;
 
@@ -67,18 +67,19 @@ impl NetworkPart {
 }
 
 impl NetworkPasses {
-    /// For the networks of `actors` among those of `network`, with products in `kind`.
+    /// For the networks of `actors` among those of `network`, with products in `kind` by `threads`.
     pub(crate) fn new(
         config: &Config,
         network: &NetworkState,
         actors: &Actors,
         kind: Kind,
         device: Device,
+        threads: Threads,
     ) -> Self {
         let flat = network.flat.narrow(0, 0, actors.len as i64);
         let spec = network.spec.part(&actors.iter().collect::<Vec<_>>());
         Self {
-            compute: Compute::new(&spec, config.network.activation, kind, device),
+            compute: Compute::new(&spec, config.network.activation, kind, device, threads),
             gradient: flat.zeros_like(),
             scratch: flat.zeros_like(),
             recorded: None,

@@ -46,6 +46,7 @@ use tch::{Device, Kind, Tensor};
 use crate::LearnerError;
 use crate::actors::Actors;
 use crate::input_norm::{InputNorm, Normalisation};
+use crate::mlp::Threads;
 use crate::optimizer_step::{Descent, NetworkPart, NetworkPasses, check, learning_rates};
 use crate::report::{Sums, UpdateReport, add};
 use crate::state::replay::Batch;
@@ -115,7 +116,8 @@ impl Maddpg {
         let off_policy = state.off_policy.as_ref().expect("a state of MADDPG");
         assert!(!state.actor.spec.is_shared(), "every agent of MADDPG has networks of its own");
         let passes = |network: &NetworkState| {
-            NetworkPasses::new(config, network, &Actors::all(dimensions.n_agents), kind, device)
+            let all = Actors::all(dimensions.n_agents);
+            NetworkPasses::new(config, network, &all, kind, device, Threads::Several)
         };
         let settings = config.algorithm.maddpg;
         Self {

@@ -9,7 +9,7 @@ use tch::{Kind, Tensor};
 
 use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
-use super::samples::{Samples, by_actor, chunks, columns, moments};
+use super::samples::{Samples, chunks, columns, moments, values_by_actor};
 use crate::LearnerError;
 use crate::loss::ActorSamples;
 use crate::optimizer_step::{NetworkPart, NetworkPasses, check};
@@ -159,10 +159,10 @@ impl Group {
         }
         compute.unfold(&network.flat, gradient);
         let own = self.own.as_ref();
-        let by_actor = loss.finish_log_std(&log_std_gradient, &parameter, own);
-        let by_actor = by_actor.view([-1, network.spec.n_networks as i64, u]);
+        let of_actors = loss.finish_log_std(&log_std_gradient, &parameter, own);
+        let of_actors = of_actors.view([-1, network.spec.n_networks as i64, u]);
         let mut slot = network.spec.learned("log_std", gradient);
-        slot.copy_(&by_actor.sum_dim_intlist(&[0i64][..], false, Kind::Float));
+        slot.copy_(&of_actors.sum_dim_intlist(&[0i64][..], false, Kind::Float));
         let statistics = Vec::<f32>::try_from((statistics / batch as f64).view([-1]))
             .expect("three numbers an agent");
         let column = |index: usize| statistics.iter().skip(index).step_by(3).map(|&x| f64::from(x));
@@ -210,7 +210,7 @@ impl Group {
                 Some((mean, std)) => (columns.select(1, 1) - mean) / std,
                 None => columns.select(1, 1),
             };
-            let value = by_actor(&compute.forward(&x));
+            let value = values_by_actor(&compute.forward(&x));
             let (d_value, sum) = inputs.options.critic_loss.gradient(&value, &old, &target, batch);
             compute.backward(&x, &by_critic(&d_value, critics), gradient);
             let _ = total.g_add_(&sum);

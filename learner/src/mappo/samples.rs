@@ -167,7 +167,7 @@ impl Group {
                 Some(state) => compute.for_all(&state.narrow(0, chunk.start, len)),
                 None => compute.by_network(&observation.narrow(0, chunk.start, len)),
             };
-            value.narrow(1, chunk.start, len).copy_(&by_actor(&compute.forward(&x)));
+            value.narrow(1, chunk.start, len).copy_(&values_by_actor(&compute.forward(&x)));
         }
         value
     }
@@ -185,7 +185,7 @@ fn over_agents(x: &Tensor) -> Tensor {
 }
 
 /// The values `[A, B]` of what critics say, `[C, A / C, B]`. Critic c is that of the actors c, c + C, c + 2C …
-pub(super) fn by_actor(output: &Tensor) -> Tensor {
+pub(super) fn values_by_actor(output: &Tensor) -> Tensor {
     let batch = output.size()[2];
     output.transpose(0, 1).reshape([-1, batch])
 }

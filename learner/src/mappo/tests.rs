@@ -8,7 +8,7 @@ use tch::{Device, Kind, Tensor};
 
 use super::update::steered;
 use super::*;
-use crate::mlp::Compute;
+use crate::mlp::{Compute, Threads};
 use crate::optimizer_step::learning_rates;
 use crate::precision::Arithmetic;
 use crate::report::UpdateReport;
@@ -474,7 +474,8 @@ fn play(run: &Run, config: &Config, blocks: &mut [Vec<f32>], iteration: u64) {
     let Dimensions { n_agents, n_steps, n_envs, observation, .. } = run.dimensions;
     let (a, t, n, o) = (n_agents as i64, n_steps as i64, n_envs as i64, observation as i64);
     let NetworkState { spec, flat, .. } = &run.state.actor;
-    let mut compute = Compute::new(spec, config.network.activation, Kind::Float, Device::Cpu);
+    let mut compute =
+        Compute::new(spec, config.network.activation, Kind::Float, Device::Cpu, Threads::Several);
     compute.load(flat);
     let norm = run.state.observation_norm.as_ref().expect("running").mean_and_inverse_std();
     let row = |x: &[f32]| Tensor::from_slice(x).view([a, 1, o]);

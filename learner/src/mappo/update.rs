@@ -13,6 +13,7 @@ use super::options::Options;
 use crate::LearnerError;
 use crate::actors::Actors;
 use crate::input_norm::InputNorm;
+use crate::mlp::Threads;
 use crate::optimizer_step::{NetworkPart, NetworkPasses, learning_rates};
 use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
@@ -57,6 +58,7 @@ impl Mappo {
         let kind = state.arithmetic.kind();
         let threads = config.run.learner_threads;
         let at_once = threads.min(n_groups);
+        let each = if threads / at_once == 1 { Threads::One } else { Threads::Several };
         let groups = (0..n_groups)
             .map(|first| {
                 let len = dimensions.n_actors / n_groups;
@@ -64,11 +66,7 @@ impl Mappo {
                 let n_critics = state.critic.spec.rows / n_groups;
                 let critics = Actors { len: n_critics, ..actors };
                 let passes = |network: &NetworkState, rows: &Actors| {
-                    let mut passes = NetworkPasses::new(config, network, rows, kind, device);
-                    if threads / at_once == 1 {
-                        passes.compute.multiply_alone();
-                    }
-                    passes
+                    NetworkPasses::new(config, network, rows, kind, device, each)
                 };
                 let own = dimensions.actions_with_joint().map(|flags| {
                     let shape = [dimensions.n_actors as i64, dimensions.actor_output() as i64];

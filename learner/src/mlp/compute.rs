@@ -8,6 +8,7 @@ use super::plain::PlainPasses;
 use super::stack::Stack;
 use super::torch::TorchPasses;
 use crate::network::NetworkSpec;
+use crate::product::Native;
 
 /// What a pass needs beside the parameters: weights in the products' precision, and buffers.
 #[derive(Debug)]
@@ -18,20 +19,32 @@ pub struct Compute {
     is_first: bool,
 }
 
+/// How many threads compute the passes of a group.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Threads {
+    /// One, which multiplies bfloat16 without libtorch if the processor has instructions for it. The bits are not those of several.
+    One,
+    /// As many as libtorch may use.
+    Several,
+}
+
 impl Compute {
     /// Buffers for the networks `spec`, with products in `kind`.
-    pub fn new(spec: &NetworkSpec, activation: Activation, kind: Kind, device: Device) -> Self {
+    pub fn new(
+        spec: &NetworkSpec,
+        activation: Activation,
+        kind: Kind,
+        device: Device,
+        threads: Threads,
+    ) -> Self {
         let stack = Stack::new(spec, activation, kind, device);
-        let passes: Box<dyn Passes> = match PlainPasses::new(&stack) {
+        let own = threads == Threads::One && kind == Kind::BFloat16;
+        let native = if own { Native::detect() } else { None };
+        let passes: Box<dyn Passes> = match PlainPasses::new(&stack, native) {
             Some(plain) => Box::new(plain),
             None => Box::new(TorchPasses::new(&stack)),
         };
         Self { stack, passes, is_first: true }
-    }
-
-    /// From now on one thread computes. A product's bits need not be those of several threads.
-    pub fn multiply_alone(&mut self) {
-        self.passes.multiply_alone(&self.stack);
     }
 
     /// Takes over the parameters `[A, P]`: folds and rounds them. Once before the passes of a step, whose first [`Self::backward`] overwrites the
@@ -96,8 +109,8 @@ impl Compute {
     /// Writes the folded gradients for the chunk that went through [`Self::forward`] last, given its inputs and the loss's gradient `[A, U, B]` by
     /// the outputs, where `gradient` `[A, P]` is learned, as sums over a network's actors. Further chunks of a step add theirs.
     pub fn backward(&mut self, x: &Tensor, d_output: &Tensor, gradient: &Tensor) {
-        let sums = StepGradient { gradient, is_first: self.is_first };
-        self.passes.backward(&self.stack, x, d_output, Some(sums));
+        let step = StepGradient { gradient, is_first: self.is_first };
+        self.passes.backward(&self.stack, x, d_output, Some(step));
         self.is_first = false;
     }
 

@@ -9,9 +9,6 @@ use crate::network::NetworkSpec;
 
 /// The way forward and back through the folded layers of a [`Stack`].
 pub(super) trait Passes: Debug + Send {
-    /// From now on one thread multiplies, without libtorch if that is faster.
-    fn multiply_alone(&mut self, _stack: &Stack) {}
-
     /// Whether an input that all networks share may lie in memory once.
     fn share_input(&self) -> bool {
         false
@@ -36,13 +33,13 @@ pub(super) trait Passes: Debug + Send {
     fn forward(&mut self, stack: &mut Stack, x: &Tensor) -> Tensor;
 
     /// Goes back to the first layer from the loss's gradient `[A, U, B]` by the outputs; the folded parameters' gradients, which are found on the
-    /// way, go into `sums`, if any.
+    /// way, go into `step`, if any.
     fn backward(
         &mut self,
         stack: &Stack,
         x: &Tensor,
         d_output: &Tensor,
-        sums: Option<StepGradient<'_>>,
+        step: Option<StepGradient<'_>>,
     );
 }
 

@@ -9,6 +9,7 @@ use super::products::Products;
 use super::stack::Stack;
 use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::number::{Bf16, Number};
+use crate::product::Native;
 
 /// One loop over the samples a layer.
 #[derive(Debug)]
@@ -20,8 +21,8 @@ pub(super) struct PlainPasses {
 }
 
 impl PlainPasses {
-    /// For the layers of `stack`, if they are of those that it can do.
-    pub(super) fn new(stack: &Stack) -> Option<Self> {
+    /// For the layers of `stack`, if they are of those that it can do. Products in bfloat16 are ours by `native`, or libtorch's.
+    pub(super) fn new(stack: &Stack, native: Option<Native>) -> Option<Self> {
         let unit = match stack.activation {
             Activation::Relu => Unit::Relu,
             Activation::Elu => Unit::Elu,
@@ -31,7 +32,7 @@ impl PlainPasses {
         let hidden = stack.spec.hidden.iter().enumerate();
         (stack.device == Device::Cpu).then(|| Self {
             rows: RowPasses::new(unit),
-            products: Products::default(),
+            products: Products::new(stack, native),
             bias: hidden
                 .map(|(layer, &units)| Tensor::zeros([stack.biases(layer), units], options))
                 .collect(),
@@ -85,7 +86,7 @@ impl PlainPasses {
         stack: &Stack,
         x: &Tensor,
         d_output: &Tensor,
-        sums: Option<StepGradient<'_>>,
+        step: Option<StepGradient<'_>>,
     ) {
         let (networks, rows, layers) = (stack.networks(), x.size()[1], stack.spec.hidden.len());
         let float = (Kind::Float, stack.device);
@@ -127,10 +128,10 @@ impl PlainPasses {
                 }
             };
             self.rows.backward::<T>(sizes, arrays);
-            if let Some(sums) = sums {
+            if let Some(step) = step {
                 if let Some((weight, bias)) = &d_head {
-                    sums.take(&stack.spec, "head.weight", &weight.transpose(1, 2));
-                    sums.take(&stack.spec, "head.bias", bias);
+                    step.take(&stack.spec, "head.weight", &weight.transpose(1, 2));
+                    step.take(&stack.spec, "head.bias", bias);
                 }
                 let input = if layer == 0 {
                     x.shallow_clone()
@@ -141,9 +142,9 @@ impl PlainPasses {
                         stack.spec.hidden[layer - 1],
                     )
                 };
-                self.products.weight_gradient(stack, layer, [&input, &d], sums);
+                self.products.weight_gradient(stack, layer, [&input, &d], step);
                 let (_, bias_name) = stack.names(layer);
-                sums.take(&stack.spec, &bias_name, &d_bias);
+                step.take(&stack.spec, &bias_name, &d_bias);
             }
             if layer > 0 {
                 let mut below =
@@ -155,10 +156,6 @@ impl PlainPasses {
 }
 
 impl Passes for PlainPasses {
-    fn multiply_alone(&mut self, stack: &Stack) {
-        self.products.multiply_alone(stack);
-    }
-
     fn share_input(&self) -> bool {
         self.products.share_input()
     }
@@ -189,11 +186,11 @@ impl Passes for PlainPasses {
         stack: &Stack,
         x: &Tensor,
         d_output: &Tensor,
-        sums: Option<StepGradient<'_>>,
+        step: Option<StepGradient<'_>>,
     ) {
         match stack.kind {
-            Kind::BFloat16 => self.backward_in::<Bf16>(stack, x, d_output, sums),
-            _ => self.backward_in::<f32>(stack, x, d_output, sums),
+            Kind::BFloat16 => self.backward_in::<Bf16>(stack, x, d_output, step),
+            _ => self.backward_in::<f32>(stack, x, d_output, step),
         }
     }
 }

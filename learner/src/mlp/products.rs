@@ -1,4 +1,4 @@
-//! The products of hidden layers on a CPU: libtorch's, or by one thread in bfloat16 ours ([`crate::product`]).
+//! The products of hidden layers on a CPU: libtorch's, or in bfloat16 our own ([`crate::product`]).
 
 use tch::{Kind, Tensor};
 
@@ -9,9 +9,9 @@ use crate::number::{Bf16, round_all};
 use crate::product::{Left, Native, Out, Packed, multiply};
 
 /// What multiplies, and its memory.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Products {
-    /// Where ours are in use.
+    /// What ours are made with; libtorch multiplies if that is nothing.
     native: Option<Native>,
     /// Weights of each hidden layer and network.
     weight: Vec<Vec<Packed>>,
@@ -23,14 +23,15 @@ pub(super) struct Products {
 }
 
 impl Products {
-    /// Ours from now on, where the processor can.
-    pub(super) fn multiply_alone(&mut self, stack: &Stack) {
-        self.native = Native::detect().filter(|_| stack.kind == Kind::BFloat16);
+    /// For the layers of `stack`, in bfloat16 if ours are made with `native`.
+    pub(super) fn new(stack: &Stack, native: Option<Native>) -> Self {
+        assert!(native.is_none() || stack.kind == Kind::BFloat16, "ours are of bfloat16");
         let layers = || {
             let networks = || (0..stack.spec.n_networks).map(|_| Packed::default()).collect();
             stack.weight.iter().map(|_| networks()).collect()
         };
-        (self.weight, self.transposed) = (layers(), layers());
+        let (weight, transposed) = (layers(), layers());
+        Self { native, weight, transposed, input: Packed::default(), gradient: Packed::default() }
     }
 
     /// Whether an input that all networks share may lie in memory once: libtorch would copy it for each product.
@@ -92,28 +93,28 @@ impl Products {
         }
     }
 
-    /// The gradient by the layer's weights, into `sums`.
+    /// The gradient by the layer's weights, into `step`.
     #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     pub(super) fn weight_gradient(
         &mut self,
         stack: &Stack,
         layer: usize,
         [input, d]: [&Tensor; 2],
-        sums: StepGradient<'_>,
+        step: StepGradient<'_>,
     ) {
         let (name, _) = stack.names(layer);
         let Some(native) = self.native else {
             let part = &stack.buffers.weight_gradient[layer];
             let _ = input.transpose(1, 2).bmm_out(part, d);
-            sums.take(&stack.spec, &name, part);
+            step.take(&stack.spec, &name, part);
             return;
         };
         let (networks, rows, units) = d.size3().expect("[N, R, H]");
         let (rows, width) = (rows as usize, input.size()[2] as usize);
-        let is_shared = input.stride()[0] == 0;
-        let slot = stack.spec.learned(&name, sums.gradient);
+        let input_is_shared = input.stride()[0] == 0;
+        let slot = stack.spec.learned(&name, step.gradient);
         for network in 0..networks {
-            if network == 0 || !is_shared {
+            if network == 0 || !input_is_shared {
                 let input = input.get(network).contiguous();
                 // SAFETY: filled before the pass began, and nobody writes until it has ended.
                 self.input.pack(unsafe { numbers(&input) }, rows, width);
@@ -125,7 +126,7 @@ impl Products {
             // SAFETY: the gradient is made of zeros by its owner, who lends it for this pass and reads it later. No other tensor
             // of the pass shares its memory.
             let slot: &mut [f32] = unsafe { numbers_mut(&mut slot) };
-            let out = if sums.is_first { Out::Widened(slot) } else { Out::Added(slot) };
+            let out = if step.is_first { Out::Widened(slot) } else { Out::Added(slot) };
             multiply(native, Left::Transposed(&self.input), &self.gradient, out);
         }
     }

@@ -5,11 +5,13 @@ use proto::layout::Dimensions;
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
+use super::plain::PlainPasses;
 use super::torch::TorchPasses;
 use super::*;
 use crate::layer_norm::standardise_input;
 use crate::network::{NetworkKind, NetworkSpec, Parameter};
 use crate::precision::Arithmetic;
+use crate::product::Native;
 
 fn config(assignments: &[&str]) -> Config {
     assignments
@@ -65,13 +67,24 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
                     "network.hidden=[24,16,20]",
                     "network.critic_hidden=[]",
                 ]);
-                for (device, way) in [Way::Alone, Way::Fused, Way::Operations]
-                    .map(|way| (Device::Cpu, way))
-                    .into_iter()
-                    .chain(crate::gpu().map(|gpu| (gpu, Way::Operations)))
-                {
-                    compare(&config, kind, Arithmetic::F32, device, way, 3e-6);
-                    compare(&config, kind, Arithmetic::Bf16, device, way, 0.25);
+                for sees in [Sees::Own, Sees::All] {
+                    let compare = |arithmetic, way, tolerance| {
+                        compare(&config, (kind, sees), arithmetic, way, tolerance)
+                    };
+                    compare(Arithmetic::F32, Way::Fused, 3e-6);
+                    let fused = compare(Arithmetic::Bf16, Way::Fused, 0.25);
+                    for device in [Some(Device::Cpu), crate::gpu()].into_iter().flatten() {
+                        compare(Arithmetic::F32, Way::Operations(device), 3e-6);
+                        compare(Arithmetic::Bf16, Way::Operations(device), 0.25);
+                    }
+                    // The same roundings, but for a last place of a sum here and there.
+                    for native in Native::all() {
+                        let own = compare(Arithmetic::Bf16, Way::Own(native), 0.25);
+                        for (own, fused) in own.iter().zip(&fused) {
+                            let error = relative(own, fused);
+                            assert!(error < 1e-2, "{native:?} and libtorch: {error}");
+                        }
+                    }
                 }
             }
         }
@@ -81,25 +94,41 @@ fn passes_by_hand_are_those_of_automatic_differentiation() {
 /// How passes are computed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Way {
-    /// With products of our own, where there are some.
-    Alone,
+    /// With products of our own, where one pass over the samples stands between them.
+    Own(Native),
     /// With libtorch's products.
     Fused,
     /// With libtorch's operations alone.
-    Operations,
+    Operations(Device),
+}
+
+/// What actors see.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Sees {
+    /// Each something else.
+    Own,
+    /// All the same, as critics do.
+    All,
+}
+
+/// The distance relative to the norm.
+fn relative(ours: &Tensor, theirs: &Tensor) -> f64 {
+    ((ours - theirs).norm() / theirs.norm()).double_value(&[])
 }
 
 /// Tolerances relative to the norm: in f32 about 50 roundings of 2⁻²⁴ = 6e-8 each. In bf16 a few of
 /// 2⁻⁹ = 2e-3 each along the layers, and pre-activations within a rounding of zero change side: with
 /// ReLU, whose gradients differ most, about one in a hundred units of a sample is on or off where its twin is not.
+///
+/// Returns outputs and gradients.
 fn compare(
     config: &Config,
-    kind: NetworkKind,
+    (kind, sees): (NetworkKind, Sees),
     arithmetic: Arithmetic,
-    device: Device,
     way: Way,
     tolerance: f64,
-) {
+) -> Vec<Tensor> {
+    let device = if let Way::Operations(device) = way { device } else { Device::Cpu };
     let spec = NetworkSpec::new(kind, config, &Dimensions::new(config, Joints::of_sixes(2)));
     let (a, b) = (4, 30);
     tch::manual_seed(4);
@@ -110,22 +139,34 @@ fn compare(
     spec.unify(&flat);
     let flat = flat.set_requires_grad(true);
     // As samples are gathered: one after the other, of each what all see.
-    let x = Tensor::randn([b, a * spec.input], options).to_kind(arithmetic.kind());
+    let width = if sees == Sees::Own { a * spec.input } else { spec.input };
+    let x = Tensor::randn([b, width], options).to_kind(arithmetic.kind());
     let weights = Tensor::randn([a, spec.output, b], options);
-    let leaf = x.view([b, a, -1]).transpose(0, 1).to_kind(Kind::Float).contiguous();
+    let leaf = x.view([b, -1, spec.input]).expand([b, a, spec.input], true);
+    let leaf = leaf.transpose(0, 1).to_kind(Kind::Float).contiguous();
     let leaf = leaf.set_requires_grad(true);
     let expected = definition(&spec, config.network.activation, &flat, &leaf);
     (&expected * &weights).sum(Kind::Float).backward();
 
     tch::no_grad(|| {
-        let mut compute = Compute::new(&spec, config.network.activation, arithmetic.kind(), device);
+        let (activation, kind_of_products) = (config.network.activation, arithmetic.kind());
+        let several = Threads::Several;
+        let mut compute = Compute::new(&spec, activation, kind_of_products, device, several);
         match way {
-            Way::Alone => compute.multiply_alone(),
+            Way::Own(native) => {
+                if let Some(passes) = PlainPasses::new(&compute.stack, Some(native)) {
+                    compute.passes = Box::new(passes);
+                }
+            }
             Way::Fused => {}
-            Way::Operations => compute.passes = Box::new(TorchPasses::new(&compute.stack)),
+            Way::Operations(_) => compute.passes = Box::new(TorchPasses::new(&compute.stack)),
         }
+        let input = |compute: &Compute, x: &Tensor| match sees {
+            Sees::Own => compute.by_network(x),
+            Sees::All => compute.for_all(x),
+        };
         // A larger chunk first: later ones use the beginning of its buffers.
-        let larger = Tensor::randn([b + 7, a * spec.input], options).to_kind(arithmetic.kind());
+        let larger = Tensor::randn([b + 7, width], options).to_kind(arithmetic.kind());
         // Nothing is read where nothing is learned.
         let learned = flat.detach().full_like(f64::NAN);
         for (mut learned, flat) in
@@ -134,27 +175,29 @@ fn compare(
             learned.copy_(&flat);
         }
         compute.load(&learned);
-        let _ = compute.forward(&compute.by_network(&larger));
+        let _ = compute.forward(&input(&compute, &larger));
         // Nor what was written before.
         let gradient = flat.full_like(f64::NAN);
         let near = |ours: &Tensor, theirs: &Tensor, what: &str| {
-            let error = ((ours - theirs).norm() / theirs.norm()).double_value(&[]);
+            let error = relative(ours, theirs);
             assert!(
                 error < tolerance,
-                "{what} of {kind:?} {arithmetic:?} on {device:?}, {way:?}: {error}"
+                "{what} of {kind:?} {sees:?} {arithmetic:?}, {way:?}: {error}"
             );
         };
+        let mut results = Vec::new();
         // Two halves add up to the whole.
         for start in [0, b / 2] {
-            let half = compute.by_network(&x.narrow(0, start, b / 2));
+            let half = input(&compute, &x.narrow(0, start, b / 2));
             let output = compute.forward(&half);
             near(&output, &expected.narrow(2, start, b / 2), "output");
             compute.backward(&half, &weights.narrow(2, start, b / 2).contiguous(), &gradient);
+            results.push(output);
         }
         compute.unfold(&learned, &gradient);
         // By three inputs of each actor, other ones for each; adds nothing to the parameters' gradient.
         let columns = [1, 4, 0, 5];
-        let x = compute.by_network(&x);
+        let x = input(&compute, &x);
         let _ = compute.forward(&x);
         let ours = compute.input_gradient(&x, &weights, &columns, 3);
         let theirs = (0..a).zip(columns).map(|(i, column)| leaf.grad().get(i).narrow(1, column, 3));
@@ -168,6 +211,8 @@ fn compare(
                 .map(|rows| rows.sum_dim_intlist(&[0i64][..], false, Kind::Float))
                 .collect();
             near(&ours, &Tensor::stack(&networks, 0), name);
+            results.push(ours);
         }
-    });
+        results
+    })
 }

@@ -102,7 +102,7 @@ impl Passes for TorchPasses {
         stack: &Stack,
         x: &Tensor,
         d_output: &Tensor,
-        sums: Option<StepGradient<'_>>,
+        step: Option<StepGradient<'_>>,
     ) {
         let rows = x.size()[1];
         let layers = stack.spec.hidden.len();
@@ -122,10 +122,10 @@ impl Passes for TorchPasses {
             Some(flat) => stack.chunk(flat, rows, width),
             None => hidden(layers - 1),
         };
-        if let Some(sums) = sums {
-            sums.take(&stack.spec, "head.weight", &d_output.bmm(&last).transpose(1, 2));
+        if let Some(step) = step {
+            step.take(&stack.spec, "head.weight", &d_output.bmm(&last).transpose(1, 2));
             let d_bias = d_output.sum_dim_intlist(&[2i64][..], false, Kind::Float);
-            sums.take(&stack.spec, "head.bias", &d_bias);
+            step.take(&stack.spec, "head.bias", &d_bias);
         }
 
         let mut d_hidden = stack.gradient_chunk(0, rows, width);
@@ -155,18 +155,18 @@ impl Passes for TorchPasses {
                 }
                 Activation::Tanh => Tensor::tanh_backward_grad_input(d, d, &active),
             };
-            if let Some(sums) = sums {
+            if let Some(step) = step {
                 let input = if layer == 0 { x.shallow_clone() } else { hidden(layer - 1) };
                 let part = &stack.buffers.weight_gradient[layer];
                 let _ = input.transpose(1, 2).bmm_out(part, d);
                 let (weight_name, bias_name) = stack.names(layer);
-                sums.take(&stack.spec, &weight_name, part);
+                step.take(&stack.spec, &weight_name, part);
                 // Over samples; of the first layer, whose biases are the actors' own, each actor's by themselves.
                 let of_bias = stack.biases(layer) / networks;
                 let d_bias = d.view([networks, -1, of_bias, width]);
                 let d_bias = d_bias.sum_dim_intlist(&[1i64][..], false, Kind::Float);
                 let d_bias = d_bias.transpose(0, 1).reshape([-1, width]);
-                sums.take(&stack.spec, &bias_name, &d_bias);
+                step.take(&stack.spec, &bias_name, &d_bias);
             }
             if layer > 0 {
                 let below =

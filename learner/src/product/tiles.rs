@@ -342,20 +342,28 @@ unsafe fn multiply_half(block: Block, panel: *const PairRow, steps: usize, sums:
 mod tests {
     use super::*;
 
+    /// Takes `rows` and `panel` over.
+    #[target_feature(enable = "avx512f,avx512bw")]
+    fn copy_both(
+        rows: &[Bf16],
+        inner: usize,
+        panel: &[PairRow],
+        by_row: &mut [Tile],
+        by_column: &mut [Tile],
+    ) {
+        // SAFETY: compiled for both features.
+        unsafe {
+            copy_rows(rows, inner, by_row);
+            transpose(panel, by_column);
+        }
+    }
+
     /// What needs no tiles itself.
     #[test]
     fn blocks_are_copied_row_by_row_and_column_by_column() {
         use std::arch::is_x86_feature_detected as has;
         if !has!("avx512f") || !has!("avx512bw") {
             return;
-        }
-        #[target_feature(enable = "avx512f,avx512bw")]
-        fn copy_both(rows: &[Bf16], inner: usize, panel: &[PairRow], copies: [&mut [Tile]; 2]) {
-            // SAFETY: compiled for both features.
-            unsafe {
-                copy_rows(rows, inner, copies[0]);
-                transpose(panel, copies[1]);
-            }
         }
         let inner = 37;
         let number = |row: usize, k: usize| Bf16((row * inner + k + 1) as u16);
@@ -365,7 +373,7 @@ mod tests {
         packed.pack(&columns, inner, BLOCK);
         let [mut by_row, mut by_column] = [(); 2].map(|()| vec![Tile([[0; TILE]; TILE]); 4]);
         // SAFETY: the processor has both features.
-        unsafe { copy_both(&rows, inner, packed.filled_panel(0), [&mut by_row, &mut by_column]) };
+        unsafe { copy_both(&rows, inner, packed.filled_panel(0), &mut by_row, &mut by_column) };
         for row in 0..BLOCK {
             for pair in 0..2 * TILE {
                 let expected = [0, 1].map(|i| {
