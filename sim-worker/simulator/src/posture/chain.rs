@@ -65,9 +65,9 @@ const DAMPING: [f64; 2] = [1e-2, 1e-6];
 #[derive(Debug, Clone)]
 struct Step<S> {
     shift: Vec3<S>,
-    twist: Mat3<S>,
-    /// Which twist that is.
-    kind: Twist,
+    rotation: Mat3<S>,
+    /// Which rotation that is.
+    twist: Twist,
 }
 
 impl<S: Real> Step<S> {
@@ -77,11 +77,11 @@ impl<S: Real> Step<S> {
     #[inline(always)]
     fn twisted(&self, r: &Mat3<S>) -> Mat3<S> {
         let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = *r;
-        match self.kind {
+        match self.twist {
             Twist::None => *r,
             Twist::Quarter => [[xx, xz, -xy], [yx, yz, -yy], [zx, zz, -zy]],
             Twist::MinusQuarter => [[xx, -xz, xy], [yx, -yz, yy], [zx, -zz, zy]],
-            Twist::General => mat_mat(r, &self.twist),
+            Twist::General => mat_mat(r, &self.rotation),
         }
     }
 }
@@ -94,19 +94,19 @@ type Jacobian<S> = [[S; 6]; MAX_JOINTS_PER_ARM];
 pub(super) struct Chain<S> {
     pub(super) mount: Frame<S>,
     pub(super) home: Angles<S>,
-    kind: Arc<Kind<S>>,
+    arm_type: Arc<ChainType<S>>,
 }
 
 /// What arms of one type have in common.
 #[derive(Debug)]
-struct Kind<S> {
+struct ChainType<S> {
     steps: Vec<Step<S>>,
     tool: Frame<S>,
     /// Of joints that stop because two bodies touch: where, and half of the interval in which they do (rad).
     stops: [Option<[S; 2]>; MAX_JOINTS_PER_ARM],
 }
 
-impl<S: Real> Kind<S> {
+impl<S: Real> ChainType<S> {
     fn new(arm_type: &ArmType) -> Self {
         let mut stops = [None; MAX_JOINTS_PER_ARM];
         for stop in arm_type.angle_contacts.iter().filter(|stop| stop.push) {
@@ -114,8 +114,8 @@ impl<S: Real> Kind<S> {
         }
         let step = |link: &Link| Step {
             shift: vector(link.shift),
-            twist: matrix(link.twist),
-            kind: Twist::of(&link.twist),
+            rotation: matrix(link.twist),
+            twist: Twist::of(&link.twist),
         };
         let tool = Frame {
             rotation: matrix(arm_type.tool_rotation),
@@ -136,21 +136,21 @@ fn matrix<S: Real>(m: nalgebra::Matrix3<f64>) -> Mat3<S> {
 impl<S: Real> Chain<S> {
     /// The arms of a robot.
     pub(super) fn of(robot: &Robot) -> Vec<Self> {
-        let kinds: Vec<_> = robot.types.iter().map(|of| Arc::new(Kind::new(of))).collect();
+        let types: Vec<_> = robot.types.iter().map(|of| Arc::new(ChainType::new(of))).collect();
         let chain = |arm: &Arm| {
             let mut home = [S::zero(); MAX_JOINTS_PER_ARM];
             for (home, &angle) in home.iter_mut().zip(&arm.home) {
                 *home = S::splat(angle);
             }
             let mount = Frame { rotation: matrix(arm.rotation), position: vector(arm.position) };
-            Self { mount, home, kind: kinds[arm.arm_type].clone() }
+            Self { mount, home, arm_type: types[arm.arm_type].clone() }
         };
         robot.arms.iter().map(chain).collect()
     }
 
     /// Whether the other is an arm of the same type: lanes of the two can stand side by side.
-    pub(super) fn is_like(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.kind, &other.kind)
+    pub(super) fn is_of_same_type(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.arm_type, &other.arm_type)
     }
 
     /// Puts lane `from` of an arm of the same type into lane `to`.
@@ -163,7 +163,7 @@ impl<S: Real> Chain<S> {
     /// Number of its joints.
     #[inline(always)]
     pub(super) fn n_joints(&self) -> usize {
-        self.kind.steps.len()
+        self.arm_type.steps.len()
     }
 
     /// Where the hand is; leaves a point on each joint's axis and where it points in `axes`.
@@ -171,7 +171,7 @@ impl<S: Real> Chain<S> {
     fn forward(&self, q: &Angles<S>, axes: &mut Jacobian<S>) -> Frame<S> {
         let Frame { rotation: mut r, position: mut o } = self.mount;
         let mut hand = self.mount;
-        for (j, step) in self.kind.steps.iter().enumerate() {
+        for (j, step) in self.arm_type.steps.iter().enumerate() {
             let (sin, cos) = q[j].sin_cos();
             for row in &mut r {
                 let [x, y, _] = *row;
@@ -181,8 +181,8 @@ impl<S: Real> Chain<S> {
             axes[j] = [o[0], o[1], o[2], r[0][2], r[1][2], r[2][2]];
             if j + 1 == self.n_joints() {
                 hand = Frame {
-                    rotation: mat_mat(&r, &self.kind.tool.rotation),
-                    position: add(o, mat_vec(&r, self.kind.tool.position)),
+                    rotation: mat_mat(&r, &self.arm_type.tool.rotation),
+                    position: add(o, mat_vec(&r, self.arm_type.tool.position)),
                 };
             } else {
                 o = add(o, mat_vec(&r, step.shift));
@@ -231,7 +231,7 @@ impl<S: Real> Chain<S> {
     /// How far joint `joint` has to turn from `from` to `to`, whole turns aside, on a way that leads through no stop (rad).
     #[inline(always)]
     pub(super) fn way(&self, joint: usize, from: S, to: S) -> S {
-        match self.kind.stops[joint] {
+        match self.arm_type.stops[joint] {
             None => nearest_turn(to - from),
             Some([centre, _]) => {
                 // Turns are counted from the stop on.
@@ -245,7 +245,7 @@ impl<S: Real> Chain<S> {
     #[inline(always)]
     pub(super) fn is_stopped(&self, q: &Angles<S>) -> S::Mask {
         let mut stopped = S::Mask::splat(false);
-        for (q, stop) in q.iter().zip(&self.kind.stops) {
+        for (q, stop) in q.iter().zip(&self.arm_type.stops) {
             if let Some([centre, half]) = stop {
                 stopped = stopped | nearest_turn(*q - *centre).abs().lt(*half);
             }
@@ -373,9 +373,9 @@ mod tests {
         assert_eq!(chain.miss(&target, &q).to_bits(), left.to_bits());
         let r = chain.forward(&q, &mut axes).rotation;
         let mut by_right_angles = 0;
-        for step in &chain.kind.steps {
-            assert_eq!(step.twisted(&r), mat_mat(&r, &step.twist), "{:?}", step.kind);
-            by_right_angles += usize::from(step.kind != Twist::General);
+        for step in &chain.arm_type.steps {
+            assert_eq!(step.twisted(&r), mat_mat(&r, &step.rotation), "{:?}", step.twist);
+            by_right_angles += usize::from(step.twist != Twist::General);
         }
         assert!(by_right_angles > 3, "nothing was quick");
     }

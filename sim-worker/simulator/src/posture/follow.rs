@@ -33,7 +33,7 @@ fn look<S: Real>(arms: &mut [Posture<S>]) {
     for first in 0..arms.len() {
         let mut is_first = true;
         for earlier in &arms[..first] {
-            is_first &= !earlier.chain.is_like(&arms[first].chain);
+            is_first &= !earlier.chain.is_of_same_type(&arms[first].chain);
         }
         if !is_first {
             continue;
@@ -41,7 +41,8 @@ fn look<S: Real>(arms: &mut [Posture<S>]) {
         let mut seats = [Seat { arm: 0, lane: 0 }; LANES];
         let mut taken = 0;
         for arm in first..arms.len() {
-            if !arms[arm].pursuit.bad.any() || !arms[arm].chain.is_like(&arms[first].chain) {
+            if !arms[arm].pursuit.bad.any() || !arms[arm].chain.is_of_same_type(&arms[first].chain)
+            {
                 continue;
             }
             for lane in 0..S::LANES {
