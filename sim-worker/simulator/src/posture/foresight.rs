@@ -13,9 +13,9 @@ use super::search::{Question, STARTS, STOPPED, Way};
 use crate::model::Model;
 use crate::scalar::{Kernel, LANES, Mask, Real};
 
-/// Sets of ways that are judged: the nearest of each arm,
+/// Sets of ways that are judged. In the first one, number 0, every arm takes its nearest way.
 const SETS: u64 = 40;
-/// so many in which every arm takes another one, and then the best so far with another way of one or two arms.
+/// Sets below this number, but the first, have another way of every arm. Those from it on are the best set so far with another way of one or two arms.
 const SPREAD: u64 = 8;
 
 /// The postures of a lane group that are yet to be chosen, in the lanes of `open`, an entry an arm.

@@ -8,22 +8,22 @@ use crate::scalar::{Kernel, Mask, Real};
 
 /// Starts of a whole search beside where the arm stands and home.
 pub(super) const STARTS: u64 = 14;
-/// Steps from each of them,
+/// Steps of a whole search from each of its starts.
 const STEPS: usize = 40;
-/// and from one that is tried later.
+/// Steps from a start that is tried later.
 const LATER_STEPS: usize = 12;
-/// Residual (m and rad, together) at which a lane has arrived,
+/// Residual (m and rad, together) below which a lane has arrived: a search makes no more steps there.
 const ARRIVED: f64 = 1e-5;
-/// and below which angles bring the hand to its goal.
+/// Residual (m and rad, together) below which angles bring the hand to its goal.
 const SOLVED: f64 = 1e-3;
-/// What counts more than any way of a joint (rad): angles at which a joint is stopped,
+/// What is added to the cost of angles at which a joint is stopped (rad): more than any way of a joint.
 pub(super) const STOPPED: f64 = 20.0;
-/// and those that do not bring the hand to its goal.
+/// What angles that do not bring the hand to its goal cost at least (rad): more than any that do, those of a stopped joint included.
 pub(super) const UNSOLVED: f64 = 40.0;
-/// Powers of 1/φ with φ⁷ = φ + 1, for arms of up to six joints;
+/// Powers of 1/φ with φ⁷ = φ + 1: the recurrence of starts of arms of up to six joints.
 const RECURRENCE_OF_SIX: [f64; 6] =
     [0.898_653_7, 0.807_578_5, 0.725_733_4, 0.652_183_0, 0.586_086_7, 0.526_689_0];
-/// with φ⁸ = φ + 1, for those of seven.
+/// Powers of 1/φ with φ⁸ = φ + 1: the recurrence of starts of arms of seven joints.
 const RECURRENCE_OF_SEVEN: [f64; MAX_JOINTS_PER_ARM] =
     [0.911_592_4, 0.831_000_6, 0.757_533_8, 0.690_562_0, 0.629_511_1, 0.573_857_5, 0.523_124_1];
 
