@@ -229,45 +229,67 @@ fn every_goal_that_the_twin_solves_has_a_good_posture() {
     assert_eq!(good, solved);
 }
 
+/// Each lane has goals of its own, and gives up other sets than its neighbours.
 #[test]
 fn sets_that_are_given_up_are_not_missed() {
-    let robot = robot();
-    let evaluated = world(&robot);
-    let state = State::<f64>::home(&robot);
-    let place = Place {
-        position: state.base_position,
-        quaternion: state.base_quaternion,
-        q: &state.q,
-        joints: robot.joints,
-    };
-    let mut others = 0;
-    for episode in 0..40 {
-        let hand = |arm| EvaluationGoals::drawn(5).hand(&evaluated, episode, arm);
-        let goals: Vec<[f64; 6]> = (0..4).map(hand).collect();
+    struct Choices;
+    impl crate::scalar::LaneFn for Choices {
+        type Output = usize;
+        #[inline(always)]
+        fn call<S: Real>(self) -> usize {
+            let mut others = 0;
+            for first in (0..48).step_by(S::LANES) {
+                others += n_others::<S>(first);
+            }
+            others
+        }
+    }
+    /// How many choices differ from the nearest ways: an episode a lane, the first lane that of number `first`.
+    #[inline(always)]
+    fn n_others<S: Real>(first: usize) -> usize {
+        let robot = robot();
+        let evaluated = world(&robot);
+        let state = State::<S>::home(&robot);
+        let place = Place {
+            position: state.base_position,
+            quaternion: state.base_quaternion,
+            q: &state.q,
+            joints: robot.joints,
+        };
+        let mut goals = [[S::zero(); 6]; 4];
+        for lane in 0..S::LANES {
+            for (arm, slots) in goals.iter_mut().enumerate() {
+                let hand = EvaluationGoals::drawn(5).hand(&evaluated, (first + lane) as u32, arm);
+                for (slot, x) in slots.iter_mut().zip(hand) {
+                    slot.set_lane(lane, x);
+                }
+            }
+        }
         let Postures { arms: mut begun, model, pace, .. } = none_yet(&robot);
         for (index, (arm, goal)) in begun.iter_mut().zip(&goals).enumerate() {
             arm.begin(goal, &place, index);
         }
         let choose = |to_the_end| {
             let mut arms = begun.clone();
-            let open = &[true; 4];
-            Foresight {
-                model: &model,
-                pace: &pace,
-                goals: &goals,
-                place: &place,
-                open,
-                to_the_end,
-            }
-            .choose(&mut arms);
-            arms.iter().flat_map(|arm| arm.angles).collect::<Vec<_>>()
+            let (model, pace, goals, place) = (&model, &pace, &goals, &place);
+            let open = &[S::Mask::splat(true); 4];
+            Foresight { model, pace, goals, place, open, to_the_end }.choose(&mut arms);
+            arms
         };
-        let chosen = choose(false);
-        assert_eq!(chosen, choose(true), "episode {episode}");
-        others +=
-            usize::from(chosen != begun.iter().flat_map(|arm| arm.angles).collect::<Vec<_>>());
+        let angles = |arms: &[Posture<S>], lane: usize| {
+            arms.iter().flat_map(|arm| arm.angles).map(|x| x.lane(lane)).collect::<Vec<_>>()
+        };
+        let (chosen, to_the_end) = (choose(false), choose(true));
+        let mut others = 0;
+        for lane in 0..S::LANES {
+            let chosen = angles(&chosen, lane);
+            assert_eq!(chosen, angles(&to_the_end, lane), "episode {}", first + lane);
+            others += usize::from(chosen != angles(&begun, lane));
+        }
+        others
     }
-    assert!(others > 10, "only {others} choices differ from the nearest ways");
+    let others = crate::scalar::dispatch(Choices);
+    assert!(others > 12, "only {others} choices differ from the nearest ways");
 }
 
 /// Along a circle of 0.05 m in small steps a hand keeps its way: back at the start, its joints are.
