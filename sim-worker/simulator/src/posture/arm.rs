@@ -26,8 +26,6 @@ pub(crate) struct Posture<S: Real> {
     pub(super) angles: Angles<S>,
     /// Starts of the search that were tried.
     pub(super) tried: S,
-    /// The step of following that is under way, or was last.
-    pub(super) pursuit: Pursuit<S>,
 }
 
 /// How fast arms go to their postures.
@@ -41,8 +39,9 @@ pub(crate) struct Pace<S> {
     pub(crate) limits: Vec<S>,
 }
 
-/// A posture on the way after its goal.
+/// A posture on the way after its goal, from [`Posture::go_after`] to [`Posture::settle`].
 #[derive(Debug, Clone, Copy)]
+#[must_use = "the posture has to settle"]
 pub(super) struct Pursuit<S: Real> {
     /// Where the hand shall go.
     pub(super) target: Frame<S>,
@@ -54,15 +53,6 @@ pub(super) struct Pursuit<S: Real> {
     /// Lanes that need another way.
     pub(super) bad: S::Mask,
     rests: S::Mask,
-}
-
-impl<S: Real> Pursuit<S> {
-    /// None yet.
-    fn new(chain: &Chain<S>) -> Self {
-        let none = S::Mask::splat(false);
-        let (stands, before) = (chain.home, chain.home);
-        Self { target: chain.mount, stands, before, cost: S::zero(), bad: none, rests: none }
-    }
 }
 
 /// Where the robot is.
@@ -107,8 +97,7 @@ impl<S: Real> Posture<S> {
         let angles = chain.home;
         let (zero, goal) = (S::zero(), [S::splat(f64::NAN); 6]);
         let left = [zero; MAX_JOINTS_PER_ARM];
-        let pursuit = Pursuit::new(&chain);
-        Self { left, good: zero, free: zero, chain, goal, angles, tried: zero, pursuit }
+        Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
     }
 
     /// Becomes the other one with these angles, where the mask is set; both have the same goal.
@@ -141,14 +130,14 @@ impl<S: Real> Posture<S> {
         (new, rests)
     }
 
-    /// Goes after its goal, which the base carries away, but in lanes where it `rests`; says whether some lane needs another way.
+    /// Goes after its goal, which the base carries away, but in lanes where it `rests`.
     #[inline(always)]
     pub(super) fn go_after(
         &mut self,
         goal: &[S; 6],
         (place, rests): (&Place<'_, S>, S::Mask),
         index: usize,
-    ) -> bool {
+    ) -> Pursuit<S> {
         let Self { chain, angles, tried, .. } = self;
         let (target, stands) = (place.seen(goal), place.stands(index));
         let question = Question { chain, target: &target, stands: &stands };
@@ -166,14 +155,13 @@ impl<S: Real> Posture<S> {
         cost = S::select(astray, cost_before, cost);
         let bad = !rests & cost.ge(S::splat(STOPPED));
         *tried = S::select(bad, *tried + S::one(), *tried);
-        self.pursuit = Pursuit { target, stands, before, cost, bad, rests };
-        bad.any()
+        Pursuit { target, stands, before, cost, bad, rests }
     }
 
     /// Ends a step of [`Posture::go_after`].
     #[inline(always)]
-    pub(super) fn settle(&mut self) {
-        let Self { left, good, free, chain, angles, pursuit, .. } = self;
+    pub(super) fn settle(&mut self, pursuit: &Pursuit<S>) {
+        let Self { left, good, free, chain, angles, .. } = self;
         let Pursuit { stands, before, cost, rests, .. } = pursuit;
         choose(*rests, *before, angles);
         let is_good = S::select(cost.lt(S::splat(STOPPED)), S::one(), S::zero());
