@@ -109,3 +109,143 @@ fn look_together<S: Real>(arms: &mut [Posture<S>], pursuits: &mut Pursuits<S>, s
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::readings;
+    use crate::posture::chain::Chain;
+    use crate::robot::Robot;
+    use crate::scalar::{LaneFn, dispatch};
+    use crate::state::State;
+    use crate::task::HandReading;
+
+    /// Situations of the robot, one a lane.
+    const SITUATIONS: usize = 48;
+
+    /// Two arms of six joints and two of seven.
+    fn robot() -> Robot {
+        let text = include_str!("../../robots/seven-joints.toml");
+        Robot::from_toml(text, std::path::Path::new("seven-joints.toml")).expect("valid")
+    }
+
+    /// Goals of all hands, farther than a few steps lead, but in half of the situations one hand is at its own.
+    fn goals(robot: &Robot, situation: usize) -> Vec<[f64; 6]> {
+        let mut there = State::<f64>::home(robot);
+        for (joint, q) in there.q.iter_mut().enumerate() {
+            if situation % 8 != 1 + robot.joints.arm_of(joint) {
+                *q += 0.9 * (1.7 * joint as f64 + 0.9 * situation as f64).sin();
+            }
+        }
+        let hands = readings(robot, &there).hands;
+        let pose = |hand: &HandReading<f64>| {
+            let ([x, y, z], [a, b, c]) = (hand.position, hand.euler);
+            [x, y, z, a, b, c]
+        };
+        hands.iter().map(pose).collect()
+    }
+
+    /// Arms at home, which have tried so many starts each, their goals, and the lanes that rest; the first lane is situation `first`.
+    #[inline(always)]
+    fn begun<S: Real>(robot: &Robot, first: usize) -> (Vec<Posture<S>>, Vec<[S; 6]>, S::Mask) {
+        let mut arms: Vec<_> = Chain::<S>::of(robot).into_iter().map(Posture::new).collect();
+        let mut slots = vec![[S::zero(); 6]; arms.len()];
+        let mut rests = S::Mask::splat(false);
+        for lane in 0..S::LANES {
+            let situation = first + lane;
+            for (index, goal) in goals(robot, situation).into_iter().enumerate() {
+                for (slot, x) in slots[index].iter_mut().zip(goal) {
+                    slot.set_lane(lane, x);
+                }
+                arms[index].tried.set_lane(lane, ((11 * index + situation) % 30) as f64);
+            }
+            rests.set_lane(lane, situation % 7 == 5);
+        }
+        (arms, slots, rests)
+    }
+
+    /// All that following changes in a lane of a posture.
+    fn bits<S: Real>(arm: &Posture<S>, lane: usize) -> Vec<u64> {
+        let all = arm.angles.iter().chain([&arm.tried, &arm.good, &arm.free]).chain(arm.left());
+        all.map(|x| x.lane(lane).to_bits()).collect()
+    }
+
+    /// Number of lanes, and the bits of each arm in each situation.
+    struct Together;
+    impl LaneFn for Together {
+        type Output = (usize, Vec<Vec<Vec<u64>>>);
+        #[inline(always)]
+        fn call<S: Real>(self) -> Self::Output {
+            let robot = robot();
+            let state = State::<S>::home(&robot);
+            let place = Place {
+                position: state.base_position,
+                quaternion: state.base_quaternion,
+                q: &state.q,
+                joints: robot.joints,
+            };
+            let mut out = Vec::new();
+            for first in (0..SITUATIONS).step_by(S::LANES) {
+                let (mut arms, goals, rests) = begun::<S>(&robot, first);
+                follow(&mut arms, &goals, &place, &[rests; MAX_ARMS]);
+                for lane in 0..S::LANES {
+                    out.push(arms.iter().map(|arm| bits(arm, lane)).collect());
+                }
+            }
+            (S::LANES, out)
+        }
+    }
+
+    /// [`follow`] for one arm in one lane, which looks for another way alone; says whether it looks, and whether it finds one.
+    fn follow_alone(
+        arm: &mut Posture<f32>,
+        goal: &[f32; 6],
+        (place, rests): (&Place<'_, f32>, bool),
+        index: usize,
+    ) -> (bool, bool) {
+        let mut pursuit = arm.go_after(goal, (place, rests), index);
+        let mut finds = false;
+        if pursuit.bad {
+            let Pursuit { target, stands, .. } = &pursuit;
+            let question = Question { chain: &arm.chain, target, stands };
+            let other = question.later(arm.tried);
+            let cost = question.cost(&other);
+            finds = f64::from(cost) < STOPPED;
+            if finds {
+                arm.angles = other;
+                pursuit.cost = cost;
+            }
+        }
+        arm.settle(&pursuit);
+        (pursuit.bad, finds)
+    }
+
+    #[test]
+    fn arms_that_look_together_find_what_each_finds_alone() {
+        let (n_lanes, together) = dispatch(Together);
+        let robot = robot();
+        let state = State::<f32>::home(&robot);
+        let place = Place {
+            position: state.base_position,
+            quaternion: state.base_quaternion,
+            q: &state.q,
+            joints: robot.joints,
+        };
+        let mut looks_of_type = vec![vec![0; SITUATIONS.div_ceil(n_lanes)]; robot.types.len()];
+        let mut found = vec![0; robot.arms.len()];
+        for (situation, together) in together.iter().enumerate() {
+            let (mut arms, goals, rests) = begun::<f32>(&robot, situation);
+            for (index, arm) in arms.iter_mut().enumerate() {
+                let (looks, finds) = follow_alone(arm, &goals[index], (&place, rests), index);
+                looks_of_type[robot.arms[index].arm_type][situation / n_lanes] +=
+                    usize::from(looks);
+                found[index] += usize::from(finds);
+                assert_eq!(together[index], bits(arm, 0), "{situation}, arm {index}");
+            }
+        }
+        for looks in looks_of_type {
+            assert!(looks.iter().any(|&looks| looks > n_lanes), "too few look: {looks:?}");
+        }
+        assert!(found.iter().all(|&found| found > 3), "too few find another way: {found:?}");
+    }
+}
