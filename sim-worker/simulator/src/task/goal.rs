@@ -77,6 +77,16 @@ impl<S: Real> Goals<S> {
         }
     }
 
+    /// How fast the goal of each hand moves, if they do: linear (m/s) and angular (rad/s), world.
+    pub fn hand_velocities(&self) -> Option<Vec<[S; 6]>> {
+        let of_arm = |body: &Tumbling<S>, arm| {
+            let [[x, y, z], [a, b, c]] = body.rates(arm);
+            [x, y, z, a, b, c]
+        };
+        let body = self.body.as_ref()?;
+        Some((0..self.hands.len()).map(|arm| of_arm(body, arm)).collect())
+    }
+
     /// Moves what moves by `time` (s).
     #[inline(always)]
     pub fn advance(&mut self, time: f64) {
