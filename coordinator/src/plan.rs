@@ -267,7 +267,8 @@ fn recording(
     let mut start = State::<f32>::home(robot);
     start.set_lane(0, &question.start);
     let goals = FixedGoals { hands: question.hands.clone(), base: None };
-    let commanded = Commanded { robot: robot.clone(), options: *options, start, goals, commands };
+    let (robot, options, moved_goals) = (robot.clone(), *options, Vec::new());
+    let commanded = Commanded { robot, options, start, goals, moved_goals, commands };
     Ok(Recording::of(commanded, &[("origin", "octopus plan".to_owned())])?.mcap()?)
 }
 

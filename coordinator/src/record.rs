@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use export::{BlockAddress, Commanded, Recording, block_start};
 use lab::trained::{Trained, open_checkpoint};
-use proto::config::TaskName;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use simulator::executor::InOrder;
@@ -160,23 +159,10 @@ fn of_episode(policy: &Path, args: &RecordArgs) -> anyhow::Result<Recording> {
         ("digest", identity.digest.to_string()),
         ("env_steps", identity.env_steps.to_string()),
     ];
-    check_task(trained.task())?;
     let member = Member { world: trained.world, policy: trained.policy };
     let start = Start { seed: args.seed, episode: args.episode, ..Start::default() };
     let commanded = Commanded::by_policy(member, start, args.steps as usize)?;
     Ok(Recording::of(commanded, &origin)?)
-}
-
-/// Refuses tasks whose goals move, which recordings have no place for.
-fn check_task(task: TaskName) -> Result<(), ExitError> {
-    if !task.moves() {
-        return Ok(());
-    }
-    let message = format!(
-        "goals of task `{}` move, and recordings hold goals that stay; `octopus film` shows it",
-        task.as_str()
-    );
-    Err(ExitError::new(ExitCode::Usage, message))
 }
 
 /// What an environment did in a block of a run.
@@ -185,7 +171,6 @@ fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow:
     let source = BlockSource::open(run_dir, address, chosen.as_ref())?;
     let world = &source.world;
     let BlockAddress { seed, iteration, shard } = address;
-    check_task(world.task.name)?;
     let (env, n_envs) = (args.env as usize, world.dimensions.n_envs);
     if env >= n_envs {
         let message = format!(
@@ -196,7 +181,7 @@ fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow:
     }
     let failed = |error: &dyn std::fmt::Display| ExitError::new(ExitCode::Child, error.to_string());
     let block = source.make().map_err(|error| failed(&error))?;
-    let start = block_start(world, address, env, &InOrder)?;
+    let start = block_start(&block, env, &InOrder)?;
     let rows: Vec<Vec<f32>> =
         (0..world.dimensions.n_steps).map(|step| block.executed(env, step)).collect();
     let origin = [
@@ -231,6 +216,7 @@ fn of_plan(plan: &Path, args: &RecordArgs) -> anyhow::Result<Recording> {
         options,
         start,
         goals: FixedGoals::default(),
+        moved_goals: Vec::new(),
         commands: commands.into_iter().map(single).collect(),
     };
     Ok(Recording::of(commanded, &[("plan", plan.display().to_string())])?)

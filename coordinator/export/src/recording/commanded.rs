@@ -24,8 +24,10 @@ pub struct Commanded {
     pub options: StepOptions,
     /// Where it begins.
     pub start: State<f32>,
-    /// Goals, which the motion does not depend on.
+    /// Goals, which the motion does not depend on; where they move, at the beginning.
     pub goals: FixedGoals,
+    /// Where the hands' goals are after every control step; empty where they stay.
+    pub moved_goals: Vec<Vec<Option<[f64; 6]>>>,
     /// Joint rates (rad/s), arm-major, a row a control step.
     pub commands: Vec<Vec<f32>>,
 }
@@ -41,24 +43,35 @@ impl Commanded {
         let mut episode =
             Episode::new(vec![Arc::new(member)], start).map_err(|error| failed(&error))?;
         let goals = episode.goals();
-        let goals = of_task(task, &goals.hands, goals.base);
+        let goals =
+            FixedGoals { hands: of_hands(task, &goals.hands), base: of_base(task, goals.base) };
         let (robot, start) = (episode.robot().clone(), episode.state().clone());
         let mut commands = Vec::with_capacity(steps);
+        let mut moved_goals = Vec::new();
         for _ in 0..steps {
             episode.step().map_err(|error| failed(&error))?;
             commands.push(episode.commands().to_vec());
+            if task.moves() {
+                moved_goals.push(of_hands(task, &episode.goals().hands));
+            }
         }
-        Ok(Self { robot, options, start, goals, commands })
+        Ok(Self { robot, options, start, goals, moved_goals, commands })
     }
 
-    /// What was commanded in an environment of a run: where it began and its goals, as [`block_start`](crate::block_start) tells them, and its actions
-    /// before clipping and scaling, arm-major, a row a control step.
+    /// What was commanded in an environment of a run: where it began and its goals, those of the hands at the beginning and, where they move, after every
+    /// control step, as [`block_start`](crate::block_start) tells them, and its actions before clipping and scaling, arm-major, a row a control step.
+    ///
+    /// # Panics
+    /// Without goals at the beginning.
     pub fn by_actions<'a>(
         world: &World,
         start: &[f32],
-        (hands, base): (&[[f32; 6]], [f32; 3]),
+        (hands, base): (&[Vec<[f32; 6]>], [f32; 3]),
         actions: impl Iterator<Item = &'a [f32]>,
     ) -> Self {
+        let task = world.task.name;
+        let mut hands = hands.iter().map(|hands| of_hands(task, hands));
+        let at_first = hands.next().expect("goals at the beginning");
         let limits: Vec<f32> = world.task.action_limit.iter().map(|&limit| limit as f32).collect();
         let scale = world.task.action_scale as f32;
         let executed = |(&action, &limit): (&f32, &f32)| action.clamp(-limit, limit) * scale;
@@ -66,7 +79,8 @@ impl Commanded {
             robot: world.robot.clone(),
             options: step_options(&world.config),
             start: state_of(&world.robot, start),
-            goals: of_task(world.task.name, hands, base),
+            goals: FixedGoals { hands: at_first, base: of_base(task, base) },
+            moved_goals: hands.collect(),
             commands: actions.map(|row| row.iter().zip(&limits).map(executed).collect()).collect(),
         }
     }
@@ -75,18 +89,36 @@ impl Commanded {
     pub(crate) fn begin(&self) -> Motion {
         Motion::new(&self.robot, self.options, self.start.clone(), &self.goals)
     }
+
+    /// Takes control step `step`, counted from 0.
+    ///
+    /// # Errors
+    /// If the simulation diverges.
+    pub(crate) fn step(&self, step: usize, motion: &mut Motion) -> Result<(), ExportError> {
+        motion
+            .step_towards(&self.commands[step], self.hand_goals(step + 1))
+            .map_err(|error| ExportError::Episode(error.to_string()))
+    }
+
+    /// Goals of the hands after so many control steps.
+    pub(super) fn hand_goals(&self, steps: usize) -> &[Option<[f64; 6]>] {
+        let moved = steps.checked_sub(1).and_then(|step| self.moved_goals.get(step));
+        moved.unwrap_or(&self.goals.hands)
+    }
 }
 
-/// The goals that a task has.
-fn of_task(task: TaskName, hands: &[[f32; 6]], base: [f32; 3]) -> FixedGoals {
+/// The goals that a task has for hands.
+fn of_hands(task: TaskName, hands: &[[f32; 6]]) -> Vec<Option<[f64; 6]>> {
     let hand = |(arm, goal): (usize, &[f32; 6])| {
         (task.aim(arm, hands.len()) == Aim::Hand).then(|| goal.map(f64::from))
     };
     let reaching = if task.reaches() { hands } else { &[] };
-    FixedGoals {
-        hands: reaching.iter().enumerate().map(hand).collect(),
-        base: task.turns().then(|| base.map(f64::from)),
-    }
+    reaching.iter().enumerate().map(hand).collect()
+}
+
+/// The goal that a task has for the base.
+fn of_base(task: TaskName, base: [f32; 3]) -> Option<[f64; 3]> {
+    task.turns().then(|| base.map(f64::from))
 }
 
 /// A motion as a recording keeps it, number by number.
@@ -101,6 +133,9 @@ pub(super) struct MotionFile {
     contacts: bool,
     /// Position (m) and Euler angles (rad), world.
     hand_goals: Vec<Option<[f64; 6]>>,
+    /// Those after every control step, where they move.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    moved_hand_goals: Vec<Vec<Option<[f64; 6]>>>,
     /// Euler angles (rad).
     base_goal: Option<[f64; 3]>,
     /// Joint rates (rad/s), a row a control step.
@@ -126,7 +161,7 @@ pub struct Recorded {
 
 impl MotionFile {
     pub(super) fn new(commanded: &Commanded, states: Vec<Vec<f32>>) -> Self {
-        let Commanded { options, goals, commands, .. } = commanded;
+        let Commanded { options, goals, moved_goals, commands, .. } = commanded;
         Self {
             format: FORMAT,
             control_period_s: options.control_period,
@@ -138,6 +173,7 @@ impl MotionFile {
             },
             contacts: options.contacts,
             hand_goals: goals.hands.clone(),
+            moved_hand_goals: moved_goals.clone(),
             base_goal: goals.base,
             commands: commands.clone(),
             states,
@@ -187,13 +223,18 @@ impl MotionFile {
                 }
             }
         }
-        let goals = file.hand_goals.iter().flatten().flatten();
+        let of_hands = || [&file.hand_goals].into_iter().chain(&file.moved_hand_goals);
+        let goals = of_hands().flatten().flatten().flatten();
         if !goals.chain(file.base_goal.iter().flatten()).all(|x| x.is_finite())
-            || file.hand_goals.len() > robot.n_arms
+            || of_hands().any(|hands| hands.len() > robot.n_arms)
         {
             return Err(bad(
                 "goals that are no numbers, or of more hands than there are".to_owned()
             ));
+        }
+        let n = file.moved_hand_goals.len();
+        if n > 0 && n != n_steps {
+            return Err(bad(format!("goals after {n} control steps, expected {n_steps}")));
         }
         let mut states = file.states;
         if states.len() != n_steps + 1 {
@@ -213,7 +254,8 @@ impl MotionFile {
         }
         let goals = FixedGoals { hands: file.hand_goals, base: file.base_goal };
         let start = state_of(&robot, &first);
-        let commanded = Commanded { robot, options, start, goals, commands: file.commands };
+        let (moved_goals, commands) = (file.moved_hand_goals, file.commands);
+        let commanded = Commanded { robot, options, start, goals, moved_goals, commands };
         Ok(Recorded { commanded, states })
     }
 }

@@ -78,11 +78,10 @@ impl Recording {
         Ok(Self { commanded, about, moments, states })
     }
 
-    /// The goals: of the hands that have one, or of the base.
-    fn goals(&self) -> Vec<Frame> {
-        let goals = &self.commanded.goals;
-        let hands = goals.hands.iter().flatten().map(|goal| hand_goal(*goal));
-        hands.chain(goals.base.map(base_goal)).collect()
+    /// The goals after so many control steps: of the hands that have one, then of the base.
+    fn goals(&self, step: usize) -> Vec<Frame> {
+        let hands = self.commanded.hand_goals(step).iter().flatten().map(|goal| hand_goal(*goal));
+        hands.chain(self.commanded.goals.base.map(base_goal)).collect()
     }
 
     fn period(&self) -> f64 {
@@ -142,7 +141,7 @@ impl Recording {
         }
         for (step, moment) in self.moments.iter().enumerate() {
             let time = self.nanoseconds(step);
-            let contents = self.messages(time, moment);
+            let contents = self.messages(step, time, moment);
             for (&channel_id, data) in channels.iter().zip(contents) {
                 let header = MessageHeader {
                     channel_id,
@@ -158,7 +157,7 @@ impl Recording {
     }
 
     /// One message of each topic, in their order.
-    fn messages(&self, time: u64, moment: &Moment) -> [Vec<u8>; 6] {
+    fn messages(&self, step: usize, time: u64, moment: &Moment) -> [Vec<u8>; 6] {
         let (seconds, nanos) = ((time / 1_000_000_000) as i64, (time % 1_000_000_000) as i32);
         let timestamp = Some(Timestamp { seconds, nanos });
         let names = body_names(&self.commanded.robot);
@@ -176,7 +175,7 @@ impl Recording {
             joint(at, q, qd, torque)
         });
         let commands = joints.map(|at| joint(at, None, number(&moment.commands, at), None));
-        let poses = self.goals().into_iter().map(|goal| Pose {
+        let poses = self.goals(step).into_iter().map(|goal| Pose {
             position: Some(vector(&goal.origin)),
             orientation: Some(quaternion(&goal)),
         });
@@ -188,7 +187,7 @@ impl Recording {
             force: xyz(push.force),
         });
         [
-            FrameTransforms { transforms: self.transforms(timestamp, moment, &names) }
+            FrameTransforms { transforms: self.transforms(step, timestamp, moment, &names) }
                 .encode_to_vec(),
             JointStates { timestamp, joints: states.collect() }.encode_to_vec(),
             JointStates { timestamp, joints: commands.collect() }.encode_to_vec(),
@@ -207,6 +206,7 @@ impl Recording {
 
     fn transforms(
         &self,
+        step: usize,
         timestamp: Option<Timestamp>,
         moment: &Moment,
         names: &[String],
@@ -232,7 +232,7 @@ impl Recording {
             let frame = hand.seen_from(&moment.bodies[last]);
             all.push(transform(&names[last], format!("{}_hand", arm.name), &frame));
         }
-        for (arm, goal) in arms.iter().zip(&self.commanded.goals.hands) {
+        for (arm, goal) in arms.iter().zip(self.commanded.hand_goals(step)) {
             if let Some(goal) = goal {
                 all.push(transform("world", format!("{}_goal", arm.name), &hand_goal(*goal)));
             }

@@ -81,8 +81,8 @@ pub(super) fn moments(commanded: &Commanded) -> Result<(Vec<Moment>, Vec<Vec<f32
     let mut motion = commanded.begin();
     let mut moments = vec![moment(&names, &motion)];
     let mut states = vec![numbers_of(motion.state())];
-    for commands in &commanded.commands {
-        motion.step(commands).map_err(|error| ExportError::Episode(error.to_string()))?;
+    for step in 0..commanded.commands.len() {
+        commanded.step(step, &mut motion)?;
         moments.push(moment(&names, &motion));
         states.push(numbers_of(motion.state()));
     }

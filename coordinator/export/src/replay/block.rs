@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use proto::layout::Dimensions;
 use simulator::executor::Executor;
-use simulator::rollout::World;
 use simulator::stepping::{ARRAYS, Batch, Begin, GoalKind, Rows, StepError};
 
 use super::comparison::Replay;
@@ -64,8 +63,8 @@ fn begin(address: BlockAddress, first: usize) -> Result<Begin, ExportError> {
 pub struct BlockStart {
     /// Numbers of the robot's state.
     pub robot: Vec<f32>,
-    /// Goals of the hands: position (m) and Euler angles (rad), world.
-    pub hands: Vec<[f32; 6]>,
+    /// Goals of the hands: position (m) and Euler angles (rad), world; at the beginning and, where they move, after every control step.
+    pub hands: Vec<Vec<[f32; 6]>>,
     /// Goal of the base: Euler angles (rad).
     pub base: [f32; 3],
 }
@@ -73,22 +72,33 @@ pub struct BlockStart {
 /// Where environment `env` of a block begins.
 ///
 /// # Errors
-/// If the address is none.
+/// If the address is none, or the environment diverges.
 pub fn block_start(
-    world: &Arc<World>,
-    address: BlockAddress,
+    block: &Block,
     env: usize,
     executor: &dyn Executor,
 ) -> Result<BlockStart, ExportError> {
-    let (dimensions, first) = (&world.dimensions, address.shard as usize * world.dimensions.n_envs);
-    let mut shown = Shown::new(1, dimensions);
-    Batch::new(Arc::clone(world), 1, 1)
-        .reset(begin(address, first + env)?, executor, shown.rows())
-        .map_err(|error| failed(&error))?;
-    let [hands, base] = [HAND_GOAL, BASE_GOAL].map(|array| shown.row(array, 0, 1));
-    let hands = hands.chunks_exact(6).map(|goal| goal.try_into().expect("six numbers")).collect();
-    let base = base.try_into().expect("three numbers");
-    Ok(BlockStart { robot: shown.row(ROBOT, 0, 1).to_vec(), hands, base })
+    let Block { world, address, .. } = block;
+    let Dimensions { n_agents, n_steps, n_envs, n_actions: width, .. } = world.dimensions;
+    let mut shown = Shown::new(1, &world.dimensions);
+    let mut batch = Batch::new(Arc::clone(world), 1, 1);
+    let begin = begin(*address, address.shard as usize * n_envs + env)?;
+    batch.reset(begin, executor, shown.rows()).map_err(|error| failed(&error))?;
+    let robot = shown.row(ROBOT, 0, 1).to_vec();
+    let base = shown.row(BASE_GOAL, 0, 1).try_into().expect("three numbers");
+    let hands_of = |shown: &Shown| {
+        let goals = shown.row(HAND_GOAL, 0, 1).chunks_exact(6);
+        goals.map(|goal| goal.try_into().expect("six numbers")).collect()
+    };
+    let mut hands: Vec<Vec<[f32; 6]>> = vec![hands_of(&shown)];
+    // Where they go does not depend on the robot, which does again what it did.
+    for step in 0..if world.task.name.moves() { n_steps } else { 0 } {
+        let of_agent = |agent| &block.actions(agent, step)[env * width..(env + 1) * width];
+        let actions: Vec<f32> = (0..n_agents).flat_map(of_agent).copied().collect();
+        batch.step(&actions, executor, shown.rows()).map_err(|error| failed(&error))?;
+        hands.push(hands_of(&shown));
+    }
+    Ok(BlockStart { robot, hands, base })
 }
 
 /// Makes a block again from its actions, up to the first control step in which a number differs: observations, what critics see, rewards and ends

@@ -13,8 +13,8 @@ pub fn replay_motion(recorded: &Recorded) -> Result<Replay, ExportError> {
     let mut motion = commanded.begin();
     let n_joints = commanded.robot.n_joints();
     let mut replay = Replay::new(states.len());
-    for (commands, state) in commanded.commands.iter().zip(states) {
-        motion.step(commands).map_err(|error| ExportError::Episode(error.to_string()))?;
+    for (step, state) in (0..commanded.commands.len()).zip(states) {
+        commanded.step(step, &mut motion)?;
         let now = numbers_of(motion.state());
         if !replay.compare(motion.steps(), state, &now, |index| name(index, n_joints)) {
             break;

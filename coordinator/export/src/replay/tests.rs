@@ -9,6 +9,7 @@ use simulator::policy::initial_parameters;
 use simulator::robot::Robot;
 use simulator::rollout::{RolloutSpec, World, rollout};
 use simulator::stepping::{ARRAYS, Batch, Begin, GoalKind, Rows};
+use simulator::task::Aim;
 
 use super::*;
 use crate::block::{Block, BlockAddress};
@@ -27,11 +28,11 @@ fn world_of(preset: Preset, task: TaskName) -> World {
 }
 
 fn block() -> Block {
-    block_of(Preset::Tuned)
+    block_of(Preset::Tuned, TaskName::Trajectory)
 }
 
-fn block_of(preset: Preset) -> Block {
-    let world = world_of(preset, TaskName::Trajectory);
+fn block_of(preset: Preset, task: TaskName) -> Block {
+    let world = world_of(preset, task);
     let parameters = initial_parameters(&world.config, &world.dimensions, 3);
     let policy = world.policy(&parameters).expect("a policy");
     let address = BlockAddress { seed: 4, iteration: 9, shard: 2 };
@@ -41,13 +42,20 @@ fn block_of(preset: Preset) -> Block {
     Block { world: Arc::new(world), address, numbers }
 }
 
-fn recording(task: TaskName) -> Vec<u8> {
+fn commanded(task: TaskName) -> Commanded {
     let world = world(task);
     let parameters = initial_parameters(&world.config, &world.dimensions, 3);
     let policy = world.policy(&parameters).expect("a policy");
     let start = Start { seed: 5, episode: 1, ..Start::default() };
-    let commanded = Commanded::by_policy(Member { world, policy }, start, 6).expect("an episode");
+    Commanded::by_policy(Member { world, policy }, start, 6).expect("an episode")
+}
+
+fn file_of(commanded: Commanded) -> Vec<u8> {
     Recording::of(commanded, &[]).expect("stable").mcap().expect("a file")
+}
+
+fn recording(task: TaskName) -> Vec<u8> {
+    file_of(commanded(task))
 }
 
 fn changed(x: f32) -> f32 {
@@ -56,8 +64,9 @@ fn changed(x: f32) -> f32 {
 
 #[test]
 fn a_recording_is_played_again_to_the_bit_and_one_bit_is_found() {
-    for task in [TaskName::Trajectory, TaskName::Reorientation] {
+    for &task in TaskName::ALL {
         let mut recorded = Recorded::read(&recording(task)).expect("read");
+        assert_eq!(recorded.commanded.moved_goals.len(), if task.moves() { 6 } else { 0 });
         let same = replay_motion(&recorded).expect("stable");
         assert_eq!(same, Replay { steps: 6, numbers: 6 * (13 + 48), first: None });
         let was = recorded.states[3][14];
@@ -110,14 +119,19 @@ fn rows(shown: &mut [Vec<f32>; ARRAYS]) -> Rows<'_> {
 
 #[test]
 fn an_environment_of_a_block_is_a_motion() {
-    for preset in [Preset::Tuned, Preset::Guided] {
-        is_a_motion(&block_of(preset));
+    for (preset, task) in [
+        (Preset::Tuned, TaskName::Trajectory),
+        (Preset::Guided, TaskName::Trajectory),
+        (Preset::Guided, TaskName::Capture),
+        (Preset::Guided, TaskName::Mixed),
+    ] {
+        is_a_motion(&block_of(preset, task));
     }
 }
 
 fn is_a_motion(block: &Block) {
     let world = &block.world;
-    let start = block_start(world, block.address, 1, &InOrder).expect("an address");
+    let start = block_start(block, 1, &InOrder).expect("an address");
     let executed: Vec<Vec<f32>> = (0..5).map(|step| block.executed(1, step)).collect();
     let commands = executed.iter().map(Vec::as_slice);
     let commanded =
@@ -125,17 +139,33 @@ fn is_a_motion(block: &Block) {
     let recording = Recording::of(commanded, &[]).expect("stable");
     let recorded = Recorded::read(&recording.mcap().expect("a file")).expect("read");
     assert_eq!(replay_motion(&recorded).expect("stable").first, None);
-    // Where the same actions bring a batch, to the bit.
+    let Recorded { commanded, states } = &recorded;
+    let places: std::collections::BTreeSet<u64> =
+        commanded.moved_goals.iter().map(|hands| hands[0].expect("a goal")[0].to_bits()).collect();
+    assert_eq!(places.len(), if world.task.name.moves() { 5 } else { 0 }, "they move");
+    // Where the same actions bring a batch, and how far from its goals, to the bit.
     let begin = Begin { seed: 4, iteration: 9, first: 2 * 3 + 1, goals: GoalKind::Training };
     let mut shown = Rows::widths(&world.dimensions).map(|width| vec![0.0; width]);
     let mut batch = Batch::new(Arc::clone(world), 1, 1);
     batch.reset(begin, &InOrder, rows(&mut shown)).expect("an address");
+    let mut motion = commanded.begin();
     for step in 0..5 {
         let actions: Vec<f32> =
             (0..8).flat_map(|agent| block.actions(agent, step)[3..6].to_vec()).collect();
         batch.step(&actions, &InOrder, rows(&mut shown)).expect("stable");
+        commanded.step(step, &mut motion).expect("stable");
+        assert_eq!(shown[9], states[step]);
+        let errors = motion.errors();
+        for (arm, aim) in world.task.aims.iter().enumerate() {
+            if *aim == Aim::Hand {
+                assert_eq!(shown[3][arm], errors.position_norm[arm]);
+                assert_eq!(shown[4][arm], errors.orientation_norm[arm]);
+            }
+        }
+        if world.task.name.turns() {
+            assert_eq!(shown[5], [errors.base_norm]);
+        }
     }
-    assert_eq!(&shown[9], recorded.states.last().expect("five"));
 }
 
 #[test]
@@ -150,6 +180,11 @@ fn files_that_are_none_are_refused_with_what_is_wrong() {
     let mut damaged = file.clone();
     damaged[digit] ^= 1;
     assert!(refused(&damaged).contains("motion.json"), "{}", refused(&damaged));
+    // Goals that move, but not in every step.
+    let mut short = commanded(TaskName::Capture);
+    short.moved_goals.pop();
+    let said = refused(&file_of(short));
+    assert!(said.contains("goals after 5 control steps, expected 6"), "{said}");
 
     let file = block().write().expect("a file");
     let refused = |bytes: &[u8]| Block::read(bytes).expect_err("must be refused");

@@ -49,13 +49,13 @@ impl Motion {
     pub fn new(robot: &Robot, options: StepOptions, state: State<f32>, given: &FixedGoals) -> Self {
         assert_eq!(state.q.len(), robot.n_joints(), "joints of the state");
         let home = home(robot);
-        let hands = home.arms.iter().enumerate().map(|(arm, home)| {
+        let hands = home.arms.iter().map(|home| {
             let ([x, y, z], [a, b, c]) = (home.position, home.euler);
-            given.hands.get(arm).copied().flatten().unwrap_or([x, y, z, a, b, c])
+            [x, y, z, a, b, c].map(|x| x as f32)
         });
-        let single = |pose: [f64; 6]| pose.map(|x| x as f32);
         let base = given.base.unwrap_or(home.base_euler).map(|x| x as f32);
-        let goals = Goals::fixed(hands.map(single).collect(), base);
+        let mut goals = Goals::fixed(hands.collect(), base);
+        put(&mut goals, &given.hands);
         let zeros = vec![0.0; robot.n_joints()];
         let mut motion = Self {
             robot: robot.clone(),
@@ -73,6 +73,19 @@ impl Motion {
         };
         f32::compiled(Look(&mut motion));
         motion
+    }
+
+    /// [`Motion::step`] with goals that move: after it those of the hands are there, position in the world (m) and Euler angles (rad).
+    ///
+    /// # Errors
+    /// As there.
+    pub fn step_towards(
+        &mut self,
+        commands: &[f32],
+        hands: &[Option<[f64; 6]>],
+    ) -> Result<(), EpisodeError> {
+        put(&mut self.goals, hands);
+        self.step(commands)
     }
 
     /// Holds joint rates (rad/s, arm-major) for a control period.
@@ -145,6 +158,15 @@ impl Motion {
     /// Axes in the world and origin (m) of a body's frame: 0 is the base, 1 + l is link l, arm-major.
     pub fn body(&self, body: usize) -> (Mat3<f32>, Vec3<f32>) {
         self.physics.body(&self.state, body.checked_sub(1))
+    }
+}
+
+/// Has goals of hands be where they are given.
+fn put(goals: &mut Goals<f32>, given: &[Option<[f64; 6]>]) {
+    for (goal, given) in goals.hands.iter_mut().zip(given) {
+        if let Some(given) = given {
+            *goal = given.map(|x| x as f32);
+        }
     }
 }
 
