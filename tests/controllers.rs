@@ -218,10 +218,16 @@ impl Asked {
 
 /// The numbers of a state, and of the goals, as inputs have them.
 fn state_and_goals(episode: &Episode, world: &World) -> [Vec<f32>; 2] {
-    let goals = episode.goals();
-    let hands = world.config.task.name.reaches();
-    let goals = if hands { goals.hands.concat() } else { goals.base.to_vec() };
-    [episode.state().parts().concat(), goals]
+    let (goals, task) = (episode.goals(), world.config.task.name);
+    let mut numbers = Vec::new();
+    if task.reaches() {
+        numbers.extend(goals.hands.as_flattened());
+    }
+    numbers.extend(goals.hand_velocities().unwrap_or_default().as_flattened());
+    if task.turns() {
+        numbers.extend(goals.base);
+    }
+    [episode.state().parts().concat(), numbers]
 }
 
 fn write_numbers(line: &mut String, numbers: impl IntoIterator<Item = f32>) {
@@ -334,7 +340,11 @@ impl Driver for OnnxDriver {
         for episode in episodes {
             let [state, goals] = state_and_goals(episode, world);
             let last = episode.commands().iter().copied();
-            let postures = episode.errors().postures().unwrap_or_default().concat();
+            let room = 2 + world.robot.joints.longest_arm();
+            let postures = episode.errors().postures().unwrap_or_default();
+            let postures = postures
+                .iter()
+                .flat_map(|of_arm| of_arm.iter().copied().chain(std::iter::repeat(0.0)).take(room));
             let numbers = state.into_iter().chain(last).chain(goals).chain(postures);
             write_numbers(&mut question, numbers);
             question.push('\n');
@@ -345,5 +355,41 @@ impl Driver for OnnxDriver {
             .into_iter()
             .map(|row| row.into_iter().map(|command| command / scale).collect())
             .collect())
+    }
+}
+
+/// The C code at the wheel, and ONNX Runtime asked beside it in every step.
+#[derive(Debug)]
+pub struct Compared {
+    c: CDriver,
+    onnx: OnnxDriver,
+    /// Largest difference of a command so far (rad/s).
+    pub apart: f64,
+}
+
+impl Compared {
+    /// Starts both for so many robots.
+    ///
+    /// # Errors
+    /// If that fails.
+    pub fn new(dir: &Path, robots: usize) -> Result<Self> {
+        Ok(Self { c: CDriver::new(dir)?, onnx: OnnxDriver::new(dir, robots)?, apart: 0.0 })
+    }
+}
+
+impl Driver for Compared {
+    fn actions(
+        &mut self,
+        episodes: &[Episode],
+        step: usize,
+        world: &World,
+    ) -> Result<Vec<Vec<f64>>> {
+        let by_c = self.c.actions(episodes, step, world)?;
+        let by_onnx = self.onnx.actions(episodes, step, world)?;
+        for (c, onnx) in by_c.iter().flatten().zip(by_onnx.iter().flatten()) {
+            ensure!(onnx.is_finite(), "ONNX Runtime commands {onnx} in step {step}");
+            self.apart = self.apart.max(world.task.action_scale * (c - onnx).abs());
+        }
+        Ok(by_c)
     }
 }

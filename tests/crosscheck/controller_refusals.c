@@ -1,4 +1,4 @@
-/* What an exported controller of task `trajectory` does with what it cannot act on. */
+/* What an exported controller of a task whose hands have goals does with what it cannot act on. */
 #include "controller.h"
 
 #include <math.h>
@@ -62,19 +62,36 @@ int main(void)
     state.joint_angles[OCTOPUS_JOINTS - 1] = -900.0;
     expect("wound up less", OCTOPUS_OK, &state, &home);
     state = octopus_home();
-    goals.hands[OCTOPUS_ARMS - 1][5] = NAN;
-    expect("no goal", OCTOPUS_GOAL_NOT_FINITE, &state, &goals);
-    goals = home;
     goals.hands[0][0] = INFINITY;
     expect("an infinite goal", OCTOPUS_GOAL_NOT_FINITE, &state, &goals);
     goals = home;
     goals.hands[0][3] = 2000.0;
     expect("a turned goal", OCTOPUS_GOAL_NOT_FINITE, &state, &goals);
     goals = home;
-    goals.hands[1][0] += 3.0;
+    goals.hands[0][0] += 3.0;
     expect("a far goal", OCTOPUS_GOAL_OUT_OF_REACH, &state, &goals);
-    goals.hands[1][0] = 1e6;
+    goals.hands[0][0] = 1e6;
     expect("a very far goal", OCTOPUS_GOAL_OUT_OF_REACH, &state, &goals);
+#if OCTOPUS_TASK & OCTOPUS_MOVING
+    goals = home;
+    goals.hand_velocities[OCTOPUS_ARMS - 1][4] = NAN;
+    expect("a goal that moves by nothing", OCTOPUS_GOAL_NOT_FINITE, &state, &goals);
+    goals.hand_velocities[OCTOPUS_ARMS - 1][4] = 2e6;
+    expect("a goal that is too fast", OCTOPUS_GOAL_NOT_FINITE, &state, &goals);
+#endif
+#if OCTOPUS_TASK & OCTOPUS_REORIENTATION
+    goals = home;
+    goals.base[1] = INFINITY;
+    expect("an infinite goal of the base", OCTOPUS_GOAL_NOT_FINITE, &state, &goals);
+    /* Arms of the second half turn the base; their hands have no goals. */
+    goals = home;
+    goals.hands[OCTOPUS_ARMS - 1][0] = NAN;
+    expect("nothing where no goal is", OCTOPUS_OK, &state, &goals);
+#else
+    goals = home;
+    goals.hands[OCTOPUS_ARMS - 1][5] = NAN;
+    expect("no goal", OCTOPUS_GOAL_NOT_FINITE, &state, &goals);
+#endif
     expect("no state", OCTOPUS_NULL, NULL, &home);
     expect("no goals", OCTOPUS_NULL, &state, NULL);
     if (octopus_controller_step(&state, &home, NULL, command) != OCTOPUS_NULL) failures++;

@@ -27,7 +27,7 @@ def check(folder):
         about = {entry.key: entry.value for entry in model.metadata_props}
         joints = model.graph.output[0].type.tensor_type.shape.dim[1].dim_value
         assert len(about["joint_names"].split(",")) == joints, about
-        assert about["task"] in ("trajectory", "reorientation") and about["robot"] and about["digest"], about
+        assert about["task"] == contract["controller"]["task"] and about["robot"] and about["digest"], about
         assert float(about["control_period_s"]) > 0 and about["units"] == "m, rad, s", about
         for tensor in model.graph.initializer:
             # Every row of a tensor of all actors is another one.

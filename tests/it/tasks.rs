@@ -1,12 +1,19 @@
-//! Tasks beside the paper's: they train to the same bits whatever the workers, are evaluated, shown, and refused where they have no place.
+//! Tasks beside the paper's: they train to the same bits whatever the workers, are evaluated, shown, exported and recorded, and refused where they have no
+//! place.
+
+use std::path::PathBuf;
+use std::process::Command;
 
 use serde_json::Value;
-use tests::{Run, WITH_POSTURES, octopus, stderr};
+use tests::{Run, WITH_POSTURES, crosscheck, octopus, python, stderr};
 
-/// A run of three iterations.
+use crate::export::{check_c, check_onnx};
+
+/// A run of three iterations, each with a checkpoint.
 fn trained(task: &str, workers: &str, more: &[&str]) -> Run {
     let mut run = Run::new();
-    run.start_training_of(task, &[&["--iterations=3", workers], more].concat());
+    let always = ["--iterations=3", "--set=run.checkpoint_every=1", workers];
+    run.start_training_of(task, &[&always[..], more].concat());
     run.succeed();
     run
 }
@@ -25,22 +32,36 @@ fn names(list: &Value) -> Vec<&str> {
     all.map(|error| error["error"].as_str().expect("a name")).collect()
 }
 
-/// Makes a film of it, and sees that controllers are refused.
-fn shown_and_not_exported(run: &Run, task: &str) {
+/// Makes a film, a controller and recordings of it.
+fn shown_exported_and_recorded(run: &Run) {
     let (path, place) = (run.path().display().to_string(), tempfile::tempdir().expect("tempdir"));
-    let film = place.path().join("film.gif").display().to_string();
-    let out = format!("--out={film}");
-    let output = octopus(&["film", &path, &out, "--steps=5", "--size=64x48", "--fps=5"]);
-    assert!(output.status.success(), "{}", stderr(&output));
-    assert!(std::fs::metadata(&film).expect("a film").len() > 500);
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let succeeds = |args: &[&str]| {
+        let output = octopus(args);
+        assert!(output.status.success(), "{args:?}: {}", stderr(&output));
+        String::from_utf8(output.stdout).expect("UTF-8")
+    };
+    succeeds(&["film", &path, "--out", &at("film.gif"), "--steps=5", "--size=64x48", "--fps=5"]);
+    assert!(std::fs::metadata(at("film.gif")).expect("a film").len() > 500);
 
-    let controller = place.path().join("controller");
-    let out = format!("--out={}", controller.display());
-    let output = octopus(&["export", &path, &out, "--episodes=1"]);
-    assert!(!output.status.success());
-    let said = stderr(&output);
-    assert!(said.contains(&format!("policies of task `{task}` cannot be exported")), "{said}");
-    assert!(!controller.exists(), "nothing is left of it");
+    succeeds(&["export", &path, "--out", &at("controller"), "--episodes=1"]);
+    check_c(&place.path().join("controller"), &["-O1"]);
+    check_onnx(&[PathBuf::from(at("controller"))]);
+
+    // An episode, and an environment of a block.
+    succeeds(&["urdf", "--out", &at("robot.urdf")]);
+    for (name, of) in [("episode", "--steps=20"), ("block", "--address=7/2/1")] {
+        let [mcap, csv] = ["mcap", "csv"].map(|ending| at(&format!("{name}.{ending}")));
+        succeeds(&["record", &path, "--out", &mcap, "--csv", &csv, of]);
+        let output = Command::new(python())
+            .arg(crosscheck("recording.py"))
+            .args([&mcap, &csv, &at("robot.urdf")])
+            .output()
+            .expect("Python can be started");
+        assert!(output.status.success(), "{name}: {}", stderr(&output));
+        let said = succeeds(&["replay", &mcap]);
+        assert!(said.contains("the same, all"), "{name}: {said}");
+    }
 }
 
 #[test]
@@ -57,7 +78,7 @@ fn a_body_is_captured_to_the_same_bits() {
         assert!(episode["held"]["longest"].as_u64() <= Some(20), "{episode}");
     }
     assert!(found["reachable"].is_null(), "goals that move are not looked for one by one");
-    shown_and_not_exported(&one, "capture");
+    shown_exported_and_recorded(&one);
 }
 
 #[test]
@@ -70,7 +91,7 @@ fn half_of_the_arms_reach_while_the_others_turn() {
     // Two arms that reach have two agents each; the others all answer for the base.
     assert_eq!(names(&found["agents"]), ["position", "orientation"].repeat(2));
     assert!(found["held"].is_null());
-    shown_and_not_exported(&one, "mixed");
+    shown_exported_and_recorded(&one);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use proto::config::{Inference, Observation};
+use proto::tasks::Target;
 use serde::Serialize;
 
 use crate::source::{HeldOut, Origin, Source};
@@ -50,8 +51,15 @@ struct Trained {
     action_scale: f64,
     episode_steps: usize,
     goals: String,
-    /// Ranges of the goals by element, as they were drawn in training.
+    /// Ranges of the goals by element, as they were drawn in training; of goals that stay.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     goal_ranges: Vec<Vec<[f64; 2]>>,
+    /// Of the base's goal, where hands have goals, too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    base_goal_range: Option<[[f64; 2]; 3]>,
+    /// What carries goals that move: `task.target` of the configuration.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    target: Option<Target>,
 }
 
 /// Where the robot begins: at rest, with its base's axes along the world's.
@@ -133,13 +141,11 @@ pub(crate) fn contract(source: &Source<'_>, vectors: &Vectors) -> String {
             origin: source.origin.clone(),
             action_scale: config.task.action_scale,
             episode_steps: config.task.episode_steps,
-            goals: if source.has_hand_goals() {
-                let goal_box = format!("{:?}", config.task.goal_box).to_lowercase();
-                format!("hands: offsets from home, box {goal_box:?}")
-            } else {
-                "base: Euler angles from home".to_owned()
-            },
+            goals: goals(source),
             goal_ranges: goal_ranges(source),
+            base_goal_range: (source.has_hand_goals() && source.has_base_goal())
+                .then(|| base_goal_range(source)),
+            target: source.has_moving_goals().then_some(config.task.target),
         },
         held_out: source.held_out,
         exactness: Exactness {
@@ -215,13 +221,35 @@ fn tidy(x: f64) -> f64 {
     (x * 1e9).round() / 1e9 + 0.0
 }
 
-/// By arm and element; of the base alone in `reorientation`.
+/// What goals are of, in words.
+fn goals(source: &Source<'_>) -> String {
+    let mut all = Vec::new();
+    if source.has_moving_goals() {
+        let text = "hands: poses that a rigid body carries, which no force acts on; target is the table task.target of the configuration";
+        all.push(text.to_owned());
+    } else if source.has_hand_goals() {
+        let goal_box = format!("{:?}", source.world.config.task.goal_box).to_lowercase();
+        all.push(format!("hands: offsets from home, box {goal_box:?}"));
+    }
+    if source.has_base_goal() {
+        all.push("base: Euler angles from home".to_owned());
+    }
+    all.join("; ")
+}
+
+fn base_goal_range(source: &Source<'_>) -> [[f64; 2]; 3] {
+    let goals = &source.world.task.goals;
+    goals.home.base_euler.map(|home| [home - goals.base, home + goals.base])
+}
+
+/// By arm and element, nothing for an arm that turns the base; of the base alone in `reorientation`. Of goals that move there are none.
 fn goal_ranges(source: &Source<'_>) -> Vec<Vec<[f64; 2]>> {
     let goals = &source.world.task.goals;
+    if source.has_moving_goals() {
+        return Vec::new();
+    }
     if !source.has_hand_goals() {
-        return vec![
-            goals.home.base_euler.map(|home| [home - goals.base, home + goals.base]).to_vec(),
-        ];
+        return vec![base_goal_range(source).to_vec()];
     }
     let of_arm = |(home, ranges): (&simulator::task::HomeArm, &simulator::task::ArmGoals)| {
         let position = (0..3).map(|component| {
@@ -235,7 +263,8 @@ fn goal_ranges(source: &Source<'_>) -> Vec<Vec<[f64; 2]>> {
         let orientation = orientation.map(|([low, high], home)| [home + low, home + high]);
         position.chain(orientation).map(|range| range.map(tidy)).collect()
     };
-    goals.home.arms.iter().zip(&goals.arms).map(of_arm).collect()
+    let arms = goals.home.arms.iter().zip(&goals.arms).zip(source.reaches());
+    arms.map(|(arm, reaches)| if reaches { of_arm(arm) } else { Vec::new() }).collect()
 }
 
 fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
@@ -272,19 +301,31 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
     );
     last.range =
         spread(world.task.action_limit.iter().map(|limit| limit * world.task.action_scale));
-    let goals = if source.has_hand_goals() {
+    let of_hands = |mut port: Port| {
+        port.shape.insert(0, world.dimensions.n_arms);
+        port
+    };
+    let hand_goals = source.has_hand_goals().then(|| {
         let elements = names(&["x", "y", "z", "a", "b", "c"]);
-        let mut goals = port(
-            "hand_goals",
-            "m, rad",
+        let meaning = if source.reaches().all(|reaches| reaches) {
+            "position of each hand, and Euler angles of its attitude Rx(a) Ry(b) Rz(c)"
+        } else {
+            "position of each hand, and Euler angles of its attitude Rx(a) Ry(b) Rz(c); what stands in the rows of arms that turn the base is not looked at"
+        };
+        of_hands(port("hand_goals", "m, rad", "world", meaning, elements, 1e6))
+    });
+    let hand_goal_velocities = source.has_moving_goals().then(|| {
+        let elements = names(&["x", "y", "z", "about x", "about y", "about z"]);
+        of_hands(port(
+            "hand_goal_velocities",
+            "m/s, rad/s",
             "world",
-            "position of each hand, and Euler angles of its attitude Rx(a) Ry(b) Rz(c)",
+            "how fast the goal of each hand moves: velocity of its point, angular velocity",
             elements,
             1e6,
-        );
-        goals.shape.insert(0, world.dimensions.n_arms);
-        goals
-    } else {
+        ))
+    });
+    let base_goal = source.has_base_goal().then(|| {
         port(
             "base_goal",
             "rad",
@@ -293,7 +334,7 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
             names(&["a", "b", "c"]),
             1e3,
         )
-    };
+    });
     let mut all = vec![
         port(
             "base_position",
@@ -323,8 +364,8 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
         ),
         port("joint_rates", "rad/s", "joints", "rate of each joint", joint_names, 1e6),
         last,
-        goals,
     ];
+    all.extend([hand_goals, hand_goal_velocities, base_goal].into_iter().flatten());
     if source.has_postures() {
         let left = world.robot.types[0].links.iter().map(|link| format!("left of {}", link.name));
         let elements = names(&["good", "free"]).into_iter().chain(left).collect();
@@ -355,7 +396,11 @@ fn not_for(source: &Source<'_>) -> Vec<String> {
         format!("a robot other than `{}`: kinematics and limits are built in", world.robot.name),
         format!("another control period than {period} s, or a delay of more than one period"),
         "gravity, a base that is held or driven, hands that carry something heavy or touch their surroundings".to_owned(),
-        "goals that move faster than a hand follows, or lie outside trained.goal_ranges, which not all can be reached in".to_owned(),
+        if source.has_moving_goals() {
+            "goals that move otherwise than with one rigid body as trained.target tells it, or not as hand_goal_velocities says; not all can be reached".to_owned()
+        } else {
+            "goals that move faster than a hand follows, or lie outside trained.goal_ranges, which not all can be reached in".to_owned()
+        },
         format!(
             "keeping arms apart: {}, and bodies touched in {episodes_with_contact} of {episodes} held-out episodes",
             if source.has_postures() {

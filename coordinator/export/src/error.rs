@@ -10,12 +10,6 @@ pub enum ExportError {
     /// A recording cannot be put together.
     #[error("no recording: {0}")]
     Recording(String),
-    /// The task has goals that the controllers have no places for.
-    #[error(
-        "policies of task `{0}` cannot be exported yet, expected one whose goals stay, of hands or of the base; \
-         let `octopus`, the page or the Python package play it"
-    )]
-    Task(&'static str),
     /// The controllers' kinematics are those of like arms of six joints.
     #[error(
         "policies of robot `{0}` cannot be exported yet, expected a robot whose file describes one type of arms, with six joints; \

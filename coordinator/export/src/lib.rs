@@ -58,10 +58,6 @@ pub fn check(world: &World) -> Result<(), ExportError> {
     if actors > 255 {
         return Err(ExportError::Actors(actors));
     }
-    let task = world.config.task.name;
-    if task.moves() || task.reaches() && task.turns() {
-        return Err(ExportError::Task(task.as_str()));
-    }
     if world.robot.types.len() > 1 || world.robot.joints.by_arm().any(|n| n != ARM_JOINTS) {
         return Err(ExportError::Robot(world.robot.name.clone()));
     }

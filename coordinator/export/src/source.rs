@@ -4,6 +4,7 @@ use proto::config::{AlgorithmName, Inference};
 use serde::Serialize;
 use simulator::policy::Policy;
 use simulator::rollout::World;
+use simulator::task::Aim;
 
 /// Which policy it is, and what it was trained with.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -106,9 +107,24 @@ impl Source<'_> {
         self.world.config.task.name.as_str()
     }
 
-    /// Whether hands have goals, or the base.
+    /// Whether hands have goals.
     pub(crate) fn has_hand_goals(&self) -> bool {
         self.world.config.task.name.reaches()
+    }
+
+    /// Whether these move, so that agents see how fast.
+    pub(crate) fn has_moving_goals(&self) -> bool {
+        self.has_hand_goals() && self.world.config.task.name.moves()
+    }
+
+    /// Whether the base has a goal.
+    pub(crate) fn has_base_goal(&self) -> bool {
+        self.world.config.task.name.turns()
+    }
+
+    /// Of each arm whether its hand has a goal.
+    pub(crate) fn reaches(&self) -> impl Iterator<Item = bool> + '_ {
+        self.world.task.aims.iter().map(|aim| *aim == Aim::Hand)
     }
 
     /// Whether the policy acts beside goal postures.

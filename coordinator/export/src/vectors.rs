@@ -5,6 +5,7 @@ use std::sync::Arc;
 use serde::Serialize;
 use simulator::env::readings;
 use simulator::experiment::{Episode, Member, Start};
+use simulator::task::Goals;
 use simulator::task::observation::observe;
 
 use crate::error::ExportError;
@@ -35,12 +36,49 @@ pub(crate) struct Case {
     joint_rates: Vec<f32>,
     last_command: Vec<f32>,
     last_action: Vec<f32>,
-    goals: Vec<f32>,
+    /// Of tasks with one kind of goals: of the hands or of the base, ones that stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    goals: Option<Vec<f32>>,
+    /// Of other tasks each kind by the name of its input, in the order of `octopus_goals`.
+    #[serde(flatten)]
+    kinds: Kinds,
     /// An arm each: good, free, left.
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Vec<Vec<f32>>>,
     observations: Vec<Vec<f32>>,
     command: Vec<f32>,
+}
+
+/// All goals of a state.
+#[derive(Debug, Serialize)]
+struct Kinds {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hand_goals: Option<Vec<f32>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hand_goal_velocities: Option<Vec<f32>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    base_goal: Option<Vec<f32>>,
+}
+
+impl Kinds {
+    fn of(source: &Source<'_>, goals: &Goals<f32>) -> Self {
+        let velocities = || goals.hand_velocities().expect("goals that move have a body").concat();
+        Self {
+            hand_goals: source.has_hand_goals().then(|| goals.hands.concat()),
+            hand_goal_velocities: source.has_moving_goals().then(velocities),
+            base_goal: source.has_base_goal().then(|| goals.base.to_vec()),
+        }
+    }
+
+    /// The one kind there is, if it is one alone.
+    fn take_single(&mut self) -> Option<Vec<f32>> {
+        let Self { hand_goals, hand_goal_velocities, base_goal } = self;
+        match (&hand_goals, &hand_goal_velocities, &base_goal) {
+            (Some(_), None, None) => hand_goals.take(),
+            (None, None, Some(_)) => base_goal.take(),
+            _ => None,
+        }
+    }
 }
 
 /// `vectors.json`.
@@ -83,17 +121,17 @@ pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
         for step in 0..=(STATES - 1) * every {
             let state = episode.state().clone();
             let (action, command) = (episode.actions().to_vec(), episode.commands().to_vec());
-            let errors = episode.errors().clone();
+            let (errors, goals) = (episode.errors().clone(), episode.goals().clone());
             episode.step().map_err(|error| diverged(&error))?;
             if !step.is_multiple_of(every) {
                 continue;
             }
             let mut found = readings(&world.robot, &state);
             found.last_action.copy_from_slice(&action);
-            let goals = episode.goals();
+            let mut kinds = Kinds::of(source, &goals);
             let observations = (0..world.dimensions.n_agents).map(|agent| {
                 let mut seen = vec![0.0; world.dimensions.observation];
-                observe(&world.task, &found, goals, &errors, agent, &mut seen);
+                observe(&world.task, &found, &goals, &errors, agent, &mut seen);
                 seen
             });
             let postures = errors.postures();
@@ -109,11 +147,8 @@ pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
                 joint_rates: state.qd,
                 last_command: command,
                 last_action: action,
-                goals: if source.has_hand_goals() {
-                    goals.hands.concat()
-                } else {
-                    goals.base.to_vec()
-                },
+                goals: kinds.take_single(),
+                kinds,
                 command: episode.commands().to_vec(),
             });
         }

@@ -26,12 +26,13 @@ typedef struct {
 #endif
 
 #if OCTOPUS_NEEDS_ALGEBRA
-/* Where an arm stands on the base, and whence it sees. */
+/* Where an arm stands on the base, whence it sees, and whether its hand has a goal. */
 typedef struct {
     float position[3];
     matrix rotation;
     float axes[3][3];
     float home[6];
+    int reaches;
 } arm_type;
 #endif
 
@@ -40,9 +41,13 @@ typedef struct {
     float base_position[3], base_attitude[4], base_velocity[3], base_angular_velocity[3];
     float joint_angles[OCTOPUS_JOINTS], joint_rates[OCTOPUS_JOINTS];
     matrix base_rotation;
-#if OCTOPUS_TASK == OCTOPUS_TRAJECTORY
+#if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
     float hand_goals[OCTOPUS_ARMS][6];
-#else
+#endif
+#if OCTOPUS_TASK & OCTOPUS_MOVING
+    float hand_goal_velocities[OCTOPUS_ARMS][6];
+#endif
+#if OCTOPUS_TASK & OCTOPUS_REORIENTATION
     float base_goal[3];
 #endif
 } reading_type;
@@ -419,13 +424,54 @@ static float *put_squashed(float *out, int arm, const float v[3], float inverse_
     return put_seen(out, arm, squashed);
 }
 
+#if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
+/* Numbers of a hand's errors, and of how its goal moves. */
+#if OCTOPUS_TASK & OCTOPUS_MOVING
+#define HAND_NUMBERS 24
+#else
+#define HAND_NUMBERS 18
+#endif
+
+static float *put_hand(float *out, int arm, const reading_type *reading)
+{
+    hand_type hand;
+    matrix target, actual;
+    float error[3], euler[3], turned[3], v[3], rotation[3];
+    int i;
+    if (!ARMS[arm].reaches) {
+        for (i = 0; i < HAND_NUMBERS; i++) out[i] = 0.0f;
+        return out + HAND_NUMBERS;
+    }
+    find_hand(reading, arm, &hand);
+    for (i = 0; i < 3; i++) error[i] = reading->hand_goals[arm][i] - hand.position[i];
+    mat_t_vec(&reading->base_rotation, error, v);
+    euler_to_rotation(&reading->hand_goals[arm][3], &target);
+    rotation_to_euler(&hand.rotation, euler);
+    euler_to_rotation(euler, &actual);
+    rotation_difference(&target, &actual, turned);
+    mat_t_vec(&reading->base_rotation, turned, rotation);
+    out = put_seen(out, arm, v);
+    out = put_seen(out, arm, rotation);
+    out = put_squashed(out, arm, v, F(1.0 / 0.05));
+    out = put_squashed(out, arm, v, F(1.0 / 0.015));
+    out = put_squashed(out, arm, rotation, F(1.0 / 0.08));
+    out = put_squashed(out, arm, rotation, F(1.0 / 0.025));
+#if OCTOPUS_TASK & OCTOPUS_MOVING
+    for (i = 0; i < 6; i += 3) {
+        mat_t_vec(&reading->base_rotation, &reading->hand_goal_velocities[arm][i], v);
+        out = put_seen(out, arm, v);
+    }
+#endif
+    return out;
+}
+#endif
+
 static void see(const reading_type *reading, const octopus_memory *memory, float *out)
 {
     int arm, j;
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
         float *at = out + 2 * arm * OCTOPUS_OBSERVATION;
-        float v[3], angles[6], turned[3];
-        matrix target;
+        float v[3], angles[6];
         mat_t_vec(&reading->base_rotation, reading->base_velocity, v);
         at = put_seen(at, arm, v);
         at = put_seen(at, arm, reading->base_angular_velocity);
@@ -437,36 +483,23 @@ static void see(const reading_type *reading, const octopus_memory *memory, float
         at = put(at, angles, 6);
 #endif
         at = put(at, &reading->joint_rates[6 * arm], 6);
-#if OCTOPUS_TASK == OCTOPUS_TRAJECTORY
-        {
-            hand_type hand;
-            matrix actual;
-            float error[3], euler[3], rotation[3];
-            find_hand(reading, arm, &hand);
-            for (j = 0; j < 3; j++) error[j] = reading->hand_goals[arm][j] - hand.position[j];
-            mat_t_vec(&reading->base_rotation, error, v);
-            euler_to_rotation(&reading->hand_goals[arm][3], &target);
-            rotation_to_euler(&hand.rotation, euler);
-            euler_to_rotation(euler, &actual);
-            rotation_difference(&target, &actual, turned);
-            mat_t_vec(&reading->base_rotation, turned, rotation);
-            at = put_seen(at, arm, v);
-            at = put_seen(at, arm, rotation);
-            at = put_squashed(at, arm, v, F(1.0 / 0.05));
-            at = put_squashed(at, arm, v, F(1.0 / 0.015));
-            at = put_squashed(at, arm, rotation, F(1.0 / 0.08));
-            at = put_squashed(at, arm, rotation, F(1.0 / 0.025));
-        }
-#else
-        euler_to_rotation(reading->base_goal, &target);
-        rotation_difference(&target, &reading->base_rotation, turned);
-        mat_t_vec(&reading->base_rotation, turned, v);
-        at = put_seen(at, arm, v);
-        at = put_squashed(at, arm, v, F(1.0 / 0.08));
-        at = put_squashed(at, arm, v, F(1.0 / 0.025));
+#if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
+        at = put_hand(at, arm, reading);
 #endif
 #if OCTOPUS_POSTURES
         at = put_posture(at, &memory->postures[arm]);
+#endif
+#if OCTOPUS_TASK & OCTOPUS_REORIENTATION
+        {
+            matrix target;
+            float turned[3];
+            euler_to_rotation(reading->base_goal, &target);
+            rotation_difference(&target, &reading->base_rotation, turned);
+            mat_t_vec(&reading->base_rotation, turned, v);
+            at = put_seen(at, arm, v);
+            at = put_squashed(at, arm, v, F(1.0 / 0.08));
+            at = put_squashed(at, arm, v, F(1.0 / 0.025));
+        }
 #endif
         put(at, &memory->action[6 * arm], 6);
         /* The wrist sees what the shoulder sees. */
@@ -477,13 +510,14 @@ static void see(const reading_type *reading, const octopus_memory *memory, float
 #else
 static void see(const reading_type *reading, const octopus_memory *memory, float *out)
 {
+    /* Hands or the base: with these layouts no task has goals for both. */
     int agent;
-#if OCTOPUS_TASK == OCTOPUS_TRAJECTORY
+#if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
     hand_type hand;
 #endif
     float euler[3];
     (void)memory;
-#if OCTOPUS_TASK != OCTOPUS_TRAJECTORY
+#if OCTOPUS_TASK & OCTOPUS_REORIENTATION
     rotation_to_euler(&reading->base_rotation, euler);
 #endif
     for (agent = 0; agent < OCTOPUS_AGENTS; agent++) {
@@ -493,7 +527,7 @@ static void see(const reading_type *reading, const octopus_memory *memory, float
         out = put(out, reading->base_velocity, 3);
         out = put(out, reading->base_angular_velocity, 3);
         out = put(out, &reading->joint_rates[3 * agent], 3);
-#if OCTOPUS_TASK == OCTOPUS_TRAJECTORY
+#if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
         if (agent % 2 == 0) find_hand(reading, agent / 2, &hand);
         rotation_to_euler(&hand.rotation, euler);
         out = put(out, agent % 2 == 0 ? hand.position : euler, 3);
@@ -667,17 +701,23 @@ static octopus_status read_all(const octopus_state *state, const octopus_goals *
     single(state->joint_angles, reading->joint_angles, OCTOPUS_JOINTS);
     single(state->joint_rates, reading->joint_rates, OCTOPUS_JOINTS);
     quaternion_to_rotation(reading->base_attitude, &reading->base_rotation);
-#if OCTOPUS_TASK == OCTOPUS_TRAJECTORY
+#if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
     for (i = 0; i < OCTOPUS_ARMS; i++) {
         float mount[3], away[3];
         int j;
+        if (!ARMS[i].reaches) continue;
         if (!within(goals->hands[i], 3, 1e6) || !within(goals->hands[i] + 3, 3, 1e3)) return OCTOPUS_GOAL_NOT_FINITE;
         single(goals->hands[i], reading->hand_goals[i], 6);
         mat_vec(&reading->base_rotation, ARMS[i].position, mount);
         for (j = 0; j < 3; j++) away[j] = reading->hand_goals[i][j] - (reading->base_position[j] + mount[j]);
         if (dot(away, away) > OCTOPUS_REACH * OCTOPUS_REACH) return OCTOPUS_GOAL_OUT_OF_REACH;
+#if OCTOPUS_TASK & OCTOPUS_MOVING
+        if (!within(goals->hand_velocities[i], 6, 1e6)) return OCTOPUS_GOAL_NOT_FINITE;
+        single(goals->hand_velocities[i], reading->hand_goal_velocities[i], 6);
+#endif
     }
-#else
+#endif
+#if OCTOPUS_TASK & OCTOPUS_REORIENTATION
     if (!within(goals->base, 3, 1e3)) return OCTOPUS_GOAL_NOT_FINITE;
     single(goals->base, reading->base_goal, 3);
 #endif

@@ -28,11 +28,16 @@ typedef struct {
     double joint_rates[OCTOPUS_JOINTS];  /* (rad/s) */
 } octopus_state;
 
-/* Where the robot shall go. */
+/* Where the robot shall go. Goals that move are where they are at the time of the step. */
 typedef struct {
-#if OCTOPUS_TASK == OCTOPUS_TRAJECTORY
-    double hands[OCTOPUS_ARMS][6]; /* position in the world (m), Euler angles a, b, c of Rx(a) Ry(b) Rz(c) (rad) */
-#else
+#if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
+    double hands[OCTOPUS_ARMS][6]; /* position in the world (m), Euler angles a, b, c of Rx(a) Ry(b) Rz(c) (rad);
+                                    * those of an arm that turns the base are not looked at */
+#endif
+#if OCTOPUS_TASK & OCTOPUS_MOVING
+    double hand_velocities[OCTOPUS_ARMS][6]; /* of these goals now: linear (m/s), angular (rad/s), world axes */
+#endif
+#if OCTOPUS_TASK & OCTOPUS_REORIENTATION
     double base[3]; /* Euler angles a, b, c of Rx(a) Ry(b) Rz(c) (rad), base to world */
 #endif
 } octopus_goals;

@@ -17,9 +17,13 @@ int main(void)
     double command[OCTOPUS_JOINTS];
     int step, joint;
 
-#if OCTOPUS_TASK == OCTOPUS_TRAJECTORY
-    goals.hands[1 % OCTOPUS_ARMS][0] += 0.05; /* m, along the world's x axis */
-#else
+#if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
+    goals.hands[0][0] += 0.05; /* m, along the world's x axis */
+#endif
+#if OCTOPUS_TASK & OCTOPUS_MOVING
+    goals.hand_velocities[0][0] = -0.001; /* m/s, from there on */
+#endif
+#if OCTOPUS_TASK & OCTOPUS_REORIENTATION
     goals.base[2] += 0.1; /* rad */
 #endif
     octopus_controller_reset(&memory);
@@ -34,6 +38,10 @@ int main(void)
             state.joint_rates[joint] = command[joint];
             state.joint_angles[joint] += command[joint] * OCTOPUS_CONTROL_PERIOD;
         }
+#if OCTOPUS_TASK & OCTOPUS_MOVING
+        /* Goals that move are told anew in every step. */
+        goals.hands[0][0] += goals.hand_velocities[0][0] * OCTOPUS_CONTROL_PERIOD;
+#endif
         if (step % 20 == 0) {
             double fastest = 0.0;
             for (joint = 0; joint < OCTOPUS_JOINTS; joint++) {

@@ -22,13 +22,10 @@ pub(crate) fn header(source: &Source<'_>) -> String {
     let dimensions = &world.dimensions;
     let mut out = source.comment();
     for (name, value) in [
-        ("TRAJECTORY", "1".to_owned()),
-        ("REORIENTATION", "2".to_owned()),
-        (
-            "TASK",
-            if source.has_hand_goals() { "OCTOPUS_TRAJECTORY" } else { "OCTOPUS_REORIENTATION" }
-                .to_owned(),
-        ),
+        ("TRAJECTORY", "1 /* hands have goals */".to_owned()),
+        ("REORIENTATION", "2 /* the base has one */".to_owned()),
+        ("MOVING", "4 /* the hands' goals move */".to_owned()),
+        ("TASK", goals(source)),
         ("ARMS", dimensions.n_arms.to_string()),
         ("AGENTS", dimensions.n_agents.to_string()),
         ("JOINTS", world.robot.n_joints().to_string()),
@@ -39,6 +36,17 @@ pub(crate) fn header(source: &Source<'_>) -> String {
     }
     define(&mut out, "CONTROL_PERIOD", &format!("{:?} /* (s) */", world.config.env.control_period));
     HEADER.replace("@DEFINITIONS@", out.trim_end())
+}
+
+/// What has goals, as a sum of flags.
+fn goals(source: &Source<'_>) -> String {
+    let flags = [
+        (source.has_hand_goals(), "OCTOPUS_TRAJECTORY"),
+        (source.has_base_goal(), "OCTOPUS_REORIENTATION"),
+        (source.has_moving_goals(), "OCTOPUS_MOVING"),
+    ];
+    let flags: Vec<&str> = flags.iter().filter(|(is, _)| *is).map(|(_, flag)| *flag).collect();
+    if let [one] = flags[..] { one.to_owned() } else { format!("({})", flags.join(" | ")) }
 }
 
 /// `controller.c`.

@@ -105,16 +105,18 @@ fn robot(out: &mut String, source: &Source<'_>) {
     let (robot, task) = (&world.robot, &world.task);
     let home = &task.goals.home;
     out.push_str("#if OCTOPUS_NEEDS_ALGEBRA\n");
-    let arms = robot.arms.iter().enumerate().map(|(index, arm)| {
-        let rows: [[f64; 3]; 3] = [0, 1, 2].map(|i| [0, 1, 2].map(|j| arm.rotation[(i, j)]));
-        format!(
-            "\n    {{{}, {{{}}}, {}, {}}}",
-            floats(arm.position.as_slice()),
-            matrix(&rows),
-            matrix(&task.arm_axes(index)),
-            floats(&arm.home)
-        )
-    });
+    let arms =
+        robot.arms.iter().zip(source.reaches()).enumerate().map(|(index, (arm, reaches))| {
+            let rows: [[f64; 3]; 3] = [0, 1, 2].map(|i| [0, 1, 2].map(|j| arm.rotation[(i, j)]));
+            format!(
+                "\n    {{{}, {{{}}}, {}, {}, {}}}",
+                floats(arm.position.as_slice()),
+                matrix(&rows),
+                matrix(&task.arm_axes(index)),
+                floats(&arm.home),
+                i32::from(reaches)
+            )
+        });
     table(out, "arm_type ARMS[OCTOPUS_ARMS]", arms);
     out.push_str("#endif\n#if OCTOPUS_NEEDS_HANDS\n");
     let kind = &robot.types[0];
@@ -148,11 +150,17 @@ fn robot(out: &mut String, source: &Source<'_>) {
         exact(&home.base_position),
         exact(&robot.home_q())
     );
-    let goals = if source.has_hand_goals() {
+    let mut goals = Vec::new();
+    if source.has_hand_goals() {
         let hands = home.arms.iter().map(|arm| exact(&[arm.position, arm.euler].concat()));
-        format!("{{{}}}", hands.collect::<Vec<_>>().join(", "))
-    } else {
-        exact(&home.base_euler)
-    };
+        goals.push(format!("{{{}}}", hands.collect::<Vec<_>>().join(", ")));
+    }
+    if source.has_moving_goals() {
+        goals.push("{{0.0}}".to_owned());
+    }
+    if source.has_base_goal() {
+        goals.push(exact(&home.base_euler));
+    }
+    let goals = goals.join(", ");
     let _ = writeln!(out, "static const octopus_goals HOME_GOALS = {{{goals}}};");
 }

@@ -41,11 +41,7 @@ pub(crate) fn controller(
 ) -> Vec<u8> {
     let joints = source.world.robot.n_joints();
     let mut g = Graph::default();
-    let goals = if source.has_hand_goals() {
-        ("hand_goals", vec![source.world.dimensions.n_arms, 6])
-    } else {
-        ("base_goal", vec![3])
-    };
+    let arms = source.world.dimensions.n_arms;
     let inputs = Inputs {
         base_position: g.input("base_position", &[3], "World (m)."),
         base_attitude: g.input("base_attitude", &[4], "Unit quaternion w, x, y, z; base to world."),
@@ -54,13 +50,20 @@ pub(crate) fn controller(
         joint_angles: g.input("joint_angles", &[joints], "Arm after arm (rad)."),
         joint_rates: g.input("joint_rates", &[joints], "Arm after arm (rad/s)."),
         last_command: g.input("last_command", &[joints], "Zero at first (rad/s)."),
-        goals: g.input(
-            goals.0,
-            &goals.1,
-            "World: position of each hand (m), then Euler angles a, b, c of Rx(a) Ry(b) Rz(c) (rad).",
-        ),
+        hand_goals: source.has_hand_goals().then(|| {
+            let doc = "World: position of each hand (m), then Euler angles a, b, c of Rx(a) Ry(b) Rz(c) (rad).";
+            g.input("hand_goals", &[arms, 6], doc)
+        }),
+        hand_goal_velocities: source.has_moving_goals().then(|| {
+            let doc = "World: how fast each goal moves, linear (m/s), then angular (rad/s).";
+            g.input("hand_goal_velocities", &[arms, 6], doc)
+        }),
+        base_goal: source.has_base_goal().then(|| {
+            let doc = "World: Euler angles a, b, c of Rx(a) Ry(b) Rz(c) (rad).";
+            g.input("base_goal", &[3], doc)
+        }),
         postures: source.has_postures().then(|| {
-            let shape = [source.world.dimensions.n_arms, postures::NUMBERS];
+            let shape = [arms, postures::NUMBERS];
             let doc = "Goal postures, as octopus_postures of controller.h finds them: good, free, left of each joint (rad).";
             g.input("postures", &shape, doc)
         }),

@@ -20,8 +20,12 @@ pub(super) struct Inputs {
     pub(super) joint_angles: Value,
     pub(super) joint_rates: Value,
     pub(super) last_command: Value,
-    /// `[batch, arms, 6]` of hands or `[batch, 3]` of the base.
-    pub(super) goals: Value,
+    /// `[batch, arms, 6]`, where hands have goals.
+    pub(super) hand_goals: Option<Value>,
+    /// `[batch, arms, 6]`, where these move.
+    pub(super) hand_goal_velocities: Option<Value>,
+    /// `[batch, 3]`, where the base has a goal.
+    pub(super) base_goal: Option<Value>,
     /// `[batch, arms, 8]`, where there are goal postures.
     pub(super) postures: Option<Value>,
 }
@@ -131,16 +135,14 @@ impl Scene<'_> {
             }
         }
         parts.push(self.by_arm(g, joint_rates));
-        if self.source.has_hand_goals() {
-            let [position, rotation] = self.hand_errors(g);
-            let [p, p_wide, p_narrow] = self.error(g, &position, POSITION_WIDTHS);
-            let [r, r_wide, r_narrow] = self.error(g, &rotation, ATTITUDE_WIDTHS);
-            parts.extend([p, r, p_wide, p_narrow, r_wide, r_narrow]);
+        if let Some(goals) = &self.inputs.hand_goals {
+            parts.extend(self.of_hands(g, goals));
             if let Some(postures) = &self.inputs.postures {
                 parts.extend(postures::seen(g, postures));
             }
-        } else {
-            let error = self.base_error(g);
+        }
+        if let Some(goal) = &self.inputs.base_goal {
+            let error = self.base_error(g, goal);
             let shape = g.ints(&[1, self.arms, 1]);
             let error = g.op("Expand", &[&error, &shape]);
             parts.extend(self.error(g, &error, ATTITUDE_WIDTHS));
@@ -154,16 +156,42 @@ impl Scene<'_> {
         g.gather(&by_arm, 1, &both)
     }
 
+    /// Errors of the hands, and how their goals move: `[batch, arms, n]` each, zeros for arms that turn the base.
+    fn of_hands(&self, g: &mut Graph, goals: &Value) -> Vec<Value> {
+        let [position, rotation] = self.hand_errors(g, goals);
+        let [p, p_wide, p_narrow] = self.error(g, &position, POSITION_WIDTHS);
+        let [r, r_wide, r_narrow] = self.error(g, &rotation, ATTITUDE_WIDTHS);
+        let mut parts = vec![p, r, p_wide, p_narrow, r_wide, r_narrow];
+        if let Some(velocities) = &self.inputs.hand_goal_velocities {
+            for at in [[0, 1, 2], [3, 4, 5]] {
+                let world = g.gather(velocities, -1, &at);
+                let base = g.op("MatMul", &[&world, &self.to_world]);
+                parts.push(self.seen(g, &base));
+            }
+        }
+        let reaches: Vec<bool> = self.source.reaches().collect();
+        if reaches.iter().all(|reaches| *reaches) {
+            return parts;
+        }
+        // Chosen, not multiplied: what stands in the place of a goal that is none may be anything.
+        let reaches: Vec<f64> = reaches.into_iter().map(|is| f64::from(u8::from(is))).collect();
+        let reaches = g.floats(&[1, reaches.len(), 1], &reaches);
+        let zero = g.float(0.0);
+        let reaches = g.op("Greater", &[&reaches, &zero]);
+        let all = g.concat(&parts);
+        vec![g.op("Where", &[&reaches, &all, &zero])]
+    }
+
     /// Position and rotation, goal − actual, in the base's axes: `[batch, arms, 3]` each.
-    fn hand_errors(&self, g: &mut Graph) -> [Value; 2] {
+    fn hand_errors(&self, g: &mut Graph, goals: &Value) -> [Value; 2] {
         let Hands { position, rotation, .. } = self.hands(g, false);
         let world = self.world(g, &position);
         let base = beside_vectors(g, &self.inputs.base_position);
         let world = g.op("Add", &[&world, &base]);
-        let goal = g.gather(&self.inputs.goals, -1, &[0, 1, 2]);
+        let goal = g.gather(goals, -1, &[0, 1, 2]);
         let error = g.op("Sub", &[&goal, &world]);
         let error = g.op("MatMul", &[&error, &self.to_world]);
-        let attitude = g.gather(&self.inputs.goals, -1, &[3, 4, 5]);
+        let attitude = g.gather(goals, -1, &[3, 4, 5]);
         let target = rotation_of_euler(g, &attitude);
         let to_base = beside_arms(g, &self.to_base);
         let target = g.op("MatMul", &[&to_base, &target]);
@@ -171,8 +199,8 @@ impl Scene<'_> {
     }
 
     /// Rotation of the base, goal − actual, in its axes: `[batch, 1, 3]`.
-    fn base_error(&self, g: &mut Graph) -> Value {
-        let goal = beside_vectors(g, &self.inputs.goals);
+    fn base_error(&self, g: &mut Graph, goal: &Value) -> Value {
+        let goal = beside_vectors(g, goal);
         let target = rotation_of_euler(g, &goal);
         let actual = beside_arms(g, &self.to_world);
         let difference = rotation_difference(g, &target, &actual);
@@ -189,7 +217,8 @@ impl Scene<'_> {
             base_angular_velocity,
             joint_angles,
             joint_rates,
-            goals,
+            hand_goals,
+            base_goal,
             ..
         } = self.inputs;
         let own = |g: &mut Graph, joints: &Value| g.reshape(joints, &[0, agents, 3]);
@@ -199,7 +228,8 @@ impl Scene<'_> {
         parts.push(repeated(g, base_velocity, agents));
         parts.push(repeated(g, base_angular_velocity, agents));
         parts.push(own(g, joint_rates));
-        if self.source.has_hand_goals() {
+        // Hands or the base: with these layouts no task has goals for both.
+        if let Some(goals) = hand_goals {
             let release = task.observation == Observation::Release;
             let hands = self.hands(g, release);
             let world = self.world(g, &hands.position);
@@ -217,10 +247,11 @@ impl Scene<'_> {
             }
             let both: Vec<i64> = (0..self.arms).flat_map(|arm| [arm, arm]).collect();
             parts.push(g.gather(goals, 1, &both));
-        } else {
+        }
+        if let Some(goal) = base_goal {
             let angles = euler(g, &self.to_world);
             parts.push(repeated(g, &angles, agents));
-            parts.push(repeated(g, goals, agents));
+            parts.push(repeated(g, goal, agents));
         }
         g.concat(&parts)
     }
