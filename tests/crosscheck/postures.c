@@ -12,7 +12,7 @@ static octopus_memory memory;
 void begin(void);
 void begin(void) { octopus_controller_reset(&memory); }
 
-/* Eight numbers of each arm, with six of each goal; once every control step. Returns the status. */
+/* OCTOPUS_POSTURE_NUMBERS numbers of each arm, with six of each goal; once every control step. Returns the status. */
 int look(const double position[3], const double attitude[4], const double *angles, const double *hands, float *postures);
 int look(const double position[3], const double attitude[4], const double *angles, const double *hands, float *postures)
 {
@@ -23,5 +23,5 @@ int look(const double position[3], const double attitude[4], const double *angle
     memcpy(state.base_attitude, attitude, sizeof state.base_attitude);
     memcpy(state.joint_angles, angles, sizeof state.joint_angles);
     memcpy(goals.hands, hands, sizeof goals.hands);
-    return (int)octopus_postures(&state, &goals, &memory, (float (*)[8])postures);
+    return (int)octopus_postures(&state, &goals, &memory, (float (*)[OCTOPUS_POSTURE_NUMBERS])postures);
 }

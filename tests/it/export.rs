@@ -31,9 +31,29 @@ fn robot(file: &str, change: impl FnOnce(String) -> String) -> Robot {
     Robot::from_toml(&change(text), &path).expect("valid")
 }
 
+/// Takes the last link of all UR5 arms, which leaves them five joints: three at the shoulder, two at the wrist.
+fn shortened(text: String) -> String {
+    let link = text.find("[[links]]\nname = \"wrist_3\"").expect("the last link");
+    let behind = link + text[link..].find("[tool]").expect("the hand behind it");
+    let text = text[..link].to_owned() + &text[behind..];
+    let homes = ["-1.57, 0.0, 3.14]", "-1.57, 0.0, 0.0]"];
+    assert!(homes.iter().all(|home| text.contains(home)), "homes");
+    homes.iter().fold(text, |text, home| text.replace(home, "-1.57, 0.0]"))
+}
+
+/// Robots whose arms are of several types, or have other than six joints.
+fn other_arms() -> [Robot; 3] {
+    [
+        robot("seven-joints.toml", |text| text),
+        robot("seven-joints.toml", shortened),
+        robot("two-arm.toml", shortened),
+    ]
+}
+
 /// Whatever can be trained, in small: odd widths, so that pairs are left over, and all kinds of layouts, layers, tasks and robots.
 fn untrained() -> Vec<Controlled> {
     let two_arms = robot("two-arm.toml", |text| text);
+    let others = other_arms();
     let paper = Robot::builtin("paper").expect("built in");
     let release = Robot::builtin("release").expect("built in");
     let mut all = Vec::new();
@@ -58,14 +78,28 @@ fn untrained() -> Vec<Controlled> {
             all.push((preset, TaskName::Trajectory, settings, robot));
         }
     }
-    // What moves, and goals of hands and base side by side.
+    // What moves, goals of hands and base side by side, and other arms.
     for (task, settings, robot) in [
         (TaskName::Capture, "algorithm.name=mappo", &paper),
         (TaskName::Mixed, "algorithm.name=mappo", &paper),
         (TaskName::Capture, "algorithm.name=ppo", &two_arms),
         (TaskName::Mixed, "task.joint_angles=unwound", &two_arms),
+        (TaskName::Mixed, "algorithm.name=ppo", &others[0]),
+        (TaskName::Capture, "algorithm.name=maddpg", &others[1]),
+        (TaskName::Trajectory, "task.joint_angles=unwound", &others[2]),
+        (TaskName::Reorientation, "algorithm.name=ippo", &others[1]),
     ] {
         all.push((Preset::Tuned, task, vec![settings.to_owned()], robot));
+    }
+    for (preset, robot) in [
+        (Preset::Paper, &others[0]),
+        (Preset::Release, &others[0]),
+        (Preset::Release, &others[2]),
+        (Preset::Paper, &others[1]),
+    ] {
+        for task in [TaskName::Trajectory, TaskName::Reorientation] {
+            all.push((preset, task, Vec::new(), robot));
+        }
     }
     let made = all.into_iter().map(|(preset, task, mut settings, robot)| {
         settings.push("network.hidden=[24, 17, 15]".to_owned());
@@ -178,8 +212,9 @@ fn whatever_can_be_trained_can_be_exported() {
         let dir = place.path().join(index.to_string());
         controlled.export(&dir).expect("an export");
         check_c(&dir, &["-O1"]);
-        let is_plain =
-            matches!(controlled.world.task.name, TaskName::Trajectory | TaskName::Reorientation);
+        let Controlled { world, .. } = controlled;
+        let is_plain = world.robot.joints.by_arm().all(|joints| joints == 6)
+            && matches!(world.task.name, TaskName::Trajectory | TaskName::Reorientation);
         if whole() || !is_plain || index % 6 == 0 {
             drive_both(controlled, &dir, episodes, steps);
         }
@@ -383,8 +418,9 @@ fn policies_that_act_beside_goal_postures_do_outside_what_they_do_here() {
         text
     };
     let paper = Robot::builtin("paper").expect("built in");
+    let [seven, five_and_seven, five] = other_arms();
     let (reach, catch) = (TaskName::Trajectory, TaskName::Capture);
-    let all: [(_, _, &[&str]); 5] = [
+    let all: [(_, _, &[&str]); 9] = [
         (reach, paper.clone(), &[]),
         (
             reach,
@@ -394,6 +430,10 @@ fn policies_that_act_beside_goal_postures_do_outside_what_they_do_here() {
         (reach, robot("two-arm.toml", |text| text), &["task.posture.gain=0.4"]),
         (reach, robot("two-arm.toml", skewed), &["task.posture.gain=0", "task.posture.trust=0.1"]),
         (catch, paper, &[]),
+        (reach, seven.clone(), &[]),
+        (catch, seven, &["task.posture.trust=0.3"]),
+        (reach, five_and_seven, &["task.joint_angles=unwound"]),
+        (reach, five, &[]),
     ];
     let mut dirs = Vec::new();
     for (index, (task, robot, more)) in all.into_iter().enumerate() {
@@ -414,8 +454,8 @@ fn policies_that_act_beside_goal_postures_do_outside_what_they_do_here() {
     }
     check_onnx(&dirs);
     let sanitized = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"];
-    // One that reaches, one whose goals move.
-    for dir in [&dirs[0], &dirs[4]] {
+    // One that reaches, one whose goals move, one whose arms differ.
+    for dir in [&dirs[0], &dirs[4], &dirs[7]] {
         check_c(dir, &sanitized);
         for program in [crosscheck("controller_refusals.c"), dir.join("example.c")] {
             let program = compile(dir, &program, &sanitized).expect("it compiles");

@@ -367,14 +367,24 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
     ];
     all.extend([hand_goals, hand_goal_velocities, base_goal].into_iter().flatten());
     if source.has_postures() {
-        let left = world.robot.types[0].links.iter().map(|link| format!("left of {}", link.name));
+        // Links of arms of several types have no names in common.
+        let left = |joint: usize| match &world.robot.types[..] {
+            [kind] => format!("left of {}", kind.links[joint].name),
+            _ => format!("left of joint {}", joint + 1),
+        };
+        let left = (0..source.longest_arm()).map(left);
         let elements = names(&["good", "free"]).into_iter().chain(left).collect();
         let mut postures = port(
             "postures",
             "1, 1, rad",
             "joints",
-            "goal posture of each arm, by octopus_postures of controller.h: 1 if it brings the hand to its goal, 1 if it stops no joint, what is left to go; \
-             an input of controller.onnx alone, controller.c finds it",
+            if world.robot.joints.by_arm().all(|joints| joints == source.longest_arm()) {
+                "goal posture of each arm, by octopus_postures of controller.h: 1 if it brings the hand to its goal, 1 if it stops no joint, what is left to go; \
+                 an input of controller.onnx alone, controller.c finds it"
+            } else {
+                "goal posture of each arm, by octopus_postures of controller.h: 1 if it brings the hand to its goal, 1 if it stops no joint, what is left to go, \
+                 zeros behind the last joint of a shorter arm; an input of controller.onnx alone, controller.c finds it"
+            },
             elements,
             2.0 * PI,
         );

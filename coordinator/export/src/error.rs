@@ -10,12 +10,6 @@ pub enum ExportError {
     /// A recording cannot be put together.
     #[error("no recording: {0}")]
     Recording(String),
-    /// The controllers' kinematics are those of like arms of six joints.
-    #[error(
-        "policies of robot `{0}` cannot be exported yet, expected a robot whose file describes one type of arms, with six joints; \
-         let `octopus`, the page or the Python package play it"
-    )]
-    Robot(String),
     /// More actors than a row number has room for.
     #[error("{0} actors are more than the 255 that the C code has room for")]
     Actors(usize),

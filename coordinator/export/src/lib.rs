@@ -38,7 +38,6 @@ pub use source::{HeldOut, HeldOutError, Origin, Source};
 
 use networks::Networks;
 use simulator::rollout::World;
-use source::ARM_JOINTS;
 
 /// A file of the directory.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -57,9 +56,6 @@ pub fn check(world: &World) -> Result<(), ExportError> {
     let actors = world.dimensions.n_actors;
     if actors > 255 {
         return Err(ExportError::Actors(actors));
-    }
-    if world.robot.types.len() > 1 || world.robot.joints.by_arm().any(|n| n != ARM_JOINTS) {
-        return Err(ExportError::Robot(world.robot.name.clone()));
     }
     Ok(())
 }

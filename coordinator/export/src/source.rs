@@ -69,9 +69,6 @@ pub struct Source<'a> {
     pub held_out: &'a HeldOut,
 }
 
-/// Joints of an arm of a robot whose policies can be exported; its arms are of one type.
-pub(crate) const ARM_JOINTS: usize = 6;
-
 impl Source<'_> {
     /// Factor on squashed outputs.
     pub(crate) fn squash_limit(&self) -> f64 {
@@ -89,6 +86,21 @@ impl Source<'_> {
             Inference::F32 => 2e-4,
             Inference::Bf16 => 2e-3,
         }
+    }
+
+    /// Joints of the longest arm: what arms tell of theirs has room for so many.
+    pub(crate) fn longest_arm(&self) -> usize {
+        self.world.robot.joints.longest_arm()
+    }
+
+    /// What belongs to joints, arm after arm, with room for those of the longest arm: `none` where a shorter one has no joint.
+    pub(crate) fn by_arm<T: Copy>(&self, values: &[T], none: T) -> Vec<T> {
+        let (joints, room) = (self.world.robot.joints, self.longest_arm());
+        let of_arm = |arm| {
+            let values = values[joints.of_arm(arm)].iter().copied();
+            values.chain(std::iter::repeat(none)).take(room)
+        };
+        (0..joints.n_arms()).flat_map(of_arm).collect()
     }
 
     /// Names of all joints, arm after arm.

@@ -42,7 +42,7 @@ pub(crate) struct Case {
     /// Of other tasks each kind by the name of its input, in the order of `octopus_goals`.
     #[serde(flatten)]
     kinds: Kinds,
-    /// An arm each: good, free, left.
+    /// An arm each: good, free, left, with room for the joints of the longest arm.
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Vec<Vec<f32>>>,
     observations: Vec<Vec<f32>>,
@@ -134,7 +134,12 @@ pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
                 observe(&world.task, &found, &goals, &errors, agent, &mut seen);
                 seen
             });
-            let postures = errors.postures();
+            let postures = errors.postures().map(|mut postures| {
+                for of_arm in &mut postures {
+                    of_arm.resize(2 + source.longest_arm(), 0.0);
+                }
+                postures
+            });
             cases.push(Case {
                 begins: postures.as_ref().map(|_| u32::from(step == 0)),
                 postures,

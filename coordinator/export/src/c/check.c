@@ -54,7 +54,7 @@ static octopus_goals goals;
 static double last_command[OCTOPUS_JOINTS], last_action[OCTOPUS_JOINTS], wanted[OCTOPUS_JOINTS];
 static double seen[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION];
 #if OCTOPUS_POSTURES
-static double begins, postures[OCTOPUS_ARMS][8];
+static double begins, postures[OCTOPUS_ARMS][OCTOPUS_POSTURE_NUMBERS];
 #endif
 
 static int read_case(FILE *file)
@@ -69,7 +69,7 @@ static int read_case(FILE *file)
         && read_doubles(file, last_command, OCTOPUS_JOINTS) && read_doubles(file, last_action, OCTOPUS_JOINTS)
         && read_doubles(file, goal, sizeof goals / sizeof *goal)
 #if OCTOPUS_POSTURES
-        && read_doubles(file, postures[0], OCTOPUS_ARMS * 8)
+        && read_doubles(file, postures[0], OCTOPUS_ARMS * OCTOPUS_POSTURE_NUMBERS)
 #endif
         && read_doubles(file, seen, OCTOPUS_AGENTS * OCTOPUS_OBSERVATION) && read_doubles(file, wanted, OCTOPUS_JOINTS);
 }
@@ -94,12 +94,15 @@ int main(int argc, char **argv)
         int same = 1;
 #if OCTOPUS_POSTURES
         octopus_memory alone;
-        float found[OCTOPUS_ARMS][8];
+        float found[OCTOPUS_ARMS][OCTOPUS_POSTURE_NUMBERS];
         /* Each episode is whole from its beginning on, because postures are remembered. */
         if (begins != 0.0) octopus_controller_reset(&memory);
         alone = memory;
         octopus_postures(&state, &goals, &alone, found);
-        for (i = 0; i < OCTOPUS_ARMS * 8; i++) same = same && found[i / 8][i % 8] == (float)postures[i / 8][i % 8];
+        for (i = 0; i < OCTOPUS_ARMS * OCTOPUS_POSTURE_NUMBERS; i++) {
+            const int arm = i / OCTOPUS_POSTURE_NUMBERS, number = i % OCTOPUS_POSTURE_NUMBERS;
+            same = same && found[arm][number] == (float)postures[arm][number];
+        }
 #endif
         for (i = 0; i < OCTOPUS_JOINTS; i++) memory.action[i] = (float)last_action[i];
         status = octopus_observe(&state, &goals, &memory, observations);

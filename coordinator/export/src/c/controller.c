@@ -23,6 +23,13 @@ typedef struct {
     int has_a, has_d, twist;
     float a, d, cosine, sine;
 } link_type;
+
+/* What arms of one type share: the first of their links in the table of all, and where the hand is in the last one. */
+typedef struct {
+    int first_link;
+    float tool_position[3];
+    matrix tool_rotation;
+} kind_type;
 #endif
 
 #if OCTOPUS_NEEDS_ALGEBRA
@@ -31,10 +38,15 @@ typedef struct {
     float position[3];
     matrix rotation;
     float axes[3][3];
-    float home[6];
-    int reaches;
+    float home[OCTOPUS_ARM_JOINTS];
+    int reaches, kind;
 } arm_type;
 #endif
+
+/* Which joints of the robot are an arm's or an agent's. */
+typedef struct {
+    int first, n;
+} joints_type;
 
 /* The state and the goals in single precision. */
 typedef struct {
@@ -334,6 +346,9 @@ typedef struct {
 
 static void find_hand(const reading_type *reading, int arm, hand_type *hand)
 {
+    const kind_type *kind = &KINDS[ARMS[arm].kind];
+    const link_type *links = &LINKS[kind->first_link];
+    const int first = ARM_JOINTS[arm].first;
     matrix r, to_world;
     float o[3], v[3], turned[3];
     int i, j;
@@ -347,10 +362,10 @@ static void find_hand(const reading_type *reading, int arm, hand_type *hand)
 #endif
     r = ARMS[arm].rotation;
     memcpy(o, ARMS[arm].position, sizeof o);
-    for (j = 0; j < 6; j++) {
+    for (j = 0; j < ARM_JOINTS[arm].n; j++) {
         float sine, cosine;
         if (j > 0) {
-            const link_type *before = &LINKS[j - 1];
+            const link_type *before = &links[j - 1];
 #if OCTOPUS_NEEDS_HAND_VELOCITIES
             memcpy(v, linear, sizeof v);
             if (before->has_a) {
@@ -372,22 +387,22 @@ static void find_hand(const reading_type *reading, int arm, hand_type *hand)
                 memcpy(r.row[i], turned, sizeof turned);
             }
         }
-        sin_cos(reading->joint_angles[6 * arm + j], &sine, &cosine);
+        sin_cos(reading->joint_angles[first + j], &sine, &cosine);
         for (i = 0; i < 3; i++) unturn(sine, cosine, r.row[i]);
 #if OCTOPUS_NEEDS_HAND_VELOCITIES
         unturn(sine, cosine, angular);
         unturn(sine, cosine, linear);
-        angular[2] += reading->joint_rates[6 * arm + j];
+        angular[2] += reading->joint_rates[first + j];
 #endif
     }
     mat_mat(&reading->base_rotation, &r, &to_world);
-    mat_vec(&r, TOOL_POSITION, v);
+    mat_vec(&r, kind->tool_position, v);
     for (i = 0; i < 3; i++) v[i] = o[i] + v[i];
     mat_vec(&reading->base_rotation, v, turned);
     for (i = 0; i < 3; i++) hand->position[i] = reading->base_position[i] + turned[i];
-    mat_mat(&to_world, &TOOL_ROTATION, &hand->rotation);
+    mat_mat(&to_world, &kind->tool_rotation, &hand->rotation);
 #if OCTOPUS_NEEDS_HAND_VELOCITIES
-    cross(angular, TOOL_POSITION, v);
+    cross(angular, kind->tool_position, v);
     for (i = 0; i < 3; i++) v[i] = linear[i] + v[i];
     mat_vec(&to_world, v, hand->linear);
     mat_vec(&to_world, angular, hand->angular);
@@ -398,10 +413,20 @@ static void find_hand(const reading_type *reading, int arm, hand_type *hand)
 @POSTURES@
 /* ---- what agents see ---- */
 
+#if OCTOPUS_LAYOUT == OCTOPUS_LAYOUT_OTHER
 static float *put(float *out, const float *values, size_t n)
 {
     memcpy(out, values, n * sizeof *values);
     return out + n;
+}
+#endif
+
+/* What belongs to the joints of an arm or of an agent, and zeros up to the room of the longest one. */
+static float *put_of_joints(float *out, const float *values, int n, int room)
+{
+    int i;
+    for (i = 0; i < room; i++) out[i] = i < n ? values[i] : 0.0f;
+    return out + room;
 }
 
 #if OCTOPUS_LAYOUT == OCTOPUS_LAYOUT_ARM
@@ -471,18 +496,25 @@ static void see(const reading_type *reading, const octopus_memory *memory, float
     int arm, j;
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
         float *at = out + 2 * arm * OCTOPUS_OBSERVATION;
-        float v[3], angles[6];
+        const int first = ARM_JOINTS[arm].first, n = ARM_JOINTS[arm].n;
+        float v[3], angles[OCTOPUS_ARM_JOINTS];
+#if OCTOPUS_SIN_COS
+        float cosines[OCTOPUS_ARM_JOINTS];
+#endif
         mat_t_vec(&reading->base_rotation, reading->base_velocity, v);
         at = put_seen(at, arm, v);
         at = put_seen(at, arm, reading->base_angular_velocity);
-        for (j = 0; j < 6; j++) angles[j] = reading->joint_angles[6 * arm + j] - ARMS[arm].home[j];
+        for (j = 0; j < n; j++) {
+            angles[j] = reading->joint_angles[first + j] - ARMS[arm].home[j];
 #if OCTOPUS_SIN_COS
-        for (j = 0; j < 6; j++) sin_cos(angles[j], &at[j], &at[6 + j]);
-        at += 12;
-#else
-        at = put(at, angles, 6);
+            sin_cos(angles[j], &angles[j], &cosines[j]);
 #endif
-        at = put(at, &reading->joint_rates[6 * arm], 6);
+        }
+        at = put_of_joints(at, angles, n, OCTOPUS_ARM_JOINTS);
+#if OCTOPUS_SIN_COS
+        at = put_of_joints(at, cosines, n, OCTOPUS_ARM_JOINTS);
+#endif
+        at = put_of_joints(at, &reading->joint_rates[first], n, OCTOPUS_ARM_JOINTS);
 #if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
         at = put_hand(at, arm, reading);
 #endif
@@ -501,7 +533,7 @@ static void see(const reading_type *reading, const octopus_memory *memory, float
             at = put_squashed(at, arm, v, F(1.0 / 0.025));
         }
 #endif
-        put(at, &memory->action[6 * arm], 6);
+        put_of_joints(at, &memory->action[first], n, OCTOPUS_ARM_JOINTS);
         /* The wrist sees what the shoulder sees. */
         at = out + 2 * arm * OCTOPUS_OBSERVATION;
         memcpy(at + OCTOPUS_OBSERVATION, at, OCTOPUS_OBSERVATION * sizeof *at);
@@ -521,12 +553,13 @@ static void see(const reading_type *reading, const octopus_memory *memory, float
     rotation_to_euler(&reading->base_rotation, euler);
 #endif
     for (agent = 0; agent < OCTOPUS_AGENTS; agent++) {
+        const int first = AGENT_JOINTS[agent].first, n = AGENT_JOINTS[agent].n;
         out = put(out, reading->base_position, 3);
         out = put(out, reading->base_attitude, 4);
-        out = put(out, &reading->joint_angles[3 * agent], 3);
+        out = put_of_joints(out, &reading->joint_angles[first], n, OCTOPUS_AGENT_ACTIONS);
         out = put(out, reading->base_velocity, 3);
         out = put(out, reading->base_angular_velocity, 3);
-        out = put(out, &reading->joint_rates[3 * agent], 3);
+        out = put_of_joints(out, &reading->joint_rates[first], n, OCTOPUS_AGENT_ACTIONS);
 #if OCTOPUS_TASK & OCTOPUS_TRAJECTORY
         if (agent % 2 == 0) find_hand(reading, agent / 2, &hand);
         rotation_to_euler(&hand.rotation, euler);
@@ -763,7 +796,7 @@ octopus_status octopus_observe(const octopus_state *state, const octopus_goals *
 
 #if OCTOPUS_POSTURES
 octopus_status octopus_postures(const octopus_state *state, const octopus_goals *goals,
-                                octopus_memory *memory, float postures[OCTOPUS_ARMS][8])
+                                octopus_memory *memory, float postures[OCTOPUS_ARMS][OCTOPUS_POSTURE_NUMBERS])
 {
     reading_type reading;
     octopus_status status = state && goals && memory && postures ? read_all(state, goals, &reading) : OCTOPUS_NULL;
@@ -782,19 +815,26 @@ octopus_status octopus_postures(const octopus_state *state, const octopus_goals 
 static octopus_status act(const octopus_state *state, const octopus_goals *goals, octopus_memory *memory)
 {
     float observations[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION];
-    float actions[OCTOPUS_JOINTS];
+    /* An agent has as many actions as any other; those beyond its joints move nothing. */
+    float means[OCTOPUS_AGENTS * OCTOPUS_AGENT_ACTIONS], actions[OCTOPUS_JOINTS];
 #if OCTOPUS_POSTURES
     float guidance[OCTOPUS_JOINTS];
+    int arm;
 #endif
     octopus_status status = observe(state, goals, memory, observations);
-    int actor, joint;
+    int actor, agent, joint;
     if (status != OCTOPUS_OK) return status;
     for (actor = 0; actor < OCTOPUS_ACTORS; actor++) {
-        think(actor, observations + actor * OCTOPUS_ACTOR_INPUT, actions + actor * OCTOPUS_ACTOR_OUTPUT);
+        think(actor, observations + actor * OCTOPUS_ACTOR_INPUT, means + actor * OCTOPUS_ACTOR_OUTPUT);
+    }
+    for (agent = 0; agent < OCTOPUS_AGENTS; agent++) {
+        const joints_type *joints = &AGENT_JOINTS[agent];
+        memcpy(&actions[joints->first], &means[agent * OCTOPUS_AGENT_ACTIONS], (size_t)joints->n * sizeof *means);
     }
 #if OCTOPUS_POSTURES
-    for (joint = 0; joint < OCTOPUS_JOINTS; joint += 6) {
-        rates(&memory->postures[joint / 6], OCTOPUS_GUIDANCE, &ACTION_LIMITS[joint], &guidance[joint]);
+    for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
+        joint = ARM_JOINTS[arm].first;
+        rates(arm, &memory->postures[arm], OCTOPUS_GUIDANCE, &ACTION_LIMITS[joint], &guidance[joint]);
     }
     for (joint = 0; joint < OCTOPUS_JOINTS; joint++) actions[joint] += guidance[joint];
 #endif

@@ -45,12 +45,12 @@ typedef struct {
 #if OCTOPUS_POSTURES
 /* The goal posture of an arm: joint angles that bring its hand to its goal. */
 typedef struct {
-    float goal[6];   /* the goal that it was looked for; not a number where there is none */
-    float angles[6]; /* (rad) */
-    float left[6];   /* what is left to go there, each joint (rad) */
-    float good;      /* 1 if it brings the hand to its goal and stops no joint, else 0 */
-    float free;      /* 1 if it stops no joint, else 0 */
-    float tried;     /* starts from which it was looked for */
+    float goal[6];                    /* the goal that it was looked for; not a number where there is none */
+    float angles[OCTOPUS_ARM_JOINTS]; /* (rad) */
+    float left[OCTOPUS_ARM_JOINTS];   /* what is left to go there, each joint (rad) */
+    float good;                       /* 1 if it brings the hand to its goal and stops no joint, else 0 */
+    float free;                       /* 1 if it stops no joint, else 0 */
+    float tried;                      /* starts from which it was looked for */
 } octopus_posture;
 #endif
 
@@ -91,10 +91,10 @@ octopus_status octopus_observe(const octopus_state *state, const octopus_goals *
 
 #if OCTOPUS_POSTURES
 /* Goal postures alone, for those who run controller.onnx, which does not look for them: its input `postures`.
- * For each arm: good, free and left of its posture. Call it once every control step, or octopus_controller_step,
+ * For each arm: good, free and left of its posture, zeros behind the last joint of a shorter arm. Call it once every control step, or octopus_controller_step,
  * with a memory that was reset before the first one. A step in which a goal is new takes longer than others. */
 octopus_status octopus_postures(const octopus_state *state, const octopus_goals *goals,
-                                octopus_memory *memory, float postures[OCTOPUS_ARMS][8]);
+                                octopus_memory *memory, float postures[OCTOPUS_ARMS][OCTOPUS_POSTURE_NUMBERS]);
 #endif
 
 /* The robot at home, at rest: where every episode of an evaluation begins. */

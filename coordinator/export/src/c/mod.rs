@@ -29,8 +29,10 @@ pub(crate) fn header(source: &Source<'_>) -> String {
         ("ARMS", dimensions.n_arms.to_string()),
         ("AGENTS", dimensions.n_agents.to_string()),
         ("JOINTS", world.robot.n_joints().to_string()),
+        ("ARM_JOINTS", format!("{} /* of the longest arm */", source.longest_arm())),
         ("OBSERVATION", dimensions.observation.to_string()),
         ("POSTURES", i32::from(source.has_postures()).to_string()),
+        ("POSTURE_NUMBERS", "(2 + OCTOPUS_ARM_JOINTS)".to_owned()),
     ] {
         define(&mut out, name, &value);
     }
@@ -107,6 +109,9 @@ fn switches(source: &Source<'_>, networks: &Networks) -> String {
         ("NEEDS_EXP", flag(network.activation == Activation::Elu)),
         ("NEEDS_LAYER_NORM", flag(norm)),
         ("NEEDS_BF16", flag(networks.layers.iter().any(|layer| layer.weight.half))),
+        ("AGENT_ACTIONS", number(dimensions.n_actions)),
+        ("KINDS", number(world.robot.types.len())),
+        ("LINKS", number(world.robot.types.iter().map(|kind| kind.links.len()).sum())),
         ("ACTORS", number(dimensions.n_actors)),
         ("ACTOR_INPUT", number(dimensions.actor_input())),
         ("ACTOR_OUTPUT", number(dimensions.actor_output())),

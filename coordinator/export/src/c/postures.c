@@ -44,6 +44,11 @@ typedef struct {
     float centre, half, narrowing;
 } angle_contact_type;
 
+/* Of a table. */
+typedef struct {
+    int first, end;
+} range_type;
+
 /* All points within `radius` of the segment from a to b; or of a solid cylinder with centre a and axis b. */
 typedef struct {
     int is_cylinder;
@@ -67,8 +72,8 @@ typedef struct {
     box_type box;
 } solid_type;
 
-/* Two bodies that may touch. The first is a link, the other one a link or fixed to the base. `reach` is as far as the
- * balls around both; `simple` if both are one capsule. */
+/* Two bodies that may touch. The first is the link behind a joint of the robot, the other one likewise or fixed to the
+ * base. `reach` is as far as the balls around both; `simple` if both are one capsule. */
 typedef struct {
     int a, b, is_link, simple;
     float reach;
@@ -122,13 +127,16 @@ static float distance(const float a[3], const float b[3])
 /* -- one arm: damped least squares towards a pose, in axes of the base -- */
 
 /* Where the hand is and, if asked for, how its pose changes with each joint angle. */
-static void reach(int arm, const float q[6], frame_type *hand, float jacobian[6][6])
+static void reach(int arm, const float *q, frame_type *hand, float jacobian[OCTOPUS_ARM_JOINTS][6])
 {
+    const kind_type *kind = &KINDS[ARMS[arm].kind];
+    const step_type *steps = &STEPS[kind->first_link];
+    const int n = ARM_JOINTS[arm].n;
     matrix r = ARMS[arm].rotation, next;
-    float o[3], v[3], axes[6][3], origins[6][3];
+    float o[3], v[3], axes[OCTOPUS_ARM_JOINTS][3], origins[OCTOPUS_ARM_JOINTS][3];
     int i, j;
     memcpy(o, ARMS[arm].position, sizeof o);
-    for (j = 0; j < 6; j++) {
+    for (j = 0; j < n; j++) {
         float sine, cosine;
         sin_cos(q[j], &sine, &cosine);
         for (i = 0; i < 3; i++) {
@@ -136,17 +144,17 @@ static void reach(int arm, const float q[6], frame_type *hand, float jacobian[6]
             axes[j][i] = r.row[i][2];
             origins[j][i] = o[i];
         }
-        if (j < 5) {
-            mat_vec(&r, STEPS[j].shift, v);
+        if (j < n - 1) {
+            mat_vec(&r, steps[j].shift, v);
             plus(o, v, o);
-            mat_mat(&r, &STEPS[j].twist, &next);
+            mat_mat(&r, &steps[j].twist, &next);
             r = next;
         }
     }
-    mat_vec(&r, TOOL_POSITION, v);
+    mat_vec(&r, kind->tool_position, v);
     plus(o, v, hand->position);
-    mat_mat(&r, &TOOL_ROTATION, &hand->rotation);
-    for (j = 0; jacobian && j < 6; j++) {
+    mat_mat(&r, &kind->tool_rotation, &hand->rotation);
+    for (j = 0; jacobian && j < n; j++) {
         minus(hand->position, origins[j], v);
         cross(axes[j], v, jacobian[j]);
         memcpy(jacobian[j] + 3, axes[j], sizeof axes[j]);
@@ -154,7 +162,7 @@ static void reach(int arm, const float q[6], frame_type *hand, float jacobian[6]
 }
 
 /* J' (J J' + damping)^-1 error, by L D L'. */
-static void least_squares(const float jacobian[6][6], float damping, const float error[6], float step[6])
+static void least_squares(const float jacobian[][6], int n, float damping, const float error[6], float *step)
 {
     float l[6][6], d[6], y[6];
     int i, j, k;
@@ -162,7 +170,7 @@ static void least_squares(const float jacobian[6][6], float damping, const float
     for (i = 0; i < 6; i++) {
         for (j = 0; j <= i; j++) {
             float sum = i == j ? damping : 0.0f;
-            for (k = 0; k < 6; k++) sum = fma_(jacobian[k][i], jacobian[k][j], sum);
+            for (k = 0; k < n; k++) sum = fma_(jacobian[k][i], jacobian[k][j], sum);
             for (k = 0; k < j; k++) sum = fnma(l[i][k] * d[k], l[j][k], sum);
             if (i == j) d[i] = maximum(sum, damping);
             else l[i][j] = sum / d[j];
@@ -173,17 +181,18 @@ static void least_squares(const float jacobian[6][6], float damping, const float
         y[i] = y[i] / d[i];
         for (k = i + 1; k < 6; k++) y[i] = fnma(l[k][i], y[k], y[i]);
     }
-    for (j = 0; j < 6; j++) {
+    for (j = 0; j < n; j++) {
         step[j] = 0.0f;
         for (k = 0; k < 6; k++) step[j] = fma_(jacobian[j][k], y[k], step[j]);
     }
 }
 
 /* How far the hand is from `target` at `q` (m and rad, together); and angles that bring it nearer, if asked for. */
-static float approach(int arm, const frame_type *target, const float q[6], float next[6])
+static float approach(int arm, const frame_type *target, const float *q, float *next)
 {
+    const int n = ARM_JOINTS[arm].n;
     frame_type hand;
-    float jacobian[6][6], error[6], step[6];
+    float jacobian[OCTOPUS_ARM_JOINTS][6], error[6], step[OCTOPUS_ARM_JOINTS];
     float square, longest = F(1e-9), shorten;
     int j;
     reach(arm, q, &hand, next ? jacobian : NULL);
@@ -191,10 +200,10 @@ static float approach(int arm, const frame_type *target, const float q[6], float
     rotation_difference(&target->rotation, &hand.rotation, error + 3);
     square = dot(error, error) + dot(error + 3, error + 3);
     if (next) {
-        least_squares((const float (*)[6])jacobian, fma_(square, F(1e-2), F(1e-6)), error, step);
-        for (j = 0; j < 6; j++) longest = maximum(longest, absolute(step[j]));
+        least_squares((const float (*)[6])jacobian, n, fma_(square, F(1e-2), F(1e-6)), error, step);
+        for (j = 0; j < n; j++) longest = maximum(longest, absolute(step[j]));
         shorten = minimum(0.5f / longest, 1.0f);
-        for (j = 0; j < 6; j++) next[j] = fma_(shorten, step[j], q[j]);
+        for (j = 0; j < n; j++) next[j] = fma_(shorten, step[j], q[j]);
     }
     return sqrtf(square);
 }
@@ -202,18 +211,19 @@ static float approach(int arm, const frame_type *target, const float q[6], float
 static float nearest_turn(float angle) { return fnma(rintf(angle * F(1.0 / (2.0 * PI))), F(2.0 * PI), angle); }
 
 /* How far a joint has to turn, whole turns aside, on a way that leads through no stop. */
-static float way(int joint, float from, float to)
+static float way(int arm, int joint, float from, float to)
 {
-    const stop_type *stop = &STOPS[joint];
+    const stop_type *stop = &STOPS[KINDS[ARMS[arm].kind].first_link + joint];
     if (!stop->is) return nearest_turn(to - from);
     return nearest_turn(to - stop->centre - F(PI)) - nearest_turn(from - stop->centre - F(PI));
 }
 
-static int is_stopped(const float q[6])
+static int is_stopped(int arm, const float *q)
 {
+    const stop_type *stops = &STOPS[KINDS[ARMS[arm].kind].first_link];
     int j, stopped = 0;
-    for (j = 0; j < 6; j++) {
-        stopped = stopped || (STOPS[j].is && absolute(nearest_turn(q[j] - STOPS[j].centre)) < STOPS[j].half);
+    for (j = 0; j < ARM_JOINTS[arm].n; j++) {
+        stopped = stopped || (stops[j].is && absolute(nearest_turn(q[j] - stops[j].centre)) < stops[j].half);
     }
     return stopped;
 }
@@ -223,62 +233,67 @@ static int is_stopped(const float q[6])
 #define UNSOLVED 40.0f
 
 /* What is to be said against going to `q`. */
-static float cost_of(int arm, const frame_type *target, const float stands[6], const float q[6])
+static float cost_of(int arm, const frame_type *target, const float *stands, const float *q)
 {
     float miss = approach(arm, target, q, NULL);
     float cost = UNSOLVED + miss;
     int j;
     if (miss < F(1e-3)) {
-        for (cost = 0.0f, j = 0; j < 6; j++) cost = maximum(cost, absolute(way(j, stands[j], q[j])));
+        for (cost = 0.0f, j = 0; j < ARM_JOINTS[arm].n; j++) cost = maximum(cost, absolute(way(arm, j, stands[j], q[j])));
     }
-    return is_stopped(q) ? cost + STOPPED : cost;
+    return is_stopped(arm, q) ? cost + STOPPED : cost;
 }
 
 /* Where a search begins: a point of an additive recurrence, half turns around home. */
-static void start_at(int arm, float index, float q[6])
+static void start_at(int arm, float index, float *q)
 {
-    static const float SHARES[] = {F(0.8986537), F(0.8075785), F(0.7257334), F(0.6521830), F(0.5860867), F(0.5266890)};
+    /* Of arms of up to six joints, and of those of seven. */
+    static const float SHARES[2][7] = {
+        {F(0.8986537), F(0.8075785), F(0.7257334), F(0.6521830), F(0.5860867), F(0.5266890), 0.0f},
+        {F(0.9115924), F(0.8310006), F(0.7575338), F(0.6905620), F(0.6295111), F(0.5738575), F(0.5231241)}};
     int j;
-    for (j = 0; j < 6; j++) {
-        float x = index * SHARES[j];
+    for (j = 0; j < ARM_JOINTS[arm].n; j++) {
+        float x = index * SHARES[ARM_JOINTS[arm].n > 6][j];
         q[j] = ARMS[arm].home[j] + (x - floorf(x) - 0.5f) * F(2.0 * PI);
     }
 }
+
+static void copy_angles(int arm, const float *from, float *to) { memcpy(to, from, (size_t)ARM_JOINTS[arm].n * sizeof *to); }
 
 /* Starts of a whole search beside where the arm stands and home. */
 #define STARTS 14
 
 /* What a start leads to that is tried later. */
-static void later(int arm, const frame_type *target, float index, float q[6])
+static void later(int arm, const frame_type *target, float index, float *q)
 {
     int step;
     start_at(arm, index, q);
     for (step = 0; step < 12; step++) {
-        float next[6];
+        float next[OCTOPUS_ARM_JOINTS];
         approach(arm, target, q, next);
-        memcpy(q, next, sizeof next);
+        copy_angles(arm, next, q);
     }
 }
 
 /* The best of many starts: where none brings the hand to its goal, what comes nearest to it. */
-static void search(int arm, const frame_type *target, const float stands[6], float best[6])
+static void search(int arm, const frame_type *target, const float *stands, float *best)
 {
     float best_cost = from_bits(0x7f800000u);
     int index, step;
-    memcpy(best, stands, 6 * sizeof *best);
+    copy_angles(arm, stands, best);
     for (index = 0; index < STARTS + 2; index++) {
-        float q[6], next[6], cost;
-        if (index == 0) memcpy(q, stands, sizeof q);
-        else if (index == 1) memcpy(q, ARMS[arm].home, sizeof q);
+        float q[OCTOPUS_ARM_JOINTS], next[OCTOPUS_ARM_JOINTS], cost;
+        if (index == 0) copy_angles(arm, stands, q);
+        else if (index == 1) copy_angles(arm, ARMS[arm].home, q);
         else start_at(arm, (float)(index - 1), q);
         for (step = 0; step < 40; step++) {
             if (approach(arm, target, q, next) < F(1e-5)) break;
-            memcpy(q, next, sizeof q);
+            copy_angles(arm, next, q);
         }
         cost = cost_of(arm, target, stands, q);
         if (cost < best_cost) {
             best_cost = cost;
-            memcpy(best, q, sizeof q);
+            copy_angles(arm, q, best);
         }
     }
 }
@@ -300,14 +315,14 @@ static void seen_from(const place_type *place, const float goal[6], frame_type *
 /* Has a posture follow the base, unless that `rests`; says what is left to go. */
 static void follow(int arm, octopus_posture *posture, const float goal[6], const place_type *place, int rests)
 {
-    const float *stands = &place->angles[6 * arm];
+    const float *stands = &place->angles[ARM_JOINTS[arm].first];
     float *angles = posture->angles;
     int j;
     if (!rests) {
         frame_type target;
-        float before[6], next[6], cost;
+        float before[OCTOPUS_ARM_JOINTS], next[OCTOPUS_ARM_JOINTS], cost;
         seen_from(place, goal, &target);
-        memcpy(before, angles, sizeof before);
+        copy_angles(arm, angles, before);
         approach(arm, &target, angles, next);
         approach(arm, &target, next, angles);
         cost = cost_of(arm, &target, stands, angles);
@@ -315,7 +330,7 @@ static void follow(int arm, octopus_posture *posture, const float goal[6], const
             /* Angles that only come near would wander with the base. */
             float cost_before = cost_of(arm, &target, stands, before);
             if (cost_before <= cost) {
-                memcpy(angles, before, sizeof before);
+                copy_angles(arm, before, angles);
                 cost = cost_before;
             }
         }
@@ -325,26 +340,26 @@ static void follow(int arm, octopus_posture *posture, const float goal[6], const
             later(arm, &target, posture->tried, next);
             other_cost = cost_of(arm, &target, stands, next);
             if (other_cost < STOPPED) {
-                memcpy(angles, next, sizeof next);
+                copy_angles(arm, next, angles);
                 cost = other_cost;
             }
         }
         posture->good = cost < STOPPED ? 1.0f : 0.0f;
     }
-    posture->free = is_stopped(angles) ? 0.0f : 1.0f;
-    for (j = 0; j < 6; j++) posture->left[j] = way(j, stands[j], angles[j]);
+    posture->free = is_stopped(arm, angles) ? 0.0f : 1.0f;
+    for (j = 0; j < ARM_JOINTS[arm].n; j++) posture->left[j] = way(arm, j, stands[j], angles[j]);
 }
 
 /* `factor` times what is left to go, all joints in proportion, within `limits`; nothing where a joint would be stopped. */
-static void rates(const octopus_posture *posture, float factor, const float limits[6], float out[6])
+static void rates(int arm, const octopus_posture *posture, float factor, const float *limits, float *out)
 {
     float of_all = factor * posture->free, excess = 1.0f;
     int j;
-    for (j = 0; j < 6; j++) {
+    for (j = 0; j < ARM_JOINTS[arm].n; j++) {
         out[j] = of_all * posture->left[j];
         excess = maximum(excess, absolute(out[j]) / limits[j]);
     }
-    for (j = 0; j < 6; j++) out[j] = out[j] / excess;
+    for (j = 0; j < ARM_JOINTS[arm].n; j++) out[j] = out[j] / excess;
 }
 
 /* -- how the base gives way to arms that move -- */
@@ -598,21 +613,24 @@ static void momentum(const body_type *body, const vector_6 *v, vector_6 *out)
 }
 
 /* Adds an arm to the momentum of all, and to their inertia with the joints locked. */
-static void add_arm(int arm, const vector_6 *base, const float q[6], const float qd[6], vector_6 *total, inertia_type *locked)
+static void add_arm(int arm, const vector_6 *base, const float *q, const float *qd, vector_6 *total, inertia_type *locked)
 {
-    vector_6 v[6], h, own;
+    const int n = ARM_JOINTS[arm].n, first_link = KINDS[ARMS[arm].kind].first_link;
+    const link_type *links = &LINKS[first_link];
+    const body_type *bodies = &BODIES[first_link];
+    vector_6 v[OCTOPUS_ARM_JOINTS], h, own;
     inertia_type inertia;
-    float sines[6], cosines[6], moved[3];
+    float sines[OCTOPUS_ARM_JOINTS], cosines[OCTOPUS_ARM_JOINTS], moved[3];
     const float *p = ARMS[arm].position;
     const matrix *r = &ARMS[arm].rotation;
     int i, j;
-    for (j = 0; j < 6; j++) {
+    for (j = 0; j < n; j++) {
         if (j == 0) {
             cross_add(base->angular, p, base->linear, moved);
             mat_t_vec(r, base->angular, v[0].angular);
             mat_t_vec(r, moved, v[0].linear);
         } else {
-            const link_type *before = &LINKS[j - 1];
+            const link_type *before = &links[j - 1];
             const float *angular = v[j - 1].angular;
             memcpy(moved, v[j - 1].linear, sizeof moved);
             if (before->has_a) {
@@ -633,9 +651,9 @@ static void add_arm(int arm, const vector_6 *base, const float q[6], const float
     }
     memset(&inertia, 0, sizeof inertia);
     memset(&h, 0, sizeof h);
-    for (j = 5; j >= 0; j--) {
-        const link_type *link = &LINKS[j];
-        if (j < 5) {
+    for (j = n - 1; j >= 0; j--) {
+        const link_type *link = &links[j];
+        if (j < n - 1) {
             to_previous(link, &inertia);
             twist(link, h.angular, own.angular);
             twist(link, h.linear, own.linear);
@@ -649,8 +667,8 @@ static void add_arm(int arm, const vector_6 *base, const float q[6], const float
                 h.angular[1] = fma_(link->d, h.linear[0], h.angular[1]);
             }
         }
-        add_body(&inertia, &BODIES[j]);
-        momentum(&BODIES[j], &v[j], &own);
+        add_body(&inertia, &bodies[j]);
+        momentum(&bodies[j], &v[j], &own);
         turn_sym(sines[j], cosines[j], inertia.a);
         turn_mat(sines[j], cosines[j], inertia.b);
         turn_sym(sines[j], cosines[j], inertia.c);
@@ -686,7 +704,8 @@ static void recoil(const place_type *place, const float qd[OCTOPUS_JOINTS], vect
     add_body(&locked, &BASE);
     momentum(&BASE, &base, &total);
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
-        add_arm(arm, &base, &place->angles[6 * arm], &qd[6 * arm], &total, &locked);
+        const int first = ARM_JOINTS[arm].first;
+        add_arm(arm, &base, &place->angles[first], &qd[first], &total, &locked);
     }
     mat_vec(&place->rotation, total.linear, linear);
     mat_vec(&place->rotation, total.angular, moment);
@@ -923,39 +942,41 @@ typedef struct {
 
 static void put_links(const float q[OCTOPUS_JOINTS], scene_type *scene)
 {
-    frame_type pose;
-    int i, j;
-    for (j = 0; j < OCTOPUS_JOINTS; j++) {
-        const capsule_type *bound = &SOLIDS[j % 6].bound;
-        if (j % 6 == 0) {
-            pose.rotation = ARMS[j / 6].rotation;
-            memcpy(pose.position, ARMS[j / 6].position, sizeof pose.position);
-        }
-        sin_cos(q[j], &scene->sines[j], &scene->cosines[j]);
-        for (i = 0; i < 3; i++) {
-            float *row = pose.rotation.row[i], turned[3];
-            if (j % 6 > 0) {
-                const link_type *before = &LINKS[j % 6 - 1];
-                if (before->has_a) pose.position[i] = fma_(before->a, row[0], pose.position[i]);
-                if (before->has_d) pose.position[i] = fma_(before->d, row[2], pose.position[i]);
-                untwist(before, row, turned);
-                memcpy(row, turned, sizeof turned);
+    int arm, i, j, within;
+    for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
+        const int first_link = KINDS[ARMS[arm].kind].first_link;
+        frame_type pose;
+        pose.rotation = ARMS[arm].rotation;
+        memcpy(pose.position, ARMS[arm].position, sizeof pose.position);
+        for (within = 0; within < ARM_JOINTS[arm].n; within++) {
+            const capsule_type *bound = &SOLIDS[first_link + within].bound;
+            j = ARM_JOINTS[arm].first + within;
+            sin_cos(q[j], &scene->sines[j], &scene->cosines[j]);
+            for (i = 0; i < 3; i++) {
+                float *row = pose.rotation.row[i], turned[3];
+                if (within > 0) {
+                    const link_type *before = &LINKS[first_link + within - 1];
+                    if (before->has_a) pose.position[i] = fma_(before->a, row[0], pose.position[i]);
+                    if (before->has_d) pose.position[i] = fma_(before->d, row[2], pose.position[i]);
+                    untwist(before, row, turned);
+                    memcpy(row, turned, sizeof turned);
+                }
+                unturn(scene->sines[j], scene->cosines[j], row);
             }
-            unturn(scene->sines[j], scene->cosines[j], row);
+            scene->poses[j] = pose;
+            put_point(&pose, bound->from, scene->bounds[j].from);
+            put_point(&pose, bound->to, scene->bounds[j].to);
+            scene->bounds[j].radius = bound->radius;
+            middle_of(scene->bounds[j].from, scene->bounds[j].to, scene->middles[j]);
         }
-        scene->poses[j] = pose;
-        put_point(&pose, bound->from, scene->bounds[j].from);
-        put_point(&pose, bound->to, scene->bounds[j].to);
-        scene->bounds[j].radius = bound->radius;
-        middle_of(scene->bounds[j].from, scene->bounds[j].to, scene->middles[j]);
     }
 }
 
 static int touches(const scene_type *scene, const pair_type *pair)
 {
     const capsule_type *bound = &scene->bounds[pair->a];
-    const solid_type *a = &SOLIDS[pair->a % 6];
-    const solid_type *b = pair->is_link ? &SOLIDS[pair->b % 6] : &SOLIDS[6 + pair->b];
+    const solid_type *a = &SOLIDS[LINK_OF[pair->a]];
+    const solid_type *b = pair->is_link ? &SOLIDS[LINK_OF[pair->b]] : &SOLIDS[OCTOPUS_LINKS + pair->b];
     int i, j;
     /* Balls and boxes first, then capsules around all, then closest points. */
     if (b->is_box) {
@@ -995,12 +1016,14 @@ static int count_contacts(const float q[OCTOPUS_JOINTS])
     scene_type scene;
     int i, arm, n = 0;
     put_links(q, &scene);
-    for (i = 0; i < OCTOPUS_ANGLE_CONTACTS; i++) {
-        const angle_contact_type *contact = &ANGLE_CONTACTS[i];
-        for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
-            int narrowing = 6 * arm + contact->narrowing_joint;
+    for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
+        const range_type *contacts = &CONTACTS_OF[ARMS[arm].kind];
+        const int first = ARM_JOINTS[arm].first;
+        for (i = contacts->first; i < contacts->end; i++) {
+            const angle_contact_type *contact = &ANGLE_CONTACTS[i];
+            int narrowing = first + contact->narrowing_joint;
             float sine = scene.sines[narrowing];
-            float x = nearest_turn(q[6 * arm + contact->joint] - contact->centre);
+            float x = nearest_turn(q[first + contact->joint] - contact->centre);
             float half = fnma(contact->narrowing, absolute((sine + sine) * scene.cosines[narrowing]), contact->half);
             n += absolute(x) <= half;
         }
@@ -1043,7 +1066,8 @@ static float play(const reading_type *reading, const place_type *from, octopus_p
         matrix middle;
         for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
             follow(arm, &postures[arm], reading->hand_goals[arm], &place, 0);
-            rates(&postures[arm], OCTOPUS_PACE, &PACE_LIMITS[6 * arm], &qd[6 * arm]);
+            j = ARM_JOINTS[arm].first;
+            rates(arm, &postures[arm], OCTOPUS_PACE, &PACE_LIMITS[j], &qd[j]);
         }
         if (step == 15) return touched;
         for (j = 0; j < OCTOPUS_JOINTS; j++) place.angles[j] = fma_(0.5f * PERIOD, qd[j], place.angles[j]);
@@ -1064,7 +1088,7 @@ static float play(const reading_type *reading, const place_type *from, octopus_p
 static void foresee(const reading_type *reading, const place_type *place, const int open[OCTOPUS_ARMS],
                     octopus_posture postures[OCTOPUS_ARMS])
 {
-    float best[OCTOPUS_ARMS][6], first[OCTOPUS_ARMS][6];
+    float best[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS], first[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS];
     float best_cost = from_bits(0x7f800000u);
     int set, arm;
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) memcpy(best[arm], postures[arm].angles, sizeof best[arm]);
@@ -1073,7 +1097,7 @@ static void foresee(const reading_type *reading, const place_type *place, const 
         float cost = 0.0f;
         memcpy(tried, postures, sizeof tried);
         for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
-            const float *stands = &place->angles[6 * arm];
+            const float *stands = &place->angles[ARM_JOINTS[arm].first];
             /* In the first sets every arm takes another way, then one or two. */
             int varied = set < 8 || arm == set % OCTOPUS_ARMS || arm == set / OCTOPUS_ARMS % OCTOPUS_ARMS;
             frame_type target;
@@ -1082,11 +1106,11 @@ static void foresee(const reading_type *reading, const place_type *place, const 
             memcpy(tried[arm].angles, best[arm], sizeof best[arm]);
             of_way = cost_of(arm, &target, stands, tried[arm].angles);
             if (set > 0 && varied && open[arm]) {
-                float other[6], other_cost;
+                float other[OCTOPUS_ARM_JOINTS], other_cost;
                 later(arm, &target, (float)(STARTS + 1 + set * OCTOPUS_ARMS + arm), other);
                 other_cost = cost_of(arm, &target, stands, other);
                 if (other_cost < STOPPED) {
-                    memcpy(tried[arm].angles, other, sizeof other);
+                    copy_angles(arm, other, tried[arm].angles);
                     of_way = other_cost;
                 }
             }
@@ -1170,7 +1194,7 @@ static void look(const reading_type *reading, octopus_memory *memory)
         if (open[arm]) {
             frame_type target;
             seen_from(&place, reading->hand_goals[arm], &target);
-            search(arm, &target, &place.angles[6 * arm], posture->angles);
+            search(arm, &target, &place.angles[ARM_JOINTS[arm].first], posture->angles);
             posture->tried = (float)STARTS;
             any = 1;
         }
@@ -1188,9 +1212,10 @@ static float *put_posture(float *out, const octopus_posture *posture)
     int j;
     *out++ = posture->good;
     *out++ = posture->free;
-    for (j = 0; j < 6; j++) {
+    /* Behind the last joint of a shorter arm nothing is left. */
+    for (j = 0; j < OCTOPUS_ARM_JOINTS; j++) {
         out[j] = posture->left[j];
-        out[6 + j] = hyperbolic_tangent(posture->left[j] * F(1.0 / 0.1));
+        out[OCTOPUS_ARM_JOINTS + j] = hyperbolic_tangent(posture->left[j] * F(1.0 / 0.1));
     }
-    return out + 12;
+    return out + 2 * OCTOPUS_ARM_JOINTS;
 }

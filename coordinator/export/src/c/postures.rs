@@ -10,7 +10,7 @@ use simulator::robot::Robot;
 use simulator::task::UNGUIDED;
 
 use super::tables::{define, float, matrix, table};
-use crate::source::{ARM_JOINTS, Source};
+use crate::source::Source;
 
 const SOURCE: &str = include_str!("postures.c");
 
@@ -36,32 +36,36 @@ fn tables(source: &Source<'_>) -> String {
     let limits = task.action_limit.iter().map(|limit| float((limit * task.action_scale) as f32));
     table(&mut out, "float PACE_LIMITS[OCTOPUS_JOINTS]", limits);
     arms(&mut out, &source.world.robot);
-    bodies(&mut out, &Model::new(&source.world.robot));
+    bodies(&mut out, &source.world.robot);
     out
 }
 
 /// What arms need alone.
 fn arms(out: &mut String, robot: &Robot) {
-    let steps = robot.types[0].links.iter().map(|link| {
+    let steps = robot.types.iter().flat_map(|kind| &kind.links).map(|link| {
         let shift: [f64; 3] = link.shift.into();
         let twist = [0, 1, 2].map(|i| [0, 1, 2].map(|j| link.twist[(i, j)]));
         format!("\n    {{{}, {{{}}}}}", vector(&shift.map(|x| x as f32)), matrix(&twist))
     });
-    table(out, "step_type STEPS[6]", steps);
-    let mut stops = [[0.0; 3]; ARM_JOINTS];
-    for stop in robot.types[0].angle_contacts.iter().filter(|stop| stop.push) {
-        stops[stop.joint] = [1.0, stop.centre as f32, stop.half as f32];
-    }
+    table(out, "step_type STEPS[OCTOPUS_LINKS]", steps);
+    let stops = robot.types.iter().flat_map(|kind| {
+        let mut stops = vec![[0.0; 3]; kind.links.len()];
+        for stop in kind.angle_contacts.iter().filter(|stop| stop.push) {
+            stops[stop.joint] = [1.0, stop.centre as f32, stop.half as f32];
+        }
+        stops
+    });
     let stops = stops
         .map(|[is, centre, half]| format!("\n    {{{is}, {}, {}}}", float(centre), float(half)));
-    table(out, "stop_type STOPS[6]", stops.into_iter());
+    table(out, "stop_type STOPS[OCTOPUS_LINKS]", stops);
 }
 
 /// What weighs, and what can touch.
-fn bodies(out: &mut String, model: &Model<f32>) {
+fn bodies(out: &mut String, robot: &Robot) {
+    let model = Model::<f32>::new(robot);
     let _ = writeln!(out, "static const body_type BASE = {};", body(&model.base));
     let links = model.links.iter().map(|link| format!("\n    {}", body(&link.body)));
-    table(out, "body_type BODIES[6]", links);
+    table(out, "body_type BODIES[OCTOPUS_LINKS]", links);
     let permutations = model.arms.iter().map(|arm| match &arm.permutation {
         Some(p) => format!(
             "\n    {{1, {{{}}}, {}}}",
@@ -83,8 +87,17 @@ fn bodies(out: &mut String, model: &Model<f32>) {
         contacts.collect(),
         "{0, 0, 0.0f, 0.0f, 0.0f}",
     );
+    let mut end = 0;
+    let of_kinds = robot.types.iter().map(|kind| {
+        let first = end;
+        end += kind.angle_contacts.len();
+        format!(" {{{first}, {end}}}")
+    });
+    table(out, "range_type CONTACTS_OF[OCTOPUS_KINDS]", of_kinds);
 
     let collision = &model.collision;
+    let link_of = collision.link_of.iter().map(ToString::to_string);
+    table(out, "unsigned char LINK_OF[OCTOPUS_JOINTS]", link_of);
     let mut shapes = Vec::new();
     let mut solids = Vec::new();
     let moving = collision.links.iter().map(|link| (&link.shapes, &link.bound));

@@ -1,9 +1,10 @@
 //! Constants and tables of numbers as C writes them.
 
 use std::fmt::Write as _;
+use std::ops::Range;
 
 use crate::networks::{Layer, Networks, Stacked};
-use crate::source::{ARM_JOINTS, Source};
+use crate::source::Source;
 
 /// `#define OCTOPUS_NAME value`.
 pub(super) fn define(out: &mut String, name: &str, value: &str) {
@@ -109,18 +110,27 @@ fn robot(out: &mut String, source: &Source<'_>) {
         robot.arms.iter().zip(source.reaches()).enumerate().map(|(index, (arm, reaches))| {
             let rows: [[f64; 3]; 3] = [0, 1, 2].map(|i| [0, 1, 2].map(|j| arm.rotation[(i, j)]));
             format!(
-                "\n    {{{}, {{{}}}, {}, {}, {}}}",
+                "\n    {{{}, {{{}}}, {}, {}, {}, {}}}",
                 floats(arm.position.as_slice()),
                 matrix(&rows),
                 matrix(&task.arm_axes(index)),
                 floats(&arm.home),
-                i32::from(reaches)
+                i32::from(reaches),
+                arm.arm_type
             )
         });
     table(out, "arm_type ARMS[OCTOPUS_ARMS]", arms);
-    out.push_str("#endif\n#if OCTOPUS_NEEDS_HANDS\n");
-    let kind = &robot.types[0];
-    let links = kind.links.iter().map(|link| {
+    let joints = robot.joints;
+    let range = |of: Range<usize>| format!(" {{{}, {}}}", of.start, of.len());
+    let of_arms = (0..joints.n_arms()).map(|arm| range(joints.of_arm(arm)));
+    table(out, "joints_type ARM_JOINTS[OCTOPUS_ARMS]", of_arms);
+    out.push_str("#endif\n");
+    let of_agents = (0..joints.n_agents()).map(|agent| range(joints.of_agent(agent)));
+    table(out, "joints_type AGENT_JOINTS[OCTOPUS_AGENTS]", of_agents);
+    out.push_str(
+        "#if OCTOPUS_NEEDS_HANDS\n/* Of all types of arms, one type after the other. */\n",
+    );
+    let links = robot.types.iter().flat_map(|kind| &kind.links).map(|link| {
         let (cosine, sine) = (link.twist[(1, 1)], link.twist[(2, 1)]);
         let twist = match (cosine, sine) {
             (1.0, 0.0) => 0,
@@ -133,11 +143,17 @@ fn robot(out: &mut String, source: &Source<'_>) {
         let (has_a, has_d) = (has(link.shift.x), has(link.shift.z));
         format!("\n    {{{has_a}, {has_d}, {twist}, {}}}", numbers.join(", "))
     });
-    table(out, &format!("link_type LINKS[{ARM_JOINTS}]"), links);
-    let tool: [[f64; 3]; 3] = [0, 1, 2].map(|i| [0, 1, 2].map(|j| kind.tool_rotation[(i, j)]));
-    let _ = writeln!(out, "static const matrix TOOL_ROTATION = {{{}}};", matrix(&tool));
-    let position = floats(kind.tool_position.as_slice());
-    let _ = writeln!(out, "static const float TOOL_POSITION[3] = {position};\n#endif");
+    table(out, "link_type LINKS[OCTOPUS_LINKS]", links);
+    let mut first_link = 0;
+    let kinds = robot.types.iter().map(|kind| {
+        let tool: [[f64; 3]; 3] = [0, 1, 2].map(|i| [0, 1, 2].map(|j| kind.tool_rotation[(i, j)]));
+        let position = floats(kind.tool_position.as_slice());
+        let text = format!("\n    {{{first_link}, {position}, {{{}}}}}", matrix(&tool));
+        first_link += kind.links.len();
+        text
+    });
+    table(out, "kind_type KINDS[OCTOPUS_KINDS]", kinds);
+    out.push_str("#endif\n");
     let limits = task.action_limit.iter().map(|&x| float(x as f32));
     table(out, "float ACTION_LIMITS[OCTOPUS_JOINTS]", limits);
     let exact = |values: &[f64]| {

@@ -3,8 +3,8 @@
 use proto::config::{Activation, InputNorm};
 
 use super::graph::{Attribute, Graph, Value};
-use super::postures;
 use super::proto::{BFLOAT16, FLOAT};
+use super::{joints, postures};
 use crate::networks::{Networks, Stacked};
 use crate::source::Source;
 
@@ -59,7 +59,7 @@ pub(super) fn actions(
     }
     let by_robot = g.transpose(&x, &[1, 0, 2]);
     let joints = source.world.robot.n_joints();
-    let mut means = g.reshape(&by_robot, &[0, joints as i64]);
+    let mut means = joints::of_actions(g, &source.world.robot.joints, &by_robot);
     if let Some(postures) = postures {
         let guidance = postures::guidance(g, source, postures);
         means = g.op("Add", &[&means, &guidance]);

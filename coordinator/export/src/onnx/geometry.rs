@@ -205,27 +205,74 @@ pub(super) struct Hands {
 }
 
 /// What the hands' velocities follow from: velocity and angular velocity of the base in its own axes, `[batch, 1, 3]`,
-/// and joint rates, `[batch, arms, 6]`.
+/// and joint rates, `[batch, arms, longest]`.
 pub(super) struct Motion<'a> {
     pub(super) linear: &'a Value,
     pub(super) angular: &'a Value,
     pub(super) rates: &'a Value,
 }
 
-/// Forward kinematics of all arms at joint angles `[batch, arms, 6]`.
+/// Forward kinematics of all arms at joint angles `[batch, arms, longest]`.
 pub(super) fn hands(
     g: &mut Graph,
     robot: &Robot,
     joint_angles: &Value,
     motion: Option<&Motion<'_>>,
 ) -> Hands {
-    let n = robot.n_arms;
+    let of_kind = |kind: usize| {
+        let arms = (0..robot.n_arms).filter(|&arm| robot.arms[arm].arm_type == kind);
+        arms.collect::<Vec<usize>>()
+    };
+    let kinds = (0..robot.types.len()).map(of_kind).filter(|arms| !arms.is_empty());
+    let kinds: Vec<Vec<usize>> = kinds.collect();
+    if let [all] = &kinds[..] {
+        return hands_of(g, robot, all, joint_angles, motion);
+    }
+    // The arms of one type side by side, then all in their order.
+    let parts: Vec<Hands> = kinds
+        .iter()
+        .map(|arms| {
+            let rows: Vec<i64> = arms.iter().map(|&arm| arm as i64).collect();
+            let angles = g.gather(joint_angles, 1, &rows);
+            let rates = motion.map(|motion| g.gather(motion.rates, 1, &rows));
+            let motion = motion.zip(rates.as_ref());
+            let motion = motion.map(|(motion, rates)| Motion { rates, ..*motion });
+            hands_of(g, robot, arms, &angles, motion.as_ref())
+        })
+        .collect();
+    let order: Vec<usize> = kinds.concat();
+    let place = |arm| order.iter().position(|&other| other == arm).expect("every arm is of a type");
+    let places: Vec<i64> = (0..robot.n_arms).map(|arm| place(arm) as i64).collect();
+    let mut together = |values: &[&Value]| {
+        let all = g.with("Concat", values, vec![Attribute::Int("axis", 1)]);
+        g.gather(&all, 1, &places)
+    };
+    let velocities: Option<Vec<&[Value; 2]>> =
+        parts.iter().map(|part| part.velocity.as_ref()).collect();
+    Hands {
+        position: together(&parts.iter().map(|part| &part.position).collect::<Vec<_>>()),
+        rotation: together(&parts.iter().map(|part| &part.rotation).collect::<Vec<_>>()),
+        velocity: velocities.map(|of_parts| {
+            [0, 1].map(|i| together(&of_parts.iter().map(|part| &part[i]).collect::<Vec<_>>()))
+        }),
+    }
+}
+
+/// [`hands`] of `arms`, which are of one type, at their joint angles.
+fn hands_of(
+    g: &mut Graph,
+    robot: &Robot,
+    arms: &[usize],
+    joint_angles: &Value,
+    motion: Option<&Motion<'_>>,
+) -> Hands {
     let of_arms = |g: &mut Graph, get: &dyn Fn(usize, usize) -> f64| {
-        let all: Vec<f64> = (0..n)
-            .flat_map(|arm| (0..3).map(move |i| (arm, i)))
+        let all: Vec<f64> = arms
+            .iter()
+            .flat_map(|&arm| (0..3).map(move |i| (arm, i)))
             .map(|(arm, i)| get(arm, i))
             .collect();
-        g.floats(&[1, n, 3], &all)
+        g.floats(&[1, arms.len(), 3], &all)
     };
     let (sin, cos) = (g.op("Sin", &[joint_angles]), g.op("Cos", &[joint_angles]));
     // The axes of the frame that moves along the arm.
@@ -235,7 +282,7 @@ pub(super) fn hands(
         let turned = cross(g, motion.angular, &origin);
         [g.op("Add", &[motion.linear, &turned]), motion.angular.clone()]
     });
-    let kind = &robot.types[0];
+    let kind = robot.type_of(arms[0]);
     for (joint, link) in kind.links.iter().enumerate() {
         let at = joint as i64;
         let (s, c) = (g.gather(&sin, -1, &[at]), g.gather(&cos, -1, &[at]));

@@ -165,6 +165,14 @@ impl Graph {
         self.with("Gather", &[&stored, &rows], vec![Attribute::Int("axis", 0)])
     }
 
+    /// `values` where the mask, of shape `dims`, is set, else zero: chosen, not multiplied, so that what is not taken may be anything.
+    pub(super) fn or_zero(&mut self, dims: &[usize], mask: &[bool], values: &Value) -> Value {
+        let mask: Vec<f64> = mask.iter().map(|&is| f64::from(u8::from(is))).collect();
+        let (mask, zero) = (self.floats(dims, &mask), self.float(0.0));
+        let mask = self.op("Greater", &[&mask, &zero]);
+        self.op("Where", &[&mask, values, &zero])
+    }
+
     /// Another type of number.
     pub(super) fn cast(&mut self, value: &Value, to: i32) -> Value {
         self.with("Cast", &[value], vec![Attribute::Int("to", to.into())])

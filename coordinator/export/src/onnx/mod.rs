@@ -3,6 +3,7 @@
 mod actors;
 mod geometry;
 mod graph;
+mod joints;
 mod observations;
 mod postures;
 mod proto;
@@ -63,7 +64,7 @@ pub(crate) fn controller(
             g.input("base_goal", &[3], doc)
         }),
         postures: source.has_postures().then(|| {
-            let shape = [arms, postures::NUMBERS];
+            let shape = [arms, postures::numbers(source)];
             let doc = "Goal postures, as octopus_postures of controller.h finds them: good, free, left of each joint (rad).";
             g.input("postures", &shape, doc)
         }),

@@ -8,8 +8,8 @@ use super::geometry::{
     Hands, Motion, euler, hands, mat_vec, rotation, rotation_difference, rotation_of_euler,
 };
 use super::graph::{Graph, Value};
-use super::postures;
-use crate::source::{ARM_JOINTS, Source};
+use super::{joints, postures};
+use crate::source::Source;
 
 /// The inputs of a controller.
 pub(super) struct Inputs {
@@ -26,7 +26,7 @@ pub(super) struct Inputs {
     pub(super) hand_goal_velocities: Option<Value>,
     /// `[batch, 3]`, where the base has a goal.
     pub(super) base_goal: Option<Value>,
-    /// `[batch, arms, 8]`, where there are goal postures.
+    /// `[batch, arms, 2 + longest]`, where there are goal postures.
     pub(super) postures: Option<Value>,
 }
 
@@ -68,7 +68,7 @@ fn repeated(g: &mut Graph, value: &Value, n: i64) -> Value {
 
 impl Scene<'_> {
     fn by_arm(&self, g: &mut Graph, joints: &Value) -> Value {
-        g.reshape(joints, &[0, self.arms, ARM_JOINTS as i64])
+        joints::by_arm(g, &self.source.world.robot.joints, joints)
     }
 
     fn hands(&self, g: &mut Graph, with_velocities: bool) -> Hands {
@@ -124,21 +124,22 @@ impl Scene<'_> {
             parts.push(self.seen(g, &for_all));
         }
         let angles = self.by_arm(g, joint_angles);
-        let home: Vec<f64> = self.source.world.robot.home_q();
-        let home = g.floats(&[1, task.n_arms(), ARM_JOINTS], &home);
+        let home = self.source.by_arm(&self.source.world.robot.home_q(), 0.0);
+        let home = g.floats(&[1, task.n_arms(), self.source.longest_arm()], &home);
         let turned = g.op("Sub", &[&angles, &home]);
         match task.joint_angles {
             JointAngles::Unwound => parts.push(turned),
             JointAngles::SinCos => {
                 parts.push(g.op("Sin", &[&turned]));
-                parts.push(g.op("Cos", &[&turned]));
+                let cosines = g.op("Cos", &[&turned]);
+                parts.push(joints::blanked(g, &self.source.world.robot.joints, &cosines));
             }
         }
         parts.push(self.by_arm(g, joint_rates));
         if let Some(goals) = &self.inputs.hand_goals {
             parts.extend(self.of_hands(g, goals));
             if let Some(postures) = &self.inputs.postures {
-                parts.extend(postures::seen(g, postures));
+                parts.extend(postures::seen(g, self.source, postures));
             }
         }
         if let Some(goal) = &self.inputs.base_goal {
@@ -173,13 +174,8 @@ impl Scene<'_> {
         if reaches.iter().all(|reaches| *reaches) {
             return parts;
         }
-        // Chosen, not multiplied: what stands in the place of a goal that is none may be anything.
-        let reaches: Vec<f64> = reaches.into_iter().map(|is| f64::from(u8::from(is))).collect();
-        let reaches = g.floats(&[1, reaches.len(), 1], &reaches);
-        let zero = g.float(0.0);
-        let reaches = g.op("Greater", &[&reaches, &zero]);
         let all = g.concat(&parts);
-        vec![g.op("Where", &[&reaches, &all, &zero])]
+        vec![g.or_zero(&[1, reaches.len(), 1], &reaches, &all)]
     }
 
     /// Position and rotation, goal − actual, in the base's axes: `[batch, arms, 3]` each.
@@ -221,7 +217,9 @@ impl Scene<'_> {
             base_goal,
             ..
         } = self.inputs;
-        let own = |g: &mut Graph, joints: &Value| g.reshape(joints, &[0, agents, 3]);
+        let own = |g: &mut Graph, joints: &Value| {
+            joints::by_agent(g, &self.source.world.robot.joints, joints)
+        };
         let mut parts =
             vec![repeated(g, base_position, agents), repeated(g, base_attitude, agents)];
         parts.push(own(g, joint_angles));
