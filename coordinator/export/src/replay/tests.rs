@@ -149,12 +149,12 @@ fn is_a_motion(block: &Block) {
     let mut batch = Batch::new(Arc::clone(world), 1, 1);
     batch.reset(begin, &InOrder, rows(&mut shown)).expect("an address");
     let mut motion = commanded.begin();
-    for step in 0..5 {
+    for (step, state) in states.iter().enumerate().take(5) {
         let actions: Vec<f32> =
             (0..8).flat_map(|agent| block.actions(agent, step)[3..6].to_vec()).collect();
         batch.step(&actions, &InOrder, rows(&mut shown)).expect("stable");
         commanded.step(step, &mut motion).expect("stable");
-        assert_eq!(shown[9], states[step]);
+        assert_eq!(&shown[9], state);
         let errors = motion.errors();
         for (arm, aim) in world.task.aims.iter().enumerate() {
             if *aim == Aim::Hand {
