@@ -49,7 +49,7 @@ fn shown_exported_and_recorded(run: &Run) {
     check_onnx(&[PathBuf::from(at("controller"))]);
 
     // An episode, and an environment of a block.
-    succeeds(&["urdf", "--out", &at("robot.urdf")]);
+    succeeds(&["urdf", "--robot=paper", "--out", &at("robot.urdf")]);
     for (name, of) in [("episode", "--steps=20"), ("block", "--address=7/2/1")] {
         let [mcap, csv] = ["mcap", "csv"].map(|ending| at(&format!("{name}.{ending}")));
         succeeds(&["record", &path, "--out", &mcap, "--csv", &csv, of]);
