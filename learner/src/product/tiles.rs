@@ -35,6 +35,10 @@ const ROW_BYTES: usize = 64;
 #[repr(align(64))]
 struct Tile([[u32; TILE]; TILE]);
 
+impl Tile {
+    const ZEROS: Self = Self([[0; TILE]; TILE]);
+}
+
 /// The sums of a block's rows with a panel.
 #[repr(align(64))]
 struct Sums([[f32; PANEL]; BLOCK]);
@@ -57,7 +61,7 @@ pub(super) fn multiply(_: Tiles, left: Left<'_>, right: &Packed, mut out: Out<'_
 fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: usize) {
     let (inner, columns) = (right.rows(), right.columns());
     let steps = inner.div_ceil(STEP);
-    let mut copy = vec![Tile([[0; TILE]; TILE]); 2 * steps];
+    let mut copy = Vec::new();
     let mut sums = Sums([[0.0; PANEL]; BLOCK]);
     // SAFETY: `multiply` stands for the features. Tiles are configured as long as they are used, and blocks and panels have `steps` steps.
     unsafe {
@@ -70,22 +74,21 @@ fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: us
                     if count == BLOCK && inner.is_multiple_of(STEP) {
                         in_place(numbers, inner)
                     } else {
+                        copy.resize(2 * steps, Tile::ZEROS);
                         copy_rows(numbers, inner, &mut copy);
                         copied(&copy)
                     }
                 }
                 Left::Transposed(packed) => {
+                    copy.resize(2 * steps, Tile::ZEROS);
                     transpose(packed.filled_panel(row / PANEL), &mut copy);
                     copied(&copy)
                 }
             };
             for panel in 0..right.panels() {
                 let pairs = right.filled_panel(panel);
-                if count > TILE {
-                    multiply_block(block, pairs.as_ptr(), steps, &mut sums);
-                } else {
-                    multiply_half(block, pairs.as_ptr(), steps, &mut sums);
-                }
+                debug_assert_eq!(pairs.len(), steps * TILE);
+                multiply_block(block, pairs, &mut sums);
                 for (m, sums) in sums.0[..count].iter().enumerate() {
                     for (half, sums) in sums.as_chunks::<LANES>().0.iter().enumerate() {
                         let column = panel * PANEL + half * LANES;
@@ -202,6 +205,7 @@ unsafe fn transposed(rows: [__m512i; TILE]) -> [__m512i; TILE] {
 }
 
 /// How tiles are cut, as `ldtilecfg` reads it and `sttilecfg` writes it.
+#[derive(Default)]
 #[repr(C, align(64))]
 struct Configuration {
     /// 0: tiles are not in use, 1: eight of at most sixteen rows of 64 bytes.
@@ -219,18 +223,11 @@ struct Configuration {
 unsafe fn configure() -> Configuration {
     let whole = Configuration {
         palette: 1,
-        start_row: 0,
-        reserved: [0; 14],
         row_bytes: std::array::from_fn(|tile| if tile < 8 { ROW_BYTES as u16 } else { 0 }),
         rows: std::array::from_fn(|tile| if tile < 8 { TILE as u8 } else { 0 }),
+        ..Configuration::default()
     };
-    let mut found = Configuration {
-        palette: 0,
-        start_row: 0,
-        reserved: [0; 14],
-        row_bytes: [0; 16],
-        rows: [0; 16],
-    };
+    let mut found = Configuration::default();
     // SAFETY: both are 64 bytes; the rest is the caller's promise.
     unsafe {
         asm!(
@@ -258,9 +255,10 @@ unsafe fn restore(found: &Configuration) {
 /// The sums of a block with a panel.
 ///
 /// # Safety
-/// Tiles are configured. Block and panel have `steps` steps, at least one.
-unsafe fn multiply_block(block: Block, panel: *const PairRow, steps: usize, sums: &mut Sums) {
-    let sums = sums.0.as_mut_ptr();
+/// Tiles are configured. The block has as many steps as the panel, at least one.
+unsafe fn multiply_block(block: Block, panel: &[PairRow], sums: &mut Sums) {
+    let steps = panel.len() / TILE;
+    let (panel, sums) = (panel.as_ptr(), sums.0.as_mut_ptr());
     // SAFETY: the caller's promise; `sums` are four tiles, side by side and one above the other.
     unsafe {
         asm!(
@@ -301,43 +299,6 @@ unsafe fn multiply_block(block: Block, panel: *const PairRow, steps: usize, sums
     }
 }
 
-/// The sums of a block's first sixteen rows with a panel.
-///
-/// # Safety
-/// As for [`multiply_block`].
-unsafe fn multiply_half(block: Block, panel: *const PairRow, steps: usize, sums: &mut Sums) {
-    let sums = sums.0.as_mut_ptr();
-    // SAFETY: the caller's promise; `sums` begin with two tiles side by side.
-    unsafe {
-        asm!(
-            "tilezero tmm0",
-            "tilezero tmm1",
-            "2:",
-            "tileloadd tmm4, [{first} + {row}*1]",
-            "tileloadd tmm6, [{panel} + {width}*1]",
-            "tileloadd tmm7, [{panel} + {width}*1 + 64]",
-            "tdpbf16ps tmm0, tmm4, tmm6",
-            "tdpbf16ps tmm1, tmm4, tmm7",
-            "add {first}, {step}",
-            "add {panel}, 2048",
-            "dec {steps}",
-            "jnz 2b",
-            "tilestored [{sums} + {width}*1], tmm0",
-            "tilestored [{sums} + {width}*1 + 64], tmm1",
-            first = inout(reg) block.tiles[0] => _,
-            panel = inout(reg) panel => _,
-            steps = inout(reg) steps => _,
-            row = in(reg) block.row,
-            step = in(reg) block.step,
-            width = in(reg) size_of::<PairRow>(),
-            sums = in(reg) sums,
-            out("tmm0") _, out("tmm1") _,
-            out("tmm4") _, out("tmm6") _, out("tmm7") _,
-            options(nostack),
-        );
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -371,7 +332,7 @@ mod tests {
         let columns: Vec<_> = (0..BLOCK * inner).map(|i| number(i % BLOCK, i / BLOCK)).collect();
         let mut packed = Packed::default();
         packed.pack(&columns, inner, BLOCK);
-        let [mut by_row, mut by_column] = [(); 2].map(|()| vec![Tile([[0; TILE]; TILE]); 4]);
+        let [mut by_row, mut by_column] = [(); 2].map(|()| vec![Tile::ZEROS; 4]);
         // SAFETY: the processor has both features.
         unsafe { copy_both(&rows, inner, packed.filled_panel(0), &mut by_row, &mut by_column) };
         for row in 0..BLOCK {

@@ -229,7 +229,7 @@ fn every_goal_that_the_twin_solves_has_a_good_posture() {
     assert_eq!(good, solved);
 }
 
-/// Each lane has goals of its own, and gives up other sets than its neighbours.
+/// Each lane has goals of its own.
 #[test]
 fn sets_that_are_given_up_are_not_missed() {
     struct Choices;
