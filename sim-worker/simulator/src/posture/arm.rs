@@ -63,6 +63,16 @@ pub(super) struct Place<'a, S> {
     pub(super) joints: Joints,
 }
 
+#[cfg(test)]
+impl<'a, S: Real> Place<'a, S> {
+    /// That of a robot in `state`.
+    #[inline(always)]
+    pub(super) fn of(state: &'a crate::state::State<S>, joints: Joints) -> Self {
+        let (position, quaternion) = (state.base_position, state.base_quaternion);
+        Self { position, quaternion, q: &state.q, joints }
+    }
+}
+
 impl<S: Real> Place<'_, S> {
     /// A goal seen from the base.
     #[inline(always)]

@@ -178,12 +178,7 @@ mod tests {
         fn call<S: Real>(self) -> Self::Output {
             let robot = robot();
             let state = State::<S>::home(&robot);
-            let place = Place {
-                position: state.base_position,
-                quaternion: state.base_quaternion,
-                q: &state.q,
-                joints: robot.joints,
-            };
+            let place = Place::of(&state, robot.joints);
             let mut out = Vec::new();
             for first in (0..SITUATIONS).step_by(S::LANES) {
                 let (mut arms, goals, rests) = begun::<S>(&robot, first);
@@ -225,12 +220,7 @@ mod tests {
         let (n_lanes, together) = dispatch(Together);
         let robot = robot();
         let state = State::<f32>::home(&robot);
-        let place = Place {
-            position: state.base_position,
-            quaternion: state.base_quaternion,
-            q: &state.q,
-            joints: robot.joints,
-        };
+        let place = Place::of(&state, robot.joints);
         let mut looks_of_type = vec![vec![0; SITUATIONS.div_ceil(n_lanes)]; robot.types.len()];
         let mut found = vec![0; robot.arms.len()];
         for (situation, together) in together.iter().enumerate() {

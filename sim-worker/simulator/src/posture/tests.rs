@@ -250,12 +250,7 @@ fn sets_that_are_given_up_are_not_missed() {
         let robot = robot();
         let evaluated = world(&robot);
         let state = State::<S>::home(&robot);
-        let place = Place {
-            position: state.base_position,
-            quaternion: state.base_quaternion,
-            q: &state.q,
-            joints: robot.joints,
-        };
+        let place = Place::of(&state, robot.joints);
         let mut goals = [[S::zero(); 6]; 4];
         for lane in 0..S::LANES {
             for (arm, slots) in goals.iter_mut().enumerate() {
