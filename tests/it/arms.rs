@@ -1,12 +1,11 @@
 //! Robots whose arms differ: they learn to the same bits whatever the workers, and everything that shows or moves a robot takes them.
 
-use std::process::Command;
-
 use serde_json::Value;
-use tests::{Run, WITH_POSTURES, crosscheck, octopus, python, stderr};
+use tests::{Run, WITH_POSTURES, octopus, stderr};
 
 use crate::export::{check_c, check_onnx};
 use crate::machines::{Machine, free_endpoint, hold, open, wait_for};
+use crate::record::read_by_others;
 
 /// Arms of six, six, seven and seven joints.
 const ROBOT: &str = concat!(
@@ -78,12 +77,7 @@ fn their_policies_are_evaluated_shown_recorded_and_exported() {
     succeeds(&["urdf", ROBOT, "--out", &at("robot.urdf")]);
     let (mcap, csv) = (at("motion.mcap"), at("motion.csv"));
     succeeds(&["record", &path, "--out", &mcap, "--csv", &csv, "--steps=20"]);
-    let output = Command::new(python())
-        .arg(crosscheck("recording.py"))
-        .args([&mcap, &csv, &at("robot.urdf")])
-        .output()
-        .expect("Python can be started");
-    assert!(output.status.success(), "{}", stderr(&output));
+    read_by_others(&mcap, &csv, &at("robot.urdf"));
     let said = String::from_utf8(succeeds(&["replay", &mcap])).expect("UTF-8");
     assert!(said.contains("the same, all"), "{said}");
     let block = at("block.safetensors");

@@ -6,6 +6,17 @@ use serde_json::{Value, json};
 use tests::guide::repository;
 use tests::{Run, crosscheck, octopus, python, stderr};
 
+/// Has others read a recording and its columns beside the robot's description; what they say.
+pub(crate) fn read_by_others(mcap: &str, csv: &str, urdf: &str) -> String {
+    let output = Command::new(python())
+        .arg(crosscheck("recording.py"))
+        .args([mcap, csv, urdf])
+        .output()
+        .expect("Python can be started");
+    assert!(output.status.success(), "{mcap}: {}", stderr(&output));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
 #[test]
 fn a_recording_is_read_by_others_and_agrees_with_the_robots_description() {
     let place = tempfile::tempdir().expect("tempdir");
@@ -18,13 +29,7 @@ fn a_recording_is_read_by_others_and_agrees_with_the_robots_description() {
         let args = ["record", &policy, "--out", &mcap, "--csv", &csv, "--steps", steps];
         let made = octopus(&args);
         assert!(made.status.success(), "{}", stderr(&made));
-        let output = Command::new(python())
-            .arg(crosscheck("recording.py"))
-            .args([&mcap, &csv, &at("robot.urdf")])
-            .output()
-            .expect("Python can be started");
-        assert!(output.status.success(), "{task}: {}", stderr(&output));
-        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        let said = read_by_others(&mcap, &csv, &at("robot.urdf"));
         assert!(said.contains("frames"), "{said}");
         // The same episode is the same file, and takes the place of the one before.
         let before = std::fs::read(&mcap).expect("there");

@@ -2,12 +2,12 @@
 //! place.
 
 use std::path::PathBuf;
-use std::process::Command;
 
 use serde_json::Value;
-use tests::{Run, WITH_POSTURES, crosscheck, octopus, python, stderr};
+use tests::{Run, WITH_POSTURES, octopus, stderr};
 
 use crate::export::{check_c, check_onnx};
+use crate::record::read_by_others;
 
 /// A run of three iterations, each with a checkpoint.
 fn trained(task: &str, workers: &str, more: &[&str]) -> Run {
@@ -53,12 +53,7 @@ fn shown_exported_and_recorded(run: &Run) {
     for (name, of) in [("episode", "--steps=20"), ("block", "--address=7/2/1")] {
         let [mcap, csv] = ["mcap", "csv"].map(|ending| at(&format!("{name}.{ending}")));
         succeeds(&["record", &path, "--out", &mcap, "--csv", &csv, of]);
-        let output = Command::new(python())
-            .arg(crosscheck("recording.py"))
-            .args([&mcap, &csv, &at("robot.urdf")])
-            .output()
-            .expect("Python can be started");
-        assert!(output.status.success(), "{name}: {}", stderr(&output));
+        read_by_others(&mcap, &csv, &at("robot.urdf"));
         let said = succeeds(&["replay", &mcap]);
         assert!(said.contains("the same, all"), "{name}: {said}");
     }
