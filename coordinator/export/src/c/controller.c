@@ -766,6 +766,7 @@ void octopus_controller_reset(octopus_memory *memory)
     /* Nothing is the same as what is not a number. */
     for (i = 0; i < OCTOPUS_ARMS; i++) memory->postures[i].goal[0] = from_bits(0x7fc00000u);
     for (i = 0; i < 7; i++) memory->base[i] = memory->believed[i] = from_bits(0x7fc00000u);
+    memory->age = 0.0f;
 #endif
 }
 

@@ -61,6 +61,7 @@ typedef struct {
     octopus_posture postures[OCTOPUS_ARMS];
     float base[7];     /* where the base was read to be when they last followed it */
     float believed[7]; /* where it is taken to be */
+    float age;         /* control steps since a goal was new */
 #endif
 } octopus_memory;
 
@@ -92,7 +93,7 @@ octopus_status octopus_observe(const octopus_state *state, const octopus_goals *
 #if OCTOPUS_POSTURES
 /* Goal postures alone, for those who run controller.onnx, which does not look for them: its input `postures`.
  * For each arm: good, free and left of its posture, zeros behind the last joint of a shorter arm. Call it once every control step, or octopus_controller_step,
- * with a memory that was reset before the first one. A step in which a goal is new takes longer than others. */
+ * with a memory that was reset before the first one. A step in which a goal is new, or ways are chosen anew, takes longer than others. */
 octopus_status octopus_postures(const octopus_state *state, const octopus_goals *goals,
                                 octopus_memory *memory, float postures[OCTOPUS_ARMS][OCTOPUS_POSTURE_NUMBERS]);
 #endif

@@ -1084,32 +1084,45 @@ static float play(const reading_type *reading, const place_type *from, octopus_p
     }
 }
 
-/* Gives every arm that is `open` the way with which most of them arrive, and of such ways the shortest. */
-static void foresee(const reading_type *reading, const place_type *place, const int open[OCTOPUS_ARMS],
+/* Sets of ways that are tried, in rounds. */
+#define ROUND 16
+#define SETS (5 * ROUND)
+
+/* Whether an arm takes another way in a set than in the best one before its round: all do in half of the sets, one or two in the others. */
+static int is_varied(int set, int arm)
+{
+    int turn = set / 2;
+    if (set == 0) return 0;
+    return set < ROUND || set % 2 == 0 || arm == turn % OCTOPUS_ARMS || arm == turn / OCTOPUS_ARMS % OCTOPUS_ARMS;
+}
+
+/* Gives every arm that is `open` the way with which most of them arrive, and of such ways the shortest. An arm that has no way may go
+ * elsewhere, where that brings others to their goals. `before`: how often ways were chosen for these goals already. */
+static void foresee(const reading_type *reading, const place_type *place, const int open[OCTOPUS_ARMS], float before,
                     octopus_posture postures[OCTOPUS_ARMS])
 {
-    float best[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS], first[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS];
-    float best_cost = from_bits(0x7f800000u);
+    float best[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS], next[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS];
+    float next_cost = from_bits(0x7f800000u);
     int set, arm;
-    for (arm = 0; arm < OCTOPUS_ARMS; arm++) memcpy(best[arm], postures[arm].angles, sizeof best[arm]);
-    for (set = 0; set < 40; set++) {
+    for (arm = 0; arm < OCTOPUS_ARMS; arm++) memcpy(next[arm], postures[arm].angles, sizeof next[arm]);
+    for (set = 0; set < SETS; set++) {
         octopus_posture tried[OCTOPUS_ARMS];
-        float cost = 0.0f;
+        float first[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS], cost = 0.0f;
+        if (set % ROUND == 0) memcpy(best, next, sizeof best);
         memcpy(tried, postures, sizeof tried);
         for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
             const float *stands = &place->angles[ARM_JOINTS[arm].first];
-            /* In the first sets every arm takes another way, then one or two. */
-            int varied = set < 8 || arm == set % OCTOPUS_ARMS || arm == set / OCTOPUS_ARMS % OCTOPUS_ARMS;
             frame_type target;
             float of_way;
             seen_from(place, reading->hand_goals[arm], &target);
             memcpy(tried[arm].angles, best[arm], sizeof best[arm]);
             of_way = cost_of(arm, &target, stands, tried[arm].angles);
-            if (set > 0 && varied && open[arm]) {
+            if (open[arm] && is_varied(set, arm)) {
                 float other[OCTOPUS_ARM_JOINTS], other_cost;
-                later(arm, &target, (float)(STARTS + 1 + set * OCTOPUS_ARMS + arm), other);
+                float start = before * (float)(SETS * OCTOPUS_ARMS) + (float)(STARTS + 1 + set * OCTOPUS_ARMS + arm);
+                later(arm, &target, start, other);
                 other_cost = cost_of(arm, &target, stands, other);
-                if (other_cost < STOPPED) {
+                if (other_cost < STOPPED || (of_way >= UNSOLVED && other_cost < UNSOLVED + STOPPED)) {
                     copy_angles(arm, other, tried[arm].angles);
                     of_way = other_cost;
                 }
@@ -1119,13 +1132,13 @@ static void foresee(const reading_type *reading, const place_type *place, const 
         }
         cost += play(reading, place, tried) * 20.0f;
         for (arm = 0; arm < OCTOPUS_ARMS; arm++) cost += (1.0f - tried[arm].good) * 100.0f;
-        if (cost < best_cost) {
-            best_cost = cost;
-            memcpy(best, first, sizeof best);
+        if (cost < next_cost) {
+            next_cost = cost;
+            memcpy(next, first, sizeof next);
         }
     }
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
-        if (open[arm]) memcpy(postures[arm].angles, best[arm], sizeof best[arm]);
+        if (open[arm]) memcpy(postures[arm].angles, next[arm], sizeof next[arm]);
     }
 }
 
@@ -1171,13 +1184,26 @@ static void believe(float believed[7], int rests, place_type *place)
     quaternion_to_rotation(place->attitude, &place->rotation);
 }
 
+/* Counts a control step, unless the robot `rests` or a goal is `new_goal`; whether all arms choose anew: every tenth step where an arm has no
+ * way to its goal, sixteen times. */
+static int is_reviewed(octopus_memory *memory, int new_goal, int rests)
+{
+    float reviews;
+    int arm, missing = 0;
+    if (new_goal) memory->age = 0.0f;
+    else if (!rests) memory->age = memory->age + 1.0f;
+    for (arm = 0; arm < OCTOPUS_ARMS; arm++) missing |= memory->postures[arm].good < 1.0f;
+    reviews = floorf(memory->age / 10.0f);
+    return missing && !new_goal && !rests && memory->age - reviews * 10.0f < 0.5f && reviews <= 16.0f;
+}
+
 /* Looks for postures of new goals, and has the others follow their goals and the base. */
 static void look(const reading_type *reading, octopus_memory *memory)
 {
     place_type place;
     float now[7];
     int open[OCTOPUS_ARMS], still[OCTOPUS_ARMS];
-    int arm, rests, any = 0;
+    int arm, rests, reviewed, any = 0;
     memcpy(place.position, reading->base_position, sizeof place.position);
     memcpy(place.attitude, reading->base_attitude, sizeof place.attitude);
     memcpy(place.angles, reading->joint_angles, sizeof place.angles);
@@ -1200,7 +1226,9 @@ static void look(const reading_type *reading, octopus_memory *memory)
         }
         memcpy(posture->goal, reading->hand_goals[arm], sizeof posture->goal);
     }
-    if (any) foresee(reading, &place, open, memory->postures);
+    reviewed = is_reviewed(memory, any, rests);
+    for (arm = 0; reviewed && arm < OCTOPUS_ARMS; arm++) open[arm] = 1;
+    if (any || reviewed) foresee(reading, &place, open, memory->age / 10.0f, memory->postures);
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
         follow(arm, &memory->postures[arm], reading->hand_goals[arm], &place, rests && still[arm]);
     }

@@ -1,6 +1,7 @@
 //! The goal posture of one arm: chosen, followed, gone to.
 
 use super::chain::{Angles, Chain, Frame, choose, seen_from};
+use super::foresight::everywhere;
 use super::search::{Question, STARTS, STOPPED, UNSOLVED};
 use crate::robot::{Joints, MAX_JOINTS_PER_ARM};
 use crate::scalar::{Mask, Real};
@@ -110,14 +111,29 @@ impl<S: Real> Posture<S> {
         Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
     }
 
-    /// Becomes the other one with these angles, where the mask is set; both have the same goal.
+    /// Becomes the other one with these angles; both have the same goal.
     #[inline(always)]
-    pub(super) fn become_in(&mut self, lanes: S::Mask, other: &Self, angles: &Angles<S>) {
-        choose(lanes, *angles, &mut self.angles);
-        choose(lanes, other.left, &mut self.left);
-        self.good = S::select(lanes, other.good, self.good);
-        self.free = S::select(lanes, other.free, self.free);
-        self.tried = S::select(lanes, other.tried, self.tried);
+    pub(super) fn become_one(&mut self, other: &Self, angles: &Angles<S>) {
+        self.angles = *angles;
+        self.left = other.left;
+        self.good = other.good;
+        self.free = other.free;
+        self.tried = other.tried;
+    }
+
+    /// What it is in lane `lane`, in all lanes.
+    #[inline(always)]
+    pub(super) fn everywhere(&self, lane: usize) -> Self {
+        let of = |x: S| everywhere(x, lane);
+        Self {
+            left: self.left.map(of),
+            good: of(self.good),
+            free: of(self.free),
+            chain: self.chain.clone(),
+            goal: self.goal.map(of),
+            angles: self.angles.map(of),
+            tried: of(self.tried),
+        }
     }
 
     /// Looks for a posture where the goal is a new one; says where it is, and where the goal has not moved at all.

@@ -1,22 +1,24 @@
 //! Which ways the arms take together, by where the base will be when all hands have gone to their goals.
 //!
 //! Arms that move push the base, and a base that has moved by centimetres brings goals into the reach of an arm or takes them out of it. So ways are
-//! judged together, a set with one way of each arm at a time, by a [rollout of the kinematics](KinematicRollout).
+//! judged together, a set with one way of each arm at a time, by a [rollout of the kinematics](KinematicRollout). An arm that has no way to its goal
+//! may go elsewhere, where that brings others to theirs.
 //!
-//! **Each lane at its own pace.** Most sets are given up after a few control steps. A lane that gives one up begins its next one at once, while others
-//! go on with theirs.
+//! **A lane is a set.** The environments of a lane group choose one after another, each in all lanes. Sets are tried in rounds of [`LANES`]: all
+//! of a round vary what was best before it. So the choice does not hang on how many lanes there are.
 
 use super::arm::{Pace, Place, Posture};
-use super::chain::{choose, put_lane};
-use super::kinematic_rollout::KinematicRollout;
-use super::search::{Question, STARTS, STOPPED, Way};
+use super::chain::{Angles, Frame, put_lane};
+use super::kinematic_rollout::{self, KinematicRollout};
+use super::search::{Question, STARTS, STOPPED, UNSOLVED, Way};
 use crate::model::Model;
+use crate::robot::MAX_ARMS;
 use crate::scalar::{Kernel, LANES, Mask, Real};
 
-/// Sets of ways that are judged. In the first one, number 0, every arm takes its nearest way.
-const SETS: u64 = 40;
-/// Sets below this number, but the first, have another way of every arm. Those from it on are the best set so far with another way of one or two arms.
-const SPREAD: u64 = 8;
+/// Rounds of sets that are tried.
+const ROUNDS: usize = 5;
+/// Sets of ways that are tried. In the first one, number 0, every arm takes the way that it has.
+const SETS: usize = ROUNDS * LANES;
 
 /// The postures of a lane group that are yet to be chosen, in the lanes of `open`, an entry an arm.
 pub(super) struct Foresight<'a, S: Real> {
@@ -25,6 +27,8 @@ pub(super) struct Foresight<'a, S: Real> {
     pub(super) goals: &'a [[S; 6]],
     pub(super) place: &'a Place<'a, S>,
     pub(super) open: &'a [S::Mask],
+    /// How often they were chosen for these goals already: other ways are looked for each time.
+    pub(super) before: S,
     /// Whether every set is tried to its end, also when it cannot become the best any more: the twin that tests giving up.
     pub(super) to_the_end: bool,
 }
@@ -46,126 +50,156 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
     #[inline(always)]
     fn run(self) {
         let Self { foresight, arms } = self;
-        let Foresight { model, pace, goals, place, open, to_the_end } = foresight;
-        let mut sets = Sets::new(arms, goals, place, open);
+        let Foresight { model, pace, goals, place, open, before, to_the_end } = foresight;
         let mut rollout = KinematicRollout::new(model, arms, place);
-        let mut active = S::Mask::splat(false);
-        for open in open {
-            active = active | *open;
-        }
-        let mut beginning = active;
-        loop {
-            // Costs only grow: a set that costs no less than the best is given up.
-            let limit = if to_the_end { S::splat(f64::INFINITY) } else { sets.best_cost };
-            // A set's ways alone may cost too much.
-            while beginning.any() {
-                let past_the_last = sets.next(beginning, open);
-                active = active & !past_the_last;
-                beginning = beginning & !past_the_last;
-                rollout.begin(beginning, arms, &sets.tried, place);
-                beginning = beginning & !rollout.cost().lt(limit);
+        for lane in 0..S::LANES {
+            let mut is_open = [false; MAX_ARMS];
+            for (is_open, open) in is_open.iter_mut().zip(open) {
+                *is_open = open.lane(lane);
             }
-            if !active.any() {
-                break;
+            if is_open == [false; MAX_ARMS] {
+                continue;
             }
-            rollout.follow(goals, active);
-            let ended = active & rollout.has_ended();
-            sets.judge(ended, rollout.final_cost());
-            rollout.advance(model, pace);
-            beginning = ended | (active & !rollout.cost().lt(limit));
-        }
-        for ((arm, best), open) in arms.iter_mut().zip(&sets.best).zip(open) {
-            choose(*open, best.angles, &mut arm.angles);
+            let q: Vec<S> = place.q.iter().map(|q| everywhere(*q, lane)).collect();
+            let place = Place {
+                position: place.position.map(|x| everywhere(x, lane)),
+                quaternion: place.quaternion.map(|x| everywhere(x, lane)),
+                q: &q,
+                joints: place.joints,
+            };
+            let goals: Vec<_> =
+                goals.iter().map(|goal| goal.map(|x| everywhere(x, lane))).collect();
+            let alone: Vec<_> = arms.iter().map(|arm| arm.everywhere(lane)).collect();
+            let first_start = everywhere(before, lane) * S::splat((SETS * arms.len()) as f64);
+            let mut sets = Sets::new(&alone, &goals, &place, first_start);
+            for number in (0..SETS).step_by(S::LANES) {
+                if number % LANES == 0 {
+                    sets.begin_round();
+                }
+                sets.vary(number, &alone, &is_open);
+                rollout.begin(&alone, &sets.tried, &place);
+                // Costs only grow: a set that costs no less than the best is given up.
+                let best = if to_the_end { f64::INFINITY } else { sets.next_cost };
+                let limit = S::splat(best);
+                let mut hopeful = rollout.cost().lt(limit);
+                for _ in 0..kinematic_rollout::STEPS {
+                    if !hopeful.any() {
+                        break;
+                    }
+                    rollout.follow(&goals, hopeful);
+                    rollout.advance(model, pace);
+                    hopeful = hopeful & rollout.cost().lt(limit);
+                }
+                if hopeful.any() {
+                    rollout.follow(&goals, hopeful);
+                    sets.judge(hopeful, rollout.final_cost());
+                }
+            }
+            for ((arm, best), is_open) in arms.iter_mut().zip(&sets.next).zip(is_open) {
+                if is_open {
+                    put_lane(&mut arm.angles, lane, &best.angles, 0);
+                }
+            }
         }
     }
 }
 
-/// The sets that lanes try, and the best of them so far.
+/// Lane `lane` in all lanes.
+#[inline(always)]
+pub(super) fn everywhere<S: Real>(x: S, lane: usize) -> S {
+    S::splat(x.lane(lane))
+}
+
+/// The sets that one environment tries, a lane each, and the best of them so far. Ways have an entry an arm.
 struct Sets<S> {
-    /// `[set, arm]`: what an arm takes instead of the best way so far.
-    others: Vec<Option<Way<S>>>,
-    /// Which set each lane tries next.
-    numbers: [u64; LANES],
-    /// An entry an arm.
+    targets: Vec<Frame<S>>,
+    stands: Vec<Angles<S>>,
+    /// The first start of a search for a way.
+    first_start: S,
     tried: Vec<Way<S>>,
+    /// What was best before this round, in all lanes.
     best: Vec<Way<S>>,
-    best_cost: S,
+    /// What is best now, in all lanes.
+    next: Vec<Way<S>>,
+    next_cost: f64,
 }
 
 impl<S: Real> Sets<S> {
     #[inline(always)]
-    fn new(arms: &[Posture<S>], goals: &[[S; 6]], place: &Place<'_, S>, open: &[S::Mask]) -> Self {
-        let n_arms = arms.len();
-        let mut nearest = Vec::with_capacity(n_arms);
-        let mut others = vec![None; SETS as usize * n_arms];
+    fn new(arms: &[Posture<S>], goals: &[[S; 6]], place: &Place<'_, S>, first_start: S) -> Self {
+        let targets: Vec<_> = goals.iter().map(|goal| place.seen(goal)).collect();
+        let stands: Vec<_> = (0..arms.len()).map(|arm| place.stands(arm)).collect();
+        let mut ways = Vec::with_capacity(arms.len());
         for (index, arm) in arms.iter().enumerate() {
-            let (target, stands) = (place.seen(&goals[index]), place.stands(index));
-            let question = Question { chain: &arm.chain, target: &target, stands: &stands };
-            nearest.push(Way { angles: arm.angles, cost: question.cost(&arm.angles) });
-            if !open[index].any() {
-                continue;
-            }
-            for set in 1..SETS {
-                if is_varied(set, index as u64, n_arms as u64) {
-                    let at = set as usize * n_arms + index;
-                    let angles = question.later(S::splat((STARTS as usize + 1 + at) as f64));
-                    others[at] = Some(Way { angles, cost: question.cost(&angles) });
-                }
-            }
+            let (target, stands) = (&targets[index], &stands[index]);
+            let question = Question { chain: &arm.chain, target, stands };
+            ways.push(Way { angles: arm.angles, cost: question.cost(&arm.angles) });
         }
         Self {
-            others,
-            numbers: [0; LANES],
-            tried: nearest.clone(),
-            best: nearest,
-            best_cost: S::splat(f64::INFINITY),
+            targets,
+            stands,
+            first_start,
+            tried: ways.clone(),
+            best: ways.clone(),
+            next: ways,
+            next_cost: f64::INFINITY,
         }
     }
 
-    /// Goes to the next set in these lanes; says where there is none.
+    /// From here on sets vary what is best now.
     #[inline(always)]
-    fn next(&mut self, lanes: S::Mask, open: &[S::Mask]) -> S::Mask {
-        let Self { others, numbers, tried, best, .. } = self;
-        for (tried, best) in tried.iter_mut().zip(best) {
-            tried.take(lanes, best);
-        }
-        let mut past_the_last = S::Mask::splat(false);
-        for lane in 0..S::LANES {
-            if !lanes.lane(lane) {
-                continue;
-            }
-            if numbers[lane] == SETS {
-                past_the_last.set_lane(lane, true);
-                continue;
-            }
-            let first = numbers[lane] as usize * tried.len();
-            numbers[lane] += 1;
-            for (index, tried) in tried.iter_mut().enumerate() {
-                if let Some(other) = &others[first + index]
-                    && open[index].lane(lane)
-                    && other.cost.lane(lane) < STOPPED
-                {
-                    put_lane(&mut tried.angles, lane, &other.angles, lane);
-                    tried.cost.set_lane(lane, other.cost.lane(lane));
-                }
-            }
-        }
-        past_the_last
+    fn begin_round(&mut self) {
+        self.best.copy_from_slice(&self.next);
     }
 
-    /// Takes over what these lanes tried where it cost less than the best.
+    /// Goes to the sets from `first` on.
+    #[inline(always)]
+    fn vary(&mut self, first: usize, arms: &[Posture<S>], is_open: &[bool]) {
+        let n_arms = arms.len();
+        for (index, arm) in arms.iter().enumerate() {
+            let tried = &mut self.tried[index];
+            *tried = self.best[index];
+            let mut varied = S::Mask::splat(false);
+            let mut start = S::zero();
+            for lane in 0..S::LANES {
+                let set = first + lane;
+                varied.set_lane(lane, is_open[index] && is_varied(set, index, n_arms));
+                start.set_lane(lane, (STARTS as usize + 1 + set * n_arms + index) as f64);
+            }
+            if !varied.any() {
+                continue;
+            }
+            let (target, stands) = (&self.targets[index], &self.stands[index]);
+            let question = Question { chain: &arm.chain, target, stands };
+            let angles = question.later(self.first_start + start);
+            let other = Way { angles, cost: question.cost(&angles) };
+            // Where no way is known, it may go elsewhere, but not to a stop.
+            let unsolved = S::splat(UNSOLVED);
+            let elsewhere = tried.cost.ge(unsolved) & other.cost.lt(unsolved + S::splat(STOPPED));
+            let is_way = other.cost.lt(S::splat(STOPPED));
+            tried.take(varied & (is_way | elsewhere), &other);
+        }
+    }
+
+    /// Takes over the cheapest of the sets of these lanes where it costs less than the best; of two alike the first.
     #[inline(always)]
     fn judge(&mut self, lanes: S::Mask, cost: S) {
-        let better = lanes & cost.lt(self.best_cost);
-        self.best_cost = S::select(better, cost, self.best_cost);
-        for (best, tried) in self.best.iter_mut().zip(&self.tried) {
-            best.take(better, tried);
+        for lane in 0..S::LANES {
+            if !lanes.lane(lane) || cost.lane(lane) >= self.next_cost {
+                continue;
+            }
+            self.next_cost = cost.lane(lane);
+            for (next, tried) in self.next.iter_mut().zip(&self.tried) {
+                let angles = tried.angles.map(|angle| everywhere(angle, lane));
+                *next = Way { angles, cost: everywhere(tried.cost, lane) };
+            }
         }
     }
 }
 
-/// Whether arm `index` takes another way in a set than in the best one so far.
-fn is_varied(set: u64, index: u64, n_arms: u64) -> bool {
-    let second = (set / n_arms) % n_arms;
-    set < SPREAD || index == set % n_arms || index == second
+/// Whether arm `index` takes another way in a set than in the best one so far: all do in half of the sets, one or two in the others.
+fn is_varied(set: usize, index: usize, n_arms: usize) -> bool {
+    let turn = set / 2;
+    let (one, two) = (turn % n_arms, (turn / n_arms) % n_arms);
+    set > 0 && (set < LANES || set.is_multiple_of(2) || index == one || index == two)
 }

@@ -18,20 +18,18 @@ use crate::state::State;
 use crate::workspace::Workspace;
 
 /// Control steps that are looked ahead: half a turn at 0.8 rad/s takes ten.
-const STEPS: usize = 15;
+pub(super) const STEPS: usize = 15;
 /// What an arm that does not arrive counts, in longest ways (rad).
 const MISSED: f64 = 100.0;
 /// What a pair that touches counts in a control step (rad): an arm that touches for five of them is held up and does not arrive.
 const TOUCHES: f64 = 20.0;
 
-/// All arms go to their postures, which follow the base on the way; each lane has begun when it liked.
+/// All arms go to their postures, which follow the base on the way.
 pub(super) struct KinematicRollout<S: Real> {
     workspace: Workspace<S>,
     joints: Joints,
     arms: Vec<Posture<S>>,
     state: State<S>,
-    /// Control steps so far.
-    steps: S,
     /// What its ways cost.
     ways: S,
     /// All pairs that touched, control step by control step.
@@ -39,7 +37,7 @@ pub(super) struct KinematicRollout<S: Real> {
 }
 
 impl<S: Real> KinematicRollout<S> {
-    /// From `place`; no lane has begun.
+    /// It has not begun.
     #[inline(always)]
     pub(super) fn new(model: &Model<S>, arms: &[Posture<S>], place: &Place<'_, S>) -> Self {
         let zero = [S::zero(); 3];
@@ -56,33 +54,23 @@ impl<S: Real> KinematicRollout<S> {
             joints: place.joints,
             arms: arms.to_vec(),
             state,
-            steps: S::zero(),
             ways: S::zero(),
             touched: S::zero(),
         }
     }
 
-    /// Begins anew in these lanes: from `place`, with arms that go these ways.
+    /// Begins anew: from `place`, with arms that go these ways.
     #[inline(always)]
-    pub(super) fn begin(
-        &mut self,
-        lanes: S::Mask,
-        arms: &[Posture<S>],
-        ways: &[Way<S>],
-        place: &Place<'_, S>,
-    ) {
-        let mut of_ways = S::zero();
+    pub(super) fn begin(&mut self, arms: &[Posture<S>], ways: &[Way<S>], place: &Place<'_, S>) {
+        self.ways = S::zero();
         for ((arm, from), way) in self.arms.iter_mut().zip(arms).zip(ways) {
-            arm.become_in(lanes, from, &way.angles);
-            of_ways += S::select(way.cost.lt(S::splat(STOPPED)), way.cost, S::zero());
+            arm.become_one(from, &way.angles);
+            self.ways += S::select(way.cost.lt(S::splat(STOPPED)), way.cost, S::zero());
         }
-        self.ways = S::select(lanes, of_ways, self.ways);
-        self.touched = S::select(lanes, S::zero(), self.touched);
-        self.steps = S::select(lanes, S::zero(), self.steps);
-        let State { base_position, base_quaternion, q, .. } = &mut self.state;
-        take(lanes, base_position, &place.position);
-        take(lanes, base_quaternion, &place.quaternion);
-        take(lanes, q, place.q);
+        self.touched = S::zero();
+        self.state.base_position = place.position;
+        self.state.base_quaternion = place.quaternion;
+        self.state.q.copy_from_slice(place.q);
     }
 
     /// What its ways and all that touched cost (rad).
@@ -101,12 +89,6 @@ impl<S: Real> KinematicRollout<S> {
         cost
     }
 
-    /// Lanes that have looked far enough ahead.
-    #[inline(always)]
-    pub(super) fn has_ended(&self) -> S::Mask {
-        self.steps.ge(S::splat(STEPS as f64))
-    }
-
     /// Has postures follow the base in these lanes.
     #[inline(always)]
     pub(super) fn follow(&mut self, goals: &[[S; 6]], lanes: S::Mask) {
@@ -118,7 +100,7 @@ impl<S: Real> KinematicRollout<S> {
     /// Goes on for a control step, by the midpoint rule.
     #[inline(always)]
     pub(super) fn advance(&mut self, model: &Model<S>, pace: &Pace<S>) {
-        let Self { workspace, joints, arms, state, steps, touched, .. } = self;
+        let Self { workspace, joints, arms, state, touched, .. } = self;
         for (index, arm) in arms.iter().enumerate() {
             let joints = joints.of_arm(index);
             let factor = pace.gain / pace.period;
@@ -140,15 +122,6 @@ impl<S: Real> KinematicRollout<S> {
         state.base_position = mul_add(period, mat_vec(&middle, v.lin), state.base_position);
         state.base_quaternion = turned(&quaternion, period, v.ang);
         *touched += count_contacts(model, workspace, state);
-        *steps += S::one();
-    }
-}
-
-/// Takes over the others in these lanes.
-#[inline(always)]
-fn take<S: Real>(lanes: S::Mask, these: &mut [S], others: &[S]) {
-    for (this, other) in these.iter_mut().zip(others) {
-        *this = S::select(lanes, *other, *this);
     }
 }
 

@@ -3,7 +3,7 @@
 //! A pose can be reached in up to eight ways, and near the borders between them an actor that sees the pose alone averages. A goal posture
 //! is one way: chosen when the goal is seen for the first time, then kept, while steps of damped least squares in every control step let it follow
 //! the goal, where that moves, and the base, which carries goals away from the arm or to it. Where the posture does not bring the hand to its goal, or stops a joint, another
-//! way is looked for in every control step.
+//! way is looked for in every control step, and now and then for all arms together.
 
 mod arm;
 mod chain;
@@ -27,6 +27,11 @@ use crate::spatial::{Vec3, quaternion_normalised};
 /// A pose of the base that is not known: nothing is the same as what is not a number.
 const UNKNOWN: [f64; 7] = [f64::NAN; 7];
 
+/// Control steps after which all arms choose anew, if some arm has no way to its goal.
+const REVIEW: f64 = 10.0;
+/// Reviews of the same goals: then who has none stays where it is.
+const REVIEWS: f64 = 16.0;
+
 /// The goal postures of one lane group.
 #[derive(Debug, Clone)]
 pub(crate) struct Postures<S: Real> {
@@ -39,6 +44,8 @@ pub(crate) struct Postures<S: Real> {
     believed: [S; 7],
     /// Weight of a newly read pose of the base in where it is taken to be, in single precision as elsewhere.
     trust: f64,
+    /// Control steps since a goal was new.
+    age: S,
 }
 
 impl<S: Real> Postures<S> {
@@ -52,6 +59,7 @@ impl<S: Real> Postures<S> {
             base: UNKNOWN.map(S::splat),
             believed: UNKNOWN.map(S::splat),
             trust: f64::from(trust as f32),
+            age: S::zero(),
         }
     }
 
@@ -109,6 +117,22 @@ impl<S: Real> Postures<S> {
         ([x, y, z], [q0, q1, q2, q3])
     }
 
+    /// Counts a control step, but in lanes where the base `rests` or a goal is `new`; says in which lanes all arms choose anew.
+    ///
+    /// The base that other ways leave elsewhere may bring a goal back into reach.
+    #[inline(always)]
+    fn review(&mut self, new: S::Mask, rests: S::Mask) -> S::Mask {
+        let older = S::select(rests, self.age, self.age + S::one());
+        self.age = S::select(new, S::zero(), older);
+        let mut missing = S::Mask::splat(false);
+        for arm in &self.arms {
+            missing = missing | arm.good.lt(S::one());
+        }
+        let reviews = (self.age / S::splat(REVIEW)).floor();
+        let due = (self.age - reviews * S::splat(REVIEW)).lt(S::splat(0.5));
+        due & missing & !new & !rests & reviews.le(S::splat(REVIEWS))
+    }
+
     /// Looks for postures of new goals of the hands (m, rad; world), and has the others follow the base, which is at `position` (m) with the
     /// attitude `quaternion`; `q` are the joint angles (rad).
     #[inline(always)]
@@ -153,15 +177,28 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         let place = Place { position, quaternion, q, joints: postures.model.joints };
         let mut open = [S::Mask::splat(false); MAX_ARMS];
         let mut still = open;
-        let mut any = false;
+        let mut new = S::Mask::splat(false);
         for (index, (arm, goal)) in postures.arms.iter_mut().zip(goals).enumerate() {
             (open[index], still[index]) = arm.begin(goal, &place, index);
-            any |= open[index].any();
+            new = new | open[index];
         }
-        if any {
-            let Postures { arms, model, pace, .. } = &mut *postures;
-            let open = &open[..arms.len()];
-            Foresight { model, pace, goals, place: &place, open, to_the_end: false }.choose(arms);
+        let reviewed = postures.review(new, rests);
+        if (new | reviewed).any() {
+            let Postures { arms, model, pace, age, .. } = &mut *postures;
+            for open in &mut open[..arms.len()] {
+                *open = *open | reviewed;
+            }
+            let before = *age / S::splat(REVIEW);
+            let foresight = Foresight {
+                model,
+                pace,
+                goals,
+                place: &place,
+                open: &open[..arms.len()],
+                before,
+                to_the_end: false,
+            };
+            foresight.choose(arms);
         }
         for still in &mut still {
             *still = *still & rests;

@@ -268,7 +268,8 @@ fn sets_that_are_given_up_are_not_missed() {
             let mut arms = begun.clone();
             let (model, pace, goals, place) = (&model, &pace, &goals, &place);
             let open = &[S::Mask::splat(true); 4];
-            Foresight { model, pace, goals, place, open, to_the_end }.choose(&mut arms);
+            let before = S::zero();
+            Foresight { model, pace, goals, place, open, before, to_the_end }.choose(&mut arms);
             arms
         };
         let angles = |arms: &[Posture<S>], lane: usize| {
