@@ -28,8 +28,8 @@ const TOUCHES: f64 = 20.0;
 pub(super) struct KinematicRollout<S: Real> {
     workspace: Workspace<S>,
     joints: Joints,
-    arms: Vec<Posture<S>>,
-    state: State<S>,
+    pub(super) arms: Vec<Posture<S>>,
+    pub(super) state: State<S>,
     /// What its ways cost.
     ways: S,
     /// All pairs that touched, control step by control step.

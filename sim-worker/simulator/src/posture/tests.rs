@@ -2,6 +2,7 @@
 
 use proto::config::{Layers, Preset, TaskName};
 
+use super::kinematic_rollout::KinematicRollout;
 use super::*;
 use crate::env::readings;
 use crate::experiment::EvaluationGoals;
@@ -251,15 +252,7 @@ fn sets_that_are_given_up_are_not_missed() {
         let evaluated = world(&robot);
         let state = State::<S>::home(&robot);
         let place = Place::of(&state, robot.joints);
-        let mut goals = [[S::zero(); 6]; 4];
-        for lane in 0..S::LANES {
-            for (arm, slots) in goals.iter_mut().enumerate() {
-                let hand = EvaluationGoals::drawn(5).hand(&evaluated, (first + lane) as u32, arm);
-                for (slot, x) in slots.iter_mut().zip(hand) {
-                    slot.set_lane(lane, x);
-                }
-            }
-        }
+        let goals = evaluation_goals::<S>(&evaluated, first);
         let Postures { arms: mut begun, model, pace, .. } = none_yet(&robot);
         for (index, (arm, goal)) in begun.iter_mut().zip(&goals).enumerate() {
             arm.begin(goal, &place, index);
@@ -286,6 +279,60 @@ fn sets_that_are_given_up_are_not_missed() {
     }
     let others = crate::scalar::dispatch(Choices);
     assert!(others > 12, "only {others} choices differ from the nearest ways");
+}
+
+/// Arms go to their postures without dynamics, as long as all reviews take; with them more hands have a way to their goals at the end.
+#[test]
+fn choosing_anew_brings_goals_back_into_reach() {
+    struct Good {
+        reviewed: bool,
+    }
+    impl crate::scalar::LaneFn for Good {
+        type Output = usize;
+        #[inline(always)]
+        fn call<S: Real>(self) -> usize {
+            let robot = robot();
+            let evaluated = world(&robot);
+            let mut good = 0;
+            for first in (0..48).step_by(S::LANES) {
+                let goals = evaluation_goals::<S>(&evaluated, first);
+                let mut postures = none_yet::<S>(&robot);
+                let home = State::<S>::home(&robot);
+                let place = Place::of(&home, robot.joints);
+                let mut plant = KinematicRollout::new(&postures.model, &postures.arms, &place);
+                for _ in 0..60 {
+                    if !self.reviewed {
+                        postures.age = S::splat(REVIEW * (REVIEWS + 1.0));
+                    }
+                    let State { base_position, base_quaternion, q, .. } = &plant.state;
+                    postures.update((*base_position, *base_quaternion), q, &goals);
+                    plant.arms.clone_from(&postures.arms);
+                    plant.advance(&postures.model, &postures.pace);
+                }
+                for arm in &postures.arms {
+                    good += (0..S::LANES).filter(|&lane| arm.good.lane(lane) == 1.0).count();
+                }
+            }
+            good
+        }
+    }
+    let [once, again] = [false, true].map(|reviewed| crate::scalar::dispatch(Good { reviewed }));
+    assert!(again > once && again > 180, "of 192 hands {once}, and {again}");
+}
+
+/// A lane for each episode of seed 5 from number `first` on.
+#[inline(always)]
+fn evaluation_goals<S: Real>(evaluated: &World, first: usize) -> [[S; 6]; 4] {
+    let mut goals = [[S::zero(); 6]; 4];
+    for lane in 0..S::LANES {
+        for (arm, slots) in goals.iter_mut().enumerate() {
+            let hand = EvaluationGoals::drawn(5).hand(evaluated, (first + lane) as u32, arm);
+            for (slot, x) in slots.iter_mut().zip(hand) {
+                slot.set_lane(lane, x);
+            }
+        }
+    }
+    goals
 }
 
 /// Along a circle of 0.05 m in small steps a hand keeps its way: back at the start, its joints are.
