@@ -408,22 +408,11 @@ fn training_is_nearer_to_the_converged_solution_than_the_authors_scheme() {
     }
 }
 
-/// A policy of ours on MuJoCo's dynamics, fed by observations that were written from the guide: goal by goal it ends where it ends here.
-#[test]
-fn a_policy_ends_at_each_goal_in_mujoco_as_it_does_here() {
-    let (n, worst) = ends_as_here(&tests::guide::repository().join("deploy/policies/trajectory"));
-    assert_eq!(n, 8);
-    eprintln!("{n} goals differ by at most {:.3} mm, {:.3} mrad", 1e3 * worst[0], 1e3 * worst[1]);
-}
-
-/// The same of one that acts beside goal postures. It has learned nothing: what brings hands to their goals is what acts beside it.
+/// A policy of ours on MuJoCo's dynamics, fed by observations that were written from the guide: goal by goal it ends where it ends here. It acts beside goal
+/// postures, which the exported C code finds.
 #[test]
 fn a_policy_with_goal_postures_ends_at_each_goal_in_mujoco_as_it_does_here() {
-    let small = ["--iterations=1", "--set=network.hidden=[16,16]"];
-    let mut run = tests::Run::train(&[&small[..], tests::WITH_POSTURES].concat());
-    run.succeed();
-    let checkpoint = run.path().join("checkpoints/iteration-00000001");
-    let (n, worst) = ends_as_here(&checkpoint);
+    let (n, worst) = ends_as_here(&tests::guide::repository().join("deploy/policies/trajectory"));
     assert_eq!(n, 8);
     eprintln!("{n} goals differ by at most {:.3} mm, {:.3} mrad", 1e3 * worst[0], 1e3 * worst[1]);
 }
