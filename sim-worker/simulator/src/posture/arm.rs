@@ -1,7 +1,6 @@
 //! The goal posture of one arm: chosen, followed, gone to.
 
-use super::chain::{Angles, Chain, Frame, choose, seen_from};
-use super::foresight::everywhere;
+use super::chain::{Angles, Chain, Frame, choose, everywhere, seen_from};
 use super::search::{Question, STARTS, STOPPED, UNSOLVED};
 use crate::robot::{Joints, MAX_JOINTS_PER_ARM};
 use crate::scalar::{Mask, Real};

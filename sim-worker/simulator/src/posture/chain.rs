@@ -47,6 +47,12 @@ pub(super) fn put_lane<S: Real>(these: &mut [S], to: usize, others: &[S], from: 
     }
 }
 
+/// Lane `lane` in all lanes.
+#[inline(always)]
+pub(super) fn everywhere<S: Real>(x: S, lane: usize) -> S {
+    S::splat(x.lane(lane))
+}
+
 /// Puts `these` in where the mask is set.
 #[inline(always)]
 pub(super) fn choose<S: Real>(mask: S::Mask, these: Angles<S>, angles: &mut Angles<S>) {

@@ -8,7 +8,7 @@
 //! of a round vary what was best before it. So the choice does not hang on how many lanes there are.
 
 use super::arm::{Pace, Place, Posture};
-use super::chain::{Angles, Frame, put_lane};
+use super::chain::{Angles, Frame, everywhere, put_lane};
 use super::kinematic_rollout::{self, KinematicRollout};
 use super::search::{Question, STARTS, STOPPED, UNSOLVED, Way};
 use crate::model::Model;
@@ -102,12 +102,6 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
             }
         }
     }
-}
-
-/// Lane `lane` in all lanes.
-#[inline(always)]
-pub(super) fn everywhere<S: Real>(x: S, lane: usize) -> S {
-    S::splat(x.lane(lane))
 }
 
 /// The sets that one environment tries, a lane each, and the best of them so far. Ways have an entry an arm.
