@@ -1088,7 +1088,8 @@ static float play(const reading_type *reading, const place_type *from, octopus_p
 #define ROUND 16
 #define SETS (5 * ROUND)
 
-/* Whether an arm takes another way in a set than in the best one before its round: all do in half of the sets, one or two in the others. */
+/* Whether an arm takes another way in a set than in the best one before its round: all do in the first round and in every second set, one or
+ * two in the others. */
 static int is_varied(int set, int arm)
 {
     int turn = set / 2;

@@ -110,9 +110,9 @@ impl<S: Real> Posture<S> {
         Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
     }
 
-    /// Becomes the other one with these angles; both have the same goal.
+    /// Begins anew as the other one with these angles; both have the same goal.
     #[inline(always)]
-    pub(super) fn become_one(&mut self, other: &Self, angles: &Angles<S>) {
+    pub(super) fn restart_from(&mut self, other: &Self, angles: &Angles<S>) {
         self.angles = *angles;
         self.left = other.left;
         self.good = other.good;

@@ -191,7 +191,7 @@ impl<S: Real> Sets<S> {
     }
 }
 
-/// Whether arm `index` takes another way in a set than in the best one so far: all do in half of the sets, one or two in the others.
+/// Whether arm `index` takes another way in a set than in the best one before its round: all do in the first round and in every second set, one or two in the others.
 fn is_varied(set: usize, index: usize, n_arms: usize) -> bool {
     let turn = set / 2;
     let (one, two) = (turn % n_arms, (turn / n_arms) % n_arms);

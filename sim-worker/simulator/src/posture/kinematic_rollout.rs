@@ -64,7 +64,7 @@ impl<S: Real> KinematicRollout<S> {
     pub(super) fn begin(&mut self, arms: &[Posture<S>], ways: &[Way<S>], place: &Place<'_, S>) {
         self.ways = S::zero();
         for ((arm, from), way) in self.arms.iter_mut().zip(arms).zip(ways) {
-            arm.become_one(from, &way.angles);
+            arm.restart_from(from, &way.angles);
             self.ways += S::select(way.cost.lt(S::splat(STOPPED)), way.cost, S::zero());
         }
         self.touched = S::zero();

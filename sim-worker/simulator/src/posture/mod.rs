@@ -29,7 +29,7 @@ const UNKNOWN: [f64; 7] = [f64::NAN; 7];
 
 /// Control steps after which all arms choose anew, if some arm has no way to its goal.
 const REVIEW: f64 = 10.0;
-/// Reviews of the same goals: then who has none stays where it is.
+/// Reviews of the same goals: after the last one an arm without a way looks for one by itself alone.
 const REVIEWS: f64 = 16.0;
 
 /// The goal postures of one lane group.
@@ -117,7 +117,7 @@ impl<S: Real> Postures<S> {
         ([x, y, z], [q0, q1, q2, q3])
     }
 
-    /// Counts a control step, but in lanes where the base `rests` or a goal is `new`; says in which lanes all arms choose anew.
+    /// Counts a control step, but in lanes where the base `rests`, and from zero where a goal is `new`; says in which lanes all arms choose anew.
     ///
     /// The base that other ways leave elsewhere may bring a goal back into reach.
     #[inline(always)]

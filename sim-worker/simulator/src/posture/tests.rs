@@ -281,7 +281,7 @@ fn sets_that_are_given_up_are_not_missed() {
     assert!(others > 12, "only {others} choices differ from the nearest ways");
 }
 
-/// Arms go to their postures without dynamics, as long as all reviews take; with them more hands have a way to their goals at the end.
+/// Arms go to their postures without dynamics, for six reviews; with them more hands have a way to their goals at the end.
 #[test]
 fn choosing_anew_brings_goals_back_into_reach() {
     struct Good {
