@@ -1054,8 +1054,10 @@ static void turn_by(const float attitude[4], float time, const float angular[3],
 }
 
 /* Has all arms go to their postures, which follow the base on the way; how many pairs touch on it, control step by
- * control step. Joints go as they are guided, the base goes as no momentum lets it. */
-static float play(const reading_type *reading, const place_type *from, octopus_posture postures[OCTOPUS_ARMS])
+ * control step, and by how much postures miss their goals at the end. Joints go as they are guided, the base goes as no
+ * momentum lets it. */
+static float play(const reading_type *reading, const place_type *from, octopus_posture postures[OCTOPUS_ARMS],
+                  float misses[OCTOPUS_ARMS])
 {
     place_type place = *from;
     float qd[OCTOPUS_JOINTS], touched = 0.0f;
@@ -1069,7 +1071,7 @@ static float play(const reading_type *reading, const place_type *from, octopus_p
             j = ARM_JOINTS[arm].first;
             rates(arm, &postures[arm], OCTOPUS_PACE, &PACE_LIMITS[j], &qd[j]);
         }
-        if (step == 15) return touched;
+        if (step == 15) break;
         for (j = 0; j < OCTOPUS_JOINTS; j++) place.angles[j] = fma_(0.5f * PERIOD, qd[j], place.angles[j]);
         recoil(&place, qd, &v);
         for (j = 0; j < OCTOPUS_JOINTS; j++) place.angles[j] = fma_(0.5f * PERIOD, qd[j], place.angles[j]);
@@ -1082,6 +1084,12 @@ static float play(const reading_type *reading, const place_type *from, octopus_p
         quaternion_to_rotation(place.attitude, &place.rotation);
         touched += (float)count_contacts(place.angles);
     }
+    for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
+        frame_type target;
+        seen_from(&place, reading->hand_goals[arm], &target);
+        misses[arm] = approach(arm, &target, postures[arm].angles, NULL);
+    }
+    return touched;
 }
 
 /* Sets of ways that are tried, in rounds. */
@@ -1097,8 +1105,9 @@ static int is_varied(int set, int arm)
     return set < ROUND || set % 2 == 0 || arm == turn % OCTOPUS_ARMS || arm == turn / OCTOPUS_ARMS % OCTOPUS_ARMS;
 }
 
-/* Gives every arm that is `open` the way with which most of them arrive, and of such ways the shortest. An arm that has no way may go
- * elsewhere, where that brings others to their goals. `before`: how often ways were chosen for these goals already. */
+/* Gives every arm that is `open` the way with which most of them arrive, then of such ways those with which the others
+ * come nearest, and the shortest. An arm that has no way may go elsewhere, where that brings others to their goals.
+ * `before`: how often ways were chosen for these goals already. */
 static void foresee(const reading_type *reading, const place_type *place, const int open[OCTOPUS_ARMS], float before,
                     octopus_posture postures[OCTOPUS_ARMS])
 {
@@ -1108,7 +1117,7 @@ static void foresee(const reading_type *reading, const place_type *place, const 
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) memcpy(next[arm], postures[arm].angles, sizeof next[arm]);
     for (set = 0; set < SETS; set++) {
         octopus_posture tried[OCTOPUS_ARMS];
-        float first[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS], cost = 0.0f;
+        float first[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS], misses[OCTOPUS_ARMS], cost = 0.0f;
         if (set % ROUND == 0) memcpy(best, next, sizeof best);
         memcpy(tried, postures, sizeof tried);
         for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
@@ -1131,8 +1140,10 @@ static void foresee(const reading_type *reading, const place_type *place, const 
             cost += of_way < STOPPED ? of_way : 0.0f;
             memcpy(first[arm], tried[arm].angles, sizeof first[arm]);
         }
-        cost += play(reading, place, tried) * 20.0f;
-        for (arm = 0; arm < OCTOPUS_ARMS; arm++) cost += (1.0f - tried[arm].good) * 100.0f;
+        cost += play(reading, place, tried, misses) * 20.0f;
+        for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
+            if (tried[arm].good < 1.0f) cost += 100.0f + 10.0f * misses[arm];
+        }
         if (cost < next_cost) {
             next_cost = cost;
             memcpy(next, first, sizeof next);

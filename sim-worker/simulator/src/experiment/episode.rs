@@ -192,12 +192,7 @@ impl Episode {
                 let goals = &mut self.stepper.groups[0].goals;
                 goals.hands[*arm] = pose.map(|x| x as f32);
                 goals.attach_hand(*arm);
-                if self.course.step == 0 {
-                    // Goals that are set one after the other before anything moves are one question.
-                    let group = &mut self.stepper.groups[0];
-                    group.errors.forget();
-                    group.seen_errors.forget();
-                }
+                self.ask_at_the_beginning();
             }
             Event::BaseGoal { attitude } => {
                 finite("the goal", attitude)?;
@@ -209,6 +204,7 @@ impl Episode {
                     within("policy", *policy, self.members.len())?;
                 }
                 self.course.arms[*arm] = *control;
+                self.ask_at_the_beginning();
             }
             Event::Effect { effect, steps } => {
                 effect.check(&self.robot.joints)?;
@@ -302,7 +298,17 @@ impl Episode {
         Ok(())
     }
 
+    /// Goals that are set and arms that are given to players one after the other, before anything moves, are one question.
+    fn ask_at_the_beginning(&mut self) {
+        if self.course.step == 0 {
+            let group = &mut self.stepper.groups[0];
+            group.errors.forget();
+            group.seen_errors.forget();
+        }
+    }
+
     fn read(&mut self) {
+        self.stepper.assign(&players(&self.members), &self.course.players());
         f32::compiled(Read(&mut self.stepper));
     }
 
@@ -415,6 +421,15 @@ impl Course {
             torques: vec![0.0; joints.n_joints()],
         }
     }
+
+    /// The players that move arms, an entry an arm.
+    fn players(&self) -> Vec<Option<usize>> {
+        let by = |control: &Control| match control {
+            Control::Policy(policy) => Some(*policy),
+            Control::Hold | Control::Limp => None,
+        };
+        self.arms.iter().map(by).collect()
+    }
 }
 
 fn players(members: &[Arc<Member>]) -> Vec<Player<'_>> {
@@ -473,15 +488,12 @@ impl Kernel<f32> for OneStep<'_> {
         let Episode { members, course, stepper, .. } = self.0;
         let players = players(members);
         let step = course.step;
-        let by = |control: &Control| match control {
-            Control::Policy(policy) => Some(*policy),
-            Control::Hold | Control::Limp => None,
-        };
-        let arms: Vec<Option<usize>> = course.arms.iter().map(by).collect();
+        let arms = course.players();
         let limp = course.arms.iter().enumerate().filter(|(_, arm)| **arm == Control::Limp);
         let limp: Vec<Effect> = limp.map(|(arm, _)| Effect::Limp { arm }).collect();
         course.effects.retain(|happening| happening.until > step);
         let effects = course.effects.iter().map(|happening| &happening.effect).chain(&limp);
+        stepper.assign(&players, &arms);
         stepper.think(&players, &arms, &course.sensors, step)?;
         stepper.advance(&players, &arms, &effects, step)?;
         course.step += 1;

@@ -95,6 +95,16 @@ impl<S: Real> Stepper<S> {
         self.seats = players.iter().map(|player| Seat::new(player, n_groups)).collect();
     }
 
+    /// Has the players of `arms`, an entry an arm, move them from now on.
+    pub(super) fn assign(&mut self, players: &[Player<'_>], arms: &[Option<usize>]) {
+        for group in &mut self.groups {
+            for errors in [&mut group.errors, &mut group.seen_errors] {
+                let go = |arm: &Option<usize>| arm.is_some_and(|p| players[p].goes_to_postures());
+                errors.activate(arms.iter().map(go));
+            }
+        }
+    }
+
     /// Reads everything off the robot: readings, errors, what touches.
     #[inline(always)]
     pub(super) fn read(&mut self) {

@@ -40,6 +40,11 @@ impl<'a> Player<'a> {
         Self { world, driver: Driver::Policy(policy), action_scale: world.task.action_scale }
     }
 
+    /// Whether the arms that it moves go to goal postures.
+    pub(super) fn goes_to_postures(&self) -> bool {
+        matches!(self.driver, Driver::Policy(_)) && self.world.task.posture.seen
+    }
+
     /// A controller in the world that it was made for.
     pub fn controlled(world: &'a World, controller: &'a JacobianController) -> Self {
         let driver = Driver::Jacobian(controller);

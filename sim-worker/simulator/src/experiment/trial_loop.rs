@@ -31,6 +31,7 @@ impl LaneFn for Play<'_, '_> {
         let goals = Aims { drawn, given, fixed: &trial.fixed };
         let mut stepper =
             Stepper::<S>::new((trial.robot, trial.options), players, envs, goals, trial.delay);
+        stepper.assign(players, &trial.phase(0).arms);
         for step in 0..=steps {
             stepper.read();
             if step > 0 {
@@ -42,6 +43,7 @@ impl LaneFn for Play<'_, '_> {
                 break;
             }
             let arms = &trial.phase(step).arms;
+            stepper.assign(players, arms);
             stepper.think(players, arms, &trial.sensors, step)?;
             let happening = interventions.iter().filter(|happens| happens.steps.contains(&step));
             let effects = happening.map(|happens| &happens.effect);

@@ -27,6 +27,8 @@ pub(super) struct Foresight<'a, S: Real> {
     pub(super) goals: &'a [[S; 6]],
     pub(super) place: &'a Place<'a, S>,
     pub(super) open: &'a [S::Mask],
+    /// Which arms go to their postures; sets say nothing of the others.
+    pub(super) active: [bool; MAX_ARMS],
     /// How often they were chosen for these goals already: other ways are looked for each time.
     pub(super) before: S,
     /// Whether every set is tried to its end, also when it cannot become the best any more: the twin that tests giving up.
@@ -34,7 +36,7 @@ pub(super) struct Foresight<'a, S: Real> {
 }
 
 impl<S: Real> Foresight<'_, S> {
-    /// Gives every arm the way with which most of them arrive, and of such ways the shortest.
+    /// Gives every arm the way with which most of them arrive, then of such ways those with which the others come nearest, and the shortest.
     pub(super) fn choose(self, arms: &mut [Posture<S>]) {
         S::compiled(Choose { foresight: self, arms });
     }
@@ -50,8 +52,8 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
     #[inline(always)]
     fn run(self) {
         let Self { foresight, arms } = self;
-        let Foresight { model, pace, goals, place, open, before, to_the_end } = foresight;
-        let mut rollout = KinematicRollout::new(model, arms, place);
+        let Foresight { model, pace, goals, place, open, active, before, to_the_end } = foresight;
+        let mut rollout = KinematicRollout::new(model, arms, active, place);
         for lane in 0..S::LANES {
             let mut is_open = [false; MAX_ARMS];
             for (is_open, open) in is_open.iter_mut().zip(open) {
@@ -92,7 +94,7 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
                 }
                 if hopeful.any() {
                     rollout.follow(&goals, hopeful);
-                    sets.judge(hopeful, rollout.final_cost());
+                    sets.judge(hopeful, rollout.final_cost(&goals));
                 }
             }
             for ((arm, best), is_open) in arms.iter_mut().zip(&sets.next).zip(is_open) {

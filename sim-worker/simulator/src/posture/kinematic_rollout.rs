@@ -4,12 +4,12 @@
 
 use super::arm::{Pace, Place, Posture};
 use super::follow::follow;
-use super::search::{STOPPED, Way};
+use super::search::{Question, STOPPED, Way};
 use crate::collision::count_contacts;
 use crate::dynamics::invariants::{BaseMotion, invariants};
 use crate::model::Model;
 use crate::robot::{Joints, MAX_ARMS};
-use crate::scalar::Real;
+use crate::scalar::{Mask as _, Real};
 use crate::spatial::{
     Vec3, mat_vec, mul_add, quaternion_exp, quaternion_normalised, quaternion_product,
     quaternion_to_rotation, scale,
@@ -21,13 +21,16 @@ use crate::workspace::Workspace;
 pub(super) const STEPS: usize = 15;
 /// What an arm that does not arrive counts, in longest ways (rad).
 const MISSED: f64 = 100.0;
+/// What it counts beside for each metre or radian that its posture misses the goal by: of two misses the nearer is better.
+const FARTHER: f64 = 10.0;
 /// What a pair that touches counts in a control step (rad): an arm that touches for five of them is held up and does not arrive.
 const TOUCHES: f64 = 20.0;
 
-/// All arms go to their postures, which follow the base on the way.
+/// All active arms go to their postures, which follow the base on the way; the others stay where they are.
 pub(super) struct KinematicRollout<S: Real> {
     workspace: Workspace<S>,
     joints: Joints,
+    active: [bool; MAX_ARMS],
     pub(super) arms: Vec<Posture<S>>,
     pub(super) state: State<S>,
     /// What its ways cost.
@@ -39,7 +42,12 @@ pub(super) struct KinematicRollout<S: Real> {
 impl<S: Real> KinematicRollout<S> {
     /// It has not begun.
     #[inline(always)]
-    pub(super) fn new(model: &Model<S>, arms: &[Posture<S>], place: &Place<'_, S>) -> Self {
+    pub(super) fn new(
+        model: &Model<S>,
+        arms: &[Posture<S>],
+        active: [bool; MAX_ARMS],
+        place: &Place<'_, S>,
+    ) -> Self {
         let zero = [S::zero(); 3];
         let state = State {
             base_position: place.position,
@@ -52,6 +60,7 @@ impl<S: Real> KinematicRollout<S> {
         Self {
             workspace: Workspace::new(model),
             joints: place.joints,
+            active,
             arms: arms.to_vec(),
             state,
             ways: S::zero(),
@@ -63,9 +72,11 @@ impl<S: Real> KinematicRollout<S> {
     #[inline(always)]
     pub(super) fn begin(&mut self, arms: &[Posture<S>], ways: &[Way<S>], place: &Place<'_, S>) {
         self.ways = S::zero();
-        for ((arm, from), way) in self.arms.iter_mut().zip(arms).zip(ways) {
-            arm.restart_from(from, &way.angles);
-            self.ways += S::select(way.cost.lt(S::splat(STOPPED)), way.cost, S::zero());
+        for (index, (arm, way)) in self.arms.iter_mut().zip(ways).enumerate() {
+            arm.restart_from(&arms[index], &way.angles);
+            if self.active[index] {
+                self.ways += S::select(way.cost.lt(S::splat(STOPPED)), way.cost, S::zero());
+            }
         }
         self.touched = S::zero();
         self.state.base_position = place.position;
@@ -81,12 +92,27 @@ impl<S: Real> KinematicRollout<S> {
 
     /// [`cost`](Self::cost), and that of arms that have not arrived.
     #[inline(always)]
-    pub(super) fn final_cost(&self) -> S {
+    pub(super) fn final_cost(&self, goals: &[[S; 6]]) -> S {
         let mut cost = self.cost();
-        for arm in &self.arms {
-            cost += (S::one() - arm.good) * S::splat(MISSED);
+        let now = self.place();
+        for (index, arm) in self.arms.iter().enumerate() {
+            let misses = arm.good.lt(S::one());
+            if !self.active[index] || !misses.any() {
+                continue;
+            }
+            let (target, stands) = (now.seen(&goals[index]), now.stands(index));
+            let question = Question { chain: &arm.chain, target: &target, stands: &stands };
+            let missed = S::splat(MISSED) + S::splat(FARTHER) * question.miss(&arm.angles);
+            cost += S::select(misses, missed, S::zero());
         }
         cost
+    }
+
+    /// Where the robot is.
+    #[inline(always)]
+    fn place(&self) -> Place<'_, S> {
+        let State { base_position: position, base_quaternion: quaternion, q, .. } = &self.state;
+        Place { position: *position, quaternion: *quaternion, q, joints: self.joints }
     }
 
     /// Has postures follow the base in these lanes.
@@ -100,11 +126,15 @@ impl<S: Real> KinematicRollout<S> {
     /// Goes on for a control step, by the midpoint rule.
     #[inline(always)]
     pub(super) fn advance(&mut self, model: &Model<S>, pace: &Pace<S>) {
-        let Self { workspace, joints, arms, state, touched, .. } = self;
+        let Self { workspace, joints, active, arms, state, touched, .. } = self;
         for (index, arm) in arms.iter().enumerate() {
             let joints = joints.of_arm(index);
             let factor = pace.gain / pace.period;
-            arm.rates(factor, &pace.limits[joints.clone()], &mut state.qd[joints]);
+            if active[index] {
+                arm.rates(factor, &pace.limits[joints.clone()], &mut state.qd[joints]);
+            } else {
+                state.qd[joints].fill(S::zero());
+            }
         }
         let period = S::splat(pace.period);
         let half = S::splat(0.5);

@@ -36,6 +36,8 @@ const REVIEWS: f64 = 16.0;
 #[derive(Debug, Clone)]
 pub(crate) struct Postures<S: Real> {
     pub(crate) arms: Vec<Posture<S>>,
+    /// Which arms go to their postures; false behind the last one.
+    active: [bool; MAX_ARMS],
     model: Arc<Model<S>>,
     pace: Pace<S>,
     /// Where the base was read to be when they last followed it: who looks twice sees the same.
@@ -54,6 +56,7 @@ impl<S: Real> Postures<S> {
         let arms = Chain::of(robot).into_iter().map(Posture::new);
         Self {
             arms: arms.collect(),
+            active: std::array::from_fn(|arm| arm < robot.n_arms),
             model: Arc::new(Model::new(robot)),
             pace,
             base: UNKNOWN.map(S::splat),
@@ -66,6 +69,13 @@ impl<S: Real> Postures<S> {
     /// Whether they go at this pace, and trust so much.
     pub(crate) fn are(&self, pace: &Pace<S>, trust: f64) -> bool {
         self.pace == *pace && self.trust == f64::from(trust as f32)
+    }
+
+    /// Which arms go to their postures from now on. The others are taken to stay where they are, and nobody chooses anew for their sake.
+    pub(crate) fn activate(&mut self, active: impl Iterator<Item = bool>) {
+        for (slot, active) in self.active.iter_mut().zip(active) {
+            *slot = active;
+        }
     }
 
     /// Forgets all goals, because another episode begins.
@@ -117,7 +127,7 @@ impl<S: Real> Postures<S> {
         ([x, y, z], [q0, q1, q2, q3])
     }
 
-    /// Counts a control step, but in lanes where the base `rests`, and from zero where a goal is `new`; says in which lanes all arms choose anew.
+    /// Counts a control step, but in lanes where the base `rests`, and from zero where a goal is `new`; says in which lanes all active arms choose anew.
     ///
     /// The base that other ways leave elsewhere may bring a goal back into reach.
     #[inline(always)]
@@ -125,8 +135,8 @@ impl<S: Real> Postures<S> {
         let older = S::select(rests, self.age, self.age + S::one());
         self.age = S::select(new, S::zero(), older);
         let mut missing = S::Mask::splat(false);
-        for arm in &self.arms {
-            missing = missing | arm.good.lt(S::one());
+        for (arm, active) in self.arms.iter().zip(self.active) {
+            missing = missing | (arm.good.lt(S::one()) & S::Mask::splat(active));
         }
         let reviews = (self.age / S::splat(REVIEW)).floor();
         let due = (self.age - reviews * S::splat(REVIEW)).lt(S::splat(0.5));
@@ -177,16 +187,19 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         let place = Place { position, quaternion, q, joints: postures.model.joints };
         let mut open = [S::Mask::splat(false); MAX_ARMS];
         let mut still = open;
-        let mut new = S::Mask::splat(false);
+        let (mut new, mut asked) = (S::Mask::splat(false), S::Mask::splat(false));
         for (index, (arm, goal)) in postures.arms.iter_mut().zip(goals).enumerate() {
-            (open[index], still[index]) = arm.begin(goal, &place, index);
-            new = new | open[index];
+            let (is_new, rests) = arm.begin(goal, &place, index);
+            open[index] = is_new & S::Mask::splat(postures.active[index]);
+            still[index] = rests;
+            new = new | is_new;
+            asked = asked | open[index];
         }
         let reviewed = postures.review(new, rests);
-        if (new | reviewed).any() {
-            let Postures { arms, model, pace, age, .. } = &mut *postures;
-            for open in &mut open[..arms.len()] {
-                *open = *open | reviewed;
+        if (asked | reviewed).any() {
+            let Postures { arms, active, model, pace, age, .. } = &mut *postures;
+            for (open, active) in open.iter_mut().zip(*active) {
+                *open = *open | (reviewed & S::Mask::splat(active));
             }
             let before = *age / S::splat(REVIEW);
             let foresight = Foresight {
@@ -195,6 +208,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
                 goals,
                 place: &place,
                 open: &open[..arms.len()],
+                active: *active,
                 before,
                 to_the_end: false,
             };

@@ -38,7 +38,13 @@ impl<S: Real> Question<'_, S> {
     /// What is to be said against going to `q`: the longest way of a joint (rad), [`STOPPED`], [`UNSOLVED`].
     #[inline(always)]
     pub(super) fn cost(&self, q: &Angles<S>) -> S {
-        self.cost_of(q, self.chain.miss(self.target, q))
+        self.cost_of(q, self.miss(q))
+    }
+
+    /// By how much `q` misses the goal (m and rad, together).
+    #[inline(always)]
+    pub(super) fn miss(&self, q: &Angles<S>) -> S {
+        self.chain.miss(self.target, q)
     }
 
     /// [`Question::cost`], where it is known by how much `q` misses the goal.

@@ -253,7 +253,7 @@ fn sets_that_are_given_up_are_not_missed() {
         let state = State::<S>::home(&robot);
         let place = Place::of(&state, robot.joints);
         let goals = evaluation_goals::<S>(&evaluated, first);
-        let Postures { arms: mut begun, model, pace, .. } = none_yet(&robot);
+        let Postures { arms: mut begun, active, model, pace, .. } = none_yet(&robot);
         for (index, (arm, goal)) in begun.iter_mut().zip(&goals).enumerate() {
             arm.begin(goal, &place, index);
         }
@@ -262,7 +262,8 @@ fn sets_that_are_given_up_are_not_missed() {
             let (model, pace, goals, place) = (&model, &pace, &goals, &place);
             let open = &[S::Mask::splat(true); 4];
             let before = S::zero();
-            Foresight { model, pace, goals, place, open, before, to_the_end }.choose(&mut arms);
+            Foresight { model, pace, goals, place, open, active, before, to_the_end }
+                .choose(&mut arms);
             arms
         };
         let angles = |arms: &[Posture<S>], lane: usize| {
@@ -299,7 +300,8 @@ fn choosing_anew_brings_goals_back_into_reach() {
                 let mut postures = none_yet::<S>(&robot);
                 let home = State::<S>::home(&robot);
                 let place = Place::of(&home, robot.joints);
-                let mut plant = KinematicRollout::new(&postures.model, &postures.arms, &place);
+                let mut plant =
+                    KinematicRollout::new(&postures.model, &postures.arms, postures.active, &place);
                 for _ in 0..60 {
                     if !self.reviewed {
                         postures.age = S::splat(REVIEW * (REVIEWS + 1.0));

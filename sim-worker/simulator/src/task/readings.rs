@@ -178,6 +178,13 @@ impl<S: Real> Errors<S> {
         }
     }
 
+    /// Which arms go to their goal postures from now on, an entry an arm.
+    pub(crate) fn activate(&mut self, active: impl Iterator<Item = bool>) {
+        if let Some(postures) = &mut self.postures {
+            postures.activate(active);
+        }
+    }
+
     /// Forgets what it knows of goals, because another episode begins.
     pub fn forget(&mut self) {
         if let Some(postures) = &mut self.postures {
