@@ -322,6 +322,55 @@ fn choosing_anew_brings_goals_back_into_reach() {
     assert!(again > once && again > 180, "of 192 hands {once}, and {again}");
 }
 
+/// What the others do hangs on an arm that goes to its posture, and not on one that does not.
+#[test]
+fn arms_that_do_not_go_are_not_chosen_for() {
+    struct Others {
+        active: bool,
+    }
+    impl crate::scalar::LaneFn for Others {
+        type Output = usize;
+        /// In how many of 48 episodes three arms choose otherwise when the fourth has another goal.
+        #[inline(always)]
+        fn call<S: Real>(self) -> usize {
+            let robot = robot();
+            let evaluated = world(&robot);
+            let home = State::<S>::home(&robot);
+            let mut differ = 0;
+            for first in (0..48).step_by(S::LANES) {
+                let goals = evaluation_goals::<S>(&evaluated, first);
+                let mut others = goals;
+                // Nobody reaches it.
+                others[3][0] += S::splat(9.0);
+                let chosen = [goals, others].map(|goals| {
+                    let mut postures = none_yet::<S>(&robot);
+                    postures.activate([true, true, true, self.active].into_iter());
+                    let base = (home.base_position, home.base_quaternion);
+                    postures.update(base, &home.q, &goals);
+                    let (mut position, quaternion) = base;
+                    // As far as the first review, which arms that miss their goals ask for.
+                    for _ in 0..REVIEW as usize {
+                        position[0] += S::splat(1e-6);
+                        postures.update((position, quaternion), &home.q, &goals);
+                    }
+                    postures
+                });
+                for lane in 0..S::LANES {
+                    let [one, other] = [0, 1].map(|at| {
+                        let angles = chosen[at].arms[..3].iter().flat_map(|arm| arm.angles);
+                        angles.map(|x| x.lane(lane)).collect::<Vec<_>>()
+                    });
+                    differ += usize::from(one != other);
+                }
+            }
+            differ
+        }
+    }
+    let [moves, stays] = [true, false].map(|active| crate::scalar::dispatch(Others { active }));
+    assert_eq!(stays, 0, "arms choose for the sake of one that stays");
+    assert!(moves > 12, "only {moves} of 48 teams choose for an arm that moves");
+}
+
 /// A lane for each episode of seed 5 from number `first` on.
 #[inline(always)]
 fn evaluation_goals<S: Real>(evaluated: &World, first: usize) -> [[S; 6]; 4] {

@@ -128,6 +128,38 @@ fn an_episode_is_that_of_a_trial_to_the_bit() {
     assert_eq!(again, script);
 }
 
+/// Who moves which arm, from the start and from the step of a review on, as a script and as a trial: arms that no policy with goal postures moves are not
+/// looked ahead for.
+#[test]
+fn arms_that_others_move_count_for_an_episode_as_for_a_trial() {
+    let guided = world_of(Preset::Guided, TaskName::Trajectory, &paper());
+    let first = Arc::new(Member { policy: policy(&guided), world: guided });
+    let members = vec![first, member(TaskName::Reorientation)];
+    let sensors = SensorNoise { position: 0.002, angle: 0.004, velocity: 0.0, rate: 0.0 };
+    let mut trial = Trial::new(members[0].player(), 5, 5, 24);
+    trial.players = members.iter().map(|member| member.player()).collect();
+    for sensors in [SensorNoise::NONE, sensors] {
+        trial.sensors = sensors;
+        let recordings = [Some(1), Some(0)].map(|other| {
+            trial.phases = vec![
+                Phase { from: 0, arms: vec![None, other, Some(0), other] },
+                Phase { from: 10, arms: vec![None, Some(0), Some(0), other] },
+                Phase { from: 20, arms: vec![Some(0); 4] },
+            ];
+            let recording = play(&trial, &InOrder, &|| {}).expect("a recording");
+            let script = trial.script(INDEX).expect("a script can say it");
+            let mut episode = Episode::new(members.clone(), start()).expect("an episode");
+            let mut rows = Vec::new();
+            episode.play(&script, &mut |episode| rows.push(row(episode))).expect("it plays");
+            for step in 0..24 {
+                assert_eq!(rows[step + 1], row_of(&recording, INDEX as usize, step), "step {step}");
+            }
+            rows
+        });
+        assert_ne!(recordings[0][1], recordings[1][1]);
+    }
+}
+
 /// Goal postures are told as the policy wants them that sits there: at its pace, and after an average of the base's pose or not.
 #[test]
 fn who_is_seated_later_plays_as_if_it_had_been_alone() {
