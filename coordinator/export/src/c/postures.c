@@ -1142,7 +1142,7 @@ static void foresee(const reading_type *reading, const place_type *place, const 
         }
         cost += play(reading, place, tried, misses) * 20.0f;
         for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
-            if (tried[arm].good < 1.0f) cost += 100.0f + 10.0f * misses[arm];
+            if (tried[arm].good < 1.0f) cost += 100.0f + F(0.1) * misses[arm];
         }
         if (cost < next_cost) {
             next_cost = cost;

@@ -21,8 +21,9 @@ use crate::workspace::Workspace;
 pub(super) const STEPS: usize = 15;
 /// What an arm that does not arrive counts, in longest ways (rad).
 const MISSED: f64 = 100.0;
-/// What it counts beside for each metre or radian that its posture misses the goal by: of two misses the nearer is better.
-const FARTHER: f64 = 10.0;
+/// What it counts beside for each metre or radian that its posture misses the goal by: of two misses the nearer is better, and hardly an arm leaves
+/// its goal for that.
+const FARTHER: f64 = 0.1;
 /// What a pair that touches counts in a control step (rad): an arm that touches for five of them is held up and does not arrive.
 const TOUCHES: f64 = 20.0;
 
