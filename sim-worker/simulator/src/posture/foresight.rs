@@ -20,6 +20,13 @@ const ROUNDS: usize = 5;
 /// Sets of ways that are tried. In the first one, number 0, every arm takes the way that it has.
 const SETS: usize = ROUNDS * LANES;
 
+/// Choices after the first one in which it does not count how far a hand without a way is from its goal. It waits for others to bring its goal into
+/// reach: if it went nearer at once, the others would have less rest, and policies that learn among them would be less precise.
+const PATIENCE: f64 = 10.0;
+/// What a miss counts afterwards for each metre and radian (rad): of two sets the one that comes nearer is better, but hardly an arm leaves its
+/// goal for that.
+const FARTHER: f64 = 0.1;
+
 /// The postures of a lane group that are yet to be chosen, in the lanes of `open`, an entry an arm.
 pub(super) struct Foresight<'a, S: Real> {
     pub(super) model: &'a Model<S>,
@@ -36,7 +43,7 @@ pub(super) struct Foresight<'a, S: Real> {
 }
 
 impl<S: Real> Foresight<'_, S> {
-    /// Gives every arm the way with which most of them arrive, then of such ways those with which the others come nearest, and the shortest.
+    /// Gives every arm the way with which most of them arrive, and of such ways the shortest, or at last one with which the others come nearer.
     pub(super) fn choose(self, arms: &mut [Posture<S>]) {
         S::compiled(Choose { foresight: self, arms });
     }
@@ -73,6 +80,8 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
                 goals.iter().map(|goal| goal.map(|x| everywhere(x, lane))).collect();
             let alone: Vec<_> = arms.iter().map(|arm| arm.everywhere(lane)).collect();
             let first_start = everywhere(before, lane) * S::splat((SETS * arms.len()) as f64);
+            let patient = everywhere(before, lane).le(S::splat(PATIENCE));
+            let farther = S::select(patient, S::zero(), S::splat(FARTHER));
             let mut sets = Sets::new(&alone, &goals, &place, first_start);
             for number in (0..SETS).step_by(S::LANES) {
                 if number % LANES == 0 {
@@ -94,7 +103,7 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
                 }
                 if hopeful.any() {
                     rollout.follow(&goals, hopeful);
-                    sets.judge(hopeful, rollout.final_cost(&goals));
+                    sets.judge(hopeful, rollout.final_cost(&goals, farther));
                 }
             }
             for ((arm, best), is_open) in arms.iter_mut().zip(&sets.next).zip(is_open) {

@@ -21,9 +21,6 @@ use crate::workspace::Workspace;
 pub(super) const STEPS: usize = 15;
 /// What an arm that does not arrive counts, in longest ways (rad).
 const MISSED: f64 = 100.0;
-/// What it counts beside for each metre or radian that its posture misses the goal by: of two misses the nearer is better, and hardly an arm leaves
-/// its goal for that.
-const FARTHER: f64 = 0.1;
 /// What a pair that touches counts in a control step (rad): an arm that touches for five of them is held up and does not arrive.
 const TOUCHES: f64 = 20.0;
 
@@ -91,9 +88,9 @@ impl<S: Real> KinematicRollout<S> {
         self.ways + self.touched * S::splat(TOUCHES)
     }
 
-    /// [`cost`](Self::cost), and that of arms that have not arrived.
+    /// [`cost`](Self::cost), and that of arms that have not arrived: `farther` for each metre and radian that they miss their goals by, and a lot beside.
     #[inline(always)]
-    pub(super) fn final_cost(&self, goals: &[[S; 6]]) -> S {
+    pub(super) fn final_cost(&self, goals: &[[S; 6]], farther: S) -> S {
         let mut cost = self.cost();
         let now = self.place();
         for (index, arm) in self.arms.iter().enumerate() {
@@ -103,7 +100,7 @@ impl<S: Real> KinematicRollout<S> {
             }
             let (target, stands) = (now.seen(&goals[index]), now.stands(index));
             let question = Question { chain: &arm.chain, target: &target, stands: &stands };
-            let missed = S::splat(MISSED) + S::splat(FARTHER) * question.miss(&arm.angles);
+            let missed = S::splat(MISSED) + farther * question.miss(&arm.angles);
             cost += S::select(misses, missed, S::zero());
         }
         cost
