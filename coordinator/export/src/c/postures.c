@@ -1105,7 +1105,7 @@ static int is_varied(int set, int arm)
     return set < ROUND || set % 2 == 0 || arm == turn % OCTOPUS_ARMS || arm == turn / OCTOPUS_ARMS % OCTOPUS_ARMS;
 }
 
-/* Gives every arm that is `open` the way with which most of them arrive, and of such ways the shortest, or at last one
+/* Gives every arm that is `open` the way with which most of them arrive, and of such ways the shortest, or one
  * with which the others come nearer. An arm that has no way may go elsewhere, where that brings others to their goals.
  * `before`: how often ways were chosen for these goals already. */
 static void foresee(const reading_type *reading, const place_type *place, const int open[OCTOPUS_ARMS], float before,
@@ -1113,8 +1113,6 @@ static void foresee(const reading_type *reading, const place_type *place, const 
 {
     float best[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS], next[OCTOPUS_ARMS][OCTOPUS_ARM_JOINTS];
     float next_cost = from_bits(0x7f800000u);
-    /* A hand without a way waits before it goes nearer to its goal. */
-    float farther = before <= 10.0f ? 0.0f : F(0.1);
     int set, arm;
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) memcpy(next[arm], postures[arm].angles, sizeof next[arm]);
     for (set = 0; set < SETS; set++) {
@@ -1144,7 +1142,7 @@ static void foresee(const reading_type *reading, const place_type *place, const 
         }
         cost += play(reading, place, tried, misses) * 20.0f;
         for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
-            if (tried[arm].good < 1.0f) cost += 100.0f + farther * misses[arm];
+            if (tried[arm].good < 1.0f) cost += 100.0f + F(0.1) * misses[arm];
         }
         if (cost < next_cost) {
             next_cost = cost;

@@ -20,11 +20,8 @@ const ROUNDS: usize = 5;
 /// Sets of ways that are tried. In the first one, number 0, every arm takes the way that it has.
 const SETS: usize = ROUNDS * LANES;
 
-/// Choices after the first one in which it does not count how far a hand without a way is from its goal. It waits for others to bring its goal into
-/// reach: if it went nearer at once, the others would have less rest, and policies that learn among them would be less precise.
-const PATIENCE: f64 = 10.0;
-/// What a miss counts afterwards for each metre and radian (rad): of two sets the one that comes nearer is better, but hardly an arm leaves its
-/// goal for that.
+/// What it counts for each metre and radian that an arm misses its goal by, where hands are persistent (rad): of two sets the one that comes nearer is
+/// better, but hardly an arm leaves its goal for that.
 const FARTHER: f64 = 0.1;
 
 /// The postures of a lane group that are yet to be chosen, in the lanes of `open`, an entry an arm.
@@ -36,6 +33,8 @@ pub(super) struct Foresight<'a, S: Real> {
     pub(super) open: &'a [S::Mask],
     /// Which arms go to their postures; sets say nothing of the others.
     pub(super) active: [bool; MAX_ARMS],
+    /// Whether arms without a way come as near to their goals as they can.
+    pub(super) persistent: bool,
     /// How often they were chosen for these goals already: other ways are looked for each time.
     pub(super) before: S,
     /// Whether every set is tried to its end, also when it cannot become the best any more: the twin that tests giving up.
@@ -43,7 +42,7 @@ pub(super) struct Foresight<'a, S: Real> {
 }
 
 impl<S: Real> Foresight<'_, S> {
-    /// Gives every arm the way with which most of them arrive, and of such ways the shortest, or at last one with which the others come nearer.
+    /// Gives every arm the way with which most of them arrive, and of such ways the shortest, or where hands are persistent one with which the others come nearer.
     pub(super) fn choose(self, arms: &mut [Posture<S>]) {
         S::compiled(Choose { foresight: self, arms });
     }
@@ -59,8 +58,10 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
     #[inline(always)]
     fn run(self) {
         let Self { foresight, arms } = self;
-        let Foresight { model, pace, goals, place, open, active, before, to_the_end } = foresight;
+        let Foresight { model, pace, goals, place, open, active, persistent, before, to_the_end } =
+            foresight;
         let mut rollout = KinematicRollout::new(model, arms, active, place);
+        let farther = S::splat(if persistent { FARTHER } else { 0.0 });
         for lane in 0..S::LANES {
             let mut is_open = [false; MAX_ARMS];
             for (is_open, open) in is_open.iter_mut().zip(open) {
@@ -80,8 +81,6 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
                 goals.iter().map(|goal| goal.map(|x| everywhere(x, lane))).collect();
             let alone: Vec<_> = arms.iter().map(|arm| arm.everywhere(lane)).collect();
             let first_start = everywhere(before, lane) * S::splat((SETS * arms.len()) as f64);
-            let patient = everywhere(before, lane).le(S::splat(PATIENCE));
-            let farther = S::select(patient, S::zero(), S::splat(FARTHER));
             let mut sets = Sets::new(&alone, &goals, &place, first_start);
             for number in (0..SETS).step_by(S::LANES) {
                 if number % LANES == 0 {

@@ -38,6 +38,7 @@ pub(crate) struct Postures<S: Real> {
     pub(crate) arms: Vec<Posture<S>>,
     /// Which arms go to their postures; false behind the last one.
     active: [bool; MAX_ARMS],
+    persistent: bool,
     model: Arc<Model<S>>,
     pace: Pace<S>,
     /// Where the base was read to be when they last followed it: who looks twice sees the same.
@@ -57,6 +58,7 @@ impl<S: Real> Postures<S> {
         Self {
             arms: arms.collect(),
             active: std::array::from_fn(|arm| arm < robot.n_arms),
+            persistent: true,
             model: Arc::new(Model::new(robot)),
             pace,
             base: UNKNOWN.map(S::splat),
@@ -69,6 +71,12 @@ impl<S: Real> Postures<S> {
     /// Whether they go at this pace, and trust so much.
     pub(crate) fn are(&self, pace: &Pace<S>, trust: f64) -> bool {
         self.pace == *pace && self.trust == f64::from(trust as f32)
+    }
+
+    /// Has hands without a way rest, while they do not stand in the way of others. Otherwise they come nearer to their goals in small steps, each of which moves the base a
+    /// little, until the goal comes into reach. That disturbs those who learn.
+    pub(crate) fn give_rest(&mut self) {
+        self.persistent = false;
     }
 
     /// Which arms go to their postures from now on. The others are taken to stay where they are, and nobody chooses anew for their sake.
@@ -197,7 +205,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         }
         let reviewed = postures.review(new, rests);
         if (asked | reviewed).any() {
-            let Postures { arms, active, model, pace, age, .. } = &mut *postures;
+            let Postures { arms, active, persistent, model, pace, age, .. } = &mut *postures;
             for (open, active) in open.iter_mut().zip(*active) {
                 *open = *open | (reviewed & S::Mask::splat(active));
             }
@@ -209,6 +217,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
                 place: &place,
                 open: &open[..arms.len()],
                 active: *active,
+                persistent: *persistent,
                 before,
                 to_the_end: false,
             };

@@ -3,6 +3,7 @@
 use proto::config::{Layers, Preset, TaskName};
 
 use super::kinematic_rollout::KinematicRollout;
+use super::search::Question;
 use super::*;
 use crate::env::readings;
 use crate::experiment::EvaluationGoals;
@@ -261,8 +262,8 @@ fn sets_that_are_given_up_are_not_missed() {
             let mut arms = begun.clone();
             let (model, pace, goals, place) = (&model, &pace, &goals, &place);
             let open = &[S::Mask::splat(true); 4];
-            let before = S::zero();
-            Foresight { model, pace, goals, place, open, active, before, to_the_end }
+            let (before, persistent) = (S::zero(), true);
+            Foresight { model, pace, goals, place, open, active, persistent, before, to_the_end }
                 .choose(&mut arms);
             arms
         };
@@ -282,22 +283,28 @@ fn sets_that_are_given_up_are_not_missed() {
     assert!(others > 12, "only {others} choices differ from the nearest ways");
 }
 
-/// Arms go to their postures without dynamics, for six reviews; with them more hands have a way to their goals at the end.
+/// Arms go to their postures without dynamics, for six reviews; with them more hands have a way to their goals at the end, and where hands are persistent
+/// the others are nearer to theirs.
 #[test]
 fn choosing_anew_brings_goals_back_into_reach() {
-    struct Good {
+    struct Ends {
         reviewed: bool,
+        persistent: bool,
     }
-    impl crate::scalar::LaneFn for Good {
-        type Output = usize;
+    impl crate::scalar::LaneFn for Ends {
+        /// How many hands have a way, and by how much all others miss their goals (m and rad).
+        type Output = (usize, f64);
         #[inline(always)]
-        fn call<S: Real>(self) -> usize {
+        fn call<S: Real>(self) -> (usize, f64) {
             let robot = robot();
             let evaluated = world(&robot);
-            let mut good = 0;
+            let (mut good, mut missed) = (0, 0.0);
             for first in (0..48).step_by(S::LANES) {
                 let goals = evaluation_goals::<S>(&evaluated, first);
                 let mut postures = none_yet::<S>(&robot);
+                if !self.persistent {
+                    postures.give_rest();
+                }
                 let home = State::<S>::home(&robot);
                 let place = Place::of(&home, robot.joints);
                 let mut plant =
@@ -311,15 +318,26 @@ fn choosing_anew_brings_goals_back_into_reach() {
                     plant.arms.clone_from(&postures.arms);
                     plant.advance(&postures.model, &postures.pace);
                 }
-                for arm in &postures.arms {
-                    good += (0..S::LANES).filter(|&lane| arm.good.lane(lane) == 1.0).count();
+                let place = Place::of(&plant.state, robot.joints);
+                for (index, arm) in postures.arms.iter().enumerate() {
+                    let (target, stands) = (place.seen(&goals[index]), place.stands(index));
+                    let question = Question { chain: &arm.chain, target: &target, stands: &stands };
+                    let miss = question.miss(&arm.angles);
+                    for lane in 0..S::LANES {
+                        let is_good = arm.good.lane(lane) == 1.0;
+                        good += usize::from(is_good);
+                        missed += if is_good { 0.0 } else { miss.lane(lane) };
+                    }
                 }
             }
-            good
+            (good, missed)
         }
     }
-    let [once, again] = [false, true].map(|reviewed| crate::scalar::dispatch(Good { reviewed }));
-    assert!(again > once && again > 180, "of 192 hands {once}, and {again}");
+    let ends = [(false, false), (true, false), (true, true)];
+    let [once, rested, persistent] =
+        ends.map(|(reviewed, persistent)| crate::scalar::dispatch(Ends { reviewed, persistent }));
+    assert!(rested.0 > once.0 && rested.0 > 180, "of 192 hands {once:?}, and {rested:?}");
+    assert!(persistent.1 < 0.7 * rested.1, "they miss by {rested:?}, and by {persistent:?}");
 }
 
 /// What the others do hangs on an arm that goes to its posture, and not on one that does not.

@@ -80,7 +80,7 @@ impl<S: Real> Kernel<S> for Begin<'_, S> {
             state,
             readings,
             goals: drawn,
-            errors: Errors::of(task, robot),
+            errors: Errors::of_learners(task, robot),
             action: joints.clone(),
             guidance: joints.clone(),
             last_action: joints.clone(),

@@ -77,7 +77,7 @@ impl<S: Real> Randomized<S> {
             executed: joints,
             normals: vec![zero; Deviations::<S>::draws(&robot.joints)],
             readings: Readings::new(&robot.joints),
-            errors: Errors::of(task, robot),
+            errors: Errors::of_learners(task, robot),
         };
         for lane in 0..S::LANES {
             let purpose = Purpose::Randomization;
