@@ -12,7 +12,7 @@ use export::{HeldOut, Origin, Source};
 use proto::config::{Config, Layers, Preset, TaskName};
 use proto::layout::ActorLayout;
 use simulator::evaluate::{Course, EvaluationOptions, evaluate};
-use simulator::experiment::{Control, Effect, Episode, Event, Member, Player, Start};
+use simulator::experiment::{Effect, Episode, Event, Member, Player, Start};
 use simulator::policy::{Policy, initial_parameters};
 use simulator::robot::Robot;
 use simulator::rollout::World;
@@ -142,11 +142,8 @@ impl Controlled {
         let mut all = Vec::new();
         for index in 0..episodes {
             let start = Start { episode: index as u32, ..Start::default() };
-            let mut episode = Episode::new(vec![member.clone()], start)?;
-            for arm in 0..self.world.dimensions.n_arms {
-                episode.apply(&Event::Arm { arm, control: Control::Hold })?;
-            }
-            all.push(episode);
+            // What the policy wants is replaced in every step. It keeps its seats: of arms that it does not move no goal postures are looked ahead for.
+            all.push(Episode::new(vec![member.clone()], start)?);
         }
         let mut errors = vec![Vec::new(); episodes * (2 * self.world.dimensions.n_arms + 1)];
         for step in 0..steps {
