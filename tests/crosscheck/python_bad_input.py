@@ -202,7 +202,7 @@ with tempfile.TemporaryDirectory() as folder:
         assert load(str(run) + given).path.name == "iteration-%08d" % expected, given
     refused(ValueError, "holds no checkpoint `7`; it has iteration-00000012", load, str(run) + ":7")
     policy = load(POLICY)
-    assert policy.iteration == 125
+    assert policy.iteration == 188
 
     two = spaceoctopus.Batch(2, robot=two_arm, set=SHORT)
     two.reset()

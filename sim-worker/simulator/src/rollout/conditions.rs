@@ -1,4 +1,4 @@
-//! What makes an episode of training harder than one of an evaluation.
+//! What makes an episode of training another one than that of an evaluation.
 
 use proto::config::{Randomization, Start, Task};
 
@@ -7,11 +7,13 @@ use proto::config::{Randomization, Start, Task};
 pub(crate) struct Conditions {
     pub(crate) start: Start,
     pub(crate) randomization: Randomization,
+    /// Whether hands without a way to their goals rest, so that they do not disturb those who learn.
+    pub(crate) rest: bool,
 }
 
 impl Conditions {
     /// Those of a task's training.
     pub(crate) fn of_training(task: &Task) -> Self {
-        Self { start: task.start, randomization: task.randomization }
+        Self { start: task.start, randomization: task.randomization, rest: true }
     }
 }

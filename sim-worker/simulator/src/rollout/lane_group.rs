@@ -75,12 +75,16 @@ impl<S: Real> Kernel<S> for Begin<'_, S> {
             physics.weigh(masses);
         }
         scatter(&conditions.start, robot, physics, &mut readings, (goals, env_of), &mut state);
+        let mut errors = Errors::of(task, robot);
+        if conditions.rest {
+            errors.give_rest();
+        }
         let joints = vec![S::zero(); robot.n_joints()];
         LaneGroup {
             state,
             readings,
             goals: drawn,
-            errors: Errors::of_learners(task, robot),
+            errors,
             action: joints.clone(),
             guidance: joints.clone(),
             last_action: joints.clone(),

@@ -62,6 +62,9 @@ impl<S: Real> Randomized<S> {
         }
         let GoalAddress { seed, iteration, .. } = goals;
         let n_joints = robot.n_joints();
+        let mut errors = Errors::of(task, robot);
+        // Only robots that policies learn with err.
+        errors.give_rest();
         let joints = vec![S::zero(); n_joints];
         let zero = S::zero();
         let Randomization { position, angle, velocity, rate, .. } = *ranges;
@@ -77,7 +80,7 @@ impl<S: Real> Randomized<S> {
             executed: joints,
             normals: vec![zero; Deviations::<S>::draws(&robot.joints)],
             readings: Readings::new(&robot.joints),
-            errors: Errors::of_learners(task, robot),
+            errors,
         };
         for lane in 0..S::LANES {
             let purpose = Purpose::Randomization;

@@ -136,15 +136,6 @@ impl<S: Real> Errors<S> {
         errors
     }
 
-    /// Those that `task` tells to policies that learn: hands without a way to their goals rest.
-    pub(crate) fn of_learners(task: &Task, robot: &Robot) -> Self {
-        let mut errors = Self::of(task, robot);
-        if let Some(postures) = &mut errors.postures {
-            postures.give_rest();
-        }
-        errors
-    }
-
     /// Goal postures of the hands as agents see them, an arm each, where a task tells them: whether they bring the hand to its goal (1 or 0),
     /// whether they are free of stops (1 or 0), what is left to each joint (rad).
     pub fn postures(&self) -> Option<Vec<Vec<S>>> {
@@ -184,6 +175,13 @@ impl<S: Real> Errors<S> {
     pub(crate) fn forget_base(&mut self) {
         if let Some(postures) = &mut self.postures {
             postures.forget_base();
+        }
+    }
+
+    /// Has hands without a way to their goals rest.
+    pub(crate) fn give_rest(&mut self) {
+        if let Some(postures) = &mut self.postures {
+            postures.give_rest();
         }
     }
 
