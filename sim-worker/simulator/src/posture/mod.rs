@@ -38,6 +38,7 @@ pub(crate) struct Postures<S: Real> {
     pub(crate) arms: Vec<Posture<S>>,
     /// Which arms go to their postures; false behind the last one.
     active: [bool; MAX_ARMS],
+    /// Whether a hand without a way comes as near to its goal as it can; else it rests.
     persistent: bool,
     model: Arc<Model<S>>,
     pace: Pace<S>,
