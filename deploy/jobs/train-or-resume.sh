@@ -4,8 +4,8 @@
 #   deploy/jobs/train-or-resume.sh RUN [OPTIONS OF octopus train]
 #
 # The first time it is `octopus train OPTIONS --run-dir RUN`, from then on `octopus resume RUN`. A finished run ends at
-# once with status 0. SIGTERM ends in a checkpoint. The exit status is that of octopus: 2 and 5 want a person, the
-# others another try. Options that both commands take stand in OCTOPUS_ALWAYS, as in "--listen 127.0.0.1:8270".
+# once with status 0. SIGTERM ends in a checkpoint. The exit status is that of octopus: 2, 3 and 5 want a person,
+# the others another try. Options that both commands take stand in OCTOPUS_ALWAYS, as in "--listen 127.0.0.1:8270".
 
 set -eu
 run=${1:?usage: train-or-resume.sh RUN [OPTIONS OF octopus train]}

@@ -74,7 +74,7 @@ pub fn mib(bytes: u64) -> String {
     }
 }
 
-/// Exit codes of `octopus`, `learner` and `sim-worker`, documented in the README.
+/// Exit codes of `octopus`, `learner` and `sim-worker`, documented in the guide, `failures.md`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ExitCode {

@@ -75,7 +75,7 @@ pub enum ParameterSharing {
 pub struct Network {
     /// Width of each hidden layer.
     pub hidden: Vec<usize>,
-    /// Likewise, of critics; none if they have the actors' widths.
+    /// Width of each hidden layer of critics; with `[]` those of actors.
     #[serde(default)]
     pub critic_hidden: Vec<usize>,
     /// Non-linearity.

@@ -20,7 +20,7 @@ pub struct Optimizer {
     pub actor_lr: f64,
     /// Initial learning rate of critics.
     pub critic_lr: f64,
-    /// Its course.
+    /// Course of the learning rates.
     pub schedule: Schedule,
     /// KL divergence (nats) of an iteration that actors' learning rates aim at; 0 leaves them to the schedule. An
     /// actor that went twice as far learns 1.5 times slower from then on, one that went less than half as far 1.5

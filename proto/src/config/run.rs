@@ -34,7 +34,7 @@ pub struct Run {
     pub device: String,
     /// Arithmetic of the learner's products.
     pub precision: Precision,
-    /// Threads of the learner; part of the configuration because they change sums.
+    /// Threads of the learner; part of the configuration because more threads than networks change sums.
     pub learner_threads: usize,
     /// Commits a checkpoint every so many iterations; 0 means only at the end.
     pub checkpoint_every: u64,

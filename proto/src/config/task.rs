@@ -130,9 +130,9 @@ pub struct Randomization {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Posture {
-    /// Whether an agent sees how far its arm's joints are from there, and critics of layout `compact` those of all arms.
+    /// Whether an agent sees how far its arm's joints are from its goal posture, and critics of layout `compact` those of all arms.
     pub seen: bool,
-    /// Share of the way there that a command covers in a control step by itself; what an agent does is added to it (residual
+    /// Share of what is left to the goal posture that a command covers in a control step by itself; what an agent does is added to it (residual
     /// policy learning; Silver et al. 2018, Johannink et al. 2019).
     pub gain: f64,
     /// Weight of a newly read pose of the base in the exponential moving average that postures follow; with 1 they follow what is read.

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
-    /// Radius of its ring, on which the grasp points lie (m).
+    /// Radius of the body's ring, on which the grasp points lie (m).
     pub radius: f64,
     /// How far before the base the ring's centre is, along the base's x (m).
     pub ahead: f64,
@@ -16,17 +16,17 @@ pub struct Target {
     pub tilt: f64,
     /// The body drifts at up to this, each axis (m/s).
     pub drift: f64,
-    /// It spins about the ring's axis at up to this (rad/s),
+    /// The body spins about the ring's axis at up to this (rad/s).
     pub spin: f64,
-    /// and about each axis across at up to this (rad/s).
+    /// The body turns about each axis across the ring's at up to this (rad/s).
     pub wobble: f64,
-    /// Its moment of inertia about the ring's axis in parts of those across.
+    /// The body's moment of inertia about the ring's axis, in parts of that about an axis across it.
     pub inertia_ratio: f64,
-    /// A hand holds its grasp point when it is nearer than this (m),
+    /// A hand holds its grasp point when it is nearer than this (m), and turned as `orientation` says.
     pub position: f64,
-    /// turned away from it by less than this, norm of the Euler-angle difference (rad),
+    /// A hand that holds its grasp point is turned away from it by less than this: norm of the Euler-angle difference (rad).
     pub orientation: f64,
-    /// and so for this many control steps, all hands at once.
+    /// An episode counts when all hands hold their grasp points at once for so many control steps in a row.
     pub hold_steps: usize,
 }
 
