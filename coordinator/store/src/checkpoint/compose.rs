@@ -101,6 +101,15 @@ impl Composition {
         let mut origins = Vec::new();
         for part in parts {
             let actors = part.checkpoint.actors(robot.joints)?;
+            if actors.len() != layout.len {
+                return refuse(format!(
+                    "{} has {} parameters of actors, {} has {}; they must be equal",
+                    part.describe(),
+                    actors.len(),
+                    first.describe(),
+                    layout.len
+                ));
+            }
             let agents = part.arms.iter().flat_map(|arm| {
                 let first = arm * AGENTS_PER_ARM;
                 first..first + AGENTS_PER_ARM
@@ -219,7 +228,7 @@ type Dependency = (&'static str, fn(&Config) -> String);
 
 /// Everything of a configuration that the meaning of a policy's numbers depends on, besides the
 /// task: what it sees, what its actions do, and how its network computes.
-const DEPENDENCIES: [Dependency; 13] = [
+const DEPENDENCIES: [Dependency; 16] = [
     // What an actor sees and moves, and what becomes of its output.
     ("the kind of actor", |c| c.algorithm.name.actor().to_owned()),
     ("algorithm.maddpg.action_limit", |c| {
@@ -234,6 +243,13 @@ const DEPENDENCIES: [Dependency; 13] = [
         (Observation::Arm, JointAngles::SinCos) => "sin-cos".to_owned(),
         (Observation::Arm, JointAngles::Unwound) => "unwound".to_owned(),
         (Observation::Paper | Observation::Release, _) => "unused".to_owned(),
+    }),
+    ("task.posture.seen", |c| c.task.posture.seen.to_string()),
+    // What is done beside it, or none of it.
+    ("task.posture.gain", |c| c.task.posture.gain.to_string()),
+    ("task.posture.trust", |c| match c.task.posture.seen {
+        true => c.task.posture.trust.to_string(),
+        false => "unused".to_owned(),
     }),
     ("task.action_scale", |c| c.task.action_scale.to_string()),
     ("env.control_period", |c| c.env.control_period.to_string()),

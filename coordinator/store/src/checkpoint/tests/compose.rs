@@ -97,6 +97,7 @@ fn what_does_not_go_together_is_refused_with_both_sides() {
     let a = trained(&dir, "a", &[], 0.0);
     for (index, (set, key)) in [
         ("task.observation=\"paper\"", "task.observation"),
+        ("task.posture.seen=true", "task.posture.seen"),
         ("task.action_scale=0.123", "task.action_scale"),
         ("env.control_period=0.8", "env.control_period"),
         ("network.hidden=[5]", "network.hidden"),
@@ -117,6 +118,13 @@ fn what_does_not_go_together_is_refused_with_both_sides() {
         for word in [key, "arms 1,2,3 (", "arm 4 (", "must be equal"] {
             assert!(message.contains(word), "{set}: `{word}` is not in: {message}");
         }
+    }
+    let seen = "task.posture.seen=true";
+    let guided = trained(&dir, "e", &[seen], 0.0);
+    for (index, key) in ["task.posture.gain", "task.posture.trust"].into_iter().enumerate() {
+        let other = trained(&dir, &format!("f{index}"), &[seen, &format!("{key}=0.3")], 0.0);
+        let message = refused(&[part(&[0, 1, 2], &guided), part(&[3], &other)]);
+        assert!(message.contains(key) && message.contains("must be equal"), "{message}");
     }
     let b = trained(&dir, "c", &["task.name=\"reorientation\""], 0.0);
     let message = refused(&[part(&[0, 1, 2], &a), part(&[3], &b)]);
