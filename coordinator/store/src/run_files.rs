@@ -27,7 +27,7 @@ pub fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
     Err(ExitError::new(ExitCode::RunDirectory, message))
 }
 
-/// A text file of a run directory.
+/// A text file of a run directory that does not grow: its configuration, its robot, who trained it.
 pub fn read_text(path: &Path) -> Result<String, ExitError> {
     regular_files::read_text(path, regular_files::TEXT).map_err(|error| {
         let message = format!("{}: cannot be read: {error}", path.display());

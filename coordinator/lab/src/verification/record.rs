@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use store::budgets::{Budget, Budgets};
 use store::checkpoint::CheckpointStore;
+use store::regular_files;
 use store::run_files::{read_text, run_directory};
 
 /// What a line of `metrics.jsonl` says about the training state.
@@ -119,7 +120,8 @@ fn trained_with(run_dir: &RunDir) -> Option<Precision> {
 /// The iterations of a `metrics.jsonl`, which follow each other from `first` on. A last line
 /// without an end is being written, or was cut by a crash, and is no iteration yet.
 pub(super) fn read_iterations(path: &Path, first: u64) -> Result<Vec<Iteration>, ExitError> {
-    let text = read_text(path)?;
+    let text = regular_files::read_text(path, regular_files::RECORD)
+        .map_err(|error| damaged(path, &format!("cannot be read: {error}")))?;
     let lines = text.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
     lines
         .zip(first..)
@@ -165,6 +167,13 @@ mod tests {
         let whole = format!("{}{}", line(0), line(1));
         assert_eq!(read(&whole).map(|lines| lines.len()), Ok(2));
         assert_eq!(read(&whole[..whole.len() - 5]).map(|lines| lines.len()), Ok(1));
+    }
+
+    #[test]
+    fn a_record_of_a_long_training_is_read() {
+        let lines = 4 * regular_files::TEXT / line(0).len() as u64;
+        let text: String = (0..lines).map(line).collect();
+        assert_eq!(read(&text).map(|lines| lines.len() as u64), Ok(lines));
     }
 
     #[test]
