@@ -9,7 +9,7 @@ use store::checkpoint::Name;
 
 use super::order_queue::Addressee;
 use super::snapshots::{Evaluation, Phase};
-use super::{Session, StoppedBy};
+use super::{FINISH_DEADLINE, Session, StoppedBy};
 use crate::committer::Committed;
 use crate::report::{Live, Reporter};
 use crate::scheduler::Scheduler;
@@ -76,6 +76,9 @@ impl Session<'_> {
                 Status::EvaluationDone { chunk, errors, .. } => {
                     if let Some(scheduler) = &mut self.scheduler {
                         scheduler.evaluation_done(chunk, now);
+                    }
+                    if let Some(deadline) = &mut self.finishing {
+                        *deadline = now + FINISH_DEADLINE;
                     }
                     if let Some(evaluated) = self.snapshots.played(chunk, errors) {
                         let wall_s = self.started.elapsed().as_secs_f64();

@@ -124,6 +124,8 @@ impl Snapshots {
             RequestedCheckpoint::Untold(iteration)
         };
         self.next_wish = None;
+        // Its iterations may come again.
+        self.handed_over.1 = 0;
         for (asked, _) in &mut self.askers {
             *asked = iteration.min(*asked);
         }
@@ -310,6 +312,12 @@ impl Snapshots {
             && self.selection.is_idle()
             && !self.committer.is_busy();
         done.then_some(dir.as_path())
+    }
+
+    /// The same without the evaluation, which is given up.
+    pub(super) fn settled_unevaluated_at(&mut self, iterations: u64) -> Option<&Path> {
+        self.selection.abandon();
+        self.settled_at(iterations)
     }
 }
 

@@ -201,6 +201,37 @@ fn who_asks_for_more_than_is_on_its_way_gets_the_next_snapshot() {
 }
 
 #[test]
+fn who_asks_after_a_rewind_gets_a_snapshot_although_an_earlier_one_is_being_written() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=10"]);
+    let evaluation = fixture.arrives(10);
+    fixture.snapshots.learner_gone();
+    fixture.settle();
+    fixture.snapshots.go_on_from(0);
+    let again = fixture.arrives(10);
+    assert_eq!(evaluation.play, again.play, "the one before was given up");
+    fixture.settle();
+    fixture.snapshots.go_on_from(5);
+    // The best so far is being written.
+    for chunk in &again.play {
+        fixture.snapshots.played(*chunk, errors(chunk, 0.1));
+    }
+    let (asker, _answer) = oneshot::channel();
+    fixture.snapshots.ask_for(7, asker);
+    assert!(fixture.snapshots.must_tell_learner());
+}
+
+#[test]
+fn a_checkpoint_that_is_committed_can_do_without_its_evaluation() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=10"]);
+    let evaluation = fixture.arrives(10);
+    assert!(!evaluation.play.is_empty());
+    fixture.settle();
+    assert_eq!(fixture.snapshots.settled_at(10), None, "it is still evaluated");
+    assert_eq!(fixture.snapshots.settled_unevaluated_at(9), None, "another one is committed");
+    assert!(fixture.snapshots.settled_unevaluated_at(10).is_some());
+}
+
+#[test]
 fn nothing_is_committed_whose_metrics_are_not_durable() {
     let mut fixture = Fixture::new(&["run.checkpoint_every=1", "run.evaluate_every=0"]);
     let robot = Robot::builtin("paper").expect("built in").to_toml();
