@@ -80,11 +80,7 @@ pub fn record(
     overrides: &[String],
 ) -> anyhow::Result<()> {
     let path = run_dir.provenance();
-    let mut sessions: Vec<serde_json::Value> = regular_files::read(&path, regular_files::RECORD)
-        .ok()
-        .and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok())
-        .and_then(|document| document["sessions"].as_array().cloned())
-        .unwrap_or_default();
+    let mut sessions = sessions(&path)?;
     let mut session = serde_json::to_value(provenance).context("provenance has no JSON form")?;
     session["overrides"] = json!(overrides);
     sessions.push(session);
@@ -94,9 +90,47 @@ pub fn record(
     Ok(())
 }
 
+/// The sessions that a run has had.
+///
+/// # Errors
+/// If something is there that does not say them ([`ExitCode::RunDirectory`]): what would be lost says on which processors the run's bits were made.
+fn sessions(path: &Path) -> Result<Vec<serde_json::Value>, ExitError> {
+    let damaged = |what: &dyn std::fmt::Display| {
+        let message = format!(
+            "{}: {what}; put the file back from a copy, or remove it if it may be forgotten who trained the run before",
+            path.display()
+        );
+        ExitError::new(ExitCode::RunDirectory, message)
+    };
+    let bytes = match regular_files::read(path, regular_files::RECORD) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(damaged(&format_args!("cannot be read: {error}"))),
+    };
+    let document: serde_json::Value =
+        serde_json::from_slice(&bytes).map_err(|error| damaged(&error))?;
+    let sessions = document["sessions"].as_array();
+    sessions.cloned().ok_or_else(|| damaged(&"`sessions` is no list"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sessions_that_cannot_be_read_are_not_forgotten() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("provenance.json");
+        assert_eq!(sessions(&path).expect("none yet"), [json!(null); 0]);
+        for damage in ["", "{", "{}", "{\"sessions\": 3}"] {
+            std::fs::write(&path, damage).expect("writable");
+            let error = sessions(&path).expect_err(damage);
+            assert_eq!(error.code, ExitCode::RunDirectory);
+            assert!(error.message.contains("provenance.json: "), "{}", error.message);
+        }
+        std::fs::write(&path, "{\"sessions\": [{\"host\": \"a\"}]}").expect("writable");
+        assert_eq!(sessions(&path).expect("one"), [json!({ "host": "a" })]);
+    }
 
     #[test]
     fn runs_that_start_in_the_same_second_get_directories_of_their_own() {
