@@ -18,7 +18,7 @@ use lab::sweep::score::{Scored, score_at_end, score_at_rung};
 use lab::threads::Threads;
 use proto::ExitCode;
 use run::signals::StopRequests;
-use run::supervisor::log_tail;
+use run::supervisor::log_tail_from;
 use run::{environment, errors, signal_isolation};
 use rustix::process::{Pid, Signal, kill_process};
 use store::checkpoint::{CheckpointStore, Name};
@@ -64,10 +64,19 @@ struct Work {
 }
 
 enum Kind {
-    /// Its training, up to so many iterations.
-    Training(Child, u64),
+    /// Its training.
+    Training(Training),
     /// Its score.
     Scoring(JoinHandle<anyhow::Result<Scored>>),
+}
+
+/// A process that trains a trial.
+struct Training {
+    child: Child,
+    /// Up to so many iterations.
+    until: u64,
+    /// Bytes that its log had before: what earlier ones said.
+    log_from: u64,
 }
 
 impl<'a> Drive<'a> {
@@ -124,7 +133,7 @@ impl<'a> Drive<'a> {
 
     fn interrupt(&self) {
         for work in &self.work {
-            if let Kind::Training(child, _) = &work.kind
+            if let Kind::Training(Training { child, .. }) = &work.kind
                 && let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw)
             {
                 let _ = kill_process(pid, Signal::INT);
@@ -186,9 +195,9 @@ impl<'a> Drive<'a> {
         let run = &self.plan.runs[trial];
         let done = run.done()?;
         if done < until {
-            let child = self.slots.within(slot, || self.train(trial, until))??;
+            let training = self.slots.within(slot, || self.train(trial, until))??;
             self.note(trial, &format!("trains to iteration {until}, {done} are done"));
-            return Ok(Kind::Training(child, until));
+            return Ok(Kind::Training(training));
         }
         let store = CheckpointStore::new(run.run_dir().checkpoints());
         let dir = store.dir(&Name::of_iteration(until));
@@ -215,7 +224,7 @@ impl<'a> Drive<'a> {
         Ok(Kind::Scoring(thread.context("no thread for a score")?))
     }
 
-    fn train(&self, trial: usize, until: u64) -> anyhow::Result<Child> {
+    fn train(&self, trial: usize, until: u64) -> anyhow::Result<Training> {
         let run = &self.plan.runs[trial];
         let mut command = Command::new(std::env::current_exe().context("no program")?);
         environment::clean(&mut command);
@@ -231,16 +240,20 @@ impl<'a> Drive<'a> {
             dir.push(&run.dir);
             command.arg("train").args(&run.words).arg(dir);
         }
+        let log = log(&self.place.log(&self.plan.study.trials[trial].name))?;
+        let log_from = log.metadata().context("a log cannot be looked at")?.len();
         command
             .args(["--no-eval", "--quiet", "--listen=off", "--pause-at", &until.to_string()])
             // Killed with this process; its janitor then cleans up.
             .args(["--parent", &std::process::id().to_string()])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(log(&self.place.log(&self.plan.study.trials[trial].name))?)
+            .stderr(log)
             // Ctrl-C on the terminal is for this program, which tells the others.
             .process_group(0);
-        signal_isolation::spawn_interruptible(&mut command).context("octopus cannot be started")
+        let child = signal_isolation::spawn_interruptible(&mut command)
+            .context("octopus cannot be started")?;
+        Ok(Training { child, until, log_from })
     }
 
     /// Takes in what has ended.
@@ -249,12 +262,16 @@ impl<'a> Drive<'a> {
         for work in std::mem::take(&mut self.work) {
             let Work { trial, slot, kind } = work;
             match kind {
-                Kind::Training(mut child, until) => match ended(&mut child)? {
+                Kind::Training(mut training) => match ended(&mut training.child)? {
                     None => {
-                        let kind = Kind::Training(child, until);
+                        let kind = Kind::Training(training);
                         going_on.push(Work { trial, slot, kind });
                     }
-                    Some((status, cpu_s)) => self.trained(trial, until, status, cpu_s, stopping)?,
+                    Some((status, cpu_s)) => {
+                        self.records[trial].cpu_s += cpu_s;
+                        self.write(trial)?;
+                        self.trained(trial, &training, status, stopping)?;
+                    }
                 },
                 Kind::Scoring(thread) if thread.is_finished() => match thread.join() {
                     Ok(Ok(scored)) => self.scored(trial, scored)?,
@@ -271,19 +288,16 @@ impl<'a> Drive<'a> {
     fn trained(
         &mut self,
         trial: usize,
-        until: u64,
+        training: &Training,
         status: ExitStatus,
-        cpu_s: f64,
         stopping: bool,
     ) -> anyhow::Result<()> {
-        self.records[trial].cpu_s += cpu_s;
-        self.write(trial)?;
         let done = self.plan.runs[trial].done()?;
         let interrupted = status.success()
             || status.code() == Some(ExitCode::Interrupted as i32)
             // Before it could listen.
             || status.signal() == Some(Signal::INT.as_raw());
-        if status.success() && done >= until || interrupted && stopping {
+        if status.success() && done >= training.until || interrupted && stopping {
             return Ok(());
         }
         if interrupted {
@@ -292,7 +306,8 @@ impl<'a> Drive<'a> {
                 &format!("somebody stopped it after {}", output::counted(done, "iteration")),
             );
         }
-        let log = log_tail(&self.place.log(&self.plan.study.trials[trial].name), LAST_LINES);
+        let log = self.place.log(&self.plan.study.trials[trial].name);
+        let log = log_tail_from(&log, training.log_from, LAST_LINES);
         let reason = log.lines().rev().find_map(|line| line.strip_prefix("error: "));
         let reason = reason.map_or_else(|| status.to_string(), str::to_owned);
         self.fail(trial, &reason)

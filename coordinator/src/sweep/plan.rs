@@ -50,8 +50,8 @@ impl Plan {
             }
             configurations.push(label.clone());
             for seed in &file.seeds {
-                let name = file_name(keys, &format!("{label}, seed={seed}"));
                 let whole = format!("{label}, seed={seed}");
+                let name = file_name(keys, &label, *seed);
                 if let Some(other) = names.insert(name.clone(), whole.clone()) {
                     let what = format!("trials {other} and {whole} would have one name, {name}");
                     return Err(refuse(what).into());
@@ -59,9 +59,17 @@ impl Plan {
                 let dir = dir.join(&name);
                 let run = PlannedRun { dir: dir.clone(), words: words(&file, keys, *seed) };
                 let config = checked(&run).map_err(|error| in_trial(&origin, &whole, &error))?;
+                if config.run.time_limit().is_some() {
+                    let what = format!(
+                        "trial {whole}: run.time_limit_s = {} would end it too early; leave it out: `iterations` or `env_steps` says \
+                         how long trials train",
+                        config.run.time_limit_s
+                    );
+                    return Err(refuse(what).into());
+                }
                 processors = processors.max(needed(&config));
                 let planned = config.planned_iterations();
-                let at = |share: &f64| (share * planned as f64).ceil() as u64;
+                let at = |share: &f64| rung(*share, planned);
                 let rungs: Vec<u64> = shares.iter().map(at).chain([planned]).collect();
                 let met = rungs.windows(2).find(|pair| pair[0] >= pair[1]).map(|pair| pair[0]);
                 if let Some(rung) = met {
@@ -193,16 +201,21 @@ fn bare(value: &Value) -> String {
     }
 }
 
-/// What is called `whole`, as the name of a directory. If it had to be cut or changed, a hash of its keys tells it from others.
-fn file_name(keys: &[Assignment], whole: &str) -> String {
+/// The iteration after which a share of the planned ones is done. Products of decimal shares may lie a little above what is meant, as 0.07 · 100 does.
+fn rung(share: f64, planned: u64) -> u64 {
+    (share * planned as f64 * (1.0 - 1e-12)).ceil() as u64
+}
+
+/// The name of a trial's directory. If its label had to be cut or changed, a hash of its keys tells it from others.
+fn file_name(keys: &[Assignment], label: &str, seed: u64) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._=+-,".contains(c) { c } else { '-' };
-    let bare = whole.replace(", ", ",");
-    let name: String = bare.chars().map(plain).take(LONGEST).collect();
-    if name == bare && !name.starts_with('.') {
-        return name;
+    let (label, seed) = (label.replace(", ", ","), format!(",seed={seed}"));
+    let short: String = label.chars().map(plain).take(LONGEST - seed.len()).collect();
+    if short == label && !short.starts_with('.') {
+        return short + &seed;
     }
     let hash = blake3::hash(format!("{keys:?}").as_bytes()).to_hex();
-    format!("{}-{}", name.trim_start_matches('.'), &hash[..8])
+    format!("{}{seed}-{}", short.trim_start_matches('.'), &hash[..8])
 }
 
 #[cfg(test)]
@@ -242,6 +255,31 @@ mod tests {
     }
 
     #[test]
+    fn trials_with_long_names_are_told_apart_by_their_seeds() {
+        let text = "seeds = [1, 2]\n[grid]\nnetwork.hidden = [[128, 128, 128, 128, 128, 128, 128]]\n\
+                    network.critic_hidden = [[128, 128, 128, 128, 128, 128, 128]]\n\
+                    algorithm.gamma = [0.95]\noptimizer.epsilon = [1e-6]\nrun.learner_threads = [1]";
+        let plan = plan(text).expect("valid");
+        let names: Vec<&str> = plan.study.trials.iter().map(|trial| &*trial.name).collect();
+        assert!(names.iter().all(|name| name.len() <= LONGEST + 9), "{names:?}");
+        assert!(names[0].contains(",seed=1-") && names[1].contains(",seed=2-"), "{names:?}");
+    }
+
+    #[test]
+    fn rungs_are_the_first_iterations_with_their_share() {
+        for (share, planned, iteration) in [
+            (0.07, 100, 7),
+            (0.55, 100, 55),
+            (0.14, 100, 14),
+            (0.51, 40, 21),
+            (0.5, 3, 2),
+            (0.01, 10, 1),
+        ] {
+            assert_eq!(rung(share, planned), iteration, "{share} of {planned}");
+        }
+    }
+
+    #[test]
     fn names_do_not_depend_on_other_trials() {
         let few = plan("[grid]\nalgorithm.gamma = [0.9]").expect("valid");
         let more =
@@ -268,6 +306,7 @@ mod tests {
             ),
             ("iterations = 10\n[halving]\nrungs = [0.01, 0.05]", "fall on iteration 1"),
             ("iterations = 1\n[halving]\nrungs = [0.5]", "fall on iteration 1"),
+            ("[set]\nrun.time_limit_s = 60.0", "run.time_limit_s = 60 would end it too early"),
             ("[set]\nrobot.description = \"none.toml\"", "none.toml"),
             ("config = \"none.toml\"", "none.toml"),
         ] {

@@ -1,5 +1,6 @@
 //! Why a process is no more.
 
+use std::io::{Read as _, Seek as _, SeekFrom};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
 use std::process::ExitStatus;
@@ -84,10 +85,53 @@ impl std::fmt::Display for Cause {
     }
 }
 
-/// The last lines of a child's log, to be shown with its death.
+/// How much of the end of a log is read (bytes).
+const LOG_END: u64 = 64 * 1024;
+
+/// The last lines of a child's log, to be shown with its death; why there are none if it cannot be read.
 pub fn log_tail(path: &Path, lines: usize) -> String {
-    let text = regular_files::read(path, regular_files::RECORD).unwrap_or_default();
-    let text = String::from_utf8_lossy(&text);
+    log_tail_from(path, 0, lines)
+}
+
+/// The same of what was written behind the first `from` bytes.
+pub fn log_tail_from(path: &Path, from: u64, lines: usize) -> String {
+    let text = match log_end(path, from) {
+        Ok(text) => text,
+        Err(error) => return format!("{}: cannot be read: {error}", path.display()),
+    };
     let tail: Vec<_> = text.lines().rev().take(lines).collect();
     tail.into_iter().rev().collect::<Vec<_>>().join("\n")
+}
+
+fn log_end(path: &Path, from: u64) -> std::io::Result<String> {
+    let mut file = regular_files::open(path)?;
+    let length = file.metadata()?.len();
+    let begin = from.max(length.saturating_sub(LOG_END));
+    file.seek(SeekFrom::Start(begin))?;
+    let text =
+        String::from_utf8_lossy(&regular_files::drain(file.take(LOG_END), LOG_END)?).into_owned();
+    // Of a line that begins before, the end says nothing.
+    let cut = if begin > from { text.find('\n').map_or(0, |end| end + 1) } else { 0 };
+    Ok(text[cut..].to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_end_of_a_log_is_shown_however_long_it_is() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("learner.log");
+        assert!(log_tail(&path, 5).contains("learner.log: cannot be read"));
+        std::fs::write(&path, "one\ntwo\nthree\n").expect("writable");
+        assert_eq!(log_tail(&path, 2), "two\nthree");
+        assert_eq!(log_tail_from(&path, 8, 2), "three");
+        assert_eq!(log_tail_from(&path, 14, 2), "");
+        let long = "0123456789\n".repeat(10_000);
+        std::fs::write(&path, &long).expect("writable");
+        let shown = log_tail(&path, usize::MAX);
+        assert!(shown.lines().all(|line| line == "0123456789"), "whole lines");
+        assert_eq!(shown.lines().count() as u64, LOG_END / 11);
+    }
 }

@@ -30,7 +30,7 @@ mod gateway_child;
 mod process_view;
 mod programs;
 
-pub use self::cause::{Cause, child_exit_code, log_tail};
+pub use self::cause::{Cause, child_exit_code, log_tail, log_tail_from};
 pub use self::deaths::{Death, Deaths};
 pub use self::gateway::GatewaySpec;
 pub use self::process_view::ProcessView;
