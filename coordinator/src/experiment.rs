@@ -13,7 +13,7 @@ use lab::trained::{Trained, open_checkpoint};
 use simulator::simulate::Precision;
 use simulator::step::StepOptions;
 use store::files;
-use store::outputs::{Input, Output};
+use store::outputs::{self, Input, Output};
 
 use crate::names::Named;
 use crate::trajectories::{MARK, write_table};
@@ -371,8 +371,9 @@ fn episode(args: &EpisodeArgs) -> anyhow::Result<()> {
     let mut inputs: Vec<Input<'_>> = vec![("--script", &args.script)];
     inputs.extend(args.policies.iter().map(|path| ("--policy", path.as_path())));
     inputs.extend(args.robot.as_deref().map(|robot| ("--robot", Path::new(robot))));
+    outputs::check_stdout(args.json, args.out.as_deref())?;
     if let Some(path) = &args.out {
-        Output { flag: "--out", path, mark: MARK, force: args.force }.check(&inputs)?;
+        Output { flag: "--out", path, mark: MARK, force: args.force }.check_or_stdout(&inputs)?;
     }
     let recording = script::read(&args.script)?;
     let load = |name| run::robots::load_fit_robot(name, &StepOptions::default());

@@ -15,7 +15,7 @@ use simulator::simulate::Precision;
 use simulator::state::State;
 use simulator::step::StepOptions;
 use store::files;
-use store::outputs::{Input, Output};
+use store::outputs::{self, Input, Output};
 
 use crate::joint_commands;
 use crate::names::{Named, Names};
@@ -195,8 +195,7 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<()> {
     let policy = args.policies.as_deref().map(|path| policy(path, &robot)).transpose()?;
     let found = answer(&robot, &options, &question, policy, args.time_limit)?;
     let report = Report::new(&question, &found, options.control_period);
-    let to_stdout = args.out.as_deref() == Some(Path::new("-"));
-    if args.json && !to_stdout {
+    if args.json {
         output::json(&report)?;
     }
     if let Some(reason) = sentence(&question, &found) {
@@ -216,7 +215,7 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<()> {
     }
     if let Some(path) = &args.out {
         let table = joint_commands::write(&found.plan.commands)?;
-        if to_stdout {
+        if path == Path::new("-") {
             return output::write(&table);
         }
         files::replace_output(path, &table)?;
@@ -287,20 +286,24 @@ fn policy(path: &Path, robot: &Robot) -> anyhow::Result<Trained> {
 
 /// Refuses places that are taken, before anything is looked for.
 fn check_outputs(args: &PlanArgs) -> Result<(), ExitError> {
+    outputs::check_stdout(args.json, args.out.as_deref())?;
     let mut inputs: Vec<Input<'_>> = vec![("--robot", Path::new(&args.robot))];
     inputs.extend(args.state.as_deref().map(|path| ("--state", path)));
     inputs.extend(args.policies.as_deref().map(|path| ("--policies", path)));
-    let outputs: [(&str, &Option<PathBuf>, &[u8]); 4] = [
+    let named: [(&'static str, &Option<PathBuf>, &[u8]); 4] = [
         ("--out", &args.out, b""),
         ("--trajectory", &args.trajectory, MARK),
         ("--picture", &args.picture, SVG),
         ("--recording", &args.recording, Recording::MARK),
     ];
-    for (flag, path, mark) in outputs {
+    let mut places = Vec::new();
+    for (flag, path, mark) in named {
         let Some(path) = path else { continue };
-        Output { flag, path, mark, force: args.force }.check(&inputs)?;
+        let output = Output { flag, path, mark, force: args.force };
+        if flag == "--out" { output.check_or_stdout(&inputs) } else { output.check(&inputs) }?;
+        places.push((flag, path.as_path()));
     }
-    Ok(())
+    outputs::check_distinct(&places)
 }
 
 #[cfg(test)]

@@ -6,9 +6,9 @@ use clap::Args;
 use lab::figures::families::{Family, Over, families};
 use lab::figures::learning::learning_alone;
 use lab::figures::recorded;
-use proto::{ExitCode, ExitError};
+use proto::ExitError;
 use store::files;
-use store::outputs::{Output, is_same_place};
+use store::outputs::{self, Output};
 
 use crate::names::{Named, Names};
 
@@ -97,9 +97,5 @@ fn check_outputs(args: &PlotArgs) -> Result<(), ExitError> {
     Output { flag: "--out", path: out, mark: b"<svg", force: *force }.check(&inputs)?;
     let Some(save) = save else { return Ok(()) };
     Output { flag: "--save", path: save, mark: b"{\"curves\":", force: *force }.check(&inputs)?;
-    if is_same_place(out, save) {
-        let message = format!("--save {}: is what --out names, too", save.display());
-        return Err(ExitError::new(ExitCode::Usage, message));
-    }
-    Ok(())
+    outputs::check_distinct(&[("--out", out), ("--save", save)])
 }

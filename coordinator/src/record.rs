@@ -12,7 +12,7 @@ use simulator::experiment::{FixedGoals, Member, Start};
 use simulator::state::State;
 use simulator::step::StepOptions;
 use store::files;
-use store::outputs::{Input, Output, is_same_place};
+use store::outputs::{self, Input, Output};
 
 use crate::blocks::{BlockSource, address, open_policy};
 use crate::joint_commands;
@@ -119,10 +119,7 @@ pub fn run(args: &RecordArgs) -> anyhow::Result<()> {
         .check(&inputs)?;
     if let Some(path) = &args.csv {
         Output { flag: "--csv", path, mark: CSV_MARK, force: args.force }.check(&inputs)?;
-        if is_same_place(path, &args.out) {
-            let message = format!("--csv {}: is what --out writes", path.display());
-            return Err(ExitError::new(ExitCode::Usage, message).into());
-        }
+        outputs::check_distinct(&[("--out", &args.out), ("--csv", path)])?;
     }
     let recording = match (&args.source, args.address, &args.plan) {
         (Some(run_dir), Some(address), _) => of_block(run_dir, address, args)?,

@@ -31,7 +31,7 @@ impl RobotFileArgs {
         let robot = run::robots::load_robot(&self.robot)?;
         if let Some(path) = &self.out {
             Output { flag: "--out", path, mark, force: self.force }
-                .check(&[("--robot", Path::new(&self.robot))])?;
+                .check_or_stdout(&[("--robot", Path::new(&self.robot))])?;
         }
         let model = model(&robot);
         match self.out.as_deref() {

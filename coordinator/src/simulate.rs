@@ -78,7 +78,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     let mut inputs: Vec<(&'static str, &Path)> =
         vec![("--actions", &args.actions), ("--robot", Path::new(&args.robot))];
     inputs.extend(args.state.as_deref().map(|path| ("--state", path)));
-    output.check(&inputs)?;
+    output.check_or_stdout(&inputs)?;
     let start = match &args.state {
         Some(path) => last_state(path, &robot)?,
         None => State::home(&robot),

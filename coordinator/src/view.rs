@@ -22,7 +22,7 @@ use service::page::{self, Enclosed};
 use store::checkpoint::{CONFIG, Checkpoint, CheckpointStore, MANIFEST, Selector};
 use store::lock::RunLock;
 use store::outputs::{Input, Output};
-use store::owned_files;
+use store::{files, owned_files};
 
 use self::episode::Episode;
 use crate::serve::{no_store, runs_in};
@@ -232,12 +232,7 @@ fn write(
     });
     let text = page::single(&enclosed, played.transpose()?.as_deref());
     let text = text.context("the page has no frame")?;
-    std::fs::write(out, text).map_err(|error| {
-        ExitError::new(
-            ExitCode::RunDirectory,
-            format!("{}: cannot be written: {error}", out.display()),
-        )
-    })?;
+    files::replace_output(out, text.as_bytes())?;
     output::line(&out.display().to_string())
 }
 

@@ -93,7 +93,7 @@ fn an_input_is_never_an_output_by_a_way_round_either() {
     assert!(std::fs::read(&policy).expect("there") == before, "the policy is as it was");
 
     let twice = ["plot", dir, "--out", &at("a"), "--save", &at("./a")];
-    refused(&twice, 2, &["is what --out names, too"]);
+    refused(&twice, 2, &["is what --out writes"]);
     assert!(!Path::new(&at("a")).exists());
 
     let robot = at("rollout_by_envs.svg");

@@ -52,7 +52,7 @@ const MARK: &[u8] = b"# Made by `octopus robot import`";
 pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     if let Some(path) = &args.out {
         Output { flag: "--out", path, mark: MARK, force: args.force }
-            .check(&[("FILE.urdf", &args.urdf)])?;
+            .check_or_stdout(&[("FILE.urdf", &args.urdf)])?;
     }
     let shown = args.urdf.display();
     let refused = |reason: &dyn std::fmt::Display| {

@@ -30,12 +30,19 @@ pub struct Output<'a> {
 pub type Input<'a> = (&'static str, &'a Path);
 
 impl Output<'_> {
-    /// Refuses a place that is taken. Standard output (`-`), terminals and pipes are no places.
+    /// Like [`Self::check`], of a command that writes standard output where it is told `-`.
+    pub fn check_or_stdout(&self, inputs: &[Input<'_>]) -> Result<(), ExitError> {
+        if self.path == Path::new("-") { Ok(()) } else { self.check(inputs) }
+    }
+
+    /// Refuses a place that is taken, and `-`, which others take for standard output. Terminals and pipes are no places.
     pub fn check(&self, inputs: &[Input<'_>]) -> Result<(), ExitError> {
         let Self { flag, path, mark, force } = *self;
         let shown = path.display();
         if path == Path::new("-") {
-            return Ok(());
+            let message =
+                format!("{flag} -: this goes into a file; name one, `./-` if that is its name");
+            return Err(ExitError::new(ExitCode::Usage, message));
         }
         let there = path.metadata().ok();
         if there.as_ref().is_some_and(|there| !there.is_file() && !there.is_dir()) {
@@ -137,8 +144,30 @@ fn is(path: &Path, file: &Metadata) -> bool {
     path.metadata().is_ok_and(|other| (other.dev(), other.ino()) == (file.dev(), file.ino()))
 }
 
+/// Refuses JSON on standard output where a table goes there.
+pub fn check_stdout(json: bool, table: Option<&Path>) -> Result<(), ExitError> {
+    if json && table == Some(Path::new("-")) {
+        let message = "--json: standard output has what `--out -` writes; name a file by --out";
+        return Err(ExitError::new(ExitCode::Usage, message));
+    }
+    Ok(())
+}
+
+/// Refuses two outputs of one command that are one file; each is given with the flag that names it.
+pub fn check_distinct(outputs: &[(&'static str, &Path)]) -> Result<(), ExitError> {
+    for (index, (flag, path)) in outputs.iter().enumerate() {
+        let mut before = outputs[..index].iter();
+        if let Some((other, _)) = before.find(|(_, other)| is_same_place(path, other)) {
+            let message =
+                format!("{flag} {}: is what {other} writes; name another file", path.display());
+            return Err(ExitError::new(ExitCode::Usage, message));
+        }
+    }
+    Ok(())
+}
+
 /// Whether two names are of one file, which may be still to be made.
-pub fn is_same_place(one: &Path, other: &Path) -> bool {
+fn is_same_place(one: &Path, other: &Path) -> bool {
     if let Ok(there) = one.metadata() {
         return is(other, &there);
     }
@@ -242,6 +271,18 @@ mod tests {
     }
 
     #[test]
+    fn two_outputs_are_two_files() {
+        let place = place();
+        let at = |name: &str| place.path().join(name);
+        let (new, same, other) = (at("new"), at("run/../new"), at("other"));
+        assert!(check_distinct(&[("--out", &new), ("--csv", &other)]).is_ok());
+        let outputs = [("--out", &*other), ("--picture", &*new), ("--csv", &*same)];
+        let error = check_distinct(&outputs).expect_err("one would be lost");
+        assert_eq!(error.code, ExitCode::Usage);
+        assert!(error.message.starts_with("--csv ") && error.message.contains("--picture writes"));
+    }
+
+    #[test]
     fn what_others_made_is_replaced_by_force_only() {
         let place = place();
         let at = |name: &str| place.path().join(name);
@@ -253,8 +294,13 @@ mod tests {
         assert!(message.contains("not made by this command; --force"), "{message}");
         assert_eq!(check(&at("in.csv"), true, &[]), Ok(()));
         assert!(check(place.path(), true, &[]).is_err(), "a directory is no file");
-        for special in ["-", "/dev/null"] {
-            assert_eq!(check(Path::new(special), false, &[]), Ok(()), "{special}");
+        assert_eq!(check(Path::new("/dev/null"), false, &[]), Ok(()));
+        for force in [false, true] {
+            let (code, message) = check(Path::new("-"), force, &[]).expect_err("no file");
+            assert_eq!(code, ExitCode::Usage);
+            assert!(message.contains("name one, `./-` if"), "{message}");
+            let output = Output { flag: "--out", path: Path::new("-"), mark: MARK, force };
+            assert!(output.check_or_stdout(&[]).is_ok());
         }
     }
 
