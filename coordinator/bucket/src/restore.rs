@@ -5,10 +5,11 @@
 //! is missing is for people to look at: logs, TensorBoard's files, the table of metrics begin with the resume.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use proto::run_dir::RunDir;
 use store::checkpoint::{CheckpointStore, Name};
+use store::files;
 
 use crate::bucket::Bucket;
 use crate::error::BucketError;
@@ -44,7 +45,9 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         return Err(passed_over.into_iter().next().unwrap_or_else(|| nothing(bucket)));
     };
 
-    let scratch = beside(path);
+    let scratch = files::temporary(path);
+    // One of a killed process whose number is this one's now, as in containers.
+    let _ = fs::remove_dir_all(&scratch);
     let made = (|| {
         let run = RunDir::new(&scratch);
         let root = run.checkpoints();
@@ -112,10 +115,4 @@ fn best<'a>(all: &'a [Listed], base: &Listed) -> Option<&'a Listed> {
     });
     let best = earlier.min_by(|a, b| value(a).partial_cmp(&value(b)).expect("finite"))?;
     (best.name != base.name).then_some(best)
-}
-
-/// A directory that is renamed to `path` when it is whole.
-fn beside(path: &Path) -> PathBuf {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    path.with_file_name(format!(".{name}.fetching-{}", std::process::id()))
 }

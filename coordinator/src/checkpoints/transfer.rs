@@ -1,8 +1,7 @@
 //! `import` and `export`.
 
 use std::fs::File;
-use std::io::Write as _;
-use std::io::{BufReader, BufWriter};
+use std::io::{BufReader, BufWriter, Write};
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -61,15 +60,24 @@ fn write(store: &CheckpointStore, name: &Name, out: &Path) -> anyhow::Result<()>
         let message = format!("{}: cannot be written: {error}", out.display());
         ExitError::new(ExitCode::Failure, message)
     };
+    let pack = |writer: &mut dyn Write| -> anyhow::Result<()> {
+        match store.export(name, writer) {
+            // It names what is packed, not where.
+            Err(CheckpointError::Io { action: "export", source, .. }) => {
+                Err(failed(&source).into())
+            }
+            packed => Ok(packed?),
+        }
+    };
     if std::fs::metadata(out).is_ok_and(|there| !there.is_file()) {
         // `/dev/stdout`, a pipe: written to as it is.
         let file = File::options().write(true).open(out).map_err(|error| failed(&error))?;
-        return Ok(store.export(name, BufWriter::new(file))?);
+        return pack(&mut BufWriter::new(file));
     }
     let temporary = files::temporary(out);
     let written = (|| {
         let file = File::create(&temporary).map_err(|error| failed(&error))?;
-        store.export(name, BufWriter::new(&file))?;
+        pack(&mut BufWriter::new(&file))?;
         file.sync_all().map_err(|error| failed(&error))?;
         std::fs::rename(&temporary, out).map_err(|error| failed(&error))?;
         Ok(())

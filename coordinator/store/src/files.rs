@@ -3,7 +3,7 @@
 //! Temporary files have names of our own, not of the crate `tempfile`: they say what is written and by which process,
 //! so that what a killed one has left is known for that and removed.
 
-use std::fs::{File, Metadata};
+use std::fs::File;
 use std::io::Write as _;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
@@ -53,9 +53,16 @@ pub(crate) fn replace_io(path: &Path, content: &[u8]) -> std::io::Result<()> {
 /// # Errors
 /// If something is there already ([`ExitCode::RunDirectory`]), or it cannot be written.
 pub fn create_directory(path: &Path, files: &[(&str, &[u8])]) -> Result<(), ExitError> {
+    let is_there = || {
+        let message = format!("{}: is there already; name another place", path.display());
+        ExitError::new(ExitCode::RunDirectory, message)
+    };
+    let failed = |error: std::io::Error| failure(ExitCode::Failure, path, &error);
     let temporary = temporary(path);
+    // One of a killed process whose number is this one's now, as in containers.
+    let _ = std::fs::remove_dir_all(&temporary);
+    std::fs::create_dir(&temporary).map_err(failed)?;
     let written = (|| {
-        std::fs::create_dir(&temporary)?;
         for (name, content) in files {
             let mut file = File::create_new(temporary.join(name))?;
             file.write_all(content)?;
@@ -68,19 +75,16 @@ pub fn create_directory(path: &Path, files: &[(&str, &[u8])]) -> Result<(), Exit
         File::open(parent(path))?.sync_all()
     })();
     if written.is_err() {
-        // The first error is the one to report; the temporary directory may not even exist.
+        // The first error is the one to report.
         let _ = std::fs::remove_dir_all(&temporary);
     }
     written.map_err(|error: std::io::Error| match error.kind() {
-        std::io::ErrorKind::AlreadyExists => ExitError::new(
-            ExitCode::RunDirectory,
-            format!("{}: is there already; name another place", path.display()),
-        ),
-        _ => failure(ExitCode::Failure, path, &error),
+        std::io::ErrorKind::AlreadyExists => is_there(),
+        _ => failed(error),
     })
 }
 
-/// The name of the file that is written before it takes the place of `path`. What killed processes
+/// The name of the file or directory that is written before it takes the place of `path`. What killed processes
 /// had begun to write there is removed.
 pub fn temporary(path: &Path) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -99,19 +103,24 @@ pub fn sweep(directory: &Path) {
 }
 
 /// Removes from `directory` what killed processes of this user had begun to write in the place of files
-/// whose names `is_meant`. A file that stays is in nobody's way, so nothing here is an error.
+/// and directories whose names `is_meant`. What stays is in nobody's way, so nothing here is an error.
 fn sweep_where(directory: &Path, is_meant: impl Fn(&str) -> bool) {
     let uid = rustix::process::getuid().as_raw();
     for entry in std::fs::read_dir(directory).into_iter().flatten().flatten() {
         let name = entry.file_name();
         let Some((begun, pid)) = name.to_str().and_then(parse_temporary) else { continue };
-        let is_own = |there: Metadata| there.is_file() && there.uid() == uid;
-        if is_meant(begun)
-            && !Path::new("/proc").join(pid.to_string()).exists()
-            && entry.metadata().is_ok_and(is_own)
-        {
-            let _ = std::fs::remove_file(entry.path());
+        if !is_meant(begun) || Path::new("/proc").join(pid.to_string()).exists() {
+            continue;
         }
+        // Of a link what it is itself.
+        let Some(there) = entry.metadata().ok().filter(|there| there.uid() == uid) else {
+            continue;
+        };
+        let _ = match there {
+            there if there.is_file() => std::fs::remove_file(entry.path()),
+            there if there.is_dir() => std::fs::remove_dir_all(entry.path()),
+            _ => continue,
+        };
     }
 }
 
@@ -170,6 +179,11 @@ mod tests {
         for path in left.iter().chain(&others) {
             std::fs::write(path, "a part").expect("writable");
         }
+        let whole_directory = dir.path().join(format!(".run.{dead}.tmp"));
+        std::fs::create_dir(&whole_directory).expect("mkdir");
+        std::fs::write(whole_directory.join("config.toml"), "a part").expect("writable");
+        temporary(&dir.path().join("run"));
+        assert!(!whole_directory.exists());
         // Who writes a file anew removes what was begun of that file.
         let config = dir.path().join("config.toml");
         temporary(&config);
@@ -190,6 +204,13 @@ mod tests {
         let again = create_directory(&place, &[("a", b"3")]).expect_err("it is there");
         assert_eq!(again.code, ExitCode::RunDirectory, "{again}");
         assert_eq!(std::fs::read(place.join("a")).expect("there"), b"1");
+        let begun = dir.path().join(format!(".next.{}.tmp", std::process::id()));
+        std::fs::create_dir(&begun).expect("made");
+        std::fs::write(begun.join("c"), "a part").expect("writable");
+        let next = dir.path().join("next");
+        create_directory(&next, &[("a", b"1")]).expect("who began it had this number before");
+        assert!(!next.join("c").exists());
+        std::fs::remove_dir_all(&next).expect("removed");
         let empty = dir.path().join("empty");
         std::fs::create_dir(&empty).expect("made");
         assert!(create_directory(&empty, &[("a", b"1")]).is_err(), "it is somebody's");
