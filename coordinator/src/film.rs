@@ -6,7 +6,7 @@ use clap::Args;
 use lab::film::{EpisodeSettings, HandGoal, Look, Made, make};
 use lab::trained::{Trained, open_checkpoint};
 use output::grouped;
-use proto::config::TaskName;
+use proto::tasks::Aim;
 use proto::{ExitCode, ExitError};
 use rendering::{Format, View};
 use serde::Serialize;
@@ -178,7 +178,7 @@ pub fn run(args: &FilmArgs) -> anyhow::Result<()> {
     let load = |name| run::robots::load_fit_robot(name, &StepOptions::default());
     let robot = args.robot.as_deref().map(load).transpose()?;
     let trained = Trained::new(open_checkpoint(&args.policy)?, robot.as_ref())?;
-    check_goals(args, trained.task())?;
+    check_goals(args, &trained)?;
     let settings = EpisodeSettings {
         seed: args.seed,
         episode: args.episode,
@@ -214,11 +214,18 @@ pub fn run(args: &FilmArgs) -> anyhow::Result<()> {
 }
 
 /// Refuses goals of what the policy does not move to goals.
-fn check_goals(args: &FilmArgs, task: TaskName) -> Result<(), ExitError> {
-    let base = ("--base-goal", args.base_goal.is_some() && !task.turns());
-    let hand = ("--hand-goal", !args.hand_goal.is_empty() && !task.reaches());
-    let Some((flag, _)) = [base, hand].into_iter().find(|(_, misplaced)| *misplaced) else {
-        return Ok(());
+fn check_goals(args: &FilmArgs, trained: &Trained) -> Result<(), ExitError> {
+    let (task, aims) = (trained.task(), &trained.world.task.aims);
+    // Of an arm that there is not somebody else speaks.
+    let reaches = |goal: &HandGoal| {
+        task.reaches() && aims.get(goal.arm - 1).is_none_or(|aim| *aim == Aim::Hand)
+    };
+    let base = args.base_goal.is_some() && !task.turns();
+    let hand = args.hand_goal.iter().find(|goal| !reaches(goal));
+    let flag = match (base, hand) {
+        (true, _) => "--base-goal".to_owned(),
+        (false, Some(goal)) => format!("--hand-goal of arm {}", goal.arm),
+        (false, None) => return Ok(()),
     };
     let message = format!("{flag} has no meaning here: the policy learned `{}`", task.as_str());
     Err(ExitError::new(ExitCode::Usage, message))

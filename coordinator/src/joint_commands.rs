@@ -37,8 +37,9 @@ pub(crate) fn read(path: &Path, width: usize) -> Result<Vec<Vec<f64>>, ExitError
         let number = |(column, cell): (usize, &str)| {
             let place = format!("row {row}, column {}", column + 1);
             match cell.parse::<f64>() {
-                Ok(value) if value.is_finite() => Ok(value),
-                Ok(_) => Err(bad(format!("{place}: `{cell}` is not finite"))),
+                // In single precision, too, in which robots are simulated.
+                Ok(value) if (value as f32).is_finite() => Ok(value),
+                Ok(_) => Err(bad(format!("{place}: `{cell}` is not finite, or too large"))),
                 Err(_) => Err(bad(format!(
                     "{place}: `{cell}` is no number{}",
                     if row == 1 { "; the file has no header" } else { "" }
@@ -78,7 +79,10 @@ mod tests {
 
     #[test]
     fn actions_are_refused_with_row_and_column() {
-        assert_eq!(refused("1,2,3\n1,2,nan\n"), "row 2, column 3: `nan` is not finite");
+        let infinite = |cell| format!("row 2, column 3: `{cell}` is not finite, or too large");
+        for cell in ["nan", "inf", "-1e39"] {
+            assert_eq!(refused(&format!("1,2,3\n1,2,{cell}\n")), infinite(cell));
+        }
         assert_eq!(refused("a,b,c\n"), "row 1, column 1: `a` is no number; the file has no header");
         assert!(refused("1,2\n").starts_with("row 1 has 2 numbers, expected 3"));
         assert!(refused("\n\n").starts_with("is empty"));

@@ -86,8 +86,10 @@ pub(crate) fn last_state(path: &Path, robot: &Robot) -> Result<State<f64>, ExitE
     };
     let mut numbers = Vec::with_capacity(wanted.len());
     for (name, cell) in wanted.iter().zip(&record) {
-        let number = cell.parse::<f64>().ok().filter(|number| number.is_finite());
-        let wrong = || bad(format!("line {line}, column {name}: `{cell}` is no finite number"));
+        let number = cell.parse::<f64>().ok().filter(|number| (*number as f32).is_finite());
+        let wrong = || {
+            bad(format!("line {line}, column {name}: `{cell}` is no finite number, or too large"))
+        };
         numbers.push(number.ok_or_else(wrong)?);
     }
     let state = state_of(&numbers, robot.n_joints());
@@ -172,7 +174,7 @@ mod tests {
         assert!(broken("a,b\n1,2\n".to_owned()).contains("expected the 75 columns"));
         let row = lines[1].replacen(lines[1].split(',').nth(4).expect("a cell"), "nan", 1);
         let text = format!("{}\n{row}\n", lines[0]);
-        assert_eq!(broken(text), "line 2, column base_qw: `nan` is no finite number");
+        assert_eq!(broken(text), "line 2, column base_qw: `nan` is no finite number, or too large");
         let row = lines[1].replacen(lines[1].split(',').nth(4).expect("a cell"), "2", 1);
         assert!(broken(format!("{}\n{row}\n", lines[0])).contains("length"));
     }

@@ -49,25 +49,27 @@ pub struct OwnGoals {
     pub file: PathBuf,
     /// An entry an episode.
     pub given: Vec<FixedGoals>,
+    /// Arms of the robot that they are for.
+    n_arms: usize,
 }
 
 impl OwnGoals {
     /// Goals for a robot with so many arms, from a file whose name says what it is.
     pub fn read(path: &Path, n_arms: usize) -> Result<Self, ExitError> {
-        Ok(Self { file: path.to_owned(), given: read(path, n_arms)? })
+        Ok(Self { file: path.to_owned(), given: read(path, n_arms)?, n_arms })
     }
 
     /// Refuses goals none of which one of `tasks` moves to.
     pub fn check(&self, tasks: impl Iterator<Item = TaskName>) -> Result<(), ExitError> {
         let mut wanted = Vec::new();
         for task in tasks {
-            let hands = |goals: &FixedGoals| goals.hands.iter().any(Option::is_some);
-            let base = |goals: &FixedGoals| goals.base.is_some();
-            if self
-                .given
-                .iter()
-                .any(|goals| task.reaches() && hands(goals) || task.turns() && base(goals))
-            {
+            let reaches = |arm| task.reaches() && task.aim(arm, self.n_arms) == Aim::Hand;
+            let is_met = |goals: &FixedGoals| {
+                let mut hands = goals.hands.iter().enumerate();
+                hands.any(|(arm, goal)| goal.is_some() && reaches(arm))
+                    || task.turns() && goals.base.is_some()
+            };
+            if self.given.iter().any(is_met) {
                 return Ok(());
             }
             let what = match (task.reaches(), task.turns()) {
