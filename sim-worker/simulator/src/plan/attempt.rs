@@ -130,7 +130,7 @@ impl Lane {
         self.near = if miss <= 1.0 { self.near.or(Some(number)) } else { None };
         self.settled = if miss <= SETTLED { self.settled + 1 } else { 0 };
         // What is no number has diverged.
-        self.ended = self.settled == SETTLING || miss.is_nan();
+        self.ended = self.settled == SETTLING || miss.is_infinite();
     }
 }
 

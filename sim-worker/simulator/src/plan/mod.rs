@@ -162,7 +162,7 @@ impl Search<'_> {
         let misses: Vec<f64> = rows.iter().map(|row| worst_miss(&row.state)).collect();
         let last = misses.last().copied();
         let miss = last.unwrap_or_else(|| worst_miss(&self.question.start));
-        let outside = misses.iter().rposition(|&miss| miss.is_nan() || miss > 1.0);
+        let outside = misses.iter().rposition(|&miss| miss > 1.0);
         let arrived = (miss <= 1.0).then(|| outside.map_or(0, |last| last + 1));
         Played { commands: commands.to_vec(), miss, touched, arrived }
     }

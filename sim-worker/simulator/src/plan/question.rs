@@ -65,13 +65,14 @@ impl Question {
         self.targets().into_iter().map(miss).collect()
     }
 
-    /// The worst miss in a state, in parts of what is near enough.
+    /// The worst miss in a state, in parts of what is near enough; infinite where a hand is nowhere.
     pub(super) fn worst_miss(&self, robot: &Robot, state: &State<f64>) -> f64 {
         let Tolerance { position, orientation } = self.within;
+        let part = |miss: f64, near: f64| if miss.is_nan() { f64::INFINITY } else { miss / near };
         let misses = self.misses(robot, state).into_iter();
-        let parts = misses.map(|m| (m.position / position).max(m.orientation / orientation));
-        // A NaN is no small miss.
-        parts.fold(0.0, |worst, part| if part <= worst { worst } else { part })
+        let parts =
+            misses.flat_map(|m| [part(m.position, position), part(m.orientation, orientation)]);
+        parts.fold(0.0, f64::max)
     }
 }
 

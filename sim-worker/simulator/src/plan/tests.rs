@@ -121,6 +121,27 @@ fn what_cannot_be_reached_is_told_with_its_reason() {
 }
 
 #[test]
+fn a_hand_that_is_nowhere_misses_by_more_than_any_other() {
+    let robot = robot();
+    let mut question = question(&robot, 0, moved(&robot, 0, [0.0; 6]));
+    question.hands[1] = Some(moved(&robot, 1, [0.1; 6]));
+    let mut state = State::home(&robot);
+    let far = question.worst_miss(&robot, &state);
+    assert!(far.is_finite() && far > 1.0, "{far}");
+    for arm in [0, 1] {
+        state.q = State::home(&robot).q;
+        state.q[robot.arms[0].home.len() * arm] = f64::NAN;
+        assert_eq!(question.worst_miss(&robot, &state), f64::INFINITY, "arm {arm}");
+    }
+    let played = |miss| Played { commands: Vec::new(), miss, touched: 0, arrived: None };
+    let mut best = Best::default();
+    for miss in [f64::INFINITY, 3.0, f64::INFINITY] {
+        best.consider(played(miss), None);
+    }
+    assert_eq!(best.played.map(|(best, _)| best.miss), Some(3.0));
+}
+
+#[test]
 fn a_proposal_that_arrives_is_taken() {
     let robot = robot();
     let question = question(&robot, 3, moved(&robot, 3, [0.3, -0.3, 0.4, 0.2, 0.2, 0.2]));
