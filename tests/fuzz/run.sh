@@ -34,50 +34,66 @@ targets=("$@")
 
 # Files that targets read and write lie in memory: commits wait for the disk otherwise.
 scratch=$(mktemp -d "$([ -w /dev/shm ] && echo /dev/shm || echo /tmp)/spaceoctopus-fuzz-XXXXXX")
-running=
 finish() {
-    [ -z "$running" ] || kill "$running" 2>/dev/null || true
+    # Of those that run the fuzzed program, which ends with its shell's signal.
+    jobs -p | xargs -r kill 2>/dev/null || true
+    wait
     rm -rf "$scratch"
 }
 trap finish EXIT
 trap 'exit 130' INT TERM
-export TMPDIR=$scratch
 
-failed=()
-for target in "${targets[@]}"; do
-    corpus=$base/fuzz/corpus/$target
-    artifacts=$base/fuzz/artifacts/$target
-    log=$base/fuzz/$target.log
-    mkdir -p "$corpus" "$artifacts"
-    kept=()
+# Runs one target; says what came of it in one piece, as others run beside it.
+run() {
+    local target=$1 corpus=$base/fuzz/corpus/$1 artifacts=$base/fuzz/artifacts/$1 log=$base/fuzz/$1.log
+    local kept=() running= status=0 longest length first last reached artifact
+    mkdir -p "$corpus" "$artifacts" "$scratch/$target"
+    # Until it has ended well: this shell may end before.
+    touch "$scratch/$target.failed"
+    export TMPDIR=$scratch/$target
     [ ! -d "$here/corpus/$target" ] || kept=("$here/corpus/$target")
     "$programs/$target" --seeds "$corpus"
-    printf '==> %s: %d s\n' "$target" "$seconds"
     # Longest inputs: the longest seed four times over, at least 4 KiB.
     longest=$(find "$corpus" -name 'seed-*' -printf '%s\n' | sort -n | tail -1)
     length=$((longest * 4 > 4096 ? longest * 4 : 4096))
+    trap '[ -z "$running" ] || kill "$running" 2>/dev/null; exit 130' INT TERM
     "$programs/$target" -max_total_time="$seconds" -timeout=25 -rss_limit_mb=4096 \
         -max_len=$length -print_final_stats=1 -artifact_prefix="$artifacts/" "$corpus" "${kept[@]}" \
         >"$log" 2>&1 &
     running=$!
-    status=0
     wait "$running" || status=$?
     running=
     # First and last state: `cov:` counts places of the program that were reached.
     first=$(grep -m1 'INITED' "$log" || true)
     last=$(grep -E '^#[0-9]+.*cov:' "$log" | tail -1 || true)
-    printf '    %s\n    %s\n' "$first" "$last"
-    reached=$(sed -nE 's/.*cov: ([0-9]+).*/\1/p' <<<"$last")
-    if [ "$status" -eq 0 ] && [ "${reached:-0}" -lt 100 ]; then
-        echo '    coverage is not seen: the flags of this script no longer instrument the program'
-        status=1
-    fi
-    if [ "$status" -ne 0 ]; then
-        failed+=("$target")
-        grep -vE '^#[0-9]+' "$log" | tail -30
-        artifact=$(find "$artifacts" -type f -newer "$scratch" -printf '%T@ %p\n' | sort -n | tail -1 | cut -d' ' -f2-)
-        printf '==> %s: FAILED; again with\n    %s %s\n' "$target" "$programs/$target" "${artifact:-}"
-    fi
+    {
+        printf '==> %s: %d s\n' "$target" "$seconds"
+        printf '    %s\n    %s\n' "$first" "$last"
+        reached=$(sed -nE 's/.*cov: ([0-9]+).*/\1/p' <<<"$last")
+        if [ "$status" -eq 0 ] && [ "${reached:-0}" -lt 100 ]; then
+            echo '    coverage is not seen: the flags of this script no longer instrument the program'
+            status=1
+        fi
+        if [ "$status" -ne 0 ]; then
+            grep -vE '^#[0-9]+' "$log" | tail -30 || true
+            artifact=$(find "$artifacts" -type f -newer "$scratch/$target" -printf '%T@ %p\n' | sort -n | tail -1 | cut -d' ' -f2-)
+            printf '==> %s: FAILED; again with\n    %s %s\n' "$target" "$programs/$target" "${artifact:-}"
+        fi
+    } >"$scratch/$target.said"
+    cat "$scratch/$target.said"
+    [ "$status" -ne 0 ] || rm "$scratch/$target.failed"
+}
+
+# One a core.
+cores=$(nproc)
+for target in "${targets[@]}"; do
+    while [ "$(jobs -rp | wc -l)" -ge "$cores" ]; do wait -n || true; done
+    run "$target" &
+done
+wait
+failed=()
+for target in "${targets[@]}"; do
+    [ ! -e "$scratch/$target.failed" ] || failed+=("$target")
 done
 if [ ${#failed[@]} -gt 0 ]; then
     # Once more at the end, where logs that are cut off are read.

@@ -1,4 +1,4 @@
-//! The page, in a real browser. Skipped, with a word, where there is no Chromium or the page is not built.
+//! The page, in a real browser. Skipped, with a word, where there is no Chromium or the page is not built; a failure if all is to be tried.
 
 use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt as _;
@@ -16,13 +16,14 @@ fn chromium() -> Option<PathBuf> {
     let found = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
     let chosen = std::env::var_os("CHROMIUM").map(PathBuf::from);
     let chromium = chosen.or_else(|| found.iter().map(PathBuf::from).find(|path| path.is_file()));
-    if chromium.is_none() {
-        eprintln!("skipped: no Chromium here; install it, or name one in CHROMIUM");
-    } else if !service::page::is_built() {
-        eprintln!("skipped: {}", service::page::MISSING);
-        return None;
-    }
-    chromium
+    let missing = match &chromium {
+        None => "no Chromium here; install it, or name one in CHROMIUM",
+        Some(_) if !service::page::is_built() => service::page::MISSING,
+        Some(_) => return chromium,
+    };
+    assert!(!in_full(), "{missing}");
+    eprintln!("skipped: {missing}");
+    None
 }
 
 /// Whether all is tried, and not only what takes less than a minute.
