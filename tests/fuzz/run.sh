@@ -99,7 +99,7 @@ if [ ${#failed[@]} -gt 0 ]; then
     # Once more at the end, where logs that are cut off are read.
     for target in "${failed[@]}"; do
         printf '==> %s said\n' "$target"
-        grep -aE 'panicked|ERROR:|^assertion|SUMMARY|Base64' -A2 "$base/fuzz/$target.log" | cut -c1-300 | tail -12
+        grep -aE 'panicked|ERROR:|^assertion|SUMMARY|Base64' -A2 "$base/fuzz/$target.log" | cut -c1-300 | tail -12 || true
     done
     printf '==> failed: %s\n' "${failed[*]}"
     exit 1
