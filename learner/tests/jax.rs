@@ -173,6 +173,8 @@ fn compare(script: &str, config: &Config, before: &[u8], after: &TrainingState, 
         .arg(repository().join("tests/crosscheck").join(script))
         .arg(directory.path())
         .env("JAX_PLATFORMS", "cpu")
+        // Every operation is run a few times alone: compiling it takes longest.
+        .env("XLA_FLAGS", "--xla_backend_optimization_level=0")
         .output()
         .unwrap_or_else(|error| {
             panic!("{}: {error}; `make test` sets up the tests' Python", python.display())
