@@ -247,9 +247,8 @@ const DEPENDENCIES: [Dependency; 16] = [
     ("task.posture.seen", |c| c.task.posture.seen.to_string()),
     // What is done beside it, or none of it.
     ("task.posture.gain", |c| c.task.posture.gain.to_string()),
-    ("task.posture.trust", |c| match c.task.posture.seen {
-        true => c.task.posture.trust.to_string(),
-        false => "unused".to_owned(),
+    ("task.posture.trust", |c| {
+        if c.task.posture.seen { c.task.posture.trust.to_string() } else { "unused".to_owned() }
     }),
     ("task.action_scale", |c| c.task.action_scale.to_string()),
     ("env.control_period", |c| c.env.control_period.to_string()),
