@@ -45,9 +45,7 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         return Err(passed_over.into_iter().next().unwrap_or_else(|| nothing(bucket)));
     };
 
-    let scratch = files::temporary(path);
-    // One of a killed process whose number is this one's now, as in containers.
-    let _ = fs::remove_dir_all(&scratch);
+    let scratch = files::temporary_directory(path);
     let made = (|| {
         let run = RunDir::new(&scratch);
         let root = run.checkpoints();

@@ -58,9 +58,7 @@ pub fn create_directory(path: &Path, files: &[(&str, &[u8])]) -> Result<(), Exit
         ExitError::new(ExitCode::RunDirectory, message)
     };
     let failed = |error: std::io::Error| failure(ExitCode::Failure, path, &error);
-    let temporary = temporary(path);
-    // One of a killed process whose number is this one's now, as in containers.
-    let _ = std::fs::remove_dir_all(&temporary);
+    let temporary = temporary_directory(path);
     std::fs::create_dir(&temporary).map_err(failed)?;
     let written = (|| {
         for (name, content) in files {
@@ -90,6 +88,15 @@ pub fn temporary(path: &Path) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     sweep_where(parent(path), |begun| begun == name);
     path.with_file_name(format!(".{name}.{}.tmp", std::process::id()))
+}
+
+/// Like [`temporary`], of a directory that is to be made. Nothing is there: in containers numbers of processes come again, and with them what one
+/// that was killed had begun.
+pub fn temporary_directory(path: &Path) -> PathBuf {
+    let temporary = temporary(path);
+    // Mostly there is nothing; what cannot be removed is met by whoever makes the directory.
+    let _ = std::fs::remove_dir_all(&temporary);
+    temporary
 }
 
 /// Removes what killed processes of this user had begun to write in `directory` and below.

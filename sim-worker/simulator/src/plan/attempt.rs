@@ -129,7 +129,7 @@ impl Lane {
         self.played.touched += usize::from(touches);
         self.near = if miss <= 1.0 { self.near.or(Some(number)) } else { None };
         self.settled = if miss <= SETTLED { self.settled + 1 } else { 0 };
-        // What is no number has diverged.
+        // A hand that is nowhere: it has diverged.
         self.ended = self.settled == SETTLING || miss.is_infinite();
     }
 }
