@@ -35,7 +35,7 @@ targets=("$@")
 # Files that targets read and write lie in memory: commits wait for the disk otherwise.
 scratch=$(mktemp -d "$([ -w /dev/shm ] && echo /dev/shm || echo /tmp)/spaceoctopus-fuzz-XXXXXX")
 finish() {
-    # Of those that run the fuzzed program, which ends with its shell's signal.
+    # Shells of targets that still run; each ends its program.
     jobs -p | xargs -r kill 2>/dev/null || true
     wait
     rm -rf "$scratch"
