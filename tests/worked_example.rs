@@ -125,7 +125,6 @@ impl Example {
         }
         let mut errors = Errors::of(&world.task, &robot);
         errors.update(&found, &goals);
-        let guidance = errors.guidance(&world.task);
 
         let mut observations = Vec::new();
         let mut actions = Vec::new();
@@ -138,9 +137,7 @@ impl Example {
             actions.extend(mean);
             observations.push(seen);
         }
-        for ((action, guidance), limit) in actions.iter_mut().zip(guidance).zip(limits) {
-            *action = (*action + guidance).clamp(-limit, *limit);
-        }
+        let actions = errors.acted(&world.task, &actions);
         let pose = |p: [f64; 6]| Pose { position: [p[0], p[1], p[2]], euler: [p[3], p[4], p[5]] };
         Ok(Self {
             policy: POLICY.to_owned(),

@@ -112,15 +112,18 @@ class Actor:
 
         These, not the commands, are the last action that the next observations hold.
         """
-        means = np.moveaxis(self.means(observations), 0, -2)[..., self.agent_moves]
-        means = means + self.guidance(observations)
-        return np.clip(means, -self.limits, self.limits)
+        return self.acted(observations, np.moveaxis(self.means(observations), 0, -2)[..., self.agent_moves])
 
-    def guidance(self, observations):
-        """What is added to what the networks say, (..., J): actions that go to the goal postures, which observations tell."""
-        gain = self.config["task"].get("posture", {"gain": 0.0})["gain"]
-        if gain == 0.0:
-            return 0.0
+    def acted(self, observations, said):
+        """What joints do where agents say so much, joint after joint: goal postures are gone to beside, then all is clipped."""
+        posture = self.config["task"].get("posture", {"gain": 0.0})
+        if posture["gain"] > 0.0:
+            share, there = self.guidance(observations, posture["gain"], posture.get("fade", 0.0))
+            said = share * said + there
+        return np.clip(said, -self.limits, self.limits)
+
+    def guidance(self, observations, gain, fade):
+        """Where there are goal postures, which observations tell: the share of what the networks say, and the actions that go there, (..., J) each."""
         # Of the shoulders' observations: whether the posture is free of stops, and what is left to it (rad).
         room = self.arm_has.shape[1]
         seen = np.moveaxis(self.check(observations)[::2], 0, -2)[..., -3 * room - 2 : -2 * room]
@@ -129,7 +132,11 @@ class Actor:
         limits = np.full(self.arm_has.shape, np.inf)
         limits[self.arm_has] = self.limits
         there = there / np.maximum((np.abs(there) / limits).max(-1, keepdims=True), 1.0)
-        return there[..., self.arm_has]
+        share = np.ones_like(there)
+        if fade > 0.0:
+            # Near the posture what the networks say counts less.
+            share *= np.minimum(np.abs(left).max(-1, keepdims=True) / fade, 1.0)
+        return share[..., self.arm_has], there[..., self.arm_has]
 
     def commands(self, observations):
         """Joint velocities (rad/s), joint after joint, to hold for a control period: (..., 3 A)."""

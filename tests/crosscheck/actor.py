@@ -31,13 +31,16 @@ commands = actor.commands(observation[:, 0, 0])
 limits = actor.limits * actor.scale
 assert commands.shape == limits.shape and np.isfinite(commands).all(), commands
 assert (np.abs(commands) <= limits * (1 + 1e-12)).all(), commands
-if actor.config["task"].get("posture", {"gain": 0.0})["gain"] > 0.0:
+posture = actor.config["task"].get("posture", {"gain": 0.0})
+if posture["gain"] > 0.0:
     # What the next observations call the last action is the sum, clipped: shoulder and wrist of an arm see all six.
     drawn = np.moveaxis(action[:, :-1], 0, -2).reshape(*action[:, :-1].shape[1:3], -1)
     told = np.moveaxis(block["observation"][::2, 1:-1, :, -6:], 0, -2).reshape(drawn.shape)
-    summed = np.clip(drawn + actor.guidance(observation[:, :-1]), -actor.limits, actor.limits)
+    summed = actor.acted(observation[:, :-1], drawn)
     assert np.abs(told - summed).max() < 1e-4, np.abs(told - summed).max()
-    assert np.abs(actor.guidance(observation)).mean() > 0.05, "nothing is added"
+    share, there = actor.guidance(observation, posture["gain"], posture["fade"])
+    assert np.abs(there).mean() > 0.05, "nothing is added"
+    assert (share.min() < 0.5) == (posture["fade"] > 0.0), "what agents say counts as much everywhere"
 # Many robots at once are commanded as each alone.
 together = actor.commands(observation[:, 0])
 assert together.shape == (observation.shape[2], len(limits)), together.shape

@@ -424,11 +424,15 @@ fn policies_that_act_beside_goal_postures_do_outside_what_they_do_here() {
             Robot::builtin("release").expect("built in"),
             &["task.joint_angles=unwound", "task.posture.trust=0.3"],
         ),
-        (reach, robot("two-arm.toml", str::to_owned), &["task.posture.gain=0.4"]),
+        (
+            reach,
+            robot("two-arm.toml", str::to_owned),
+            &["task.posture.gain=0.4", "task.posture.fade=0.3"],
+        ),
         (reach, robot("two-arm.toml", skewed), &["task.posture.gain=0", "task.posture.trust=0.1"]),
         (catch, paper, &[]),
         (reach, seven.clone(), &[]),
-        (catch, seven, &["task.posture.trust=0.3"]),
+        (catch, seven, &["task.posture.trust=0.3", "task.posture.fade=0.2"]),
         (reach, five_and_seven, &["task.joint_angles=unwound"]),
         (reach, five, &[]),
     ];

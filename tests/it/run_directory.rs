@@ -207,6 +207,7 @@ fn a_policy_acts_the_same_in_numpy() {
         (&[f32, "--preset=paper", tanh, "--algorithm=ppo"], 1e-5),
         (&[f32, "--preset=release", plain], 1e-5),
         (&[&[f32], tests::WITH_POSTURES].concat(), 1e-5),
+        (&[&[f32, "--set=task.posture.fade=0.5"], tests::WITH_POSTURES].concat(), 1e-5),
         (&[&[f32, "--algorithm=maddpg"], &calm[..]].concat(), 1e-5),
         (&[&[f32, "--preset=release", "--algorithm=maddpg"], &calm[..]].concat(), 1e-5),
     ] {

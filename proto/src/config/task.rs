@@ -138,11 +138,22 @@ pub struct Posture {
     /// Weight of a newly read pose of the base in the exponential moving average that postures follow; with 1 they follow what is read.
     #[serde(default = "everything")]
     pub trust: f64,
+    /// Where less than this is left to every joint (rad), what an agent does counts less, in proportion to what is left to the farthest one: at the goal posture
+    /// nothing. With 0, or where `gain` is 0, all of it counts everywhere.
+    #[serde(default)]
+    pub fade: f64,
+}
+
+impl Posture {
+    /// Where less than this is left to every joint (rad), what an agent does counts less, if it ever does.
+    pub fn fades(&self) -> Option<f64> {
+        (self.gain > 0.0 && self.fade > 0.0).then_some(self.fade)
+    }
 }
 
 impl Default for Posture {
     fn default() -> Self {
-        Self { seen: false, gain: 0.0, trust: everything() }
+        Self { seen: false, gain: 0.0, trust: everything(), fade: 0.0 }
     }
 }
 

@@ -33,6 +33,7 @@ impl Config {
         within("task.start.turning", task.start.turning, 0.0, 1.0)?;
         within("task.posture.gain", task.posture.gain, 0.0, 1.0)?;
         within("task.posture.trust", task.posture.trust, 1e-3, 1.0)?;
+        within("task.posture.fade", task.posture.fade, 0.0, 10.0)?;
         let arm = task.observation == Observation::Arm;
         if (task.name.moves() || task.name.reaches() && task.name.turns()) && !arm {
             return Err(ConfigError::Invalid {

@@ -819,7 +819,7 @@ static octopus_status act(const octopus_state *state, const octopus_goals *goals
     /* An agent has as many actions as any other; those beyond its joints move nothing. */
     float means[OCTOPUS_AGENTS * OCTOPUS_AGENT_ACTIONS], actions[OCTOPUS_JOINTS];
 #if OCTOPUS_POSTURES
-    float guidance[OCTOPUS_JOINTS];
+    float guidance[OCTOPUS_JOINTS], of_agents;
     int arm;
 #endif
     octopus_status status = observe(state, goals, memory, observations);
@@ -836,8 +836,11 @@ static octopus_status act(const octopus_state *state, const octopus_goals *goals
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {
         joint = ARM_JOINTS[arm].first;
         rates(arm, &memory->postures[arm], OCTOPUS_GUIDANCE, &ACTION_LIMITS[joint], &guidance[joint]);
+        of_agents = share(arm, &memory->postures[arm]);
+        for (; joint < ARM_JOINTS[arm].first + ARM_JOINTS[arm].n; joint++) {
+            actions[joint] = fma_(of_agents, actions[joint], guidance[joint]);
+        }
     }
-    for (joint = 0; joint < OCTOPUS_JOINTS; joint++) actions[joint] += guidance[joint];
 #endif
     for (joint = 0; joint < OCTOPUS_JOINTS; joint++) {
         if (!(absolute(actions[joint]) <= FLT_MAX)) return OCTOPUS_NO_NUMBER;

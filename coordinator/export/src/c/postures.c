@@ -362,6 +362,16 @@ static void rates(int arm, const octopus_posture *posture, float factor, const f
     for (j = 0; j < ARM_JOINTS[arm].n; j++) out[j] = out[j] / excess;
 }
 
+/* Share of what an agent says: less near the goal posture. */
+static float share(int arm, const octopus_posture *posture)
+{
+    float farthest = 0.0f;
+    int j;
+    if (OCTOPUS_FADE == 0.0f) return 1.0f;
+    for (j = 0; j < ARM_JOINTS[arm].n; j++) farthest = maximum(farthest, absolute(posture->left[j]));
+    return minimum(farthest / OCTOPUS_FADE, 1.0f);
+}
+
 /* -- how the base gives way to arms that move -- */
 
 /* A vector before a link's twist about x, from behind it. */

@@ -33,6 +33,8 @@ fn tables(source: &Source<'_>) -> String {
     define(&mut out, "PACE", &factor(pace / period, "a rate"));
     define(&mut out, "GUIDANCE", &factor(gain / (period * task.action_scale), "an action"));
     define(&mut out, "TRUST", &float(task.posture.trust as f32));
+    let fade = format!("{} /* rad */", float(task.posture.fades().unwrap_or(0.0) as f32));
+    define(&mut out, "FADE", &fade);
     let limits = task.action_limit.iter().map(|limit| float((limit * task.action_scale) as f32));
     table(&mut out, "float PACE_LIMITS[OCTOPUS_JOINTS]", limits);
     arms(&mut out, &source.world.robot);

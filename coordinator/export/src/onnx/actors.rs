@@ -61,6 +61,10 @@ pub(super) fn actions(
     let joints = source.world.robot.n_joints();
     let mut means = joints::of_actions(g, &source.world.robot.joints, &by_robot);
     if let Some(postures) = postures {
+        if let Some(fade) = source.world.task.posture.fades() {
+            let share = postures::share(g, source, postures, fade);
+            means = g.op("Mul", &[&means, &share]);
+        }
         let guidance = postures::guidance(g, source, postures);
         means = g.op("Add", &[&means, &guidance]);
     }

@@ -35,6 +35,28 @@ pub(super) fn told(g: &mut Graph, source: &Source<'_>, observations: &Value) -> 
     g.gather(&of_arms, -1, &at)
 }
 
+/// Share of what agents say, `[batch, J]`: less near the goal postures.
+pub(super) fn share(g: &mut Graph, source: &Source<'_>, postures: &Value, fade: f64) -> Value {
+    let left = left(g, source, postures);
+    let farthest = largest(g, &left);
+    let fade = g.float(fade);
+    let share = g.op("Div", &[&farthest, &fade]);
+    let one = g.float(1.0);
+    let share = g.op("Min", &[&share, &one]);
+    // One number for all joints of an arm.
+    let (arms, longest) = (source.world.task.n_arms(), source.longest_arm());
+    let ones = g.floats(&[1, arms, longest], &vec![1.0; arms * longest]);
+    let of_arms = g.op("Mul", &[&share, &ones]);
+    joints::of_joints(g, &source.world.robot.joints, &of_arms)
+}
+
+/// The largest magnitude of each arm, `[batch, arms, 1]`.
+fn largest(g: &mut Graph, of_arms: &Value) -> Value {
+    let absolute = g.op("Abs", &[of_arms]);
+    let last = g.ints(&[-1]);
+    g.with("ReduceMax", &[&absolute, &last], vec![Attribute::Int("keepdims", 1)])
+}
+
 /// Actions `[batch, J]` that go there by themselves: all joints of an arm in proportion, within their limits.
 pub(super) fn guidance(g: &mut Graph, source: &Source<'_>, postures: &Value) -> Value {
     let task = &source.world.task;
@@ -47,10 +69,8 @@ pub(super) fn guidance(g: &mut Graph, source: &Source<'_>, postures: &Value) -> 
     // Nothing is left of joints that a shorter arm has not: any limit will do.
     let limits = source.by_arm(&task.action_limit, 1.0);
     let limits = g.floats(&[1, task.n_arms(), longest], &limits);
-    let absolute = g.op("Abs", &[&there]);
-    let shares = g.op("Div", &[&absolute, &limits]);
-    let last = g.ints(&[-1]);
-    let largest = g.with("ReduceMax", &[&shares, &last], vec![Attribute::Int("keepdims", 1)]);
+    let shares = g.op("Div", &[&there, &limits]);
+    let largest = largest(g, &shares);
     let one = g.float(1.0);
     let excess = g.op("Max", &[&largest, &one]);
     let within = g.op("Div", &[&there, &excess]);

@@ -228,7 +228,7 @@ type Dependency = (&'static str, fn(&Config) -> String);
 
 /// Everything of a configuration that the meaning of a policy's numbers depends on, besides the
 /// task: what it sees, what its actions do, and how its network computes.
-const DEPENDENCIES: [Dependency; 16] = [
+const DEPENDENCIES: [Dependency; 17] = [
     // What an actor sees and moves, and what becomes of its output.
     ("the kind of actor", |c| c.algorithm.name.actor().to_owned()),
     ("algorithm.maddpg.action_limit", |c| {
@@ -247,6 +247,7 @@ const DEPENDENCIES: [Dependency; 16] = [
     ("task.posture.seen", |c| c.task.posture.seen.to_string()),
     // What is done beside it, or none of it.
     ("task.posture.gain", |c| c.task.posture.gain.to_string()),
+    ("task.posture.fade", |c| c.task.posture.fades().unwrap_or(0.0).to_string()),
     ("task.posture.trust", |c| {
         if c.task.posture.seen { c.task.posture.trust.to_string() } else { "unused".to_owned() }
     }),

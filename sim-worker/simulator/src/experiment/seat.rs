@@ -8,6 +8,7 @@ use super::{Driver, Player};
 use crate::controller::{JacobianController, Memory};
 use crate::env::EpisodeError;
 use crate::policy::Scratch;
+use crate::posture::Guidance;
 use crate::rollout::World;
 use crate::scalar::Real;
 use crate::state::State;
@@ -30,8 +31,8 @@ pub(super) enum Seat<S: Real> {
         observations: Vec<S>,
         /// Shape: `[group][agent of the actor][U]`.
         means: Vec<S>,
-        /// What is added to actions, where the task guides; shape: `[group][joint]`.
-        guidance: Vec<S>,
+        /// One a group.
+        guidance: Vec<Guidance<S>>,
         inference: Scratch<S>,
     },
     /// Of a controller.
@@ -51,7 +52,7 @@ impl<S: Real> Seat<S> {
             Driver::Policy(policy) => Self::Policy {
                 observations: zeros(dimensions.n_actors * n_groups * dimensions.actor_input()),
                 means: zeros(n_groups * dimensions.actor_output()),
-                guidance: zeros(n_groups * dimensions.joints.n_joints()),
+                guidance: vec![Guidance::none(dimensions.joints.n_joints()); n_groups],
                 inference: Scratch::new(policy, n_groups),
             },
             Driver::Jacobian(_) => Self::Jacobian {
@@ -75,8 +76,7 @@ impl<S: Real> Seat<S> {
         match (self, player.driver) {
             (Self::Policy { observations, guidance, .. }, _) => {
                 if let Some(postures) = &seen.errors.postures {
-                    let out = &mut guidance[index * limits.len()..(index + 1) * limits.len()];
-                    postures.guide(task.posture.gain, player.action_scale, limits, out);
+                    guidance[index].look(postures, task, player.action_scale, limits);
                 }
                 let (o, agents_per_actor) = (dimensions.observation, dimensions.agents_per_actor());
                 for actor in actors(arms, number, dimensions) {
@@ -130,10 +130,9 @@ impl<S: Real> Seat<S> {
                         for (index, group) in groups.iter_mut().enumerate() {
                             let joints = dimensions.joints.of_agent(agent);
                             let means = &means[index * output + part * dimensions.n_actions..];
-                            let guidance = &guidance[index * limits.len() + joints.start..];
                             let mut wanted = [S::zero(); MAX_JOINTS_PER_AGENT];
                             for u in 0..joints.len() {
-                                wanted[u] = means[u] + guidance[u];
+                                wanted[u] = guidance[index].act(joints.start + u, means[u]);
                             }
                             let wanted = &wanted[..joints.len()];
                             group.act(agent, joints, wanted, limits, (env(index), step))?;

@@ -9,12 +9,14 @@ mod arm;
 mod chain;
 mod follow;
 mod foresight;
+mod guidance;
 mod kinematic_rollout;
 mod search;
 
 use std::sync::Arc;
 
 pub(crate) use self::arm::{Pace, Posture};
+pub(crate) use self::guidance::Guidance;
 use self::arm::{Place, equal};
 use self::chain::Chain;
 use self::follow::follow;
@@ -162,16 +164,6 @@ impl<S: Real> Postures<S> {
         goals: &[[S; 6]],
     ) {
         S::compiled(Update { postures: self, base: (position, quaternion), q, goals });
-    }
-
-    /// Writes the actions that go there by themselves, one a joint, within `limits`; `scale` is the factor from an action to a rate.
-    #[inline(always)]
-    pub(crate) fn guide(&self, gain: f64, scale: f64, limits: &[S], out: &mut [S]) {
-        let factor = gain / (self.pace.period * scale);
-        for (index, arm) in self.arms.iter().enumerate() {
-            let joints = self.model.joints.of_arm(index);
-            arm.rates(factor, &limits[joints.clone()], &mut out[joints]);
-        }
     }
 }
 

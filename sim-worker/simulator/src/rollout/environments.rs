@@ -121,7 +121,7 @@ impl<S: Real> Environments<S> {
             observe(task, told, goals, told_errors, agent, to);
         }
         if let Some(postures) = &told_errors.postures {
-            postures.guide(task.posture.gain, task.action_scale, limits, guidance);
+            guidance.look(postures, task, task.action_scale, limits);
         }
         critic_state(task, readings, errors, &seen.observations, &mut seen.critic);
         std::mem::swap(&mut group.action, &mut group.last_action);
@@ -133,7 +133,8 @@ impl<S: Real> Environments<S> {
         let Self { groups, joints, limits, scale, .. } = self;
         let group = &mut groups[index];
         for (joint, action) in joints.of_agent(agent).zip(actions) {
-            let clipped = (*action + group.guidance[joint]).clamp(-limits[joint], limits[joint]);
+            let acted = group.guidance.act(joint, *action);
+            let clipped = acted.clamp(-limits[joint], limits[joint]);
             group.action[joint] = clipped;
             group.command[joint] = clipped * *scale;
         }

@@ -5,6 +5,7 @@ use super::extremes::Extremes;
 use super::randomization::Randomized;
 use super::start::scatter;
 use crate::env::Physics;
+use crate::posture::Guidance;
 use crate::robot::Robot;
 use crate::scalar::{Kernel, Real};
 use crate::state::State;
@@ -21,8 +22,7 @@ pub(crate) struct LaneGroup<S: Real> {
     pub(crate) action: Vec<S>,
     pub(crate) last_action: Vec<S>,
     pub(crate) command: Vec<S>,
-    /// What is added to actions, one a joint.
-    pub(crate) guidance: Vec<S>,
+    pub(crate) guidance: Guidance<S>,
     pub(crate) extremes: Extremes<S>,
     /// What errs, if anything does.
     pub(crate) randomized: Option<Randomized<S>>,
@@ -86,7 +86,7 @@ impl<S: Real> Kernel<S> for Begin<'_, S> {
             goals: drawn,
             errors,
             action: joints.clone(),
-            guidance: joints.clone(),
+            guidance: Guidance::none(robot.n_joints()),
             last_action: joints.clone(),
             command: joints,
             extremes: Extremes::new(robot.n_arms),

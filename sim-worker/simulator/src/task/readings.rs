@@ -1,7 +1,7 @@
 //! What tasks read from a simulated robot, and the errors that follow.
 
 use super::{Goals, Task};
-use crate::posture::{Pace, Posture, Postures};
+use crate::posture::{Guidance, Pace, Posture, Postures};
 use crate::robot::Joints;
 use crate::robot::Robot;
 use crate::scalar::{Kernel, Real};
@@ -143,19 +143,22 @@ impl<S: Real> Errors<S> {
         self.postures.as_ref().map(|postures| postures.arms.iter().map(of_arm).collect())
     }
 
-    /// What `task` adds to the actions of agents, one a joint: the way to the goal postures. Zeros where it adds nothing.
-    pub fn guidance(&self, task: &Task) -> Vec<S> {
+    /// The clipped actions, one a joint, where agents of `task` say so much: it adds the way to the goal postures, if it has any.
+    pub fn acted(&self, task: &Task, said: &[S]) -> Vec<S> {
         let limits: Vec<S> = task.action_limit.iter().map(|limit| S::splat(*limit)).collect();
-        let mut added = vec![S::zero(); limits.len()];
+        let mut guidance = Guidance::none(limits.len());
         if let Some(postures) = &self.postures {
-            postures.guide(task.posture.gain, task.action_scale, &limits, &mut added);
+            guidance.look(postures, task, task.action_scale, &limits);
         }
-        added
+        let clipped = |(joint, said): (usize, &S)| {
+            guidance.act(joint, *said).clamp(-limits[joint], limits[joint])
+        };
+        said.iter().enumerate().map(clipped).collect()
     }
 
     /// Has the goal postures that `task` tells be known, instead of others; says whether it tells any.
     pub(crate) fn tell(&mut self, task: &Task, robot: &Robot) -> bool {
-        let proto::config::Posture { seen, gain, trust } = task.posture;
+        let proto::config::Posture { seen, gain, trust, .. } = task.posture;
         let tells = seen || gain > 0.0;
         if tells {
             let limit = |limit: &f64| S::splat(limit * task.action_scale);

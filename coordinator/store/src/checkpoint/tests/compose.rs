@@ -121,9 +121,18 @@ fn what_does_not_go_together_is_refused_with_both_sides() {
     }
     let seen = "task.posture.seen=true";
     let guided = trained(&dir, "e", &[seen], 0.0);
-    for (index, key) in ["task.posture.gain", "task.posture.trust"].into_iter().enumerate() {
-        let other = trained(&dir, &format!("f{index}"), &[seen, &format!("{key}=0.3")], 0.0);
-        let message = refused(&[part(&[0, 1, 2], &guided), part(&[3], &other)]);
+    let gain = "task.posture.gain=0.3";
+    let guided_by_itself = trained(&dir, "g", &[seen, gain], 0.0);
+    for (index, (first, key, set)) in [
+        (&guided, "task.posture.gain", &[seen, gain][..]),
+        (&guided, "task.posture.trust", &[seen, "task.posture.trust=0.3"]),
+        (&guided_by_itself, "task.posture.fade", &[seen, gain, "task.posture.fade=0.3"]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let other = trained(&dir, &format!("f{index}"), set, 0.0);
+        let message = refused(&[part(&[0, 1, 2], first), part(&[3], &other)]);
         assert!(message.contains(key) && message.contains("must be equal"), "{message}");
     }
     let b = trained(&dir, "c", &["task.name=\"reorientation\""], 0.0);
