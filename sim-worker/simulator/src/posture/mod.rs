@@ -16,11 +16,11 @@ mod search;
 use std::sync::Arc;
 
 pub(crate) use self::arm::{Pace, Posture};
-pub(crate) use self::guidance::Guidance;
 use self::arm::{Place, equal};
 use self::chain::Chain;
 use self::follow::follow;
 use self::foresight::Foresight;
+pub(crate) use self::guidance::Guidance;
 use crate::model::Model;
 use crate::robot::{MAX_ARMS, Robot};
 use crate::scalar::{Kernel, Mask, Real};
