@@ -187,8 +187,11 @@ static void least_squares(const float jacobian[][6], int n, float damping, const
     }
 }
 
+/* What remains of the damping at the goal. */
+#define LEAST_DAMPING F(1e-6)
+
 /* How far the hand is from `target` at `q` (m and rad, together); and angles that bring it nearer, if asked for. */
-static float approach(int arm, const frame_type *target, const float *q, float *next)
+static float approach_damped(int arm, const frame_type *target, const float *q, float *next, float damping)
 {
     const int n = ARM_JOINTS[arm].n;
     frame_type hand;
@@ -200,12 +203,17 @@ static float approach(int arm, const frame_type *target, const float *q, float *
     rotation_difference(&target->rotation, &hand.rotation, error + 3);
     square = dot(error, error) + dot(error + 3, error + 3);
     if (next) {
-        least_squares((const float (*)[6])jacobian, n, fma_(square, F(1e-2), F(1e-6)), error, step);
+        least_squares((const float (*)[6])jacobian, n, fma_(square, F(1e-2), damping), error, step);
         for (j = 0; j < n; j++) longest = maximum(longest, absolute(step[j]));
         shorten = minimum(0.5f / longest, 1.0f);
         for (j = 0; j < n; j++) next[j] = fma_(shorten, step[j], q[j]);
     }
     return sqrtf(square);
+}
+
+static float approach(int arm, const frame_type *target, const float *q, float *next)
+{
+    return approach_damped(arm, target, q, next, LEAST_DAMPING);
 }
 
 static float nearest_turn(float angle) { return fnma(rintf(angle * F(1.0 / (2.0 * PI))), F(2.0 * PI), angle); }
@@ -312,6 +320,14 @@ static void seen_from(const place_type *place, const float goal[6], frame_type *
     mat_vec(&to_base, away, target->position);
 }
 
+/* Where the base is averaged, goals tremble: near singular poses angles would jump with them, and a goal that seems out of reach
+ * for a moment would have another way looked for. */
+#define FOLLOWING_DAMPING (OCTOPUS_TRUST < 1.0f ? F(1e-2) : LEAST_DAMPING)
+#define TOO_FAR (OCTOPUS_TRUST < 1.0f ? F(40.02) : UNSOLVED)
+
+/* Whether angles of this cost do not bring the hand to its goal, but near enough. */
+static int is_near(float cost) { return cost >= UNSOLVED && cost < TOO_FAR; }
+
 /* Has a posture follow the base, unless that `rests`; says what is left to go. */
 static void follow(int arm, octopus_posture *posture, const float goal[6], const place_type *place, int rests)
 {
@@ -323,8 +339,8 @@ static void follow(int arm, octopus_posture *posture, const float goal[6], const
         float before[OCTOPUS_ARM_JOINTS], next[OCTOPUS_ARM_JOINTS], cost;
         seen_from(place, goal, &target);
         copy_angles(arm, angles, before);
-        approach(arm, &target, angles, next);
-        approach(arm, &target, next, angles);
+        approach_damped(arm, &target, angles, next, FOLLOWING_DAMPING);
+        approach_damped(arm, &target, next, angles, FOLLOWING_DAMPING);
         cost = cost_of(arm, &target, stands, angles);
         if (cost >= UNSOLVED) {
             /* Angles that only come near would wander with the base. */
@@ -334,7 +350,7 @@ static void follow(int arm, octopus_posture *posture, const float goal[6], const
                 cost = cost_before;
             }
         }
-        if (cost >= STOPPED) {
+        if (cost >= STOPPED && !is_near(cost)) {
             float other_cost;
             posture->tried = posture->tried + 1.0f;
             later(arm, &target, posture->tried, next);
@@ -344,7 +360,7 @@ static void follow(int arm, octopus_posture *posture, const float goal[6], const
                 cost = other_cost;
             }
         }
-        posture->good = cost < STOPPED ? 1.0f : 0.0f;
+        posture->good = cost < STOPPED || is_near(cost) ? 1.0f : 0.0f;
     }
     posture->free = is_stopped(arm, angles) ? 0.0f : 1.0f;
     for (j = 0; j < ARM_JOINTS[arm].n; j++) posture->left[j] = way(arm, j, stands[j], angles[j]);

@@ -1,6 +1,6 @@
 //! The goal posture of one arm: chosen, followed, gone to.
 
-use super::chain::{Angles, Chain, Frame, choose, everywhere, seen_from};
+use super::chain::{Angles, Chain, Frame, LEAST_DAMPING, choose, everywhere, seen_from};
 use super::search::{Question, STARTS, STOPPED, UNSOLVED};
 use crate::robot::{Joints, MAX_JOINTS_PER_ARM};
 use crate::scalar::{Mask, Real};
@@ -37,6 +37,28 @@ pub(crate) struct Pace<S> {
     pub(crate) period: f64,
     /// Fastest joint rates (rad/s), arm-major.
     pub(crate) limits: Vec<S>,
+}
+
+/// How postures follow their goals.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Following {
+    /// Damping that remains at the goal.
+    damping: f64,
+    /// By how much a posture may miss its goal (m and rad, together) without being given up.
+    near: f64,
+}
+
+impl Following {
+    /// As closely as they can.
+    pub(super) const CLOSE: Self = Self { damping: LEAST_DAMPING, near: 0.0 };
+    /// Goals that tremble, because the base is read badly. Near singular poses angles would jump with them, and a goal that seems out of reach for a moment would have another way looked for.
+    pub(super) const STEADY: Self = Self { damping: 1e-2, near: 0.02 };
+
+    /// Where angles of this cost do not bring the hand to its goal, but near enough.
+    #[inline(always)]
+    fn is_near<S: Real>(self, cost: S) -> S::Mask {
+        cost.ge(S::splat(UNSOLVED)) & cost.lt(S::splat(UNSOLVED + self.near))
+    }
 }
 
 /// A posture on the way after its goal, from [`Posture::go_after`] to [`Posture::settle`].
@@ -161,16 +183,17 @@ impl<S: Real> Posture<S> {
         &mut self,
         goal: &[S; 6],
         (place, rests): (&Place<'_, S>, S::Mask),
-        index: usize,
+        (index, following): (usize, Following),
     ) -> Pursuit<S> {
         let Self { chain, angles, tried, .. } = self;
         let (target, stands) = (place.seen(goal), place.stands(index));
         let question = Question { chain, target: &target, stands: &stands };
         let before = *angles;
-        let (first, missed) = chain.approach(&target, &before);
+        let damping = following.damping;
+        let (first, missed) = chain.approach_damped(&target, &before, damping);
         *angles = first;
         for _ in 1..FOLLOWING {
-            *angles = chain.approach(&target, angles).0;
+            *angles = chain.approach_damped(&target, angles, damping).0;
         }
         // Angles that only come near would wander with the base.
         let mut cost = question.cost(angles);
@@ -178,18 +201,19 @@ impl<S: Real> Posture<S> {
         let astray = cost.ge(S::splat(UNSOLVED)) & cost_before.le(cost);
         choose(astray, before, angles);
         cost = S::select(astray, cost_before, cost);
-        let bad = !rests & cost.ge(S::splat(STOPPED));
+        let bad = !rests & cost.ge(S::splat(STOPPED)) & !following.is_near(cost);
         *tried = S::select(bad, *tried + S::one(), *tried);
         Pursuit { target, stands, before, cost, bad, rests }
     }
 
     /// Ends a step of [`Posture::go_after`].
     #[inline(always)]
-    pub(super) fn settle(&mut self, pursuit: &Pursuit<S>) {
+    pub(super) fn settle(&mut self, pursuit: &Pursuit<S>, following: Following) {
         let Self { left, good, free, chain, angles, .. } = self;
         let Pursuit { stands, before, cost, rests, .. } = pursuit;
         choose(*rests, *before, angles);
-        let is_good = S::select(cost.lt(S::splat(STOPPED)), S::one(), S::zero());
+        let leads_there = cost.lt(S::splat(STOPPED)) | following.is_near(*cost);
+        let is_good = S::select(leads_there, S::one(), S::zero());
         *good = S::select(*rests, *good, is_good);
         *free = S::select(chain.is_stopped(angles), S::zero(), S::one());
         for joint in 0..chain.n_joints() {

@@ -63,9 +63,10 @@ pub(super) fn choose<S: Real>(mask: S::Mask, these: Angles<S>, angles: &mut Angl
 
 /// Longest change of a joint in a step (rad).
 const LONGEST: f64 = 0.5;
-/// Damping in parts of the square of the error (m and rad, together), and what remains of it at the goal: in single
-/// precision less would drown near singular poses.
-const DAMPING: [f64; 2] = [1e-2, 1e-6];
+/// Damping in parts of the square of the error (m and rad, together).
+const DAMPING: f64 = 1e-2;
+/// What remains of it at the goal: in single precision less would drown near singular poses.
+pub(super) const LEAST_DAMPING: f64 = 1e-6;
 
 /// One row: from a joint to the next.
 #[derive(Debug, Clone)]
@@ -201,7 +202,18 @@ impl<S: Real> Chain<S> {
     /// One step from `q` towards `target`: the angles after it, and the length of the residual before it (m and rad, together).
     #[inline(always)]
     pub(super) fn approach(&self, target: &Frame<S>, q: &Angles<S>) -> (Angles<S>, S) {
-        S::compiled(Approach { chain: self, target, q })
+        self.approach_damped(target, q, LEAST_DAMPING)
+    }
+
+    /// [`Chain::approach`], where so much damping remains at the goal.
+    #[inline(always)]
+    pub(super) fn approach_damped(
+        &self,
+        target: &Frame<S>,
+        q: &Angles<S>,
+        damping: f64,
+    ) -> (Angles<S>, S) {
+        S::compiled(Approach { chain: self, target, q, damping })
     }
 
     /// The length of the residual at `q` (m and rad, together), as [`Chain::approach`] tells it, without its step.
@@ -211,7 +223,7 @@ impl<S: Real> Chain<S> {
     }
 
     #[inline(always)]
-    fn step(&self, target: &Frame<S>, q: &Angles<S>) -> (Angles<S>, S) {
+    fn step(&self, target: &Frame<S>, q: &Angles<S>, damping: f64) -> (Angles<S>, S) {
         let mut jacobian = [[S::zero(); 6]; MAX_JOINTS_PER_ARM];
         let hand = self.forward(q, &mut jacobian);
         for column in &mut jacobian[..self.n_joints()] {
@@ -221,7 +233,7 @@ impl<S: Real> Chain<S> {
             *column = [x, y, z, a, b, c];
         }
         let (error, square) = target.residual(&hand);
-        let damping = square.mul_add(S::splat(DAMPING[0]), S::splat(DAMPING[1]));
+        let damping = square.mul_add(S::splat(DAMPING), S::splat(damping));
         let mut step = least_squares(&jacobian[..self.n_joints()], damping, error);
         let mut longest = S::splat(1e-9);
         for x in step {
@@ -265,13 +277,14 @@ struct Approach<'a, S> {
     chain: &'a Chain<S>,
     target: &'a Frame<S>,
     q: &'a Angles<S>,
+    damping: f64,
 }
 
 impl<S: Real> Kernel<S> for Approach<'_, S> {
     type Output = (Angles<S>, S);
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.chain.step(self.target, self.q)
+        self.chain.step(self.target, self.q, self.damping)
     }
 }
 

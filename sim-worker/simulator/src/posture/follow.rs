@@ -2,7 +2,7 @@
 //!
 //! Few lanes of an arm look for one, and looking takes six times as long as following. So lanes of all arms look side by side.
 
-use super::arm::{Place, Posture, Pursuit};
+use super::arm::{Following, Place, Posture, Pursuit};
 use super::chain::put_lane;
 use super::search::{Question, STOPPED};
 use crate::robot::MAX_ARMS;
@@ -15,11 +15,12 @@ pub(super) fn follow<S: Real>(
     goals: &[[S; 6]],
     place: &Place<'_, S>,
     rests: &[S::Mask],
+    following: Following,
 ) {
     let mut pursuits = Pursuits([None; MAX_ARMS]);
     let mut looks = false;
     for (index, arm) in arms.iter_mut().enumerate() {
-        let pursuit = arm.go_after(&goals[index], (place, rests[index]), index);
+        let pursuit = arm.go_after(&goals[index], (place, rests[index]), (index, following));
         looks |= pursuit.bad.any();
         pursuits.0[index] = Some(pursuit);
     }
@@ -27,7 +28,7 @@ pub(super) fn follow<S: Real>(
         look(arms, &mut pursuits);
     }
     for (index, arm) in arms.iter_mut().enumerate() {
-        arm.settle(pursuits.of(index));
+        arm.settle(pursuits.of(index), following);
     }
 }
 
@@ -182,7 +183,7 @@ mod tests {
             let mut out = Vec::new();
             for first in (0..SITUATIONS).step_by(S::LANES) {
                 let (mut arms, goals, rests) = begun::<S>(&robot, first);
-                follow(&mut arms, &goals, &place, &[rests; MAX_ARMS]);
+                follow(&mut arms, &goals, &place, &[rests; MAX_ARMS], Following::CLOSE);
                 for lane in 0..S::LANES {
                     out.push(arms.iter().map(|arm| bits(arm, lane)).collect());
                 }
@@ -198,7 +199,7 @@ mod tests {
         (place, rests): (&Place<'_, f32>, bool),
         index: usize,
     ) -> (bool, bool) {
-        let mut pursuit = arm.go_after(goal, (place, rests), index);
+        let mut pursuit = arm.go_after(goal, (place, rests), (index, Following::CLOSE));
         let mut finds = false;
         if pursuit.bad {
             let Pursuit { target, stands, .. } = &pursuit;
@@ -211,7 +212,7 @@ mod tests {
                 pursuit.cost = cost;
             }
         }
-        arm.settle(&pursuit);
+        arm.settle(&pursuit, Following::CLOSE);
         (pursuit.bad, finds)
     }
 

@@ -7,7 +7,7 @@
 //! **A lane is a set.** The environments of a lane group choose one after another, each in all lanes. Sets are tried in rounds of [`LANES`]: all
 //! of a round vary what was best before it. So the choice does not hang on how many lanes there are.
 
-use super::arm::{Pace, Place, Posture};
+use super::arm::{Following, Pace, Place, Posture};
 use super::chain::{Angles, Frame, everywhere, put_lane};
 use super::kinematic_rollout::{self, KinematicRollout};
 use super::search::{Question, STARTS, STOPPED, UNSOLVED, Way};
@@ -33,6 +33,7 @@ pub(super) struct Foresight<'a, S: Real> {
     pub(super) open: &'a [S::Mask],
     /// Which arms go to their postures; sets say nothing of the others.
     pub(super) active: [bool; MAX_ARMS],
+    pub(super) following: Following,
     /// Whether arms without a way come as near to their goals as they can.
     pub(super) persistent: bool,
     /// How often they were chosen for these goals already: other ways are looked for each time.
@@ -58,9 +59,9 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
     #[inline(always)]
     fn run(self) {
         let Self { foresight, arms } = self;
-        let Foresight { model, pace, goals, place, open, active, persistent, before, to_the_end } =
-            foresight;
-        let mut rollout = KinematicRollout::new(model, arms, active, place);
+        let Foresight { model, pace, goals, place, open, .. } = foresight;
+        let Foresight { active, following, persistent, before, to_the_end, .. } = foresight;
+        let mut rollout = KinematicRollout::new(model, arms, (active, following), place);
         let farther = S::splat(if persistent { FARTHER } else { 0.0 });
         for lane in 0..S::LANES {
             let mut is_open = [false; MAX_ARMS];

@@ -2,7 +2,7 @@
 //!
 //! A control step of it costs a hundredth of one of the dynamics.
 
-use super::arm::{Pace, Place, Posture};
+use super::arm::{Following, Pace, Place, Posture};
 use super::follow::follow;
 use super::search::{Question, STOPPED, Way};
 use crate::collision::count_contacts;
@@ -29,6 +29,7 @@ pub(super) struct KinematicRollout<S: Real> {
     workspace: Workspace<S>,
     joints: Joints,
     active: [bool; MAX_ARMS],
+    following: Following,
     pub(super) arms: Vec<Posture<S>>,
     pub(super) state: State<S>,
     /// What its ways cost.
@@ -43,7 +44,7 @@ impl<S: Real> KinematicRollout<S> {
     pub(super) fn new(
         model: &Model<S>,
         arms: &[Posture<S>],
-        active: [bool; MAX_ARMS],
+        (active, following): ([bool; MAX_ARMS], Following),
         place: &Place<'_, S>,
     ) -> Self {
         let zero = [S::zero(); 3];
@@ -59,6 +60,7 @@ impl<S: Real> KinematicRollout<S> {
             workspace: Workspace::new(model),
             joints: place.joints,
             active,
+            following,
             arms: arms.to_vec(),
             state,
             ways: S::zero(),
@@ -118,7 +120,7 @@ impl<S: Real> KinematicRollout<S> {
     pub(super) fn follow(&mut self, goals: &[[S; 6]], lanes: S::Mask) {
         let State { base_position: position, base_quaternion: quaternion, q, .. } = &self.state;
         let now = Place { position: *position, quaternion: *quaternion, q, joints: self.joints };
-        follow(&mut self.arms, goals, &now, &[!lanes; MAX_ARMS]);
+        follow(&mut self.arms, goals, &now, &[!lanes; MAX_ARMS], self.following);
     }
 
     /// Goes on for a control step, by the midpoint rule.

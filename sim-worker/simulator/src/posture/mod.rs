@@ -15,8 +15,8 @@ mod search;
 
 use std::sync::Arc;
 
+use self::arm::{Following, Place, equal};
 pub(crate) use self::arm::{Pace, Posture};
-use self::arm::{Place, equal};
 use self::chain::Chain;
 use self::follow::follow;
 use self::foresight::Foresight;
@@ -101,6 +101,11 @@ impl<S: Real> Postures<S> {
     pub(crate) fn forget_base(&mut self) {
         self.base = UNKNOWN.map(S::splat);
         self.believed = self.base;
+    }
+
+    /// How they follow their goals.
+    fn following(&self) -> Following {
+        if self.trust >= 1.0 { Following::CLOSE } else { Following::STEADY }
     }
 
     /// Takes in where the base is read to be, but in lanes where it `rests`; says where it is taken to be.
@@ -197,6 +202,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
             asked = asked | open[index];
         }
         let reviewed = postures.review(new, rests);
+        let following = postures.following();
         if (asked | reviewed).any() {
             let Postures { arms, active, persistent, model, pace, age, .. } = &mut *postures;
             for (open, active) in open.iter_mut().zip(*active) {
@@ -210,6 +216,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
                 place: &place,
                 open: &open[..arms.len()],
                 active: *active,
+                following,
                 persistent: *persistent,
                 before,
                 to_the_end: false,
@@ -219,7 +226,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         for still in &mut still {
             *still = *still & rests;
         }
-        follow(&mut postures.arms, goals, &place, &still);
+        follow(&mut postures.arms, goals, &place, &still, following);
     }
 }
 

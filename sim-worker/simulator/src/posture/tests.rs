@@ -262,9 +262,20 @@ fn sets_that_are_given_up_are_not_missed() {
             let mut arms = begun.clone();
             let (model, pace, goals, place) = (&model, &pace, &goals, &place);
             let open = &[S::Mask::splat(true); 4];
-            let (before, persistent) = (S::zero(), true);
-            Foresight { model, pace, goals, place, open, active, persistent, before, to_the_end }
-                .choose(&mut arms);
+            let (before, persistent, following) = (S::zero(), true, Following::CLOSE);
+            Foresight {
+                model,
+                pace,
+                goals,
+                place,
+                open,
+                active,
+                following,
+                persistent,
+                before,
+                to_the_end,
+            }
+            .choose(&mut arms);
             arms
         };
         let angles = |arms: &[Posture<S>], lane: usize| {
@@ -307,8 +318,12 @@ fn choosing_anew_brings_goals_back_into_reach() {
                 }
                 let home = State::<S>::home(&robot);
                 let place = Place::of(&home, robot.joints);
-                let mut plant =
-                    KinematicRollout::new(&postures.model, &postures.arms, postures.active, &place);
+                let mut plant = KinematicRollout::new(
+                    &postures.model,
+                    &postures.arms,
+                    (postures.active, Following::CLOSE),
+                    &place,
+                );
                 for _ in 0..60 {
                     if !self.reviewed {
                         postures.age = S::splat(REVIEW * (REVIEWS + 1.0));
