@@ -326,7 +326,7 @@ static void seen_from(const place_type *place, const float goal[6], frame_type *
 #define TOO_FAR (OCTOPUS_TRUST < 1.0f ? F(40.02) : UNSOLVED)
 
 /* Whether angles of this cost do not bring the hand to its goal, but near enough. */
-static int is_near(float cost) { return cost >= UNSOLVED && cost < TOO_FAR; }
+static int leads_near(float cost) { return cost >= UNSOLVED && cost < TOO_FAR; }
 
 /* Has a posture follow the base, unless that `rests`; says what is left to go. */
 static void follow(int arm, octopus_posture *posture, const float goal[6], const place_type *place, int rests)
@@ -350,7 +350,7 @@ static void follow(int arm, octopus_posture *posture, const float goal[6], const
                 cost = cost_before;
             }
         }
-        if (cost >= STOPPED && !is_near(cost)) {
+        if (cost >= STOPPED && !leads_near(cost)) {
             float other_cost;
             posture->tried = posture->tried + 1.0f;
             later(arm, &target, posture->tried, next);
@@ -360,7 +360,7 @@ static void follow(int arm, octopus_posture *posture, const float goal[6], const
                 cost = other_cost;
             }
         }
-        posture->good = cost < STOPPED || is_near(cost) ? 1.0f : 0.0f;
+        posture->good = cost < STOPPED || leads_near(cost) ? 1.0f : 0.0f;
     }
     posture->free = is_stopped(arm, angles) ? 0.0f : 1.0f;
     for (j = 0; j < ARM_JOINTS[arm].n; j++) posture->left[j] = way(arm, j, stands[j], angles[j]);
