@@ -507,3 +507,31 @@ fn a_base_that_is_read_badly_is_averaged() {
     look(&mut anew, &seen, &goals);
     assert_eq!(left(&postures), left(&anew), "nothing is left of an episode before");
 }
+
+/// The base moves away from a goal at the edge of the reach, by a centimetre.
+#[test]
+fn a_goal_hardly_out_of_reach_is_given_up_unless_it_trembles() {
+    let robot = robot();
+    let home = State::<f64>::home(&robot);
+    let elbow = robot.home_q()[8];
+    let goal = goal(&robot, [0.0, 0.0, 0.02 - elbow, 0.3, 0.4, 0.5]);
+    let goals = goals_at(&robot, goal);
+    let seen = readings(&robot, &home);
+    let good = |trust: f64| {
+        let mut postures = Postures { trust, persistent: false, ..none_yet::<f64>(&robot) };
+        look(&mut postures, &seen, &goals);
+        let before = postures.arms[1].good;
+        let mut away = seen.clone();
+        let length = goal[..3].iter().map(|x| x * x).sum::<f64>().sqrt();
+        for step in 0..8 {
+            for axis in 0..3 {
+                away.base_position[axis] = seen.base_position[axis]
+                    - (0.01 + 1e-9 * f64::from(step)) * goal[axis] / length;
+            }
+            look(&mut postures, &away, &goals);
+        }
+        (before, postures.arms[1].good)
+    };
+    assert_eq!(good(1.0), (1.0, 0.0));
+    assert_eq!(good(0.2), (1.0, 1.0));
+}
