@@ -76,7 +76,7 @@ impl<S: Real> Seat<S> {
         match (self, player.driver) {
             (Self::Policy { observations, guidance, .. }, _) => {
                 if let Some(postures) = &seen.errors.postures {
-                    guidance[index].look(postures, task, player.action_scale, limits);
+                    guidance[index].look(&postures.arms, task, player.action_scale, limits);
                 }
                 let (o, agents_per_actor) = (dimensions.observation, dimensions.agents_per_actor());
                 for actor in actors(arms, number, dimensions) {

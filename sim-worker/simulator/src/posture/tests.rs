@@ -10,7 +10,7 @@ use crate::experiment::EvaluationGoals;
 use crate::inverse_kinematics::{self, candidates, pose, solvable};
 use crate::rollout::World;
 use crate::state::State;
-use crate::task::{Goals, Readings};
+use crate::task::{Goals, HandReading, Readings};
 
 fn robot() -> Robot {
     Robot::builtin("paper").expect("built in")
@@ -534,4 +534,53 @@ fn a_goal_hardly_out_of_reach_is_given_up_unless_it_trembles() {
     };
     assert_eq!(good(1.0), (1.0, 0.0));
     assert_eq!(good(0.2), (1.0, 1.0));
+}
+
+/// What joints do where agents say 0.5 each: arm 2 has 0.06 rad and less to go, the others are at their goals.
+fn acted(gain: f64, fade: f64) -> (Vec<f64>, Vec<f64>) {
+    let robot = robot();
+    let config = Layers::new(Preset::Guided, Some(TaskName::Trajectory)).resolve();
+    let mut config = config.expect("a preset");
+    config.task.posture.gain = gain;
+    config.task.posture.fade = fade;
+    let task = World::new(&config, &robot).task;
+
+    let home = State::<f64>::home(&robot);
+    let mut there = home.clone();
+    for (joint, q) in there.q[6..12].iter_mut().enumerate() {
+        *q += 0.06 - 0.01 * joint as f64;
+    }
+    let pose = |hand: &HandReading<f64>| {
+        let ([x, y, z], [a, b, c]) = (hand.position, hand.euler);
+        [x, y, z, a, b, c]
+    };
+    let goals: Vec<_> = readings(&robot, &there).hands.iter().map(pose).collect();
+    let pace = Pace { gain: 0.7, period: task.control_period, limits: vec![2.0; 24] };
+    let mut postures = Postures::new(&robot, pace, 1.0);
+    postures.update((home.base_position, home.base_quaternion), &home.q, &goals);
+    let left = postures.arms.iter().flat_map(|arm| arm.left().to_vec()).collect();
+
+    let mut guidance = Guidance::none(24);
+    guidance.look(&postures.arms, &task, task.action_scale, &[1.0; 24]);
+    (left, (0..24).map(|joint| guidance.act(joint, 0.5)).collect())
+}
+
+#[test]
+fn what_agents_say_counts_less_near_their_goals() {
+    let (left, all) = acted(0.7, 0.0);
+    assert!((left[6] - 0.06).abs() < 1e-4 && left[0].abs() < 1e-4, "{left:?}");
+    let task_factor = 0.7 / (0.4 * 0.8);
+    for (acted, left) in all.iter().zip(&left) {
+        assert!((acted - (0.5 + task_factor * left)).abs() < 1e-9, "{acted}, {left} left");
+    }
+    for (fade, share) in [(0.1, 0.6), (0.05, 1.0)] {
+        let (_, faded) = acted(0.7, fade);
+        for joint in 0..24 {
+            let said = if (6..12).contains(&joint) { share * 0.5 } else { 0.0 };
+            let wanted = said + task_factor * left[joint];
+            assert!((faded[joint] - wanted).abs() < 1e-3, "joint {joint}: {}", faded[joint]);
+        }
+    }
+    // Nobody else goes there.
+    assert_eq!(acted(0.0, 0.1).1, [0.5; 24]);
 }

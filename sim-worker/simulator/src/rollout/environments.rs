@@ -121,7 +121,7 @@ impl<S: Real> Environments<S> {
             observe(task, told, goals, told_errors, agent, to);
         }
         if let Some(postures) = &told_errors.postures {
-            guidance.look(postures, task, task.action_scale, limits);
+            guidance.look(&postures.arms, task, task.action_scale, limits);
         }
         critic_state(task, readings, errors, &seen.observations, &mut seen.critic);
         std::mem::swap(&mut group.action, &mut group.last_action);

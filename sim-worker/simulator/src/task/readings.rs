@@ -148,7 +148,7 @@ impl<S: Real> Errors<S> {
         let limits: Vec<S> = task.action_limit.iter().map(|limit| S::splat(*limit)).collect();
         let mut guidance = Guidance::none(limits.len());
         if let Some(postures) = &self.postures {
-            guidance.look(postures, task, task.action_scale, &limits);
+            guidance.look(&postures.arms, task, task.action_scale, &limits);
         }
         let clipped = |(joint, said): (usize, &S)| {
             guidance.act(joint, *said).clamp(-limits[joint], limits[joint])
