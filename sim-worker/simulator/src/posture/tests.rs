@@ -462,7 +462,9 @@ fn a_base_that_is_read_badly_is_averaged() {
     let trembling = |trust: f64| {
         let mut postures = Postures { trust, ..resting() };
         look(&mut postures, &home, &goals);
-        assert_eq!(left(&postures), left(&exact), "the first pose is believed");
+        for (believed, exact) in left(&postures).iter().zip(left(&exact)) {
+            assert!((believed - exact).abs() < 1e-6, "the first pose is believed");
+        }
         let mut squares = 0.0;
         for step in 0..200 {
             let mut seen = home.clone();
@@ -503,7 +505,7 @@ fn a_base_that_is_read_badly_is_averaged() {
     }
     postures.forget();
     look(&mut postures, &seen, &goals);
-    let mut anew = resting();
+    let mut anew = Postures { trust: 0.2, ..resting() };
     look(&mut anew, &seen, &goals);
     assert_eq!(left(&postures), left(&anew), "nothing is left of an episode before");
 }
