@@ -77,7 +77,7 @@ pub struct PlanArgs {
     /// Try what this policy does first; it has to be one of `trajectory`.
     #[arg(long, value_name = "RUN_DIR|CHECKPOINT")]
     pub policies: Option<PathBuf>,
-    /// Fastest joint rate (rad/s); that of the trained policies unless told otherwise.
+    /// Fastest joint rate (rad/s). Trained policies may turn joints two to three times as fast.
     #[arg(long, value_name = "RATE", default_value_t = 0.8, allow_hyphen_values = true, value_parser = rate)]
     pub fastest: f64,
     /// When to give up.
@@ -267,7 +267,8 @@ fn recording(
     start.set_lane(0, &question.start);
     let goals = FixedGoals { hands: question.hands.clone(), base: None };
     let (robot, options, moved_goals) = (robot.clone(), *options, Vec::new());
-    let commanded = Commanded { robot, options, start, goals, moved_goals, commands };
+    let mass_factors = Vec::new();
+    let commanded = Commanded { robot, options, start, goals, moved_goals, mass_factors, commands };
     Ok(Recording::of(commanded, &[("origin", "octopus plan".to_owned())])?.mcap()?)
 }
 

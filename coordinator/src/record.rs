@@ -9,6 +9,7 @@ use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use simulator::executor::InOrder;
 use simulator::experiment::{FixedGoals, Member, Start};
+use simulator::rollout::Erring;
 use simulator::state::State;
 use simulator::step::StepOptions;
 use store::files;
@@ -29,7 +30,7 @@ Examples:
   octopus record runs/trajectory-20260101-120000:best --out reach.mcap
   octopus record deploy/policies/trajectory --out reach.mcap --episode 3 \\
       --csv reach.csv
-  octopus record runs/trajectory-20260101-120000 --address 1/500/1 --env 3 \\
+  octopus record runs/trajectory-20260101-120000 --address 1/100/1 --env 3 \\
       --out block.mcap
   octopus record --plan plan.csv --out plan.mcap
   octopus replay reach.mcap
@@ -191,6 +192,7 @@ fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow:
         world,
         &start.robot,
         (&start.hands, start.base),
+        Erring::of_training(world, seed, iteration as u32, shard * n_envs as u32 + args.env),
         rows.iter().map(Vec::as_slice),
     );
     Ok(Recording::of(commanded, &origin)?)
@@ -214,6 +216,7 @@ fn of_plan(plan: &Path, args: &RecordArgs) -> anyhow::Result<Recording> {
         start,
         goals: FixedGoals::default(),
         moved_goals: Vec::new(),
+        mass_factors: Vec::new(),
         commands: commands.into_iter().map(single).collect(),
     };
     Ok(Recording::of(commanded, &[("plan", plan.display().to_string())])?)

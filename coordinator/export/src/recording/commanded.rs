@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use simulator::env::step_options;
 use simulator::experiment::{Episode, FixedGoals, Member, Motion, Start};
 use simulator::robot::Robot;
-use simulator::rollout::World;
+use simulator::rollout::{Erring, World};
 use simulator::state::State;
 use simulator::step::{Integrator, StepOptions};
 
@@ -28,6 +28,8 @@ pub struct Commanded {
     pub goals: FixedGoals,
     /// Where the hands' goals are after every control step; empty where they stay.
     pub moved_goals: Vec<Vec<Option<[f64; 6]>>>,
+    /// Factors on what bodies weigh, of the base first, then of the links of all types of arms; none where they weigh what is described.
+    pub mass_factors: Vec<f32>,
     /// Joint rates (rad/s), arm-major, a row a control step.
     pub commands: Vec<Vec<f32>>,
 }
@@ -55,11 +57,13 @@ impl Commanded {
                 moved_goals.push(of_hands(task, &episode.goals().hands));
             }
         }
-        Ok(Self { robot, options, start, goals, moved_goals, commands })
+        let mass_factors = Vec::new();
+        Ok(Self { robot, options, start, goals, moved_goals, mass_factors, commands })
     }
 
     /// What was commanded in an environment of a run: where it began and its goals, those of the hands at the beginning and, where they move, after every
     /// control step, as [`block_start`](crate::block_start) tells them, and its actions before clipping and scaling, arm-major, a row a control step.
+    /// Where drives err, the rates are those that they make of the actions.
     ///
     /// # Panics
     /// Without goals at the beginning.
@@ -67,6 +71,7 @@ impl Commanded {
         world: &World,
         start: &[f32],
         (hands, base): (&[Vec<[f32; 6]>], [f32; 3]),
+        mut erring: Option<Erring>,
         actions: impl Iterator<Item = &'a [f32]>,
     ) -> Self {
         let task = world.task.name;
@@ -81,13 +86,25 @@ impl Commanded {
             start: state_of(&world.robot, start),
             goals: FixedGoals { hands: at_first, base: of_base(task, base) },
             moved_goals: hands.collect(),
-            commands: actions.map(|row| row.iter().zip(&limits).map(executed).collect()).collect(),
+            mass_factors: erring
+                .as_ref()
+                .map_or(Vec::new(), |erring| erring.mass_factors().to_vec()),
+            commands: actions
+                .map(|row| {
+                    let commands: Vec<f32> = row.iter().zip(&limits).map(executed).collect();
+                    match &mut erring {
+                        Some(erring) => erring.drive(&commands).to_vec(),
+                        None => commands,
+                    }
+                })
+                .collect(),
         }
     }
 
     /// The robot at its beginning.
     pub(crate) fn begin(&self) -> Motion {
         Motion::new(&self.robot, self.options, self.start.clone(), &self.goals)
+            .weighing(&self.mass_factors)
     }
 
     /// Takes control step `step`, counted from 0.
@@ -138,6 +155,9 @@ pub(super) struct MotionFile {
     moved_hand_goals: Vec<Vec<Option<[f64; 6]>>>,
     /// Euler angles (rad).
     base_goal: Option<[f64; 3]>,
+    /// Factors on what bodies weigh, where they weigh something else than is described.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    mass_factors: Vec<f32>,
     /// Joint rates (rad/s), a row a control step.
     commands: Vec<Vec<f32>>,
     /// At the beginning and after every control step: base position (m), quaternion (w, x, y, z), velocity (m/s, world), angular velocity (rad/s,
@@ -161,7 +181,7 @@ pub struct Recorded {
 
 impl MotionFile {
     pub(super) fn new(commanded: &Commanded, states: Vec<Vec<f32>>) -> Self {
-        let Commanded { options, goals, moved_goals, commands, .. } = commanded;
+        let Commanded { options, goals, moved_goals, mass_factors, commands, .. } = commanded;
         Self {
             format: FORMAT,
             control_period_s: options.control_period,
@@ -175,6 +195,7 @@ impl MotionFile {
             hand_goals: goals.hands.clone(),
             moved_hand_goals: moved_goals.clone(),
             base_goal: goals.base,
+            mass_factors: mass_factors.clone(),
             commands: commands.clone(),
             states,
         }
@@ -232,6 +253,15 @@ impl MotionFile {
                 "goals that are no numbers, or of more hands than there are".to_owned()
             ));
         }
+        let n_bodies = 1 + robot.types.iter().map(|kind| kind.links.len()).sum::<usize>();
+        let factors = &file.mass_factors;
+        if !(factors.is_empty() || factors.len() == n_bodies)
+            || !factors.iter().all(|factor| (1e-3..=1e3).contains(factor))
+        {
+            return Err(bad(format!(
+                "mass_factors: expected none, or one of 0.001 to 1000 for each of {n_bodies} bodies"
+            )));
+        }
         let n = file.moved_hand_goals.len();
         if n > 0 && n != n_steps {
             return Err(bad(format!("goals after {n} control steps, expected {n_steps}")));
@@ -255,7 +285,9 @@ impl MotionFile {
         let goals = FixedGoals { hands: file.hand_goals, base: file.base_goal };
         let start = state_of(&robot, &first);
         let (moved_goals, commands) = (file.moved_hand_goals, file.commands);
-        let commanded = Commanded { robot, options, start, goals, moved_goals, commands };
+        let mass_factors = file.mass_factors;
+        let commanded =
+            Commanded { robot, options, start, goals, moved_goals, mass_factors, commands };
         Ok(Recorded { commanded, states })
     }
 }

@@ -7,7 +7,7 @@ use simulator::executor::InOrder;
 use simulator::experiment::{Member, Start};
 use simulator::policy::initial_parameters;
 use simulator::robot::Robot;
-use simulator::rollout::{RolloutSpec, World, rollout};
+use simulator::rollout::{Erring, RolloutSpec, World, rollout};
 use simulator::stepping::{ARRAYS, Batch, Begin, GoalKind, Rows};
 use simulator::task::Aim;
 
@@ -23,6 +23,12 @@ fn world_of(preset: Preset, task: TaskName) -> World {
     let layers = Layers::new(preset, Some(task));
     let set = ["network.hidden=[8]", "task.episode_steps=5", "env.n_envs=12", "env.n_shards=4"];
     let layers = set.iter().try_fold(layers, |layers, set| layers.set(set)).expect("keys");
+    let layers = if preset == Preset::Robust {
+        // Drives and masses err in each environment.
+        layers.set("task.randomization.share=1").expect("a key")
+    } else {
+        layers
+    };
     let config = layers.resolve().expect("valid");
     World::new(&config, &Robot::builtin("paper").expect("built in"))
 }
@@ -124,6 +130,8 @@ fn an_environment_of_a_block_is_a_motion() {
         (Preset::Guided, TaskName::Trajectory),
         (Preset::Guided, TaskName::Capture),
         (Preset::Guided, TaskName::Mixed),
+        (Preset::Robust, TaskName::Trajectory),
+        (Preset::Robust, TaskName::Reorientation),
     ] {
         is_a_motion(&block_of(preset, task));
     }
@@ -134,8 +142,10 @@ fn is_a_motion(block: &Block) {
     let start = block_start(block, 1, &InOrder).expect("an address");
     let executed: Vec<Vec<f32>> = (0..5).map(|step| block.executed(1, step)).collect();
     let commands = executed.iter().map(Vec::as_slice);
-    let commanded =
-        Commanded::by_actions(world, &start.robot, (&start.hands, start.base), commands);
+    let erring = Erring::of_training(world, 4, 9, 2 * 3 + 1);
+    assert_eq!(erring.is_some(), world.config.task.randomization.share > 0.0);
+    let goals = (start.hands.as_slice(), start.base);
+    let commanded = Commanded::by_actions(world, &start.robot, goals, erring, commands);
     let recording = Recording::of(commanded, &[]).expect("stable");
     let recorded = Recorded::read(&recording.mcap().expect("a file")).expect("read");
     assert_eq!(replay_motion(&recorded).expect("stable").first, None);
@@ -185,6 +195,16 @@ fn files_that_are_none_are_refused_with_what_is_wrong() {
     short.moved_goals.pop();
     let said = refused(&file_of(short));
     assert!(said.contains("goals after 5 control steps, expected 6"), "{said}");
+
+    // Masses of other bodies than the robot has.
+    let mut heavy = commanded(TaskName::Trajectory);
+    heavy.mass_factors = vec![1.0; 7];
+    let read = Recorded::read(&file_of(heavy.clone())).expect("a base and six links");
+    assert_eq!(read.commanded.mass_factors, heavy.mass_factors);
+    for factors in [vec![1.0; 8], vec![-1.0; 7], vec![1e9; 7]] {
+        heavy.mass_factors = factors;
+        assert!(refused(&file_of(heavy.clone())).contains("mass_factors"));
+    }
 
     let file = block().write().expect("a file");
     let refused = |bytes: &[u8]| Block::read(bytes).expect_err("must be refused");

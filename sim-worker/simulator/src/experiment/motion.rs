@@ -8,6 +8,7 @@ use super::FixedGoals;
 use crate::collision::Touching;
 use crate::dynamics::Hand;
 use crate::env::{EpisodeError, Physics, Push, check_state, home};
+use crate::model::Masses;
 use crate::robot::Robot;
 use crate::scalar::{Kernel, Real};
 use crate::spatial::{Mat3, Vec3};
@@ -73,6 +74,13 @@ impl Motion {
         };
         f32::compiled(Look(&mut motion));
         motion
+    }
+
+    /// The same robot, with bodies that are so many times as heavy: a factor for the base, then one for each link of all types of arms; none leaves them.
+    #[must_use]
+    pub fn weighing(mut self, factors: &[f32]) -> Self {
+        self.physics.weigh(&Masses::of(&self.robot).times(factors));
+        self
     }
 
     /// [`Motion::step`] with goals that move: after it those of the hands are there, position in the world (m) and Euler angles (rad).

@@ -101,6 +101,17 @@ impl<S: Real> Masses<S> {
             links: links.map(|link| RigidInertia::new(&link.body)).collect(),
         }
     }
+
+    /// Each body so many times as heavy, and with as many times the inertia: a factor for the base, then one for each link.
+    #[inline(always)]
+    #[must_use]
+    pub fn times(mut self, factors: &[S]) -> Self {
+        let bodies = std::iter::once(&mut self.base).chain(&mut self.links);
+        for (body, &factor) in bodies.zip(factors) {
+            *body = *body * factor;
+        }
+        self
+    }
 }
 
 /// A moving link: its joint's servo, its inertia, and the step to the next link frame.

@@ -11,6 +11,7 @@
 mod batch;
 pub(crate) mod conditions;
 pub(crate) mod environments;
+mod erring;
 mod error;
 mod explore;
 mod extremes;
@@ -24,6 +25,7 @@ mod start;
 mod world;
 
 pub use batch::Stage;
+pub use erring::Erring;
 pub use error::RolloutError;
 pub(crate) use output::write_rows;
 #[cfg(test)]

@@ -39,6 +39,8 @@ pub(crate) struct Randomized<S: Real> {
     lost: Vec<S>,
     /// Factors on rates, one a joint.
     factor: Vec<S>,
+    /// Factors on what bodies weigh, of the base first, then of the links of all types; none if they are not drawn.
+    pub(super) mass_factors: Vec<S>,
     /// What bodies weigh, if that is drawn.
     pub(super) masses: Option<Masses<S>>,
     /// Commands of the step before, and what drives make of those of this one, one a joint (rad/s).
@@ -75,13 +77,17 @@ impl<S: Real> Randomized<S> {
             late: zero,
             lost: joints.clone(),
             factor: vec![S::one(); n_joints],
-            masses: (ranges.mass > 0.0).then(|| Masses::of(robot)),
+            mass_factors: Vec::new(),
+            masses: None,
             before: joints.clone(),
             executed: joints,
             normals: vec![zero; Deviations::<S>::draws(&robot.joints)],
             readings: Readings::new(&robot.joints),
             errors,
         };
+        let described = (ranges.mass > 0.0).then(|| Masses::of(robot));
+        let n_bodies = described.as_ref().map_or(0, |masses| 1 + masses.links.len());
+        drawn.mass_factors = vec![S::one(); n_bodies];
         for lane in 0..S::LANES {
             let purpose = Purpose::Randomization;
             let first = Address { seed, purpose, iteration, env: env_of(lane), step: 0, index: 0 };
@@ -102,15 +108,10 @@ impl<S: Real> Randomized<S> {
                 drawn.deviations.velocity.set_lane(lane, misled * velocity);
                 drawn.deviations.rate.set_lane(lane, misled * rate);
             }
-            if weighs_other < ranges.share
-                && let Some(masses) = &mut drawn.masses
-            {
-                let bodies = std::iter::once(&mut masses.base).chain(&mut masses.links);
-                for (index, body) in bodies.enumerate() {
+            if weighs_other < ranges.share {
+                for (index, factor) in drawn.mass_factors.iter_mut().enumerate() {
                     let [heavier, ..] = uniforms((2 + n_joints + index) as u32);
-                    let mut factor = S::one();
                     factor.set_lane(lane, 1.0 + ranges.mass * (2.0 * heavier - 1.0));
-                    *body = *body * factor;
                 }
             }
             for joint in 0..n_joints {
@@ -124,6 +125,7 @@ impl<S: Real> Randomized<S> {
                 }
             }
         }
+        drawn.masses = described.map(|masses| masses.times(&drawn.mass_factors));
         Some(drawn)
     }
 
