@@ -38,7 +38,7 @@ pub(crate) const ORDER_LEN: usize = 256;
 /// more; see [`ChannelSizes::order_slots`].
 const STANDING_STILL: usize = 16;
 /// Longest encoded status (bytes).
-pub(crate) const STATUS_LEN: usize = 4 << 10;
+pub const STATUS_LEN: usize = 4 << 10;
 /// Longest encoded progress (bytes).
 pub(crate) const PROGRESS_LEN: usize = 16 << 10;
 /// Policies that may wait, and that a late worker still gets.
