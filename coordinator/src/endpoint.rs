@@ -1,5 +1,6 @@
 //! Endpoints of the network between machines, and what must be said to open one.
 
+use std::io::ErrorKind;
 use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::path::PathBuf;
 use std::time::SystemTime;
@@ -11,7 +12,7 @@ use proto::{ExitCode, ExitError};
 use run::supervisor::{GatewaySpec, Programs};
 
 use crate::certificates;
-use crate::values::address;
+use crate::values::addresses;
 
 /// How a link is carried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,14 +30,15 @@ pub struct Endpoint {
     pub carrier: Carrier,
     /// HOST:PORT as it was given: a certificate is for a name or an address.
     place: String,
-    address: SocketAddr,
+    /// All addresses of the name; hosts take any of them.
+    addresses: Vec<SocketAddr>,
 }
 
 impl std::fmt::Display for Endpoint {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.carrier {
             Carrier::Quic => write!(f, "quic/{}", self.place),
-            Carrier::Tcp => write!(f, "tcp/{}", self.address),
+            Carrier::Tcp => write!(f, "tcp/{}", self.address()),
         }
     }
 }
@@ -55,14 +57,20 @@ pub(crate) fn endpoint(text: &str) -> Result<Endpoint, String> {
         }
         _ => return Err(wanted.to_owned()),
     };
-    let address = address(place).map_err(|error| format!("{wanted}: {place}: {error}"))?;
-    if address.port() == 0 {
+    let addresses = addresses(place).map_err(|error| format!("{wanted}: {place}: {error}"))?;
+    if addresses.iter().any(|address| address.port() == 0) {
         return Err(format!("{wanted}: others must know the port, it cannot be 0"));
     }
-    Ok(Endpoint { carrier, place: place.to_owned(), address })
+    Ok(Endpoint { carrier, place: place.to_owned(), addresses })
 }
 
 impl Endpoint {
+    /// The address that stands for all of them: the first of IPv4, if there is one.
+    fn address(&self) -> SocketAddr {
+        let older = self.addresses.iter().find(|address| address.is_ipv4());
+        *older.unwrap_or(&self.addresses[0])
+    }
+
     /// Refuses a plain one beyond this machine, unless that was said to be wanted, and options that are the other
     /// kind's.
     pub(crate) fn check(
@@ -77,7 +85,7 @@ impl Endpoint {
             (Carrier::Tcp, Some(_)) => {
                 format!("{self}: shows no certificates; --certificates is for quic/HOST:PORT")
             }
-            (Carrier::Tcp, None) if !insecure && !self.address.ip().is_loopback() => format!(
+            (Carrier::Tcp, None) if !insecure && !self.address().ip().is_loopback() => format!(
                 "{self}: leads beyond this machine, where links over TCP are neither encrypted nor is \
                  anybody asked who they are: whoever reaches it can read the run and send it blocks. \
                  Use quic/{} with --certificates, see `octopus certificates`; within a network that \
@@ -102,19 +110,32 @@ impl Endpoint {
         Err(ExitError::new(ExitCode::Usage, message))
     }
 
-    /// Whether it can be listened at.
-    fn try_to_listen(&self) -> std::io::Result<()> {
-        match self.carrier {
-            Carrier::Quic => UdpSocket::bind(self.address).map(drop),
-            Carrier::Tcp => TcpListener::bind(self.address).map(drop),
+    /// Where it can be listened at: at its addresses that this machine has. One of IPv6 is passed over where there is no IPv6.
+    ///
+    /// # Errors
+    /// If one of them is taken, or there is none.
+    fn listen(&self) -> std::io::Result<String> {
+        // A host that is told a name connects by QUIC to its first address, by TCP to the one of IPv4.
+        let addresses = match self.carrier {
+            Carrier::Quic => self.addresses.clone(),
+            Carrier::Tcp => vec![self.address()],
+        };
+        let mut places = Vec::new();
+        let mut missing = None;
+        for address in addresses {
+            let (carrier, tried) = match self.carrier {
+                Carrier::Quic => ("quic", UdpSocket::bind(address).map(drop)),
+                Carrier::Tcp => ("tcp", TcpListener::bind(address).map(drop)),
+            };
+            match tried {
+                Ok(()) => places.push(format!("{carrier}/{address}")),
+                Err(error) if error.kind() == ErrorKind::AddrInUse => return Err(error),
+                Err(error) => missing = Some(error),
+            }
         }
-    }
-
-    /// Where it listens.
-    fn listen(&self) -> String {
-        match self.carrier {
-            Carrier::Quic => format!("quic/{}", self.address),
-            Carrier::Tcp => format!("tcp/{}", self.address),
+        match missing {
+            Some(error) if places.is_empty() => Err(error),
+            _ => Ok(places.join(",")),
         }
     }
 }
@@ -129,7 +150,7 @@ pub struct HostArgs {
     /// A directory of `octopus certificates`, for quic: the learner's pair, and the hosts that may join.
     #[arg(long, value_name = "DIR", requires = "listen_workers", help_heading = "Other machines")]
     pub certificates: Option<PathBuf>,
-    /// Let tcp be beyond this machine, although nobody is asked who they are and nothing is encrypted.
+    /// Allow tcp to other machines: nothing is encrypted, and anybody may join.
     #[arg(long, requires = "listen_workers", help_heading = "Other machines")]
     pub insecure: bool,
 }
@@ -151,15 +172,15 @@ impl HostArgs {
             }
         }
         let program = Programs::gateway()?;
-        if let Err(error) = endpoint.try_to_listen() {
+        let listen = endpoint.listen().map_err(|error| {
             let message = format!(
                 "--listen-workers {endpoint}: cannot be listened at: {error}; choose another port, or an \
                  address of this machine"
             );
-            return Err(ExitError::new(ExitCode::Environment, message));
-        }
+            ExitError::new(ExitCode::Environment, message)
+        })?;
         let certificates = self.certificates.clone();
-        Ok(Some(GatewaySpec { program, listen: endpoint.listen(), certificates }))
+        Ok(Some(GatewaySpec { program, listen, certificates }))
     }
 }
 
@@ -174,7 +195,11 @@ mod tests {
         }
         let named = endpoint("quic/localhost:7447").expect("every machine has this name");
         assert_eq!(named.to_string(), "quic/localhost:7447", "a certificate is for a name");
-        assert!(named.listen().starts_with("quic/127.0.0.1"), "{named:?}");
+        let place = UdpSocket::bind("127.0.0.1:0").expect("a free port").local_addr();
+        let port = place.expect("an address").port();
+        let listens = |text: &str| endpoint(&format!("{text}:{port}")).expect("valid").listen();
+        let places = listens("quic/localhost").expect("free");
+        assert!(places.split(',').any(|place| place.starts_with("quic/127.0.0.1")), "{places}");
         for wrong in ["127.0.0.1:7447", "tcp/127.0.0.1", "tcp/", "udp/1.2.3.4:5", "quic/1.2.3.4:0"]
         {
             assert!(
@@ -184,6 +209,24 @@ mod tests {
         }
         let never = endpoint("tls/10.0.0.1:7447").expect_err("not offered");
         assert!(never.contains("damage memory") && never.contains("quic"), "{never}");
+    }
+
+    #[test]
+    fn a_name_is_listened_at_with_all_addresses_that_this_machine_has() {
+        let place = UdpSocket::bind("127.0.0.1:0").expect("a free port");
+        let here = place.local_addr().expect("an address");
+        // An address for documentation (RFC 5737): no machine has it.
+        let away: SocketAddr = "192.0.2.1:9".parse().expect("an address");
+        let of = |addresses: &[SocketAddr]| {
+            let (carrier, place) = (Carrier::Quic, "name:1".to_owned());
+            Endpoint { carrier, place, addresses: addresses.to_vec() }.listen()
+        };
+        assert_eq!(of(&[away, here]).expect_err("taken").kind(), ErrorKind::AddrInUse);
+        drop(place);
+        assert_eq!(of(&[away, here]).expect("free"), format!("quic/{here}"));
+        let other = SocketAddr::new("127.0.0.2".parse().expect("loopback"), here.port());
+        assert_eq!(of(&[other, here]).expect("free"), format!("quic/{other},quic/{here}"));
+        assert!(of(&[away]).is_err());
     }
 
     #[test]

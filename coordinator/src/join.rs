@@ -45,7 +45,7 @@ pub struct JoinArgs {
     /// A directory with authority.pem and this machine's certificate and key, for quic.
     #[arg(long, value_name = "DIR")]
     pub certificates: Option<PathBuf>,
-    /// Connect by tcp beyond this machine, although nobody is asked who they are and nothing is encrypted.
+    /// Allow tcp to another machine: nothing is encrypted, and nobody shows who they are.
     #[arg(long)]
     pub insecure: bool,
 }

@@ -63,8 +63,15 @@ pub(crate) fn workers_wanted(text: &str) -> Result<u64, String> {
 
 /// An address with a port, or the name of a machine in the place of the address.
 pub(crate) fn address(text: &str) -> Result<SocketAddr, String> {
+    let found = addresses(text)?;
+    // Most names of this machine have an address of either kind, and clients try the older one.
+    Ok(*found.iter().find(|address| address.is_ipv4()).unwrap_or(&found[0]))
+}
+
+/// All addresses of a name, at least one, or the one that is given.
+pub(crate) fn addresses(text: &str) -> Result<Vec<SocketAddr>, String> {
     if let Ok(address) = text.parse() {
-        return Ok(address);
+        return Ok(vec![address]);
     }
     let wanted = "wants an address with a port, such as 127.0.0.1:8270 or localhost:8270";
     let named = text.rsplit_once(':').filter(|(name, port)| {
@@ -78,9 +85,10 @@ pub(crate) fn address(text: &str) -> Result<SocketAddr, String> {
         Ok(found) => found.collect(),
         Err(error) => return Err(format!("{wanted}; {text} cannot be resolved: {error}")),
     };
-    // Most names of this machine have an address of either kind, and clients try the older one.
-    let first = found.iter().find(|address| address.is_ipv4()).or(found.first());
-    first.copied().ok_or_else(|| format!("{wanted}; {text} has no address"))
+    if found.is_empty() {
+        return Err(format!("{wanted}; {text} has no address"));
+    }
+    Ok(found)
 }
 
 /// Where to listen, if anywhere.

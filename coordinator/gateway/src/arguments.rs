@@ -25,7 +25,7 @@ pub enum Role {
 /// Options of the learner's end.
 #[derive(Debug, Clone, clap::Args)]
 pub struct HubArguments {
-    /// Where hosts are waited for: quic/ADDRESS:PORT or tcp/ADDRESS:PORT.
+    /// Where hosts are waited for: quic/ADDRESS:PORT or tcp/ADDRESS:PORT, several with commas between them.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: String,
     /// Certificates of the run and of the hosts that may join, for quic.

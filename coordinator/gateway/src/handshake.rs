@@ -83,17 +83,41 @@ impl Attempt<'_> {
     async fn make(&self, patience: Duration) -> Result<Outcome, ExitError> {
         let witness = Arc::new(self.witness()?);
         let client = self.client(Arc::clone(&witness))?;
-        let outcome = tokio::time::timeout(patience, self.connect(client, &witness)).await;
-        Ok(outcome.unwrap_or_else(|_| Outcome::Nobody("no answer".to_owned())))
+        let found: Vec<SocketAddr> = match tokio::net::lookup_host(self.address).await {
+            Ok(found) => found.collect(),
+            Err(error) => return Ok(Outcome::Nobody(error.to_string())),
+        };
+        let Some((&first, others)) = found.split_first() else {
+            return Ok(Outcome::Nobody("the name has no address".to_owned()));
+        };
+        let at = async |to| {
+            let outcome = self.connect(to, client.clone(), &witness);
+            let outcome = tokio::time::timeout(patience, outcome).await;
+            outcome.unwrap_or_else(|_| Outcome::Nobody("no answer".to_owned()))
+        };
+        let outcome = at(first).await;
+        if matches!(outcome, Outcome::Nobody(_)) {
+            // The network takes the first address alone.
+            for &other in others {
+                if matches!(at(other).await, Outcome::Accepted) {
+                    return Ok(Outcome::Refused(format!(
+                        "this name is {} first, where nobody answers, and the run is at {}; join it at that address, or have it \
+                         listen at this name",
+                        first.ip(),
+                        other.ip()
+                    )));
+                }
+            }
+        }
+        Ok(outcome)
     }
 
-    async fn connect(&self, client: quinn::ClientConfig, witness: &Witness) -> Outcome {
-        let found = tokio::net::lookup_host(self.address).await.map(|mut found| found.next());
-        let to = match found {
-            Ok(Some(to)) => to,
-            Ok(None) => return Outcome::Nobody("the name has no address".to_owned()),
-            Err(error) => return Outcome::Nobody(error.to_string()),
-        };
+    async fn connect(
+        &self,
+        to: SocketAddr,
+        client: quinn::ClientConfig,
+        witness: &Witness,
+    ) -> Outcome {
         let from = match to {
             SocketAddr::V4(_) => SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)),
             SocketAddr::V6(_) => SocketAddr::from((Ipv6Addr::UNSPECIFIED, 0)),

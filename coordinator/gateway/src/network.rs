@@ -20,7 +20,7 @@ const LEASE_MS: u64 = 3000;
 /// Which end of the network a session is.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum End<'a> {
-    /// Waits for hosts there. With certificates only these are heard.
+    /// Waits for hosts there: at one endpoint, or at several with commas between them. With certificates only these are heard.
     Listen(&'a str, Option<(&'a CertificateDir, &'a [String])>),
     /// Connects there, within this time, and again whenever the link was cut. With certificates as this host.
     Connect(&'a str, Duration, Option<(&'a CertificateDir, &'a str)>),
@@ -70,7 +70,7 @@ fn configuration(end: End<'_>) -> zenoh::Result<Config> {
     let lease = LEASE_MS.to_string();
     for (key, value) in [
         ("mode", text(mode).as_str()),
-        (place, &format!("[{}]", text(endpoint))),
+        (place, &serde_json::Value::from_iter(endpoint.split(',')).to_string()),
         // Whoever has not been told the endpoint does not find it.
         ("scouting/multicast/enabled", "false"),
         ("scouting/gossip/enabled", "false"),

@@ -15,7 +15,7 @@ use super::process_view::ProcessView;
 pub struct GatewaySpec {
     /// The program `gateway`.
     pub program: PathBuf,
-    /// Where it listens: `quic/ADDRESS:PORT` or `tcp/ADDRESS:PORT`.
+    /// Where it listens: `quic/ADDRESS:PORT` or `tcp/ADDRESS:PORT`, several with commas between them.
     pub listen: String,
     /// Certificates, for `quic`.
     pub certificates: Option<PathBuf>,
