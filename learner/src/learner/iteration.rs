@@ -77,9 +77,11 @@ fn train(learner: &mut Learner, shards: &[&[f32]]) -> Result<UpdateReport, Learn
             // An update that stands still shall be found out, so it is no sign of life that
             // this thread is well.
             let now = work.load(Ordering::Relaxed);
-            if received.is_ok() && now != worked {
+            if now != worked {
                 worked = now;
-                received = ports.beat();
+                // Also when there is an error to tell: it is told when the update has ended.
+                let beaten = ports.beat();
+                received = received.and(beaten);
             }
             ports.bell.wait(BUSY);
         }

@@ -13,7 +13,7 @@ use super::{FINISH_DEADLINE, Session, StoppedBy};
 use crate::committer::Committed;
 use crate::report::{Live, Reporter};
 use crate::scheduler::Scheduler;
-use crate::supervisor::{Deaths, Supervisor};
+use crate::supervisor::Supervisor;
 
 /// What metrics say of a run cannot be kept.
 fn unwritten(error: &anyhow::Error) -> ExitError {
@@ -272,7 +272,7 @@ impl Session<'_> {
         self.monitor.divergence = reporter.diverged().cloned();
         self.monitor.last = line;
         self.reported = iteration + 1;
-        self.learner_deaths = Deaths::default();
+        self.learner_deaths.trained(self.reported);
         if let Some(scheduler) = &mut self.scheduler {
             scheduler.iteration_done(iteration);
         }

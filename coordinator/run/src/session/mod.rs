@@ -18,6 +18,7 @@ mod control;
 mod events;
 mod host_list;
 mod hosts;
+mod learner_deaths;
 mod monitor;
 mod order_queue;
 mod recovery;
@@ -45,6 +46,7 @@ use self::accounting::StepAccounts;
 use self::audit_list::Audits;
 use self::failures::Failures;
 use self::host_list::Hosts;
+use self::learner_deaths::LearnerDeaths;
 use self::monitor::Monitor;
 use self::order_queue::OrderQueue;
 use self::reserved_memory::ReservedMemory;
@@ -53,7 +55,7 @@ use self::stall_allowance::{LoopClock, STANDSTILL};
 use crate::report::Reporter;
 use crate::scheduler::Scheduler;
 use crate::signals::StopRequests;
-use crate::supervisor::{Deaths, GatewaySpec, Programs, Supervisor};
+use crate::supervisor::{GatewaySpec, Programs, Supervisor};
 
 /// Everything that a run needs to start or to go on. The run directory exists, holds
 /// `config.toml` and `robot.toml`, and is locked.
@@ -187,7 +189,7 @@ struct Session<'a> {
     refused: BTreeMap<PathBuf, String>,
     /// Iterations reported.
     reported: u64,
-    learner_deaths: Deaths,
+    learner_deaths: LearnerDeaths,
     learner_restarts: u64,
     workers: usize,
     steps_per_block: u64,
@@ -250,7 +252,7 @@ impl<'a> Session<'a> {
             base: None,
             refused: BTreeMap::new(),
             reported: 0,
-            learner_deaths: Deaths::default(),
+            learner_deaths: LearnerDeaths::default(),
             learner_restarts: 0,
             workers: config.run.workers,
             steps_per_block: (dimensions.n_envs * dimensions.n_steps) as u64,

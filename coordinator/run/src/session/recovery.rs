@@ -30,10 +30,6 @@ use crate::supervisor::{Cause, Death, Supervisor, log_tail};
 /// How long a learner or worker may take at least until it is ready, however short the deadline is
 /// for one that has been heard.
 const START_DEADLINE: Duration = Duration::from_secs(10);
-/// Deaths of the learner in a row, without a new iteration in between, that end the run.
-const MAX_LEARNER_CRASHES: u32 = 3;
-/// The same for deaths by a signal from outside.
-const MAX_LEARNER_KILLS: u32 = 50;
 
 impl Session<'_> {
     /// Reaps the dead, opens their shards again and starts successors.
@@ -127,7 +123,7 @@ impl Session<'_> {
         self.learner_deaths.count(cause);
         // One that cannot even come up will not come up the next time.
         let is_hopeless = !is_up && matches!(cause, Cause::Crash(_) | Cause::SharedMemoryFull);
-        if is_hopeless || self.learner_deaths.are_too_many(MAX_LEARNER_CRASHES, MAX_LEARNER_KILLS) {
+        if is_hopeless || self.learner_deaths.are_too_many() {
             // What has never come up does not do so for being asked again.
             let cure = if !is_hopeless && self.find_base().is_ok_and(|(base, _)| base.is_some()) {
                 let run_dir = self.spec.run_dir.path().display();
