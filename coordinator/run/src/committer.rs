@@ -267,7 +267,9 @@ impl Writer {
         match result {
             Ok(Placement { dir, best }) => {
                 // The checkpoint is safe; what is left is housekeeping, and done again next time.
-                if let Err(error) = self.mark_milestone(iteration).and_then(|()| self.retain()) {
+                if let Err(error) =
+                    self.mark_milestone(iteration).and_then(|()| self.retain(iteration))
+                {
                     tracing::warn!(%error, "checkpoints could not be tidied up");
                 }
                 self.tell(Committed::Checkpoint { iteration, dir, elapsed: begun.elapsed() });
@@ -328,10 +330,10 @@ impl Writer {
         Ok(())
     }
 
-    fn retain(&self) -> Result<(), CheckpointError> {
+    fn retain(&self, iteration: u64) -> Result<(), CheckpointError> {
         let run = &self.config.run;
         let retention =
             Retention { latest: run.checkpoints_kept, every: run.keep_every, best: true };
-        self.store.retain(&retention).map(|_| ())
+        self.store.retain_up_to(iteration, &retention).map(|_| ())
     }
 }

@@ -29,6 +29,16 @@ pub struct Retention {
 impl Retention {
     /// Names of the run's own checkpoints that go; `is_whole` says of which all files are there.
     pub fn doomed(self, survey: &Survey, is_whole: impl Fn(&Entry) -> bool) -> Vec<Name> {
+        self.doomed_up_to(u64::MAX, survey, is_whole)
+    }
+
+    /// The same for a run that is at `iteration`: what lies beyond it was passed over, and neither counts nor goes.
+    fn doomed_up_to(
+        self,
+        iteration: u64,
+        survey: &Survey,
+        is_whole: impl Fn(&Entry) -> bool,
+    ) -> Vec<Name> {
         let own = || {
             let entries = survey.entries.iter();
             entries.filter(|entry| entry.name.iteration().is_some() && !entry.labels.imported)
@@ -36,6 +46,7 @@ impl Retention {
         let mut whole: Vec<u64> = own()
             .filter(|entry| entry.kind == Kind::Training && is_whole(entry))
             .filter_map(|entry| entry.name.iteration())
+            .filter(|&of_entry| of_entry <= iteration)
             .collect();
         whole.sort_unstable_by(|a, b| b.cmp(a));
         whole.truncate(self.latest.max(1));
@@ -66,11 +77,21 @@ impl CheckpointStore {
     /// Removes the run's own checkpoints that `retention` does not keep, and what killed processes
     /// have left; returns the names of the former.
     pub fn retain(&self, retention: &Retention) -> Result<Vec<Name>, CheckpointError> {
+        self.retain_up_to(u64::MAX, retention)
+    }
+
+    /// The same for a run that is at `iteration`. Newer ones, which it could not go on from, do not push out what it commits.
+    pub fn retain_up_to(
+        &self,
+        iteration: u64,
+        retention: &Retention,
+    ) -> Result<Vec<Name>, CheckpointError> {
         if !Guard::was_taken(&self.root) && self.survey()?.is_empty() {
             return Ok(Vec::new());
         }
         let guard = self.guard()?;
-        let doomed = retention.doomed(&self.survey()?, |entry| looks_whole(&entry.dir));
+        let survey = self.survey()?;
+        let doomed = retention.doomed_up_to(iteration, &survey, |entry| looks_whole(&entry.dir));
         for name in &doomed {
             self.put_away(&guard, name)?;
         }

@@ -69,6 +69,16 @@ fn a_damaged_newest_one_does_not_count() {
 }
 
 #[test]
+fn what_a_run_could_not_go_on_from_does_not_push_out_what_it_commits() {
+    let (_dir, store) = store_with(&[180, 190, 200, 250, 300]);
+    // It went on from 190, because its metrics end before 200.
+    commit(&store, 196);
+    assert_eq!(store.retain_up_to(196, &keep(2, 0, false)).expect("retains"), [nth(180)]);
+    assert_eq!(iterations(&store), [190, 196, 200, 250, 300]);
+    assert_eq!(store.retain(&keep(2, 0, false)).expect("retains"), [190, 196, 200].map(nth));
+}
+
+#[test]
 fn nothing_is_removed_while_none_is_whole() {
     let (_dir, store) = store_with(&[1, 2]);
     for iteration in [1, 2] {
