@@ -169,6 +169,7 @@ fn checkpoints_of_a_bucket_are_shown_compared_labelled_exported_served_and_remov
         serde_json::from_str(&at(port, 0, &[&prune[..], more].concat())).expect("JSON")
     };
     assert_eq!(pruned(&[])["removed"], serde_json::json!([]), "pinned and tagged ones stay");
+    at(port, 0, &["checkpoints", "tag", ADDRESS, "passing"]);
     serves(port);
 
     at(port, 5, &["checkpoints", "delete", &five]);
@@ -217,6 +218,14 @@ fn serves(port: u16) {
         listed.contains("iteration-00000005") && listed.contains("iteration-00000007"),
         "{listed}"
     );
+    // It follows the bucket, also where the last that was said of a checkpoint is taken back.
+    assert!(listed.contains("passing"), "{listed}");
+    at(port, 0, &["checkpoints", "untag", ADDRESS, "passing"]);
+    let watchdog = Instant::now() + Duration::from_mins(2);
+    while ask("GET", "/v1/checkpoints").contains("passing") {
+        assert!(Instant::now() < watchdog, "the service still has the tag");
+        std::thread::sleep(Duration::from_millis(200));
+    }
     let refused = ask("DELETE", "/v1/checkpoints/iteration-00000005");
     assert!(refused.starts_with("HTTP/1.0 403"), "{refused}");
     tests::kill(service.id(), Signal::TERM);

@@ -70,11 +70,18 @@ pub(crate) fn summarise(listed: &Listed, root: &Path) -> Result<(), BucketError>
 fn write_summary(listed: &Listed, dir: &Path) -> Result<(), BucketError> {
     let json = serde_json::to_vec_pretty(listed.manifest()).expect("a manifest has a JSON form");
     write(&dir.join(MANIFEST), &json)?;
+    let labels = dir.join(LABELS);
     if listed.labels != Labels::default() {
         let json = serde_json::to_vec_pretty(&listed.labels).expect("labels have a JSON form");
-        write(&dir.join(LABELS), &json)?;
+        return write(&labels, &json);
     }
-    Ok(())
+    // What was said of it before, and is not any more.
+    match fs::remove_file(&labels) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(file_error(&labels, &error))
+        }
+        _ => Ok(()),
+    }
 }
 
 pub(crate) fn write(path: &Path, content: &[u8]) -> Result<(), BucketError> {
