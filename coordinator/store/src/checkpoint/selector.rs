@@ -103,7 +103,14 @@ impl Selector {
             path.clone()
         };
         let Some(name) = whole.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
-        let Ok(name) = name.parse::<Name>() else { return Ok(None) };
+        let name = match name.parse::<Name>() {
+            Ok(name) => name,
+            Err(_) if !whole.join(MANIFEST).is_file() => return Ok(None),
+            Err(error) => {
+                let what = format!("is a checkpoint, but its directory has to be renamed: {error}");
+                return Err(CheckpointError::NotFound { path: path.clone(), what });
+            }
+        };
         let damaged = name.iteration().is_some() && !RunDir::new(&whole).checkpoints().is_dir();
         if !whole.is_dir() || !(whole.join(MANIFEST).exists() || damaged) {
             return Ok(None);

@@ -137,6 +137,15 @@ fn a_link_from_elsewhere_is_the_checkpoint_that_it_leads_to() {
 }
 
 #[test]
+fn a_copy_whose_directory_has_a_name_that_is_none_says_so() {
+    let (dir, store) = store_with(&[5]);
+    let copy = dir.path().join("my policy");
+    std::fs::rename(store.dir(&nth(5)), &copy).expect("renames");
+    let error = located(&copy.display().to_string()).expect_err("no name");
+    assert!(error.contains("has to be renamed") && error.contains("holds ' '"), "{error}");
+}
+
+#[test]
 fn a_checkpoint_is_no_store() {
     let (dir, store) = store_with(&[5]);
     let checkpoint = store.dir(&nth(5));
