@@ -16,16 +16,18 @@ use super::problem::{ErrorBody, Problem};
 
 /// Most that one answer holds (bytes).
 const PIECE: u64 = 4 << 20;
+/// Where this piece begins.
+const BEGUN: HeaderName = HeaderName::from_static("octopus-from");
 /// Where the next piece begins.
 const NEXT: HeaderName = HeaderName::from_static("octopus-next");
 
-/// Lines of the metrics, one an iteration. After a recovery lines are cut off: if `octopus-next` is smaller than
-/// `from`, what the client has is out of date, and it begins anew.
+/// Lines of the metrics, one an iteration. After a recovery lines are cut off: if `octopus-from` is not the `from` that was
+/// asked for, what the client has is out of date, and these lines take its place.
 #[utoipa::path(get, path = "/v1/metrics", tag = "run", operation_id = "recorded_metrics",
     params(("from" = Option<u64>, Query, description = "Where to begin (bytes): `octopus-next` of the answer before")),
     responses(
         (status = 200, description = "Whole lines, at most 4 MiB", body = inline(Bytes),
-            content_type = "application/x-ndjson", headers(("octopus-next" = u64))),
+            content_type = "application/x-ndjson", headers(("octopus-from" = u64), ("octopus-next" = u64))),
         (status = 404, description = "The checkpoints are not those of a run", body = ErrorBody),
         (status = 422, description = "`from` is no number", body = ErrorBody),
     )
@@ -39,7 +41,7 @@ pub(super) async fn metrics(State(context): State<Shared>, uri: Uri) -> Result<R
     params(("from" = Option<u64>, Query, description = "Where to begin (bytes): `octopus-next` of the answer before")),
     responses(
         (status = 200, description = "Whole lines, at most 4 MiB", body = inline(Bytes),
-            content_type = "application/x-ndjson", headers(("octopus-next" = u64))),
+            content_type = "application/x-ndjson", headers(("octopus-from" = u64), ("octopus-next" = u64))),
         (status = 404, description = "The checkpoints are not those of a run", body = ErrorBody),
         (status = 422, description = "`from` is no number", body = ErrorBody),
     )
@@ -63,11 +65,12 @@ async fn send(
         Problem::new(StatusCode::NOT_FOUND, message)
     })?;
     let path = file(&run);
-    let (next, lines) =
+    let (begun, lines) =
         blocking(move || piece(&path, from)).await?.map_err(|error| Problem::internal(&error))?;
     let described = [
         (CONTENT_TYPE, HeaderValue::from_static("application/x-ndjson")),
-        (NEXT, HeaderValue::from(next)),
+        (BEGUN, HeaderValue::from(begun)),
+        (NEXT, HeaderValue::from(begun + lines.len() as u64)),
     ];
     Ok((described, lines).into_response())
 }
@@ -90,7 +93,7 @@ pub(super) fn place(query: Option<&str>, name: &str) -> Result<u64, Problem> {
     })
 }
 
-/// Whole lines from a place on, and where the next begin; from the beginning where the file has become shorter, or
+/// Whole lines from a place on, and where they begin; from the beginning where the file has become shorter, or
 /// is another one by now, so that no line begins there.
 pub(super) fn piece(path: &Path, from: u64) -> std::io::Result<(u64, Vec<u8>)> {
     let mut file = match regular_files::open(path) {
@@ -112,7 +115,7 @@ pub(super) fn piece(path: &Path, from: u64) -> std::io::Result<(u64, Vec<u8>)> {
     file.take(PIECE).read_to_end(&mut lines)?;
     // The last line may still be being written.
     lines.truncate(lines.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1));
-    Ok((from + lines.len() as u64, lines))
+    Ok((from, lines))
 }
 
 #[cfg(test)]
@@ -125,15 +128,16 @@ mod tests {
         let path = dir.path().join("metrics.jsonl");
         assert_eq!(piece(&path, 7).expect("no file is no lines"), (0, Vec::new()));
         std::fs::write(&path, "{\"a\":1}\n{\"a\":2}\n{\"a\"").expect("writes");
-        assert_eq!(piece(&path, 0).expect("reads"), (16, b"{\"a\":1}\n{\"a\":2}\n".to_vec()));
-        assert_eq!(piece(&path, 8).expect("reads"), (16, b"{\"a\":2}\n".to_vec()));
+        assert_eq!(piece(&path, 0).expect("reads"), (0, b"{\"a\":1}\n{\"a\":2}\n".to_vec()));
+        assert_eq!(piece(&path, 8).expect("reads"), (8, b"{\"a\":2}\n".to_vec()));
         assert_eq!(piece(&path, 16).expect("reads"), (16, Vec::new()));
-        // Cut off by a recovery: the client hears of a smaller place, and begins anew.
+        // Cut off by a recovery: it begins anew, and the client hears of that.
         std::fs::write(&path, "{\"a\":1}\n").expect("writes");
-        assert_eq!(piece(&path, 16).expect("reads"), (8, b"{\"a\":1}\n".to_vec()));
+        assert_eq!(piece(&path, 16).expect("reads"), (0, b"{\"a\":1}\n".to_vec()));
         // Cut off and grown again while nobody looked: no line begins there any more.
         std::fs::write(&path, "{\"a\":1}\n{\"a\":22}\n").expect("writes");
-        assert_eq!(piece(&path, 16).expect("reads").1.len(), 17);
+        let (begun, lines) = piece(&path, 16).expect("reads");
+        assert_eq!((begun, lines.len()), (0, 17));
     }
 
     #[test]

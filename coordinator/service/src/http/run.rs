@@ -17,8 +17,7 @@ use crate::live::{Command, LiveStatus};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScaleRequest {
-    /// Workers wanted; at least one, at most the run's limit.
-    #[schema(minimum = 1)]
+    /// Workers wanted; at most the run's limit. None only where other machines may help.
     pub workers: usize,
     /// Name or number of the other machine that shall have them; this one, if it is not there.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -63,10 +63,11 @@ export class RunsRoom {
         for (;;) {
             const from = this.places.get(name) ?? 0;
             const response = await ask(`runs/${encodeURIComponent(name)}/v1/metrics?from=${from}`);
+            const begun = Number(response.headers.get("octopus-from") ?? 0);
             const next = Number(response.headers.get("octopus-next") ?? 0);
             const text = await response.text();
             // Cut off after a recovery: from the beginning.
-            const lines = next < from || from === 0 ? [] : (this.lines.get(name) ?? []);
+            const lines = begun < from || from === 0 ? [] : (this.lines.get(name) ?? []);
             this.places.set(name, next);
             if (text === "") return changed;
             for (const line of text.trimEnd().split("\n")) lines.push(JSON.parse(line) as Metrics);
