@@ -29,7 +29,8 @@ export function isEffect(event: Event): boolean {
 
 /** How an episode begins. */
 export interface Start {
-    seed?: number;
+    /** A text where it is larger than a number can hold. */
+    seed?: number | string;
     purpose?: "evaluation" | "training";
     iteration?: number;
     episode?: number;

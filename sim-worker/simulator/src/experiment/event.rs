@@ -12,7 +12,8 @@ pub const LONGEST_DELAY: usize = 25;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Start {
-    /// Seed of the goals and of all noise.
+    /// Seed of the goals and of all noise. A text where it is larger than a JavaScript number can hold.
+    #[serde(with = "seed")]
     pub seed: u64,
     /// Which goals.
     pub purpose: GoalPurpose,
@@ -24,6 +25,39 @@ pub struct Start {
     /// joint angles (rad), joint rates (rad/s).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub state: Option<Vec<f64>>,
+}
+
+/// A seed in JSON that passes through a browser, whose numbers are exact up to 2⁵³ alone.
+mod seed {
+    use serde::de::Error as _;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    const LARGEST_NUMBER: u64 = (1 << 53) - 1;
+
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "expected a whole number, or a text that holds one")]
+    enum Written {
+        Number(u64),
+        Text(String),
+    }
+
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde wants a reference")]
+    pub(super) fn serialize<S: Serializer>(seed: &u64, serializer: S) -> Result<S::Ok, S::Error> {
+        if *seed > LARGEST_NUMBER {
+            serializer.serialize_str(&seed.to_string())
+        } else {
+            serializer.serialize_u64(*seed)
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+        match Written::deserialize(deserializer)? {
+            Written::Number(seed) => Ok(seed),
+            Written::Text(text) => text
+                .parse()
+                .map_err(|_| D::Error::custom(format!("seed {text:?}: expected a whole number"))),
+        }
+    }
 }
 
 /// Whose goals an episode has.
@@ -189,6 +223,35 @@ impl Effect {
                 finite("the force", force)?;
                 finite("the torque", torque)
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_pass_through_a_browser_to_the_last_digit() {
+        let largest = (1_u64 << 53) - 1;
+        for (seed, written) in [
+            (7, "7".to_owned()),
+            (largest, largest.to_string()),
+            (largest + 1, format!("\"{}\"", largest + 1)),
+            (u64::MAX, format!("\"{}\"", u64::MAX)),
+        ] {
+            let start = Start { seed, ..Start::default() };
+            let json = serde_json::to_string(&start).expect("it has a JSON form");
+            assert!(json.contains(&format!("\"seed\":{written},")), "{json}");
+            assert_eq!(serde_json::from_str::<Start>(&json).expect("a start"), start);
+        }
+        // Files from before have numbers.
+        let large: Start = serde_json::from_str(&format!("{{\"seed\":{}}}", u64::MAX)).expect("one");
+        assert_eq!(large.seed, u64::MAX);
+        for (wrong, said) in [("-1", "whole number"), ("\"1.5\"", "seed \"1.5\""), ("[]", "whole")] {
+            let error = serde_json::from_str::<Start>(&format!("{{\"seed\":{wrong}}}"));
+            let error = error.expect_err("none").to_string();
+            assert!(error.contains(said), "{error}");
         }
     }
 }

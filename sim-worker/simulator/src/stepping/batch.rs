@@ -32,7 +32,7 @@ pub enum GoalKind {
 pub struct Begin {
     /// Seed of the run, or of the evaluation.
     pub seed: u64,
-    /// Iteration of the run.
+    /// Iteration of the run; an evaluation has none.
     pub iteration: u32,
     /// Global index of the first environment.
     pub first: u32,
