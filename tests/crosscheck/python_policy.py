@@ -25,7 +25,7 @@ assert (played["contacts"].sum(axis=1) > 0).sum() == one["contact_steps"]
 
 # And in a batch of its own configuration, on the same goals, by what it says step by step.
 batch = spaceoctopus.Batch(35, policy.config, robot=policy.robot)
-batch.reset(5, iteration=0, goals="evaluation")
+batch.reset(5, goals="evaluation")
 smallest = batch.position_error.copy()
 smallest[:] = np.inf
 for _ in range(12):
@@ -35,6 +35,28 @@ last = np.float32([[hand["position"]["last"] for hand in one["hands"]] for one i
 least = np.float32([[hand["position"]["min"] for hand in one["hands"]] for one in expected["episodes"]])
 assert np.array_equal(batch.position_error, last) and np.array_equal(smallest, least), "the same bits"
 assert np.array_equal(policy.act(batch.observation)[7], policy.act(batch.observation[7])), "alone as among others"
+
+# One environment plays the episodes of an evaluation one after the other, unless it is told which.
+alone = spaceoctopus.Batch(1, policy.config, robot=policy.robot)
+batch.reset(5, goals="evaluation")
+goals = [(batch.hand_goal[n].copy(), batch.base_goal[n].copy()) for n in range(9)]
+
+
+def has_goals_of(episode):
+    hands, base = goals[episode]
+    assert np.array_equal(alone.hand_goal[0], hands) and np.array_equal(alone.base_goal[0], base), episode
+
+
+alone.reset(5, goals="evaluation")
+has_goals_of(0)
+alone.reset()
+has_goals_of(1)
+alone.reset(first=7)
+has_goals_of(7)
+alone.reset()
+has_goals_of(8)
+alone.reset(5)
+has_goals_of(0)
 
 # A goal of one's own: where the hand is at home, it stays.
 if policy.task == "trajectory":

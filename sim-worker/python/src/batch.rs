@@ -43,8 +43,10 @@ pub(crate) struct Batch {
 /// What a step changes; nothing is left of it in a batch that was closed.
 struct Open {
     batch: Option<stepping::Batch>,
-    /// The next episodes'.
+    /// The next episodes', but for those of evaluations.
     next: Begin,
+    /// First environment of the next episodes of an evaluation.
+    evaluated: u32,
 }
 
 #[pymethods]
@@ -91,7 +93,7 @@ impl Batch {
             let shared = Arc::clone(&world);
             let batch = py.detach(|| stepping::Batch::new(shared, n_envs, threads));
             let next = Begin { seed, iteration: 0, first: 0, goals: GoalKind::Training };
-            let open = Mutex::new(Open { batch: Some(batch), next });
+            let open = Mutex::new(Open { batch: Some(batch), next, evaluated: 0 });
             Ok(Self { world, n_envs, threads, open, arrays, truncated })
         })
     }
@@ -99,8 +101,10 @@ impl Batch {
     /// Begins other episodes, and shows them.
     ///
     /// With a seed, those of iteration 0 of a run with this seed; without one, those of the next iteration (at first, of the
-    /// configuration's seed). Environment n has the goals and the start of environment `first` + n of the run. With `goals="evaluation"`
-    /// goals are those of `octopus eval --seed SEED` and robots start at home; episode e there is environment e of iteration 0.
+    /// configuration's seed). Environment n has the goals and the start of environment `first` + n of the run.
+    ///
+    /// With `goals="evaluation"` goals are those of `octopus eval --seed SEED` and robots start at home: environment n plays episode `first` + n there. With a
+    /// seed `first` is 0 unless it is given; without one and without `first` the episodes after those that were begun last are next.
     ///
     /// `ValueError` if a value is out of range, `RuntimeError` if the batch is closed.
     #[pyo3(signature = (seed = None, *, iteration = None, first = None, goals = None))]
@@ -114,14 +118,12 @@ impl Batch {
     ) -> PyResult<()> {
         guarded(|| {
             let mut open = self.open()?;
-            let mut begin = open.next;
+            let Open { mut next, mut evaluated, .. } = *open;
             if let Some(seed) = seed {
-                (begin.seed, begin.iteration) = (seed, 0);
+                (next.seed, next.iteration, evaluated) = (seed, 0, 0);
             }
-            begin.iteration = iteration.unwrap_or(begin.iteration);
-            begin.first = first.unwrap_or(begin.first);
-            begin.goals = match goals {
-                None => begin.goals,
+            next.goals = match goals {
+                None => next.goals,
                 Some("training") => GoalKind::Training,
                 Some("evaluation") => GoalKind::Evaluation,
                 Some(other) => {
@@ -130,11 +132,24 @@ impl Batch {
                     )));
                 }
             };
+            let is_evaluation = next.goals == GoalKind::Evaluation;
+            let begin = if is_evaluation {
+                let (iteration, first) = (iteration.unwrap_or(0), first.unwrap_or(evaluated));
+                Begin { iteration, first, ..next }
+            } else {
+                next.iteration = iteration.unwrap_or(next.iteration);
+                next.first = first.unwrap_or(next.first);
+                next
+            };
             let batch = open.batch.as_mut().ok_or_else(closed)?;
             self.lend(py, batch, |batch, threads, rows| batch.reset(begin, threads, rows))?;
             // All numbers of 32 bits have had their turn after 2³² episodes.
-            begin.iteration = begin.iteration.wrapping_add(1);
-            open.next = begin;
+            if is_evaluation {
+                evaluated = begin.first.wrapping_add(self.n_envs as u32);
+            } else {
+                next.iteration = next.iteration.wrapping_add(1);
+            }
+            (open.next, open.evaluated) = (next, evaluated);
             self.truncated.bind(py).try_readwrite()?.as_slice_mut()?.fill(false);
             Ok(())
         })

@@ -20,11 +20,24 @@ pub(crate) fn single<'py>(
 ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
     let array = real(given, what, "float32")?;
     let array = array.cast_into::<PyArrayDyn<f32>>()?;
-    if array.shape() != shape {
-        let found = words(array.shape());
-        return Err(value(format!("{what} has shape {found}, expected {}", words(shape))));
-    }
+    has_shape(&array, what, shape)?;
     Ok(array)
+}
+
+/// Refuses an array of another shape.
+///
+/// # Errors
+/// `ValueError` if it has one.
+pub(crate) fn has_shape<T: numpy::Element>(
+    array: &Bound<'_, PyArrayDyn<T>>,
+    what: &str,
+    shape: &[usize],
+) -> PyResult<()> {
+    if array.shape() == shape {
+        return Ok(());
+    }
+    let found = words(array.shape());
+    Err(value(format!("{what} has shape {found}, expected {}", words(shape))))
 }
 
 /// `given` as contiguous double precision of any shape.

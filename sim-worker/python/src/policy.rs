@@ -12,7 +12,7 @@ use simulator::rollout::World;
 use simulator::stepping::act;
 
 use crate::errors::{guarded, runtime, value};
-use crate::numbers::{array, by_arm, double, single, zeros};
+use crate::numbers::{array, by_arm, double, has_shape, single, zeros};
 use crate::robot::Robot;
 use crate::threads::{Threads, available};
 use crate::{checkpoint, config, robot};
@@ -207,11 +207,8 @@ fn fixed(
     let mut fixed = FixedGoals::default();
     if let Some(given) = hands {
         let goals = double(given, "hand_goal")?;
+        has_shape(&goals, "hand_goal", &[n_arms, 6])?;
         let numbers = goals.try_readonly()?.as_slice()?.to_vec();
-        if numbers.len() != 6 * n_arms {
-            let found = numbers.len();
-            return Err(value(format!("hand_goal has {found} numbers, expected {n_arms} × 6")));
-        }
         for (arm, pose) in numbers.as_chunks::<6>().0.iter().enumerate() {
             fixed.hands.push(if pose.iter().all(|x| x.is_nan()) {
                 None
@@ -223,10 +220,9 @@ fn fixed(
     }
     if let Some(given) = base {
         let goal = double(given, "base_goal")?;
+        has_shape(&goal, "base_goal", &[3])?;
         let numbers = goal.try_readonly()?.as_slice()?.to_vec();
-        let attitude = <[f64; 3]>::try_from(numbers.as_slice());
-        let attitude = attitude
-            .map_err(|_| value(format!("base_goal has {} numbers, expected 3", numbers.len())))?;
+        let attitude = <[f64; 3]>::try_from(numbers.as_slice()).expect("three numbers");
         finite("base_goal", &attitude)?;
         fixed.base = Some(attitude);
     }

@@ -23,7 +23,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
 
     ``config``, ``task``, ``set``, ``robot`` and ``threads`` are as for ``Batch``. The seed of ``reset`` is that of a run, whose iterations
     are the episodes; environment n is environment n of the run. Options: ``iteration``, ``env`` (index of the first environment) and
-    ``goals`` ("training" or "evaluation").
+    ``goals`` ("training" or "evaluation": then environment n plays episode ``env`` + n of ``octopus eval``, and the next N episodes follow).
     """
 
     def __init__(
