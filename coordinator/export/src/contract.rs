@@ -103,7 +103,7 @@ const HEAD: &str = "\
 # What the controller of this directory takes and gives, what it was trained with, and what it is not for.
 # Inputs are in the order of controller.onnx; a leading dimension `batch` is not written. The struct octopus_state
 # of controller.h has the same numbers, but for the last command and, where there are any, postures: octopus_memory keeps them.
-# `range` is what the C code accepts; `seen` is what the 256 states of vectors.json hold.
+# `range` is what the C code accepts, `ranges` of each element where they differ; `seen` is what the 256 states of vectors.json hold.
 
 ";
 
@@ -312,7 +312,10 @@ fn inputs(source: &Source<'_>, vectors: &Vectors) -> Vec<Port> {
         } else {
             "position of each hand, and Euler angles of its attitude Rx(a) Ry(b) Rz(c); what stands in the rows of arms that turn the base is not looked at"
         };
-        of_hands(port("hand_goals", "m, rad", "world", meaning, elements, 1e6))
+        let mut goals = port("hand_goals", "m, rad", "world", meaning, elements, 1e6);
+        // Of angles a turn too many loses digits, so the C code takes less of them.
+        goals.ranges = [[-1e6, 1e6]; 3].into_iter().chain([[-1e3, 1e3]; 3]).collect();
+        of_hands(goals)
     });
     let hand_goal_velocities = source.has_moving_goals().then(|| {
         let elements = names(&["x", "y", "z", "about x", "about y", "about z"]);

@@ -91,9 +91,11 @@ typedef struct {
 #if defined(__FAST_MATH__)
 #error "Compile without -ffast-math: it changes bits, and lets NaN pass."
 #endif
+/* A product and a sum are two roundings, also where the processor has an instruction for both in one. */
 #if defined(__clang__)
-/* GCC does not contract in -std=c99. */
 #pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize ("fp-contract=off")
 #endif
 
 /* a b + c, and c - a b, with one rounding. */
