@@ -72,7 +72,7 @@ pub enum Command {
     Mjcf(mjcf::MjcfArgs),
     /// Write a robot as a URDF file.
     Urdf(urdf::UrdfArgs),
-    /// Check whether this machine can run a training, and say what cures what cannot.
+    /// Check whether this machine can run a training, and say what to do where it cannot.
     Doctor(doctor::DoctorArgs),
     /// Measure how fast this machine simulates, learns and transports.
     Bench(bench::BenchArgs),

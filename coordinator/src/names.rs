@@ -91,7 +91,7 @@ impl Names for Preset {
             Self::Paper => "The paper's text; where it is silent, the released code",
             Self::Release => "The authors' released code",
             Self::Robust => {
-                "Preset `guided`, trained with a robot whose drives and sensors err and whose masses are others"
+                "Preset `guided`, trained with a robot whose sensors err, too"
             }
         }
     }

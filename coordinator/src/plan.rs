@@ -27,7 +27,7 @@ Examples:
   octopus plan --goal 2=0.4,-1.1,4.2,1.6,0,1.5 --out plan.csv
   octopus plan --by --frame mount --goal 1=0.1,0,-0.2,0,0,0.3 --out plan.csv
   octopus plan --goal 1=... --goal 3=... --hold-base --picture plan.svg --json
-  octopus plan --state before.csv --policies runs/a:best --goal 4=... \\
+  octopus plan --state before.csv --policy runs/a:best --goal 4=... \\
       --out plan.csv
   octopus plan --held-out 300 --seed 5 --time-limit 10s
 
@@ -75,8 +75,8 @@ pub struct PlanArgs {
     #[arg(long, value_name = "FILE.csv")]
     pub state: Option<PathBuf>,
     /// Try what this policy does first; it has to be one of `trajectory`.
-    #[arg(long, value_name = "RUN_DIR|CHECKPOINT")]
-    pub policies: Option<PathBuf>,
+    #[arg(long, alias = "policies", value_name = "RUN_DIR|CHECKPOINT")]
+    pub policy: Option<PathBuf>,
     /// Fastest joint rate (rad/s). Trained policies may turn joints two to three times as fast.
     #[arg(long, value_name = "RATE", default_value_t = 0.8, allow_hyphen_values = true, value_parser = rate)]
     pub fastest: f64,
@@ -105,7 +105,7 @@ pub struct PlanArgs {
     #[arg(long)]
     pub json: bool,
     /// Plan, one after the other, for the held-out goals of so many evaluation episodes that can be reached, and say how many have a plan.
-    #[arg(long, value_name = "EPISODES", allow_hyphen_values = true, value_parser = whole::<u64>(1, 100_000), conflicts_with_all = ["goals", "by", "frame", "hold_base", "state", "policies", "out", "trajectory", "picture", "recording"])]
+    #[arg(long, value_name = "EPISODES", allow_hyphen_values = true, value_parser = whole::<u64>(1, 100_000), conflicts_with_all = ["goals", "by", "frame", "hold_base", "state", "policy", "out", "trajectory", "picture", "recording"])]
     pub held_out: Option<u64>,
 }
 
@@ -192,7 +192,7 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<()> {
     }
     check_outputs(args)?;
     let question = question(args, &robot)?;
-    let policy = args.policies.as_deref().map(|path| policy(path, &robot)).transpose()?;
+    let policy = args.policy.as_deref().map(|path| policy(path, &robot)).transpose()?;
     let found = answer(&robot, &options, &question, policy, args.time_limit)?;
     let report = Report::new(&question, &found, options.control_period);
     if args.json {
@@ -276,7 +276,7 @@ fn policy(path: &Path, robot: &Robot) -> anyhow::Result<Trained> {
     let trained = Trained::new(open_checkpoint(path)?, Some(robot))?;
     if !trained.task().only_reaches() || trained.task().moves() {
         let message = format!(
-            "--policies {}: the policy learned `{}`; wanted is one of `trajectory`, which moves hands to poses",
+            "--policy {}: the policy learned `{}`; wanted is one of `trajectory`, which moves hands to poses",
             path.display(),
             trained.task().as_str()
         );
@@ -290,7 +290,7 @@ fn check_outputs(args: &PlanArgs) -> Result<(), ExitError> {
     outputs::check_stdout(args.json, args.out.as_deref())?;
     let mut inputs: Vec<Input<'_>> = vec![("--robot", Path::new(&args.robot))];
     inputs.extend(args.state.as_deref().map(|path| ("--state", path)));
-    inputs.extend(args.policies.as_deref().map(|path| ("--policies", path)));
+    inputs.extend(args.policy.as_deref().map(|path| ("--policy", path)));
     let named: [(&'static str, &Option<PathBuf>, &[u8]); 4] = [
         ("--out", &args.out, b""),
         ("--trajectory", &args.trajectory, MARK),

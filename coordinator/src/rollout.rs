@@ -21,7 +21,7 @@ use crate::not_the_same::NotTheSame;
 
 const EXAMPLES: &str = "\
 Examples:
-  octopus rollout runs/trajectory-20260101-120000 --address 1/500/1
+  octopus rollout runs/trajectory-20260101-120000 --address 1/100/1
   octopus rollout runs/a --address 1/500/0 --out block.safetensors
 
 A rollout is a pure function of seed, iteration, shard and policy, so this makes the very block \

@@ -6,7 +6,7 @@
 //!
 //! Actions are sampled with the normaliser that was published with their policy. So the normaliser
 //! changes after an iteration's update, together with the policy, never between rollout and
-//! update. The first iteration alone is trained with its own moments: an untrained policy has
+//! update (but with `run.overlap`, where a policy acts while its successor is learned). The first iteration alone is trained with its own moments: an untrained policy has
 //! nothing to unlearn, and critics would otherwise begin on raw inputs.
 
 use proto::config::{InputNorm as InputNormKind, Network};

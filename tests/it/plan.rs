@@ -138,7 +138,7 @@ fn bad_questions_are_refused() {
         (&["plan", goal, "--within=5,10"], 2, "5mm,10mrad"),
         (&["plan", goal, "--robot=none.toml"], 3, "none.toml"),
         (&["plan", goal, "--state", &bad], 3, "expected the 75 columns"),
-        (&["plan", goal, "--policies", &base_policy], 2, "`trajectory`"),
+        (&["plan", goal, "--policy", &base_policy], 2, "`trajectory`"),
         (&["plan", goal, "--out", &bad, "--state", &bad], 2, "is what --state reads"),
         (&["plan", "--held-out=3", goal], 2, "cannot be used with"),
     ] {

@@ -49,7 +49,7 @@ pub struct ReproduceArgs {
     /// Runs of each algorithm and task, with the seeds 1 to N; the best one of MAPPO gives the policy.
     #[arg(long, value_name = "N", default_value_t = 3, requires = "train", allow_hyphen_values = true, value_parser = whole::<u64>(1, 1000), help_heading = "Training")]
     pub seeds: u64,
-    /// What MAPPO is compared with; --baselines alone for nothing.
+    /// What MAPPO is compared with. Without a value: nothing, only MAPPO is trained.
     #[arg(long, allow_negative_numbers = true, value_name = "LIST", value_enum, num_args = 0.., default_value = "ppo,maddpg", value_delimiter = ',', requires = "train", help_heading = "Training")]
     pub baselines: Vec<Named<AlgorithmName>>,
     /// Change one key of all trainings; may be given again: --set run.env_steps=4000000.

@@ -5,6 +5,8 @@
 #   sbatch deploy/jobs/slurm/train.sh RUN [OPTIONS OF octopus train]
 #   sbatch --nodes=4 deploy/jobs/slurm/train.sh RUN [OPTIONS OF octopus train]
 #
+# On several machines say how many shards there are, one for each worker: --envs 64 --set env.n_shards=8.
+#
 # RUN must be where every machine of the partition sees it. Submit it from the root of the repository, or say where that
 # is in SPACEOCTOPUS. A sweep is an array: deploy/sweeps/slurm-array.sh.
 #

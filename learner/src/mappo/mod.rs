@@ -3,7 +3,8 @@
 //! Yu et al. 2022, algorithm 1, with separate networks for every agent (or some that several share, or
 //! one that acts for all), in this order:
 //!
-//! 1. inputs are normalised as the policy that acted saw them, and gathered sample by sample;
+//! 1. inputs are normalised as the policy that acted saw them (with `run.overlap` as the one after it does: a policy is one update older there), and
+//!    gathered sample by sample;
 //! 2. critics predict values; advantages by [`gae`](crate::gae) on denormalised values;
 //! 3. each epoch first updates the value normaliser with the returns, then splits a permutation of
 //!    the samples into mini-batches; each is one Adam step for actors, then one for critics;

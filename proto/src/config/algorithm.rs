@@ -91,7 +91,7 @@ pub struct Algorithm {
     pub bootstrap_truncated: bool,
     /// Limit of the gradient's global norm, actor and critic apart, per agent; 0 turns it off.
     pub max_grad_norm: f64,
-    /// Ends an iteration's steps of an actor when its KL divergence passes this, the mean over its agents; the critic goes on. 0 turns it off.
+    /// Ends an iteration's steps of an actor when its KL divergence passes this, the mean over its agents; the critic goes on. 0 turns it off. With `run.overlap` the divergence holds the update before, too.
     pub max_kl: f64,
     /// What only MADDPG uses. Of the keys above it uses `gamma`, `bootstrap_truncated` and
     /// `max_grad_norm`. Configurations from before MADDPG go on without.

@@ -17,7 +17,7 @@ pub enum Preset {
     Paper,
     /// The authors' released code.
     Release,
-    /// Preset `guided`, trained with a robot whose drives and sensors err and whose masses are others.
+    /// Preset `guided`, trained with a robot whose sensors err, too.
     Robust,
 }
 

