@@ -90,9 +90,7 @@ impl Names for Preset {
             Self::Tuned => "The same with policies that find everything themselves",
             Self::Paper => "The paper's text; where it is silent, the released code",
             Self::Release => "The authors' released code",
-            Self::Robust => {
-                "Preset `guided`, trained with a robot whose sensors err, too"
-            }
+            Self::Robust => "Preset `guided`, trained with a robot whose sensors err, too",
         }
     }
 }

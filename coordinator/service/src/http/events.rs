@@ -179,12 +179,11 @@ impl Files {
 
 /// Lines of a file that are new. Those that are no JSON, which only somebody else can have written, are left out.
 fn lines(name: &str, path: &Path, place: &mut u64) -> Option<Event> {
-    let (next, bytes) = piece(path, *place).ok()?;
-    let len = bytes.len() as u64;
-    if len == 0 && next == *place {
+    let (from, bytes) = piece(path, *place).ok()?;
+    let next = from + bytes.len() as u64;
+    if bytes.is_empty() && next == *place {
         return None;
     }
-    let from = next - len;
     *place = next;
     let text = String::from_utf8_lossy(&bytes);
     let is_json = |line: &&str| serde_json::from_str::<IgnoredAny>(line).is_ok();

@@ -246,9 +246,11 @@ mod tests {
             assert_eq!(serde_json::from_str::<Start>(&json).expect("a start"), start);
         }
         // Files from before have numbers.
-        let large: Start = serde_json::from_str(&format!("{{\"seed\":{}}}", u64::MAX)).expect("one");
+        let large: Start =
+            serde_json::from_str(&format!("{{\"seed\":{}}}", u64::MAX)).expect("one");
         assert_eq!(large.seed, u64::MAX);
-        for (wrong, said) in [("-1", "whole number"), ("\"1.5\"", "seed \"1.5\""), ("[]", "whole")] {
+        for (wrong, said) in [("-1", "whole number"), ("\"1.5\"", "seed \"1.5\""), ("[]", "whole")]
+        {
             let error = serde_json::from_str::<Start>(&format!("{{\"seed\":{wrong}}}"));
             let error = error.expect_err("none").to_string();
             assert!(error.contains(said), "{error}");
