@@ -278,7 +278,7 @@ pub struct NoiseArgs {
     /// Multiples of the arms' mass.
     #[arg(long, value_name = "F,F,…", default_value = "0.5,0.75,1,1.5,2,3", allow_hyphen_values = true, value_parser = amounts)]
     pub arm_masses: Amounts,
-    /// Another policy to measure beside them, or a controller: `jacobian`. Once for each.
+    /// Another policy to measure beside them, or a controller: `jacobian` or `postures`. Once for each.
     #[arg(long, value_name = "CHECKPOINT|NAME")]
     pub beside: Vec<PathBuf>,
 }

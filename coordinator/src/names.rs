@@ -56,16 +56,14 @@ impl Names for TaskName {
 }
 
 impl Names for ControllerName {
-    const ALL: &'static [Named<Self>] = &[Named(Self::Jacobian)];
+    const ALL: &'static [Named<Self>] = &[Named(Self::Jacobian), Named(Self::Postures)];
 
     fn name(self) -> &'static str {
         self.as_str()
     }
 
     fn help(self) -> &'static str {
-        match self {
-            Self::Jacobian => "Damped least squares with the generalised Jacobian",
-        }
+        self.about()
     }
 }
 

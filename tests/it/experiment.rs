@@ -219,9 +219,10 @@ fn every_experiment_measures_and_says_with_what() {
     all_finite(&noise["results"], "noise");
     assert_eq!(noise["results"], run("noise", &sweeps)["results"], "the same seed, the same noise");
 
-    // A policy beside itself does as it does; a controller has both tasks.
+    // A policy beside itself does as it does; a controller has the tasks that it controls.
     let itself = format!("--beside={dir}/trajectory");
-    let beside = run("noise", &[&sweeps[..], &[itself.as_str(), "--beside=jacobian"]].concat());
+    let others = [itself.as_str(), "--beside=jacobian", "--beside=postures"];
+    let beside = run("noise", &[&sweeps[..], &others].concat());
     let measured = list(&beside["results"]);
     assert_eq!(&measured[..16], results);
     let by = |name: &str| -> Vec<_> {
@@ -233,8 +234,8 @@ fn every_experiment_measures_and_says_with_what() {
         point
     };
     assert_eq!(by("trajectory").iter().map(strip).collect::<Vec<_>>(), &results[..8]);
-    assert_eq!(by("jacobian").len(), 16);
-    assert_eq!(list(&beside["policies"]).len(), 5);
+    assert_eq!((by("jacobian").len(), by("postures").len()), (16, 8));
+    assert_eq!(list(&beside["policies"]).len(), 6);
 }
 
 #[test]
@@ -408,6 +409,15 @@ fn a_controller_that_is_not_learned_takes_the_place_of_policies() {
     assert_eq!(eval["episodes"], found["results"][0]["summary"]["episodes"]);
     let table = experiment(&["arm-failure", "--controller=jacobian", "--episodes=2", "--steps=30"]);
     fits(&table);
+    // Goal postures alone have no task in which the base turns.
+    let alone = json(&["precision", "--controller=postures", "--episodes=4", "--steps=60"]);
+    let [policy] = list(&alone["policies"]) else { panic!("{}", alone["policies"]) };
+    assert_eq!(
+        (&policy["controller"], &policy["task"]),
+        (&"postures".into(), &"trajectory".into())
+    );
+    assert!(median(&alone["results"][0]).is_some_and(|error| error < 1e-3), "{alone}");
+    refused(&["arm-failure", "--controller=postures"], 2, &["postures", "reorientation"]);
     let both = ["precision", "--controller=jacobian", "--policies=x"];
     refused(&both, 2, &["cannot be used with"]);
     for (args, words) in [

@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use proto::Digest;
 use proto::config::{Layers, Preset, TaskName};
+use proto::{Digest, ExitCode, ExitError};
 use simulator::controller::JacobianController;
 use simulator::experiment::Player;
-use simulator::policy::Policy;
+use simulator::policy::{Policy, initial_parameters};
 use simulator::robot::Robot;
 use simulator::rollout::World;
 use store::checkpoint::Checkpoint;
@@ -16,8 +16,13 @@ use crate::trained::Trained;
 
 #[derive(Debug)]
 enum Driver {
-    Policy { policy: Policy, checkpoint: Box<Checkpoint> },
+    Policy {
+        policy: Policy,
+        checkpoint: Box<Checkpoint>,
+    },
     Jacobian(Box<JacobianController>),
+    /// A policy that says zero, whatever it sees.
+    Postures(Policy),
 }
 
 /// A policy, or a controller, in the world that it was made for.
@@ -38,12 +43,36 @@ impl From<Trained> for Contender {
 }
 
 impl Contender {
-    /// A controller of a task on a robot, within the limits that preset `tuned` gives actions.
+    /// A controller of a task on a robot, within the limits that presets `tuned` and `guided` give actions.
+    ///
+    /// # Errors
+    /// If it is none of such a task.
     pub fn controller(name: ControllerName, task: TaskName, robot: &Robot) -> anyhow::Result<Self> {
-        let config = Layers::new(Preset::Tuned, Some(task)).resolve()?;
-        let world = World::new(&config, robot);
-        let ControllerName::Jacobian = name;
-        let driver = Driver::Jacobian(JacobianController::new(&world).into());
+        if !name.controls(task) {
+            let message = format!(
+                "controller {}: is for tasks in which all hands have goals, and none for `{}`",
+                name.as_str(),
+                task.as_str()
+            );
+            return Err(ExitError::new(ExitCode::Usage, message).into());
+        }
+        let (world, driver) = match name {
+            ControllerName::Jacobian => {
+                let config = Layers::new(Preset::Tuned, Some(task)).resolve()?;
+                let world = World::new(&config, robot);
+                let driver = Driver::Jacobian(JacobianController::new(&world).into());
+                (world, driver)
+            }
+            ControllerName::Postures => {
+                let layers = Layers::new(Preset::Guided, Some(task));
+                let config =
+                    layers.set("network.hidden=[8]")?.set("network.head_gain=0")?.resolve()?;
+                let world = World::new(&config, robot);
+                let zero = initial_parameters(&world.config, &world.dimensions, 0);
+                let driver = Driver::Postures(world.policy(&zero)?);
+                (world, driver)
+            }
+        };
         let identity = Identity {
             task,
             controller: Some(name),
@@ -66,7 +95,9 @@ impl Contender {
     /// As it takes part in trials.
     pub fn player(&self) -> Player<'_> {
         match &self.driver {
-            Driver::Policy { policy, .. } => Player::new(&self.world, policy),
+            Driver::Policy { policy, .. } | Driver::Postures(policy) => {
+                Player::new(&self.world, policy)
+            }
             Driver::Jacobian(controller) => Player::controlled(&self.world, controller),
         }
     }
@@ -75,7 +106,7 @@ impl Contender {
     pub fn checkpoint(&self) -> Option<&Checkpoint> {
         match &self.driver {
             Driver::Policy { checkpoint, .. } => Some(checkpoint),
-            Driver::Jacobian(_) => None,
+            Driver::Jacobian(_) | Driver::Postures(_) => None,
         }
     }
 

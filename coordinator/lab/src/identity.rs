@@ -12,6 +12,8 @@ use serde::{Deserialize, Serialize};
 pub enum ControllerName {
     /// Damped least squares with the generalised Jacobian.
     Jacobian,
+    /// Goal postures as policies of preset `guided` have them, with nothing added to the way there.
+    Postures,
 }
 
 impl ControllerName {
@@ -19,6 +21,23 @@ impl ControllerName {
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Jacobian => "jacobian",
+            Self::Postures => "postures",
+        }
+    }
+
+    /// What it does.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Jacobian => "damped least squares with the generalised Jacobian",
+            Self::Postures => "goal postures alone, to which policies of preset `guided` add",
+        }
+    }
+
+    /// Whether it is one of `task`.
+    pub fn controls(self, task: TaskName) -> bool {
+        match self {
+            Self::Jacobian => true,
+            Self::Postures => task.only_reaches(),
         }
     }
 }

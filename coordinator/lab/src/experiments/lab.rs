@@ -91,7 +91,8 @@ impl Lab {
         if let Some(name) = args.controller {
             let paper = || Robot::builtin("paper").expect("built in");
             let robot = robot.clone().unwrap_or_else(paper);
-            for &task in tasks {
+            let all = needs != Needs::Any;
+            for &task in tasks.iter().filter(|task| all || name.controls(**task)) {
                 policies.push(Contender::controller(name, task, &robot)?);
             }
         }
@@ -209,7 +210,7 @@ impl Lab {
         &self.beside
     }
 
-    /// Has others measured beside the policies: a controller for every task that these have, a policy for its own.
+    /// Has others measured beside the policies: a controller for every task of theirs that it controls, a policy for its own.
     ///
     /// # Errors
     /// If one cannot be opened, learned a task that no policy here has, or moves another robot.
@@ -217,7 +218,8 @@ impl Lab {
         for other in others {
             match other {
                 Beside::Controller(name) => {
-                    for policy in &self.policies {
+                    let tasks = self.policies.iter();
+                    for policy in tasks.filter(|policy| name.controls(policy.task())) {
                         let one = Contender::controller(*name, policy.task(), &self.robot)?;
                         self.beside.push((name.as_str().to_owned(), one));
                     }
@@ -299,7 +301,8 @@ impl Lab {
 
     /// Plays a trial of the policies and shows how far it has come. Its first episode can be watched afterwards.
     pub(crate) fn play(&self, what: &str, trial: &Trial<'_>) -> anyhow::Result<Recording> {
-        if let Some(script) = trial.script(0) {
+        let learned = self.policies.iter().all(|policy| policy.checkpoint().is_some());
+        if let Some(script) = trial.script(0).filter(|_| learned) {
             let took_part = |player: &Player<'_>| {
                 let name = player.world.task.name.as_str().to_owned();
                 let policy =

@@ -53,14 +53,14 @@ impl Study {
         if self.quick { base_mass::Study { masses: QUICK_MASSES.into(), ..study } } else { study }
     }
 
-    /// The strengths of noise, torques, delay and mass that are; policies beside the yardstick, and beside those that learned
+    /// The strengths of noise, torques, delay and mass that are; policies beside the yardsticks, and beside those that learned
     /// with a robot that errs.
     pub(super) fn noise(&self) -> noise::Study {
         let robust = self.policies.iter().map(|policies| policies.join(ROBUST));
         let robust = robust.filter(|path| path.exists()).map(Beside::Policy);
-        let yardstick = Beside::Controller(ControllerName::Jacobian);
+        let yardsticks = [ControllerName::Postures, ControllerName::Jacobian];
         let beside = match self.controller {
-            None => robust.chain([yardstick]).collect(),
+            None => robust.chain(yardsticks.map(Beside::Controller)).collect(),
             Some(_) => Vec::new(),
         };
         let study = noise::Study { common: self.common(), beside, ..noise::Study::default() };
