@@ -134,7 +134,10 @@ impl Clone {
     fn take_python(&self, python: &Path) -> Result<()> {
         // A link to it would not be seen to belong to its virtual environment.
         let text = format!("#!/bin/sh\nexec '{}' \"$@\"\n", python.display());
-        executable(&self.dir.path().join("bin/python"), &text)
+        for name in ["bin/python", "bin/python3"] {
+            executable(&self.dir.path().join(name), &text)?;
+        }
+        Ok(())
     }
 
     /// Runs the blocks of a document; the output names the line that failed.
