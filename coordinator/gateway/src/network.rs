@@ -66,11 +66,12 @@ fn configuration(end: End<'_>) -> zenoh::Result<Config> {
         End::Listen(endpoint, _) => ("router", "listen/endpoints", endpoint, Duration::ZERO),
         End::Connect(endpoint, wait, _) => ("client", "connect/endpoints", endpoint, wait),
     };
+    let endpoints = endpoint.split(',').collect::<serde_json::Value>().to_string();
     let wait = wait.as_millis().to_string();
     let lease = LEASE_MS.to_string();
     for (key, value) in [
         ("mode", text(mode).as_str()),
-        (place, &serde_json::Value::from_iter(endpoint.split(',')).to_string()),
+        (place, &endpoints),
         // Whoever has not been told the endpoint does not find it.
         ("scouting/multicast/enabled", "false"),
         ("scouting/gossip/enabled", "false"),
