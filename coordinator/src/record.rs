@@ -9,7 +9,6 @@ use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use simulator::executor::InOrder;
 use simulator::experiment::{FixedGoals, Member, Start};
-use simulator::rollout::Erring;
 use simulator::state::State;
 use simulator::step::StepOptions;
 use store::files;
@@ -188,13 +187,7 @@ fn of_block(run_dir: &Path, address: BlockAddress, args: &RecordArgs) -> anyhow:
         ("environment", env.to_string()),
         ("policy", source.found.clone()),
     ];
-    let commanded = Commanded::by_actions(
-        world,
-        &start.robot,
-        (&start.hands, start.base),
-        Erring::of_training(world, seed, iteration as u32, shard * n_envs as u32 + args.env),
-        rows.iter().map(Vec::as_slice),
-    );
+    let commanded = Commanded::by_actions(world, start, rows.iter().map(Vec::as_slice));
     Ok(Recording::of(commanded, &origin)?)
 }
 

@@ -9,11 +9,12 @@ use serde::{Deserialize, Serialize};
 use simulator::env::step_options;
 use simulator::experiment::{Episode, FixedGoals, Member, Motion, Start};
 use simulator::robot::Robot;
-use simulator::rollout::{Erring, World};
+use simulator::rollout::World;
 use simulator::state::State;
 use simulator::step::{Integrator, StepOptions};
 
 use crate::error::ExportError;
+use crate::replay::BlockStart;
 
 /// What a motion follows from, to the bit.
 #[derive(Debug, Clone)]
@@ -61,43 +62,39 @@ impl Commanded {
         Ok(Self { robot, options, start, goals, moved_goals, mass_factors, commands })
     }
 
-    /// What was commanded in an environment of a run: where it began and its goals, those of the hands at the beginning and, where they move, after every
-    /// control step, as [`block_start`](crate::block_start) tells them, and its actions before clipping and scaling, arm-major, a row a control step.
+    /// What was commanded in an environment of a run: where it began, and its actions before clipping and scaling, arm-major, a row a control step.
     /// Where drives err, the rates are those that they make of the actions.
     ///
     /// # Panics
     /// Without goals at the beginning.
     pub fn by_actions<'a>(
         world: &World,
-        start: &[f32],
-        (hands, base): (&[Vec<[f32; 6]>], [f32; 3]),
-        mut erring: Option<Erring>,
+        start: BlockStart,
         actions: impl Iterator<Item = &'a [f32]>,
     ) -> Self {
+        let BlockStart { robot, hands, base, mut erring } = start;
         let task = world.task.name;
         let mut hands = hands.iter().map(|hands| of_hands(task, hands));
         let at_first = hands.next().expect("goals at the beginning");
         let limits: Vec<f32> = world.task.action_limit.iter().map(|&limit| limit as f32).collect();
         let scale = world.task.action_scale as f32;
-        let executed = |(&action, &limit): (&f32, &f32)| action.clamp(-limit, limit) * scale;
+        let commanded = |(&action, &limit): (&f32, &f32)| action.clamp(-limit, limit) * scale;
+        let mass_factors = erring.as_ref().map(|erring| erring.mass_factors().to_vec());
+        let executed = |row: &[f32]| {
+            let commands: Vec<f32> = row.iter().zip(&limits).map(commanded).collect();
+            match &mut erring {
+                Some(erring) => erring.drive(&commands).to_vec(),
+                None => commands,
+            }
+        };
         Self {
             robot: world.robot.clone(),
             options: step_options(&world.config),
-            start: state_of(&world.robot, start),
+            start: state_of(&world.robot, &robot),
             goals: FixedGoals { hands: at_first, base: of_base(task, base) },
             moved_goals: hands.collect(),
-            mass_factors: erring
-                .as_ref()
-                .map_or(Vec::new(), |erring| erring.mass_factors().to_vec()),
-            commands: actions
-                .map(|row| {
-                    let commands: Vec<f32> = row.iter().zip(&limits).map(executed).collect();
-                    match &mut erring {
-                        Some(erring) => erring.drive(&commands).to_vec(),
-                        None => commands,
-                    }
-                })
-                .collect(),
+            mass_factors: mass_factors.unwrap_or_default(),
+            commands: actions.map(executed).collect(),
         }
     }
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use proto::layout::Dimensions;
 use simulator::executor::Executor;
+use simulator::rollout::Erring;
 use simulator::stepping::{ARRAYS, Batch, Begin, GoalKind, Rows, StepError};
 
 use super::comparison::Replay;
@@ -58,8 +59,8 @@ fn begin(address: BlockAddress, first: usize) -> Result<Begin, ExportError> {
     })
 }
 
-/// Where an environment begins.
-#[derive(Debug, Clone, PartialEq)]
+/// Where an environment begins, and what errs in it.
+#[derive(Debug)]
 pub struct BlockStart {
     /// Numbers of the robot's state.
     pub robot: Vec<f32>,
@@ -67,6 +68,8 @@ pub struct BlockStart {
     pub hands: Vec<Vec<[f32; 6]>>,
     /// Goal of the base: Euler angles (rad).
     pub base: [f32; 3],
+    /// Its drives and masses, if they can err in this training.
+    pub erring: Option<Erring>,
 }
 
 /// Where environment `env` of a block begins.
@@ -83,6 +86,7 @@ pub fn block_start(
     let mut shown = Shown::new(1, &world.dimensions);
     let mut batch = Batch::new(Arc::clone(world), 1, 1);
     let begin = begin(*address, address.shard as usize * n_envs + env)?;
+    let erring = Erring::of_training(world, begin.seed, begin.iteration, begin.first);
     batch.reset(begin, executor, shown.rows()).map_err(|error| failed(&error))?;
     let robot = shown.row(ROBOT, 0, 1).to_vec();
     let base = shown.row(BASE_GOAL, 0, 1).try_into().expect("three numbers");
@@ -98,7 +102,7 @@ pub fn block_start(
         batch.step(&actions, executor, shown.rows()).map_err(|error| failed(&error))?;
         hands.push(hands_of(&shown));
     }
-    Ok(BlockStart { robot, hands, base })
+    Ok(BlockStart { robot, hands, base, erring })
 }
 
 /// Makes a block again from its actions, up to the first control step in which a number differs: observations, what critics see, rewards and ends

@@ -7,7 +7,7 @@ use simulator::executor::InOrder;
 use simulator::experiment::{Member, Start};
 use simulator::policy::initial_parameters;
 use simulator::robot::Robot;
-use simulator::rollout::{Erring, RolloutSpec, World, rollout};
+use simulator::rollout::{RolloutSpec, World, rollout};
 use simulator::stepping::{ARRAYS, Batch, Begin, GoalKind, Rows};
 use simulator::task::Aim;
 
@@ -142,10 +142,8 @@ fn is_a_motion(block: &Block) {
     let start = block_start(block, 1, &InOrder).expect("an address");
     let executed: Vec<Vec<f32>> = (0..5).map(|step| block.executed(1, step)).collect();
     let commands = executed.iter().map(Vec::as_slice);
-    let erring = Erring::of_training(world, 4, 9, 2 * 3 + 1);
-    assert_eq!(erring.is_some(), world.config.task.randomization.share > 0.0);
-    let goals = (start.hands.as_slice(), start.base);
-    let commanded = Commanded::by_actions(world, &start.robot, goals, erring, commands);
+    assert_eq!(start.erring.is_some(), world.config.task.randomization.share > 0.0);
+    let commanded = Commanded::by_actions(world, start, commands);
     let recording = Recording::of(commanded, &[]).expect("stable");
     let recorded = Recorded::read(&recording.mcap().expect("a file")).expect("read");
     assert_eq!(replay_motion(&recorded).expect("stable").first, None);

@@ -23,7 +23,7 @@ impl Erring {
         Randomized::draw(ranges, (&world.robot, &world.task), (goals, |_| env)).map(Self)
     }
 
-    /// Factors on masses and inertias, of the base first, then of the links of all types of arms; none where bodies weigh what is described.
+    /// Factors on masses and inertias, of the base first, then of the links of all types of arms; none where masses do not err.
     pub fn mass_factors(&self) -> &[f32] {
         &self.0.mass_factors
     }
