@@ -9,6 +9,7 @@ use std::ops::Range;
 
 use channels::ArraySample;
 use proto::config::{Config, TaskName};
+use proto::finite::are_finite;
 use proto::layout::{BlockHeader, BlockLayout, Dimensions, EpisodeMetrics};
 use proto::message::{
     Accounting, Errors, HostId, INCARNATIONS_OF_A_GATEWAY, host_of, policy_version_for,
@@ -172,11 +173,10 @@ impl<B: Block> Inbox<B> {
         ];
         for (array, range, agents, steps) in arrays {
             let numbers = &data[range.clone()];
-            // A product with zero is zero unless a factor is infinite or not a number.
-            if numbers.iter().map(|x| x * 0.0).sum::<f32>() == 0.0 {
+            if are_finite(numbers) {
                 continue;
             }
-            let index = numbers.iter().position(|x| !x.is_finite()).expect("the sum is not zero");
+            let index = numbers.iter().position(|x| !x.is_finite()).expect("one is not finite");
             let rows = agents.unwrap_or(1) * steps.unwrap_or(1) * n;
             let row = index / (numbers.len() / rows);
             let env = header.shard as usize * n + row % n;

@@ -23,6 +23,7 @@ pub mod certificates;
 pub mod config;
 mod digest;
 mod error;
+pub mod finite;
 pub mod gateway;
 pub mod layout;
 pub mod message;

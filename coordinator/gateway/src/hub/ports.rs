@@ -5,6 +5,7 @@ use channels::{
     STATUS_LEN, WHILE_THE_PARENT_LIVES,
 };
 use proto::config::Config;
+use proto::finite::are_finite;
 use proto::gateway::pieces::{Assembly, PIECE_LEN};
 use proto::layout::{BlockHeader, Dimensions, PolicyHeader};
 use proto::message::{self, EpisodeErrors, Order, Status, WorkerId};
@@ -162,11 +163,6 @@ fn answer_to(task: Task, (worker, incarnation): (WorkerId, u32), said: Status) -
     status.filter(|status| message::encode(status).len() <= STATUS_LEN)
 }
 
-/// A product with zero is zero unless the other factor is infinite or no number.
-fn are_finite(numbers: &[f32]) -> bool {
-    numbers.iter().map(|x| x * 0.0).sum::<f32>() == 0.0
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
@@ -213,13 +209,5 @@ mod tests {
         assert!(says(vec![good; 2]) && says(Vec::new()));
         assert!(!says(vec![good; 3]) && !says(vec![good; 1]));
         assert!(!says(vec![good, EpisodeErrors { min: infinite, ..good }]));
-    }
-
-    #[test]
-    fn one_number_that_is_none_is_found() {
-        assert!(are_finite(&[]) && are_finite(&[f32::MAX; 9]));
-        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-            assert!(!are_finite(&[1.0, bad, 3.0]));
-        }
     }
 }
