@@ -12,7 +12,7 @@ use proto::{ExitCode, ExitError};
 use run::supervisor::{GatewaySpec, Programs};
 
 use crate::certificates;
-use crate::values::addresses;
+use crate::values::{addresses, preferred};
 
 /// How a link is carried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,10 +65,9 @@ pub(crate) fn endpoint(text: &str) -> Result<Endpoint, String> {
 }
 
 impl Endpoint {
-    /// The address that stands for all of them: the first of IPv4, if there is one.
+    /// The address that stands for all of them.
     fn address(&self) -> SocketAddr {
-        let older = self.addresses.iter().find(|address| address.is_ipv4());
-        *older.unwrap_or(&self.addresses[0])
+        preferred(&self.addresses)
     }
 
     /// Refuses a plain one beyond this machine, unless that was said to be wanted, and options that are the other

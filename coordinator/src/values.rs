@@ -63,9 +63,12 @@ pub(crate) fn workers_wanted(text: &str) -> Result<u64, String> {
 
 /// An address with a port, or the name of a machine in the place of the address.
 pub(crate) fn address(text: &str) -> Result<SocketAddr, String> {
-    let found = addresses(text)?;
-    // Most names of this machine have an address of either kind, and clients try the older one.
-    Ok(*found.iter().find(|address| address.is_ipv4()).unwrap_or(&found[0]))
+    addresses(text).map(|found| preferred(&found))
+}
+
+/// The one of some addresses, at least one, that stands for all: most names of this machine have an address of either kind, and clients try the older one.
+pub(crate) fn preferred(addresses: &[SocketAddr]) -> SocketAddr {
+    *addresses.iter().find(|address| address.is_ipv4()).unwrap_or(&addresses[0])
 }
 
 /// All addresses of a name, at least one, or the one that is given.
