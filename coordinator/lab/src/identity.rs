@@ -28,8 +28,8 @@ impl ControllerName {
     /// What it does.
     pub fn about(self) -> &'static str {
         match self {
-            Self::Jacobian => "damped least squares with the generalised Jacobian",
-            Self::Postures => "goal postures alone, to which policies of preset `guided` add",
+            Self::Jacobian => "Damped least squares with the generalised Jacobian",
+            Self::Postures => "Goal postures alone, to which policies of preset `guided` add",
         }
     }
 

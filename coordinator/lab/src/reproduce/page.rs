@@ -66,7 +66,7 @@ pub(super) fn page(content: &Content<'_>) -> anyhow::Result<String> {
             &html! {
                 (figure(&figures::noise(reports, links)?, "Mean error of the last 20 steps while one thing at a time is made worse. Strengths stand side by side, not to scale."))
                 @if let Some(beside) = figures::noise_beside(reports)? {
-                    (figure(&beside, "The same beside others: policies that learned with a robot that errs (robust), and the controllers that are not learned: goal postures alone (postures), and the generalised Jacobian (jacobian)."))
+                    (figure(&beside, "The same beside others: a policy that learned with sensors that err, too (robust), and the controllers that are not learned: goal postures alone (postures), and the generalised Jacobian (jacobian)."))
                 }
             },
         ),
@@ -110,7 +110,7 @@ fn head(content: &Content<'_>) -> Markup {
 
 fn identity(policy: &Identity) -> Markup {
     if let Some(controller) = policy.controller {
-        return html! { (policy.shown()) ", not learned: " (controller.about()) };
+        return html! { (policy.shown()) ", not learned. " (controller.about()) };
     }
     html! {
         code { (policy.checkpoint.display()) } ", iteration " (policy.iteration) ", "

@@ -7,7 +7,7 @@ const MAX_CRASHES: u32 = 3;
 /// The same for deaths by a signal from outside.
 const MAX_KILLS: u32 = 50;
 
-/// Deaths since the run was as far as never before.
+/// Deaths since the training last got further than it had ever been.
 ///
 /// After a death iterations are trained again, with the same bits. That they succeed again says nothing: what ends the learner by itself lies where it died.
 #[derive(Debug, Default)]
