@@ -23,6 +23,8 @@ mod plain;
 mod sums;
 #[cfg(target_arch = "x86_64")]
 mod tiles;
+#[cfg(target_arch = "x86_64")]
+mod transposition;
 
 pub(crate) use multiply::multiply;
 pub(crate) use native::Native;

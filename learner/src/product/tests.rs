@@ -15,7 +15,7 @@ fn transposed(matrix: &[Bf16], rows: usize, columns: usize) -> Vec<Bf16> {
 }
 
 /// Whole tiles and panels and parts of them, in pairs and odd.
-const SIZES: [[usize; 3]; 8] = [
+const SIZES: [[usize; 3]; 11] = [
     [8, 2, 32],
     [1, 1, 1],
     [5, 3, 33],
@@ -24,6 +24,9 @@ const SIZES: [[usize; 3]; 8] = [
     [62, 81, 64],
     [30, 24, 20],
     [200, 128, 100],
+    [64, 300, 70],
+    [32, 256, 96],
+    [96, 40, 64],
 ];
 
 #[test]

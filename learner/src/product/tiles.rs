@@ -10,15 +10,16 @@
 
 use std::arch::asm;
 use std::arch::x86_64::{
-    __m512i, _mm512_load_ps, _mm512_load_si512, _mm512_maskz_loadu_epi16, _mm512_setzero_si512,
-    _mm512_shuffle_i32x4, _mm512_store_si512, _mm512_unpackhi_epi32, _mm512_unpackhi_epi64,
-    _mm512_unpacklo_epi32, _mm512_unpacklo_epi64,
+    _mm512_load_ps, _mm512_load_si512, _mm512_maskz_loadu_epi16, _mm512_setzero_si512,
+    _mm512_store_si512,
 };
+use std::ops::Range;
 
 use super::native::Tiles;
 use super::operands::{Left, Out};
 use super::packed::{PANEL, Packed, PairRow, TILE};
-use super::sums::{LANES, put};
+use super::sums::{LANES, put, put_both};
+use super::transposition::transposed;
 use crate::number::Bf16;
 
 /// Rows of the left factor that go together: two tiles.
@@ -62,7 +63,7 @@ fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: us
     let (inner, columns) = (right.rows(), right.columns());
     let steps = inner.div_ceil(STEP);
     let mut copy = Vec::new();
-    let mut sums = Sums([[0.0; PANEL]; BLOCK]);
+    let mut sums = [const { Sums([[0.0; PANEL]; BLOCK]) }; 2];
     // SAFETY: `multiply` stands for the features. Tiles are configured as long as they are used, and blocks and panels have `steps` steps.
     unsafe {
         let found = configure();
@@ -85,22 +86,63 @@ fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: us
                     copied(&copy)
                 }
             };
-            for panel in 0..right.panels() {
-                let pairs = right.filled_panel(panel);
-                debug_assert_eq!(pairs.len(), steps * TILE);
-                multiply_block(block, pairs, &mut sums);
-                for (m, sums) in sums.0[..count].iter().enumerate() {
-                    for (half, sums) in sums.as_chunks::<LANES>().0.iter().enumerate() {
-                        let column = panel * PANEL + half * LANES;
-                        if column < columns {
-                            let at = (row + m) * columns + column;
-                            put(_mm512_load_ps(sums.as_ptr()), out, at, columns - column);
+            for panel in 0..=right.panels() {
+                let [even, odd] = &mut sums;
+                let (made, before) = if panel % 2 == 0 { (even, &*odd) } else { (odd, &*even) };
+                let waiting = panel.checked_sub(1).map(|before| [row, before * PANEL, columns]);
+                let mut done = 0;
+                if panel < right.panels() {
+                    let pairs = right.filled_panel(panel);
+                    debug_assert_eq!(pairs.len(), steps * TILE);
+                    done = match (waiting, &mut *out) {
+                        (Some([row, column, _]), Out::Rounded(out)) if count == BLOCK => {
+                            // A panel before another one is a whole one.
+                            let last = (BLOCK - 1) * columns + PANEL;
+                            let out = &mut out[row * columns + column..][..last];
+                            multiply_and_put(block, pairs, made, before, out, columns)
                         }
-                    }
+                        _ => {
+                            multiply_block(block, pairs, made);
+                            0
+                        }
+                    };
+                }
+                if let Some(corner) = waiting {
+                    put_rows(before, out, corner, done..count);
                 }
             }
         }
         restore(&found);
+    }
+}
+
+/// Rounds the sums of some rows of a block, and puts them where the corner `[row, column]` of a product with so many columns is.
+///
+/// # Safety
+/// Called from code that is compiled for AVX-512 with bfloat16.
+#[inline(always)]
+unsafe fn put_rows(
+    sums: &Sums,
+    out: &mut Out<'_>,
+    [row, column, columns]: [usize; 3],
+    rows: Range<usize>,
+) {
+    let left = columns - column;
+    for m in rows {
+        let at = (row + m) * columns + column;
+        let [first, second] = sums.0[m].as_chunks::<LANES>().0 else { unreachable!("two halves") };
+        // SAFETY: the caller's promise; both halves begin cache lines.
+        unsafe {
+            let (first, second) = (_mm512_load_ps(first.as_ptr()), _mm512_load_ps(second.as_ptr()));
+            if left >= PANEL {
+                put_both([first, second], out, at);
+            } else {
+                put(first, out, at, left);
+                if left > LANES {
+                    put(second, out, at + LANES, left - LANES);
+                }
+            }
+        }
     }
 }
 
@@ -164,43 +206,6 @@ unsafe fn transpose(panel: &[PairRow], copy: &mut [Tile]) {
                 }
             }
         }
-    }
-}
-
-/// Sixteen rows of sixteen numbers as their columns: numbers of two rows side by side, then those of four, then blocks of four by four to their
-/// places.
-///
-/// # Safety
-/// Called from code that is compiled for AVX-512.
-#[inline(always)]
-unsafe fn transposed(rows: [__m512i; TILE]) -> [__m512i; TILE] {
-    // SAFETY: the caller's promise.
-    unsafe {
-        let (mut twos, mut fours) = (rows, rows);
-        for i in 0..8 {
-            twos[2 * i] = _mm512_unpacklo_epi32(rows[2 * i], rows[2 * i + 1]);
-            twos[2 * i + 1] = _mm512_unpackhi_epi32(rows[2 * i], rows[2 * i + 1]);
-        }
-        // Of rows 4 i to 4 i + 3: `fours[4 i + j]` has columns j, 4 + j, 8 + j and 12 + j.
-        for i in 0..4 {
-            let [a, b, c, d] = [twos[4 * i], twos[4 * i + 1], twos[4 * i + 2], twos[4 * i + 3]];
-            fours[4 * i] = _mm512_unpacklo_epi64(a, c);
-            fours[4 * i + 1] = _mm512_unpackhi_epi64(a, c);
-            fours[4 * i + 2] = _mm512_unpacklo_epi64(b, d);
-            fours[4 * i + 3] = _mm512_unpackhi_epi64(b, d);
-        }
-        let mut columns = rows;
-        for j in 0..4 {
-            let [a, b, c, d] = [fours[j], fours[4 + j], fours[8 + j], fours[12 + j]];
-            // The even quarters of two registers, and the odd ones.
-            let even = [_mm512_shuffle_i32x4::<0x88>(a, b), _mm512_shuffle_i32x4::<0x88>(c, d)];
-            let odd = [_mm512_shuffle_i32x4::<0xdd>(a, b), _mm512_shuffle_i32x4::<0xdd>(c, d)];
-            columns[j] = _mm512_shuffle_i32x4::<0x88>(even[0], even[1]);
-            columns[4 + j] = _mm512_shuffle_i32x4::<0x88>(odd[0], odd[1]);
-            columns[8 + j] = _mm512_shuffle_i32x4::<0xdd>(even[0], even[1]);
-            columns[12 + j] = _mm512_shuffle_i32x4::<0xdd>(odd[0], odd[1]);
-        }
-        columns
     }
 }
 
@@ -297,6 +302,106 @@ unsafe fn multiply_block(block: Block, panel: &[PairRow], sums: &mut Sums) {
             options(nostack),
         );
     }
+}
+
+/// Steps in which a whole block is put, four rows in each.
+const PUTS: usize = BLOCK / 4;
+
+/// The same, and meanwhile rounds the sums `before` of a whole block and panel, and puts them into `out`, where rows are `columns` apart: that is done while
+/// tiles multiply. Says how many rows are put: few steps leave no time for all.
+///
+/// # Safety
+/// As for [`multiply_block`]; `out` has room for the block.
+#[target_feature(enable = "avx512f,avx512bf16")]
+unsafe fn multiply_and_put(
+    block: Block,
+    panel: &[PairRow],
+    sums: &mut Sums,
+    before: &Sums,
+    out: &mut [Bf16],
+    columns: usize,
+) -> usize {
+    let steps = panel.len() / TILE;
+    let puts = steps.min(PUTS);
+    let (panel, sums) = (panel.as_ptr(), sums.0.as_mut_ptr());
+    // SAFETY: the caller's promise; `sums` are four tiles, side by side and one above the other. `puts` steps read and write four rows each.
+    unsafe {
+        asm!(
+            "tilezero tmm0",
+            "tilezero tmm1",
+            "tilezero tmm2",
+            "tilezero tmm3",
+            "2:",
+            "tileloadd tmm4, [{first} + {row}*1]",
+            "tileloadd tmm6, [{panel} + {width}*1]",
+            "tdpbf16ps tmm0, tmm4, tmm6",
+            "vmovaps {x}, [{before} + 64]",
+            "vcvtne2ps2bf16 {x}, {x}, [{before}]",
+            "vmovdqu64 [{out}], {x}",
+            "add {out}, {columns}",
+            "tileloadd tmm7, [{panel} + {width}*1 + 64]",
+            "tdpbf16ps tmm1, tmm4, tmm7",
+            "vmovaps {x}, [{before} + 192]",
+            "vcvtne2ps2bf16 {x}, {x}, [{before} + 128]",
+            "vmovdqu64 [{out}], {x}",
+            "add {out}, {columns}",
+            "tileloadd tmm5, [{second} + {row}*1]",
+            "tdpbf16ps tmm2, tmm5, tmm6",
+            "vmovaps {x}, [{before} + 320]",
+            "vcvtne2ps2bf16 {x}, {x}, [{before} + 256]",
+            "vmovdqu64 [{out}], {x}",
+            "add {out}, {columns}",
+            "tdpbf16ps tmm3, tmm5, tmm7",
+            "vmovaps {x}, [{before} + 448]",
+            "vcvtne2ps2bf16 {x}, {x}, [{before} + 384]",
+            "vmovdqu64 [{out}], {x}",
+            "add {out}, {columns}",
+            "add {before}, 512",
+            "add {first}, {step}",
+            "add {second}, {step}",
+            "add {panel}, 2048",
+            "dec {puts}",
+            "jnz 2b",
+            "test {steps}, {steps}",
+            "jz 4f",
+            "3:",
+            "tileloadd tmm4, [{first} + {row}*1]",
+            "tileloadd tmm6, [{panel} + {width}*1]",
+            "tileloadd tmm7, [{panel} + {width}*1 + 64]",
+            "tdpbf16ps tmm0, tmm4, tmm6",
+            "tileloadd tmm5, [{second} + {row}*1]",
+            "tdpbf16ps tmm1, tmm4, tmm7",
+            "tdpbf16ps tmm2, tmm5, tmm6",
+            "tdpbf16ps tmm3, tmm5, tmm7",
+            "add {first}, {step}",
+            "add {second}, {step}",
+            "add {panel}, 2048",
+            "dec {steps}",
+            "jnz 3b",
+            "4:",
+            "tilestored [{sums} + {width}*1], tmm0",
+            "tilestored [{sums} + {width}*1 + 64], tmm1",
+            "tilestored [{sums} + {width}*1 + 2048], tmm2",
+            "tilestored [{sums} + {width}*1 + 2112], tmm3",
+            first = inout(reg) block.tiles[0] => _,
+            second = inout(reg) block.tiles[1] => _,
+            panel = inout(reg) panel => _,
+            puts = inout(reg) puts => _,
+            steps = inout(reg) steps - puts => _,
+            row = in(reg) block.row,
+            step = in(reg) block.step,
+            width = in(reg) size_of::<PairRow>(),
+            sums = in(reg) sums,
+            before = inout(reg) before.0.as_ptr() => _,
+            out = inout(reg) out.as_mut_ptr() => _,
+            columns = in(reg) columns * size_of::<Bf16>(),
+            x = out(zmm_reg) _,
+            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+            out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+            options(nostack),
+        );
+    }
+    4 * puts
 }
 
 #[cfg(test)]
