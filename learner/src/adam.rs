@@ -29,6 +29,15 @@ pub struct AdamOptions {
     pub epsilon: f64,
 }
 
+/// A gradient and what it counts for.
+#[derive(Debug)]
+pub struct ScaledGradient<'a> {
+    /// `[A, P]`.
+    pub sum: &'a Tensor,
+    /// One factor an agent.
+    pub factors: &'a [f32],
+}
+
 /// Moments and step counts.
 #[derive(Debug)]
 pub struct Adam {
@@ -54,12 +63,14 @@ impl Adam {
         options: &AdamOptions,
         learning_rates: &[f64],
         flat: &Tensor,
-        gradient: &Tensor,
+        gradient: &ScaledGradient<'_>,
         scratch: &Tensor,
         active: &[bool],
         columns: impl Fn(usize) -> Range<i64>,
     ) {
+        let ScaledGradient { sum: gradient, factors } = *gradient;
         debug_assert_eq!(flat.size(), gradient.size());
+        debug_assert_eq!(factors.len(), self.steps.len());
         for (count, _) in self.steps.iter_mut().zip(active).filter(|(_, active)| **active) {
             *count += 1;
         }
@@ -73,6 +84,7 @@ impl Adam {
                 && columns(one) == columns(next)
         };
         let agents: Vec<usize> = (0..self.steps.len()).collect();
+        let column = (!on_cpu).then(|| Tensor::from_slice(factors).to_device(flat.device()));
         for together in agents.chunk_by(alike).filter(|together| active[together[0]]) {
             let (first, columns) = (together[0], columns(together[0]));
             let part = |tensor: &Tensor| {
@@ -89,10 +101,12 @@ impl Adam {
                 epsilon: options.epsilon,
                 length: learning_rates[first] / (1.0 - options.beta1.powf(step)),
             };
-            if on_cpu {
-                step_in_one_pass(&rates, parts);
-            } else {
-                step_by_operations(&rates, parts, &part(scratch));
+            match &column {
+                None => step_in_one_pass(&rates, factors[first], parts),
+                Some(all) => {
+                    let factors = all.narrow(0, first as i64, together.len() as i64).unsqueeze(1);
+                    step_by_operations(&rates, &factors, parts, &part(scratch));
+                }
             }
         }
     }
@@ -111,13 +125,14 @@ struct Rates {
     length: f64,
 }
 
-/// The step in libtorch's operations, of θ, m, v and g.
-fn step_by_operations(rates: &Rates, parts: [Tensor; 4], denominator: &Tensor) {
+/// The step in libtorch's operations, of θ, m, v and g, whose rows count by `factors` `[A, 1]`.
+fn step_by_operations(rates: &Rates, factors: &Tensor, parts: [Tensor; 4], scratch: &Tensor) {
     let [mut flat, mut m, mut v, g] = parts;
-    let mut denominator = denominator.shallow_clone();
-    let _ = m.lerp_(&g, rates.first);
-    let _ = g.multiply_out(&denominator, &g);
-    let _ = v.lerp_(&denominator, rates.second);
+    let mut denominator = scratch.shallow_clone();
+    let _ = g.multiply_out(&denominator, factors);
+    let _ = m.lerp_(scratch, rates.first);
+    let _ = denominator.square_();
+    let _ = v.lerp_(scratch, rates.second);
     let _ = v.sqrt_out(&denominator);
     let _ = denominator.g_mul_scalar_(rates.correction);
     let _ = denominator.g_add_scalar_(rates.epsilon);
@@ -131,7 +146,7 @@ fn step_by_operations(rates: &Rates, parts: [Tensor; 4], denominator: &Tensor) {
 /// # Panics
 /// If two of the tensors share memory.
 #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
-fn step_in_one_pass(rates: &Rates, parts: [Tensor; 4]) {
+fn step_in_one_pass(rates: &Rates, factor: f32, parts: [Tensor; 4]) {
     let [mut flat, mut m, mut v, g] = parts;
     assert!(are_apart(&[&flat, &m, &v, &g]), "parameters, moments and gradient share memory");
     // SAFETY: parameters, moments and gradient are filled and apart. Nobody else uses these parts of
@@ -139,6 +154,7 @@ fn step_in_one_pass(rates: &Rates, parts: [Tensor; 4]) {
     // are updated at the same time each has rows of its own.
     let pass = unsafe {
         Pass {
+            factor,
             rates: [rates.first, rates.second, rates.correction, rates.epsilon, rates.length]
                 .map(|rate| rate as f32),
             flat: numbers_mut(&mut flat),
@@ -152,6 +168,7 @@ fn step_in_one_pass(rates: &Rates, parts: [Tensor; 4]) {
 
 /// The arguments of [`step_in_one_pass`].
 struct Pass<'a> {
+    factor: f32,
     rates: [f32; 5],
     flat: &'a mut [f32],
     m: &'a mut [f32],
@@ -162,8 +179,10 @@ struct Pass<'a> {
 impl Loop for Pass<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { rates: [first, second, correction, epsilon, length], flat, m, v, g } = self;
+        let Self { factor, rates: [first, second, correction, epsilon, length], .. } = self;
+        let Self { flat, m, v, g, .. } = self;
         for (((flat, m), v), &g) in flat.iter_mut().zip(m).zip(v).zip(g) {
+            let g = g * factor;
             *m = mul_add::<FMA>(first, g - *m, *m);
             *v = mul_add::<FMA>(second, mul_add::<FMA>(g, g, -*v), *v);
             let denominator = mul_add::<FMA>(v.sqrt(), correction, epsilon);
@@ -172,23 +191,12 @@ impl Loop for Pass<'_> {
     }
 }
 
-/// Scales rows of the gradient whose norm exceeds `max_norm`; 0 turns it off. The `parts` have A rows together, `squared` are
-/// the squared norms `[A]`. Returns the norms before.
-pub fn clip_gradient(parts: &[Tensor], squared: &Tensor, max_norm: f64) -> Vec<f64> {
-    let squared = Vec::<f32>::try_from(squared).expect("a vector of f32");
-    let norms: Vec<f64> = squared.into_iter().map(|squared| f64::from(squared).sqrt()).collect();
-    if max_norm > 0.0 && norms.iter().any(|&norm| norm > max_norm) {
-        let scale = |norm: &f64| (max_norm / (norm + 1e-6)).min(1.0) as f32;
-        let scale: Vec<f32> = norms.iter().map(scale).collect();
-        let scale = Tensor::from_slice(&scale).to_device(parts[0].device());
-        let mut first = 0;
-        for part in parts {
-            let rows = part.size()[0];
-            let _ = part.shallow_clone().g_mul_(&scale.narrow(0, first, rows).unsqueeze(1));
-            first += rows;
-        }
-    }
-    norms
+/// What gradients of these norms are to be multiplied with, so that none exceeds `max_norm`; 0 turns that off.
+pub fn clip_factors(norms: &[f64], max_norm: f64) -> Vec<f32> {
+    let factor = |&norm: &f64| {
+        if max_norm > 0.0 { (max_norm / (norm + 1e-6)).min(1.0) as f32 } else { 1.0 }
+    };
+    norms.iter().map(factor).collect()
 }
 
 #[cfg(test)]
@@ -199,6 +207,11 @@ mod tests {
     use super::*;
 
     const OPTIONS: AdamOptions = AdamOptions { beta1: 0.9, beta2: 0.999, epsilon: 1e-5 };
+
+    /// A gradient that counts for what it is.
+    fn whole(sum: &Tensor) -> ScaledGradient<'_> {
+        ScaledGradient { sum, factors: &[1.0; 2][..sum.size()[0] as usize] }
+    }
 
     #[test]
     fn follows_libtorchs_own_adam_step_by_step() {
@@ -219,7 +232,15 @@ mod tests {
             theirs.zero_grad();
             ((&theirs - &target).square().sum(Kind::Float) * 0.5).backward();
             let gradient = theirs.grad().copy();
-            adam.step(&OPTIONS, &[0.01; 2], &ours, &gradient, &scratch, &[true, true], |_| 0..50);
+            adam.step(
+                &OPTIONS,
+                &[0.01; 2],
+                &ours,
+                &whole(&gradient),
+                &scratch,
+                &[true, true],
+                |_| 0..50,
+            );
             optimizer.step();
             let error = (&ours - theirs.detach()).abs().max().double_value(&[]);
             // A few roundings of values of order 1 a step, 2⁻²⁴ each.
@@ -239,11 +260,14 @@ mod tests {
         let (ours, theirs) = (parts(), parts());
         // Some of the columns: operations take rows with gaps between them.
         let learned = |tensor: &Tensor| tensor.narrow(1, 7, 900);
-        for row in 0..3 {
-            step_in_one_pass(&rates, ours.each_ref().map(|x| learned(x).narrow(0, row, 1)));
+        let factors = [0.7, 1.0, 0.3];
+        for (row, factor) in factors.into_iter().enumerate() {
+            let parts = ours.each_ref().map(|x| learned(x).narrow(0, row as i64, 1));
+            step_in_one_pass(&rates, factor, parts);
         }
         let scratch = learned(&theirs[0].zeros_like());
-        step_by_operations(&rates, theirs.each_ref().map(learned), &scratch);
+        let factors = Tensor::from_slice(&factors).view([3, 1]);
+        step_by_operations(&rates, &factors, theirs.each_ref().map(learned), &scratch);
         for (ours, theirs) in ours.iter().zip(&theirs) {
             let error = (ours - theirs).abs().max().double_value(&[]);
             // A few roundings of values of order 1, 2⁻²⁴ each; small denominators multiply them.
@@ -256,7 +280,24 @@ mod tests {
     fn a_gradient_that_is_the_parameters_is_refused() {
         let flat = Tensor::ones([1, 3], (Kind::Float, Device::Cpu));
         let scratch = flat.zeros_like();
-        Adam::new(&flat).step(&OPTIONS, &[0.1], &flat, &flat, &scratch, &[true], |_| 0..3);
+        Adam::new(&flat).step(&OPTIONS, &[0.1], &flat, &whole(&flat), &scratch, &[true], |_| 0..3);
+    }
+
+    #[test]
+    fn a_gradient_counts_by_its_factor() {
+        let sum = Tensor::from_slice(&[4.0f32, -8.0, 4.0, -8.0]).view([2, 2]);
+        let step = |sum: &Tensor, factors: &[f32]| {
+            let flat = Tensor::zeros([2, 2], (Kind::Float, Device::Cpu));
+            let (mut adam, scratch) = (Adam::new(&flat), flat.zeros_like());
+            let gradient = ScaledGradient { sum, factors };
+            adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[true; 2], |_| 0..2);
+            Vec::<f32>::try_from(adam.m.view([-1])).expect("four numbers")
+        };
+        let scaled = step(&sum, &[0.25, 0.5]);
+        let expected =
+            step(&Tensor::from_slice(&[1.0f32, -2.0, 2.0, -4.0]).view([2, 2]), &[1.0; 2]);
+        assert_eq!(scaled, expected);
+        assert_ne!(scaled, step(&sum, &[1.0; 2]));
     }
 
     #[test]
@@ -265,12 +306,16 @@ mod tests {
         let gradient = flat.copy();
         let scratch = flat.zeros_like();
         let mut adam = Adam::new(&flat);
-        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[true, false], |_| 0..3);
+        adam.step(&OPTIONS, &[0.1; 2], &flat, &whole(&gradient), &scratch, &[true, false], |_| {
+            0..3
+        });
         assert_eq!(adam.steps, [1, 0]);
         assert_eq!(flat.get(1), Tensor::ones([3], (Kind::Float, Device::Cpu)));
         assert_eq!(adam.v.get(1).double_value(&[0]), 0.0);
         let once = flat.get(0).copy();
-        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[false, true], |_| 0..3);
+        adam.step(&OPTIONS, &[0.1; 2], &flat, &whole(&gradient), &scratch, &[false, true], |_| {
+            0..3
+        });
         assert_eq!(flat.get(1), once, "its first step is what the other's was");
         assert_eq!(adam.steps, [1, 1]);
     }
@@ -281,7 +326,7 @@ mod tests {
         let (gradient, scratch) = (flat.copy(), flat.zeros_like());
         let columns = |row| if row == 0 { 0..4 } else { 1..3 };
         let mut adam = Adam::new(&flat);
-        adam.step(&OPTIONS, &[0.1; 2], &flat, &gradient, &scratch, &[true; 2], columns);
+        adam.step(&OPTIONS, &[0.1; 2], &flat, &whole(&gradient), &scratch, &[true; 2], columns);
         let moved = flat.lt(1.0).to_kind(Kind::Float);
         let expected = [1.0f32, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0];
         assert_eq!(moved.view([-1]), Tensor::from_slice(&expected));
@@ -293,7 +338,7 @@ mod tests {
         let gradient = flat.ones_like();
         let mut adam = Adam::new(&flat);
         let (rates, scratch) = ([0.1, 0.025], flat.zeros_like());
-        adam.step(&OPTIONS, &rates, &flat, &gradient, &scratch, &[true, true], |_| 0..3);
+        adam.step(&OPTIONS, &rates, &flat, &whole(&gradient), &scratch, &[true, true], |_| 0..3);
         // A first step is as long as the rate, but for ε.
         for (agent, rate) in [(0, 0.1), (1, 0.025)] {
             assert!((flat.double_value(&[agent, 2]) + rate).abs() < 1e-5 * rate + 1e-6);
@@ -301,13 +346,10 @@ mod tests {
     }
 
     #[test]
-    fn only_rows_above_the_limit_are_scaled() {
-        let gradient = Tensor::from_slice(&[3.0f32, 4.0, 0.3, 0.4]).view([2, 2]);
-        let squared = gradient.square().sum_dim_intlist(&[1i64][..], false, Kind::Float);
-        let parts = [gradient.narrow(0, 0, 1), gradient.narrow(0, 1, 1)];
-        let norms = clip_gradient(&parts, &squared, 1.0);
-        assert!((norms[0] - 5.0).abs() < 1e-6 && (norms[1] - 0.5).abs() < 1e-6);
-        assert!((gradient.double_value(&[0, 1]) - 0.8).abs() < 1e-6);
-        assert!((gradient.double_value(&[1, 1]) - 0.4).abs() < 1e-7, "below the limit");
+    fn only_what_is_above_the_limit_is_scaled() {
+        let close = |factor: f32, expected: f64| (f64::from(factor) - expected).abs() < 1e-6;
+        let factors = clip_factors(&[5.0, 0.5], 1.0);
+        assert!(close(factors[0], 0.2) && factors[1] == 1.0, "{factors:?}");
+        assert_eq!(clip_factors(&[5.0, 0.5], 0.0), [1.0, 1.0]);
     }
 }

@@ -293,15 +293,6 @@ impl NetworkSpec {
         self.get(name).of_rows(flat, rows as i64)
     }
 
-    /// Turns the gradients of the summed loss of a network's agents into those of its mean, where they are learned.
-    pub fn average_gradient(&self, gradient: &Tensor) {
-        if self.is_shared() {
-            for mut part in self.learned_parts(gradient) {
-                let _ = part.g_div_scalar_(self.rows_per_network() as f64);
-            }
-        }
-    }
-
     /// Squared gradient norm `[A]` of what an optimiser moves together: a network, with the first hidden
     /// biases of all its agents; the same in the row of each.
     pub fn squared_norm(&self, gradient: &Tensor) -> Tensor {
@@ -483,13 +474,8 @@ mod tests {
             &Dimensions::new(&config, Joints::of_sixes(1)),
         );
         let gradient = Tensor::arange(2 * spec.len, (Kind::Float, Device::Cpu)).view([2, spec.len]);
-        let sum = gradient.copy();
-        spec.average_gradient(&gradient);
-        let [bias, head] = ["hidden.0.bias", "head.weight"].map(|name| {
-            let learned = spec.learned(name, &gradient);
-            assert_eq!(learned, spec.learned(name, &sum) / 2.0, "{name}");
-            learned
-        });
+        let [bias, head] =
+            ["hidden.0.bias", "head.weight"].map(|name| spec.learned(name, &gradient).copy());
         assert_eq!((bias.size(), head.size()), (vec![2, 4], vec![1, 4, 1]));
         spec.unify(&gradient);
         let head = spec.view("head.weight", &gradient);

@@ -8,7 +8,7 @@ use tch::{Device, Kind, Tensor};
 
 use crate::LearnerError;
 use crate::actors::Actors;
-use crate::adam::{Adam, AdamOptions, clip_gradient};
+use crate::adam::{Adam, AdamOptions, ScaledGradient, clip_factors};
 use crate::mlp::{Compute, Threads};
 use crate::network::NetworkSpec;
 use crate::state::NetworkState;
@@ -24,45 +24,61 @@ pub(crate) struct Descent {
 #[derive(Debug)]
 pub(crate) struct NetworkPasses {
     pub(crate) compute: Compute,
-    /// `[A, P]`. Means something where it is learned ([`NetworkSpec::learned_parts`]).
+    /// `[A, P]`: that of the sum of a network's agents, unclipped. Means something where it is learned ([`NetworkSpec::learned_parts`]).
     pub(crate) gradient: Tensor,
     scratch: Tensor,
     /// The last unclipped gradient, kept if there is something to replace.
     pub(crate) recorded: Option<Tensor>,
 }
 
-/// One kind of network of some actors: their part of the state, in the state's memory or copied. Of shared networks parameters and moments are those of
-/// before the update, where they are not learned, until [`NetworkPart::put_back`].
+/// One kind of network of some actors where it lies, among others: their part of the state, to be taken by whichever thread computes it.
+pub(crate) struct NetworkRows {
+    spec: NetworkSpec,
+    actors: Actors,
+    steps: Vec<i64>,
+    /// Parameters and both moments of all actors.
+    all: [Tensor; 3],
+}
+
+impl NetworkRows {
+    /// The part of `actors`.
+    pub(crate) fn new(network: &NetworkState, actors: Actors) -> Self {
+        let Adam { m, v, steps } = &network.adam;
+        Self {
+            spec: network.spec.part(&actors.iter().collect::<Vec<_>>()),
+            actors,
+            steps: actors.iter().map(|actor| steps[actor]).collect(),
+            all: [&network.flat, m, v].map(Tensor::shallow_clone),
+        }
+    }
+
+    /// The part without gaps: in the state's memory if the actors stand side by side, copied if not.
+    pub(crate) fn take(self) -> NetworkPart {
+        let Self { spec, actors, steps, all } = self;
+        let [flat, m, v] = all.each_ref().map(|tensor| actors.of(tensor));
+        NetworkPart { spec, flat, adam: Adam { m, v, steps }, actors, all }
+    }
+}
+
+/// What was taken of [`NetworkRows`]. Of shared networks parameters and moments are those of before the update, where they are not learned, until
+/// [`NetworkPart::put_back`].
 pub(crate) struct NetworkPart {
     pub(crate) spec: NetworkSpec,
     pub(crate) flat: Tensor,
     pub(crate) adam: Adam,
+    actors: Actors,
+    all: [Tensor; 3],
 }
 
 impl NetworkPart {
-    /// The part of `actors`, in the state's memory if they stand side by side.
-    pub(crate) fn part(network: &NetworkState, actors: &Actors) -> Self {
-        let part = |tensor: &Tensor| actors.of(tensor);
-        let Adam { m, v, steps } = &network.adam;
-        let steps = actors.iter().map(|actor| steps[actor]).collect();
-        Self {
-            spec: network.spec.part(&actors.iter().collect::<Vec<_>>()),
-            flat: part(&network.flat),
-            adam: Adam { m: part(m), v: part(v), steps },
-        }
-    }
-
     /// Brings what was learned into the state's memory, but for the counts of steps.
     ///
     /// All rows of a shared network become those that were learned.
-    pub(crate) fn put_back(&self, network: &NetworkState, actors: &Actors) {
-        for tensor in [&self.flat, &self.adam.m, &self.adam.v] {
-            self.spec.unify(tensor);
+    pub(crate) fn put_back(&self) {
+        for (part, all) in [&self.flat, &self.adam.m, &self.adam.v].into_iter().zip(&self.all) {
+            self.spec.unify(part);
+            self.actors.put_back(part, all);
         }
-        let Adam { m, v, .. } = &network.adam;
-        actors.put_back(&self.flat, &network.flat);
-        actors.put_back(&self.adam.m, m);
-        actors.put_back(&self.adam.v, v);
     }
 }
 
@@ -106,7 +122,7 @@ impl Descent {
         }
     }
 
-    /// Clips a network's gradient and steps, each actor at its rate; returns its norms before clipping. A step with a gradient that
+    /// Steps against the mean of what a network's agents say, clipped, each actor at its rate; returns its norms before clipping. A step with a gradient that
     /// is not finite is not made.
     pub(crate) fn step(
         &self,
@@ -116,18 +132,24 @@ impl Descent {
         active: &[bool],
     ) -> Vec<f64> {
         let NetworkPasses { gradient, scratch, recorded, .. } = passes;
-        let NetworkPart { spec, flat, adam } = learned;
-        spec.average_gradient(gradient);
+        let NetworkPart { spec, flat, adam, .. } = learned;
+        // The passes have summed the losses of a network's agents. Their mean is what it learns from.
+        let agents = spec.rows_per_network() as f64;
         if recorded.is_some() {
-            let all = gradient.copy();
+            let all = &*gradient / agents;
             spec.unify(&all);
             *recorded = Some(all);
         }
-        let squared = spec.squared_norm(gradient);
-        let norms = clip_gradient(&spec.learned_parts(gradient), &squared, self.max_grad_norm);
+        let squared = Vec::<f32>::try_from(spec.squared_norm(gradient)).expect("a vector of f32");
+        let norms: Vec<f64> =
+            squared.into_iter().map(|squared| f64::from(squared).sqrt() / agents).collect();
         if norms.iter().all(|norm| norm.is_finite()) {
+            let clipped = clip_factors(&norms, self.max_grad_norm);
+            let factors: Vec<f32> =
+                clipped.into_iter().map(|factor| factor / agents as f32).collect();
+            let gradient = ScaledGradient { sum: gradient, factors: &factors };
             let columns = |row| spec.learned_columns(row);
-            adam.step(&self.adam, learning_rates, flat, gradient, scratch, active, columns);
+            adam.step(&self.adam, learning_rates, flat, &gradient, scratch, active, columns);
         }
         norms
     }
@@ -160,4 +182,57 @@ pub(crate) fn learning_rates(config: &Config, env_steps: u64) -> (f64, f64) {
         Schedule::Linear => (1.0 - env_steps as f64 / config.run.env_steps as f64).max(0.0),
     };
     (config.optimizer.actor_lr * factor, config.optimizer.critic_lr * factor)
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::agents::Joints;
+    use proto::config::{Layers, Preset, TaskName};
+    use proto::layout::Dimensions;
+
+    use super::*;
+    use crate::network::NetworkKind;
+
+    /// Two agents of one network: it learns from the mean of both, clipped or not.
+    #[test]
+    fn a_shared_network_steps_against_the_mean_of_its_agents() {
+        let mut layers = Layers::new(Preset::Release, Some(TaskName::Trajectory));
+        for assignment in ["network.parameter_sharing=all", "network.hidden=[4]"] {
+            layers = layers.set(assignment).expect("well formed");
+        }
+        let mut config = layers.resolve().expect("valid");
+        let dimensions = Dimensions::new(&config, Joints::of_sixes(1));
+        let spec = NetworkSpec::new(NetworkKind::Critic, &config, &dimensions);
+        let all = Actors::all(spec.rows);
+        assert_eq!((spec.rows, spec.n_networks), (2, 1));
+        for limit in [0.0, 0.25, 1e6] {
+            config.algorithm.max_grad_norm = limit;
+            let flat = spec.initial(&config.network, 1);
+            let adam = Adam::new(&flat);
+            let state = NetworkState { spec: spec.clone(), flat, adam };
+            let threads = Threads::One;
+            let (kind, device) = (Kind::Float, Device::Cpu);
+            let mut passes = NetworkPasses::new(&config, &state, &all, kind, device, threads);
+            let sum = Tensor::arange(2 * spec.len, (kind, device)).view([2, -1]) * 1e-3;
+            passes.gradient.copy_(&sum);
+            passes.record(true);
+            let mut part = NetworkRows::new(&state, all).take();
+            let norms = Descent::new(&config).step(&mut part, &mut passes, &[1e-3; 2], &[true; 2]);
+            let mean = &sum / 2.0;
+            let norm = spec.squared_norm(&mean).sqrt().double_value(&[0]);
+            assert!(norms.iter().all(|found| (found / norm - 1.0).abs() < 1e-6), "{norms:?}");
+            let clipped = if limit > 0.0 { (limit / norm).min(1.0) } else { 1.0 };
+            // The first moment after one step.
+            let share = 1.0 - config.optimizer.beta1;
+            for name in ["head.weight", "hidden.0.bias"] {
+                let found = spec.learned(name, &part.adam.m);
+                let expected = spec.learned(name, &mean) * (share * clipped);
+                let error = (found - &expected).norm() / expected.norm();
+                assert!(error.double_value(&[]) < 1e-5, "{name}, limit {limit}");
+            }
+            let recorded = passes.recorded.as_ref().expect("asked for");
+            let bias = spec.learned("hidden.0.bias", recorded);
+            assert_eq!(bias, spec.learned("hidden.0.bias", &mean), "unclipped");
+        }
+    }
 }

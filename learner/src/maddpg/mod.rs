@@ -47,7 +47,9 @@ use crate::LearnerError;
 use crate::actors::Actors;
 use crate::input_norm::{InputNorm, Normalisation};
 use crate::mlp::Threads;
-use crate::optimizer_step::{Descent, NetworkPart, NetworkPasses, check, learning_rates};
+use crate::optimizer_step::{
+    Descent, NetworkPart, NetworkPasses, NetworkRows, check, learning_rates,
+};
 use crate::report::{Sums, UpdateReport, add};
 use crate::state::replay::Batch;
 use crate::state::{NetworkState, OffPolicy, TrainingState};
@@ -173,8 +175,8 @@ impl Update for Maddpg {
         replay.insert(&self.dimensions, shards);
         let all = Actors::all(n);
         let mut networks = Networks {
-            actor: NetworkPart::part(actor, &all),
-            critic: NetworkPart::part(critic, &all),
+            actor: NetworkRows::new(actor, all).take(),
+            critic: NetworkRows::new(critic, all).take(),
             target_actor,
             target_critic,
         };

@@ -14,7 +14,7 @@ use crate::LearnerError;
 use crate::actors::Actors;
 use crate::input_norm::InputNorm;
 use crate::mlp::Threads;
-use crate::optimizer_step::{NetworkPart, NetworkPasses, learning_rates};
+use crate::optimizer_step::{NetworkPasses, NetworkRows, learning_rates};
 use crate::report::{UpdateReport, interleaved};
 use crate::state::{NetworkState, TrainingState};
 use crate::update::Update;
@@ -169,8 +169,8 @@ fn run_groups(
         .map(|(group, outcome)| {
             let actors = group.actors;
             let learned = (
-                NetworkPart::part(&state.actor, &actors),
-                NetworkPart::part(&state.critic, &group.critics),
+                NetworkRows::new(&state.actor, actors),
+                NetworkRows::new(&state.critic, group.critics),
             );
             let norm = state.value_norm.part(&actors);
             (group, learned, norm, outcome)
@@ -181,11 +181,16 @@ fn run_groups(
         tch::set_num_threads(threads as i32);
         loop {
             let next = waiting.lock().unwrap_or_else(PoisonError::into_inner).next();
-            let Some((group, (mut actor, mut critic), norm, outcome)) = next else { break };
+            let Some((group, (actor, critic), norm, outcome)) = next else { break };
             let trace = trace.as_deref_mut();
-            let result =
-                tch::no_grad(|| group.update(inputs, &mut actor, &mut critic, norm, trace));
-            *outcome = Some((result, group.actors, group.critics, actor, critic));
+            let result = tch::no_grad(|| {
+                let (mut actor, mut critic) = (actor.take(), critic.take());
+                let result = group.update(inputs, &mut actor, &mut critic, norm, trace);
+                actor.put_back();
+                critic.put_back();
+                result
+            });
+            *outcome = Some(result);
         }
     };
     std::thread::scope(|scope| {
@@ -194,14 +199,7 @@ fn run_groups(
         }
         work(trace);
     });
-    let put_back = |outcome: Option<_>| {
-        let (result, actors, critics, actor, critic): (_, _, _, NetworkPart, NetworkPart) =
-            outcome.expect("every group was computed");
-        actor.put_back(&state.actor, &actors);
-        critic.put_back(&state.critic, &critics);
-        result
-    };
-    outcomes.into_iter().map(put_back).collect()
+    outcomes.into_iter().map(|outcome| outcome.expect("every group was computed")).collect()
 }
 
 /// An actor's share of the scheduled learning rate after an iteration in which it moved by `kl`.

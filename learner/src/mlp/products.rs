@@ -135,7 +135,7 @@ impl Products {
 /// Rows `[N, R, K]` times each network's right factor `[K, M]`, into `product` `[N, R, M]`.
 #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
 fn multiply_rows(native: Native, rows: &Tensor, right: &[Packed], product: &mut Tensor) {
-    // SAFETY: products are buffers of the stack, made of zeros, each with a storage of its own, which is not that of `rows`.
+    // SAFETY: products are buffers of the stack, made of zeros. Layers may share one, of which nobody else has a slice now; it is not that of `rows`.
     let product: &mut [Bf16] = unsafe { numbers_mut(product) };
     let each = product.len() / right.len();
     for (network, (right, product)) in right.iter().zip(product.chunks_exact_mut(each)).enumerate()

@@ -25,7 +25,8 @@ pub(super) struct Stack {
 #[derive(Debug, Default)]
 pub(super) struct Buffers {
     pub(super) rows: i64,
-    /// After the activation, of each layer; before it where the passes are plain Rust.
+    /// After the activation, of each layer; before it where the passes are plain Rust. Those need it again only with LayerNorm: without one all layers share a
+    /// buffer.
     pub(super) active: Vec<Tensor>,
     /// After the standardisation, of each layer; with libtorch's operations empty without LayerNorm.
     pub(super) standard: Vec<Tensor>,
@@ -100,7 +101,12 @@ impl Stack {
             let hidden = stack.spec.hidden.iter();
             hidden.map(|&h| stack.flat(rows, h, stack.kind)).collect::<Vec<_>>()
         };
-        self.buffers.active = layers(self);
+        if standard && !self.spec.layer_norm {
+            let shared = self.flat(rows, self.widest(), self.kind);
+            self.buffers.active = self.weight.iter().map(|_| shared.shallow_clone()).collect();
+        } else {
+            self.buffers.active = layers(self);
+        }
         if standard {
             self.buffers.standard = layers(self);
         }
