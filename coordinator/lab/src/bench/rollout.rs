@@ -43,7 +43,8 @@ pub(super) fn measure(
     let (single, pairs) = policy_flops(&bench.config, &bench.dimensions);
     let peak = arithmetic::peak(bench.seconds / 10.0);
     let pair_peak = arithmetic::pair_peak(bench.seconds / 10.0);
-    let floor = 1.0 / ((physics + single) / peak + pairs / pair_peak);
+    // Pairs can be multiplied as two numbers, too.
+    let floor = 1.0 / ((physics + single) / peak + pairs / pair_peak.max(peak));
     let unit = "env-steps/s";
     let figure = Figure::rate("rollout.env_steps_per_s_per_core", unit, rates.env_steps_per_s);
     figures.push(figure.peer(peer).floor(Some(floor)));

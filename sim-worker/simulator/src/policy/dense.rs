@@ -12,7 +12,7 @@ pub(super) const PANEL: usize = 8;
 /// Weights of one layer, cut into panels: `W` is `f32`, or a [`WeightPair`] of two inputs' weights in bfloat16.
 #[derive(Debug, Clone)]
 pub(super) struct Dense<W> {
-    /// Rows of weights: inputs of the layer, or pairs of them (an odd last one stands beside zero).
+    /// Rows of weights: inputs of the layer, or pairs of them (an odd last one stands beside zero; so it does where pairs are widened).
     rows: usize,
     /// Units of the layer.
     pub(super) outputs: usize,
@@ -67,6 +67,17 @@ impl Dense<f32> {
             }
         }
         Self { rows, outputs, weights: packed, bias: packed_bias }
+    }
+
+    /// Packs numbers of bfloat16 that [`Dense::pack_pairs`] packs in pairs, as they are: of each two rows the second first, which is the order in which
+    /// their products are added.
+    pub(super) fn pack_widened(weight: &[f32], bias: &[f32]) -> Self {
+        let Dense { rows, outputs, weights, bias } = Dense::pack_pairs(weight, bias);
+        let widened = weights.iter().flat_map(|pairs| {
+            let widened = pairs.map(WeightPair::widened);
+            [widened.map(|[_, second]| second), widened.map(|[first, _]| first)]
+        });
+        Self { rows: 2 * rows, outputs, weights: widened.collect(), bias }
     }
 
     /// `out = x · weights + bias` for `groups` lane groups, tile after tile (see [`tile_groups`]).

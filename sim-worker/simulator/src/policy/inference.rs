@@ -225,6 +225,15 @@ impl<R: Real> Kernel<R> for Layers<'_, R> {
                     }
                     dense.apply(pairs, pong, registers, stride);
                 }
+                Product::Widened(dense) => {
+                    let mut register = 0;
+                    while register < registers {
+                        let width = tile_groups(register, registers);
+                        round_pairs::<R>(&mut ping[register * stride..], features, width);
+                        register += width;
+                    }
+                    dense.apply(ping, pong, registers, stride);
+                }
             }
             features = hidden.product.outputs();
             let mut register = 0;
@@ -252,6 +261,19 @@ fn to_pairs<S: Real>(x: &[S], pairs: &mut [S::Pair], features: usize, width: usi
             let second =
                 if 2 * pair + 1 < features { x[(2 * pair + 1) * width + g] } else { S::zero() };
             pairs[pair * width + g] = S::pair(first, second);
+        }
+    }
+}
+
+/// Rounds likewise, in place: of each two numbers the second comes first.
+#[inline(always)]
+fn round_pairs<S: Real>(x: &mut [S], features: usize, width: usize) {
+    for pair in 0..features.div_ceil(2) {
+        for g in 0..width {
+            let first = x[2 * pair * width + g].to_bf16();
+            let at = (2 * pair + 1) * width + g;
+            let second = if 2 * pair + 1 < features { x[at].to_bf16() } else { S::zero() };
+            (x[2 * pair * width + g], x[at]) = (second, first);
         }
     }
 }

@@ -12,7 +12,7 @@
 //! **Shared networks.** Actors that share a network go through it together: they differ by the bias of the first layer alone, from which its sums start.
 //!
 //! **bfloat16** (`network.inference`). Hidden layers after the first multiply pairs of bfloat16, with the same
-//! bits on every processor: what AVX-512 BF16 does in one instruction two fused multiply-adds do elsewhere, and
+//! bits on every processor: what AVX-512 BF16 does in one instruction two fused multiply-adds do where there is none or it is slow, and
 //! numbers so small that the instruction would flush them are rounded to zero everywhere. The first layer and the
 //! head stay in f32. The policy that acts is the rounded one: log-probabilities are its own, evaluations and
 //! compositions use it.

@@ -5,7 +5,7 @@ use proto::config::{Activation, Config, Inference, InputNorm};
 use proto::layout::{ActorLayout, Dimensions};
 
 use super::dense::Dense;
-use crate::scalar::{WeightPair, elementary};
+use crate::scalar::{WeightPair, elementary, pairs_are_slow};
 
 /// Name of the tensor with the deviations, the only one that is not of a network.
 const LOG_STD: &str = "log_std";
@@ -53,20 +53,22 @@ pub(super) enum Product {
     Single(Dense<f32>),
     /// Of bfloat16, summed in `f32`.
     Pairs(Dense<WeightPair>),
+    /// The same where pairs are slow: of each two inputs the second first.
+    Widened(Dense<f32>),
 }
 
 impl Product {
     /// Units of the layer.
     pub(super) fn outputs(&self) -> usize {
         match self {
-            Self::Single(dense) => dense.outputs,
+            Self::Single(dense) | Self::Widened(dense) => dense.outputs,
             Self::Pairs(dense) => dense.outputs,
         }
     }
 
     fn padded_outputs(&self) -> usize {
         match self {
-            Self::Single(dense) => dense.padded_outputs(),
+            Self::Single(dense) | Self::Widened(dense) => dense.padded_outputs(),
             Self::Pairs(dense) => dense.padded_outputs(),
         }
     }
@@ -89,7 +91,7 @@ pub(super) struct Network {
 
 /// All actors' networks of one policy version, packed for inference.
 ///
-/// Does not depend on the processor's back end, so one packed policy serves every thread.
+/// Every back end computes the same with it, so one packed policy serves every thread.
 #[derive(Debug, Clone)]
 pub struct Policy {
     pub(super) input: usize,
@@ -118,6 +120,16 @@ impl Policy {
         config: &Config,
         dimensions: &Dimensions,
         parameters: &[f32],
+    ) -> Result<Self, PolicyError> {
+        Self::packed(config, dimensions, parameters, pairs_are_slow())
+    }
+
+    /// As [`Policy::new`]; layers in bfloat16 in pairs or `widened`, which are two ways to the same bits.
+    pub(super) fn packed(
+        config: &Config,
+        dimensions: &Dimensions,
+        parameters: &[f32],
+        widened: bool,
     ) -> Result<Self, PolicyError> {
         let layout = ActorLayout::new(config, dimensions);
         if parameters.len() != layout.len {
@@ -177,10 +189,12 @@ impl Policy {
                                 let weight = row(&format!("hidden.{i}.weight"), actor);
                                 // Nobody reads that of the first layer here: each actor has its own.
                                 let bias = row(&format!("hidden.{i}.bias"), actor);
-                                if i > 0 && network.inference == Inference::Bf16 {
-                                    Product::Pairs(Dense::pack_pairs(weight, bias))
-                                } else {
+                                if i == 0 || network.inference != Inference::Bf16 {
                                     Product::Single(Dense::pack(weight, bias))
+                                } else if widened {
+                                    Product::Widened(Dense::pack_widened(weight, bias))
+                                } else {
+                                    Product::Pairs(Dense::pack_pairs(weight, bias))
                                 }
                             },
                             norm: network.layer_norm.then(|| {

@@ -244,19 +244,22 @@ fn every_back_end_gives_the_same_means() {
     for config in configurations() {
         let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
         let flat = parameters(&config, &dimensions, 3);
-        let policy = Policy::new(&config, &dimensions, &flat).expect("a policy");
         let observations = normals(79, 37 * dimensions.actor_input());
         let actor = 2 % dimensions.n_actors;
-        let on = |backend| {
+        let on = |backend, widened| {
+            let policy = Policy::packed(&config, &dimensions, &flat, widened).expect("a policy");
             dispatch_on(
                 backend,
                 Means { policy: &policy, actors: &[actor], observations: &observations },
             )
         };
-        let portable = on(Backend::Portable);
-        for backend in [Backend::Avx2, Backend::Avx512] {
-            if backend.is_available() {
-                assert_eq!(on(backend), portable, "{backend:?}, {:?}", config.network);
+        let portable = on(Backend::Portable, false);
+        for backend in [Backend::Portable, Backend::Avx2, Backend::Avx512] {
+            for widened in [false, true] {
+                if backend.is_available() {
+                    let means = on(backend, widened);
+                    assert_eq!(means, portable, "{backend:?}, {widened}, {:?}", config.network);
+                }
             }
         }
     }

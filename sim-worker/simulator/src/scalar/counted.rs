@@ -72,6 +72,9 @@ impl Real for Counted {
     fills_register!();
     type Pair = [Self; 2];
 
+    fn to_bf16(self) -> Self {
+        self
+    }
     fn pair(first: Self, second: Self) -> [Self; 2] {
         [first, second]
     }

@@ -162,6 +162,8 @@ pub trait Real:
     /// The `i`-th of what was joined.
     fn part(register: Self::Register, i: usize) -> Self;
 
+    /// `self`, rounded to bfloat16.
+    fn to_bf16(self) -> Self;
     /// `first` and `second`, rounded to bfloat16.
     fn pair(first: Self, second: Self) -> Self::Pair;
     /// `x.first · w.first + (x.second · w.second + self)`, each product and sum with one rounding, second first.

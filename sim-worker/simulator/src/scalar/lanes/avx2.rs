@@ -148,6 +148,10 @@ impl Real for F32x8Avx2 {
     type Pair = [Self; 2];
 
     #[inline(always)]
+    fn to_bf16(self) -> Self {
+        self.rounded_to_bf16()
+    }
+    #[inline(always)]
     fn pair(first: Self, second: Self) -> [Self; 2] {
         [first.rounded_to_bf16(), second.rounded_to_bf16()]
     }

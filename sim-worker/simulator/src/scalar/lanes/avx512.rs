@@ -92,6 +92,14 @@ macro_rules! back_end {
                 part(register, i)
             }
             #[inline(always)]
+            fn to_bf16(self) -> Self {
+                // SAFETY: as for `splat`.
+                unsafe {
+                    let upper = set1_epi32(0xffff_0000_u32 as i32);
+                    Self(castsi_ps(and_si(self.rounded_to_bf16(), upper)))
+                }
+            }
+            #[inline(always)]
             fn pair(first: Self, second: Self) -> $pair {
                 // SAFETY: as for `splat`.
                 unsafe {
