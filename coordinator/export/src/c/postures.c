@@ -1223,16 +1223,18 @@ static void believe(float believed[7], int rests, place_type *place)
 }
 
 /* Counts a control step, unless the robot `rests` or a goal is `new_goal`; whether all arms choose anew: every tenth step where an arm has no
- * way to its goal, sixteen times. */
-static int is_reviewed(octopus_memory *memory, int new_goal, int rests)
+ * way to its goal or bodies touch, sixteen times. */
+static int is_reviewed(octopus_memory *memory, int new_goal, int rests, const float angles[OCTOPUS_JOINTS])
 {
     float reviews;
-    int arm, missing = 0;
+    int arm, bad;
     if (new_goal) memory->age = 0.0f;
     else if (!rests) memory->age = memory->age + 1.0f;
-    for (arm = 0; arm < OCTOPUS_ARMS; arm++) missing |= memory->postures[arm].good < 1.0f;
     reviews = floorf(memory->age / 10.0f);
-    return missing && !new_goal && !rests && memory->age - reviews * 10.0f < 0.5f && reviews <= 16.0f;
+    if (new_goal || rests || !(memory->age - reviews * 10.0f < 0.5f && reviews <= 16.0f)) return 0;
+    bad = count_contacts(angles) > 0;
+    for (arm = 0; arm < OCTOPUS_ARMS; arm++) bad |= memory->postures[arm].good < 1.0f;
+    return bad;
 }
 
 /* Looks for postures of new goals, and has the others follow their goals and the base. */
@@ -1264,7 +1266,7 @@ static void look(const reading_type *reading, octopus_memory *memory)
         }
         memcpy(posture->goal, reading->hand_goals[arm], sizeof posture->goal);
     }
-    reviewed = is_reviewed(memory, any, rests);
+    reviewed = is_reviewed(memory, any, rests, place.angles);
     for (arm = 0; reviewed && arm < OCTOPUS_ARMS; arm++) open[arm] = 1;
     if (any || reviewed) foresee(reading, &place, open, memory->age / 10.0f, memory->postures);
     for (arm = 0; arm < OCTOPUS_ARMS; arm++) {

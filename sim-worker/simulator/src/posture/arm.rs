@@ -5,6 +5,7 @@ use super::search::{Question, STARTS, STOPPED, UNSOLVED};
 use crate::robot::{Joints, MAX_JOINTS_PER_ARM};
 use crate::scalar::{Mask, Real};
 use crate::spatial::{Vec3, euler_xyz_to_rotation, quaternion_to_rotation};
+use crate::state::State;
 
 /// Steps with which a posture follows the base in a control step.
 const FOLLOWING: usize = 2;
@@ -85,11 +86,27 @@ pub(super) struct Place<'a, S> {
     pub(super) joints: Joints,
 }
 
+impl<S: Real> Place<'_, S> {
+    /// The robot there, at rest.
+    #[inline(always)]
+    pub(super) fn at_rest(&self) -> State<S> {
+        let zero = [S::zero(); 3];
+        State {
+            base_position: self.position,
+            base_quaternion: self.quaternion,
+            base_linear_velocity: zero,
+            base_angular_velocity: zero,
+            q: self.q.to_vec(),
+            qd: vec![S::zero(); self.q.len()],
+        }
+    }
+}
+
 #[cfg(test)]
 impl<'a, S: Real> Place<'a, S> {
     /// That of a robot in `state`.
     #[inline(always)]
-    pub(super) fn of(state: &'a crate::state::State<S>, joints: Joints) -> Self {
+    pub(super) fn of(state: &'a State<S>, joints: Joints) -> Self {
         let (position, quaternion) = (state.base_position, state.base_quaternion);
         Self { position, quaternion, q: &state.q, joints }
     }

@@ -47,22 +47,13 @@ impl<S: Real> KinematicRollout<S> {
         (active, following): ([bool; MAX_ARMS], Following),
         place: &Place<'_, S>,
     ) -> Self {
-        let zero = [S::zero(); 3];
-        let state = State {
-            base_position: place.position,
-            base_quaternion: place.quaternion,
-            base_linear_velocity: zero,
-            base_angular_velocity: zero,
-            q: place.q.to_vec(),
-            qd: vec![S::zero(); place.q.len()],
-        };
         Self {
             workspace: Workspace::new(model),
             joints: place.joints,
             active,
             following,
             arms: arms.to_vec(),
-            state,
+            state: place.at_rest(),
             ways: S::zero(),
             touched: S::zero(),
         }

@@ -3,7 +3,7 @@
 //! A pose can be reached in up to eight ways, and near the borders between them an actor that sees the pose alone averages. A goal posture
 //! is one way: chosen when the goal is seen for the first time, then kept, while steps of damped least squares in every control step let it follow
 //! the goal, where that moves, and the base, which carries goals away from the arm or to it. Where the posture does not bring the hand to its goal, or stops a joint, another
-//! way is looked for in every control step, and now and then for all arms together.
+//! way is looked for in every control step, and now and then for all arms together, also where arms touch.
 
 mod arm;
 mod chain;
@@ -21,15 +21,17 @@ use self::chain::Chain;
 use self::follow::follow;
 use self::foresight::Foresight;
 pub(crate) use self::guidance::Guidance;
+use crate::collision::touching;
 use crate::model::Model;
 use crate::robot::{MAX_ARMS, Robot};
 use crate::scalar::{Kernel, Mask, Real};
 use crate::spatial::{Vec3, quaternion_normalised};
+use crate::workspace::Workspace;
 
 /// A pose of the base that is not known: nothing is the same as what is not a number.
 const UNKNOWN: [f64; 7] = [f64::NAN; 7];
 
-/// Control steps after which all arms choose anew, if some arm has no way to its goal.
+/// Control steps after which all arms choose anew, if some arm has no way to its goal or touches something.
 const REVIEW: f64 = 10.0;
 /// Reviews of the same goals: after the last one an arm without a way looks for one by itself alone.
 const REVIEWS: f64 = 16.0;
@@ -43,6 +45,7 @@ pub(crate) struct Postures<S: Real> {
     /// Whether a hand without a way comes as near to its goal as it can; else it rests.
     persistent: bool,
     model: Arc<Model<S>>,
+    workspace: Workspace<S>,
     pace: Pace<S>,
     /// Where the base was read to be when they last followed it: who looks twice sees the same.
     base: [S; 7],
@@ -58,11 +61,13 @@ impl<S: Real> Postures<S> {
     /// None yet.
     pub(crate) fn new(robot: &Robot, pace: Pace<S>, trust: f64) -> Self {
         let arms = Chain::of(robot).into_iter().map(Posture::new);
+        let model = Model::new(robot);
         Self {
             arms: arms.collect(),
             active: std::array::from_fn(|arm| arm < robot.n_arms),
             persistent: true,
-            model: Arc::new(Model::new(robot)),
+            workspace: Workspace::new(&model),
+            model: Arc::new(model),
             pace,
             base: UNKNOWN.map(S::splat),
             believed: UNKNOWN.map(S::splat),
@@ -145,18 +150,24 @@ impl<S: Real> Postures<S> {
 
     /// Counts a control step, but in lanes where the base `rests`, and from zero where a goal is `new`; says in which lanes all active arms choose anew.
     ///
-    /// The base that other ways leave elsewhere may bring a goal back into reach.
+    /// The base that other ways leave elsewhere may bring a goal back into reach. And arms that were led astray may have come to rest at each other.
     #[inline(always)]
-    fn review(&mut self, new: S::Mask, rests: S::Mask) -> S::Mask {
+    fn review(&mut self, new: S::Mask, rests: S::Mask, place: &Place<'_, S>) -> S::Mask {
         let older = S::select(rests, self.age, self.age + S::one());
         self.age = S::select(new, S::zero(), older);
-        let mut missing = S::Mask::splat(false);
-        for (arm, active) in self.arms.iter().zip(self.active) {
-            missing = missing | (arm.good.lt(S::one()) & S::Mask::splat(active));
-        }
         let reviews = (self.age / S::splat(REVIEW)).floor();
         let due = (self.age - reviews * S::splat(REVIEW)).lt(S::splat(0.5));
-        due & missing & !new & !rests & reviews.le(S::splat(REVIEWS))
+        let due = due & !new & !rests & reviews.le(S::splat(REVIEWS));
+        if !due.any() {
+            return due;
+        }
+        let touching = touching(&self.model, &mut self.workspace, &place.at_rest());
+        let mut bad = S::Mask::splat(false);
+        for (index, arm) in self.arms.iter().enumerate() {
+            let is_bad = arm.good.lt(S::one()) | S::zero().lt(touching.by_arm[index]);
+            bad = bad | (is_bad & S::Mask::splat(self.active[index]));
+        }
+        due & bad
     }
 
     /// Looks for postures of new goals of the hands (m, rad; world), and has the others follow the base, which is at `position` (m) with the
@@ -201,7 +212,7 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
             new = new | is_new;
             asked = asked | open[index];
         }
-        let reviewed = postures.review(new, rests);
+        let reviewed = postures.review(new, rests, &place);
         let following = postures.following();
         if (asked | reviewed).any() {
             let Postures { arms, active, persistent, model, pace, age, .. } = &mut *postures;

@@ -355,6 +355,71 @@ fn choosing_anew_brings_goals_back_into_reach() {
     assert!(persistent.1 < 0.7 * rested.1, "they miss by {rested:?}, and by {persistent:?}");
 }
 
+/// An arm that was led to where it touches something, its hand at the goal, takes another way with the first review, unless it does not go to its posture.
+#[test]
+fn arms_that_rest_at_something_choose_anew() {
+    struct LedAstray {
+        active: bool,
+    }
+    impl crate::scalar::LaneFn for LedAstray {
+        /// In how many situations the arm touches, and in how many of them no more after the review.
+        type Output = [usize; 2];
+        #[inline(always)]
+        fn call<S: Real>(self) -> [usize; 2] {
+            let robot = robot();
+            let home = State::<S>::home(&robot);
+            let mut counts = [0; 2];
+            for situation in 0..200 {
+                let mut state = home.clone();
+                for (joint, q) in state.q[6..12].iter_mut().enumerate() {
+                    *q += S::splat(2.0 * (1.7 * joint as f64 + 0.9 * f64::from(situation)).sin());
+                }
+                let seen = readings(&robot, &state);
+                let at = |hand: &HandReading<S>| {
+                    let ([x, y, z], [a, b, c]) = (hand.position, hand.euler);
+                    [x, y, z, a, b, c]
+                };
+                let goals: Vec<_> = seen.hands.iter().map(at).collect();
+                let mut postures = none_yet::<S>(&robot);
+                let touches = |postures: &mut Postures<S>, way: &[S]| {
+                    let mut state = home.clone();
+                    state.q[6..12].copy_from_slice(way);
+                    touching(&postures.model, &mut postures.workspace, &state).pairs.lane(0) > 0.0
+                };
+                let (mut position, quaternion) = (seen.base_position, seen.base_quaternion);
+                postures.update((position, quaternion), &seen.q, &goals);
+                let chosen = postures.arms[1].angles;
+                let finds_another =
+                    postures.arms[1].good.lane(0) == 1.0 && !touches(&mut postures, &chosen[..6]);
+                if !touches(&mut postures, &state.q[6..12]) || !finds_another {
+                    continue;
+                }
+                postures.activate([true, self.active, true, true].into_iter());
+                postures.arms[1].angles[..6].copy_from_slice(&state.q[6..12]);
+                let mut steps = 0;
+                let mut way = postures.arms[1].angles;
+                while steps < REVIEW as usize && touches(&mut postures, &way[..6]) {
+                    position[0] += S::splat(1e-6);
+                    postures.update((position, quaternion), &seen.q, &goals);
+                    steps += 1;
+                    way = postures.arms[1].angles;
+                }
+                if steps < REVIEW as usize {
+                    // A stop told it before.
+                    continue;
+                }
+                counts[0] += 1;
+                counts[1] += usize::from(!touches(&mut postures, &way[..6]));
+                assert_eq!(postures.arms[1].good.lane(0), 1.0, "{situation}");
+            }
+            counts
+        }
+    }
+    let [goes, stays] = [true, false].map(|active| crate::scalar::dispatch(LedAstray { active }));
+    assert!(goes[0] > 2 && goes[1] == goes[0], "{goes:?}");
+    assert!(stays[0] > 2 && stays[1] == 0, "{stays:?}");
+}
+
 /// What the others do hangs on an arm that goes to its posture, and not on one that does not.
 #[test]
 fn arms_that_do_not_go_are_not_chosen_for() {
