@@ -118,6 +118,18 @@ pub(crate) fn check_c(dir: &Path, flags: &[&str]) {
     assert!(said.starts_with("256 states, 0 with other bits"), "{said}");
 }
 
+/// A file that was cut off has not been checked.
+fn refuse_part_of_vectors(dir: &Path) {
+    let program = compile(dir, &dir.join("check.c"), &["-O1"]).expect("it compiles");
+    let whole = std::fs::read(dir.join("vectors.json")).expect("vectors");
+    let cut = dir.join("cut.json");
+    std::fs::write(&cut, &whole[..whole.len() / 2]).expect("writable");
+    let output = Command::new(program).arg(&cut).output().expect("it starts");
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    assert!(stderr(&output).contains("of 256 states"), "{}", stderr(&output));
+    std::fs::remove_file(cut).expect("it was there");
+}
+
 /// Has ONNX look at the directories' models, and runs their own `check.py`.
 pub(crate) fn check_onnx(dirs: &[PathBuf]) {
     let output = Command::new(python())
@@ -189,6 +201,7 @@ fn shipped_policies_do_outside_what_they_do_here() {
         check_c(&dir, &["-O2"]);
         // As compilers do unless they are told otherwise: GCC contracts products and sums then.
         check_c(&dir, &["-std=gnu17", "-O3", "-march=native"]);
+        refuse_part_of_vectors(&dir);
         drive_both(&controlled, &dir, episodes, steps);
         // Trained, it brings hands near: 20 mm on average after 40 s, from 300 mm.
         let errors =

@@ -90,6 +90,8 @@ pub(crate) struct Vectors {
     robot: String,
     /// Differences that are accepted of ONNX Runtime: of commands and actions (rad/s).
     onnx_tolerance: f64,
+    /// Before them, so that a reader in C knows whether it has read all.
+    n_cases: usize,
     pub(crate) cases: Vec<Case>,
 }
 
@@ -164,6 +166,7 @@ pub(crate) fn vectors(source: &Source<'_>) -> Result<Vectors, ExportError> {
         task: source.task(),
         robot: world.robot.name.clone(),
         onnx_tolerance: source.onnx_tolerance(),
+        n_cases: cases.len(),
         cases,
     })
 }

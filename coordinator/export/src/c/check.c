@@ -37,10 +37,9 @@ static int read_doubles(FILE *file, double *to, size_t n)
     return 1;
 }
 
-/* To where the states begin. */
-static int find_cases(FILE *file)
+/* To behind a word. */
+static int find(FILE *file, const char *word)
 {
-    static const char word[] = "\"cases\"";
     size_t matched = 0;
     int c;
     while (word[matched] && (c = fgetc(file)) != EOF) {
@@ -79,15 +78,15 @@ static double difference(double a, double b) { return a > b ? a - b : b - a; }
 int main(int argc, char **argv)
 {
     FILE *file = fopen(argc > 1 ? argv[1] : "vectors.json", "r");
-    int cases = 0, other = 0, i;
+    int expected, cases = 0, other = 0, i;
     double worst_seen = 0.0, worst_command = 0.0;
     octopus_memory memory;
     octopus_controller_reset(&memory);
-    if (!file || !find_cases(file)) {
+    if (!file || !find(file, "\"n_cases\":") || fscanf(file, "%d", &expected) != 1 || !find(file, "\"cases\":[")) {
         fprintf(stderr, "check: no vectors.json with states in it\n");
         return 2;
     }
-    while (read_case(file)) {
+    while (cases < expected && read_case(file)) {
         float observations[OCTOPUS_AGENTS * OCTOPUS_OBSERVATION];
         double command[OCTOPUS_JOINTS];
         octopus_status status;
@@ -147,6 +146,9 @@ int main(int argc, char **argv)
 #endif
     }
 #endif
-    if (cases == 0) fprintf(stderr, "check: no states\n");
-    return cases == 0 || other != 0;
+    if (cases == 0 || cases < expected) {
+        fprintf(stderr, "check: the file ends after %d of %d states\n", cases, expected);
+        return 2;
+    }
+    return other != 0;
 }

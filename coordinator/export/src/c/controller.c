@@ -33,13 +33,14 @@ typedef struct {
 #endif
 
 #if OCTOPUS_NEEDS_ALGEBRA
-/* Where an arm stands on the base, whence it sees, and whether its hand has a goal. */
+/* Where an arm stands on the base, whence it sees, whether its hand has a goal, and how long it is, stretched (m). */
 typedef struct {
     float position[3];
     matrix rotation;
     float axes[3][3];
     float home[OCTOPUS_ARM_JOINTS];
     int reaches, kind;
+    float reach;
 } arm_type;
 #endif
 
@@ -85,7 +86,8 @@ typedef struct {
 
 /* ---- arithmetic: single precision, one rounding an operation, in the order of the simulator that trained ---- */
 
-#if FLT_EVAL_METHOD != 0
+/* 16: only _Float16, which is not used here, is taken to more digits. */
+#if FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16
 #error "Bits depend on single precision that stays single: compile for SSE (-mfpmath=sse), not for x87."
 #endif
 #if defined(__FAST_MATH__)
@@ -745,7 +747,7 @@ static octopus_status read_all(const octopus_state *state, const octopus_goals *
         single(goals->hands[i], reading->hand_goals[i], 6);
         mat_vec(&reading->base_rotation, ARMS[i].position, mount);
         for (j = 0; j < 3; j++) away[j] = reading->hand_goals[i][j] - (reading->base_position[j] + mount[j]);
-        if (dot(away, away) > OCTOPUS_REACH * OCTOPUS_REACH) return OCTOPUS_GOAL_OUT_OF_REACH;
+        if (dot(away, away) > ARMS[i].reach * ARMS[i].reach) return OCTOPUS_GOAL_OUT_OF_REACH;
 #if OCTOPUS_TASK & OCTOPUS_MOVING
         if (!within(goals->hand_velocities[i], 6, 1e6)) return OCTOPUS_GOAL_NOT_FINITE;
         single(goals->hand_velocities[i], reading->hand_goal_velocities[i], 6);
@@ -806,6 +808,7 @@ octopus_status octopus_postures(const octopus_state *state, const octopus_goals 
     int arm;
     if (status == OCTOPUS_OK) look(&reading, memory);
     else if (memory) octopus_controller_reset(memory);
+    if (postures && !memory) memset(postures, 0, OCTOPUS_ARMS * sizeof postures[0]);
     for (arm = 0; memory && postures && arm < OCTOPUS_ARMS; arm++) {
         postures[arm][0] = memory->postures[arm].good;
         postures[arm][1] = memory->postures[arm].free;

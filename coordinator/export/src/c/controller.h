@@ -6,8 +6,8 @@
  *     once every OCTOPUS_CONTROL_PERIOD seconds:
  *         octopus_status status = octopus_controller_step(&state, &goals, &memory, command);
  *
- * Allocates nothing, has no state of its own, and needs of the C library fmaf, sqrtf, rintf and floorf alone
- * (link with -lm). contract.toml says what every number is and what the controller must not be used for.
+ * Allocates nothing, has no state of its own, and needs of the C library fmaf, sqrtf, rintf, floorf,
+ * memcpy and memset alone (link with -lm). contract.toml says what every number is and what the controller must not be used for.
  */
 #ifndef OCTOPUS_CONTROLLER_H
 #define OCTOPUS_CONTROLLER_H

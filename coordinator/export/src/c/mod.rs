@@ -120,7 +120,6 @@ fn switches(source: &Source<'_>, networks: &Networks) -> String {
         ("INPUT_CLIP", tables::float(network.input_clip as f32)),
         ("ACTION_LIMIT", tables::float(source.squash_limit() as f32)),
         ("ACTION_SCALE", tables::float(task.action_scale as f32)),
-        ("REACH", format!("{} /* (m) */", tables::float(source.world.robot.reach() as f32))),
     ] {
         define(&mut out, name, &value);
     }

@@ -110,13 +110,14 @@ fn robot(out: &mut String, source: &Source<'_>) {
         robot.arms.iter().zip(source.reaches()).enumerate().map(|(index, (arm, reaches))| {
             let rows: [[f64; 3]; 3] = [0, 1, 2].map(|i| [0, 1, 2].map(|j| arm.rotation[(i, j)]));
             format!(
-                "\n    {{{}, {{{}}}, {}, {}, {}, {}}}",
+                "\n    {{{}, {{{}}}, {}, {}, {}, {}, {}}}",
                 floats(arm.position.as_slice()),
                 matrix(&rows),
                 matrix(&task.arm_axes(index)),
                 floats(&arm.home),
                 i32::from(reaches),
-                arm.arm_type
+                arm.arm_type,
+                float(robot.type_of(index).reach() as f32)
             )
         });
     table(out, "arm_type ARMS[OCTOPUS_ARMS]", arms);
