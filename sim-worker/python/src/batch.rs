@@ -101,7 +101,8 @@ impl Batch {
     /// Begins other episodes, and shows them.
     ///
     /// With a seed, those of iteration 0 of a run with this seed; without one, those of the next iteration (at first, of the
-    /// configuration's seed). Environment n has the goals and the start of environment `first` + n of the run.
+    /// configuration's seed). Environment n has the goals and the start of environment `first` + n of the run. `first` and `goals` stay what
+    /// they were until others are asked for, with a seed, too.
     ///
     /// With `goals="evaluation"` goals are those of `octopus eval --seed SEED` and robots start at home: environment n plays episode `first` + n there. With a
     /// seed `first` is 0 unless it is given; without one and without `first` the episodes after those that were begun last are next.

@@ -14,7 +14,7 @@ const MAX_TEXT: u64 = 1 << 20;
 /// What a run is configured with.
 ///
 /// `config` is the name of a preset ("guided", "tuned", "paper", "release", "robust") or the path of a TOML file, which lies over `preset` ("guided"); `task` is
-/// "trajectory" or "reorientation"; `set` lists `KEY=VALUE` as `octopus train --set` takes them. `ValueError` says what is wrong, in the
+/// "trajectory", "reorientation", "capture" or "mixed"; `set` lists `KEY=VALUE` as `octopus train --set` takes them. `ValueError` says what is wrong, in the
 /// words of `octopus train`.
 #[pyclass(frozen, module = "spaceoctopus")]
 #[derive(Debug)]
@@ -35,7 +35,7 @@ impl Config {
         guarded(|| Ok(Self { inner: layered(config.as_deref(), preset, task, &set)? }))
     }
 
-    /// Which task: `trajectory` or `reorientation`.
+    /// Which task: `trajectory`, `reorientation`, `capture` or `mixed`.
     #[getter]
     fn task(&self) -> &'static str {
         self.inner.task.name.as_str()

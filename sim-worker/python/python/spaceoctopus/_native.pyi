@@ -25,7 +25,7 @@ class Config:
     ) -> Config: ...
     @property
     def task(self) -> str:
-        """Which task: ``trajectory`` or ``reorientation``."""
+        """Which task: ``trajectory``, ``reorientation``, ``capture`` or ``mixed``."""
     @property
     def episode_steps(self) -> int:
         """Control steps of an episode."""
