@@ -81,7 +81,7 @@ fn their_policies_are_evaluated_shown_recorded_and_exported() {
     let said = String::from_utf8(succeeds(&["replay", &mcap])).expect("UTF-8");
     assert!(said.contains("the same, all"), "{said}");
     let block = at("block.safetensors");
-    succeeds(&["rollout", &path, "--address=7/2/1", "--out", &block]);
+    succeeds(&["rollout", &path, "--address=7/1/1", "--out", &block]);
     let said = String::from_utf8(succeeds(&["replay", &block])).expect("UTF-8");
     assert!(said.contains("the same"), "{said}");
     // A hand of seven joints goes where it is told, the base turning back.

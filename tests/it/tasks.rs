@@ -48,9 +48,9 @@ fn shown_exported_and_recorded(run: &Run) {
     check_c(&place.path().join("controller"), &["-O1"]);
     check_onnx(&[PathBuf::from(at("controller"))]);
 
-    // An episode, and an environment of a block.
+    // An episode, and an environment of a block: of the first checkpoint, as a disk that is slower than the training leaves others out.
     succeeds(&["urdf", "--robot=paper", "--out", &at("robot.urdf")]);
-    for (name, of) in [("episode", "--steps=20"), ("block", "--address=7/2/1")] {
+    for (name, of) in [("episode", "--steps=20"), ("block", "--address=7/1/1")] {
         let [mcap, csv] = ["mcap", "csv"].map(|ending| at(&format!("{name}.{ending}")));
         succeeds(&["record", &path, "--out", &mcap, "--csv", &csv, of]);
         read_by_others(&mcap, &csv, &at("robot.urdf"));
