@@ -441,6 +441,24 @@ fn a_trial_that_fails_is_recorded_and_the_others_go_on() {
     assert!(trials[0]["failure"].as_str().expect("a reason").contains("cuda"), "{shown}");
 }
 
+/// Scores lie beside the runs. Those of a run that is gone say nothing of the one that takes its place.
+#[test]
+fn a_trial_whose_run_was_removed_is_trained_and_scored_anew() {
+    let text = "iterations = 2\n[grid]\nalgorithm.gamma = [0.9]\n";
+    let sweep = Sweep::new(text);
+    let before = sweep.succeed(&[]);
+    sweep.write(&format!("algorithm = \"ippo\"\n{text}"));
+    refused(&sweep.call(&[]), 5, &["is a run already", "as algorithm.", "move it away"]);
+    std::fs::remove_dir_all(sweep.trial("gamma=0.9,seed=1")).expect("removed");
+    let table = sweep.succeed(&["--table"]);
+    assert_eq!(table["trials"][0]["state"], "unfinished", "{table}");
+    let after = sweep.succeed(&[]);
+    let [before, after] = [&before, &after].map(|of| &of["trials"][0]);
+    assert_eq!((&after["state"], &after["iterations"]), (&"done".into(), &2.into()), "{after}");
+    assert_eq!(after["scored"]["digest"], after["digest"]);
+    assert_ne!(after["scored"], before["scored"]);
+}
+
 #[test]
 fn sweeps_that_cannot_be() {
     let sweep = Sweep::new(GRID);

@@ -195,6 +195,8 @@ impl<'a> Drive<'a> {
         let run = &self.plan.runs[trial];
         let done = run.done()?;
         if done < until {
+            // Scores that no longer count are gone before they could count again.
+            self.write(trial)?;
             let training = self.slots.within(slot, || self.train(trial, until))??;
             self.note(trial, &format!("trains to iteration {until}, {done} are done"));
             return Ok(Kind::Training(training));

@@ -178,7 +178,8 @@ impl Place {
 
     /// What is known of all trials.
     pub(super) fn records(&self, plan: &Plan) -> Result<Vec<Record>, ExitError> {
-        let read = |trial: &lab::sweep::study::Trial| Record::read(&self.record(&trial.name));
+        let read =
+            |trial: &lab::sweep::study::Trial| Record::of(&self.record(&trial.name), &trial.run);
         plan.study.trials.iter().map(read).collect()
     }
 }

@@ -3,8 +3,10 @@
 use std::io::ErrorKind;
 use std::path::Path;
 
+use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde::{Deserialize, Serialize};
+use store::recorded::Recorded;
 use store::{files, regular_files};
 
 use super::score::Scored;
@@ -22,6 +24,18 @@ pub struct Record {
 }
 
 impl Record {
+    /// What counts for the trial whose run is in `run`: scores of a run that was removed or trained anew are left out.
+    pub fn of(path: &Path, run: &Path) -> Result<Self, ExitError> {
+        let mut record = Self::read(path)?;
+        if !record.scores.is_empty() {
+            let recorded = Recorded::read(&RunDir::new(run))?;
+            record
+                .scores
+                .retain(|scored| recorded.digest_after(scored.iteration) == Some(scored.digest));
+        }
+        Ok(record)
+    }
+
     /// Reads a record; a trial that has none is new.
     pub fn read(path: &Path) -> Result<Self, ExitError> {
         let refuse = |what: String| {
@@ -52,22 +66,56 @@ impl Record {
 
 #[cfg(test)]
 mod tests {
+    use proto::Digest;
+
     use super::*;
 
-    #[test]
-    fn a_record_is_read_as_it_was_written_and_nothing_else_is_one() {
-        let dir = tempfile::tempdir().expect("tempdir");
-        let path = dir.path().join("a.json");
-        assert_eq!(Record::read(&path).expect("new"), Record::default());
-        let scored = Scored {
-            iteration: 3,
+    fn scored(iteration: u64, digest: Digest) -> Scored {
+        Scored {
+            iteration,
+            digest,
             score: 0.1 + 0.2,
             episodes: 4,
             position_m: None,
             angle_rad: 0.3,
             contact_rate: 0.0,
             reachable: None,
+        }
+    }
+
+    /// Else a trial that is trained anew, perhaps with another configuration, would have the scores of the one before.
+    #[test]
+    fn scores_of_another_run_do_not_count() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let (path, run) = (dir.path().join("a.json"), dir.path().join("a"));
+        let [one, two, other] = [1, 2, 3].map(|byte| Digest([byte; 16]));
+        let scores = vec![scored(1, one), scored(2, two)];
+        Record { scores, cpu_s: 1.5, ..Record::default() }.write(&path).expect("written");
+        let count = |digests: &[Digest]| {
+            let line = |(k, digest): (usize, &Digest)| {
+                format!("{{\"iteration\":{k},\"digest\":\"{digest}\"}}\n")
+            };
+            let lines: String = digests.iter().enumerate().map(line).collect();
+            std::fs::write(RunDir::new(&run).metrics_jsonl(), lines).expect("written");
+            let record = Record::of(&path, &run).expect("read");
+            assert_eq!(record.cpu_s, 1.5, "it was spent all the same");
+            record.scores.len()
         };
+        assert_eq!(Record::of(&path, &run).expect("read").scores, [], "the run is gone");
+        std::fs::create_dir(&run).expect("made");
+        assert_eq!(count(&[]), 0);
+        assert_eq!(count(&[one]), 1);
+        assert_eq!(count(&[one, two, other]), 2);
+        assert_eq!(count(&[one, other]), 1);
+        assert_eq!(count(&[other, other]), 0);
+    }
+
+    #[test]
+    fn a_record_is_read_as_it_was_written_and_nothing_else_is_one() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let path = dir.path().join("a.json");
+        assert_eq!(Record::read(&path).expect("new"), Record::default());
+        let scored = scored(3, Digest([7; 16]));
         let failure = Some("no room".to_owned());
         let record = Record { scores: vec![scored.clone()], failure, cpu_s: 1.5 };
         record.write(&path).expect("written");

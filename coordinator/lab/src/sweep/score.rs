@@ -1,5 +1,6 @@
 //! How a trial's policy does on held-out goals.
 
+use proto::Digest;
 use run::report::progress::Parts;
 use run::selection::MeanErrors;
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,8 @@ const MISSED: (f64, f64) = (0.03, 0.06);
 pub struct Scored {
     /// Iterations that it was trained on.
     pub iteration: u64,
+    /// Digest of the training state after these: it tells runs apart.
+    pub digest: Digest,
     /// [`MeanErrors::score`]: the smaller, the better.
     #[serde(deserialize_with = "number")]
     pub score: f64,
@@ -81,6 +84,7 @@ fn score(
     threads: Threads,
     with_reach: bool,
 ) -> anyhow::Result<Scored> {
+    let digest = checkpoint.manifest.digest;
     let trained = Trained::new(checkpoint, None)?;
     let evaluation = evaluate(trained.player(), options, &[], &threads, &|| ())?;
     let reach = if with_reach {
@@ -94,11 +98,12 @@ fn score(
     } else {
         None
     };
-    Ok(Scored::of(&Summary::new(&trained.identity(), options.seed, None, evaluation, reach)))
+    let summary = Summary::new(&trained.identity(), options.seed, None, evaluation, reach);
+    Ok(Scored::of(&summary, digest))
 }
 
 impl Scored {
-    fn of(summary: &Summary) -> Self {
+    fn of(summary: &Summary, digest: Digest) -> Self {
         let [position, orientation, base] = tails(&summary.overall);
         let errors = MeanErrors { position, orientation, base };
         let reaches = summary.task.reaches();
@@ -120,6 +125,7 @@ impl Scored {
         });
         Self {
             iteration: summary.iteration,
+            digest,
             score: errors.score(summary.task),
             episodes: summary.episodes.len(),
             position_m,
