@@ -2,12 +2,14 @@
 //!
 //! Whoever plans several calls again what was stopped: finished ones are left as they are, and the others go on.
 
-use std::path::PathBuf;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser};
 use lab::reproduce::refused;
 use proto::config::{Config, Precision, Run};
 use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
 use store::checkpoint::{CheckpointStore, Manifest, flatten};
 use store::recorded::Recorded;
 use store::run_files::read_config;
@@ -29,9 +31,29 @@ impl PlannedRun {
         RunDir::new(&self.dir)
     }
 
-    /// Whether there is something to go on with.
-    pub(crate) fn has_begun(&self) -> bool {
-        self.run_dir().config().is_file()
+    /// Whether there is something to go on with. A directory that holds results without a configuration, or of which that
+    /// cannot be told, is refused: nobody may take it for one in which nothing has begun.
+    pub(crate) fn has_begun(&self) -> Result<bool, ExitError> {
+        let run_dir = self.run_dir();
+        let config = run_dir.config();
+        if is_there(&config)? {
+            return Ok(true);
+        }
+        let checkpoints = run_dir.checkpoints();
+        let has_checkpoints = match std::fs::read_dir(&checkpoints) {
+            Ok(mut entries) => entries.next().is_some(),
+            Err(error) if error.kind() == ErrorKind::NotFound => false,
+            Err(error) => return Err(unreadable(&checkpoints, &error)),
+        };
+        if has_checkpoints || is_there(&run_dir.metrics_jsonl())? {
+            let message = format!(
+                "{}: is not there, but results of the run are; put it back from a copy (every checkpoint holds one), or move {} away",
+                config.display(),
+                self.dir.display()
+            );
+            return Err(ExitError::new(ExitCode::RunDirectory, message));
+        }
+        Ok(false)
     }
 
     /// The options of the `octopus train` that begins it.
@@ -49,7 +71,7 @@ impl PlannedRun {
     /// Iterations that are recorded and from which it would go on.
     pub(crate) fn done(&self) -> anyhow::Result<u64> {
         let run_dir = self.run_dir();
-        if !self.has_begun() {
+        if !self.has_begun()? {
             return Ok(0);
         }
         let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
@@ -60,13 +82,13 @@ impl PlannedRun {
 
     /// Whether all its iterations are done.
     pub(crate) fn is_finished(&self) -> anyhow::Result<bool> {
-        Ok(self.has_begun() && self.done()? >= read_config(&self.run_dir())?.planned_iterations())
+        Ok(self.has_begun()? && self.done()? >= read_config(&self.run_dir())?.planned_iterations())
     }
 
     /// Refuses a run of that name that is not the one that would be trained: somebody else's, or one that was asked for
     /// with other settings.
     pub(crate) fn check(&self) -> anyhow::Result<()> {
-        if !self.has_begun() {
+        if !self.has_begun()? {
             return Ok(());
         }
         let found = read_config(&self.run_dir())?;
@@ -90,6 +112,16 @@ impl PlannedRun {
             format!("is a run already, with {found} as {key}, where this command wants {wanted}");
         Err(refused(&self.dir, &what).into())
     }
+}
+
+/// Whether something has this name.
+fn is_there(path: &Path) -> Result<bool, ExitError> {
+    path.try_exists().map_err(|error| unreadable(path, &error))
+}
+
+fn unreadable(path: &Path, error: &std::io::Error) -> ExitError {
+    let message = format!("{}: cannot be looked at: {error}", path.display());
+    ExitError::new(ExitCode::RunDirectory, message)
 }
 
 /// A command line of one command.
@@ -140,5 +172,36 @@ mod tests {
             assert!(error.contains(key) && error.contains("another --out"), "{error}");
         }
         assert_eq!(asked.done().expect("readable"), 0);
+    }
+
+    /// Whoever begins a run anew removes what is there.
+    #[test]
+    fn results_without_a_configuration_are_not_taken_for_nothing() {
+        let out = tempfile::tempdir().expect("tempdir");
+        let asked = run(out.path(), &[]);
+        let run_dir = asked.run_dir();
+        let begun = || asked.has_begun().map_err(|error| (error.code, error.message));
+        assert_eq!(begun(), Ok(false), "there is no directory");
+        // A kill may leave these before anything has begun.
+        std::fs::create_dir_all(run_dir.checkpoints()).expect("made");
+        std::fs::write(run_dir.robot(), "").expect("written");
+        assert_eq!(begun(), Ok(false));
+        let refused = |words: &str| {
+            let (code, message) = begun().expect_err(words);
+            assert_eq!(code, ExitCode::RunDirectory);
+            assert!(message.contains("config.toml: ") && message.contains(words), "{message}");
+            asked.check().expect_err(words);
+        };
+        std::fs::create_dir(run_dir.checkpoints().join("iteration-00000001")).expect("made");
+        refused("results of the run are");
+        std::fs::remove_dir_all(run_dir.checkpoints()).expect("removed");
+        std::fs::write(run_dir.metrics_jsonl(), "").expect("written");
+        refused("results of the run are");
+        // A link to itself, of which nobody can tell where it leads.
+        std::os::unix::fs::symlink("config.toml", run_dir.config()).expect("linked");
+        refused("cannot be looked at");
+        std::fs::remove_file(run_dir.config()).expect("removed");
+        std::fs::write(run_dir.config(), "").expect("written");
+        assert_eq!(begun(), Ok(true));
     }
 }

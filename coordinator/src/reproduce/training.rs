@@ -121,7 +121,7 @@ impl Run {
     fn go_on(&self, args: &ReproduceArgs, out: &Path) -> anyhow::Result<()> {
         let dir = self.dir.display().to_string();
         let planned = self.planned(args);
-        let ended = if planned.has_begun() {
+        let ended = if planned.has_begun()? {
             let words = ["octopus resume", &dir, "--no-eval", "--listen=off"];
             resume::resume(&options(words.map(str::to_owned))?)?.into_inner()
         } else {

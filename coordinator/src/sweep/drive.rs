@@ -230,10 +230,10 @@ impl<'a> Drive<'a> {
         let run = &self.plan.runs[trial];
         let mut command = Command::new(std::env::current_exe().context("no program")?);
         environment::clean(&mut command);
-        if run.has_begun() {
+        if run.has_begun()? {
             command.arg("resume").arg(&run.dir);
         } else {
-            // A kill may have left a directory without a configuration: nothing has begun in it.
+            // A kill may have left a directory without a configuration and without results: nothing has begun in it.
             if run.dir.exists() {
                 std::fs::remove_dir_all(&run.dir)
                     .with_context(|| format!("{}: cannot be removed", run.dir.display()))?;
