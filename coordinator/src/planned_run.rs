@@ -2,6 +2,7 @@
 //!
 //! Whoever plans several calls again what was stopped: finished ones are left as they are, and the others go on.
 
+use std::collections::BTreeSet;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -12,7 +13,7 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{CheckpointStore, Manifest, flatten};
 use store::recorded::Recorded;
-use store::run_files::read_config;
+use store::run_files::{read_config, read_robot};
 
 use crate::train::{self, TrainArgs};
 
@@ -86,7 +87,7 @@ impl PlannedRun {
     }
 
     /// Refuses a run of that name that is not the one that would be trained: somebody else's, or one that was asked for
-    /// with other settings.
+    /// with other settings or another robot.
     pub(crate) fn check(&self) -> anyhow::Result<()> {
         if !self.has_begun()? {
             return Ok(());
@@ -99,18 +100,36 @@ impl PlannedRun {
         }
         let keys =
             |config: &Config| -> anyhow::Result<_> { Ok(flatten(&config.to_toml().parse()?)) };
+        // As it would be written now; its name may be that of a file that has changed.
+        let robot = wanted.robot.description.clone();
+        let now = run::robots::load_robot(&robot)?.to_toml();
+        let then = read_robot(&self.run_dir())?.0.to_toml();
         let (found, wanted) = (keys(&found)?, keys(&wanted)?);
         let matters = |key: &String| {
             let of_run = key.strip_prefix("run.");
             !of_run.is_some_and(|key| key == "device" || Run::HARMLESS.contains(&key))
         };
         let differs = |key: &&String| matters(key) && found.get(*key) != wanted.get(*key);
-        let Some(key) = found.keys().chain(wanted.keys()).find(differs) else { return Ok(()) };
-        let [found, wanted] =
-            [&found, &wanted].map(|keys| keys.get(key).map_or("no value", String::as_str));
-        let what =
-            format!("is a run already, with {found} as {key}, where this command wants {wanted}");
-        Err(refused(&self.dir, &what).into())
+        if let Some(key) = found.keys().chain(wanted.keys()).find(differs) {
+            let [found, wanted] =
+                [&found, &wanted].map(|keys| keys.get(key).map_or("no value", String::as_str));
+            let what = format!(
+                "is a run already, with {found} as {key}, where this command wants {wanted}"
+            );
+            return Err(refused(&self.dir, &what).into());
+        }
+        if then != now {
+            let (then, now) = (flatten(&then.parse()?), flatten(&now.parse()?));
+            let differs = |key: &&String| then.get(*key) != now.get(*key);
+            let keys: BTreeSet<&String> = then.keys().chain(now.keys()).filter(differs).collect();
+            let keys: Vec<&str> = keys.into_iter().map(String::as_str).collect();
+            let what = format!(
+                "is a run already, of a robot that differs from {robot} as it is now in {}",
+                keys.join(", ")
+            );
+            return Err(refused(&self.dir, &what).into());
+        }
+        Ok(())
     }
 }
 
@@ -153,6 +172,8 @@ mod tests {
         let config = asked.config().expect("valid");
         assert!(asked.check().is_ok(), "it is still to be made");
         std::fs::create_dir_all(&asked.dir).expect("made");
+        let robot = run::robots::load_robot(&config.robot.description).expect("built in");
+        std::fs::write(asked.run_dir().robot(), robot.to_toml()).expect("written");
         // Decided when it began.
         for precision in [Precision::F32, Precision::Bf16] {
             let mut config = config.clone();
@@ -172,6 +193,30 @@ mod tests {
             assert!(error.contains(key) && error.contains("another --out"), "{error}");
         }
         assert_eq!(asked.done().expect("readable"), 0);
+    }
+
+    /// A robot's file may change while its name, which the configuration has, stays.
+    #[test]
+    fn a_run_of_another_robot_is_not_gone_on_with() {
+        let out = tempfile::tempdir().expect("tempdir");
+        let file = out.path().join("robot.toml");
+        let robot = run::robots::load_robot("paper").expect("built in").to_toml();
+        std::fs::write(&file, &robot).expect("written");
+        let asked = run(out.path(), &[&format!("--set=robot.description=\"{}\"", file.display())]);
+        std::fs::create_dir_all(&asked.dir).expect("made");
+        let config = asked.config().expect("valid");
+        std::fs::write(asked.run_dir().config(), config.to_toml()).expect("written");
+        std::fs::write(asked.run_dir().robot(), &robot).expect("written");
+        asked.check().expect("the same");
+        // What is no part of the robot may change.
+        std::fs::write(&file, format!("# A comment.\n{robot}")).expect("written");
+        asked.check().expect("the same");
+        let moved = robot.replacen("home_position = [0.0", "home_position = [1.0", 1);
+        assert_ne!(moved, robot);
+        std::fs::write(&file, moved).expect("written");
+        let error = asked.check().expect_err("another").to_string();
+        assert!(error.contains("/run: is a run already, of a robot that differs"), "{error}");
+        assert!(error.contains("as it is now in home_position; name another --out"), "{error}");
     }
 
     /// Whoever begins a run anew removes what is there.
