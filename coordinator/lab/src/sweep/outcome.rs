@@ -96,7 +96,9 @@ pub struct ConfigurationOutcome {
     pub seeds: usize,
     /// Where they stand.
     pub state: State,
-    /// Iterations after which it was scored.
+    /// The rung at which it was scored, from 0 on; the last is the end.
+    pub rung: Option<usize>,
+    /// Iterations after which its first trial was scored there.
     pub iteration: Option<u64>,
     /// Score.
     pub score: Option<Interval>,
@@ -146,7 +148,8 @@ impl Outcome {
         // Who came further, and of these who is better; what has no score comes last.
         let key = |of: &ConfigurationOutcome| {
             let score = of.score.map_or(f64::INFINITY, |[_, mean, _]| mean);
-            (std::cmp::Reverse(of.iteration), score)
+            // Not by iterations: how many a budget is depends on the configuration.
+            (std::cmp::Reverse(of.rung), score)
         };
         configurations.sort_by(|a, b| {
             let (a, b) = (key(a), key(b));
@@ -318,7 +321,8 @@ impl ConfigurationOutcome {
         let scored_at = |rung: usize| -> Option<Vec<&Scored>> {
             own.iter().map(|at| records[*at].at(study.trials[*at].rungs[rung])).collect()
         };
-        let scored = (0..first.rungs.len()).rev().find_map(scored_at);
+        let scored_there = |rung| Some((rung, scored_at(rung)?));
+        let (rung, scored) = (0..first.rungs.len()).rev().find_map(scored_there).unzip();
         let over_seeds = |read: fn(&Scored) -> Option<f64>| -> Option<Interval> {
             let values: Option<Vec<f64>> =
                 scored.as_ref()?.iter().map(|scored| read(scored)).collect();
@@ -336,6 +340,7 @@ impl ConfigurationOutcome {
             task: first.task,
             seeds: own.len(),
             state,
+            rung,
             iteration: scored.as_ref().map(|scored| scored[0].iteration),
             score: over_seeds(|scored| Some(scored.score)),
             position_m: over_seeds(|scored| scored.position_m),
@@ -384,4 +389,69 @@ fn wall_s(run_dir: &RunDir) -> anyhow::Result<f64> {
 
 fn is_there(path: &Path) -> bool {
     path.is_file()
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::Digest;
+
+    use super::*;
+
+    /// A trial of each configuration, with these rungs and the scores that it has at them.
+    fn outcome(trials: &[(&[u64], &[f64])], reduction: f64) -> Outcome {
+        let study = Study {
+            text: String::new(),
+            configurations: (0..trials.len()).map(|index| index.to_string()).collect(),
+            trials: trials
+                .iter()
+                .enumerate()
+                .map(|(configuration, (rungs, _))| Trial {
+                    name: String::new(),
+                    configuration,
+                    seed: 1,
+                    task: TaskName::Trajectory,
+                    run: PathBuf::from("no/such/run"),
+                    rungs: rungs.to_vec(),
+                    steps_per_iteration: 1,
+                })
+                .collect(),
+            reduction,
+        };
+        let scored = |(iteration, score): (&u64, &f64)| Scored {
+            iteration: *iteration,
+            digest: Digest::default(),
+            score: *score,
+            episodes: 1,
+            position_m: None,
+            angle_rad: 0.0,
+            contact_rate: 0.0,
+            reachable: None,
+        };
+        let records: Vec<Record> = trials
+            .iter()
+            .map(|(rungs, scores)| Record {
+                scores: rungs.iter().zip(*scores).map(scored).collect(),
+                ..Record::default()
+            })
+            .collect();
+        Outcome::of(&study, &records, |_| false).expect("readable")
+    }
+
+    fn order(outcome: &Outcome) -> Vec<&str> {
+        outcome.configurations.iter().map(|of| of.name.as_str()).collect()
+    }
+
+    /// With twice the environments a budget is half as many iterations.
+    #[test]
+    fn the_best_comes_first_however_many_iterations_its_budget_is() {
+        let all = outcome(&[(&[20], &[2.0]), (&[10], &[1.0]), (&[40], &[3.0])], 1.0);
+        assert_eq!(order(&all), ["1", "0", "2"]);
+        // Who came further is before who was better at a rung, and who has no score is last.
+        let halved = outcome(
+            &[(&[40, 80], &[]), (&[20, 40], &[0.5]), (&[5, 10], &[1.0, 9.0]), (&[5, 10], &[3.0])],
+            2.0,
+        );
+        assert_eq!(order(&halved), ["2", "1", "3", "0"]);
+        assert_eq!(halved.configurations[0].rung, Some(1));
+    }
 }
