@@ -498,5 +498,13 @@ fn sweeps_that_cannot_be() {
     let record = sweep.out().join("records/gamma=0.9,seed=1.json");
     std::fs::write(&record, "{").expect("written");
     sweep.write(&two);
-    refused(&sweep.call(&["--table"]), 5, &["seed=1.json: is no record of a trial"]);
+    // A damaged file is the failure of its trial, hides no other, and stays as it is.
+    let shown = sweep.succeed(&["--table"]);
+    let damaged = trial(&shown, "gamma=0.9,seed=1");
+    let reason = damaged["failure"].as_str().expect("a reason");
+    assert!(reason.contains("seed=1.json: is no record of a trial"), "{reason}");
+    assert_eq!(damaged["state"], "failed");
+    assert_eq!(trial(&shown, "gamma=0.9,seed=2")["state"], "done");
+    refused(&sweep.call(&[]), 1, &["1 of 4 trials failed", "is no record of a trial"]);
+    assert_eq!(std::fs::read_to_string(&record).expect("it is there"), "{");
 }

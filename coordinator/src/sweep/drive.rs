@@ -50,7 +50,7 @@ pub(super) struct Drive<'a> {
     /// The trial that is done alone, if not all are.
     only: Option<usize>,
     records: Vec<Record>,
-    /// Trials that have failed since this began; none is tried twice.
+    /// Trials that have failed since this began, and those with damaged files; none of them is tried again.
     failed: BTreeSet<usize>,
     work: Vec<Work>,
     told: Vec<Next>,
@@ -80,16 +80,12 @@ struct Training {
 }
 
 impl<'a> Drive<'a> {
-    pub(super) fn new(
-        plan: &'a Plan,
-        place: &'a Place,
-        slots: Slots,
-        only: Option<usize>,
-    ) -> anyhow::Result<Self> {
-        let records = place.records(plan)?;
-        let told = plan.study.next(&records, |_| false);
-        let (failed, work) = (BTreeSet::new(), Vec::new());
-        Ok(Self { plan, place, slots, only, records, failed, work, told })
+    pub(super) fn new(plan: &'a Plan, place: &'a Place, slots: Slots, only: Option<usize>) -> Self {
+        let records = place.records(plan);
+        let failed: BTreeSet<usize> =
+            (0..records.len()).filter(|trial| records[*trial].damaged).collect();
+        let told = plan.study.next(&records, |trial| failed.contains(&trial));
+        Self { plan, place, slots, only, records, failed, work: Vec::new(), told }
     }
 
     /// Goes on until there is nothing left to do, or somebody asks it to stop.
@@ -152,7 +148,7 @@ impl<'a> Drive<'a> {
             }
             // Others may have been scored meanwhile.
             let own = std::mem::take(&mut self.records[only]);
-            self.records = self.place.records(self.plan)?;
+            self.records = self.place.records(self.plan);
             self.records[only] = own;
         }
         let next = self.plan.study.next(&self.records, |trial| self.has_failed(trial));
@@ -294,7 +290,10 @@ impl<'a> Drive<'a> {
         status: ExitStatus,
         stopping: bool,
     ) -> anyhow::Result<()> {
-        let done = self.plan.runs[trial].done()?;
+        let done = match self.plan.runs[trial].done() {
+            Ok(done) => done,
+            Err(error) => return self.fail(trial, &errors::told(&error)),
+        };
         let interrupted = status.success()
             || status.code() == Some(ExitCode::Interrupted as i32)
             // Before it could listen.

@@ -45,7 +45,7 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
         return show(&plan, &slots, args.json);
     }
     if args.table {
-        return print(args, &place, &outcome(&plan, &place)?);
+        return print(args, &place, &outcome(&plan, &place));
     }
     let only = args.trial.map(|trial| trial - 1);
     if let Some(only) = only
@@ -64,8 +64,8 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
     };
     let stop = StopRequests::new();
     stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
-    let ended = Drive::new(&plan, &place, slots, only)?.run(&stop)?;
-    let outcome = outcome(&plan, &place)?;
+    let ended = Drive::new(&plan, &place, slots, only).run(&stop)?;
+    let outcome = outcome(&plan, &place);
     if only.is_none() {
         // Whatever there is is worth a look.
         files::replace(&place.table(), &outcome.csv()?)?;
@@ -102,8 +102,8 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
 }
 
 /// What has come of it so far. Who failed when last tried counts as failed.
-fn outcome(plan: &Plan, place: &Place) -> anyhow::Result<Outcome> {
-    let records = place.records(plan)?;
+fn outcome(plan: &Plan, place: &Place) -> Outcome {
+    let records = place.records(plan);
     Outcome::of(&plan.study, &records, |trial| records[trial].failure.is_some())
 }
 

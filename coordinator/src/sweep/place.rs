@@ -177,7 +177,7 @@ impl Place {
     }
 
     /// What is known of all trials.
-    pub(super) fn records(&self, plan: &Plan) -> Result<Vec<Record>, ExitError> {
+    pub(super) fn records(&self, plan: &Plan) -> Vec<Record> {
         let read =
             |trial: &lab::sweep::study::Trial| Record::of(&self.record(&trial.name), &trial.run);
         plan.study.trials.iter().map(read).collect()

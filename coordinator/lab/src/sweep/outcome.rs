@@ -129,11 +129,7 @@ pub struct Outcome {
 
 impl Outcome {
     /// What runs and records of `study` say. `has_failed` says which trials count as failed.
-    pub fn of(
-        study: &Study,
-        records: &[Record],
-        has_failed: impl Fn(usize) -> bool,
-    ) -> anyhow::Result<Self> {
+    pub fn of(study: &Study, records: &[Record], has_failed: impl Fn(usize) -> bool) -> Self {
         let next = study.next(records, has_failed);
         let trials: Vec<TrialOutcome> = study
             .trials
@@ -141,9 +137,9 @@ impl Outcome {
             .zip(records)
             .zip(&next)
             .map(|((trial, record), next)| TrialOutcome::of(study, trial, record, *next))
-            .collect::<anyhow::Result<_>>()?;
+            .collect();
         let mut configurations: Vec<ConfigurationOutcome> = (0..study.configurations.len())
-            .map(|index| ConfigurationOutcome::of(study, index, records, &next, &trials))
+            .map(|index| ConfigurationOutcome::of(study, index, records, &trials))
             .collect();
         // Who came further, and of these who is better; what has no score comes last.
         let key = |of: &ConfigurationOutcome| {
@@ -155,7 +151,7 @@ impl Outcome {
             let (a, b) = (key(a), key(b));
             a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
         });
-        Ok(Self { configurations, trials })
+        Self { configurations, trials }
     }
 
     /// Trials that have failed.
@@ -228,26 +224,30 @@ impl Outcome {
 }
 
 impl TrialOutcome {
-    fn of(study: &Study, trial: &Trial, record: &Record, next: Next) -> anyhow::Result<Self> {
+    fn of(study: &Study, trial: &Trial, record: &Record, next: Next) -> Self {
         let run_dir = RunDir::new(&trial.run);
-        let recorded = Recorded::read(&run_dir)?;
+        // One damaged file does not hide what the others say.
+        let (recorded, wall_s, damage) = match read(&run_dir) {
+            Ok((recorded, wall_s)) => (recorded, wall_s, None),
+            Err(error) => (Recorded::default(), 0.0, Some(run::errors::told(&error))),
+        };
         let iterations = recorded.iterations();
         let scored = trial.rungs.iter().rev().find_map(|rung| record.at(*rung));
-        Ok(Self {
+        Self {
             name: trial.name.clone(),
             configuration: study.configurations[trial.configuration].clone(),
             seed: trial.seed,
-            state: State::of(next),
+            state: if damage.is_some() { State::Failed } else { State::of(next) },
             iterations,
             planned_iterations: trial.rungs.last().copied().unwrap_or(0),
             env_steps: iterations * trial.steps_per_iteration,
             scored: scored.cloned(),
-            wall_s: wall_s(&run_dir)?,
+            wall_s,
             cpu_s: record.cpu_s,
             digest: recorded.digest_after(iterations).map(|digest| digest.to_string()),
-            failure: record.failure.clone(),
+            failure: damage.or_else(|| record.failure.clone()),
             run_dir: trial.run.clone(),
-        })
+        }
     }
 
     /// As a row of a table.
@@ -307,13 +307,7 @@ impl TrialOutcome {
 }
 
 impl ConfigurationOutcome {
-    fn of(
-        study: &Study,
-        index: usize,
-        records: &[Record],
-        next: &[Next],
-        outcomes: &[TrialOutcome],
-    ) -> Self {
+    fn of(study: &Study, index: usize, records: &[Record], outcomes: &[TrialOutcome]) -> Self {
         let own: Vec<usize> = (0..study.trials.len())
             .filter(|trial| study.trials[*trial].configuration == index)
             .collect();
@@ -329,7 +323,7 @@ impl ConfigurationOutcome {
             let values = values?;
             Some(Resamples::of(values.len()).interval(&values))
         };
-        let states = || own.iter().map(|at| State::of(next[*at]));
+        let states = || own.iter().map(|at| outcomes[*at].state);
         let state = [State::Failed, State::Unfinished, State::StoppedEarly]
             .into_iter()
             .find(|state| states().any(|of| of == *state))
@@ -378,6 +372,11 @@ impl ConfigurationOutcome {
 /// A time as a table shows it.
 pub(super) fn minutes(seconds: f64) -> String {
     format!("{:.1}", seconds / 60.0)
+}
+
+/// What a run has recorded, and the time of all its sessions (s).
+fn read(run_dir: &RunDir) -> anyhow::Result<(Recorded, f64)> {
+    Ok((Recorded::read(run_dir)?, wall_s(run_dir)?))
 }
 
 /// Time of all sessions of a run (s), by its last recorded iteration.
@@ -434,7 +433,7 @@ mod tests {
                 ..Record::default()
             })
             .collect();
-        Outcome::of(&study, &records, |_| false).expect("readable")
+        Outcome::of(&study, &records, |_| false)
     }
 
     fn order(outcome: &Outcome) -> Vec<&str> {
@@ -453,5 +452,38 @@ mod tests {
         );
         assert_eq!(order(&halved), ["2", "1", "3", "0"]);
         assert_eq!(halved.configurations[0].rung, Some(1));
+    }
+
+    #[test]
+    fn a_damaged_run_hides_no_other() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let trial = |seed: u64| Trial {
+            name: seed.to_string(),
+            configuration: 0,
+            seed,
+            task: TaskName::Trajectory,
+            run: dir.path().join(seed.to_string()),
+            rungs: vec![1],
+            steps_per_iteration: 10,
+        };
+        let study = Study {
+            text: String::new(),
+            configurations: vec![String::new()],
+            trials: [0, 1].map(trial).to_vec(),
+            reduction: 1.0,
+        };
+        let digest = Digest::default();
+        let line = format!("{{\"iteration\":0,\"digest\":\"{digest}\",\"wall_s\":2.0}}\n");
+        for (trial, text) in study.trials.iter().zip([line.as_str(), "{\"iteration\":7}\n"]) {
+            std::fs::create_dir(&trial.run).expect("made");
+            std::fs::write(RunDir::new(&trial.run).metrics_jsonl(), text).expect("written");
+        }
+        let outcome = Outcome::of(&study, &[Record::default(), Record::default()], |_| false);
+        let [whole, damaged] = [&outcome.trials[0], &outcome.trials[1]];
+        assert_eq!((whole.iterations, whole.wall_s, &whole.failure), (1, 2.0, &None));
+        assert_eq!((damaged.state, damaged.iterations), (State::Failed, 0));
+        let failure = damaged.failure.as_deref().unwrap_or_default();
+        assert!(failure.contains("metrics.jsonl: line 1: is of iteration 7"), "{failure}");
+        assert_eq!(outcome.configurations[0].state, State::Failed);
     }
 }

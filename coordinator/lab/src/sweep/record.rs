@@ -21,11 +21,22 @@ pub struct Record {
     pub failure: Option<String>,
     /// Processor time of its processes (s), of the sessions whose end was seen.
     pub cpu_s: f64,
+    /// Whether nothing can be told, for a file of it or of its run is damaged. It counts as failed, and is left as it is.
+    #[serde(skip)]
+    pub damaged: bool,
 }
 
 impl Record {
     /// What counts for the trial whose run is in `run`: scores of a run that was removed or trained anew are left out.
-    pub fn of(path: &Path, run: &Path) -> Result<Self, ExitError> {
+    pub fn of(path: &Path, run: &Path) -> Self {
+        Self::try_of(path, run).unwrap_or_else(|error| Self {
+            failure: Some(error.message),
+            damaged: true,
+            ..Self::default()
+        })
+    }
+
+    fn try_of(path: &Path, run: &Path) -> Result<Self, ExitError> {
         let mut record = Self::read(path)?;
         if !record.scores.is_empty() {
             let recorded = Recorded::read(&RunDir::new(run))?;
@@ -40,7 +51,7 @@ impl Record {
     pub fn read(path: &Path) -> Result<Self, ExitError> {
         let refuse = |what: String| {
             let message = format!(
-                "{}: {what}; put it back from a copy, or name another --out",
+                "{}: {what}; put it back from a copy, or remove it, and the trial is scored again",
                 path.display()
             );
             ExitError::new(ExitCode::RunDirectory, message)
@@ -97,11 +108,11 @@ mod tests {
             };
             let lines: String = digests.iter().enumerate().map(line).collect();
             std::fs::write(RunDir::new(&run).metrics_jsonl(), lines).expect("written");
-            let record = Record::of(&path, &run).expect("read");
+            let record = Record::of(&path, &run);
             assert_eq!(record.cpu_s, 1.5, "it was spent all the same");
             record.scores.len()
         };
-        assert_eq!(Record::of(&path, &run).expect("read").scores, [], "the run is gone");
+        assert_eq!(Record::of(&path, &run).scores, [], "the run is gone");
         std::fs::create_dir(&run).expect("made");
         assert_eq!(count(&[]), 0);
         assert_eq!(count(&[one]), 1);
@@ -111,13 +122,32 @@ mod tests {
     }
 
     #[test]
+    fn damage_is_the_reason_why_a_trial_failed() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let (path, run) = (dir.path().join("a.json"), dir.path().join("a"));
+        let damaged = |words: &str| {
+            let record = Record::of(&path, &run);
+            let failure = record.failure.expect("a reason");
+            assert!(record.damaged && failure.contains(words), "{failure}");
+        };
+        std::fs::write(&path, "{").expect("written");
+        damaged("a.json: is no record of a trial");
+        let scores = vec![scored(1, Digest([7; 16]))];
+        Record { scores, ..Record::default() }.write(&path).expect("written");
+        assert!(!Record::of(&path, &run).damaged);
+        std::fs::create_dir(&run).expect("made");
+        std::fs::write(RunDir::new(&run).metrics_jsonl(), "{}\n").expect("written");
+        damaged("metrics.jsonl: line 1");
+    }
+
+    #[test]
     fn a_record_is_read_as_it_was_written_and_nothing_else_is_one() {
         let dir = tempfile::tempdir().expect("tempdir");
         let path = dir.path().join("a.json");
         assert_eq!(Record::read(&path).expect("new"), Record::default());
         let scored = scored(3, Digest([7; 16]));
         let failure = Some("no room".to_owned());
-        let record = Record { scores: vec![scored.clone()], failure, cpu_s: 1.5 };
+        let record = Record { scores: vec![scored.clone()], failure, cpu_s: 1.5, damaged: false };
         record.write(&path).expect("written");
         let read = Record::read(&path).expect("read");
         assert_eq!(read, record);
