@@ -171,16 +171,21 @@ impl<'a> Drive<'a> {
 
     /// Says who goes on no further.
     fn tell(&mut self, next: &[Next]) {
-        let stopped: BTreeSet<usize> = next
+        let why = |next: &Next| match next {
+            Next::Stopped(_) => Some("stopped early, others are better"),
+            Next::AnotherFailed(_) => Some("goes no further, one of its seeds has failed"),
+            _ => None,
+        };
+        let stopped: BTreeSet<(usize, &str)> = next
             .iter()
             .zip(&self.told)
             .zip(&self.plan.study.trials)
-            .filter(|((now, before), _)| now != before && matches!(now, Next::Stopped(_)))
-            .map(|(_, trial)| trial.configuration)
+            .filter(|((now, before), _)| now != before)
+            .filter_map(|((now, _), trial)| Some((trial.configuration, why(now)?)))
             .collect();
-        for configuration in stopped {
+        for (configuration, why) in stopped {
             let name = &self.plan.study.configurations[configuration];
-            output::note(&format!("{name}: stopped early, others are better"));
+            output::note(&format!("{name}: {why}"));
         }
         next.clone_into(&mut self.told);
     }

@@ -25,6 +25,8 @@ pub enum Next {
     Wait(usize),
     /// Others were better at this rung.
     Stopped(usize),
+    /// It has been scored at this rung, where another seed of its configuration has failed.
+    AnotherFailed(usize),
     /// It has failed on its way to this rung.
     Failed(usize),
     /// It has been scored at the end of its budget.
@@ -61,10 +63,23 @@ pub fn next(trials: &[Standing], reduction: f64) -> Vec<Next> {
             let leaves =
                 alive.contains(&trial.configuration) && !survivors.contains(&trial.configuration);
             if leaves && trial.scores[rung].is_some() {
-                *next = Next::Stopped(rung);
+                // All others are scored or have failed.
+                let fails = |other: &Standing| {
+                    other.configuration == trial.configuration && other.scores[rung].is_none()
+                };
+                let another_failed = trials.iter().any(fails);
+                *next =
+                    if another_failed { Next::AnotherFailed(rung) } else { Next::Stopped(rung) };
             }
         }
         alive = survivors;
+    }
+    // Whoever has come to the end stays there, though better ones were added, or another seed failed, since.
+    for (trial, next) in trials.iter().zip(&mut next) {
+        let is_held = matches!(next, Next::Wait(_) | Next::Stopped(_) | Next::AnotherFailed(_));
+        if is_held && trial.scores[rungs - 1].is_some() {
+            *next = Next::Done;
+        }
     }
     next
 }
@@ -148,14 +163,36 @@ mod tests {
     fn who_has_failed_does_not_go_on_and_holds_nobody_up() {
         let mut all = trials(&[at_first(1.0), NEW, at_first(2.0), at_first(2.0)]);
         all[1].failed = true;
-        let expected = [Next::Stopped(0), Next::Failed(0), Next::Rung(1), Next::Rung(1)];
+        let expected = [Next::AnotherFailed(0), Next::Failed(0), Next::Rung(1), Next::Rung(1)];
         assert_eq!(next(&all, 2.0), expected);
         // Also where that leaves nobody, or less than there is room for.
         all[2].scores[0] = Some(f64::NAN);
-        let expected = [Next::Stopped(0), Next::Failed(0), Next::Stopped(0), Next::Stopped(0)];
+        let expected =
+            [Next::AnotherFailed(0), Next::Failed(0), Next::Stopped(0), Next::Stopped(0)];
         assert_eq!(next(&all, 2.0), expected);
         all[2].scores[0] = Some(2.0);
-        assert_eq!(next(&all, 1.0)[0], Next::Stopped(0));
+        assert_eq!(next(&all, 1.0)[0], Next::AnotherFailed(0));
+    }
+
+    #[test]
+    fn who_has_come_to_the_end_stays_there() {
+        let whole = [Some(5.0), Some(5.0), Some(5.0)];
+        let mut all = trials(&[whole, whole, at_first(9.0), at_first(9.0)]);
+        let before = [Next::Done, Next::Done, Next::Stopped(0), Next::Stopped(0)];
+        assert_eq!(next(&all, 2.0), before);
+        // Better ones are added to the file.
+        all.extend(trials(&[NEW, NEW]).into_iter().map(|new| Standing { configuration: 2, ..new }));
+        all.extend(trials(&[NEW, NEW]).into_iter().map(|new| Standing { configuration: 3, ..new }));
+        assert_eq!(next(&all, 2.0)[..2], [Next::Done, Next::Done]);
+        for new in &mut all[4..] {
+            new.scores[0] = Some(1.0);
+        }
+        let after = [before, [Next::Rung(1); 4]].concat();
+        assert_eq!(next(&all, 2.0), after);
+        // The other seed of a configuration fails, when it is trained once more.
+        let mut seeds = trials(&[whole, NEW]);
+        seeds[1].failed = true;
+        assert_eq!(next(&seeds, 2.0), [Next::Done, Next::Failed(0)]);
     }
 
     #[test]

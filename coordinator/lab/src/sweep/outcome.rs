@@ -29,6 +29,8 @@ pub enum State {
     Unfinished,
     /// Others were better at a rung.
     StoppedEarly,
+    /// Another seed of its configuration failed, so that this one does not go on.
+    AnotherSeedFailed,
     /// It failed when it was last tried.
     Failed,
 }
@@ -38,6 +40,7 @@ impl State {
         match next {
             Next::Rung(_) | Next::Wait(_) => Self::Unfinished,
             Next::Stopped(_) => Self::StoppedEarly,
+            Next::AnotherFailed(_) => Self::AnotherSeedFailed,
             Next::Failed(_) => Self::Failed,
             Next::Done => Self::Done,
         }
@@ -49,6 +52,7 @@ impl State {
             Self::Done => "done",
             Self::Unfinished => "unfinished",
             Self::StoppedEarly => "stopped early",
+            Self::AnotherSeedFailed => "another seed failed",
             Self::Failed => "failed",
         }
     }
@@ -324,10 +328,11 @@ impl ConfigurationOutcome {
             Some(Resamples::of(values.len()).interval(&values))
         };
         let states = || own.iter().map(|at| outcomes[*at].state);
-        let state = [State::Failed, State::Unfinished, State::StoppedEarly]
-            .into_iter()
-            .find(|state| states().any(|of| of == *state))
-            .unwrap_or(State::Done);
+        let state =
+            [State::Failed, State::AnotherSeedFailed, State::Unfinished, State::StoppedEarly]
+                .into_iter()
+                .find(|state| states().any(|of| of == *state))
+                .unwrap_or(State::Done);
         let sum = |read: fn(&TrialOutcome) -> f64| own.iter().map(|at| read(&outcomes[*at])).sum();
         Self {
             name: study.configurations[index].clone(),
