@@ -57,8 +57,14 @@ impl Plan {
                     return Err(refuse(what).into());
                 }
                 let dir = dir.join(&name);
-                let run = PlannedRun { dir: dir.clone(), words: words(&file, keys, *seed) };
+                let mut run = PlannedRun { dir: dir.clone(), words: words(&file, keys, *seed) };
                 let config = checked(&run).map_err(|error| in_trial(&origin, &whole, &error))?;
+                if !config.run.checkpoints.is_empty() {
+                    // A prefix in a bucket is of one run.
+                    let shared = config.run.checkpoints.trim_end_matches('/');
+                    let own = Value::String(format!("{shared}/{name}"));
+                    run.words.push(format!("--set=run.checkpoints={own}"));
+                }
                 if config.run.time_limit().is_some() {
                     let what = format!(
                         "trial {whole}: run.time_limit_s = {} would end it too early; leave it out: `iterations` or `env_steps` says \
@@ -124,7 +130,9 @@ fn check_alike(
 ) -> Result<(), String> {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     for (index, run) in runs.iter().enumerate() {
-        let config = run.config().map_err(|error| errors::told(&error))?;
+        let mut config = run.config().map_err(|error| errors::told(&error))?;
+        // Each has another one.
+        config.run.checkpoints.clear();
         if let Some(before) = seen.insert(config.to_toml(), index) {
             let [one, other] = [before, index].map(|at| &configurations[trials[at].configuration]);
             return Err(format!("configurations {one} and {other} are the same"));
@@ -263,6 +271,27 @@ mod tests {
         let names: Vec<&str> = plan.study.trials.iter().map(|trial| &*trial.name).collect();
         assert!(names.iter().all(|name| name.len() <= LONGEST + 9), "{names:?}");
         assert!(names[0].contains(",seed=1-") && names[1].contains(",seed=2-"), "{names:?}");
+    }
+
+    #[test]
+    fn trials_send_their_checkpoints_to_prefixes_of_their_own() {
+        for address in ["file:///tmp/bucket/rates", "file:///tmp/bucket/rates/"] {
+            let text = format!(
+                "seeds = [1, 2]\n[set]\nrun.checkpoints = \"{address}\"\n\
+                 [grid]\nalgorithm.gamma = [0.9]\nnetwork.hidden = [[8, 8]]"
+            );
+            let plan = plan(&text).expect("valid");
+            for (run, trial) in plan.runs.iter().zip(&plan.study.trials) {
+                let config = run.config().expect("valid");
+                let expected = format!("file:///tmp/bucket/rates/{}", trial.name);
+                assert_eq!(config.run.checkpoints, expected);
+            }
+        }
+        let config = plan("").expect("valid").runs[0].config().expect("valid");
+        assert_eq!(config.run.checkpoints, "");
+        let twice = "[set]\nrun.checkpoints = \"file:///tmp/b\"\n[[trials]]\n\
+                     algorithm.gamma = 0.95\n[[trials]]\nnetwork.layer_norm = false";
+        assert!(plan(twice).expect_err("twice").to_string().contains("are the same"));
     }
 
     #[test]
