@@ -73,6 +73,13 @@ impl Plan {
                     );
                     return Err(refuse(what).into());
                 }
+                if config.run.workers == 0 {
+                    let what = format!(
+                        "trial {whole}: run.workers = 0 leaves its rollouts to other machines, which trials of a sweep do not \
+                         listen for; give it 1 at least"
+                    );
+                    return Err(refuse(what).into());
+                }
                 processors = processors.max(needed(&config));
                 let planned = config.planned_iterations();
                 let at = |share: &f64| rung(*share, planned);
@@ -336,6 +343,7 @@ mod tests {
             ("iterations = 10\n[halving]\nrungs = [0.01, 0.05]", "fall on iteration 1"),
             ("iterations = 1\n[halving]\nrungs = [0.5]", "fall on iteration 1"),
             ("[set]\nrun.time_limit_s = 60.0", "run.time_limit_s = 60 would end it too early"),
+            ("[grid]\nrun.workers = [1, 0]", "trial workers=0, seed=1: run.workers = 0 leaves"),
             ("[set]\nrobot.description = \"none.toml\"", "none.toml"),
             ("config = \"none.toml\"", "none.toml"),
         ] {
