@@ -85,7 +85,11 @@ impl SweepFile {
         let (task, preset, algorithm) = named;
         // Beside the file, wherever this program was started.
         let beside = |config: String| path.parent().unwrap_or(Path::new("")).join(config);
-        let config = keys.text("config")?.map(beside);
+        let config = keys.text("config")?;
+        if config.as_deref() == Some("") {
+            return Err(keys.wrong("config", "the name of a file", "\"\"").into());
+        }
+        let config = config.map(beside);
         let budget = match (keys.whole("iterations", 1)?, keys.whole("env_steps", 1)?) {
             (None, None) => None,
             (Some(iterations), None) => Some(Budget::Iterations(iterations)),
@@ -333,6 +337,7 @@ mod tests {
             ("env_steps = -5.0", "key `env_steps` wants a whole number"),
             ("iterations = 1\nenv_steps = 1", "both given"),
             ("jobs = \"many\"", "key `jobs` wants a whole number"),
+            ("config = \"\"", "key `config` wants the name of a file, got \"\""),
             ("task = \"walk\"", "key `task` wants one of `trajectory`, `reorientation`"),
             ("preset = 1", "key `preset` wants one of `guided`, `tuned`"),
             ("grid = 3", "key `grid` wants a table, [grid]"),
