@@ -187,6 +187,9 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
         .map_err(|error| errors::name_what_goes_on(error, &dir))
 }
 
+/// Env-steps that a run has at most, as its configuration is checked.
+const MOST_ENV_STEPS: u64 = 1_000_000_000_000_000;
+
 /// What helps a new run that its disk does not carry.
 pub(crate) const REMEDY: Remedy = Remedy {
     elsewhere: "choose another --run-dir",
@@ -299,7 +302,16 @@ fn resolve(args: &TrainArgs) -> Result<Config, ConfigError> {
         (result, _) => result?,
     };
     if let Some(iterations) = args.limits.iterations {
-        config.run.env_steps = iterations.saturating_mul(config.steps_per_iteration());
+        let steps = config.steps_per_iteration();
+        let most = MOST_ENV_STEPS / steps;
+        if iterations > most {
+            return Err(ConfigError::Invalid {
+                key: "iterations",
+                problem: format!("{iterations} are too many of {steps} env-steps each"),
+                cure: format!("choose {most} or less"),
+            });
+        }
+        config.run.env_steps = iterations * steps;
         config.validate()?;
     }
     Ok(config)
@@ -352,6 +364,25 @@ mod tests {
         let config = parse("octopus train --iterations 3 --set env.n_envs=64").expect("valid");
         assert_eq!(config.planned_iterations(), 3);
         assert_eq!(config.run.env_steps, 3 * 64 * config.task.episode_steps as u64);
+    }
+
+    #[test]
+    fn too_many_iterations_are_refused_as_such() {
+        let with = |iterations: u64| parse(&format!("octopus train --iterations {iterations}"));
+        let most = MOST_ENV_STEPS / with(1).expect("valid").steps_per_iteration();
+        assert_eq!(with(most).expect("valid").planned_iterations(), most);
+        for iterations in [most + 1, 9_000_000_000_000_000_000] {
+            let error = with(iterations).expect_err("too many");
+            assert_eq!(error.code, ExitCode::BadInput);
+            let [named, cure] = [
+                format!("key `iterations`: {iterations} are too many"),
+                format!("choose {most} or less"),
+            ];
+            assert!(error.message.contains(&named) && error.message.contains(&cure), "{error}");
+        }
+        let most = format!("octopus train --env-steps {MOST_ENV_STEPS}");
+        assert_eq!(parse(&most).expect("valid").run.env_steps, MOST_ENV_STEPS);
+        parse(&most.replace("1000", "1001")).expect_err("more");
     }
 
     #[test]
