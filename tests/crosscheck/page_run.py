@@ -3,7 +3,7 @@
     page_run.py CHROMIUM live ADDRESS                   a run that has just begun; prints `resume` when it wants that
     page_run.py CHROMIUM rest ADDRESS                   a run that is over, for looking only
     page_run.py CHROMIUM gone ADDRESS SECONDS           the same; prints `stop` and `start` when the service shall go and come again
-    page_run.py CHROMIUM runs ADDRESS                   a directory of runs: `a` and `b` differ in their seeds, `c` in more
+    page_run.py CHROMIUM runs ADDRESS                   a directory of runs: `a` and `b` differ in their seeds, `gamma=0.5,seed=7` in more
 
 Prints what was found as JSON on the last line; exit status 1 and a sentence where something is not as it should be.
 """
@@ -297,9 +297,9 @@ def runs(chromium, address):
         legend = page.tab.locator(".legend li").all_inner_texts()
         check(len(legend) == 2 and "2 seeds" in legend[0] and all("gamma" in text for text in legend), "two families: %s" % legend)
         check(page.painted(".growth .curve canvas") > 500, "curves are drawn")
-        page.tab.uncheck("input[aria-label='Draw c']")
+        page.tab.uncheck("input[aria-label='Draw gamma=0.5,seed=7']")
         page.until(lambda: page.tab.locator(".legend li").count() == 1, "one family is left")
-        page.tab.click(".runs tr[data-name=a] a")
+        page.tab.click(".runs tr[data-name='gamma=0.5,seed=7'] a")
         page.ready()
         page.wait("timeline.head >= 6")
         page.tab_named("Run")

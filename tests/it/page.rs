@@ -372,11 +372,11 @@ fn a_run_is_followed_from_its_first_iteration() {
     among_others(&chromium, &path);
 }
 
-/// The run, one of another seed, and one of another discount, side by side.
+/// The run, one of another seed, and one of another discount, with a name as trials of a sweep have it, side by side.
 fn among_others(chromium: &Path, run: &Path) {
     let dir = tempfile::tempdir().expect("a directory");
     for (name, key, from, to) in
-        [("a", "seed", "7", "7"), ("b", "seed", "7", "8"), ("c", "gamma", "", "0.5")]
+        [("a", "seed", "7", "7"), ("b", "seed", "7", "8"), ("gamma=0.5,seed=7", "gamma", "", "0.5")]
     {
         let copy = dir.path().join(name);
         let copied = Command::new("cp").arg("-r").arg(run).arg(&copy).status();

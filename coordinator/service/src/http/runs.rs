@@ -7,11 +7,13 @@ use axum::http::uri::PathAndQuery;
 use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse as _, Response};
 use axum::{Extension, Json, Router};
+use serde::Deserialize;
 use store::checkpoint::CheckpointStore;
 use tower::ServiceExt as _;
 
 use super::context::{Context, Shared, blocking};
 use super::page;
+use super::params::Params;
 use super::problem::{ErrorBody, Problem};
 use super::run_directory::{RunList, Runs};
 
@@ -44,9 +46,10 @@ pub(super) async fn list(State(context): State<Shared>) -> Result<Json<RunList>,
 pub(super) async fn one(
     State(context): State<Shared>,
     Extension(Serve(serve)): Extension<Serve>,
+    Params(Named { run: name }): Params<Named>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let (name, path) = inner(request.uri()).ok_or_else(|| absent("no run"))?;
+    let path = inner(request.uri()).ok_or_else(|| absent(&name))?;
     if crate::page::is_at(path.path()) {
         // Without the token nothing is said of the run, not even whether there is one.
         return page::at(path.path(), request.method(), request.headers());
@@ -64,13 +67,17 @@ pub(super) async fn one(
     Ok(service.oneshot(request).await.into_response())
 }
 
-/// The name of the run and the path in its service.
-fn inner(uri: &Uri) -> Option<(String, PathAndQuery)> {
+/// Of the variable parts of a path the name of the run, decoded: trials of a sweep have `=` and `,` in theirs, which
+/// clients escape.
+#[derive(Debug, Deserialize)]
+pub(super) struct Named {
+    run: String,
+}
+
+/// The path in the service of the run.
+fn inner(uri: &Uri) -> Option<PathAndQuery> {
     let rest = uri.path_and_query()?.as_str().strip_prefix("/runs/")?;
-    let (name, _) = rest.split_once('/')?;
-    // Names that would need escaping are none that `octopus` gives.
-    let path = rest[name.len()..].parse().ok()?;
-    Some((name.to_owned(), path))
+    rest[rest.find('/')?..].parse().ok()
 }
 
 fn absent(name: &str) -> Problem {

@@ -22,6 +22,8 @@ export class RunsRoom {
     private readonly chosen = new Set<string>();
     private readonly lines = new Map<string, Metrics[]>();
     private readonly places = new Map<string, number>();
+    /** What went wrong with a run, so that it is said once. */
+    private readonly troubles = new Map<string, string>();
     private shown = "";
 
     static async open(): Promise<RunsRoom> {
@@ -50,14 +52,27 @@ export class RunsRoom {
         const first = this.runs.length === 0;
         this.runs = (await json<{ runs: Run[] }>("v1/runs")).runs;
         if (first) for (const { name } of this.runs.filter(({ last }) => last !== null).slice(-FIRST)) this.chosen.add(name);
-        const grown = await Promise.all(this.runs.filter(({ name }) => this.chosen.has(name)).map(({ name }) => this.follow(name)));
+        const grown = await Promise.all(this.runs.filter(({ name }) => this.chosen.has(name)).map(({ name }) => this.followed(name)));
         const text = JSON.stringify(this.runs);
         if (text !== this.shown) this.rows();
         if (text !== this.shown || grown.includes(true)) this.draw();
         this.shown = text;
     }
 
-    /** Fetches what is new of a run. */
+    /** Fetches what is new of a run. One that fails holds up no other. */
+    private async followed(name: string): Promise<boolean> {
+        try {
+            const changed = await this.follow(name);
+            this.troubles.delete(name);
+            return changed;
+        } catch (error) {
+            const words = error instanceof Error ? error.message : String(error);
+            if (this.troubles.get(name) !== words) notice(`${name}: ${words}`, "error");
+            this.troubles.set(name, words);
+            return false;
+        }
+    }
+
     private async follow(name: string): Promise<boolean> {
         let changed = false;
         for (;;) {
@@ -82,7 +97,7 @@ export class RunsRoom {
             box.onchange = () => {
                 if (box.checked) this.chosen.add(run.name);
                 else this.chosen.delete(run.name);
-                void (box.checked ? this.follow(run.name) : Promise.resolve()).then(() => this.draw());
+                void (box.checked ? this.followed(run.name) : Promise.resolve(false)).then(() => this.draw());
             };
             const done = run.last === null ? 0 : run.last.iteration + 1;
             return h(

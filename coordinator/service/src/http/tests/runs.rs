@@ -57,6 +57,27 @@ async fn each_run_has_a_service_of_its_own_below_its_name() {
 }
 
 #[tokio::test]
+async fn a_name_may_be_escaped() {
+    let bench = bench();
+    let trial = RunDir::new(bench.dir.path().join("gamma=0.95,seed=0"));
+    std::fs::create_dir(trial.path()).expect("writes");
+    std::fs::write(trial.config(), config().to_toml()).expect("writes");
+    std::fs::write(trial.metrics_jsonl(), "{\"iteration\":7}\n").expect("writes");
+    for name in ["gamma=0.95,seed=0", "gamma%3D0.95%2Cseed%3D0", "gamma%3d0.95,seed=%30"] {
+        let lines = bench.ask(&format!("GET /runs/{name}/v1/metrics")).await;
+        assert_eq!(&lines.body[..], b"{\"iteration\":7}\n", "{name}");
+        assert_eq!(bench.ask(&format!("GET /runs/{name}/")).await.status, page(&bench).await);
+    }
+    let wrong = bench.ask("GET /runs/gamma%FF/v1/metrics").await;
+    assert_eq!(wrong.status, StatusCode::BAD_REQUEST, "no text");
+}
+
+/// How the page of a run is answered here, where it may not be built.
+async fn page(bench: &Bench) -> StatusCode {
+    bench.ask("GET /runs/one/").await.status
+}
+
+#[tokio::test]
 async fn a_run_among_others_is_as_guarded_as_one_alone() {
     let bench = bench();
     for line in [
@@ -81,6 +102,9 @@ async fn a_run_among_others_is_as_guarded_as_one_alone() {
         "GET /runs/../v1/checkpoints",
         "GET /runs/%2e%2e/v1/checkpoints",
         "GET /runs/one%2f..%2ftwo/v1/checkpoints",
+        "GET /runs/else%2f..%2fone/v1/checkpoints",
+        "GET /runs/%2e/v1/checkpoints",
+        "GET /runs/one%00/v1/checkpoints",
         "GET /runs/one/v1/runs",
         "GET /runs/one/runs/two/v1/checkpoints",
     ] {
