@@ -108,11 +108,15 @@ impl RequestBody {
         while let Some(piece) = self.next().await? {
             bytes.extend_from_slice(&piece);
         }
-        serde_json::from_slice(&bytes).map_err(|error| {
-            let error = in_words(&error.to_string());
+        let unexpected = |error: &str| {
             let message = format!("the body is not the JSON that is expected here: {error}");
             Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message)
-        })
+        };
+        // Of a list serde would take the elements for the fields, in order.
+        if bytes.trim_ascii_start().starts_with(b"[") {
+            return Err(unexpected("a list, expected an object in braces"));
+        }
+        serde_json::from_slice(&bytes).map_err(|error| unexpected(&in_words(&error.to_string())))
     }
 
     /// Reads what a client that is about to be refused has sent already, within bounds. A socket

@@ -147,6 +147,8 @@ async fn workers_are_scaled_within_the_limit() {
         (r#"{"workers": 1, "force": true}"#, 422, "force"),
         (r#"{"workers": 1"#, 422, "EOF"),
         ("[]", 422, "JSON"),
+        ("[1]", 422, "a list, expected an object in braces"),
+        (" \n[1, null]", 422, "a list, expected an object in braces"),
         ("", 422, "EOF"),
         (r#"{"workers": 7}"#, 409, "ending"),
         (r#"{"workers": 6}"#, 409, "no more requests"),
