@@ -18,7 +18,8 @@ pub(crate) struct Wanted {
 /// What the block is.
 #[derive(Debug, Serialize)]
 struct Made {
-    seed: u64,
+    /// A text: a number of the page's language does not hold all seeds.
+    seed: String,
     digest: Digest,
     env_steps: u64,
     /// Undiscounted return of an episode, mean over environments, an agent each.
@@ -37,7 +38,7 @@ pub(crate) fn make(member: &Member, wanted: Wanted) -> Result<String, String> {
     let spec = RolloutSpec { seed, iteration, shard, policy };
     rollout(world, &spec, &mut numbers, &mut |_| {}).map_err(|error| error.to_string())?;
     let made = Made {
-        seed,
+        seed: seed.to_string(),
         digest: Digest::of_block(&numbers),
         env_steps: world.block_env_steps(),
         returns: world.mean_returns(&numbers),

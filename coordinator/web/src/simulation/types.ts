@@ -92,7 +92,8 @@ export type Frame = Record<ArrayName, Float32Array>;
 
 /** A block of a run: what all environments of a shard did in an iteration. */
 export interface Block {
-    seed: number;
+    /** A text, as a number does not hold all seeds. */
+    seed: string;
     digest: string;
     env_steps: number;
     /** Of an episode, mean over environments, an agent each. */

@@ -160,6 +160,7 @@ fn a_block_is_the_one_that_a_worker_makes() {
     let spec = RolloutSpec { seed, iteration: 3, shard: 1, policy };
     rollout(world, &spec, &mut block, &mut |_| {}).expect("a block");
     assert_eq!(made["digest"], proto::Digest::of_block(&block).to_string());
+    assert_eq!(made["seed"], seed.to_string(), "a number of the page does not hold all seeds");
     assert_eq!(made["env_steps"], world.block_env_steps());
     assert_eq!(made["returns"].as_array().map(Vec::len), Some(world.dimensions.n_agents));
 
