@@ -34,6 +34,7 @@ export class RobotRoom {
     private readonly title = h("select", { class: "policy", aria: { label: "Policy" } });
     private catchingUp = false;
     private readonly followed = h("select", { aria: { label: "When new policies come" } });
+    private readonly camera = h("select", { aria: { label: "The camera follows" } });
     private readonly episode = h("input", { type: "number", min: "0", max: "99999", value: "0", aria: { label: "Episode" } });
     private readonly force = h("div", { class: "force", hidden: true });
     private readonly status = h("div", { class: "scene-status" });
@@ -155,6 +156,7 @@ export class RobotRoom {
             this.episode.value = String(start.episode ?? 0);
             const { description } = this.timeline;
             this.view.begin();
+            this.offerCameras();
             this.arms.begin(description, this.policies, this.current);
             this.world.begin(description);
             this.curves.arm = Math.min(this.curves.arm, description.n_arms - 1);
@@ -264,10 +266,7 @@ export class RobotRoom {
         this.title.onchange = () => void this.change(this.title.value);
         this.episode.onchange = () => void this.again();
         const trails = h("input", { type: "checkbox", checked: true, onchange: () => (this.view.trailsShown = trails.checked) });
-        const follow = h("select", { aria: { label: "The camera follows" } });
-        follow.append(h("option", { value: "nothing" }, "stays"), h("option", { value: "base" }, "follows the base"));
-        for (let arm = 0; arm < 4; arm++) follow.append(h("option", { value: String(arm) }, `follows hand ${arm + 1}`));
-        follow.onchange = () => this.view.follow(follow.value === "nothing" || follow.value === "base" ? follow.value : Number(follow.value));
+        this.camera.onchange = () => this.follow();
         const file = h("input", { type: "file", accept: "application/json,.json", hidden: true });
         file.onchange = () => {
             const [chosen] = file.files ?? [];
@@ -295,7 +294,7 @@ export class RobotRoom {
                 ),
                 this.world.element,
             ),
-            h("section", {}, h("h2", {}, "View"), h("div", { class: "line" }, h("label", { class: "field" }, h("span", {}, "Camera"), follow), h("label", { class: "check" }, trails, "trails"))),
+            h("section", {}, h("h2", {}, "View"), h("div", { class: "line" }, h("label", { class: "field" }, h("span", {}, "Camera"), this.camera), h("label", { class: "check" }, trails, "trails"))),
             h(
                 "section",
                 {},
@@ -310,6 +309,20 @@ export class RobotRoom {
                 ),
             ),
         );
+    }
+
+    /** What the camera can follow of the robot that is here; a hand that this one does not have is followed no more. */
+    private offerCameras(): void {
+        const before = this.camera.value;
+        const hands = Array.from({ length: this.timeline.description.n_arms }, (_, arm): [string, string] => [String(arm), `follows hand ${arm + 1}`]);
+        const choices: [string, string][] = [["nothing", "stays"], ["base", "follows the base"], ...hands];
+        this.camera.replaceChildren(...choices.map(([value, text]) => h("option", { value, selected: value === before }, text)));
+        this.follow();
+    }
+
+    private follow(): void {
+        const { value } = this.camera;
+        this.view.follow(value === "base" ? value : value === "nothing" || value === "" ? "nothing" : Number(value));
     }
 
     /** The fragment of a link that plays this again. */
