@@ -202,10 +202,43 @@ def play(context, address):
     found["goal_error_m"] = drag_goal(page)
     found["newtons"] = push_base(page)
     found["replayed_steps"] = play_again(context, page, address)
+    links(context, page, address)
     found["frames_per_s"] = page.tab.evaluate("Number(document.querySelector('.robot-room').dataset.framesPerSecond)")
     found["step_ms"] = page.tab.evaluate("Number(document.querySelector('.robot-room').dataset.stepMs)")
     page.quiet()
     return found
+
+
+def links(context, page, address):
+    """A link that is pasted where the page is open is played; one that is damaged is said, and keeps nothing from going on."""
+    base, _, rest = address.partition("#")
+    token = [part for part in rest.split("&") if part.startswith("token=")]
+    fragment = page.tab.evaluate("spaceoctopus.fragment()")
+    steps, events = page.room("timeline.head"), page.room("timeline.events.length")
+    damaged = fragment[: len(fragment) // 2]
+    again = Page(context, "%s#%s" % (base, "&".join([damaged, *token])))
+    again.tab.wait_for_selector(".notice.error:has-text('this link is damaged')")
+    again.ready()
+    again.wait("timeline.head >= 3 && timeline.cursor > 1")
+    check(again.room("timeline.events.length") == 0, "a damaged link does something")
+
+    again.tab.evaluate("(fragment) => { location.hash = fragment; }", fragment)
+    again.wait("timeline.head >= %d && timeline.events.length === %d" % (steps, events))
+    check(again.state(steps) == page.state(steps), "a link that is pasted gives other numbers")
+
+    again.tab.evaluate("(fragment) => { location.hash = fragment; }", damaged)
+    again.tab.wait_for_selector(".notice.error:has-text('this link is damaged')")
+    check(again.room("timeline.events.length") == events, "a damaged link ends what plays")
+    # What the simulator refuses ends in an episode that goes on.
+    wrong = {"policies": [], "script": {"start": {}, "steps": 4, "events": [{"step": 2, "event": {"arm": {"arm": 9, "control": "hold"}}}]}}
+    check(again.tab.evaluate("(recording) => spaceoctopus.replay(recording)", wrong) is False, "an arm too many is played")
+    again.wait("timeline.events.length === 0")
+    again.room("timeline.play(true)")
+    again.wait("timeline.head >= 6")
+    cameras = again.tab.locator("select[aria-label='The camera follows'] option").count()
+    check(cameras == again.room("timeline.description.n_arms") + 2, "the camera has %d choices" % cameras)
+    again.quiet()
+    again.tab.close()
 
 
 def one_file(chromium, path):

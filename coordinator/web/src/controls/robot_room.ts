@@ -99,34 +99,46 @@ export class RobotRoom {
     /** Loads what there is and begins; `wanted` is a policy's name. */
     async start(wanted: string | undefined, recording: string | undefined): Promise<void> {
         await this.refresh();
-        if (recording !== undefined) {
-            await this.replay(await fromFragment(recording));
-        } else {
-            const name = wanted ?? this.best();
-            if (name === undefined) {
-                this.status.textContent = "There is no checkpoint yet. This page waits for the first one.";
-            } else {
-                await this.begin(name);
-                this.timeline.play(true);
-            }
+        if (!(await this.shows(wanted, recording))) {
+            const name = this.best();
+            if (name === undefined) this.status.textContent = "There is no checkpoint yet. This page waits for the first one.";
+            else await this.play(name);
         }
         requestAnimationFrame(() => this.tick());
     }
 
+    /** Plays what the address asks for. False if that is nothing, or cannot be played, which is said. */
+    async shows(wanted: string | undefined, recording: string | undefined): Promise<boolean> {
+        try {
+            if (recording !== undefined) return await this.replay(await fromFragment(recording));
+            return wanted !== undefined && (await this.play(wanted));
+        } catch (error) {
+            notice(error instanceof Error ? error.message : String(error), "error");
+            return false;
+        }
+    }
+
     /** Begins an episode with one policy. */
-    async begin(name: string, start: Start = this.startOf()): Promise<void> {
-        await this.open([name], start, (files) => this.timeline.begin(files, start));
+    async begin(name: string, start: Start = this.startOf()): Promise<boolean> {
+        return this.open([name], start, (files) => this.timeline.begin(files, start));
     }
 
     /** Plays a policy from the beginning. */
-    async play(name: string): Promise<void> {
-        await this.begin(name);
-        this.timeline.play(true);
+    async play(name: string): Promise<boolean> {
+        const begun = await this.begin(name);
+        if (begun) this.timeline.play(true);
+        return begun;
     }
 
-    async replay(recording: Recording): Promise<void> {
+    /** Plays a recording from its beginning; false if that cannot be, which is said. */
+    async replay(recording: Recording): Promise<boolean> {
         const names = recording.policies.length > 0 ? recording.policies.map(({ name }) => name) : [this.current || (this.best() ?? "")];
-        await this.open(names, recording.script.start, (files) => this.timeline.replay(files, recording.script));
+        const [before] = this.timeline.frames;
+        if (!(await this.open(names, recording.script.start, (files) => this.timeline.replay(files, recording.script)))) {
+            // What broke off may be of another robot than what is drawn.
+            if (this.timeline.frames[0] !== before && this.current !== "") await this.begin(this.current);
+            return false;
+        }
         for (const { policies } of [recording]) {
             for (const { name, digest } of policies) {
                 const here = this.policies.find((policy) => policy.name === name);
@@ -137,6 +149,7 @@ export class RobotRoom {
         }
         this.timeline.seek(0);
         this.timeline.play(true);
+        return true;
     }
 
     recording(): Recording {
@@ -144,7 +157,7 @@ export class RobotRoom {
         return { policies, script: this.timeline.script() };
     }
 
-    private async open(names: string[], start: Start, run: (files: PolicyFiles[]) => Promise<void>): Promise<void> {
+    private async open(names: string[], start: Start, run: (files: PolicyFiles[]) => Promise<void>): Promise<boolean> {
         this.status.textContent = "";
         try {
             const files = await Promise.all(names.map((name) => this.files(name)));
@@ -162,8 +175,10 @@ export class RobotRoom {
             this.curves.arm = Math.min(this.curves.arm, description.n_arms - 1);
             this.curves.begin();
             this.offer();
+            return true;
         } catch (error) {
             notice(error instanceof Error ? error.message : String(error), "error");
+            return false;
         }
     }
 
@@ -227,9 +242,7 @@ export class RobotRoom {
         this.offer();
         const best = this.best();
         if (this.current === "") {
-            if (best === undefined) return;
-            await this.begin(best);
-            this.timeline.play(true);
+            if (best !== undefined) await this.play(best);
             return;
         }
         await this.catchUp();

@@ -1,6 +1,11 @@
 // What a person did, as a link or a file that plays the same again.
 
-import type { Script } from "../simulation/types";
+import type { Event, Script } from "../simulation/types";
+
+/** Most control steps that are played, as on the command line: those of a day and a half. */
+const MOST_STEPS = 1_000_000;
+/** What may happen, but for `clear_effects`, which holds nothing. */
+const EVENTS = new Set(["hand_goal", "base_goal", "arm", "effect", "base_mass", "delay"]);
 
 /** An episode and the policies of its slots, in order. */
 export interface Recording {
@@ -17,16 +22,68 @@ export async function toFragment(recording: Recording): Promise<string> {
 }
 
 export async function fromFragment(text: string): Promise<Recording> {
-    const found = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
-    const bytes = Uint8Array.from(found, (c) => c.charCodeAt(0));
-    return parse(new TextDecoder().decode(await through(bytes, new DecompressionStream("deflate-raw"))));
+    let unpacked: string;
+    try {
+        const found = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
+        const bytes = Uint8Array.from(found, (c) => c.charCodeAt(0));
+        unpacked = new TextDecoder().decode(await through(bytes, new DecompressionStream("deflate-raw")));
+    } catch {
+        throw new Error("this link is damaged");
+    }
+    return parse(unpacked);
 }
 
+/** Reads a recording, of which everything may be wrong. What an event holds is for the simulator to judge, which knows the robot. */
 export function parse(text: string): Recording {
-    const value = JSON.parse(text) as Partial<Recording> & Partial<Script>;
-    const script = value.script ?? value;
-    if (!Array.isArray(script.events) || typeof script.steps !== "number") throw new Error("this is no recording of an episode");
-    return { policies: value.policies ?? [], script: { start: script.start ?? {}, steps: script.steps, events: script.events } };
+    const value = fields(json(text));
+    const { start, steps, events } = fields(value["script"] ?? value);
+    if (typeof steps === "number" && steps > MOST_STEPS) throw new Error(`the recording has ${steps} control steps; at most ${MOST_STEPS} are played`);
+    return {
+        policies: list(value["policies"] ?? []).map(tookPart),
+        script: { start: fields(start ?? {}), steps: count(steps), events: list(events).map(happened) },
+    };
+}
+
+function json(text: string): unknown {
+    try {
+        return JSON.parse(text);
+    } catch {
+        throw none();
+    }
+}
+
+function tookPart(value: unknown): Recording["policies"][number] {
+    const { name, digest = "" } = fields(value);
+    if (typeof name !== "string" || typeof digest !== "string") throw none();
+    return { name, digest };
+}
+
+function happened(value: unknown): Script["events"][number] {
+    const { step, event } = fields(value);
+    if (event === "clear_effects") return { step: count(step), event };
+    const [kind, ...more] = Object.keys(fields(event));
+    if (kind === undefined || !EVENTS.has(kind) || more.length > 0) throw none();
+    fields(fields(event)[kind]);
+    return { step: count(step), event: event as Event };
+}
+
+function fields(value: unknown): Record<string, unknown> {
+    if (typeof value !== "object" || value === null || Array.isArray(value)) throw none();
+    return value as Record<string, unknown>;
+}
+
+function list(value: unknown): unknown[] {
+    if (!Array.isArray(value)) throw none();
+    return value;
+}
+
+function count(value: unknown): number {
+    if (!Number.isSafeInteger(value) || (value as number) < 0) throw none();
+    return value as number;
+}
+
+function none(): Error {
+    return new Error("this is no recording of an episode");
 }
 
 /** Lets the browser save a file. */

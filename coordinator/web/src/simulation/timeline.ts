@@ -57,7 +57,11 @@ export class Timeline {
 
     async begin(policies: PolicyFiles[], start: Start): Promise<void> {
         const episode = ++this.episode;
-        const { description, frame } = await this.simulation.begin(policies, start);
+        const { description, frame } = await this.simulation.begin(policies, start).catch((error: unknown) => {
+            // The episode before goes on, without the answer that it waited for.
+            if (episode === this.episode) this.busy = this.acting = false;
+            throw error;
+        });
         if (episode !== this.episode) return;
         this.description = description;
         this.start = start;
@@ -78,16 +82,21 @@ export class Timeline {
 
     /** Plays a script from its beginning to its end; policies must be loaded as it was recorded. */
     async replay(policies: PolicyFiles[], script: Script): Promise<void> {
+        const episode = this.episode + 1;
         await this.begin(policies, script.start);
-        const episode = this.episode;
+        if (episode !== this.episode) return;
         this.busy = true;
-        for (let step = 0; step <= script.steps; step++) {
-            const events = script.events.filter((event) => event.step === step).map(({ event }) => event);
-            const { frames } = await this.simulation.advance(step, events, step < script.steps ? 1 : 0);
-            if (episode !== this.episode) return;
-            this.keep(step, events, frames);
+        try {
+            for (let step = 0; step <= script.steps; step++) {
+                const events = script.events.filter((event) => event.step === step).map(({ event }) => event);
+                const { frames } = await this.simulation.advance(step, events, step < script.steps ? 1 : 0);
+                if (episode !== this.episode) return;
+                this.keep(step, events, frames);
+            }
+        } finally {
+            // Of an episode that has begun meanwhile it is not ours.
+            if (episode === this.episode) this.busy = false;
         }
-        this.busy = false;
         this.onFrames();
     }
 
