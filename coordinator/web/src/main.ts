@@ -51,13 +51,25 @@ async function robot(source: Source, health: Health | undefined): Promise<void> 
     const feed = health === undefined ? undefined : new Feed((refusal) => notice(refusal.message, "error"));
     let run: RunRoom | undefined;
     if (feed !== undefined && health?.serves === "run") run = rooms(tabs, room, feed, new Blocks(feed, source, module), health.read_only);
-    const wanted = new URLSearchParams(location.hash.slice(1));
-    await room.start(wanted.get("policy") ?? undefined, wanted.get("play") ?? EnclosedSource.episode());
+    const { policy, play } = wanted();
+    await room.start(policy, play ?? EnclosedSource.episode());
+    // A link that is pasted where the page is open already changes the fragment alone.
+    addEventListener("hashchange", () => {
+        if (health !== undefined) takeToken();
+        const { policy, play } = wanted();
+        void room.shows(policy, play);
+    });
     feed?.on(["checkpoints"], () => void room.offered((feed.checkpoints ?? []).map(policyOf)));
     feed?.start();
     document.body.dataset["ready"] = String(Math.round(performance.now()));
     // Tests and curious people ask it what it shows.
     Object.assign(window, { spaceoctopus: room, feed, run });
+}
+
+/** What the fragment of the address asks for. */
+function wanted(): { policy: string | undefined; play: string | undefined; run: boolean } {
+    const parts = new URLSearchParams(location.hash.slice(1));
+    return { policy: parts.get("policy") ?? undefined, play: parts.get("play") ?? undefined, run: parts.has("run") };
 }
 
 function header(...more: HTMLElement[]): HTMLElement {
@@ -91,7 +103,12 @@ function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, blocks: Blocks, 
     tabs.append(buttons.robot, buttons.run);
     tabs.hidden = false;
     document.body.append(run.element);
-    show(new URLSearchParams(location.hash.slice(1)).has("run") ? "run" : "robot");
+    show(wanted().run ? "run" : "robot");
+    addEventListener("hashchange", () => {
+        const { policy, play, run } = wanted();
+        if (run) show("run");
+        else if ((policy ?? play) !== undefined) show("robot");
+    });
     return run;
 }
 
