@@ -9,7 +9,7 @@ use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use run::preflight::{self, Remedy};
 use run::start::bucket;
-use run::start::directory::{RUNS, check_vacant, claim, create, default_name, record};
+use run::start::directory::{RUNS, check_new, claim, create, default_name, record};
 use run::start::service::RunService;
 use run::start::session::{Ended, Start, run_session};
 use run::supervisor::{GatewaySpec, Programs};
@@ -128,7 +128,7 @@ fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let robot = run::robots::load_robot_of(&config)?;
     match &args.run_dir {
         Some(path) => {
-            check_vacant(path)?;
+            check_new(path)?;
             outputs::check_outside("--run-dir", path)?;
         }
         None => outputs::check_outside("--run-dir", &Path::new(RUNS).join("new"))?,

@@ -131,6 +131,11 @@ fn sweep_where(directory: &Path, is_meant: impl Fn(&str) -> bool) {
     }
 }
 
+/// Of the name of a temporary file: that of the file that it was to replace.
+pub fn replaced(name: &str) -> Option<&str> {
+    parse_temporary(name).map(|(begun, _)| begun)
+}
+
 /// Of a name that [`temporary`] gave: that of the file to be replaced, and who was to replace it.
 fn parse_temporary(name: &str) -> Option<(&str, u32)> {
     let (begun, pid) = name.strip_prefix('.')?.strip_suffix(".tmp")?.rsplit_once('.')?;

@@ -7,6 +7,7 @@ use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use serde_json::json;
+use store::lock::RunLock;
 use store::provenance::{Provenance, Utc};
 use store::{files, regular_files};
 
@@ -29,6 +30,44 @@ pub fn check_vacant(path: &Path) -> Result<(), ExitError> {
         )),
         Ok(false) => refuse(format!("{shown}: is not empty; choose another --run-dir")),
     }
+}
+
+/// Refuses a new run's directory with anything in it but what a start has left that was killed before it wrote the
+/// configuration: nobody could go on from that.
+pub fn check_new(path: &Path) -> Result<(), ExitError> {
+    if is_left_by_a_start(path).unwrap_or(false) { Ok(()) } else { check_vacant(path) }
+}
+
+/// Whether a directory holds nothing but what [`create`] makes, a lock that nobody holds, and what is written under
+/// that lock before the configuration.
+fn is_left_by_a_start(path: &Path) -> std::io::Result<bool> {
+    let run_dir = RunDir::new(path);
+    let is_locked = !matches!(RunLock::holder(&run_dir.lock()), Ok(None));
+    if is_locked {
+        return Ok(false);
+    }
+    // A robot without a lock beside it is somebody's own.
+    let was_locked = run_dir.lock().is_file();
+    for entry in std::fs::read_dir(path)? {
+        let entry = entry?;
+        let (name, kind) = (entry.file_name(), entry.file_type()?);
+        let is_left = match name.to_str() {
+            Some("logs" | "checkpoints") => {
+                kind.is_dir() && std::fs::read_dir(entry.path())?.next().is_none()
+            }
+            Some("run.lock") => kind.is_file(),
+            Some("robot.toml") => kind.is_file() && was_locked,
+            Some(other) => {
+                let begun = matches!(files::replaced(other), Some("robot.toml" | "config.toml"));
+                begun && kind.is_file() && was_locked
+            }
+            None => false,
+        };
+        if !is_left {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 /// Makes the directory and its folders.
@@ -130,6 +169,40 @@ mod tests {
         }
         std::fs::write(&path, "{\"sessions\": [{\"host\": \"a\"}]}").expect("writable");
         assert_eq!(sessions(&path).expect("one"), [json!({ "host": "a" })]);
+    }
+
+    #[test]
+    fn what_a_killed_start_has_left_is_in_no_ones_way() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let run_dir = RunDir::new(dir.path().join("run"));
+        let check = || check_new(run_dir.path());
+        let write = |name: &str| std::fs::write(run_dir.path().join(name), "a part");
+        check().expect("nothing is there");
+        create(&run_dir).expect("writable");
+        check().expect("killed before it had the lock");
+        write("robot.toml").expect("writable");
+        check().expect_err("nobody has locked it: it is somebody's own");
+        std::fs::remove_file(run_dir.robot()).expect("there");
+
+        let lock = RunLock::acquire(&run_dir.lock(), "octopus-0-12345678").expect("free");
+        check().expect_err("it starts just now");
+        drop(lock);
+        write(".robot.toml.77.tmp").expect("writable");
+        write("robot.toml").expect("writable");
+        write(".config.toml.77.tmp").expect("writable");
+        check().expect("killed while it wrote the configuration");
+        check_vacant(run_dir.path()).expect_err("there is something");
+
+        for name in ["logs/learner.log", "checkpoints/.lock", "thesis.tex", ".thesis.tex.77.tmp"] {
+            write(name).expect("writable");
+            let error = check().expect_err(name);
+            assert_eq!(error.code, ExitCode::RunDirectory);
+            assert!(error.message.contains("is not empty"), "{name}: {error}");
+            std::fs::remove_file(run_dir.path().join(name)).expect("there");
+        }
+        write("config.toml").expect("writable");
+        let error = check().expect_err("a run").to_string();
+        assert!(error.contains("octopus resume"), "{error}");
     }
 
     #[test]
