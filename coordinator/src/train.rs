@@ -24,7 +24,7 @@ use crate::conclusion::conclude;
 use crate::endpoint::HostArgs;
 use crate::names::Named;
 use crate::training_options::{Ending, HttpArgs, Limits, Parent, Pause};
-use crate::values::{assignment, whole, workers_if_any};
+use crate::values::{MAX_ENVS, assignment, whole, workers_if_any};
 
 const TRAIN_EXAMPLES: &str = "\
 Examples:
@@ -67,7 +67,7 @@ pub struct TrainArgs {
     #[arg(long)]
     pub pin: bool,
     /// Environments of the whole run, one episode each per iteration.
-    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX))]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u64>(1, MAX_ENVS))]
     pub envs: Option<u64>,
     /// Seed of every random number.
     #[arg(long, value_name = "S", allow_hyphen_values = true, value_parser = whole::<u64>(0, i64::MAX as u64))]
@@ -258,6 +258,7 @@ fn flags(args: &TrainArgs) -> Vec<Flag> {
             flags.push(Flag { origin: format!("{flag} {shown}"), group, name, value });
         }
     };
+    // The command line bounds each, so that it fits.
     let integer = |value: Option<u64>| value.map(|value| (value as i64).into());
     let text = |value: &Option<String>| value.clone().map(toml::Value::String);
     let limit = args.limits.time_limit.map(|limit| limit.as_secs_f64().into());

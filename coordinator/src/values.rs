@@ -10,6 +10,10 @@ use output::grouped;
 
 /// Most workers that a configuration may have.
 const MAX_WORKERS: u64 = 256;
+/// Most environments that a configuration may have.
+pub(crate) const MAX_ENVS: u64 = 1_000_000;
+/// Largest count: floats hold all up to it exactly, and so do the integers of TOML.
+const MAX_COUNT: u64 = 9_000_000_000_000_000;
 
 /// Reads a whole number from `least` to `most`.
 pub(crate) fn whole<T: TryFrom<u64>>(
@@ -30,10 +34,11 @@ pub(crate) fn whole<T: TryFrom<u64>>(
 pub(crate) fn positive(text: &str) -> Result<u64, String> {
     let value = text.parse::<u64>().ok().or_else(|| {
         let value = text.parse::<f64>().ok()?;
-        (value.fract() == 0.0 && (0.0..9e15).contains(&value)).then_some(value as u64)
+        (value.fract() == 0.0 && (0.0..=MAX_COUNT as f64).contains(&value)).then_some(value as u64)
     });
-    value.filter(|value| *value > 0).ok_or_else(|| {
-        "wants a whole number, 1 or more; large ones may be written as 2e6".to_owned()
+    value.filter(|value| (1..=MAX_COUNT).contains(value)).ok_or_else(|| {
+        "wants a whole number, 1 or more and at most 9e15; large ones may be written as 2e6"
+            .to_owned()
     })
 }
 
@@ -198,7 +203,8 @@ mod tests {
             assert!(duration(wrong).is_err(), "{wrong}");
         }
         assert_eq!(positive("2e6"), Ok(2_000_000));
-        for wrong in ["0", "-1", "1.5", "nan", "inf", "many"] {
+        assert_eq!(positive("9e15"), positive("9000000000000000"));
+        for wrong in ["0", "-1", "1.5", "nan", "inf", "many", "1e16", "18446744073709551615"] {
             assert!(positive(wrong).is_err(), "{wrong}");
         }
     }

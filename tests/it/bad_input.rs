@@ -60,7 +60,9 @@ fn values_that_are_none() {
         (&["train", "--seed", "-1"], seed),
         (&["train", "--iterations", "-1"], "1 or more"),
         (&["train", "--time-limit", "-3"], "such as 90s"),
-        (&["train", "--envs", "many"], "1 or more"),
+        (&["train", "--envs", "many"], "from 1 to 1,000,000"),
+        (&["train", "--envs", "18446744073709551615"], "from 1 to 1,000,000"),
+        (&["train", "--env-steps", "18446744073709551615"], "at most 9e15"),
         (&["train", "--overlap", "2"], "0 or 1"),
         (
             &["train", "--set", "env.n_envs"],
