@@ -154,7 +154,7 @@ fn restored(args: &ResumeArgs) -> anyhow::Result<Option<PathBuf>> {
 
 fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
     check_no_checkpoint(&run_dir)?;
-    train::check_token_file(&args.http)?;
+    train::check_service(&args.http)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), domain.as_str())?;
     files::sweep(run_dir.path());

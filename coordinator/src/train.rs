@@ -14,7 +14,7 @@ use run::start::service::RunService;
 use run::start::session::{Ended, Start, run_session};
 use run::supervisor::{GatewaySpec, Programs};
 use run::{errors, precision};
-use service::http::Token;
+use service::http::{Token, check_address};
 use simulator::robot::Robot;
 use store::lock::RunLock;
 use store::provenance::Provenance;
@@ -24,7 +24,7 @@ use crate::conclusion::conclude;
 use crate::endpoint::HostArgs;
 use crate::names::Named;
 use crate::training_options::{Ending, HttpArgs, Limits, Parent, Pause};
-use crate::values::{MAX_ENVS, assignment, whole, workers_if_any};
+use crate::values::{Listen, MAX_ENVS, assignment, whole, workers_if_any};
 
 const TRAIN_EXAMPLES: &str = "\
 Examples:
@@ -120,10 +120,10 @@ struct Plan {
     gateway: Option<GatewaySpec>,
 }
 
-/// Everything that is asked for, checked, but for the address of the service; nothing is written.
+/// Everything that is asked for, checked, but whether the address of the service is free; nothing is written.
 fn plan(args: &TrainArgs) -> anyhow::Result<Plan> {
     let config = precision::resolve(configure(args)?);
-    check_token_file(&args.http)?;
+    check_service(&args.http)?;
     bucket::check(&config)?;
     let robot = run::robots::load_robot_of(&config)?;
     match &args.run_dir {
@@ -330,11 +330,13 @@ fn sets(args: &TrainArgs, key: &str) -> bool {
     args.sets.iter().any(|set| set.split('=').next().is_some_and(|name| name.trim() == key))
 }
 
-/// Refuses a token file that is none, also where no service would ask for the token.
-pub(super) fn check_token_file(args: &HttpArgs) -> Result<(), ExitError> {
-    match &args.token_file {
-        Some(path) => Token::find(Some(path)).map(drop),
-        None => Ok(()),
+/// Refuses a token file that is none, also where no service would ask for the token, and an address that others reach
+/// where nobody has chosen a token.
+pub(super) fn check_service(args: &HttpArgs) -> Result<(), ExitError> {
+    let file = args.token_file.as_deref();
+    match args.listen {
+        Listen::At(address) => check_address(address, Token::find(file)?.as_ref()),
+        Listen::Off => file.map_or(Ok(()), |path| Token::from_file(path).map(drop)),
     }
 }
 

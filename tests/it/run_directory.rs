@@ -102,6 +102,9 @@ fn a_dry_run_prints_a_configuration_that_gives_itself_and_trains_nothing() {
     let json: Value =
         serde_json::from_str(&dry(&[&asked[..], &["--json"]].concat())).expect("JSON");
     assert_eq!(json["algorithm"]["name"], "ippo");
+    let open = octopus(&["train", "--dry-run", &run_dir, "--listen=0.0.0.0:0"]);
+    assert_eq!(open.status.code(), Some(2), "{}", stderr(&open));
+    assert!(stderr(&open).contains("--token-file"), "{}", stderr(&open));
     assert!(!dir.path().join("run").exists(), "something was begun");
 }
 

@@ -31,7 +31,7 @@ pub(super) fn is_public(path: &str) -> bool {
 }
 
 /// Refuses to listen beyond this machine unless somebody has chosen a token for that.
-pub(super) fn check_address(address: SocketAddr, token: Option<&Token>) -> Result<(), ExitError> {
+pub fn check_address(address: SocketAddr, token: Option<&Token>) -> Result<(), ExitError> {
     if token.is_some() || address.ip().is_loopback() {
         return Ok(());
     }

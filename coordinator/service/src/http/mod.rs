@@ -67,6 +67,7 @@ mod token;
 mod upload_space;
 mod uploads;
 
+pub use access::check_address;
 pub use checkpoints::{CheckpointDetail, CheckpointList};
 pub use limits::Limits;
 pub use own_token::{OwnToken, STORE_TOKEN_FILE, TOKEN_FILE};
