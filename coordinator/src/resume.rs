@@ -180,9 +180,10 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
         && last.manifest.iteration >= wanted
     {
         let done = last.manifest.iteration;
-        let larger = match pause_at {
-            Some(_) => "--pause-at, or none,",
-            None => "--iterations or --env-steps",
+        let (wanted, larger) = match pause_at {
+            Some(pause) if done < planned => (pause, "--pause-at, or none,"),
+            // No pause on the way was what ended it.
+            _ => (planned, "--iterations or --env-steps"),
         };
         output::note(&format!(
             "note: nothing to do: {} {} done, {wanted} wanted; a larger {larger} goes on",

@@ -283,4 +283,9 @@ fn what_a_finished_run_cannot_do_is_said_before_anything_else() {
     assert!(output.status.success(), "{}", stderr(&output));
     let note = "note: nothing to do: 7 iterations are done, 3 wanted; ";
     assert!(stderr(&output).starts_with(note), "{}", stderr(&output));
+    // A pause that it is past is not what ended it.
+    let output = octopus(&["resume", path, "--pause-at=1"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let note = "note: nothing to do: 7 iterations are done, 7 wanted; a larger --iterations";
+    assert!(stderr(&output).starts_with(note), "{}", stderr(&output));
 }
