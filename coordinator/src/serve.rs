@@ -15,7 +15,9 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::signals::StopRequests;
 use serde_json::json;
-use service::http::{Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, Token};
+use service::http::{
+    Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, TOKEN_VARIABLE, Token,
+};
 use store::checkpoint::CheckpointStore;
 
 use crate::checkpoints::common::store_to_fill;
@@ -35,9 +37,9 @@ Examples:
 GET /openapi.json describes all requests. They need a token in the header `Authorization: Bearer \
 TOKEN`: the one that the service makes for itself and keeps in the store's file .http.token, which \
 only you can read, or yours, from --token-file or the environment variable SPACEOCTOPUS_TOKEN. \
-Beyond this machine it must be yours. There is no TLS: beyond a network that you trust, put a \
-proxy with TLS in front. Of a bucket a copy is shown, which follows it and which nobody can \
-change. Ctrl-C ends the service.";
+Beyond this machine it must be yours. With --read-only or --runs, and a token of yours, it writes \
+none. There is no TLS: beyond a network that you trust, put a proxy with TLS in front. Of a bucket \
+a copy is shown, which follows it and which nobody can change. Ctrl-C ends the service.";
 
 /// Options of `octopus serve`.
 #[derive(Debug, Clone, Args)]
@@ -69,6 +71,9 @@ pub struct ServeArgs {
     pub json: bool,
 }
 
+/// What helps where the token of a service that only shows cannot be kept.
+const CURE: &str = "; give a token by --token-file FILE, and none is written";
+
 /// How often to look whether the user wants to stop.
 const TICK: Duration = Duration::from_millis(50);
 
@@ -79,6 +84,7 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
     let stop = StopRequests::new();
     stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
     let mut own = OwnToken::prepare(root.join(STORE_TOKEN_FILE))?;
+    let (changes_nothing, is_chosen) = (args.read_only || runs.is_some(), token.is_some());
     let service = Service::start(ServiceSpec {
         address: args.listen,
         token,
@@ -87,7 +93,16 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
         limits: Limits { upload_bytes: args.max_upload, ..Limits::default() },
         ..ServiceSpec::new(store, own.token())
     })?;
-    own.keep()?;
+    let token_file = if changes_nothing && is_chosen && !own.is_kept() {
+        // Whoever has a token may look, and nothing is written where perhaps nothing can be.
+        args.token_file.clone()
+    } else {
+        own.keep().map_err(|error| {
+            let cure = if changes_nothing { CURE } else { "" };
+            ExitError::new(error.code, format!("{}{cure}", error.message))
+        })?;
+        Some(own.path().to_owned())
+    };
     let address = service.address();
     let (what, count) = holds;
     let shown = match &replica {
@@ -100,14 +115,15 @@ pub fn run(args: &ServeArgs) -> anyhow::Result<()> {
             "address": address,
             place: shown,
             (format!("{what}s")): count,
-            "token_file": own.path(),
+            "token_file": token_file,
         }))?;
     } else {
+        let place =
+            token_file.map_or_else(|| TOKEN_VARIABLE.to_owned(), |path| path.display().to_string());
         output::line(&format!(
-            "http://{address} serves {}: {}; the token is in {}",
+            "http://{address} serves {}: {}; the token is in {place}",
             shown.display(),
             counted(count as u64, what),
-            own.path().display()
         ))?;
     }
     let follower = replica.map(Follower::start);

@@ -483,6 +483,33 @@ fn services_that_cannot_be() {
     assert!(!tokens.path().join(".http.token").exists());
 }
 
+/// What cannot be written to can be shown all the same.
+#[test]
+fn to_show_a_directory_nothing_is_written_there() {
+    const TOKEN: &str = "a-secret-of-twenty-eight-chars";
+    let dir = tempfile::tempdir().expect("tempdir");
+    let store = dir.path().join("store");
+    let own = store.join(".http.token");
+    std::fs::create_dir(&store).expect("a directory");
+    let token = dir.path().join("token.txt");
+    std::fs::write(&token, TOKEN).expect("writable");
+    let token = format!("--token-file={}", token.display());
+    let mut served = Served::start(&store, &["--read-only", &token]);
+    assert_eq!(served.token, TOKEN);
+    assert!(served.get("/v1/checkpoints", "").0.contains("200"));
+    served.interrupt();
+    assert!(!own.exists());
+    // As where the disk takes nothing.
+    std::fs::create_dir(&own).expect("a directory");
+    let shown = store.display().to_string();
+    for place in ["--store", "--runs"] {
+        let refused = octopus(&["serve", place, &shown, "--read-only", "--listen=127.0.0.1:0"]);
+        assert_eq!(refused.status.code(), Some(5), "{}", stderr(&refused));
+        assert!(stderr(&refused).contains("--token-file FILE"), "{}", stderr(&refused));
+    }
+    drop(Served::start(&store, &["--read-only", &token]));
+}
+
 /// A name says nothing: whoever imports or copies a checkpoint gives it a later one.
 #[test]
 fn the_newest_of_a_run_is_what_the_run_has_come_to() {

@@ -54,6 +54,11 @@ impl OwnToken {
         Ok(())
     }
 
+    /// Whether the file holds it.
+    pub fn is_kept(&self) -> bool {
+        self.kept
+    }
+
     /// The token.
     pub fn token(&self) -> Token {
         self.token.clone()
