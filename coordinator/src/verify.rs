@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args};
 use lab::verification::{Record, compare, replay};
+use proto::{ExitCode, ExitError};
 
 use crate::not_the_same::NotTheSame;
 use crate::values::whole;
@@ -36,8 +37,8 @@ A replay begins at the newest checkpoint of iteration K or earlier, or from noth
 none, with the configuration that RUN holds now, in a temporary directory that is removed \
 afterwards. RUN is only read.
 
-Exit code: 0 if every iteration that both have agrees, 1 if they part, 5 if something is missing \
-or damaged, 130 if a replay was stopped by Ctrl-C.";
+Exit code: 0 if every iteration that both have agrees, 1 if they part, 2 if both are one \
+directory, 5 if something is missing or damaged, 130 if a replay was stopped by Ctrl-C.";
 
 /// Options of `octopus verify`.
 #[derive(Debug, Clone, Args)]
@@ -63,6 +64,14 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<()> {
     let same = match (&args.other, args.replay) {
         (Some(other), _) => {
             let other = Record::read(other)?;
+            if record.is_of_the_directory_of(&other) {
+                let message = format!(
+                    "{}: is given twice, and is the same as itself; name another run, or repeat this \
+                     one by --replay K",
+                    args.run.display()
+                );
+                return Err(ExitError::new(ExitCode::Usage, message).into());
+            }
             let result = compare(&record, &other);
             if args.json {
                 output::json(&result)?;

@@ -137,6 +137,20 @@ fn without_a_second_run_or_an_iteration_both_forms_are_explained() {
 }
 
 #[test]
+fn a_run_is_not_compared_with_itself() {
+    let run = finished(&[]);
+    let path = shown(&run);
+    let dir = tempfile::tempdir().expect("tempdir");
+    let link = dir.path().join("link");
+    std::os::unix::fs::symlink(run.path(), &link).expect("a link");
+    for other in [&path, &format!("{path}/."), &link.display().to_string()] {
+        let output = octopus(&["verify", &path, other]);
+        assert_eq!(output.status.code(), Some(2), "{other}: {}", stderr(&output));
+        assert!(stderr(&output).contains("is given twice"), "{}", stderr(&output));
+    }
+}
+
+#[test]
 fn a_replay_repeats_the_recorded_bits_and_leaves_the_run_as_it_was() {
     let run = finished(&["--workers=2", "--overlap=1", "--iterations=23"]);
     let path = shown(&run);

@@ -44,6 +44,12 @@ pub struct Record {
 }
 
 impl Record {
+    /// Whether both are of one directory, by whatever ways.
+    pub fn is_of_the_directory_of(&self, other: &Self) -> bool {
+        let place = |record: &Self| record.path.canonicalize().ok();
+        place(self).is_some_and(|here| place(other) == Some(here))
+    }
+
     /// Reads the run at `path`.
     pub fn read(path: &Path) -> Result<Self, ExitError> {
         let run_dir = run_directory(path)?;
