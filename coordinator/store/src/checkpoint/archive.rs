@@ -84,8 +84,8 @@ impl CheckpointStore {
         if imported {
             imported = !self.check_own(&name, &manifest, scratch.path())?;
         }
-        let (digest, clash) = (manifest.digest, Clash::Refuse);
-        self.publish(scratch, Arrival { name: &name, digest, clash, score: None, imported })?;
+        let (manifest, clash) = (&manifest, Clash::Refuse);
+        self.publish(scratch, Arrival { name: &name, manifest, clash, score: None, imported })?;
         self.entry(&name)
     }
 

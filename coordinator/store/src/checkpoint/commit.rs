@@ -6,7 +6,6 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use proto::Digest;
 use proto::config::Config;
 
 use super::file_names::{CONFIG, FORMAT, MANIFEST, POLICY, ROBOT, STATE};
@@ -32,7 +31,8 @@ pub(super) enum Clash {
 #[derive(Debug)]
 pub(super) struct Arrival<'a> {
     pub(super) name: &'a Name,
-    pub(super) digest: Digest,
+    /// What it says about itself.
+    pub(super) manifest: &'a Manifest,
     pub(super) clash: Clash,
     /// What is known about it already.
     pub(super) score: Option<Score>,
@@ -55,8 +55,8 @@ enum Occupant {
     Nobody,
     /// The same checkpoint, whole.
     Same,
-    /// Another one, whole, with this digest.
-    Other(Digest),
+    /// Another one, whole, and what is another than in the one that arrives.
+    Other(String),
     /// A checkpoint that cannot be read.
     Damaged,
     /// What never was a checkpoint.
@@ -118,20 +118,19 @@ impl CheckpointStore {
         if let Some(score) = &score {
             score.check(&name)?;
         }
-        let clash = Clash::Replace;
-        let arrival =
-            Arrival { name: &name, digest: manifest.digest, clash, score, imported: false };
-        self.write(arrival, &contents, manifest)
+        self.write(&name, Clash::Replace, score, &contents, manifest)
     }
 
     /// Writes a new checkpoint and publishes it. `manifest` lists no files yet.
     pub(super) fn write(
         &self,
-        arrival: Arrival<'_>,
+        name: &Name,
+        clash: Clash,
+        score: Option<Score>,
         contents: &[(&str, &[u8])],
         mut manifest: Manifest,
     ) -> Result<Placement, CheckpointError> {
-        let scratch = Scratch::new(&self.disk, &self.root, arrival.name.as_str())?;
+        let scratch = Scratch::new(&self.disk, &self.root, name.as_str())?;
         for (file, bytes) in contents {
             self.disk.write_file(&scratch.path().join(file), bytes)?;
             let blake3 = blake3::hash(bytes).to_hex().to_string();
@@ -140,7 +139,8 @@ impl CheckpointStore {
                 .insert((*file).to_owned(), FileEntry { len: bytes.len() as u64, blake3 });
         }
         self.disk.write_file(&scratch.path().join(MANIFEST), &manifest.to_json())?;
-        self.publish(scratch, arrival)
+        let manifest = &manifest;
+        self.publish(scratch, Arrival { name, manifest, clash, score, imported: false })
     }
 
     /// Gives a whole directory its final name; the same checkpoint twice stays as it was, but for
@@ -150,14 +150,14 @@ impl CheckpointStore {
         scratch: Scratch<'_>,
         arrival: Arrival<'_>,
     ) -> Result<Placement, CheckpointError> {
-        let Arrival { name, digest, clash, score, imported } = arrival;
+        let Arrival { name, manifest, clash, score, imported } = arrival;
         let mut labels = Labels { score, imported, ..Labels::default() };
         if labels != Labels::default() {
             labels.write(&self.disk, scratch.path())?;
         }
         self.disk.sync_dir(scratch.path())?;
         let target = self.dir(name);
-        let (guard, occupant) = self.occupant(name, digest)?;
+        let (guard, occupant) = self.occupant(name, manifest)?;
         self.check_free(name)?;
         let conflict = |reason| CheckpointError::Conflict { path: target.clone(), reason };
         let mut aside = None;
@@ -177,8 +177,8 @@ impl CheckpointStore {
             }
             (Occupant::Other(other), Clash::Refuse) => {
                 return Err(conflict(format!(
-                    "is another checkpoint already, with digest {other} instead of {digest}; \
-                     choose another name, or delete that one first"
+                    "is another checkpoint already, with {other}; choose another name, or delete \
+                     that one first"
                 )));
             }
             (Occupant::Stranger, Clash::Refuse) => {
@@ -230,7 +230,11 @@ impl CheckpointStore {
 
     /// Takes the right to change the store and says what has the name `name` then. Whatever is
     /// there is hashed before, and again if it was changed meanwhile.
-    fn occupant(&self, name: &Name, digest: Digest) -> Result<(Guard, Occupant), CheckpointError> {
+    fn occupant(
+        &self,
+        name: &Name,
+        arriving: &Manifest,
+    ) -> Result<(Guard, Occupant), CheckpointError> {
         let target = self.dir(name);
         loop {
             let before = Stamp::of_dir(&target);
@@ -238,8 +242,10 @@ impl CheckpointStore {
                 Err(_) => Occupant::Nobody,
                 Ok(there) if !there.is_dir() => Occupant::Stranger,
                 Ok(_) => match read::load(&target) {
-                    Ok(there) if there.manifest.digest == digest => Occupant::Same,
-                    Ok(there) => Occupant::Other(there.manifest.digest),
+                    Ok(there) => match difference(name, &there.manifest, arriving) {
+                        None => Occupant::Same,
+                        Some(difference) => Occupant::Other(difference),
+                    },
                     Err(error) if error.is_absence() => {
                         let own = name.iteration().is_some() || target.join(MANIFEST).exists();
                         if own { Occupant::Damaged } else { Occupant::Stranger }
@@ -254,4 +260,17 @@ impl CheckpointStore {
             }
         }
     }
+}
+
+/// What makes the checkpoint that has the name another one than the one that arrives.
+///
+/// A run's iteration is told by its digest: budgets, for one, may differ after a resumption. Under other names the
+/// same tensors may stand with what other runs did.
+fn difference(name: &Name, there: &Manifest, arriving: &Manifest) -> Option<String> {
+    if there.digest != arriving.digest {
+        return Some(format!("digest {} instead of {}", there.digest, arriving.digest));
+    }
+    let texts = if name.iteration().is_some() { &[][..] } else { &[CONFIG, ROBOT] };
+    let other = texts.iter().find(|file| there.files.get(**file) != arriving.files.get(**file))?;
+    Some(format!("the same tensors but another {other}"))
 }

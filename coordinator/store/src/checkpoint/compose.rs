@@ -8,7 +8,7 @@ use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 use simulator::robot::Robot;
 
-use super::commit::{Arrival, Clash};
+use super::commit::Clash;
 use super::entry::Entry;
 use super::file_names::{CONFIG, FORMAT, POLICY, ROBOT};
 use super::manifest::{Manifest, Origin};
@@ -174,10 +174,7 @@ impl CheckpointStore {
         let config_toml = config.to_toml();
         let contents: [(&str, &[u8]); 3] =
             [(POLICY, policy), (CONFIG, config_toml.as_bytes()), (ROBOT, robot_toml.as_bytes())];
-        let clash = Clash::Refuse;
-        let arrival =
-            Arrival { name, digest: manifest.digest, clash, score: None, imported: false };
-        self.write(arrival, &contents, manifest)?;
+        self.write(name, Clash::Refuse, None, &contents, manifest)?;
         self.entry(name)
     }
 }

@@ -163,3 +163,28 @@ fn what_only_matters_for_training_is_noted() {
     let composition = Composition::new(&parts).expect("they fit");
     assert_eq!(composition.notes, ["task.episode_steps"]);
 }
+
+#[test]
+fn the_same_tensors_under_another_configuration_are_another_composition() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let (a, b) = (
+        trained(&dir, "a", &["task.episode_steps=66"], 0.0),
+        trained(&dir, "b", &["task.episode_steps=77"], 5000.0),
+    );
+    let of = |parts: &[Part]| Composition::new(parts).expect("they fit");
+    let (one, other) = (part(&[0, 1], &a), part(&[2, 3], &b));
+    let first = of(&[one.clone(), other.clone()]);
+    let second = of(&[other, one]);
+    let store = CheckpointStore::new(dir.path().join("shared"));
+    let provenance = serde_json::json!({});
+    let there = store.compose(&name("x"), &first, &provenance).expect("commits");
+    let error = store.compose(&name("x"), &second, &provenance).expect_err("b decides now");
+    assert!(matches!(error, CheckpointError::Conflict { .. }), "{error}");
+    assert!(error.to_string().contains("the same tensors but another config.toml"), "{error}");
+    assert_eq!(store.compose(&name("x"), &first, &provenance).expect("the same again"), there);
+
+    let entry = store.compose(&name("y"), &second, &provenance).expect("commits");
+    assert_eq!(entry.digest, there.digest);
+    let error = store.import(&packed(&store, &name("y"))[..], Some(name("x"))).expect_err("too");
+    assert!(matches!(error, CheckpointError::Conflict { .. }), "{error}");
+}
