@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use proto::{ExitCode, ExitError};
-use simulator::robot::Robot;
+use simulator::robot::{FARTHEST_HOME, Robot};
 use store::outputs::Output;
 use store::{files, regular_files};
 
@@ -38,11 +38,16 @@ pub struct ImportArgs {
     #[arg(long, value_name = "LINK", allow_hyphen_values = true)]
     pub hand: Option<String>,
     /// Where the base is at home: its height (m) in the world.
-    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = amount, default_value_t = 4.0)]
+    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = height, default_value_t = 4.0)]
     pub height: f64,
     /// Write over a file that is there already, and into a run's directory; what is read stays.
     #[arg(long)]
     pub force: bool,
+}
+
+fn height(text: &str) -> Result<f64, String> {
+    let height = amount(text).ok().filter(|height| *height <= FARTHEST_HOME);
+    height.ok_or_else(|| format!("wants a height from 0 to {FARTHEST_HOME} m"))
 }
 
 /// What such a file begins with.
@@ -81,5 +86,18 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     match args.out.as_deref() {
         Some(path) if path != Path::new("-") => Ok(files::replace_output(path, file.as_bytes())?),
         _ => output::write(file.as_bytes()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heights_are_those_that_a_robot_may_have() {
+        assert_eq!((height("0"), height("100")), (Ok(0.0), Ok(100.0)));
+        for wrong in ["5000", "-1", "nan", "x"] {
+            assert!(height(wrong).is_err_and(|wanted| wanted.contains("0 to 100 m")), "{wrong}");
+        }
     }
 }

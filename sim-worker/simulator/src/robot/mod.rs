@@ -24,6 +24,7 @@ pub use parts::{
     AngleContact, Arm, ArmBody, ArmType, Joints, Link, MAX_ARMS, MAX_JOINTS_PER_ARM,
     MIN_JOINTS_PER_ARM,
 };
+pub use resolve::FARTHEST_HOME;
 pub use rigid_body::RigidBody;
 pub(crate) use rigid_body::is_rotation;
 pub use shape::{BaseBox, Shape};

@@ -13,12 +13,17 @@ use super::{
     MIN_JOINTS_PER_ARM, RigidBody, Robot, RobotError, Shape,
 };
 
+/// Farthest from the origin that the base may be at home, along each axis (m). A simulation takes ten times as much.
+pub const FARTHEST_HOME: f64 = 100.0;
+/// Largest joint angle at home (rad), a tenth of what a simulation takes.
+const MOST_TURNED: f64 = 1000.0;
+
 impl Robot {
     /// Validates and completes a description; `path` is only for messages.
     pub fn from_description(d: RobotDescription, path: &Path) -> Result<Self, RobotError> {
         let check = Check { path: path.display().to_string() };
         check.that(is_plain(&d.name), "name", &format!("{:?}", d.name), PLAIN)?;
-        check.finite("home_position", &d.home_position)?;
+        check.within("home_position", &d.home_position, FARTHEST_HOME)?;
         check.that(!d.base.is_empty(), "base", "no box", "at least one [[base]] box")?;
         check.that(
             (1..=MAX_ARMS).contains(&d.arms.len()),
@@ -82,7 +87,7 @@ impl Robot {
             let key = format!("arms[{i}] ({})", a.name);
             check.finite(&format!("{key}.mount_position"), &a.mount_position)?;
             check.finite(&format!("{key}.mount_euler_deg"), &a.mount_euler_deg)?;
-            check.finite(&format!("{key}.home"), &a.home)?;
+            check.within(&format!("{key}.home"), &a.home, MOST_TURNED)?;
             let arm_type = match &a.arm_type {
                 None => 0,
                 Some(name) => {
@@ -245,6 +250,15 @@ impl Check {
             key,
             &format!("{values:?}"),
             "finite numbers",
+        )
+    }
+
+    fn within(&self, key: &str, values: &[f64], limit: f64) -> Result<(), RobotError> {
+        self.that(
+            values.iter().all(|v| v.abs() <= limit),
+            key,
+            &format!("{values:?}"),
+            &format!("numbers from -{limit} to {limit}"),
         )
     }
 

@@ -76,6 +76,8 @@ fn bad_descriptions_name_file_key_and_expectation() {
         ("mass = 3.7", "mass = [3.7]", &["`mass = [3.7]`", "expected a number"]),
         ("joint = 2", "joint = -2", &["`joint = -2`", "a whole number that is not negative"]),
         ("size = [0.8726", "size = [0.0", &["base[0] (cube).size"]),
+        ("[0.0, 0.0, 4.0]", "[1e5, 0.0, 4.0]", &["home_position", "100000.0", "-100 to 100"]),
+        ("home = [3.14", "home = [2e4", &["arms[0] (plus_y).home", "-1000 to 1000"]),
     ] {
         let message = error_of(from, to);
         assert!(message.contains("my-robot.toml"), "{message}");
