@@ -13,6 +13,8 @@ use super::{
     MIN_JOINTS_PER_ARM, RigidBody, Robot, RobotError, Shape,
 };
 
+/// Largest number of a description, as of a URDF: the simulator computes in single precision, which holds it, and its square.
+const LARGEST: f64 = 1e9;
 /// Farthest from the origin that the base may be at home, along each axis (m). A simulation takes ten times as much.
 pub const FARTHEST_HOME: f64 = 100.0;
 /// Largest joint angle at home (rad), a tenth of what a simulation takes.
@@ -40,8 +42,8 @@ impl Robot {
         let mut boxes = Vec::new();
         for (i, b) in d.base.iter().enumerate() {
             let key = format!("base[{i}] ({})", b.name);
-            check.finite(&format!("{key}.position"), &b.position)?;
-            check.finite(&format!("{key}.euler_deg"), &b.euler_deg)?;
+            check.sensible(&format!("{key}.position"), &b.position)?;
+            check.sensible(&format!("{key}.euler_deg"), &b.euler_deg)?;
             let rotation = rotation_xyz_deg(b.euler_deg);
             boxes.push(solid_box(
                 &check,
@@ -85,8 +87,8 @@ impl Robot {
         let mut arms = Vec::new();
         for (i, a) in d.arms.iter().enumerate() {
             let key = format!("arms[{i}] ({})", a.name);
-            check.finite(&format!("{key}.mount_position"), &a.mount_position)?;
-            check.finite(&format!("{key}.mount_euler_deg"), &a.mount_euler_deg)?;
+            check.sensible(&format!("{key}.mount_position"), &a.mount_position)?;
+            check.sensible(&format!("{key}.mount_euler_deg"), &a.mount_euler_deg)?;
             check.within(&format!("{key}.home"), &a.home, MOST_TURNED)?;
             let arm_type = match &a.arm_type {
                 None => 0,
@@ -182,7 +184,7 @@ fn resolve_type(check: &Check, part: &ArmTypeParts<'_>) -> Result<ArmType, Robot
         .enumerate()
         .map(|(i, link)| resolve_link(check, &format!("{prefix}links[{i}] ({})", link.name), link))
         .collect::<Result<Vec<_>, _>>()?;
-    check.finite(&format!("{prefix}tool.position"), &part.tool.position)?;
+    check.sensible(&format!("{prefix}tool.position"), &part.tool.position)?;
     let last = links.last().expect("an arm has links");
     let angle_contacts = part
         .angle_contacts
@@ -207,10 +209,10 @@ fn resolve_pedestal(
 ) -> Result<(RigidBody, Vec<Shape>), RobotError> {
     let (p, key) = (part.pedestal, format!("{}pedestal", part.prefix));
     let body = rigid_body(check, &key, p.mass, p.com, p.inertia)?;
-    check.finite(&format!("{key}.euler_deg"), &p.euler_deg)?;
+    check.sensible(&format!("{key}.euler_deg"), &p.euler_deg)?;
     let shapes = shapes(check, &key, &p.capsules, &p.discs)?;
     let (mount, key) = (part.mount, format!("{}mount", part.prefix));
-    check.finite(&format!("{key}.position"), &mount.position)?;
+    check.sensible(&format!("{key}.position"), &mount.position)?;
     // Also of a type that no arm has.
     let (rotation, centre) = (Matrix3::identity(), Vector3::zeros());
     solid_box(check, &key, "mount", mount.size, mount.mass, rotation, centre)?;
@@ -244,12 +246,12 @@ impl Check {
         if ok { Ok(()) } else { Err(self.error(key, found, expected)) }
     }
 
-    fn finite(&self, key: &str, values: &[f64]) -> Result<(), RobotError> {
+    fn sensible(&self, key: &str, values: &[f64]) -> Result<(), RobotError> {
         self.that(
-            values.iter().all(|v| v.is_finite()),
+            values.iter().all(|v| v.abs() <= LARGEST),
             key,
             &format!("{values:?}"),
-            "finite numbers",
+            "numbers from -1e9 to 1e9",
         )
     }
 
@@ -264,10 +266,10 @@ impl Check {
 
     fn positive(&self, key: &str, value: f64) -> Result<(), RobotError> {
         self.that(
-            value > 0.0 && value.is_finite(),
+            value > 0.0 && value <= LARGEST,
             key,
             &format!("{value}"),
-            "a finite number above zero",
+            "a number above zero, 1e9 at most",
         )
     }
 
@@ -288,14 +290,13 @@ impl Check {
 
 fn resolve_link(check: &Check, key: &str, link: &LinkDescription) -> Result<Link, RobotError> {
     let dh = link.dh;
-    check.finite(&format!("{key}.dh"), &[dh.a, dh.d, dh.alpha_deg])?;
+    check.sensible(&format!("{key}.dh"), &[dh.a, dh.d, dh.alpha_deg])?;
     let body = rigid_body(check, key, link.mass, link.com, link.inertia)?;
-    let armature_ok = link.armature >= 0.0 && link.armature.is_finite();
     check.that(
-        armature_ok,
+        (0.0..=LARGEST).contains(&link.armature),
         &format!("{key}.armature"),
         &link.armature.to_string(),
-        "a finite number, zero or above",
+        "a number from zero to 1e9",
     )?;
     check.positive(&format!("{key}.servo.gain"), link.servo.gain)?;
     check.positive(&format!("{key}.servo.max_rate"), link.servo.max_rate)?;
@@ -342,7 +343,7 @@ fn resolve_angle_contact(
             &format!("a joint from 1 to {}", links.len()),
         )?;
     }
-    check.finite(&format!("{key}.interval"), &contact.interval)?;
+    check.sensible(&format!("{key}.interval"), &contact.interval)?;
     let [lo, hi] = contact.interval;
     let half = (hi - lo) / 2.0;
     check.that(
@@ -407,8 +408,8 @@ fn rigid_body(
     inertia: [f64; 6],
 ) -> Result<RigidBody, RobotError> {
     check.positive(&format!("{key}.mass"), mass)?;
-    check.finite(&format!("{key}.com"), &com)?;
-    check.finite(&format!("{key}.inertia"), &inertia)?;
+    check.sensible(&format!("{key}.com"), &com)?;
+    check.sensible(&format!("{key}.inertia"), &inertia)?;
     let [xx, yy, zz, xy, xz, yz] = inertia;
     let tensor = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
     let mut principal = SymmetricEigen::new(tensor).eigenvalues;
@@ -437,15 +438,16 @@ fn shapes(
 ) -> Result<Vec<Shape>, RobotError> {
     let mut out = Vec::new();
     for (i, c) in capsules.iter().enumerate() {
-        check.finite(&format!("{key}.capsules[{i}].from"), &c.from)?;
-        check.finite(&format!("{key}.capsules[{i}].to"), &c.to)?;
+        check.sensible(&format!("{key}.capsules[{i}].from"), &c.from)?;
+        check.sensible(&format!("{key}.capsules[{i}].to"), &c.to)?;
         check.positive(&format!("{key}.capsules[{i}].radius"), c.radius)?;
         out.push(Shape::Capsule { from: c.from.into(), to: c.to.into(), radius: c.radius });
     }
     for (i, d) in discs.iter().enumerate() {
         check.positive(&format!("{key}.discs[{i}].radius"), d.radius)?;
+        check.sensible(&format!("{key}.discs[{i}].z"), &d.z)?;
         check.that(
-            d.z[0] < d.z[1] && d.z.iter().all(|z| z.is_finite()),
+            d.z[0] < d.z[1],
             &format!("{key}.discs[{i}].z"),
             &format!("{:?}", d.z),
             "the lower end, then the upper end",
