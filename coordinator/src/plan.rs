@@ -195,10 +195,10 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<()> {
     let policy = args.policy.as_deref().map(|path| policy(path, &robot)).transpose()?;
     let found = answer(&robot, &options, &question, policy, args.time_limit)?;
     let report = Report::new(&question, &found, options.control_period);
-    if args.json {
-        output::json(&report)?;
-    }
     if let Some(reason) = sentence(&question, &found) {
+        if args.json {
+            output::json(&report)?;
+        }
         return Err(ExitError::new(ExitCode::Failure, reason).into());
     }
     if let Some(path) = &args.trajectory {
@@ -220,7 +220,8 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<()> {
         }
         files::replace_output(path, &table)?;
     }
-    if args.json { Ok(()) } else { output::line(&report.table()) }
+    // Last: what is said to be there is there.
+    if args.json { output::json(&report) } else { output::line(&report.table()) }
 }
 
 /// The question, its goals in the world.

@@ -141,10 +141,12 @@ fn bad_questions_are_refused() {
         (&["plan", goal, "--policy", &base_policy], 2, "`trajectory`"),
         (&["plan", goal, "--out", &bad, "--state", &bad], 2, "is what --state reads"),
         (&["plan", "--held-out=3", goal], 2, "cannot be used with"),
+        (&["plan", goal, "--json", "--trajectory=/no/such/x.csv"], 1, "cannot be written"),
     ] {
         let output = octopus(flags);
         assert_eq!(output.status.code(), Some(code), "{flags:?}: {}", stderr(&output));
         assert!(stderr(&output).contains(reason), "{flags:?}: {}", stderr(&output));
+        assert!(output.stdout.is_empty(), "{flags:?}");
     }
     let all: Vec<String> = (1..=4).map(|hand| format!("--goal={hand}=0,0,4,0,0,0")).collect();
     let all: Vec<&str> = all.iter().map(String::as_str).collect();

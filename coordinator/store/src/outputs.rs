@@ -67,6 +67,7 @@ impl Output<'_> {
                     let message = format!("belongs to {}, which is read", input.display());
                     Err(refused(format!("{flag} {shown}: {message}; name another file")))
                 }
+                (None, _) => self.check_parent(),
                 _ => Ok(()),
             };
         }
@@ -81,8 +82,19 @@ impl Output<'_> {
                 "{flag} {shown}: is there already{}; --force writes over it",
                 if mark.is_empty() { "" } else { " and was not made by this command" }
             ))),
-            _ => Ok(()),
+            Some(_) => Ok(()),
+            None => self.check_parent(),
         }
+    }
+
+    /// Refuses a file in a directory that is not there, as writing it would.
+    fn check_parent(&self) -> Result<(), ExitError> {
+        let parent = self.path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let Some(parent) = parent.filter(|parent| !parent.is_dir()) else { return Ok(()) };
+        let (flag, shown) = (self.flag, self.path.display());
+        let message =
+            format!("{flag} {shown}: cannot be written: {} is no directory", parent.display());
+        Err(ExitError::new(ExitCode::Failure, message))
     }
 }
 
@@ -305,13 +317,27 @@ mod tests {
     }
 
     #[test]
+    fn a_file_wants_a_directory_that_is_there() {
+        let place = place();
+        for wrong in ["none/new.svg", "in.csv/new.svg", "run/none/new.svg"] {
+            let (code, message) = check(&place.path().join(wrong), true, &[]).expect_err(wrong);
+            assert_eq!(code, ExitCode::Failure);
+            assert!(message.contains("cannot be written") && message.contains("is no directory"));
+        }
+        assert!(check(&place.path().join("none/new.svg"), false, &[]).is_err());
+        assert_eq!(check(Path::new("new.svg"), false, &[]), Ok(()), "here");
+    }
+
+    #[test]
     fn a_run_is_left_as_it_is() {
         let place = place();
         let at = |name: &str| place.path().join(name);
         for inside in ["run/curve.svg", "run/new.svg", "run/none/new.svg"] {
             let (_, message) = check(&at(inside), false, &[]).expect_err("in a run");
             assert!(message.contains("which is a run directory"), "{message}");
-            assert_eq!(check(&at(inside), true, &[]), Ok(()), "{inside}");
+            if inside != "run/none/new.svg" {
+                assert_eq!(check(&at(inside), true, &[]), Ok(()), "{inside}");
+            }
         }
         let run = at("run");
         let (_, message) =

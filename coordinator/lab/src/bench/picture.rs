@@ -7,7 +7,7 @@ use drawing::{Axis, Item, Layout, Panel, render};
 use proto::ExitError;
 use proto::config::Config;
 use store::files;
-use store::outputs::Output;
+use store::outputs::{Output, check_outside};
 
 use super::growth::{Curve, NAMES, Series};
 
@@ -29,6 +29,10 @@ pub(super) fn draw_all(dir: &Path, curves: &[Curve]) -> anyhow::Result<()> {
 
 /// Refuses a place where something else than such a picture is, or what `config` names.
 pub(super) fn check_all(dir: &Path, force: bool, config: &Config) -> Result<(), ExitError> {
+    // One that is still to be made holds nothing.
+    if !dir.exists() {
+        return if force { Ok(()) } else { check_outside("--pictures", dir) };
+    }
     for name in NAMES {
         let path = path(dir, name);
         let read = ("--set robot.description", Path::new(&config.robot.description));
