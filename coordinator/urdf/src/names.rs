@@ -55,7 +55,7 @@ fn distinct(names: Vec<String>, kind: &str) -> Vec<String> {
     for name in &names {
         *seen.entry(name.as_str()).or_insert(0) += 1;
     }
-    let taken = ["mount", "pedestal", "robot"];
+    let taken = ["mount", "pedestal", "hand", "goal", "robot"];
     if seen.values().all(|&times| times == 1)
         && !names.iter().any(|name| taken.contains(&name.as_str()))
     {

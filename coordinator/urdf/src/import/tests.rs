@@ -158,6 +158,19 @@ fn one_arm(joints: usize, kind: &str) -> String {
 }
 
 #[test]
+fn links_are_not_called_as_the_hand_is() {
+    for taken in ["hand", "goal", "mount"] {
+        let text = one_arm(3, "revolute").replace("\"l3\"", &format!("\"{taken}\""));
+        let d = import(&text, None, [0.0; 3]).expect("a robot").description;
+        let names: Vec<&str> = d.links.iter().map(|link| link.name.as_str()).collect();
+        assert_eq!(names, ["link_1", "link_2", "link_3"]);
+        let robot = Robot::from_description(d, Path::new("x")).expect("names are free");
+        let exported = urdf(&robot);
+        assert_eq!(exported.matches("<link name=\"arm_1_hand\"").count(), 1, "{exported}");
+    }
+}
+
+#[test]
 fn what_is_no_robot_of_ours_is_refused_in_words() {
     let said = |text: &str| import(text, None, [0.0; 3]).expect_err("no robot").to_string();
     let six = one_arm(6, "revolute");
@@ -233,7 +246,8 @@ fn axes_that_are_almost_parallel_are_parallel() {
         )
     };
     for text in [turned("1.5708"), turned("1.57"), turned("-1.5707963267948966")] {
-        let Imported { description: d, notes } = import(&text, None, [0.0; 3]).expect("a robot");
+        let Imported { description: d, notes } =
+            import(&text, None, [0.0; 3]).expect("a robot");
         let longest =
             d.links.iter().map(|link| link.dh.a.abs().max(link.dh.d.abs())).fold(0.0, f64::max);
         let said = notes.iter().any(|note| note.contains("taken for parallel"));

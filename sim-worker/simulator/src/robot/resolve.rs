@@ -1,5 +1,6 @@
 //! From a description to a robot: every value checked, with the file and the key in the message, and everything derived from them.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
@@ -138,6 +139,7 @@ impl Robot {
                 arm_type,
             });
         }
+        check_whole_names(&check, &boxes, &arms, &types)?;
         let joints: Vec<usize> = arms.iter().map(|arm| arm.home.len()).collect();
         let welded = boxes.iter().map(|b| &b.body);
         let welded = welded.chain(arms.iter().flat_map(|a| [&a.mount.body, &a.pedestal]));
@@ -177,7 +179,7 @@ fn resolve_type(check: &Check, part: &ArmTypeParts<'_>) -> Result<ArmType, Robot
         ),
     )?;
     let names: Vec<&str> = part.links.iter().map(|link| link.name.as_str()).collect();
-    check.names(&format!("{prefix}links"), &names, &["mount", "pedestal"])?;
+    check.names(&format!("{prefix}links"), &names, &["mount", "pedestal", "hand", "goal"])?;
     let links = part
         .links
         .iter()
@@ -200,6 +202,49 @@ fn resolve_type(check: &Check, part: &ArmTypeParts<'_>) -> Result<ArmType, Robot
         angle_contacts,
         links,
     })
+}
+
+/// Refuses names whose wholes are the same: outside of this file the parts of an arm bear its name, too.
+fn check_whole_names(
+    check: &Check,
+    boxes: &[BaseBox],
+    arms: &[Arm],
+    types: &[ArmType],
+) -> Result<(), RobotError> {
+    let mut shapes: BTreeMap<String, String> = BTreeMap::new();
+    let mut bodies = BTreeMap::new();
+    shapes.extend(boxes.iter().map(|b| (b.name.clone(), format!("box `{}`", b.name))));
+    for (i, arm) in arms.iter().enumerate() {
+        let name = &arm.name;
+        let new = |taken: &mut BTreeMap<String, String>, end: &str, what: &str| {
+            let whole = format!("{name}_{end}");
+            let what = format!("{what} of arm `{name}`");
+            match taken.insert(whole.clone(), what.clone()) {
+                None => Ok(()),
+                Some(other) => Err(check.error(
+                    &format!("arms[{i}].name"),
+                    &format!("{name:?}"),
+                    &format!(
+                        "other names: {other} and {what} would both be `{whole}` in URDF, MJCF or recordings"
+                    ),
+                )),
+            }
+        };
+        new(&mut shapes, "mount", "the mount")?;
+        for place in 0..arm.pedestal_shapes.len() {
+            new(&mut shapes, &format!("pedestal_{place}"), "a shape of the pedestal")?;
+        }
+        for link in &types[arm.arm_type].links {
+            new(&mut bodies, &link.name, &format!("link `{}`", link.name))?;
+            for place in 0..link.shapes.len() {
+                let what = format!("a shape of link `{}`", link.name);
+                new(&mut shapes, &format!("{}_{place}", link.name), &what)?;
+            }
+        }
+        new(&mut bodies, "hand", "the hand")?;
+        new(&mut bodies, "goal", "the goal")?;
+    }
+    Ok(())
 }
 
 /// The pedestal of a type, its inertial and its shapes in frame 0.

@@ -67,6 +67,7 @@ fn bad_descriptions_name_file_key_and_expectation() {
         ("joint = 2", "joint = 7", &["stops[0].joint", "1 to 6"]),
         ("\"upper_arm\"]", "\"elbow\"]", &["stops[0].pair", "elbow"]),
         ("name = \"forearm\"", "name = \"mount\"", &["links[2].name", "mount"]),
+        ("name = \"forearm\"", "name = \"hand\"", &["links[2].name", "hand"]),
         ("name = \"minus_y\"", "name = \"plus_y\"", &["arms[1].name", "before it"]),
         ("name = \"minus_z\"", "name = \"minus<z\"", &["arms[3].name", "letters"]),
         (
@@ -133,5 +134,37 @@ fn arms_of_different_types_stand_on_one_base() {
         for word in words {
             assert!(message.contains(word), "{message:?} lacks {word:?}");
         }
+    }
+}
+
+#[test]
+fn names_that_are_the_same_with_the_arms_are_refused() {
+    for (names, words) in [
+        (
+            // The names of two arms, and of two links.
+            ["a", "a_wrist", "wrist_1", "1"],
+            &["arms[1].name", "link `wrist_1` of arm `a`", "link `1` of arm `a_wrist`"][..],
+        ),
+        (["a", "a_x", "x_hand", "other"], &["arms[1].name", "the hand of arm `a_x`", "`a_x_hand`"]),
+        (["cube", "other", "x", "y"], &[]),
+        (["cub", "other", "x", "y"], &[]),
+    ] {
+        let [arm, other_arm, link, other_link] = names;
+        let text = PAPER
+            .replace("name = \"plus_y\"", &format!("name = \"{arm}\""))
+            .replace("name = \"minus_y\"", &format!("name = \"{other_arm}\""))
+            .replace("\"wrist_1\"", &format!("\"{link}\""))
+            .replace("\"wrist_2\"", &format!("\"{other_link}\""));
+        let found = Robot::from_toml(&text, Path::new("my-robot.toml"));
+        assert_eq!(found.is_err(), !words.is_empty(), "{names:?}");
+        let message = found.map_or_else(|error| error.to_string(), |_| String::new());
+        for word in words {
+            assert!(message.contains(word), "{message:?} lacks {word:?}");
+        }
+    }
+    for cube in ["plus_y_mount", "plus_y_pedestal_0", "plus_y_shoulder_1"] {
+        let message = error_of("name = \"cube\"", &format!("name = \"{cube}\""));
+        assert!(message.contains(&format!("box `{cube}`")), "{message}");
+        assert!(message.contains("of arm `plus_y`"), "{message}");
     }
 }
