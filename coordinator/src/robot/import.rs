@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use proto::{ExitCode, ExitError};
-use simulator::robot::{FARTHEST_HOME, Robot};
+use simulator::robot::FARTHEST_HOME;
 use store::outputs::Output;
 use store::{files, regular_files};
 
@@ -77,7 +77,7 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     for note in &imported.notes {
         writeln!(file, "# * {}", output::printable::printable(note))?;
     }
-    let robot = Robot::from_description(imported.description, &args.urdf)?;
+    let robot = imported.robot(&args.urdf)?;
     file.push('\n');
     file.push_str(&robot.to_toml());
     for note in &imported.notes {

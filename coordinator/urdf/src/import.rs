@@ -1,11 +1,13 @@
 //! The whole way: from a text to a description, and what was lost on it.
 
+use std::path::Path;
+
 use nalgebra::Isometry3;
-use simulator::robot::MAX_ARMS;
 use simulator::robot::description::{
     ArmDescription, ArmTypeDescription, BoxDescription, LinkDescription, MountDescription,
     PedestalDescription, RobotDescription, ServoDescription, ToolDescription,
 };
+use simulator::robot::{MAX_ARMS, Robot, RobotError};
 
 use crate::alike::Build;
 use crate::bodies::{Shapes, Solid, euler_deg};
@@ -30,6 +32,26 @@ pub struct Imported {
     pub description: RobotDescription,
     /// What was left out, added or taken for something else, a sentence each.
     pub notes: Vec<String>,
+    /// Where links of the URDF went: a key of the robot's file, and the link that it was made of.
+    origins: Vec<(String, String)>,
+}
+
+impl Imported {
+    /// Checks and completes the robot; `path` is that of the URDF. What is wrong is said with the URDF's link.
+    ///
+    /// # Errors
+    /// If the URDF has values that no robot can have.
+    pub fn robot(&self, path: &Path) -> Result<Robot, RobotError> {
+        Robot::from_description(self.description.clone(), path).map_err(|error| match error {
+            RobotError::Value { path, key, found, expected } => {
+                let of = |(part, _): &&(String, String)| key.starts_with(&format!("{part} "));
+                let origin = self.origins.iter().find(of);
+                let key = origin.map_or(key.clone(), |(_, link)| format!("link `{link}`: {key}"));
+                RobotError::Value { path, key, found, expected }
+            }
+            other => other,
+        })
+    }
 }
 
 /// Makes a robot of a URDF.
@@ -54,6 +76,7 @@ pub fn import(
     let mut notes = Notes::default();
     let mut arms = Vec::new();
     let mut types: Vec<Build> = Vec::new();
+    let mut origins = vec![("base[0]".to_owned(), tree.base[0].0.name.clone())];
     for (arm, (arm_name, link_names)) in tree.arms.iter().zip(&names) {
         let (hand_link, pose) = hand_of(arm, arm_name, hand)?;
         notes.push(format!("the hand of arm `{arm_name}` is link `{hand_link}`"));
@@ -94,9 +117,12 @@ pub fn import(
         }
         let place = alike.unwrap_or(types.len());
         if alike.is_none() {
+            // The first type stands at the top of the file, the others by the names of their first arms.
+            let table = if place == 0 { String::new() } else { format!("arm_types.{arm_name}.") };
+            let links = arm.bodies.iter().map(|body| body[0].0.name.clone()).enumerate();
+            origins.extend(links.map(|(i, link)| (format!("{table}links[{i}]"), link)));
             types.push(build);
         }
-        // The first type stands at the top of the file, the others by the names of their first arms.
         arms.last_mut().expect("just pushed").arm_type =
             (place > 0).then(|| types[place].name.clone());
     }
@@ -135,7 +161,7 @@ pub fn import(
         arm_types,
         arms,
     };
-    Ok(Imported { description, notes: notes.sentences() })
+    Ok(Imported { description, notes: notes.sentences(), origins })
 }
 
 fn no_mount() -> MountDescription {

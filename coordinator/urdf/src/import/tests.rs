@@ -55,7 +55,7 @@ fn completed(robot: &Robot, mut d: RobotDescription) -> Robot {
 #[test]
 fn a_robot_that_was_exported_moves_as_it_did() {
     for robot in robots() {
-        let Imported { description, notes } = read(&robot);
+        let Imported { description, notes, .. } = read(&robot);
         assert!(notes.iter().all(|note| !note.contains("frame of a hand")), "{notes:?}");
         let back = completed(&robot, description);
         shapes_are_where_they_were(&robot, &back);
@@ -125,7 +125,7 @@ fn shapes_are_where_they_were(robot: &Robot, back: &Robot) {
 #[test]
 fn names_and_shapes_come_back() {
     let robot = Robot::builtin("paper").expect("built in");
-    let Imported { description: d, notes } = read(&robot);
+    let Imported { description: d, notes, .. } = read(&robot);
     let own = robot.description();
     let names = |d: &RobotDescription| -> Vec<String> {
         let links = d.links.iter().map(|link| link.name.clone());
@@ -155,6 +155,19 @@ fn one_arm(joints: usize, kind: &str) -> String {
         ).expect("text");
     }
     text + "</robot>"
+}
+
+#[test]
+fn values_that_no_robot_has_are_said_with_the_urdfs_link() {
+    let text = one_arm(3, "revolute")
+        .replace("\"l", "\"arm_l")
+        .replacen("ixx=\"0.1\"", "ixx=\"0.9\"", 3)
+        .replacen("ixx=\"0.9\"", "ixx=\"0.1\"", 2);
+    let imported = import(&text, None, [0.0; 3]).expect("a robot in form");
+    let message = imported.robot(Path::new("r.urdf")).expect_err("no body").to_string();
+    for words in ["robot r.urdf: link `arm_l2`: links[1] (l2).inertia", "triangle"] {
+        assert!(message.contains(words), "{message:?} lacks {words:?}");
+    }
 }
 
 #[test]
@@ -223,7 +236,7 @@ fn arms_that_are_not_alike_are_of_different_types() {
     let (before, after) = text.split_at(place);
     let other =
         format!("{before}{}", after.replacen("mass value=\"2.275\"", "mass value=\"2.3\"", 1));
-    let Imported { description: d, notes } = import(&other, None, [0.0; 3]).expect("a robot");
+    let Imported { description: d, notes, .. } = import(&other, None, [0.0; 3]).expect("a robot");
     let types: Vec<Option<&str>> = d.arms.iter().map(|arm| arm.arm_type.as_deref()).collect();
     assert_eq!(types, [None, None, None, Some("minus_z")]);
     assert_eq!((d.links[2].mass, d.arm_types["minus_z"].links[2].mass), (2.275, 2.3));
@@ -246,7 +259,7 @@ fn axes_that_are_almost_parallel_are_parallel() {
         )
     };
     for text in [turned("1.5708"), turned("1.57"), turned("-1.5707963267948966")] {
-        let Imported { description: d, notes } =
+        let Imported { description: d, notes, .. } =
             import(&text, None, [0.0; 3]).expect("a robot");
         let longest =
             d.links.iter().map(|link| link.dh.a.abs().max(link.dh.d.abs())).fold(0.0, f64::max);
