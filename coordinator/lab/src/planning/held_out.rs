@@ -35,16 +35,16 @@ pub struct HeldOut {
     pub missed: [usize; 3],
     /// Episode and arm of the missed, both counted from 0.
     pub missed_goals: Vec<(u32, usize)>,
-    /// Half of the plans were found within (s),
-    pub planning_s_p50: f64,
+    /// Half of the plans were found within (s); none where no goal can be reached.
+    pub planning_s_p50: Option<f64>,
     /// 99 of 100 within.
-    pub planning_s_p99: f64,
+    pub planning_s_p99: Option<f64>,
     /// The longest took.
-    pub planning_s_max: f64,
-    /// Half of the plans arrive after (s).
-    pub arrived_s_p50: f64,
+    pub planning_s_max: Option<f64>,
+    /// Half of the plans arrive after (s); none without a plan.
+    pub arrived_s_p50: Option<f64>,
     /// Candidates, in the mean.
-    pub candidates_mean: f64,
+    pub candidates_mean: Option<f64>,
 }
 
 /// Plans for the reachable goals of `episodes` evaluation episodes.
@@ -105,13 +105,14 @@ pub fn held_out(
     arrived.sort_by(f64::total_cmp);
     let part = |values: &[f64], share: f64| {
         let last = values.len().saturating_sub(1);
-        values.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN)
+        values.get((share * last as f64).round() as usize).copied()
     };
+    let n = goals.len();
     Ok(HeldOut {
         seed,
         episodes,
         time_limit_s: limit.as_secs_f64(),
-        goals: goals.len(),
+        goals: n,
         planned,
         missed,
         missed_goals,
@@ -119,13 +120,23 @@ pub fn held_out(
         planning_s_p99: part(&seconds, 0.99),
         planning_s_max: part(&seconds, 1.0),
         arrived_s_p50: part(&arrived, 0.5),
-        candidates_mean: candidates as f64 / goals.len().max(1) as f64,
+        candidates_mean: (n > 0).then(|| candidates as f64 / n as f64),
     })
 }
 
 impl HeldOut {
     /// As a person reads it.
     pub fn table(&self) -> String {
+        if self.goals == 0 {
+            let episodes = output::counted(self.episodes as u64, "episode");
+            return format!(
+                "no goal of {episodes} can be reached by this robot; nothing was planned"
+            );
+        }
+        let or_dash = |value: Option<f64>, digits: usize, unit: &str| {
+            value.map_or_else(|| "–".to_owned(), |value| format!("{value:.digits$}{unit}"))
+        };
+        let seconds = |value| or_dash(value, 2, " s");
         let share = 100.0 * self.planned as f64 / self.goals.max(1) as f64;
         let [kinematics, contact, motion] = self.missed;
         let rows = [
@@ -141,13 +152,79 @@ impl HeldOut {
             [
                 "planning".to_owned(),
                 format!(
-                    "median {:.2} s, 99 % within {:.2} s, longest {:.2} s",
-                    self.planning_s_p50, self.planning_s_p99, self.planning_s_max
+                    "median {}, 99 % within {}, longest {}",
+                    seconds(self.planning_s_p50),
+                    seconds(self.planning_s_p99),
+                    seconds(self.planning_s_max)
                 ),
             ],
-            ["arrival, median".to_owned(), format!("{:.1} s", self.arrived_s_p50)],
-            ["candidates, mean".to_owned(), format!("{:.0}", self.candidates_mean)],
+            ["arrival, median".to_owned(), or_dash(self.arrived_s_p50, 1, " s")],
+            ["candidates, mean".to_owned(), or_dash(self.candidates_mean, 0, "")],
         ];
         output::table(["what", "how many"], rows)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// An arm that is too short for every goal, and no shapes.
+    const SHORT: &str = "\
+name = \"short\"
+home_position = [0.0, 0.0, 4.0]
+base = [{ name = \"cube\", size = [0.5, 0.5, 0.5], mass = 100.0 }]
+arms = [{ name = \"a\", mount_position = [0.0, 0.25, 0.0], mount_euler_deg = [-90.0, 0.0, 0.0], home = [0.0, 0.0] }]
+
+[mount]
+size = [0.01, 0.01, 0.01]
+mass = 0.1
+position = [0.0, 0.0, 0.0]
+
+[pedestal]
+euler_deg = [0.0, 0.0, 0.0]
+mass = 0.1
+com = [0.0, 0.0, 0.0]
+inertia = [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
+
+[[links]]
+name = \"one\"
+dh = { a = 0.05, d = 0.0, alpha_deg = 90.0 }
+mass = 1.0
+com = [0.0, 0.0, 0.0]
+inertia = [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
+armature = 1.0
+servo = { gain = 100.0, max_rate = 2.0, max_torque = 150.0 }
+
+[[links]]
+name = \"two\"
+dh = { a = 0.05, d = 0.0, alpha_deg = 0.0 }
+mass = 1.0
+com = [0.0, 0.0, 0.0]
+inertia = [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
+armature = 1.0
+servo = { gain = 100.0, max_rate = 2.0, max_torque = 150.0 }
+
+[tool]
+position = [0.0, 0.0, 0.0]
+";
+
+    #[test]
+    fn a_robot_that_reaches_no_goal_is_said_to_reach_none() {
+        let robot = Robot::from_toml(SHORT, Path::new("short.toml")).expect("a robot");
+        let within = Tolerance { position: 5e-3, orientation: 10e-3 };
+        let options = StepOptions::default();
+        let limit = Duration::from_millis(1);
+        let found = held_out(&robot, &options, (0, 1), (within, 0.8), limit).expect("stable");
+        assert_eq!((found.goals, found.planning_s_p50, found.candidates_mean), (0, None, None));
+        let text = found.table();
+        assert!(text.contains("no goal of 1 episode can be reached"), "{text}");
+        // Goals without a plan have no time of arrival.
+        let unplanned =
+            HeldOut { goals: 1, missed: [1, 0, 0], planning_s_p50: Some(0.25), ..found };
+        let text = unplanned.table();
+        assert!(text.contains("median 0.25 s") && !text.contains("NaN"), "{text}");
     }
 }
