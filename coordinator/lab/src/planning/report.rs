@@ -20,8 +20,8 @@ pub struct Report {
     pub arrived_s: Option<f64>,
     /// How long the plan is (s).
     pub duration_s: f64,
-    /// Smallest distance between two bodies at the ends of control steps (m).
-    pub closest_approach_m: f64,
+    /// Smallest distance between two bodies at the ends of control steps (m); none where no two can touch.
+    pub closest_approach_m: Option<f64>,
     /// Control steps that end in a contact.
     pub contact_steps: usize,
     /// Fastest joint after a control step (rad/s).
@@ -65,6 +65,7 @@ impl Report {
             position_m: miss.position,
             orientation_rad: miss.orientation,
         };
+        let closest = inspection.clearance.iter().copied().fold(f64::INFINITY, f64::min);
         let touching = inspection.rows.iter().filter(|row| row.contacts > 0).count();
         Self {
             reached: plan.obstacle.is_none(),
@@ -76,7 +77,7 @@ impl Report {
             hands: plan.misses.iter().map(hand).collect(),
             arrived_s: plan.arrived.map(|step| (step + 1) as f64 * period),
             duration_s: plan.commands.len() as f64 * period,
-            closest_approach_m: inspection.clearance.iter().copied().fold(f64::INFINITY, f64::min),
+            closest_approach_m: closest.is_finite().then_some(closest),
             contact_steps: touching,
             fastest_joint_rad_s: most(&inspection.rates),
             largest_torque_n_m: most(&inspection.torques),
@@ -97,11 +98,13 @@ impl Report {
             rows.push([format!("hand {}, from its pose", hand.number), left]);
         }
         let seconds = |s: f64| format!("{s:.1} s");
+        let closest = self.closest_approach_m;
+        let closest = closest.map_or_else(|| "–".to_owned(), |gap| format!("{} mm", milli(gap)));
         let arrived = self.arrived_s.map_or_else(|| "not".to_owned(), seconds);
         rows.extend([
             ["arrives after".to_owned(), arrived],
             ["duration".to_owned(), seconds(self.duration_s)],
-            ["closest approach".to_owned(), format!("{} mm", milli(self.closest_approach_m))],
+            ["closest approach".to_owned(), closest],
             ["control steps in contact".to_owned(), grouped(self.contact_steps as u64)],
             ["fastest joint".to_owned(), format!("{:.2} rad/s", self.fastest_joint_rad_s)],
             ["largest torque".to_owned(), format!("{:.0} N m", self.largest_torque_n_m)],
@@ -166,4 +169,49 @@ pub fn sentence(question: &Question, answer: &Answer) -> Option<String> {
         "no plan within {within}: {reason}. The nearest of {} candidates misses {misses}",
         grouped(answer.plan.tried as u64)
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use simulator::plan::{Inspection, Plan, Tolerance};
+    use simulator::robot::Robot;
+    use simulator::state::State;
+
+    use super::*;
+
+    #[test]
+    fn bodies_that_cannot_touch_come_to_no_distance_of_each_other() {
+        let start = State::home(&Robot::builtin("paper").expect("built in"));
+        let within = Tolerance { position: 5e-3, orientation: 10e-3 };
+        let question = Question {
+            start,
+            hands: vec![None; 4],
+            hold_base: false,
+            within,
+            fastest: 0.8,
+            seed: 0,
+        };
+        for (clearance, in_json, in_words) in [
+            (vec![f64::INFINITY; 2], serde_json::json!(null), "–"),
+            (vec![f64::INFINITY, 0.25], serde_json::json!(0.25), "250.0 mm"),
+        ] {
+            let plan = Plan {
+                commands: Vec::new(),
+                misses: Vec::new(),
+                arrived: None,
+                obstacle: None,
+                tried: 1,
+                proposal: None,
+            };
+            let (rows, torques, rates) = (Vec::new(), Vec::new(), Vec::new());
+            let inspection = Inspection { rows, clearance, torques, rates, base: [0.0; 2] };
+            let answer = Answer { plan, inspection, seconds: 0.0 };
+            let report = Report::new(&question, &answer, 0.4);
+            let json = serde_json::to_value(&report).expect("plain data");
+            assert_eq!(json["closest_approach_m"], in_json);
+            let table = report.table();
+            let row = table.lines().find(|row| row.contains("closest approach")).expect("a row");
+            assert!(row.contains(in_words), "{table}");
+        }
+    }
 }
