@@ -213,13 +213,16 @@ pub fn run(args: &FilmArgs) -> anyhow::Result<()> {
     ))
 }
 
-/// Refuses goals of what the policy does not move to goals.
+/// Refuses goals of what there is not, or the policy does not move to goals.
 fn check_goals(args: &FilmArgs, trained: &Trained) -> Result<(), ExitError> {
     let (task, aims) = (trained.task(), &trained.world.task.aims);
-    // Of an arm that there is not somebody else speaks.
-    let reaches = |goal: &HandGoal| {
-        task.reaches() && aims.get(goal.arm - 1).is_none_or(|aim| *aim == Aim::Hand)
-    };
+    let robot = &trained.world.robot;
+    if let Some(HandGoal { arm, .. }) = args.hand_goal.iter().find(|goal| goal.arm > robot.n_arms) {
+        let hands = output::counted(robot.n_arms as u64, "hand");
+        let message = format!("--hand-goal {arm},…: the robot `{}` has {hands}", robot.name);
+        return Err(ExitError::new(ExitCode::Usage, message));
+    }
+    let reaches = |goal: &HandGoal| task.reaches() && aims[goal.arm - 1] == Aim::Hand;
     let base = args.base_goal.is_some() && !task.turns();
     let hand = args.hand_goal.iter().find(|goal| !reaches(goal));
     let flag = match (base, hand) {

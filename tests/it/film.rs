@@ -127,7 +127,7 @@ fn what_is_wrong_is_refused_and_leaves_nothing() {
         (&good, &at("a.gif"), &["--view=0,95"], 2, "such as 36,21"),
         (&good, &at("a.gif"), &["--steps=100000", "--speed=0.1"], 2, "larger --speed"),
         (&good, &at("a.gif"), &["--base-goal=0,0,0"], 2, "learned `trajectory`"),
-        (&good, &at("a.gif"), &["--hand-goal=5,0,0,4,0,0,0"], 3, "no arm 5"),
+        (&good, &at("a.gif"), &["--hand-goal=5,0,0,4,0,0,0"], 2, "has 4 hands"),
         (&good, &at("a.gif"), &["--robot=/no/such.toml"], 3, "/no/such.toml"),
         (&at("none"), &at("a.gif"), &[], 5, "none"),
         (&damaged, &at("a.gif"), &[], 5, "damaged"),
