@@ -58,13 +58,16 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let bytes = regular_files::read(&args.file, LONGEST)
         .map_err(|error| bad(format!("cannot be read: {error}")))?;
     let (kind, replay) = if bytes.starts_with(Recording::MARK) {
-        ("recording", replay_motion(&Recorded::read(&bytes).map_err(bad)?)?)
+        let recorded = Recorded::read(&bytes).map_err(bad)?;
+        ("recording", replay_motion(&recorded).map_err(|error| bad(error.to_string()))?)
     } else {
         let block = Block::read(&bytes).map_err(|what| {
             bad(format!("is no recording (MCAP) and no block that can be played again: {what}"))
         })?;
         let threads = Threads::available();
-        ("block", replay_block(&block, &threads, threads.count())?)
+        // What cannot be played is the file's fault: what it begins from and what was done are in it.
+        let replay = replay_block(&block, &threads, threads.count());
+        ("block", replay.map_err(|error| bad(error.to_string()))?)
     };
     let report = Report { kind, same: replay.first.is_none(), replay };
     if args.json {
@@ -84,5 +87,43 @@ fn text(report: &Report) -> String {
             "{kind}: differs after control step {} of {steps}, first in\n  {}\n  recorded  {}\n  replayed  {}",
             first.step, first.what, first.recorded, first.replayed
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use export::BlockAddress;
+    use proto::config::{Layers, Preset, TaskName};
+    use simulator::policy::initial_parameters;
+    use simulator::robot::Robot;
+    use simulator::rollout::{RolloutSpec, World, rollout};
+
+    use super::*;
+
+    #[test]
+    fn a_block_that_cannot_be_played_is_bad_input_and_named() {
+        let layers = Layers::new(Preset::Tuned, Some(TaskName::Trajectory));
+        let set = ["network.hidden=[8]", "task.episode_steps=5", "env.n_envs=12", "env.n_shards=4"];
+        let layers = set.iter().try_fold(layers, |layers, set| layers.set(set)).expect("keys");
+        let config = layers.resolve().expect("valid");
+        let world = World::new(&config, &Robot::builtin("paper").expect("built in"));
+        let parameters = initial_parameters(&world.config, &world.dimensions, 3);
+        let policy = world.policy(&parameters).expect("a policy");
+        let mut numbers = vec![0.0; world.block_layout().len];
+        let spec = RolloutSpec { seed: 4, iteration: 1, shard: 0, policy: &policy };
+        rollout(&world, &spec, &mut numbers, &mut |_| {}).expect("a block");
+        numbers[world.block_layout().action.start] = f32::NAN;
+        let address = BlockAddress { seed: 4, iteration: 1, shard: 0 };
+        let block = Block { world: Arc::new(world), address, numbers };
+        let place = tempfile::tempdir().expect("tempdir");
+        let file = place.path().join("block.safetensors");
+        std::fs::write(&file, block.write().expect("a file")).expect("written");
+        let error = run(&ReplayArgs { file, json: false }).expect_err("an action is no number");
+        let error = error.downcast::<ExitError>().expect("with its exit code");
+        assert_eq!(error.code, ExitCode::BadInput);
+        assert!(error.message.contains("block.safetensors: "), "{}", error.message);
+        assert!(error.message.contains("is NaN, expected a finite number"), "{}", error.message);
     }
 }
