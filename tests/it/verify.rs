@@ -138,7 +138,7 @@ fn without_a_second_run_or_an_iteration_both_forms_are_explained() {
 
 #[test]
 fn a_run_is_not_compared_with_itself() {
-    let run = finished(&[]);
+    let run = finished(&["--iterations=2"]);
     let path = shown(&run);
     let dir = tempfile::tempdir().expect("tempdir");
     let link = dir.path().join("link");
