@@ -374,7 +374,7 @@ mod tests {
         let with = |iterations: u64| parse(&format!("octopus train --iterations {iterations}"));
         let most = MOST_ENV_STEPS / with(1).expect("valid").steps_per_iteration();
         assert_eq!(with(most).expect("valid").planned_iterations(), most);
-        for iterations in [most + 1, 9_000_000_000_000_000_000] {
+        for iterations in [most + 1, 9_000_000_000_000_000] {
             let error = with(iterations).expect_err("too many");
             assert_eq!(error.code, ExitCode::BadInput);
             let [named, cure] = [

@@ -46,7 +46,12 @@ impl<'a> Keys<'a> {
 
     pub(super) fn whole(&mut self, key: &str, least: u64) -> Result<Option<u64>, ConfigError> {
         let Some(value) = self.take(key) else { return Ok(None) };
-        let expected = format!("a whole number, {least} or more");
+        let expected = match &value {
+            Value::Integer(value) if *value > LARGEST as i64 => {
+                format!("a whole number, {LARGEST} at most")
+            }
+            _ => format!("a whole number, {least} or more"),
+        };
         let whole = whole(&value).filter(|whole| *whole >= least);
         whole.map(Some).ok_or_else(|| self.wrong(key, &expected, value.to_string()))
     }
@@ -91,10 +96,13 @@ pub(super) fn number(value: &Value) -> Option<f64> {
     }
 }
 
+/// Largest whole number that is taken, as on a command line: it is exact as a floating-point number, too.
+const LARGEST: u64 = 9_000_000_000_000_000;
+
 /// A whole number; large ones may be written as 2e6.
 pub(super) fn whole(value: &Value) -> Option<u64> {
     match value {
-        Value::Integer(value) => u64::try_from(*value).ok(),
+        Value::Integer(value) => u64::try_from(*value).ok().filter(|value| *value <= LARGEST),
         Value::Float(value) if value.fract() == 0.0 && (0.0..9e15).contains(value) => {
             Some(*value as u64)
         }

@@ -341,10 +341,8 @@ mod tests {
                 "are the same",
             ),
             ("iterations = 10\n[halving]\nrungs = [0.01, 0.05]", "fall on iteration 1"),
-            (
-                "iterations = 9000000000000000000",
-                "key `iterations`: 9000000000000000000 are too many",
-            ),
+            ("iterations = 9000000000000000", "key `iterations`: 9000000000000000 are too many"),
+            ("iterations = 9000000000000000000", "key `iterations` wants a whole number"),
             ("iterations = 1\n[halving]\nrungs = [0.5]", "fall on iteration 1"),
             ("[set]\nrun.time_limit_s = 60.0", "run.time_limit_s = 60 would end it too early"),
             ("[grid]\nrun.workers = [1, 0]", "trial workers=0, seed=1: run.workers = 0 leaves"),

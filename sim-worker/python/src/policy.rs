@@ -231,7 +231,7 @@ fn fixed(
 
 fn finite(what: &str, numbers: &[f64]) -> PyResult<()> {
     // As of `octopus eval --goals`: what is farther away is a mistake.
-    match numbers.iter().find(|x| !(x.abs() <= 1000.0)) {
+    match numbers.iter().find(|x| !(-1000.0..=1000.0).contains(*x)) {
         None => Ok(()),
         Some(found) => Err(value(format!("{what} holds {found}, expected -1000 to 1000"))),
     }
