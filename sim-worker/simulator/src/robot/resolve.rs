@@ -15,7 +15,7 @@ use super::{
 };
 
 /// Largest number of a description: the simulator computes in single precision, which holds it.
-const LARGEST: f64 = 1e30;
+const LARGEST: f64 = 1e36;
 /// Farthest from the origin that the base may be at home, along each axis (m). A simulation takes ten times as much.
 pub const FARTHEST_HOME: f64 = 100.0;
 /// Largest joint angle at home (rad), a tenth of what a simulation takes.
@@ -296,7 +296,7 @@ impl Check {
             values.iter().all(|v| v.abs() <= LARGEST),
             key,
             &format!("{values:?}"),
-            "numbers from -1e30 to 1e30",
+            "numbers from -1e36 to 1e36",
         )
     }
 
@@ -314,7 +314,7 @@ impl Check {
             value > 0.0 && value <= LARGEST,
             key,
             &format!("{value}"),
-            "a number above zero, 1e30 at most",
+            "a number above zero, 1e36 at most",
         )
     }
 
@@ -341,7 +341,7 @@ fn resolve_link(check: &Check, key: &str, link: &LinkDescription) -> Result<Link
         (0.0..=LARGEST).contains(&link.armature),
         &format!("{key}.armature"),
         &link.armature.to_string(),
-        "a number from zero to 1e30",
+        "a number from zero to 1e36",
     )?;
     check.positive(&format!("{key}.servo.gain"), link.servo.gain)?;
     check.positive(&format!("{key}.servo.max_rate"), link.servo.max_rate)?;
