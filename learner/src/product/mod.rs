@@ -17,6 +17,7 @@ mod operands;
 mod packed;
 #[cfg(target_arch = "x86_64")]
 mod pairs;
+mod panel;
 #[cfg(test)]
 mod plain;
 #[cfg(target_arch = "x86_64")]

@@ -1,18 +1,8 @@
 //! A matrix with its rows in pairs, as products read it.
 
+use super::panel::{PANEL, PairRow, TILE};
 use crate::features::{Features, Loop, run_for};
 use crate::number::Bf16;
-
-/// Columns of a panel.
-pub(crate) const PANEL: usize = 32;
-
-/// A row of a panel: numbers of two rows of the matrix side by side, the first in the lower half. Two cache lines.
-#[derive(Debug, Clone, Copy)]
-#[repr(align(64))]
-pub(crate) struct PairRow(pub(super) [u32; PANEL]);
-
-/// Panels have a multiple of so many rows of pairs, as many as a tile has.
-pub(super) const TILE: usize = 16;
 
 /// A matrix `[R, C]` in panels of [`PANEL`] columns one after the other, each with its rows in pairs. An odd row is paired with zeros, and panels and the last
 /// of them are filled up with zeros.

@@ -11,7 +11,8 @@ use std::arch::x86_64::{
 
 use super::native::Pairs;
 use super::operands::{Left, Out};
-use super::packed::{PANEL, Packed, PairRow};
+use super::packed::Packed;
+use super::panel::{PANEL, PairRow};
 use super::sums::{LANES, put};
 
 /// Rows of a tile.

@@ -1,7 +1,8 @@
 //! The product in plain Rust: the twin of the others, which reads what they read.
 
 use super::operands::{Left, Out};
-use super::packed::{PANEL, Packed};
+use super::packed::Packed;
+use super::panel::PANEL;
 use crate::number::{Bf16, Number};
 
 /// The product of `left` `[rows, K]` with `right` `[K, N]`: an element is one chain of sums.

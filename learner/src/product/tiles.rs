@@ -17,7 +17,8 @@ use std::ops::Range;
 
 use super::native::Tiles;
 use super::operands::{Left, Out};
-use super::packed::{PANEL, Packed, PairRow, TILE};
+use super::packed::Packed;
+use super::panel::{PANEL, PairRow, TILE};
 use super::sums::{LANES, put, put_both};
 use super::transposition::transposed;
 use crate::number::Bf16;

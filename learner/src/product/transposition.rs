@@ -6,7 +6,7 @@ use std::arch::x86_64::{
     _mm512_unpackhi_epi32, _mm512_unpackhi_epi64, _mm512_unpacklo_epi32, _mm512_unpacklo_epi64,
 };
 
-use super::packed::{PairRow, TILE};
+use super::panel::{PairRow, TILE};
 use crate::features::Features;
 use crate::number::Bf16;
 

@@ -8,9 +8,6 @@
 //! numbers below [`SMALLEST`] become zero when they are rounded, so that every product is a multiple
 //! of 2⁻¹¹⁴, and so is every sum of them and of a bias that [`bias`] has let through.
 
-#[cfg(target_arch = "x86_64")]
-use super::Backend;
-
 /// What is smaller becomes zero.
 pub(crate) const SMALLEST: f32 = 1.0 / (1_u64 << 50) as f32;
 
@@ -43,21 +40,6 @@ pub fn round(x: f32) -> f32 {
 /// A bias to which products may be added: zero where it is so small that a sum could become subnormal.
 pub fn bias(x: f32) -> f32 {
     if x.abs() < SMALLEST * SMALLEST { 0.0 } else { x }
-}
-
-/// Whether products of pairs are slower here than those of numbers that lie side by side, widened: without the instruction a pair is taken apart for each
-/// product, and Intel's processors do a quarter as many of these instructions as fused multiply-adds (measured on family 6, models 167 and 207).
-#[cfg(target_arch = "x86_64")]
-pub(crate) fn pairs_are_slow() -> bool {
-    // The first register of leaf 0 holds the first letters of the maker's name.
-    let is_intel = std::arch::x86_64::__cpuid(0).ebx == u32::from_le_bytes(*b"Genu");
-    Backend::detect() == Backend::Avx512 && (is_intel || Native::detect().is_none())
-}
-
-/// Elsewhere pairs lie side by side anyway.
-#[cfg(not(target_arch = "x86_64"))]
-pub(crate) fn pairs_are_slow() -> bool {
-    false
 }
 
 /// How products of pairs are computed. A kernel is compiled for each way, so that a look at `native` costs nothing.

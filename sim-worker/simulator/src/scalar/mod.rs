@@ -41,8 +41,8 @@ mod real;
 mod single;
 
 pub(crate) use bf16::Fused;
-pub(crate) use bf16::pairs_are_slow;
 pub use bf16::{PairProducts, WeightPair, bias as bf16_bias, round as bf16_round};
+pub(crate) use lanes::pairs_are_slow;
 pub use lanes::{Backend, dispatch, dispatch_for, dispatch_on};
 pub use real::{Kernel, LANES, LaneFn, Mask, PairKernel, Real, is_finite};
 
