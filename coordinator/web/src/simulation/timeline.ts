@@ -225,7 +225,10 @@ export class Timeline {
         for (const event of events) this.record(from, event);
     }
 
-    /** Of several goals for one hand before the same step the last one counts; the script needs no other. */
+    /**
+     * Of several masses, delays or goals for the base before the same step the last one counts; the script needs no other. Goals of hands and who moves an arm
+     * it needs all: goal postures remember where a goal was, and a goal that moves a little is followed.
+     */
     private record(step: number, event: Event): void {
         const key = keyOf(event);
         if (key !== undefined) this.events = this.events.filter((other) => other.step !== step || keyOf(other.event) !== key);
@@ -235,8 +238,6 @@ export class Timeline {
 
 /** What an event sets, if a later event that sets the same makes it void. */
 function keyOf(event: Event): string | undefined {
-    if (event === "clear_effects" || "effect" in event) return undefined;
-    if ("hand_goal" in event) return `hand ${event.hand_goal.arm}`;
-    if ("arm" in event) return `arm ${event.arm.arm}`;
+    if (event === "clear_effects" || "effect" in event || "hand_goal" in event || "arm" in event) return undefined;
     return Object.keys(event)[0];
 }
