@@ -88,8 +88,9 @@ def main():
             label = figures.nth(index).locator("svg").first.get_attribute("aria-label")
             if figures.nth(index).locator(EPISODES).count() == 0:
                 without.append(label)
-        # Curves of trainings are not of episodes.
-        check(all("return in training" in label or label.startswith("The robot in stage") for label in without), "these lead to no episode: %s" % without)
+        # Curves of trainings are not of episodes, and means of policies side by side are of many.
+        of_none = ("return in training" in label or label.startswith(("The robot in stage", "Sensors; ")) for label in without)
+        check(all(of_none), "these lead to no episode: %s" % without)
         claims_number(page, directory, report)
         clicked = set()
         for index in range(figures.count()):
