@@ -54,11 +54,16 @@ impl Packed {
     pub(crate) fn pack_transposed(&mut self, matrix: &[Bf16], rows: usize, columns: usize) {
         assert_eq!(matrix.len(), rows * columns, "another matrix");
         self.resize(rows, columns);
-        let (each, features) = (filled(rows), Features::detect());
+        let each = filled(rows);
+        #[cfg(target_arch = "x86_64")]
+        let features = Features::detect();
         for (panel, columns) in matrix.chunks(PANEL * rows).enumerate() {
             let panel = &mut self.pairs[panel * each..][..rows.div_ceil(2)];
             for (half, columns) in columns.chunks(TILE * rows).enumerate() {
-                let done = pair_columns(features, columns, rows, panel, half);
+                #[cfg(target_arch = "x86_64")]
+                let done = super::transposition::pair_columns(features, columns, rows, panel, half);
+                #[cfg(not(target_arch = "x86_64"))]
+                let done = 0;
                 let panel = &mut panel[done..];
                 for (column, numbers) in columns.chunks_exact(rows).enumerate() {
                     let (column, numbers) = (half * TILE + column, &numbers[2 * done..]);
@@ -82,24 +87,6 @@ impl Packed {
             self.pairs.resize(filled(rows) * columns.div_ceil(PANEL), PairRow([0; PANEL]));
         }
     }
-}
-
-/// Pairs whole blocks of sixteen columns with instructions for them, if there are any; says how many rows of pairs are filled.
-#[cfg_attr(not(target_arch = "x86_64"), expect(unused_variables, reason = "no such instructions"))]
-fn pair_columns(
-    features: Features,
-    columns: &[Bf16],
-    rows: usize,
-    panel: &mut [PairRow],
-    half: usize,
-) -> usize {
-    #[cfg(target_arch = "x86_64")]
-    if columns.len() == TILE * rows {
-        // The last row of pairs may be half a one.
-        let whole = &mut panel[..rows / 2];
-        return super::transposition::pair_columns(features, columns, rows, whole, half);
-    }
-    0
 }
 
 /// Rows of a panel of a matrix with so many rows.

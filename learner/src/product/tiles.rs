@@ -19,7 +19,7 @@ use super::native::Tiles;
 use super::operands::{Left, Out};
 use super::packed::Packed;
 use super::panel::{PANEL, PairRow, TILE};
-use super::sums::{LANES, put, put_both};
+use super::sums::{self, LANES};
 use super::transposition::transposed;
 use crate::number::Bf16;
 
@@ -136,11 +136,11 @@ unsafe fn put_rows(
         unsafe {
             let (first, second) = (_mm512_load_ps(first.as_ptr()), _mm512_load_ps(second.as_ptr()));
             if left >= PANEL {
-                put_both([first, second], out, at);
+                sums::put_both([first, second], out, at);
             } else {
-                put(first, out, at, left);
+                sums::put(first, out, at, left);
                 if left > LANES {
-                    put(second, out, at + LANES, left - LANES);
+                    sums::put(second, out, at + LANES, left - LANES);
                 }
             }
         }
@@ -258,6 +258,64 @@ unsafe fn restore(found: &Configuration) {
     }
 }
 
+/// Clears the tiles of sums.
+macro_rules! clear {
+    () => {
+        concat!("tilezero tmm0\n", "tilezero tmm1\n", "tilezero tmm2\n", "tilezero tmm3")
+    };
+}
+
+/// Multiplies a step of the block with one of the panel.
+macro_rules! multiply {
+    () => {
+        concat!(
+            "tileloadd tmm4, [{first} + {row}*1]\n",
+            "tileloadd tmm6, [{panel} + {width}*1]\n",
+            "tileloadd tmm7, [{panel} + {width}*1 + 64]\n",
+            "tdpbf16ps tmm0, tmm4, tmm6\n",
+            "tileloadd tmm5, [{second} + {row}*1]\n",
+            "tdpbf16ps tmm1, tmm4, tmm7\n",
+            "tdpbf16ps tmm2, tmm5, tmm6\n",
+            "tdpbf16ps tmm3, tmm5, tmm7"
+        )
+    };
+}
+
+/// Goes on to the next step.
+macro_rules! go_on {
+    () => {
+        concat!("add {first}, {step}\n", "add {second}, {step}\n", "add {panel}, 2048")
+    };
+}
+
+/// Rounds a row of sums, whose halves lie so many bytes behind `before`, and puts it into `out`.
+macro_rules! put {
+    ($second:literal, $first:literal) => {
+        concat!(
+            "vmovaps {x}, [{before} + ",
+            $second,
+            "]\n",
+            "vcvtne2ps2bf16 {x}, {x}, [{before} + ",
+            $first,
+            "]\n",
+            "vmovdqu64 [{out}], {x}\n",
+            "add {out}, {columns}"
+        )
+    };
+}
+
+/// Stores the tiles of sums: two side by side, and two below them.
+macro_rules! store {
+    () => {
+        concat!(
+            "tilestored [{sums} + {width}*1], tmm0\n",
+            "tilestored [{sums} + {width}*1 + 64], tmm1\n",
+            "tilestored [{sums} + {width}*1 + 2048], tmm2\n",
+            "tilestored [{sums} + {width}*1 + 2112], tmm3"
+        )
+    };
+}
+
 /// The sums of a block with a panel.
 ///
 /// # Safety
@@ -268,28 +326,13 @@ unsafe fn multiply_block(block: Block, panel: &[PairRow], sums: &mut Sums) {
     // SAFETY: the caller's promise; `sums` are four tiles, side by side and one above the other.
     unsafe {
         asm!(
-            "tilezero tmm0",
-            "tilezero tmm1",
-            "tilezero tmm2",
-            "tilezero tmm3",
+            clear!(),
             "2:",
-            "tileloadd tmm4, [{first} + {row}*1]",
-            "tileloadd tmm6, [{panel} + {width}*1]",
-            "tileloadd tmm7, [{panel} + {width}*1 + 64]",
-            "tdpbf16ps tmm0, tmm4, tmm6",
-            "tileloadd tmm5, [{second} + {row}*1]",
-            "tdpbf16ps tmm1, tmm4, tmm7",
-            "tdpbf16ps tmm2, tmm5, tmm6",
-            "tdpbf16ps tmm3, tmm5, tmm7",
-            "add {first}, {step}",
-            "add {second}, {step}",
-            "add {panel}, 2048",
+            multiply!(),
+            go_on!(),
             "dec {steps}",
             "jnz 2b",
-            "tilestored [{sums} + {width}*1], tmm0",
-            "tilestored [{sums} + {width}*1 + 64], tmm1",
-            "tilestored [{sums} + {width}*1 + 2048], tmm2",
-            "tilestored [{sums} + {width}*1 + 2112], tmm3",
+            store!(),
             first = inout(reg) block.tiles[0] => _,
             second = inout(reg) block.tiles[1] => _,
             panel = inout(reg) panel => _,
@@ -328,62 +371,33 @@ unsafe fn multiply_and_put(
     // SAFETY: the caller's promise; `sums` are four tiles, side by side and one above the other. `puts` steps read and write four rows each.
     unsafe {
         asm!(
-            "tilezero tmm0",
-            "tilezero tmm1",
-            "tilezero tmm2",
-            "tilezero tmm3",
+            clear!(),
             "2:",
             "tileloadd tmm4, [{first} + {row}*1]",
             "tileloadd tmm6, [{panel} + {width}*1]",
             "tdpbf16ps tmm0, tmm4, tmm6",
-            "vmovaps {x}, [{before} + 64]",
-            "vcvtne2ps2bf16 {x}, {x}, [{before}]",
-            "vmovdqu64 [{out}], {x}",
-            "add {out}, {columns}",
+            put!(64, 0),
             "tileloadd tmm7, [{panel} + {width}*1 + 64]",
             "tdpbf16ps tmm1, tmm4, tmm7",
-            "vmovaps {x}, [{before} + 192]",
-            "vcvtne2ps2bf16 {x}, {x}, [{before} + 128]",
-            "vmovdqu64 [{out}], {x}",
-            "add {out}, {columns}",
+            put!(192, 128),
             "tileloadd tmm5, [{second} + {row}*1]",
             "tdpbf16ps tmm2, tmm5, tmm6",
-            "vmovaps {x}, [{before} + 320]",
-            "vcvtne2ps2bf16 {x}, {x}, [{before} + 256]",
-            "vmovdqu64 [{out}], {x}",
-            "add {out}, {columns}",
+            put!(320, 256),
             "tdpbf16ps tmm3, tmm5, tmm7",
-            "vmovaps {x}, [{before} + 448]",
-            "vcvtne2ps2bf16 {x}, {x}, [{before} + 384]",
-            "vmovdqu64 [{out}], {x}",
-            "add {out}, {columns}",
+            put!(448, 384),
             "add {before}, 512",
-            "add {first}, {step}",
-            "add {second}, {step}",
-            "add {panel}, 2048",
+            go_on!(),
             "dec {puts}",
             "jnz 2b",
             "test {steps}, {steps}",
             "jz 4f",
             "3:",
-            "tileloadd tmm4, [{first} + {row}*1]",
-            "tileloadd tmm6, [{panel} + {width}*1]",
-            "tileloadd tmm7, [{panel} + {width}*1 + 64]",
-            "tdpbf16ps tmm0, tmm4, tmm6",
-            "tileloadd tmm5, [{second} + {row}*1]",
-            "tdpbf16ps tmm1, tmm4, tmm7",
-            "tdpbf16ps tmm2, tmm5, tmm6",
-            "tdpbf16ps tmm3, tmm5, tmm7",
-            "add {first}, {step}",
-            "add {second}, {step}",
-            "add {panel}, 2048",
+            multiply!(),
+            go_on!(),
             "dec {steps}",
             "jnz 3b",
             "4:",
-            "tilestored [{sums} + {width}*1], tmm0",
-            "tilestored [{sums} + {width}*1 + 64], tmm1",
-            "tilestored [{sums} + {width}*1 + 2048], tmm2",
-            "tilestored [{sums} + {width}*1 + 2112], tmm3",
+            store!(),
             first = inout(reg) block.tiles[0] => _,
             second = inout(reg) block.tiles[1] => _,
             panel = inout(reg) panel => _,

@@ -19,6 +19,11 @@ pub(super) fn pair_columns(
     panel: &mut [PairRow],
     half: usize,
 ) -> usize {
+    if columns.len() < TILE * rows {
+        return 0;
+    }
+    // The last row of pairs may be half a one.
+    let panel = &mut panel[..rows / 2];
     match features {
         // SAFETY: `Features::detect` found it, or nobody could have made this value.
         Features::Avx512(_) => unsafe { pair_columns_compiled(columns, rows, panel, half) },
