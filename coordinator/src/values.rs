@@ -13,7 +13,7 @@ const MAX_WORKERS: u64 = 256;
 /// Most environments that a configuration may have.
 pub(crate) const MAX_ENVS: u64 = 1_000_000;
 /// Largest count: floats hold all up to it exactly, and so do the integers of TOML.
-const MAX_COUNT: u64 = 9_000_000_000_000_000;
+pub(crate) const MAX_COUNT: u64 = 9_000_000_000_000_000;
 
 /// Reads a whole number from `least` to `most`.
 pub(crate) fn whole<T: TryFrom<u64>>(

@@ -6,6 +6,7 @@ use proto::{ConfigError, ExitCode, ExitError};
 use toml::{Table, Value};
 
 use crate::names::{Named, Names};
+use crate::values::MAX_COUNT;
 
 /// The keys of a table that have not been read yet.
 pub(super) struct Keys<'a> {
@@ -47,8 +48,8 @@ impl<'a> Keys<'a> {
     pub(super) fn whole(&mut self, key: &str, least: u64) -> Result<Option<u64>, ConfigError> {
         let Some(value) = self.take(key) else { return Ok(None) };
         let expected = match &value {
-            Value::Integer(value) if *value > LARGEST as i64 => {
-                format!("a whole number, {LARGEST} at most")
+            Value::Integer(value) if *value > MAX_COUNT as i64 => {
+                format!("a whole number, {MAX_COUNT} at most")
             }
             _ => format!("a whole number, {least} or more"),
         };
@@ -96,14 +97,11 @@ pub(super) fn number(value: &Value) -> Option<f64> {
     }
 }
 
-/// Largest whole number that is taken, as on a command line: it is exact as a floating-point number, too.
-const LARGEST: u64 = 9_000_000_000_000_000;
-
 /// A whole number; large ones may be written as 2e6.
 pub(super) fn whole(value: &Value) -> Option<u64> {
     match value {
-        Value::Integer(value) => u64::try_from(*value).ok().filter(|value| *value <= LARGEST),
-        Value::Float(value) if value.fract() == 0.0 && (0.0..9e15).contains(value) => {
+        Value::Integer(value) => u64::try_from(*value).ok().filter(|value| *value <= MAX_COUNT),
+        Value::Float(value) if value.fract() == 0.0 && (0.0..=MAX_COUNT as f64).contains(value) => {
             Some(*value as u64)
         }
         _ => None,
