@@ -213,7 +213,7 @@ fn fixed(
             fixed.hands.push(if pose.iter().all(|x| x.is_nan()) {
                 None
             } else {
-                finite(&format!("hand_goal[{arm}]"), pose)?;
+                sensible(&format!("hand_goal[{arm}]"), pose)?;
                 Some(*pose)
             });
         }
@@ -223,14 +223,14 @@ fn fixed(
         has_shape(&goal, "base_goal", &[3])?;
         let numbers = goal.try_readonly()?.as_slice()?.to_vec();
         let attitude = <[f64; 3]>::try_from(numbers.as_slice()).expect("three numbers");
-        finite("base_goal", &attitude)?;
+        sensible("base_goal", &attitude)?;
         fixed.base = Some(attitude);
     }
     Ok(fixed)
 }
 
-fn finite(what: &str, numbers: &[f64]) -> PyResult<()> {
-    // As of `octopus eval --goals`: what is farther away is a mistake.
+/// Refuses goals that are a mistake, as `octopus eval --goals` does (m, rad).
+fn sensible(what: &str, numbers: &[f64]) -> PyResult<()> {
     match numbers.iter().find(|x| !(-1000.0..=1000.0).contains(*x)) {
         None => Ok(()),
         Some(found) => Err(value(format!("{what} holds {found}, expected -1000 to 1000"))),
