@@ -11,7 +11,7 @@ use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
 use super::samples::{Samples, chunks, columns, moments, values_by_actor};
 use crate::LearnerError;
-use crate::loss::ActorSamples;
+use crate::loss::{ActorSamples, CriticSamples};
 use crate::optimizer_step::{NetworkPart, NetworkPasses, check};
 use crate::report::{Sums, UpdateReport, add};
 use crate::value_norm::ValueNorm;
@@ -145,12 +145,7 @@ impl Group {
         for chunk in chunks(batch, self.chunk_samples) {
             let rows = rows.narrow(0, chunk.start, chunk.end - chunk.start);
             let x = compute.by_network(&samples.observation.index_select(0, &rows));
-            let columns = columns(&samples.actor.index_select(0, &rows), a);
-            let samples = ActorSamples {
-                action: columns.narrow(1, 0, u),
-                old_log_prob: columns.select(1, u),
-                advantage: columns.select(1, u + 1),
-            };
+            let samples = ActorSamples(columns(&samples.actor.index_select(0, &rows), a));
             let output = compute.forward(&x);
             let part = loss.gradient(&output, &parameter, self.own.as_ref(), &samples, batch);
             compute.backward(&x, &part.output, gradient);
@@ -205,13 +200,12 @@ impl Group {
                 None => compute.by_network(&samples.observation.index_select(0, &rows)),
             };
             let columns = columns(&samples.critic.index_select(0, &rows), a);
-            let old = columns.select(1, 0);
-            let target = match moments {
-                Some((mean, std)) => (columns.select(1, 1) - mean) / std,
-                None => columns.select(1, 1),
-            };
+            if let Some((mean, std)) = moments {
+                let _ = columns.select(1, 1).g_sub_(mean).g_div_(std);
+            }
             let value = values_by_actor(&compute.forward(&x));
-            let (d_value, sum) = inputs.options.critic_loss.gradient(&value, &old, &target, batch);
+            let samples = CriticSamples(columns);
+            let (d_value, sum) = inputs.options.critic_loss.gradient(&value, &samples, batch);
             compute.backward(&x, &by_critic(&d_value, critics), gradient);
             let _ = total.g_add_(&sum);
         }

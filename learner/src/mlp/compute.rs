@@ -53,10 +53,14 @@ impl Compute {
         self.is_first = true;
         let Self { stack, passes, .. } = self;
         for layer in 0..=stack.spec.hidden.len() {
+            let preceding = stack.preceding(layer, flat);
+            if preceding.is_none() && passes.load_as_it_is(stack, layer, flat) {
+                continue;
+            }
             let (weight_name, bias_name) = stack.names(layer);
             let mut weight = stack.spec.learned(&weight_name, flat);
             let mut bias = stack.spec.learned(&bias_name, flat).unsqueeze(1);
-            if let Some((gain, shift)) = stack.preceding(layer, flat) {
+            if let Some((gain, shift)) = preceding {
                 let shifted = shift.unsqueeze(1).bmm(&weight);
                 bias = shifted.repeat([bias.size()[0] / shifted.size()[0], 1, 1]) + bias;
                 weight = gain.unsqueeze(2) * weight;
@@ -102,6 +106,7 @@ impl Compute {
         if stack.buffers.rows < rows {
             passes.reserve(stack, rows);
         }
+        stack.cut(rows);
         stack.buffers.inverse_std.clear();
         passes.forward(stack, x)
     }
@@ -125,9 +130,7 @@ impl Compute {
     ) -> Tensor {
         let Self { stack, passes, .. } = self;
         passes.backward(stack, x, d_output, None);
-        let layers = stack.spec.hidden.len();
-        let first = stack.gradient_chunk(layers - 1, x.size()[1], stack.spec.hidden[0]);
-        let first = stack.rows_by_actor(&first);
+        let first = stack.rows_by_actor(&stack.gradient(0));
         let networks = stack.spec.n_networks as i64;
         let weight_of = |actor: usize| stack.weight[0].get(actor as i64 % networks);
         let weight: Vec<Tensor> = columns

@@ -14,6 +14,11 @@ pub(super) trait Passes: Debug + Send {
         false
     }
 
+    /// Takes over a layer of parameters `[A, P]` that nothing is folded into, if that can be done without tensors of its parts.
+    fn load_as_it_is(&mut self, _stack: &mut Stack, _layer: usize, _flat: &Tensor) -> bool {
+        false
+    }
+
     /// Takes over the folded weights `[N, in, H]` of a hidden layer, which are rounded into the stack's.
     fn load_weight(&mut self, _layer: usize, weight: &Tensor, rounded: &mut Tensor) {
         rounded.copy_(weight);

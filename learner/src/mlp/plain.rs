@@ -17,7 +17,19 @@ pub(super) struct PlainPasses {
     rows: RowPasses,
     products: Products,
     /// `[A, H]` of the first hidden layer, `[N, H]` of the others, folded.
-    bias: Vec<Tensor>,
+    bias: Vec<Vec<f32>>,
+    chunk: ChunkGradient,
+}
+
+/// What a chunk adds to gradients that rows add up to, of the layer at hand.
+#[derive(Debug, Default)]
+struct ChunkGradient {
+    /// `[A, H]` or `[N, H]`.
+    bias: Vec<f32>,
+    /// `[N, U, H]`.
+    head: Vec<f32>,
+    /// `[N, U]`.
+    head_bias: Vec<f32>,
 }
 
 impl PlainPasses {
@@ -28,14 +40,14 @@ impl PlainPasses {
             Activation::Elu => Unit::Elu,
             Activation::Tanh => return None,
         };
-        let options = (Kind::Float, stack.device);
         let hidden = stack.spec.hidden.iter().enumerate();
         (stack.device == Device::Cpu).then(|| Self {
             rows: RowPasses::new(unit),
             products: Products::new(stack, native),
             bias: hidden
-                .map(|(layer, &units)| Tensor::zeros([stack.biases(layer), units], options))
+                .map(|(layer, &units)| vec![0.0; (stack.biases(layer) * units) as usize])
                 .collect(),
+            chunk: ChunkGradient::default(),
         })
     }
 
@@ -49,9 +61,7 @@ impl PlainPasses {
         let mut output = Tensor::zeros(output, float);
         let mut input = x.shallow_clone();
         for layer in 0..layers {
-            let width = stack.spec.hidden[layer];
-            let mut product = stack.chunk(&stack.buffers.active[layer], rows, width);
-            let mut hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
+            let (mut product, mut hidden) = (stack.active(layer), stack.standard(layer));
             self.products.forward(stack, layer, &input, &mut product);
             let deviations = [stack.networks(), rows];
             let mut inverse_std = stack.spec.layer_norm.then(|| Tensor::zeros(deviations, float));
@@ -62,7 +72,7 @@ impl PlainPasses {
             let arrays = unsafe {
                 Forward {
                     product: numbers(&product),
-                    bias: numbers(&self.bias[layer]),
+                    bias: &self.bias[layer],
                     hidden: numbers_mut(&mut hidden),
                     inverse_std: inverse_std.as_mut().map(|tensor| numbers_mut(tensor)),
                     head: (layer + 1 == layers).then(|| HeadForward {
@@ -88,71 +98,98 @@ impl PlainPasses {
         d_output: &Tensor,
         step: Option<StepGradient<'_>>,
     ) {
-        let (networks, rows, layers) = (stack.networks(), x.size()[1], stack.spec.hidden.len());
-        let float = (Kind::Float, stack.device);
+        let (networks, rows, layers) =
+            (stack.spec.n_networks, x.size()[1], stack.spec.hidden.len());
+        let outputs = stack.spec.output as usize;
         let d_output = d_output.contiguous();
         for layer in (0..layers).rev() {
-            let width = stack.spec.hidden[layer];
-            let mut d = stack.gradient_chunk(layers - 1 - layer, rows, width);
-            let product = stack.chunk(&stack.buffers.active[layer], rows, width);
-            let hidden = stack.chunk(&stack.buffers.standard[layer], rows, width);
-            let mut d_bias = Tensor::zeros([stack.biases(layer), width], float);
-            let mut d_head = (layer + 1 == layers).then(|| {
-                let outputs = stack.spec.output;
-                let weight = Tensor::zeros([networks, outputs, width], float);
-                (weight, Tensor::zeros([networks, outputs], float))
-            });
+            let width = stack.spec.hidden[layer] as usize;
+            let mut d = stack.gradient(layer);
+            let (product, hidden) = (stack.active(layer), stack.standard(layer));
+            let ChunkGradient { bias, head, head_bias } = &mut self.chunk;
+            zeros(bias, stack.biases(layer) as usize * width);
+            let is_last = layer + 1 == layers;
+            if is_last {
+                zeros(head, networks * outputs * width);
+                zeros(head_bias, networks * outputs);
+            }
             assert!(
                 are_apart(&[&d, &d_output]),
                 "the loss's gradient lies in a buffer of the passes"
             );
             let sizes = sizes(stack, layer, rows);
             // SAFETY: `d_output` is filled by the caller and apart from what is written. Every other
-            // tensor here was made of zeros by this type, its stack or this call and has a storage of its
-            // own: `active`, `standard` and `gradient` are three buffers. No handle of what is written has
+            // tensor here was made of zeros by the stack and has a storage of its own: `active`, `standard` and
+            // `gradient` are three buffers. No handle of what is written has
             // left it, and libtorch does nothing until the pass has ended.
             let arrays = unsafe {
                 Backward {
                     product: numbers(&product),
-                    bias: numbers(&self.bias[layer]),
+                    bias: &self.bias[layer],
                     hidden: numbers(&hidden),
                     inverse_std: stack.buffers.inverse_std.get(layer).map(|tensor| numbers(tensor)),
                     gradient: numbers_mut(&mut d),
-                    bias_gradient: numbers_mut(&mut d_bias),
-                    head: d_head.as_mut().map(|(weight, bias)| HeadBackward {
+                    bias_gradient: bias,
+                    head: is_last.then(|| HeadBackward {
                         weight: numbers(&stack.head),
                         output_gradient: numbers(&d_output),
-                        weight_gradient: numbers_mut(weight),
-                        bias_gradient: numbers_mut(bias),
+                        weight_gradient: head,
+                        bias_gradient: head_bias,
                     }),
                 }
             };
             self.rows.backward::<T>(sizes, arrays);
             if let Some(step) = step {
-                if let Some((weight, bias)) = &d_head {
-                    step.take(&stack.spec, "head.weight", &weight.transpose(1, 2));
-                    step.take(&stack.spec, "head.bias", bias);
-                }
-                let input = if layer == 0 {
-                    x.shallow_clone()
-                } else {
-                    stack.chunk(
-                        &stack.buffers.standard[layer - 1],
-                        rows,
-                        stack.spec.hidden[layer - 1],
-                    )
-                };
+                self.take(stack, layer, step);
+                let input = if layer == 0 { x.shallow_clone() } else { stack.standard(layer - 1) };
                 self.products.weight_gradient(stack, layer, [&input, &d], step);
-                let (_, bias_name) = stack.names(layer);
-                step.take(&stack.spec, &bias_name, &d_bias);
             }
             if layer > 0 {
-                let mut below =
-                    stack.gradient_chunk(layers - layer, rows, stack.spec.hidden[layer - 1]);
+                let mut below = stack.gradient(layer - 1);
                 self.products.input_gradient(stack, layer, &d, &mut below);
             }
         }
     }
+
+    /// Takes what rows have added up to into the gradient of a step: the layer's biases, and the head if it is the last layer.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
+    fn take(&self, stack: &Stack, layer: usize, step: StepGradient<'_>) {
+        let ChunkGradient { bias, head, head_bias } = &self.chunk;
+        let outputs = stack.spec.output as usize;
+        let mut gradient = step.gradient.shallow_clone();
+        // SAFETY: the gradient is made of zeros by its owner, who lends it for this pass and reads it later. No other tensor
+        // of the pass shares its memory.
+        let gradient: &mut [f32] = unsafe { numbers_mut(&mut gradient) };
+        let rows = gradient.chunks_exact_mut(stack.spec.len as usize);
+        let take = |sum: &mut f32, part: f32| *sum = if step.is_first { part } else { *sum + part };
+        let width = stack.spec.hidden[layer] as usize;
+        for (network, row) in rows.enumerate() {
+            if let Some(part) = bias.chunks_exact(width).nth(network) {
+                let [_, columns] = &stack.columns[layer];
+                row[columns.clone()].iter_mut().zip(part).for_each(|(sum, &part)| take(sum, part));
+            }
+            if layer + 1 < stack.spec.hidden.len() || network >= stack.spec.n_networks {
+                continue;
+            }
+            let [weight_columns, bias_columns] = &stack.columns[layer + 1];
+            let weight = row[weight_columns.clone()].chunks_exact_mut(outputs);
+            let head = &head[network * outputs * width..];
+            for (feature, sums) in weight.enumerate() {
+                for (output, sum) in sums.iter_mut().enumerate() {
+                    take(sum, head[output * width + feature]);
+                }
+            }
+            let part = &head_bias[network * outputs..];
+            let sums = row[bias_columns.clone()].iter_mut();
+            sums.zip(part).for_each(|(sum, &part)| take(sum, part));
+        }
+    }
+}
+
+/// Room for so many zeros.
+fn zeros(numbers: &mut Vec<f32>, len: usize) {
+    numbers.clear();
+    numbers.resize(len, 0.0);
 }
 
 impl Passes for PlainPasses {
@@ -160,12 +197,47 @@ impl Passes for PlainPasses {
         self.products.share_input()
     }
 
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
+    fn load_as_it_is(&mut self, stack: &mut Stack, layer: usize, flat: &Tensor) -> bool {
+        let (networks, biases) = (stack.spec.n_networks, stack.biases(layer) as usize);
+        let [weight, bias] = stack.columns[layer].clone();
+        // SAFETY: parameters are filled, and nobody writes them while they are loaded.
+        let flat: &[f32] = unsafe { numbers(flat) };
+        let rows = flat.chunks_exact(stack.spec.len as usize);
+        let weights = rows.clone().take(networks).map(|row| &row[weight.clone()]);
+        let biases = rows.take(biases).map(|row| &row[bias.clone()]);
+        if layer < stack.spec.hidden.len() {
+            self.products.load_as_they_are(stack, layer, weights);
+            let ours = self.bias[layer].chunks_exact_mut(bias.len());
+            ours.zip(biases).for_each(|(ours, bias)| ours.copy_from_slice(bias));
+            return true;
+        }
+        // SAFETY: made of zeros by the stack, two storages apart from the parameters.
+        let (head, head_bias): (&mut [f32], &mut [f32]) =
+            unsafe { (numbers_mut(&mut stack.head), numbers_mut(&mut stack.head_bias)) };
+        let outputs = bias.len();
+        let width = weight.len() / outputs;
+        for (head, weight) in head.chunks_exact_mut(weight.len()).zip(weights) {
+            for (output, head) in head.chunks_exact_mut(width).enumerate() {
+                for (head, weight) in head.iter_mut().zip(weight.chunks_exact(outputs)) {
+                    *head = weight[output];
+                }
+            }
+        }
+        let ours = head_bias.chunks_exact_mut(outputs);
+        ours.zip(biases).for_each(|(ours, bias)| ours.copy_from_slice(bias));
+        true
+    }
+
     fn load_weight(&mut self, layer: usize, weight: &Tensor, rounded: &mut Tensor) {
         self.products.load(layer, weight, rounded);
     }
 
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     fn load_bias(&mut self, layer: usize, bias: &Tensor) {
-        self.bias[layer].copy_(&bias.squeeze_dim(1));
+        let bias = bias.contiguous();
+        // SAFETY: filled by the caller, who alone has it.
+        self.bias[layer].copy_from_slice(unsafe { numbers(&bias) });
     }
 
     fn load_head(&mut self, _: &Tensor) {}

@@ -47,17 +47,60 @@ impl Products {
             return;
         }
         let (_, input, units) = weight.size3().expect("[N, in, H]");
-        let (input, units) = (input as usize, units as usize);
+        let size = [input as usize, units as usize];
         // SAFETY: made of zeros by the stack, which lends it for this call; parameters do not lie there.
         let rounded: &mut [Bf16] = unsafe { numbers_mut(rounded) };
-        for (network, rounded) in rounded.chunks_exact_mut(input * units).enumerate() {
+        for (network, rounded) in rounded.chunks_exact_mut(size[0] * size[1]).enumerate() {
             let weight = weight.get(network as i64).contiguous();
             // SAFETY: parameters are filled, and nobody writes them while they are loaded.
-            round_all(unsafe { numbers(&weight) }, rounded);
-            self.weight[layer][network].pack(rounded, input, units);
-            if layer > 0 {
-                self.transposed[layer][network].pack_transposed(rounded, units, input);
+            self.pack([layer, network], unsafe { numbers(&weight) }, rounded, size);
+        }
+    }
+
+    /// Takes over a layer's weights `[in, H]`, one network's after another's, that nothing is folded into.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
+    pub(super) fn load_as_they_are<'w>(
+        &mut self,
+        stack: &mut Stack,
+        layer: usize,
+        weights: impl Iterator<Item = &'w [f32]>,
+    ) {
+        let rounded = &mut stack.weight[layer];
+        let (_, input, units) = rounded.size3().expect("[N, in, H]");
+        let size = [input as usize, units as usize];
+        let each = size[0] * size[1];
+        if stack.kind == Kind::Float {
+            // SAFETY: made of zeros by the stack, which lends it for this call; parameters do not lie there.
+            let ours: &mut [f32] = unsafe { numbers_mut(rounded) };
+            for (ours, weight) in ours.chunks_exact_mut(each).zip(weights) {
+                ours.copy_from_slice(weight);
             }
+            return;
+        }
+        // SAFETY: as above.
+        let rounded: &mut [Bf16] = unsafe { numbers_mut(rounded) };
+        let networks = rounded.chunks_exact_mut(each).zip(weights).enumerate();
+        for (network, (rounded, weight)) in networks {
+            if self.native.is_some() {
+                self.pack([layer, network], weight, rounded, size);
+            } else {
+                round_all(weight, rounded);
+            }
+        }
+    }
+
+    /// Rounds a network's weights, and brings them and their transpose into the order of products.
+    fn pack(
+        &mut self,
+        [layer, network]: [usize; 2],
+        weight: &[f32],
+        rounded: &mut [Bf16],
+        [input, units]: [usize; 2],
+    ) {
+        round_all(weight, rounded);
+        self.weight[layer][network].pack(rounded, input, units);
+        if layer > 0 {
+            self.transposed[layer][network].pack_transposed(rounded, units, input);
         }
     }
 
@@ -102,30 +145,32 @@ impl Products {
         [input, d]: [&Tensor; 2],
         step: StepGradient<'_>,
     ) {
-        let (name, _) = stack.names(layer);
         let Some(native) = self.native else {
             let part = &stack.buffers.weight_gradient[layer];
             let _ = input.transpose(1, 2).bmm_out(part, d);
-            step.take(&stack.spec, &name, part);
+            step.take(&stack.spec, &stack.names(layer).0, part);
             return;
         };
         let (networks, rows, units) = d.size3().expect("[N, R, H]");
-        let (rows, width) = (rows as usize, input.size()[2] as usize);
-        let input_is_shared = input.stride()[0] == 0;
-        let slot = stack.spec.learned(&name, step.gradient);
-        for network in 0..networks {
+        let [rows, units, width] = [rows, units, input.size()[2]].map(|size| size as usize);
+        let input_is_shared = networks > 1 && input.stride()[0] == 0;
+        let [weight, _] = &stack.columns[layer];
+        let mut gradient = step.gradient.shallow_clone();
+        // SAFETY: the gradient is made of zeros by its owner, who lends it for this pass and reads it later. No other tensor
+        // of the pass shares its memory.
+        let gradient: &mut [f32] = unsafe { numbers_mut(&mut gradient) };
+        let slots = gradient.chunks_exact_mut(stack.spec.len as usize);
+        for (network, slot) in slots.take(networks as usize).enumerate() {
             if network == 0 || !input_is_shared {
-                let input = input.get(network).contiguous();
+                let mut copy = None;
                 // SAFETY: filled before the pass began, and nobody writes until it has ended.
-                self.input.pack(unsafe { numbers(&input) }, rows, width);
+                let input = unsafe { matrix(input, network, &mut copy) };
+                self.input.pack(input, rows, width);
             }
-            let d = d.get(network);
+            let mut copy = None;
             // SAFETY: as above.
-            self.gradient.pack(unsafe { numbers(&d) }, rows, units as usize);
-            let mut slot = slot.get(network);
-            // SAFETY: the gradient is made of zeros by its owner, who lends it for this pass and reads it later. No other tensor
-            // of the pass shares its memory.
-            let slot: &mut [f32] = unsafe { numbers_mut(&mut slot) };
+            self.gradient.pack(unsafe { matrix(d, network, &mut copy) }, rows, units);
+            let slot = &mut slot[weight.clone()];
             let out = if step.is_first { Out::Widened(slot) } else { Out::Added(slot) };
             multiply(native, Left::Transposed(&self.input), &self.gradient, out);
         }
@@ -140,9 +185,27 @@ fn multiply_rows(native: Native, rows: &Tensor, right: &[Packed], product: &mut 
     let each = product.len() / right.len();
     for (network, (right, product)) in right.iter().zip(product.chunks_exact_mut(each)).enumerate()
     {
-        let rows = rows.get(network as i64).contiguous();
+        let mut copy = None;
         // SAFETY: filled before the pass began, and nobody writes until it has ended.
-        let left = Left::Rows(unsafe { numbers(&rows) });
+        let left = Left::Rows(unsafe { matrix(rows, network, &mut copy) });
         multiply(native, left, right, Out::Rounded(product));
+    }
+}
+
+/// A matrix of a batch `[N, R, C]`: in place, or copied if there are gaps.
+///
+/// # Safety
+/// As for [`numbers`].
+#[expect(unsafe_code, reason = "only the caller knows which tensors share memory")]
+unsafe fn matrix<'a>(batch: &'a Tensor, index: usize, copy: &'a mut Option<Tensor>) -> &'a [Bf16] {
+    // SAFETY: the caller's promise.
+    unsafe {
+        if batch.is_contiguous() {
+            let all = numbers(batch);
+            let each = all.len() / batch.size()[0] as usize;
+            &all[index * each..][..each]
+        } else {
+            numbers(copy.insert(batch.get(index as i64).contiguous()))
+        }
     }
 }

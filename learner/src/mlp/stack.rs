@@ -1,5 +1,7 @@
 //! The folded layers of stacked networks, and the buffers that both implementations of the passes fill.
 
+use std::ops::Range;
+
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
@@ -18,24 +20,36 @@ pub(super) struct Stack {
     pub(super) head: Tensor,
     /// `[N, U, 1]`.
     pub(super) head_bias: Tensor,
+    /// Where weights and biases stand in a row of parameters: of each hidden layer, then of the head.
+    pub(super) columns: Vec<[Range<usize>; 2]>,
     pub(super) buffers: Buffers,
 }
 
-/// Flat memory for the largest chunk; chunks view its beginning.
+/// Flat memory for the largest chunk; chunks are its beginning.
 #[derive(Debug, Default)]
 pub(super) struct Buffers {
     pub(super) rows: i64,
     /// After the activation, of each layer; before it where the passes are plain Rust. Those need it again only with LayerNorm: without one all layers share a
     /// buffer.
-    pub(super) active: Vec<Tensor>,
+    active: Vec<Tensor>,
     /// After the standardisation, of each layer; with libtorch's operations empty without LayerNorm.
-    pub(super) standard: Vec<Tensor>,
+    standard: Vec<Tensor>,
     /// Reciprocal deviations `[N, R, 1]` of the last pass.
     pub(super) inverse_std: Vec<Tensor>,
     /// Gradients, alternating.
     gradient: [Option<Tensor>; 2],
     /// Weight gradients of each layer in `kind`.
     pub(super) weight_gradient: Vec<Tensor>,
+    chunk: Chunk,
+}
+
+/// The beginnings of the buffers, as chunks of so many rows have them: `[N, rows, H]` of each layer.
+#[derive(Debug, Default)]
+struct Chunk {
+    rows: i64,
+    active: Vec<Tensor>,
+    standard: Vec<Tensor>,
+    gradient: Vec<Tensor>,
 }
 
 impl Stack {
@@ -55,6 +69,12 @@ impl Stack {
             width = units;
         }
         let weight_gradient = weight.iter().map(Tensor::zeros_like).collect();
+        let columns = (0..=spec.hidden.len())
+            .map(|layer| {
+                let (weight, bias) = names(spec, layer);
+                [spec.get(&weight).columns(), spec.get(&bias).columns()]
+            })
+            .collect();
         Self {
             spec: spec.clone(),
             activation,
@@ -63,6 +83,7 @@ impl Stack {
             weight,
             head: zeros(&[networks, spec.output, width], Kind::Float),
             head_bias: zeros(&[networks, spec.output, 1], Kind::Float),
+            columns,
             buffers: Buffers { weight_gradient, ..Buffers::default() },
         }
     }
@@ -113,6 +134,44 @@ impl Stack {
         let gradient = || Some(self.flat(rows, self.widest(), self.kind));
         self.buffers.gradient = [gradient(), gradient()];
         self.buffers.rows = rows;
+        self.buffers.chunk = Chunk::default();
+    }
+
+    /// From now on chunks have so many rows.
+    pub(super) fn cut(&mut self, rows: i64) {
+        if self.buffers.chunk.rows == rows {
+            return;
+        }
+        let layers = self.spec.hidden.iter().copied().enumerate();
+        let cut = |buffers: &[Tensor]| {
+            let each = buffers.iter().zip(&self.spec.hidden);
+            each.map(|(flat, &width)| self.chunk(flat, rows, width)).collect()
+        };
+        let gradient = |layer: usize, width| {
+            let flat = &self.buffers.gradient[(self.spec.hidden.len() - 1 - layer) % 2];
+            self.chunk(flat.as_ref().expect("reserved"), rows, width)
+        };
+        self.buffers.chunk = Chunk {
+            rows,
+            active: cut(&self.buffers.active),
+            standard: cut(&self.buffers.standard),
+            gradient: layers.map(|(layer, width)| gradient(layer, width)).collect(),
+        };
+    }
+
+    /// A layer's chunk of [`Buffers::active`], `[N, rows, H]`.
+    pub(super) fn active(&self, layer: usize) -> Tensor {
+        self.buffers.chunk.active[layer].shallow_clone()
+    }
+
+    /// A layer's chunk of [`Buffers::standard`], `[N, rows, H]`.
+    pub(super) fn standard(&self, layer: usize) -> Tensor {
+        self.buffers.chunk.standard[layer].shallow_clone()
+    }
+
+    /// The chunk for the gradient by a layer's activations, `[N, rows, H]`; two buffers alternate.
+    pub(super) fn gradient(&self, layer: usize) -> Tensor {
+        self.buffers.chunk.gradient[layer].shallow_clone()
     }
 
     /// The gain and shift that precede hidden layer `layer` (or the head, for the last index).
@@ -130,21 +189,19 @@ impl Stack {
 
     /// Names of the weight and bias of hidden layer `layer`, or of the head for the last index.
     pub(super) fn names(&self, layer: usize) -> (String, String) {
-        if layer == self.spec.hidden.len() {
-            ("head.weight".to_owned(), "head.bias".to_owned())
-        } else {
-            (format!("hidden.{layer}.weight"), format!("hidden.{layer}.bias"))
-        }
+        names(&self.spec, layer)
     }
 
     /// `[N, rows, width]` at the beginning of a flat buffer.
     pub(super) fn chunk(&self, flat: &Tensor, rows: i64, width: i64) -> Tensor {
         flat.as_strided([self.networks(), rows, width], [rows * width, width, 1], 0)
     }
+}
 
-    /// One of the two buffers between which the gradient by activations alternates.
-    pub(super) fn gradient_chunk(&self, index: usize, rows: i64, width: i64) -> Tensor {
-        let flat = self.buffers.gradient[index % 2].as_ref().expect("reserved by forward");
-        self.chunk(flat, rows, width)
+fn names(spec: &NetworkSpec, layer: usize) -> (String, String) {
+    if layer == spec.hidden.len() {
+        ("head.weight".to_owned(), "head.bias".to_owned())
+    } else {
+        (format!("hidden.{layer}.weight"), format!("hidden.{layer}.bias"))
     }
 }

@@ -67,7 +67,7 @@ impl Passes for TorchPasses {
         let mut input = x.shallow_clone();
         for layer in 0..stack.spec.hidden.len() {
             let width = stack.spec.hidden[layer];
-            let mut active = stack.chunk(&stack.buffers.active[layer], rows, width);
+            let mut active = stack.active(layer);
             let bias = &self.bias[layer];
             if bias.size()[0] == stack.networks() {
                 let _ = bias.baddbmm_out(&active, &input, &stack.weight[layer]);
@@ -84,7 +84,7 @@ impl Passes for TorchPasses {
                 Activation::Tanh => active.tanh_(),
             };
             input = if stack.spec.layer_norm {
-                let standard = stack.chunk(&stack.buffers.standard[layer], rows, width);
+                let standard = stack.standard(layer);
                 let inverse_std = standardise(&active, &standard);
                 stack.buffers.inverse_std.push(inverse_std);
                 standard
@@ -108,9 +108,7 @@ impl Passes for TorchPasses {
         let layers = stack.spec.hidden.len();
         let kind = stack.kind;
         let hidden = |layer: usize| {
-            let buffers = &stack.buffers;
-            let flat = if stack.spec.layer_norm { &buffers.standard } else { &buffers.active };
-            stack.chunk(&flat[layer], rows, stack.spec.hidden[layer])
+            if stack.spec.layer_norm { stack.standard(layer) } else { stack.active(layer) }
         };
         let (networks, each) = (stack.networks(), stack.spec.rows_per_network());
         // [A, U, B] is [K, N, U, B]; rows are [N, B, K], of U numbers each.
@@ -128,7 +126,7 @@ impl Passes for TorchPasses {
             step.take(&stack.spec, "head.bias", &d_bias);
         }
 
-        let mut d_hidden = stack.gradient_chunk(0, rows, width);
+        let mut d_hidden = stack.gradient(layers - 1);
         let d_low = d_output.transpose(1, 2).to_kind(kind);
         if kind == Kind::Float && stack.spec.output == 1 {
             // One column: a broadcast product is far faster than a matrix product.
@@ -139,7 +137,7 @@ impl Passes for TorchPasses {
 
         for layer in (0..layers).rev() {
             let width = stack.spec.hidden[layer];
-            let active = stack.chunk(&stack.buffers.active[layer], rows, width);
+            let active = stack.active(layer);
             if stack.spec.layer_norm {
                 let scratch = self.scratch.as_ref().expect("reserved by forward");
                 let scratch = stack.chunk(scratch, rows, width);
@@ -169,8 +167,7 @@ impl Passes for TorchPasses {
                 step.take(&stack.spec, &bias_name, &d_bias);
             }
             if layer > 0 {
-                let below =
-                    stack.gradient_chunk(layers - layer, rows, stack.spec.hidden[layer - 1]);
+                let below = stack.gradient(layer - 1);
                 let _ = d_hidden.bmm_out(&below, &stack.weight[layer].transpose(1, 2));
                 d_hidden = below;
             }

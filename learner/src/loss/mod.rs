@@ -7,10 +7,15 @@
 //! needs anyway. All losses are means over a mini-batch, for each agent by itself; chunks of a
 //! mini-batch add up, so every function takes the size of the whole.
 //!
+//! **Two implementations.** On a CPU a loss is a pass or two over the samples in plain Rust (`plain.rs`), but for exponentials and sums over samples, which are libtorch's.
+//! Everything else goes operation by operation of libtorch (here), which is also the twin that tests the other: the bits are the same.
+//!
 //! Letters: `A` agents, `U` actions of an agent, `B` samples of a chunk.
 //!
 //! Agents have as many actions as the one with most joints. `own`, `[A, U]`, is one where an action moves a joint and zero where it moves nothing: what such an
 //! action is has no probability and no gradient. Nothing is given where all actions move a joint.
+
+mod plain;
 
 use tch::{Kind, Tensor};
 
@@ -34,15 +39,46 @@ pub struct ActorLoss {
     pub min_log_std: f64,
 }
 
-/// Samples of the actors' loss.
+/// Samples of the actors' loss, `[A, U + 2, B]`.
 #[derive(Debug)]
-pub struct ActorSamples {
+pub struct ActorSamples(pub Tensor);
+
+impl ActorSamples {
+    /// U.
+    fn actions(&self) -> i64 {
+        self.0.size()[1] - 2
+    }
+
     /// `[A, U, B]`: actions as they were sampled.
-    pub action: Tensor,
+    fn action(&self) -> Tensor {
+        self.0.narrow(1, 0, self.actions())
+    }
+
     /// `[A, B]`: their log-probability densities at the time.
-    pub old_log_prob: Tensor,
+    fn old_log_prob(&self) -> Tensor {
+        self.0.select(1, self.actions())
+    }
+
     /// `[A, B]`: advantages.
-    pub advantage: Tensor,
+    fn advantage(&self) -> Tensor {
+        self.0.select(1, self.actions() + 1)
+    }
+}
+
+/// Samples of the critics' loss, `[A, 2, B]`, in normalised units.
+#[derive(Debug)]
+pub struct CriticSamples(pub Tensor);
+
+impl CriticSamples {
+    /// `[A, B]`: what critics predicted at the time.
+    fn old_value(&self) -> Tensor {
+        self.0.select(1, 0)
+    }
+
+    /// `[A, B]`: returns.
+    fn target(&self) -> Tensor {
+        self.0.select(1, 1)
+    }
 }
 
 /// What a chunk adds to the actors' gradient and statistics.
@@ -80,33 +116,46 @@ impl ActorLoss {
         samples: &ActorSamples,
         batch: i64,
     ) -> ActorGradient {
+        if plain::can_do(&[output, &samples.0]) && samples.actions() <= plain::MOST_ACTIONS {
+            self.gradient_in_passes(output, parameter, own, samples, batch)
+        } else {
+            self.gradient_by_operations(output, parameter, own, samples, batch)
+        }
+    }
+
+    /// The same in libtorch's operations.
+    fn gradient_by_operations(
+        &self,
+        output: &Tensor,
+        parameter: &Tensor,
+        own: Option<&Tensor>,
+        samples: &ActorSamples,
+        batch: i64,
+    ) -> ActorGradient {
+        let (old_log_prob, advantage) = (samples.old_log_prob(), samples.advantage());
         let actions = &[1i64][..];
         let log_std = self.log_std(parameter);
         let inverse_std = log_std.neg().exp().unsqueeze(2);
         let mean = if self.squash_mean { output.tanh() } else { output.shallow_clone() };
         // z = (a − μ) / σ; ln p = −½ Σ z² − Σ ln σ − U ½ ln 2π.
-        let mut z = (&samples.action - &mean).g_mul_(&inverse_std);
+        let mut z = (&samples.action() - &mean).g_mul_(&inverse_std);
         if let Some(own) = own {
             z = z.g_mul_(&own.unsqueeze(2));
         }
         let z2 = z.square();
-        let sum_of = |x: &Tensor| x.sum_dim_intlist(actions, true, Kind::Float);
-        let constant = match own {
-            None => sum_of(&log_std) + HALF_LN_TAU * output.size()[1] as f64,
-            Some(own) => sum_of(&((log_std + HALF_LN_TAU) * own)),
-        };
+        let constant = constant(&log_std, own);
         let log_prob = z2.sum_dim_intlist(actions, false, Kind::Float) * -0.5 - constant;
-        let log_ratio = log_prob - &samples.old_log_prob;
+        let log_ratio = log_prob - old_log_prob;
         let ratio = log_ratio.exp();
         let clipped = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
-        let plain = &ratio * &samples.advantage;
-        let limited = &clipped * &samples.advantage;
+        let plain = &ratio * &advantage;
+        let limited = &clipped * &advantage;
         // min(plain, limited) is plain unless clipping lowers it; only then is it constant.
         let mut active = plain.le_tensor(&limited);
         let mut surrogate = plain.minimum(&limited);
         if self.dual_clip > 0.0 {
             // c · A where A is negative; elsewhere 0, which a surrogate of A ≥ 0 is never below.
-            let least = (&samples.advantage * self.dual_clip).clamp_max(0.0);
+            let least = (&advantage * self.dual_clip).clamp_max(0.0);
             active = active.logical_and(&plain.ge_tensor(&least));
             surrogate = surrogate.maximum(&least);
         }
@@ -153,6 +202,15 @@ impl ActorLoss {
     }
 }
 
+/// Σ ln σ + U ½ ln 2π over the actions that move something, `[A, 1]`.
+fn constant(log_std: &Tensor, own: Option<&Tensor>) -> Tensor {
+    let sum_of = |x: &Tensor| x.sum_dim_intlist(&[1i64][..], true, Kind::Float);
+    match own {
+        None => sum_of(log_std) + HALF_LN_TAU * log_std.size()[1] as f64,
+        Some(own) => sum_of(&((log_std + HALF_LN_TAU) * own)),
+    }
+}
+
 /// What the critics' loss needs of a configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CriticLoss {
@@ -177,14 +235,28 @@ impl CriticLoss {
     }
 
     /// Loss and gradient of a chunk: the gradient `[A, B]` by the predictions and the sum `[A]` of
-    /// the losses. `value`, `old_value` and `target` are `[A, B]`, all in normalised units.
+    /// the losses. `value` is `[A, B]`, in normalised units.
     pub fn gradient(
         &self,
         value: &Tensor,
-        old_value: &Tensor,
-        target: &Tensor,
+        samples: &CriticSamples,
         batch: i64,
     ) -> (Tensor, Tensor) {
+        if plain::can_do(&[value, &samples.0]) {
+            self.gradient_in_a_pass(value, samples, batch)
+        } else {
+            self.gradient_by_operations(value, samples, batch)
+        }
+    }
+
+    /// The same in libtorch's operations.
+    fn gradient_by_operations(
+        &self,
+        value: &Tensor,
+        samples: &CriticSamples,
+        batch: i64,
+    ) -> (Tensor, Tensor) {
+        let (old_value, target) = (&samples.old_value(), &samples.target());
         let slope = |error: &Tensor| {
             if self.huber_delta == 0.0 {
                 error.shallow_clone()
@@ -235,14 +307,15 @@ mod tests {
         let own = own.map_or_else(|| parameter.ones_like(), Tensor::shallow_clone).unsqueeze(2);
         let mean = if l.squash_mean { output.tanh() } else { output.shallow_clone() };
         let log_std = parameter.clamp_min(l.min_log_std).unsqueeze(2);
-        let z = (&s.action - mean) / log_std.exp();
+        let (old_log_prob, advantage) = (s.old_log_prob(), s.advantage());
+        let z = (&s.action() - mean) / log_std.exp();
         let density = (z.square() * -0.5 - &log_std - HALF_LN_TAU) * &own;
-        let ratio = (density.sum_dim_intlist(&[1i64][..], false, None) - &s.old_log_prob).exp();
+        let ratio = (density.sum_dim_intlist(&[1i64][..], false, None) - old_log_prob).exp();
         let clipped = ratio.clamp(1.0 - l.clip, 1.0 + l.clip);
-        let mut surrogate = (ratio * &s.advantage).minimum(&(clipped * &s.advantage));
+        let mut surrogate = (ratio * &advantage).minimum(&(clipped * &advantage));
         if l.dual_clip > 0.0 {
-            let limited = surrogate.maximum(&(&s.advantage * l.dual_clip));
-            surrogate = limited.where_self(&s.advantage.lt(0.0), &surrogate);
+            let limited = surrogate.maximum(&(&advantage * l.dual_clip));
+            surrogate = limited.where_self(&advantage.lt(0.0), &surrogate);
         }
         let entropy = ((log_std + HALF_LN_TAU + 0.5) * own).sum(None);
         -surrogate.mean_dim(&[1i64][..], false, None).sum(None) * l.multiplier
@@ -269,11 +342,9 @@ mod tests {
             let parameter = Tensor::from_slice(&[0.1, -0.2, -0.9, 0.3, 0.0, -0.3])
                 .view([a, u])
                 .set_requires_grad(true);
-            let samples = ActorSamples {
-                action: random(2, &[a, u, b]),
-                old_log_prob: random(3, &[a, b]) * 0.3 - 4.0,
-                advantage: random(4, &[a, b]),
-            };
+            let [action, old_log_prob, advantage] =
+                [random(2, &[a, u, b]), random(3, &[a, 1, b]) * 0.3 - 4.0, random(4, &[a, 1, b])];
+            let samples = ActorSamples(Tensor::cat(&[action, old_log_prob, advantage], 1));
             let total = actor_loss(&loss, &output, &parameter, own, &samples);
             total.backward();
             let ours = tch::no_grad(|| loss.gradient(&output, &parameter, own, &samples, b));
@@ -318,11 +389,74 @@ mod tests {
             };
             let total = definition.mean_dim(&[1i64][..], false, None).sum(None) * 0.5;
             total.backward();
-            let (gradient, sums) = tch::no_grad(|| loss.gradient(&value, &old, &target, b));
+            let samples = CriticSamples(Tensor::stack(&[&old, &target], 1));
+            let (gradient, sums) = tch::no_grad(|| loss.gradient(&value, &samples, b));
             let error = (gradient - value.grad()).abs().max().double_value(&[]);
             assert!(error < 1e-12, "clip {clip}, δ {huber_delta}: {error}");
             let difference = (sums.sum(None) / b as f64 - total).abs().double_value(&[]);
             assert!(difference < 1e-5, "{difference}");
+        }
+    }
+
+    /// Random samples, and some that are at the edges: no advantage, ratios and errors that overflow, NaN.
+    #[test]
+    fn passes_give_the_bits_of_the_operations() {
+        let bits = |x: &Tensor| {
+            let numbers = Vec::<f32>::try_from(x.contiguous().view([-1])).expect("f32");
+            // Which NaN it is means nothing.
+            let bits = |x: f32| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() };
+            numbers.into_iter().map(bits).collect::<Vec<_>>()
+        };
+        let draw = |seed, shape: &[i64]| random(seed, shape).to_kind(Kind::Float);
+        let own = Tensor::from_slice(&[1.0f32, 1.0, 1.0, 1.0, 1.0, 0.0]).view([2, 3]);
+        let parameter = draw(5, &[2, 3]) * 0.5;
+        for b in [1, 7, 200, 501] {
+            for (squash_mean, dual_clip, own) in
+                [(true, 0.0, None), (false, 1.3, None), (true, 0.0, Some(&own))]
+            {
+                let loss = ActorLoss {
+                    clip: 0.2,
+                    dual_clip,
+                    multiplier: 3.0,
+                    entropy_coefficient: 0.05,
+                    squash_mean,
+                    min_log_std: -0.5,
+                };
+                let samples = Tensor::cat(
+                    &[draw(2, &[2, 3, b]), draw(3, &[2, 1, b]) * 0.3 - 4.0, draw(4, &[2, 1, b])],
+                    1,
+                );
+                for (row, column, value) in [(4, 1, 0.0), (3, 2, -200.0), (0, 5, f64::NAN)] {
+                    if column < b {
+                        let _ = samples.select(1, row).select(1, column).fill_(value);
+                    }
+                }
+                let (output, samples) = (draw(1, &[2, 3, b]), ActorSamples(samples));
+                let ours = loss.gradient_in_passes(&output, &parameter, own, &samples, 300);
+                let theirs = loss.gradient_by_operations(&output, &parameter, own, &samples, 300);
+                for (ours, theirs) in [
+                    (&ours.output, &theirs.output),
+                    (&ours.log_std, &theirs.log_std),
+                    (&ours.sums, &theirs.sums),
+                ] {
+                    assert_eq!(bits(ours), bits(theirs), "{b} samples, dual clip {dual_clip}");
+                }
+            }
+            for (clip, huber_delta) in [(0.2, 0.7), (0.2, 0.0), (0.0, 0.7), (0.0, 0.0)] {
+                let loss = CriticLoss { clip, huber_delta, coefficient: 0.5 };
+                let value = draw(1, &[2, b]);
+                let samples = value.unsqueeze(1) + draw(2, &[2, 2, b]) * 0.3;
+                for (column, value) in [(1, 1e30), (5, f64::NAN)] {
+                    if column < b {
+                        let _ = samples.select(1, 1).select(1, column).fill_(value);
+                    }
+                }
+                let samples = CriticSamples(samples);
+                let ours = loss.gradient_in_a_pass(&value, &samples, 300);
+                let theirs = loss.gradient_by_operations(&value, &samples, 300);
+                assert_eq!(bits(&ours.0), bits(&theirs.0), "clip {clip}, δ {huber_delta}");
+                assert_eq!(bits(&ours.1), bits(&theirs.1), "clip {clip}, δ {huber_delta}");
+            }
         }
     }
 
@@ -349,11 +483,8 @@ mod tests {
             (1.6, -2.0, 3.0, 3.0),
         ] {
             let loss = loss(dual_clip);
-            let samples = ActorSamples {
-                action: zeros.ones_like(),
-                old_log_prob: Tensor::from_slice(&[-0.5 - HALF_LN_TAU - 1.5f64.ln()]).view([1, 1]),
-                advantage: Tensor::from_slice(&[advantage]).view([1, 1]),
-            };
+            let columns = [1.0, -0.5 - HALF_LN_TAU - 1.5f64.ln(), advantage];
+            let samples = ActorSamples(Tensor::from_slice(&columns).view([1, 3, 1]));
             let g = loss.gradient(&zeros, &zeros.view([1, 1]), None, &samples, 1);
             assert!((g.sums.double_value(&[0, 0]) - expected_loss).abs() < 1e-6);
             assert!((g.output.double_value(&[0, 0, 0]) - expected_gradient).abs() < 1e-6);
