@@ -74,45 +74,47 @@ impl Adam {
         for (count, _) in self.steps.iter_mut().zip(active).filter(|(_, active)| **active) {
             *count += 1;
         }
-        let on_cpu = flat.device() == Device::Cpu;
-        // A pass on a CPU wants its numbers side by side. A GPU wants few operations: neighbours who do the same step together.
-        let alike = |&one: &usize, &next: &usize| {
-            !on_cpu
-                && [active[one], active[next]] == [true, true]
-                && self.steps[one] == self.steps[next]
-                && learning_rates[one] == learning_rates[next]
-                && columns(one) == columns(next)
-        };
-        let agents: Vec<usize> = (0..self.steps.len()).collect();
-        let column = (!on_cpu).then(|| Tensor::from_slice(factors).to_device(flat.device()));
-        for together in agents.chunk_by(alike).filter(|together| active[together[0]]) {
-            let (first, columns) = (together[0], columns(together[0]));
-            let part = |tensor: &Tensor| {
-                let (rows, row) = (together.len() as i64, tensor.stride()[0]);
-                let start = tensor.storage_offset() + first as i64 * row + columns.start;
-                tensor.as_strided([rows, columns.end - columns.start], [row, 1], start)
-            };
-            let parts = [part(flat), part(&self.m), part(&self.v), part(gradient)];
-            let step = self.steps[first] as f64;
-            let rates = Rates {
+        let rates = |agent: usize| {
+            let step = self.steps[agent] as f64;
+            Rates {
                 first: 1.0 - options.beta1,
                 second: 1.0 - options.beta2,
                 correction: 1.0 / (1.0 - options.beta2.powf(step)).sqrt(),
                 epsilon: options.epsilon,
-                length: learning_rates[first] / (1.0 - options.beta1.powf(step)),
-            };
-            match &column {
-                None => step_in_one_pass(&rates, factors[first], parts),
-                Some(all) => {
-                    let factors = all.narrow(0, first as i64, together.len() as i64).unsqueeze(1);
-                    step_by_operations(&rates, &factors, parts, &part(scratch));
-                }
+                length: learning_rates[agent] / (1.0 - options.beta1.powf(step)),
             }
+        };
+        let agents = (0..self.steps.len()).filter(|&agent| active[agent]);
+        if flat.device() == Device::Cpu {
+            // A pass on a CPU wants its numbers side by side.
+            let rows = agents.map(|agent| (agent, columns(agent), rates(agent), factors[agent]));
+            step_in_passes(rows, [flat, &self.m, &self.v, gradient]);
+            return;
+        }
+        // A GPU wants few operations: neighbours who do the same step together.
+        let alike = |&one: &usize, &next: &usize| {
+            next == one + 1
+                && self.steps[one] == self.steps[next]
+                && learning_rates[one] == learning_rates[next]
+                && columns(one) == columns(next)
+        };
+        let agents: Vec<usize> = agents.collect();
+        let factors = Tensor::from_slice(factors).to_device(flat.device()).unsqueeze(1);
+        for together in agents.chunk_by(alike) {
+            let (first, columns) = (together[0], columns(together[0]));
+            let part = |tensor: &Tensor| {
+                let rows = tensor.narrow(0, first as i64, together.len() as i64);
+                rows.narrow(1, columns.start, columns.end - columns.start)
+            };
+            let factors = factors.narrow(0, first as i64, together.len() as i64);
+            let parts = [flat, &self.m, &self.v, gradient].map(part);
+            step_by_operations(&rates(first), &factors, parts, &part(scratch));
         }
     }
 }
 
 /// Factors of a step.
+#[derive(Clone, Copy)]
 struct Rates {
     /// 1 − β₁.
     first: f64,
@@ -141,32 +143,40 @@ fn step_by_operations(rates: &Rates, factors: &Tensor, parts: [Tensor; 4], scrat
     let _ = flat.g_sub_(&denominator);
 }
 
-/// The same in one pass over memory, which is what a step costs on a CPU.
+/// The same in one pass over memory a row, which is what a step costs on a CPU: of the rows of `[A, P]` θ, m, v and g the columns that are learned, with
+/// their rates and factors.
 ///
 /// # Panics
 /// If two of the tensors share memory.
 #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
-fn step_in_one_pass(rates: &Rates, factor: f32, parts: [Tensor; 4]) {
-    let [mut flat, mut m, mut v, g] = parts;
-    assert!(are_apart(&[&flat, &m, &v, &g]), "parameters, moments and gradient share memory");
+fn step_in_passes(
+    rows: impl Iterator<Item = (usize, Range<i64>, Rates, f32)>,
+    [flat, m, v, g]: [&Tensor; 4],
+) {
+    assert!(are_apart(&[flat, m, v, g]), "parameters, moments and gradient share memory");
+    let len = flat.size()[1] as usize;
+    let [mut flat, mut m, mut v] = [flat, m, v].map(Tensor::shallow_clone);
     // SAFETY: parameters, moments and gradient are filled and apart. Nobody else uses these parts of
     // their storages meanwhile: an update has the training state to itself, and of groups of actors that
     // are updated at the same time each has rows of its own.
-    let pass = unsafe {
-        Pass {
+    let (flat, m, v, g): (&mut [f32], &mut [f32], &mut [f32], &[f32]) =
+        unsafe { (numbers_mut(&mut flat), numbers_mut(&mut m), numbers_mut(&mut v), numbers(g)) };
+    for (row, columns, rates, factor) in rows {
+        let columns = row * len + columns.start as usize..row * len + columns.end as usize;
+        let pass = Pass {
             factor,
             rates: [rates.first, rates.second, rates.correction, rates.epsilon, rates.length]
                 .map(|rate| rate as f32),
-            flat: numbers_mut(&mut flat),
-            m: numbers_mut(&mut m),
-            v: numbers_mut(&mut v),
-            g: numbers(&g),
-        }
-    };
-    run_for(Features::detect(), pass);
+            flat: &mut flat[columns.clone()],
+            m: &mut m[columns.clone()],
+            v: &mut v[columns.clone()],
+            g: &g[columns],
+        };
+        run_for(Features::detect(), pass);
+    }
 }
 
-/// The arguments of [`step_in_one_pass`].
+/// The arguments of a row of [`step_in_passes`].
 struct Pass<'a> {
     factor: f32,
     rates: [f32; 5],
@@ -261,10 +271,9 @@ mod tests {
         // Some of the columns: operations take rows with gaps between them.
         let learned = |tensor: &Tensor| tensor.narrow(1, 7, 900);
         let factors = [0.7, 1.0, 0.3];
-        for (row, factor) in factors.into_iter().enumerate() {
-            let parts = ours.each_ref().map(|x| learned(x).narrow(0, row as i64, 1));
-            step_in_one_pass(&rates, factor, parts);
-        }
+        let rows = factors.into_iter().enumerate();
+        let rows = rows.map(|(row, factor)| (row, 7..907, rates, factor));
+        step_in_passes(rows, ours.each_ref());
         let scratch = learned(&theirs[0].zeros_like());
         let factors = Tensor::from_slice(&factors).view([3, 1]);
         step_by_operations(&rates, &factors, theirs.each_ref().map(learned), &scratch);

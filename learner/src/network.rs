@@ -16,7 +16,7 @@ use std::ops::Range;
 use proto::config::{Config, CriticState, InputNorm, Network, ParameterSharing};
 use proto::layout::Dimensions;
 use proto::rng::{Address, Purpose};
-use tch::{Kind, Tensor};
+use tch::Tensor;
 
 use crate::gradient_norm::squared_norms;
 
@@ -293,15 +293,26 @@ impl NetworkSpec {
         self.get(name).of_rows(flat, rows as i64)
     }
 
-    /// Squared gradient norm `[A]` of what an optimiser moves together: a network, with the first hidden
-    /// biases of all its agents; the same in the row of each.
-    pub fn squared_norm(&self, gradient: &Tensor) -> Tensor {
-        let parts = self.learned_parts(gradient);
-        let [learned, others] = &parts[..] else { return squared_norms(gradient) };
-        let others = squared_norms(others).view([-1, self.n_networks as i64]);
-        let others = others.sum_dim_intlist(&[0i64][..], false, Kind::Float);
-        let norms = squared_norms(learned) + others;
-        norms.unsqueeze(0).expand([self.rows_per_network(), -1], false).reshape([-1])
+    /// The logarithms of the deviations `[A, U]`, each actor's that of its network. In the parameters' memory where no network is shared.
+    pub fn log_std(&self, flat: &Tensor) -> Tensor {
+        let learned = self.learned("log_std", flat);
+        let (networks, actions) = learned.size2().expect("[N, U]");
+        let each = self.rows_per_network();
+        learned.unsqueeze(0).expand([each, networks, actions], false).reshape([-1, actions])
+    }
+
+    /// Squared gradient norm of what an optimiser moves together: a network, with the first hidden
+    /// biases of all its agents; the same for each of the A rows.
+    pub fn squared_norms(&self, gradient: &Tensor) -> Vec<f32> {
+        let columns: Vec<Range<i64>> =
+            (0..self.rows).map(|row| self.learned_columns(row)).collect();
+        let norms = squared_norms(gradient, &columns);
+        let (learned, others) = norms.split_at(self.n_networks);
+        let of_network = |network: usize| {
+            let others = others.iter().skip(network).step_by(self.n_networks);
+            learned[network] + others.sum::<f32>()
+        };
+        (0..self.rows).map(|row| of_network(row % self.n_networks)).collect()
     }
 
     /// Copies the shared columns of each network's first row of `flat` to its other rows.
@@ -368,7 +379,7 @@ mod tests {
     use proto::agents::Joints;
     use proto::config::{Config, Layers, Preset, TaskName};
     use proto::layout::ActorLayout;
-    use tch::Device;
+    use tch::{Device, Kind};
 
     use super::*;
 
@@ -483,7 +494,7 @@ mod tests {
         assert_eq!(spec.view("hidden.0.bias", &gradient), bias, "unlike each other");
         // The norm counts shared columns once and every agent's bias.
         let once = spec.len - 4;
-        let norm = spec.squared_norm(&Tensor::ones([2, spec.len], (Kind::Float, Device::Cpu)));
-        assert_eq!(norm.double_value(&[1]), (once + 8) as f64);
+        let norms = spec.squared_norms(&Tensor::ones([2, spec.len], (Kind::Float, Device::Cpu)));
+        assert_eq!(norms, [(once + 8) as f32; 2]);
     }
 }

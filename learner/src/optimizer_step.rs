@@ -140,7 +140,7 @@ impl Descent {
             spec.unify(&all);
             *recorded = Some(all);
         }
-        let squared = Vec::<f32>::try_from(spec.squared_norm(gradient)).expect("a vector of f32");
+        let squared = spec.squared_norms(gradient);
         let norms: Vec<f64> =
             squared.into_iter().map(|squared| f64::from(squared).sqrt() / agents).collect();
         if norms.iter().all(|norm| norm.is_finite()) {
@@ -219,7 +219,7 @@ mod tests {
             let mut part = NetworkRows::new(&state, all).take();
             let norms = Descent::new(&config).step(&mut part, &mut passes, &[1e-3; 2], &[true; 2]);
             let mean = &sum / 2.0;
-            let norm = spec.squared_norm(&mean).sqrt().double_value(&[0]);
+            let norm = f64::from(spec.squared_norms(&mean)[0]).sqrt();
             assert!(norms.iter().all(|found| (found / norm - 1.0).abs() < 1e-6), "{norms:?}");
             let clipped = if limit > 0.0 { (limit / norm).min(1.0) } else { 1.0 };
             // The first moment after one step.

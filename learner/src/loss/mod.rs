@@ -7,8 +7,8 @@
 //! needs anyway. All losses are means over a mini-batch, for each agent by itself; chunks of a
 //! mini-batch add up, so every function takes the size of the whole.
 //!
-//! **Two implementations.** On a CPU a loss is a pass or two over the samples in plain Rust (`plain.rs`), but for exponentials and sums over samples, which are libtorch's.
-//! Everything else goes operation by operation of libtorch (here), which is also the twin that tests the other: the bits are the same.
+//! **Two implementations.** On a CPU a loss is a pass or two over the samples in plain Rust (`plain.rs`). On a GPU it goes
+//! operation by operation of libtorch (here), which is also the twin that tests the other: the bits are the same.
 //!
 //! Letters: `A` agents, `U` actions of an agent, `B` samples of a chunk.
 //!
@@ -16,8 +16,11 @@
 //! action is has no probability and no gradient. Nothing is given where all actions move a joint.
 
 mod plain;
+mod sum;
 
 use tch::{Kind, Tensor};
+
+pub(crate) use plain::{ActorPasses, CriticPasses, STATISTICS};
 
 /// ½ ln 2π.
 const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
@@ -116,22 +119,6 @@ impl ActorLoss {
         samples: &ActorSamples,
         batch: i64,
     ) -> ActorGradient {
-        if plain::can_do(&[output, &samples.0]) && samples.actions() <= plain::MOST_ACTIONS {
-            self.gradient_in_passes(output, parameter, own, samples, batch)
-        } else {
-            self.gradient_by_operations(output, parameter, own, samples, batch)
-        }
-    }
-
-    /// The same in libtorch's operations.
-    fn gradient_by_operations(
-        &self,
-        output: &Tensor,
-        parameter: &Tensor,
-        own: Option<&Tensor>,
-        samples: &ActorSamples,
-        batch: i64,
-    ) -> ActorGradient {
         let (old_log_prob, advantage) = (samples.old_log_prob(), samples.advantage());
         let actions = &[1i64][..];
         let log_std = self.log_std(parameter);
@@ -143,7 +130,11 @@ impl ActorLoss {
             z = z.g_mul_(&own.unsqueeze(2));
         }
         let z2 = z.square();
-        let constant = constant(&log_std, own);
+        let sum_of = |x: &Tensor| x.sum_dim_intlist(actions, true, Kind::Float);
+        let constant = match own {
+            None => sum_of(&log_std) + HALF_LN_TAU * output.size()[1] as f64,
+            Some(own) => sum_of(&((log_std + HALF_LN_TAU) * own)),
+        };
         let log_prob = z2.sum_dim_intlist(actions, false, Kind::Float) * -0.5 - constant;
         let log_ratio = log_prob - old_log_prob;
         let ratio = log_ratio.exp();
@@ -194,20 +185,18 @@ impl ActorLoss {
         own.map_or_else(|| gradient.shallow_clone(), |own| &gradient * own)
     }
 
+    /// The same of one action, in plain Rust.
+    pub(crate) fn finished(&self, gradient: f32, parameter: f32, own: Option<f32>) -> f32 {
+        let above = f32::from(u8::from(parameter >= self.min_log_std as f32));
+        let gradient = (gradient - self.entropy_coefficient as f32) * above;
+        own.map_or(gradient, |own| gradient * own)
+    }
+
     /// Entropy `[A]` of the action distribution (nats): Σ (ln σ + ½ ln 2πe).
     pub fn entropy(&self, parameter: &Tensor, own: Option<&Tensor>) -> Tensor {
         let entropy = self.log_std(parameter) + (HALF_LN_TAU + 0.5);
         let entropy = own.map_or_else(|| entropy.shallow_clone(), |own| &entropy * own);
         entropy.sum_dim_intlist(&[1i64][..], false, Kind::Float)
-    }
-}
-
-/// Σ ln σ + U ½ ln 2π over the actions that move something, `[A, 1]`.
-fn constant(log_std: &Tensor, own: Option<&Tensor>) -> Tensor {
-    let sum_of = |x: &Tensor| x.sum_dim_intlist(&[1i64][..], true, Kind::Float);
-    match own {
-        None => sum_of(log_std) + HALF_LN_TAU * log_std.size()[1] as f64,
-        Some(own) => sum_of(&((log_std + HALF_LN_TAU) * own)),
     }
 }
 
@@ -237,20 +226,6 @@ impl CriticLoss {
     /// Loss and gradient of a chunk: the gradient `[A, B]` by the predictions and the sum `[A]` of
     /// the losses. `value` is `[A, B]`, in normalised units.
     pub fn gradient(
-        &self,
-        value: &Tensor,
-        samples: &CriticSamples,
-        batch: i64,
-    ) -> (Tensor, Tensor) {
-        if plain::can_do(&[value, &samples.0]) {
-            self.gradient_in_a_pass(value, samples, batch)
-        } else {
-            self.gradient_by_operations(value, samples, batch)
-        }
-    }
-
-    /// The same in libtorch's operations.
-    fn gradient_by_operations(
         &self,
         value: &Tensor,
         samples: &CriticSamples,
@@ -398,64 +373,85 @@ mod tests {
         }
     }
 
-    /// Random samples, and some that are at the edges: no advantage, ratios and errors that overflow, NaN.
+    fn f32s(x: &Tensor) -> Vec<f32> {
+        Vec::try_from(x.contiguous().view([-1])).expect("f32")
+    }
+
+    /// Which NaN it is means nothing.
+    fn bits(numbers: &[f32]) -> Vec<u32> {
+        let bits = |x: &f32| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() };
+        numbers.iter().map(bits).collect()
+    }
+
+    /// Random samples, and some that are at the edges: no advantage, ratios that overflow, NaN.
     #[test]
-    fn passes_give_the_bits_of_the_operations() {
-        let bits = |x: &Tensor| {
-            let numbers = Vec::<f32>::try_from(x.contiguous().view([-1])).expect("f32");
-            // Which NaN it is means nothing.
-            let bits = |x: f32| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() };
-            numbers.into_iter().map(bits).collect::<Vec<_>>()
-        };
+    fn passes_over_actors_samples_give_the_bits_of_the_operations() {
         let draw = |seed, shape: &[i64]| random(seed, shape).to_kind(Kind::Float);
-        let own = Tensor::from_slice(&[1.0f32, 1.0, 1.0, 1.0, 1.0, 0.0]).view([2, 3]);
-        let parameter = draw(5, &[2, 3]) * 0.5;
-        for b in [1, 7, 200, 501] {
-            for (squash_mean, dual_clip, own) in
-                [(true, 0.0, None), (false, 1.3, None), (true, 0.0, Some(&own))]
-            {
-                let loss = ActorLoss {
-                    clip: 0.2,
-                    dual_clip,
-                    multiplier: 3.0,
-                    entropy_coefficient: 0.05,
-                    squash_mean,
-                    min_log_std: -0.5,
-                };
-                let samples = Tensor::cat(
-                    &[draw(2, &[2, 3, b]), draw(3, &[2, 1, b]) * 0.3 - 4.0, draw(4, &[2, 1, b])],
-                    1,
-                );
-                for (row, column, value) in [(4, 1, 0.0), (3, 2, -200.0), (0, 5, f64::NAN)] {
-                    if column < b {
-                        let _ = samples.select(1, row).select(1, column).fill_(value);
-                    }
-                }
-                let (output, samples) = (draw(1, &[2, 3, b]), ActorSamples(samples));
-                let ours = loss.gradient_in_passes(&output, &parameter, own, &samples, 300);
-                let theirs = loss.gradient_by_operations(&output, &parameter, own, &samples, 300);
-                for (ours, theirs) in [
-                    (&ours.output, &theirs.output),
-                    (&ours.log_std, &theirs.log_std),
-                    (&ours.sums, &theirs.sums),
-                ] {
-                    assert_eq!(bits(ours), bits(theirs), "{b} samples, dual clip {dual_clip}");
+        let mut passes = ActorPasses::default();
+        for (u, b, squash_mean, dual_clip, with_own) in [
+            (3, 200, true, 0.0, false),
+            (3, 200, false, 1.3, false),
+            (6, 501, true, 0.0, true),
+            (16, 7, true, 0.0, false),
+            (48, 33, true, 1.3, true),
+            (1, 1, false, 0.0, false),
+        ] {
+            let loss = ActorLoss {
+                clip: 0.2,
+                dual_clip,
+                multiplier: 3.0,
+                entropy_coefficient: 0.05,
+                squash_mean,
+                min_log_std: -0.5,
+            };
+            let parameter = draw(5, &[2, u]) * 0.5;
+            let own = with_own.then(|| draw(7, &[2, u]).gt(-0.5).to_kind(Kind::Float));
+            // Densities of about the actions' own: ratios on both sides of the limits.
+            let old = draw(3, &[2, 1, b]) * 0.3 - 1.4 * u as f64;
+            let samples = Tensor::cat(&[draw(2, &[2, u, b]), old, draw(4, &[2, 1, b])], 1);
+            for (row, column, value) in [(u + 1, 1, 0.0), (u, 2, -200.0), (0, 5, f64::NAN)] {
+                if column < b {
+                    let _ = samples.select(1, row).select(1, column).fill_(value);
                 }
             }
-            for (clip, huber_delta) in [(0.2, 0.7), (0.2, 0.0), (0.0, 0.7), (0.0, 0.0)] {
+            let output = draw(1, &[2, u, b]);
+            let (gradient, sums) = loss.gradient_in_passes(
+                &mut passes,
+                &output,
+                &f32s(&parameter),
+                own.as_ref().map(f32s).as_deref(),
+                &f32s(&samples),
+                300,
+            );
+            let samples = ActorSamples(samples);
+            let theirs = loss.gradient(&output, &parameter, own.as_ref(), &samples, 300);
+            assert_eq!(bits(&f32s(gradient)), bits(&f32s(&theirs.output)), "{u} actions");
+            let theirs = Tensor::cat(&[theirs.sums, theirs.log_std], 1);
+            assert_eq!(bits(sums), bits(&f32s(&theirs)), "{u} actions");
+        }
+    }
+
+    #[test]
+    fn a_pass_over_critics_samples_gives_the_bits_of_the_operations() {
+        let draw = |seed, shape: &[i64]| random(seed, shape).to_kind(Kind::Float);
+        let mut passes = CriticPasses::default();
+        for (clip, huber_delta) in [(0.2, 0.7), (0.2, 0.0), (0.0, 0.7), (0.0, 0.0)] {
+            for (critics, each, b) in [(2, 1, 200), (1, 4, 33), (2, 3, 1)] {
                 let loss = CriticLoss { clip, huber_delta, coefficient: 0.5 };
-                let value = draw(1, &[2, b]);
-                let samples = value.unsqueeze(1) + draw(2, &[2, 2, b]) * 0.3;
+                let output = draw(1, &[critics, each, b]);
+                let value = output.transpose(0, 1).reshape([-1, b]);
+                let samples = value.unsqueeze(1) + draw(2, &[critics * each, 2, b]) * 0.3;
                 for (column, value) in [(1, 1e30), (5, f64::NAN)] {
                     if column < b {
                         let _ = samples.select(1, 1).select(1, column).fill_(value);
                     }
                 }
-                let samples = CriticSamples(samples);
-                let ours = loss.gradient_in_a_pass(&value, &samples, 300);
-                let theirs = loss.gradient_by_operations(&value, &samples, 300);
-                assert_eq!(bits(&ours.0), bits(&theirs.0), "clip {clip}, δ {huber_delta}");
-                assert_eq!(bits(&ours.1), bits(&theirs.1), "clip {clip}, δ {huber_delta}");
+                let (gradient, sums) =
+                    loss.gradient_in_a_pass(&mut passes, &output, &f32s(&samples), 300);
+                let theirs = loss.gradient(&value, &CriticSamples(samples), 300);
+                let by_output = theirs.0.view([each, critics, b]).transpose(0, 1) / each as f64;
+                assert_eq!(bits(&f32s(gradient)), bits(&f32s(&by_output)), "clip {clip}");
+                assert_eq!(bits(sums), bits(&f32s(&theirs.1)), "clip {clip}, δ {huber_delta}");
             }
         }
     }

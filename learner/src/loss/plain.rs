@@ -1,90 +1,147 @@
 //! The losses on a CPU: passes over the samples in plain Rust.
 //!
 //! Each number is made by the operations of the twin, in their order and each rounded, so the bits are the same. What libtorch has ways of its own for stays
-//! libtorch's: exponentials, tanh and its derivative, and sums over samples.
+//! libtorch's: exponentials, tanh and its derivative.
 
 use tch::{Device, Kind, Tensor};
 
-use super::{ActorGradient, ActorLoss, ActorSamples, CriticLoss, CriticSamples, constant};
+use super::sum::{TERMS, sum};
+use super::{ActorLoss, CriticLoss, HALF_LN_TAU};
 use crate::features::{Features, Loop, run_for};
 use crate::memory::{are_apart, numbers, numbers_mut};
 
-/// So many numbers libtorch adds one after the other, in a sum over rows.
-pub(super) const MOST_ACTIONS: i64 = 16;
+/// Of each agent what is summed over samples, before the gradients by deviations: surrogate, divergence, whether the ratio is clipped.
+pub(crate) const STATISTICS: usize = 3;
 
-/// Rows of what is summed over samples, before those of the deviations: surrogate, divergence, whether the ratio is clipped.
-const STATISTICS: usize = 3;
+/// Room for the actors' loss of a chunk.
+#[derive(Debug)]
+pub(crate) struct ActorPasses {
+    /// A, U, B.
+    size: [usize; 3],
+    /// `[A, U]` each: the logarithm of the deviation in force, and the reciprocal deviation.
+    log_std: Vec<f32>,
+    inverse_std: Tensor,
+    /// `[A, U, B]` each: tanh of the outputs, z, and the gradient by the outputs where tanh squashes them.
+    mean: Tensor,
+    z: Tensor,
+    gradient: Tensor,
+    /// `[A, B]` each: of the probabilities.
+    log_ratio: Tensor,
+    ratio: Tensor,
+    /// `[3 + U, B]`, of the agent at hand.
+    terms: Vec<f32>,
+    by_log_prob: Vec<f32>,
+    /// `[A, 3 + U]`: sums over samples of the statistics, and the gradient by the logarithm of the deviation, without entropy.
+    sums: Vec<f32>,
+}
 
-/// Whether the passes can read these tensors in place.
-pub(super) fn can_do(tensors: &[&Tensor]) -> bool {
-    tensors.iter().all(|tensor| {
-        tensor.device() == Device::Cpu && tensor.kind() == Kind::Float && tensor.is_contiguous()
-    })
+impl Default for ActorPasses {
+    fn default() -> Self {
+        Self::new([0; 3])
+    }
+}
+
+impl ActorPasses {
+    fn new(size: [usize; 3]) -> Self {
+        let [a, u, b] = size;
+        let tensor = |shape: &[usize]| {
+            let shape: Vec<i64> = shape.iter().map(|&size| size as i64).collect();
+            Tensor::zeros(shape, (Kind::Float, Device::Cpu))
+        };
+        let all = || tensor(&[a, u, b]);
+        Self {
+            size,
+            log_std: vec![0.0; a * u],
+            inverse_std: tensor(&[a, u]),
+            mean: all(),
+            z: all(),
+            gradient: all(),
+            log_ratio: tensor(&[a, b]),
+            ratio: tensor(&[a, b]),
+            terms: vec![0.0; (STATISTICS + u) * b],
+            by_log_prob: vec![0.0; b],
+            sums: vec![0.0; a * (STATISTICS + u)],
+        }
+    }
 }
 
 impl ActorLoss {
-    /// [`ActorLoss::gradient`] in passes.
+    /// [`ActorLoss::gradient`] in passes: the gradient `[A, U, B]` by the networks' outputs, and `[A, 3 + U]` sums over samples: the statistics, and the gradient
+    /// by the logarithm of the deviation. `parameter` and `own` are `[A, U]`, `columns` `[A, U + 2, B]`.
     #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
-    pub(super) fn gradient_in_passes(
+    pub(crate) fn gradient_in_passes<'p>(
         &self,
+        passes: &'p mut ActorPasses,
         output: &Tensor,
-        parameter: &Tensor,
-        own: Option<&Tensor>,
-        samples: &ActorSamples,
-        batch: i64,
-    ) -> ActorGradient {
+        parameter: &[f32],
+        own: Option<&[f32]>,
+        columns: &[f32],
+        batch: usize,
+    ) -> (&'p Tensor, &'p [f32]) {
         let (a, u, b) = output.size3().expect("[A, U, B]");
-        let zeros = |shape: &[i64]| Tensor::zeros(shape, (Kind::Float, Device::Cpu));
-        let log_std = self.log_std(parameter);
-        let inverse_std = log_std.neg().exp();
-        let constant = constant(&log_std, own);
-        let own = own.map(Tensor::contiguous);
-        let mean = if self.squash_mean { output.tanh() } else { output.shallow_clone() };
-        let [mut z, mut log_ratio] = [zeros(&[a, u, b]), zeros(&[a, b])];
-        assert!(are_apart(&[&z, &log_ratio, &mean, &samples.0]), "fresh memory");
-        // SAFETY: what is read is filled; what is written was made of zeros here and is apart. No other thread has a handle.
-        let shared = unsafe {
-            Shared {
-                actions: u as usize,
-                samples: b as usize,
-                inverse_std: numbers(&inverse_std),
-                own: own.as_ref().map(|own| numbers(own)),
-                columns: numbers(&samples.0),
-            }
-        };
-        // SAFETY: as above.
-        let pass = unsafe {
-            LogRatio {
+        let size @ [a, u, b] = [a, u, b].map(|size| size as usize);
+        assert_eq!((parameter.len(), columns.len()), (a * u, a * (u + 2) * b), "other samples");
+        if passes.size != size {
+            *passes = ActorPasses::new(size);
+        }
+        let ActorPasses { log_std, inverse_std, mean, z, gradient, log_ratio, ratio, .. } = passes;
+        let floor = self.min_log_std as f32;
+        for (log_std, &parameter) in log_std.iter_mut().zip(parameter) {
+            *log_std = if parameter < floor { floor } else { parameter };
+        }
+        // SAFETY: made of zeros by the passes, which lend them to nobody else.
+        let negative: &mut [f32] = unsafe { numbers_mut(inverse_std) };
+        negative.iter_mut().zip(&*log_std).for_each(|(negative, log_std)| *negative = -log_std);
+        let _ = inverse_std.exp_();
+        if self.squash_mean {
+            let _ = output.tanh_out(mean);
+        }
+        let mean = if self.squash_mean { &*mean } else { output };
+        assert!(are_apart(&[z, log_ratio, mean]), "outputs lie in memory of the passes");
+        // SAFETY: outputs are the caller's, filled and apart from the passes' tensors, which were made of zeros. libtorch does nothing until the pass has ended.
+        let (shared, pass) = unsafe {
+            let shared = Shared {
+                actions: u,
+                samples: b,
+                inverse_std: numbers(inverse_std),
+                own,
+                columns,
+            };
+            let pass = LogRatio {
                 shared,
-                mean: numbers(&mean),
-                constant: numbers(&constant),
-                z: numbers_mut(&mut z),
-                log_ratio: numbers_mut(&mut log_ratio),
-            }
+                mean: numbers(mean),
+                log_std,
+                z: numbers_mut(z),
+                log_ratio: numbers_mut(log_ratio),
+                aside: &mut passes.by_log_prob,
+            };
+            (shared, pass)
         };
         run_for(Features::detect(), pass);
-        let ratio = log_ratio.exp();
-        let mut terms = zeros(&[a, STATISTICS as i64 + u, b]);
-        // SAFETY: as above; `terms` is new, too.
+        let _ = log_ratio.exp_out(ratio);
+        // SAFETY: as above.
         let pass = unsafe {
             Terms {
                 shared,
                 clip: [1.0 - self.clip, 1.0 + self.clip].map(|limit| limit as f32),
                 dual_clip: (self.dual_clip > 0.0).then_some(self.dual_clip as f32),
+                multiplier: self.multiplier as f32,
                 scale: (-self.multiplier / batch as f64) as f32,
-                log_ratio: numbers(&log_ratio),
-                ratio: numbers(&ratio),
-                z: numbers_mut(&mut z),
-                terms: numbers_mut(&mut terms),
+                log_ratio: numbers(log_ratio),
+                ratio: numbers(ratio),
+                z: numbers_mut(z),
+                by_log_prob: &mut passes.by_log_prob,
+                terms: &mut passes.terms,
+                sums: &mut passes.sums,
             }
         };
         run_for(Features::detect(), pass);
-        let sums = terms.sum_dim_intlist(&[2i64][..], false, Kind::Float);
-        let log_std = sums.narrow(1, STATISTICS as i64, u);
-        let sums = sums.narrow(1, 0, STATISTICS as i64);
-        let _ = sums.select(1, 0).g_mul_scalar_(-self.multiplier);
-        let output = if self.squash_mean { Tensor::tanh_backward(&z, &mean) } else { z };
-        ActorGradient { output, log_std, sums }
+        if self.squash_mean {
+            let _ = Tensor::tanh_backward_grad_input(gradient, z, mean);
+            (&passes.gradient, &passes.sums)
+        } else {
+            (&passes.z, &passes.sums)
+        }
     }
 }
 
@@ -113,33 +170,64 @@ impl Shared<'_> {
 struct LogRatio<'a> {
     shared: Shared<'a>,
     mean: &'a [f32],
-    constant: &'a [f32],
+    /// `[A, U]`.
+    log_std: &'a [f32],
     /// Out: `[A, U, B]`.
     z: &'a mut [f32],
-    /// In: zeros; out: `[A, B]`.
+    /// Out: `[A, B]`.
     log_ratio: &'a mut [f32],
+    /// `[B]`: sums over actions that are put aside.
+    aside: &'a mut [f32],
+}
+
+impl LogRatio<'_> {
+    /// Σ ln σ + U ½ ln 2π over an agent's actions that move something.
+    #[inline(always)]
+    fn constant(&self, agent: usize) -> f32 {
+        let u = self.shared.actions;
+        let log_std = &self.log_std[agent * u..][..u];
+        match self.shared.own {
+            None => sum(log_std) + (HALF_LN_TAU * u as f64) as f32,
+            Some(own) => {
+                let half = HALF_LN_TAU as f32;
+                let own = &own[agent * u..][..u];
+                let terms: Vec<f32> =
+                    log_std.iter().zip(own).map(|(log_std, own)| (log_std + half) * own).collect();
+                sum(&terms)
+            }
+        }
+    }
 }
 
 impl Loop for LogRatio<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { shared, mean, constant, z, log_ratio } = self;
-        let Shared { actions: u, samples: b, inverse_std, columns, .. } = shared;
-        for (actor, log_ratio) in log_ratio.chunks_exact_mut(b).enumerate() {
-            let columns = &columns[actor * (u + 2) * b..][..(u + 2) * b];
+        let Shared { actions: u, samples: b, inverse_std, columns, .. } = self.shared;
+        for agent in 0..self.log_ratio.len() / b.max(1) {
+            let constant = self.constant(agent);
+            let log_ratio = &mut self.log_ratio[agent * b..][..b];
+            let aside = &mut self.aside[..b];
+            let columns = &columns[agent * (u + 2) * b..][..(u + 2) * b];
+            log_ratio.fill(0.0);
+            aside.fill(0.0);
             for action in 0..u {
-                let index = actor * u + action;
-                let (inverse, own) = (inverse_std[index], shared.own(index));
-                let (mean, z) = (&mean[index * b..][..b], &mut z[index * b..][..b]);
+                let index = agent * u + action;
+                let (inverse, own) = (inverse_std[index], self.shared.own(index));
+                let (mean, z) = (&self.mean[index * b..][..b], &mut self.z[index * b..][..b]);
                 let taken = &columns[action * b..][..b];
                 for i in 0..b {
                     z[i] = (taken[i] - mean[i]) * inverse * own;
                     log_ratio[i] += z[i] * z[i];
                 }
+                if (action + 1).is_multiple_of(TERMS) {
+                    for i in 0..b {
+                        aside[i] += std::mem::take(&mut log_ratio[i]);
+                    }
+                }
             }
             let old = &columns[u * b..][..b];
             for i in 0..b {
-                log_ratio[i] = log_ratio[i] * -0.5 - constant[actor] - old[i];
+                log_ratio[i] = (log_ratio[i] + aside[i]) * -0.5 - constant - old[i];
             }
         }
     }
@@ -150,6 +238,7 @@ struct Terms<'a> {
     shared: Shared<'a>,
     clip: [f32; 2],
     dual_clip: Option<f32>,
+    multiplier: f32,
     /// −k / B.
     scale: f32,
     /// `[A, B]`.
@@ -158,21 +247,24 @@ struct Terms<'a> {
     ratio: &'a [f32],
     /// In: z; out: the gradient by the means, `[A, U, B]`.
     z: &'a mut [f32],
-    /// `[A, 3 + U, B]`.
+    /// `[B]`: gradient by the logarithm of the probability, of the agent at hand.
+    by_log_prob: &'a mut [f32],
+    /// `[3 + U, B]`: of the agent at hand.
     terms: &'a mut [f32],
+    /// Out: `[A, 3 + U]`.
+    sums: &'a mut [f32],
 }
 
 impl Loop for Terms<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { shared, clip, dual_clip, scale, log_ratio, ratio, z, terms } = self;
+        let Self { shared, clip, dual_clip, multiplier, scale, log_ratio, ratio, .. } = self;
         let Shared { actions: u, samples: b, inverse_std, columns, .. } = shared;
-        let mut by_log_prob = vec![0.0f32; b];
-        let by_log_prob = &mut by_log_prob[..b];
-        for (actor, terms) in terms.chunks_exact_mut((STATISTICS + u) * b).enumerate() {
-            let (ratio, log_ratio) = (&ratio[actor * b..][..b], &log_ratio[actor * b..][..b]);
-            let advantage = &columns[actor * (u + 2) * b..][(u + 1) * b..][..b];
-            let (surrogate, rest) = terms.split_at_mut(b);
+        let (z, by_log_prob) = (self.z, &mut self.by_log_prob[..b]);
+        for (agent, sums) in self.sums.chunks_exact_mut(STATISTICS + u).enumerate() {
+            let (ratio, log_ratio) = (&ratio[agent * b..][..b], &log_ratio[agent * b..][..b]);
+            let advantage = &columns[agent * (u + 2) * b..][(u + 1) * b..][..b];
+            let (surrogate, rest) = self.terms.split_at_mut(b);
             let (kl, rest) = rest.split_at_mut(b);
             let (outside, by_log_std) = rest.split_at_mut(b);
             for i in 0..b {
@@ -193,7 +285,7 @@ impl Loop for Terms<'_> {
                 by_log_prob[i] = plain * f32::from(u8::from(active)) * scale;
             }
             for action in 0..u {
-                let index = actor * u + action;
+                let index = agent * u + action;
                 let (inverse, own) = (inverse_std[index], shared.own(index));
                 let z = &mut z[index * b..][..b];
                 let by_log_std = &mut by_log_std[action * b..][..b];
@@ -202,57 +294,96 @@ impl Loop for Terms<'_> {
                     z[i] = z[i] * inverse * by_log_prob[i];
                 }
             }
+            for (index, sum_of_term) in sums.iter_mut().enumerate() {
+                *sum_of_term = sum(&self.terms[index * b..][..b]);
+            }
+            sums[0] *= -multiplier;
         }
     }
 }
 
+/// Room for the critics' loss of a chunk.
+#[derive(Debug)]
+pub(crate) struct CriticPasses {
+    /// As the outputs: `[C, A / C, B]`.
+    gradient: Tensor,
+    /// `[B]`, of the agent at hand.
+    loss: Vec<f32>,
+    /// `[A]`.
+    sums: Vec<f32>,
+}
+
+impl Default for CriticPasses {
+    fn default() -> Self {
+        let gradient = Tensor::zeros([0, 0, 0], (Kind::Float, Device::Cpu));
+        Self { gradient, loss: Vec::new(), sums: Vec::new() }
+    }
+}
+
 impl CriticLoss {
-    /// [`CriticLoss::gradient`] in a pass.
+    /// [`CriticLoss::gradient`] in a pass: the gradient by the outputs `[C, A / C, B]` of the mean loss over a critic's agents, and the sum of the losses
+    /// over samples of each agent. Critic c is that of the agents c, c + C, c + 2C … `columns` is `[A, 2, B]`.
     #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
-    pub(super) fn gradient_in_a_pass(
+    pub(crate) fn gradient_in_a_pass<'p>(
         &self,
-        value: &Tensor,
-        samples: &CriticSamples,
-        batch: i64,
-    ) -> (Tensor, Tensor) {
-        let (a, b) = value.size2().expect("[A, B]");
-        let mut both = Tensor::zeros([2, a, b], (Kind::Float, Device::Cpu));
-        assert!(are_apart(&[&both, value, &samples.0]), "fresh memory");
-        // SAFETY: what is read is filled; what is written was made of zeros here and is apart. No other thread has a handle.
+        passes: &'p mut CriticPasses,
+        output: &Tensor,
+        columns: &[f32],
+        batch: usize,
+    ) -> (&'p Tensor, &'p [f32]) {
+        let (critics, each, b) = output.size3().expect("[C, A / C, B]");
+        let size = [critics, each, b];
+        let [critics, each, b] = size.map(|size| size as usize);
+        assert_eq!(columns.len(), critics * each * 2 * b, "other samples");
+        if passes.gradient.size() != size {
+            passes.gradient = Tensor::zeros(size, (Kind::Float, Device::Cpu));
+            passes.loss = vec![0.0; b];
+            passes.sums = vec![0.0; critics * each];
+        }
+        assert!(are_apart(&[&passes.gradient, output]), "outputs lie in memory of the passes");
+        // SAFETY: outputs are the caller's, filled and apart from the gradient, which was made of zeros. libtorch does nothing until the pass has ended.
         let pass = unsafe {
-            let (gradient, loss) = numbers_mut(&mut both).split_at_mut((a * b) as usize);
             ValueLoss {
-                samples: b as usize,
+                critics,
+                each,
                 clip: (self.clip != 0.0).then_some(self.clip as f32),
                 huber_delta: (self.huber_delta != 0.0).then_some(self.huber_delta as f32),
                 scale: (self.coefficient / batch as f64) as f32,
-                value: numbers(value),
-                columns: numbers(&samples.0),
-                gradient,
-                loss,
+                coefficient: self.coefficient as f32,
+                output: numbers(output),
+                columns,
+                gradient: numbers_mut(&mut passes.gradient),
+                loss: &mut passes.loss,
+                sums: &mut passes.sums,
             }
         };
         run_for(Features::detect(), pass);
-        let sum = both.get(1).sum_dim_intlist(&[1i64][..], false, Kind::Float) * self.coefficient;
-        (both.get(0), sum)
+        (&passes.gradient, &passes.sums)
     }
 }
 
 /// The critics' losses and their gradients.
 struct ValueLoss<'a> {
-    samples: usize,
+    /// C.
+    critics: usize,
+    /// A / C.
+    each: usize,
     clip: Option<f32>,
     huber_delta: Option<f32>,
     /// c / B.
     scale: f32,
-    /// `[A, B]`.
-    value: &'a [f32],
+    /// c.
+    coefficient: f32,
+    /// `[C, A / C, B]`.
+    output: &'a [f32],
     /// `[A, 2, B]`.
     columns: &'a [f32],
-    /// Out: `[A, B]`.
+    /// Out: `[C, A / C, B]`.
     gradient: &'a mut [f32],
-    /// Out: `[A, B]`.
+    /// `[B]`, of the agent at hand.
     loss: &'a mut [f32],
+    /// Out: `[A]`.
+    sums: &'a mut [f32],
 }
 
 impl ValueLoss<'_> {
@@ -278,11 +409,13 @@ impl ValueLoss<'_> {
 impl Loop for ValueLoss<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { samples: b, clip, huber_delta, scale, value, columns, gradient, loss } = self;
-        let rows = value.chunks_exact(b).zip(columns.chunks_exact(2 * b));
-        let made = gradient.chunks_exact_mut(b).zip(loss.chunks_exact_mut(b));
-        for ((value, columns), (gradient, loss)) in rows.zip(made) {
-            let (old, target) = columns.split_at(b);
+        let Self { critics, each, clip, huber_delta, scale, output, columns, .. } = self;
+        let (gradient, loss) = (self.gradient, self.loss);
+        let b = loss.len();
+        for (agent, sum_of_losses) in self.sums.iter_mut().enumerate() {
+            let at = (agent % critics * each + agent / critics) * b;
+            let (value, gradient) = (&output[at..][..b], &mut gradient[at..][..b]);
+            let (old, target) = columns[agent * 2 * b..][..2 * b].split_at(b);
             for i in 0..b {
                 let error = value[i] - target[i];
                 let plain = Self::penalty(huber_delta, error);
@@ -298,6 +431,10 @@ impl Loop for ValueLoss<'_> {
                 loss[i] = maximum(plain, limited);
                 gradient[i] = slope * f32::from(u8::from(moves)) * scale;
             }
+            if each > 1 {
+                gradient.iter_mut().for_each(|gradient| *gradient /= each as f32);
+            }
+            *sum_of_losses = sum(loss) * self.coefficient;
         }
     }
 }

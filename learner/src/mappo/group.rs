@@ -8,6 +8,7 @@ use proto::layout::{BlockLayout, Dimensions};
 use tch::{Device, Kind, Tensor};
 
 use super::options::Options;
+use super::plain::Chunk;
 use crate::actors::Actors;
 use crate::optimizer_step::NetworkPasses;
 use crate::report::UpdateReport;
@@ -22,6 +23,8 @@ pub(super) struct Group {
     pub(super) critic: NetworkPasses,
     /// `[A, U]`: one where an action moves a joint, zero elsewhere; nothing where all do.
     pub(super) own: Option<Tensor>,
+    /// Room for what is computed in plain Rust; nothing where libtorch computes everything.
+    pub(super) plain: Option<Chunk>,
     pub(super) chunk_samples: i64,
     pub(super) device: Device,
     pub(super) kind: Kind,

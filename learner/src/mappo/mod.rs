@@ -32,8 +32,10 @@
 //! chunk.
 
 mod epochs;
+mod gradients;
 mod group;
 mod options;
+mod plain;
 mod samples;
 mod trace;
 mod update;

@@ -5,11 +5,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use proto::config::Config;
 use proto::layout::{BlockLayout, Dimensions};
-use tch::Tensor;
+use tch::{Device, Tensor};
 
 use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
 use super::options::Options;
+use super::plain::Chunk;
 use crate::LearnerError;
 use crate::actors::Actors;
 use crate::input_norm::InputNorm;
@@ -70,13 +71,14 @@ impl Mappo {
                 };
                 let own = dimensions.actions_with_joint().map(|flags| {
                     let shape = [dimensions.n_actors as i64, dimensions.actor_output() as i64];
-                    actors.rows(&Tensor::from_slice(&flags).view(shape)).to_device(device)
+                    actors.rows(&Tensor::from_slice(&flags).view(shape)).copy().to_device(device)
                 });
                 Group {
                     own,
                     actor: passes(&state.actor, &actors),
                     critic: passes(&state.critic, &critics),
                     critics,
+                    plain: (device == Device::Cpu).then(Chunk::default),
                     chunk_samples: if device.is_cuda() { i64::MAX } else { CHUNK_SAMPLES },
                     actors,
                     device,
