@@ -31,20 +31,8 @@ impl Actors {
         all.slice(0, first, first + step * (len - 1) + 1, step)
     }
 
-    /// The same without gaps: in its memory if they stand side by side, copied if not.
-    pub(crate) fn of(&self, all: &Tensor) -> Tensor {
-        let rows = self.rows(all);
-        if self.are_side_by_side() { rows } else { rows.copy() }
-    }
-
-    /// Copies such rows back, if they were copied.
-    pub(crate) fn put_back(&self, rows: &Tensor, all: &Tensor) {
-        if !self.are_side_by_side() {
-            self.rows(all).copy_(rows);
-        }
-    }
-
-    fn are_side_by_side(&self) -> bool {
+    /// Whether no other actor's row lies between theirs.
+    pub(crate) fn are_side_by_side(&self) -> bool {
         self.step == 1 || self.len == 1
     }
 }

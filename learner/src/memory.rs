@@ -112,6 +112,12 @@ pub(crate) unsafe fn numbers_mut<T: Element>(tensor: &mut Tensor) -> &mut [T] {
     unsafe { std::slice::from_raw_parts_mut(tensor.data_ptr().cast::<T>(), len) }
 }
 
+/// The sums over rows of `[R, C]`, one a column, in libtorch's order, which is not that of the rows where they are more than four.
+pub(crate) fn sum_over_rows(numbers: &[f32], columns: usize) -> Vec<f32> {
+    let rows = Tensor::from_slice(numbers).view([-1, columns as i64]);
+    Vec::try_from(rows.sum_dim_intlist(&[0i64][..], false, Kind::Float)).expect("f32")
+}
+
 /// Whether no two of these contiguous tensors on the CPU share a byte.
 pub(crate) fn are_apart(tensors: &[&Tensor]) -> bool {
     let range = |tensor: &Tensor| {

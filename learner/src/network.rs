@@ -19,6 +19,7 @@ use proto::rng::{Address, Purpose};
 use tch::Tensor;
 
 use crate::gradient_norm::squared_norms;
+use crate::memory::sum_over_rows;
 
 /// Name, shape and columns of one parameter.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -306,13 +307,31 @@ impl NetworkSpec {
     pub fn squared_norms(&self, gradient: &Tensor) -> Vec<f32> {
         let columns: Vec<Range<i64>> =
             (0..self.rows).map(|row| self.learned_columns(row)).collect();
-        let norms = squared_norms(gradient, &columns);
-        let (learned, others) = norms.split_at(self.n_networks);
-        let of_network = |network: usize| {
-            let others = others.iter().skip(network).step_by(self.n_networks);
-            learned[network] + others.sum::<f32>()
-        };
-        (0..self.rows).map(|row| of_network(row % self.n_networks)).collect()
+        let mut norms = squared_norms(gradient, &columns);
+        let others = norms.split_off(self.n_networks);
+        if !others.is_empty() {
+            let others = sum_over_rows(&others, self.n_networks);
+            norms.iter_mut().zip(others).for_each(|(norm, others)| *norm += others);
+        }
+        norms.iter().copied().cycle().take(self.rows).collect()
+    }
+
+    /// Copies what is learned in `part` to all rows of `[A, P]` where it belongs, which may be the same memory.
+    pub fn spread(&self, part: &Tensor, rows: &Tensor) {
+        if part.data_ptr() == rows.data_ptr() {
+            self.unify(rows);
+            return;
+        }
+        let networks = self.n_networks as i64;
+        let learned = part.narrow(0, 0, networks);
+        for first in (0..self.rows as i64).step_by(self.n_networks) {
+            rows.narrow(0, first, networks).copy_(&learned);
+        }
+        if self.is_shared() {
+            let own = self.own_columns();
+            let of = |tensor: &Tensor| tensor.narrow(1, own.start, own.end - own.start);
+            of(rows).copy_(&of(part));
+        }
     }
 
     /// Copies the shared columns of each network's first row of `flat` to its other rows.

@@ -27,6 +27,8 @@ pub(crate) struct NetworkPasses {
     /// `[A, P]`: that of the sum of a network's agents, unclipped. Means something where it is learned ([`NetworkSpec::learned_parts`]).
     pub(crate) gradient: Tensor,
     scratch: Tensor,
+    /// Memory of [`NetworkRows::take`], if it copies.
+    taken: Option<[Tensor; 3]>,
     /// The last unclipped gradient, kept if there is something to replace.
     pub(crate) recorded: Option<Tensor>,
 }
@@ -52,22 +54,34 @@ impl NetworkRows {
         }
     }
 
-    /// The part without gaps: in the state's memory if the actors stand side by side, copied if not.
-    pub(crate) fn take(self) -> NetworkPart {
+    /// The part without gaps: in the state's memory if the actors stand side by side; if not, what is learned is copied into memory that `passes` keep.
+    pub(crate) fn take(self, passes: &mut NetworkPasses) -> NetworkPart {
         let Self { spec, actors, steps, all } = self;
-        let [flat, m, v] = all.each_ref().map(|tensor| actors.of(tensor));
-        NetworkPart { spec, flat, adam: Adam { m, v, steps }, actors, all }
+        let rows = all.map(|tensor| actors.rows(&tensor));
+        let [flat, m, v] = if actors.are_side_by_side() {
+            rows.each_ref().map(Tensor::shallow_clone)
+        } else {
+            let zeros = || {
+                rows.each_ref().map(|rows| Tensor::zeros(rows.size(), (rows.kind(), rows.device())))
+            };
+            let taken = passes.taken.get_or_insert_with(zeros);
+            for (taken, rows) in taken.iter().zip(&rows) {
+                let parts = spec.learned_parts(taken).into_iter().zip(spec.learned_parts(rows));
+                parts.for_each(|(mut taken, learned)| taken.copy_(&learned));
+            }
+            taken.each_ref().map(Tensor::shallow_clone)
+        };
+        NetworkPart { spec, flat, adam: Adam { m, v, steps }, rows }
     }
 }
 
-/// What was taken of [`NetworkRows`]. Of shared networks parameters and moments are those of before the update, where they are not learned, until
-/// [`NetworkPart::put_back`].
+/// What was taken of [`NetworkRows`]. Of shared networks parameters and moments mean nothing where they are not learned.
 pub(crate) struct NetworkPart {
     pub(crate) spec: NetworkSpec,
     pub(crate) flat: Tensor,
     pub(crate) adam: Adam,
-    actors: Actors,
-    all: [Tensor; 3],
+    /// Where it came from: parameters and both moments, `[A, P]`.
+    rows: [Tensor; 3],
 }
 
 impl NetworkPart {
@@ -75,9 +89,8 @@ impl NetworkPart {
     ///
     /// All rows of a shared network become those that were learned.
     pub(crate) fn put_back(&self) {
-        for (part, all) in [&self.flat, &self.adam.m, &self.adam.v].into_iter().zip(&self.all) {
-            self.spec.unify(part);
-            self.actors.put_back(part, all);
+        for (part, rows) in [&self.flat, &self.adam.m, &self.adam.v].into_iter().zip(&self.rows) {
+            self.spec.spread(part, rows);
         }
     }
 }
@@ -98,6 +111,7 @@ impl NetworkPasses {
             compute: Compute::new(&spec, config.network.activation, kind, device, threads),
             gradient: flat.zeros_like(),
             scratch: flat.zeros_like(),
+            taken: None,
             recorded: None,
         }
     }
@@ -216,7 +230,7 @@ mod tests {
             let sum = Tensor::arange(2 * spec.len, (kind, device)).view([2, -1]) * 1e-3;
             passes.gradient.copy_(&sum);
             passes.record(true);
-            let mut part = NetworkRows::new(&state, all).take();
+            let mut part = NetworkRows::new(&state, all).take(&mut passes);
             let norms = Descent::new(&config).step(&mut part, &mut passes, &[1e-3; 2], &[true; 2]);
             let mean = &sum / 2.0;
             let norm = f64::from(spec.squared_norms(&mean)[0]).sqrt();

@@ -1,11 +1,10 @@
 //! The losses on a CPU: passes over the samples in plain Rust.
 //!
 //! Each number is made by the operations of the twin, in their order and each rounded, so the bits are the same. What libtorch has ways of its own for stays
-//! libtorch's: exponentials, tanh and its derivative.
+//! libtorch's: exponentials, tanh and its derivative, and sums.
 
 use tch::{Device, Kind, Tensor};
 
-use super::sum::{TERMS, sum};
 use super::{ActorLoss, CriticLoss, HALF_LN_TAU};
 use crate::features::{Features, Loop, run_for};
 use crate::memory::{are_apart, numbers, numbers_mut};
@@ -18,21 +17,21 @@ pub(crate) const STATISTICS: usize = 3;
 pub(crate) struct ActorPasses {
     /// A, U, B.
     size: [usize; 3],
-    /// `[A, U]` each: the logarithm of the deviation in force, and the reciprocal deviation.
-    log_std: Vec<f32>,
-    inverse_std: Tensor,
-    /// `[A, U, B]` each: tanh of the outputs, z, and the gradient by the outputs where tanh squashes them.
+    /// `[2, A, U]`: reciprocal deviations, and what an action adds to a density's constant.
+    deviations: Tensor,
+    /// `[A, U, B]` each: tanh of the outputs, z, its square, and the gradient by the outputs where tanh squashes them.
     mean: Tensor,
     z: Tensor,
+    squares: Tensor,
     gradient: Tensor,
-    /// `[A, B]` each: of the probabilities.
+    /// `[A, B]` each: of the probabilities. The logarithm begins as the sum of squares.
     log_ratio: Tensor,
     ratio: Tensor,
-    /// `[3 + U, B]`, of the agent at hand.
-    terms: Vec<f32>,
+    /// `[A, 3 + U, B]` and `[A, 3 + U]`: the statistics, and the gradient by the logarithm of the deviation, without entropy; and their sums over samples.
+    terms: Tensor,
+    sums: Tensor,
+    /// `[B]`, of the agent at hand.
     by_log_prob: Vec<f32>,
-    /// `[A, 3 + U]`: sums over samples of the statistics, and the gradient by the logarithm of the deviation, without entropy.
-    sums: Vec<f32>,
 }
 
 impl Default for ActorPasses {
@@ -51,16 +50,16 @@ impl ActorPasses {
         let all = || tensor(&[a, u, b]);
         Self {
             size,
-            log_std: vec![0.0; a * u],
-            inverse_std: tensor(&[a, u]),
+            deviations: tensor(&[2, a, u]),
             mean: all(),
             z: all(),
+            squares: all(),
             gradient: all(),
             log_ratio: tensor(&[a, b]),
             ratio: tensor(&[a, b]),
-            terms: vec![0.0; (STATISTICS + u) * b],
+            terms: tensor(&[a, STATISTICS + u, b]),
+            sums: tensor(&[a, STATISTICS + u]),
             by_log_prob: vec![0.0; b],
-            sums: vec![0.0; a * (STATISTICS + u)],
         }
     }
 }
@@ -84,64 +83,89 @@ impl ActorLoss {
         if passes.size != size {
             *passes = ActorPasses::new(size);
         }
-        let ActorPasses { log_std, inverse_std, mean, z, gradient, log_ratio, ratio, .. } = passes;
+        let ActorPasses {
+            deviations,
+            mean,
+            z,
+            squares,
+            gradient,
+            log_ratio,
+            ratio,
+            terms,
+            sums,
+            by_log_prob,
+            ..
+        } = passes;
+        let row = &[-1i64][..];
+        // SAFETY: made of zeros by the passes, which lend them to nobody else; libtorch does nothing until they are written.
+        let (negative, constants) = unsafe { numbers_mut(deviations) }.split_at_mut(a * u);
         let floor = self.min_log_std as f32;
-        for (log_std, &parameter) in log_std.iter_mut().zip(parameter) {
-            *log_std = if parameter < floor { floor } else { parameter };
+        for (index, &parameter) in parameter.iter().enumerate() {
+            let log_std = if parameter < floor { floor } else { parameter };
+            negative[index] = -log_std;
+            constants[index] =
+                own.map_or(log_std, |own| (log_std + HALF_LN_TAU as f32) * own[index]);
         }
-        // SAFETY: made of zeros by the passes, which lend them to nobody else.
-        let negative: &mut [f32] = unsafe { numbers_mut(inverse_std) };
-        negative.iter_mut().zip(&*log_std).for_each(|(negative, log_std)| *negative = -log_std);
+        let mut inverse_std = deviations.get(0);
         let _ = inverse_std.exp_();
+        let constant = deviations.get(1).sum_dim_intlist(row, false, Kind::Float);
         if self.squash_mean {
             let _ = output.tanh_out(mean);
         }
         let mean = if self.squash_mean { &*mean } else { output };
-        assert!(are_apart(&[z, log_ratio, mean]), "outputs lie in memory of the passes");
+        assert!(are_apart(&[z, squares, log_ratio, mean]), "outputs lie in memory of the passes");
         // SAFETY: outputs are the caller's, filled and apart from the passes' tensors, which were made of zeros. libtorch does nothing until the pass has ended.
-        let (shared, pass) = unsafe {
-            let shared = Shared {
-                actions: u,
-                samples: b,
-                inverse_std: numbers(inverse_std),
-                own,
-                columns,
-            };
-            let pass = LogRatio {
-                shared,
-                mean: numbers(mean),
-                log_std,
-                z: numbers_mut(z),
-                log_ratio: numbers_mut(log_ratio),
-                aside: &mut passes.by_log_prob,
-            };
-            (shared, pass)
-        };
-        run_for(Features::detect(), pass);
+        unsafe {
+            let shared =
+                Shared { actions: u, samples: b, inverse_std: numbers(&inverse_std), own, columns };
+            let (z, squares) = (numbers_mut(z), numbers_mut(squares));
+            run_for(Features::detect(), Standardise { shared, mean: numbers(mean), z, squares });
+        }
+        let _ = squares.sum_intlist_out(log_ratio, &[1i64][..], false, Kind::Float);
+        // SAFETY: as above.
+        unsafe {
+            run_for(
+                Features::detect(),
+                LogRatio {
+                    actions: u,
+                    samples: b,
+                    own_constant: if own.is_some() { 0.0 } else { (HALF_LN_TAU * u as f64) as f32 },
+                    constant: numbers(&constant),
+                    columns,
+                    log_ratio: numbers_mut(log_ratio),
+                },
+            );
+        }
         let _ = log_ratio.exp_out(ratio);
         // SAFETY: as above.
-        let pass = unsafe {
-            Terms {
-                shared,
-                clip: [1.0 - self.clip, 1.0 + self.clip].map(|limit| limit as f32),
-                dual_clip: (self.dual_clip > 0.0).then_some(self.dual_clip as f32),
-                multiplier: self.multiplier as f32,
-                scale: (-self.multiplier / batch as f64) as f32,
-                log_ratio: numbers(log_ratio),
-                ratio: numbers(ratio),
-                z: numbers_mut(z),
-                by_log_prob: &mut passes.by_log_prob,
-                terms: &mut passes.terms,
-                sums: &mut passes.sums,
-            }
-        };
-        run_for(Features::detect(), pass);
+        unsafe {
+            let shared =
+                Shared { actions: u, samples: b, inverse_std: numbers(&inverse_std), own, columns };
+            run_for(
+                Features::detect(),
+                Terms {
+                    shared,
+                    clip: [1.0 - self.clip, 1.0 + self.clip].map(|limit| limit as f32),
+                    dual_clip: (self.dual_clip > 0.0).then_some(self.dual_clip as f32),
+                    scale: (-self.multiplier / batch as f64) as f32,
+                    log_ratio: numbers(log_ratio),
+                    ratio: numbers(ratio),
+                    z: numbers_mut(z),
+                    by_log_prob,
+                    terms: numbers_mut(terms),
+                },
+            );
+        }
+        let _ = terms.sum_intlist_out(sums, row, false, Kind::Float);
         if self.squash_mean {
             let _ = Tensor::tanh_backward_grad_input(gradient, z, mean);
-            (&passes.gradient, &passes.sums)
-        } else {
-            (&passes.z, &passes.sums)
         }
+        // SAFETY: as above.
+        let sums: &mut [f32] = unsafe { numbers_mut(sums) };
+        for surrogate in sums.iter_mut().step_by(STATISTICS + u) {
+            *surrogate *= -self.multiplier as f32;
+        }
+        (if self.squash_mean { gradient } else { z }, sums)
     }
 }
 
@@ -166,68 +190,56 @@ impl Shared<'_> {
     }
 }
 
-/// z = (a − μ) / σ, and the logarithm of the ratio of probabilities.
-struct LogRatio<'a> {
+/// z = (a − μ) / σ, and z².
+struct Standardise<'a> {
     shared: Shared<'a>,
+    /// `[A, U, B]` each.
     mean: &'a [f32],
-    /// `[A, U]`.
-    log_std: &'a [f32],
-    /// Out: `[A, U, B]`.
     z: &'a mut [f32],
-    /// Out: `[A, B]`.
-    log_ratio: &'a mut [f32],
-    /// `[B]`: sums over actions that are put aside.
-    aside: &'a mut [f32],
+    squares: &'a mut [f32],
 }
 
-impl LogRatio<'_> {
-    /// Σ ln σ + U ½ ln 2π over an agent's actions that move something.
+impl Loop for Standardise<'_> {
     #[inline(always)]
-    fn constant(&self, agent: usize) -> f32 {
-        let u = self.shared.actions;
-        let log_std = &self.log_std[agent * u..][..u];
-        match self.shared.own {
-            None => sum(log_std) + (HALF_LN_TAU * u as f64) as f32,
-            Some(own) => {
-                let half = HALF_LN_TAU as f32;
-                let own = &own[agent * u..][..u];
-                let terms: Vec<f32> =
-                    log_std.iter().zip(own).map(|(log_std, own)| (log_std + half) * own).collect();
-                sum(&terms)
+    fn run<const FMA: bool>(self) {
+        let Shared { actions: u, samples: b, inverse_std, columns, .. } = self.shared;
+        for (index, z) in self.z.chunks_exact_mut(b).enumerate() {
+            let (inverse, own) = (inverse_std[index], self.shared.own(index));
+            let (agent, action) = (index / u, index % u);
+            let taken = &columns[(agent * (u + 2) + action) * b..][..b];
+            let (mean, squares) =
+                (&self.mean[index * b..][..b], &mut self.squares[index * b..][..b]);
+            for i in 0..b {
+                z[i] = (taken[i] - mean[i]) * inverse * own;
+                squares[i] = z[i] * z[i];
             }
         }
     }
 }
 
+/// The logarithm of the ratio of probabilities, from the sum of squares.
+struct LogRatio<'a> {
+    actions: usize,
+    samples: usize,
+    /// U ½ ln 2π, unless `constant` has it.
+    own_constant: f32,
+    /// `[A]`: Σ ln σ.
+    constant: &'a [f32],
+    /// `[A, U + 2, B]`.
+    columns: &'a [f32],
+    /// `[A, B]`.
+    log_ratio: &'a mut [f32],
+}
+
 impl Loop for LogRatio<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Shared { actions: u, samples: b, inverse_std, columns, .. } = self.shared;
-        for agent in 0..self.log_ratio.len() / b.max(1) {
-            let constant = self.constant(agent);
-            let log_ratio = &mut self.log_ratio[agent * b..][..b];
-            let aside = &mut self.aside[..b];
-            let columns = &columns[agent * (u + 2) * b..][..(u + 2) * b];
-            log_ratio.fill(0.0);
-            aside.fill(0.0);
-            for action in 0..u {
-                let index = agent * u + action;
-                let (inverse, own) = (inverse_std[index], self.shared.own(index));
-                let (mean, z) = (&self.mean[index * b..][..b], &mut self.z[index * b..][..b]);
-                let taken = &columns[action * b..][..b];
-                for i in 0..b {
-                    z[i] = (taken[i] - mean[i]) * inverse * own;
-                    log_ratio[i] += z[i] * z[i];
-                }
-                if (action + 1).is_multiple_of(TERMS) {
-                    for i in 0..b {
-                        aside[i] += std::mem::take(&mut log_ratio[i]);
-                    }
-                }
-            }
-            let old = &columns[u * b..][..b];
+        let (u, b) = (self.actions, self.samples);
+        for (agent, log_ratio) in self.log_ratio.chunks_exact_mut(b).enumerate() {
+            let constant = self.constant[agent] + self.own_constant;
+            let old = &self.columns[(agent * (u + 2) + u) * b..][..b];
             for i in 0..b {
-                log_ratio[i] = (log_ratio[i] + aside[i]) * -0.5 - constant - old[i];
+                log_ratio[i] = log_ratio[i] * -0.5 - constant - old[i];
             }
         }
     }
@@ -238,7 +250,6 @@ struct Terms<'a> {
     shared: Shared<'a>,
     clip: [f32; 2],
     dual_clip: Option<f32>,
-    multiplier: f32,
     /// −k / B.
     scale: f32,
     /// `[A, B]`.
@@ -249,22 +260,20 @@ struct Terms<'a> {
     z: &'a mut [f32],
     /// `[B]`: gradient by the logarithm of the probability, of the agent at hand.
     by_log_prob: &'a mut [f32],
-    /// `[3 + U, B]`: of the agent at hand.
+    /// Out: `[A, 3 + U, B]`.
     terms: &'a mut [f32],
-    /// Out: `[A, 3 + U]`.
-    sums: &'a mut [f32],
 }
 
 impl Loop for Terms<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { shared, clip, dual_clip, multiplier, scale, log_ratio, ratio, .. } = self;
+        let Self { shared, clip, dual_clip, scale, log_ratio, ratio, .. } = self;
         let Shared { actions: u, samples: b, inverse_std, columns, .. } = shared;
         let (z, by_log_prob) = (self.z, &mut self.by_log_prob[..b]);
-        for (agent, sums) in self.sums.chunks_exact_mut(STATISTICS + u).enumerate() {
+        for (agent, terms) in self.terms.chunks_exact_mut((STATISTICS + u) * b).enumerate() {
             let (ratio, log_ratio) = (&ratio[agent * b..][..b], &log_ratio[agent * b..][..b]);
             let advantage = &columns[agent * (u + 2) * b..][(u + 1) * b..][..b];
-            let (surrogate, rest) = self.terms.split_at_mut(b);
+            let (surrogate, rest) = terms.split_at_mut(b);
             let (kl, rest) = rest.split_at_mut(b);
             let (outside, by_log_std) = rest.split_at_mut(b);
             for i in 0..b {
@@ -294,10 +303,6 @@ impl Loop for Terms<'_> {
                     z[i] = z[i] * inverse * by_log_prob[i];
                 }
             }
-            for (index, sum_of_term) in sums.iter_mut().enumerate() {
-                *sum_of_term = sum(&self.terms[index * b..][..b]);
-            }
-            sums[0] *= -multiplier;
         }
     }
 }
@@ -307,16 +312,25 @@ impl Loop for Terms<'_> {
 pub(crate) struct CriticPasses {
     /// As the outputs: `[C, A / C, B]`.
     gradient: Tensor,
-    /// `[B]`, of the agent at hand.
-    loss: Vec<f32>,
-    /// `[A]`.
-    sums: Vec<f32>,
+    /// `[A, B]` and `[A]`: losses, and their sums over samples.
+    loss: Tensor,
+    sums: Tensor,
 }
 
 impl Default for CriticPasses {
     fn default() -> Self {
-        let gradient = Tensor::zeros([0, 0, 0], (Kind::Float, Device::Cpu));
-        Self { gradient, loss: Vec::new(), sums: Vec::new() }
+        Self::new([0; 3])
+    }
+}
+
+impl CriticPasses {
+    fn new([critics, each, b]: [i64; 3]) -> Self {
+        let zeros = |shape: &[i64]| Tensor::zeros(shape, (Kind::Float, Device::Cpu));
+        Self {
+            gradient: zeros(&[critics, each, b]),
+            loss: zeros(&[critics * each, b]),
+            sums: zeros(&[critics * each]),
+        }
     }
 }
 
@@ -336,9 +350,7 @@ impl CriticLoss {
         let [critics, each, b] = size.map(|size| size as usize);
         assert_eq!(columns.len(), critics * each * 2 * b, "other samples");
         if passes.gradient.size() != size {
-            passes.gradient = Tensor::zeros(size, (Kind::Float, Device::Cpu));
-            passes.loss = vec![0.0; b];
-            passes.sums = vec![0.0; critics * each];
+            *passes = CriticPasses::new(size);
         }
         assert!(are_apart(&[&passes.gradient, output]), "outputs lie in memory of the passes");
         // SAFETY: outputs are the caller's, filled and apart from the gradient, which was made of zeros. libtorch does nothing until the pass has ended.
@@ -346,19 +358,23 @@ impl CriticLoss {
             ValueLoss {
                 critics,
                 each,
+                samples: b,
                 clip: (self.clip != 0.0).then_some(self.clip as f32),
                 huber_delta: (self.huber_delta != 0.0).then_some(self.huber_delta as f32),
                 scale: (self.coefficient / batch as f64) as f32,
-                coefficient: self.coefficient as f32,
                 output: numbers(output),
                 columns,
                 gradient: numbers_mut(&mut passes.gradient),
-                loss: &mut passes.loss,
-                sums: &mut passes.sums,
+                loss: numbers_mut(&mut passes.loss),
             }
         };
         run_for(Features::detect(), pass);
-        (&passes.gradient, &passes.sums)
+        let CriticPasses { gradient, loss, sums } = passes;
+        let _ = loss.sum_intlist_out(sums, &[1i64][..], false, Kind::Float);
+        // SAFETY: as above.
+        let sums: &mut [f32] = unsafe { numbers_mut(sums) };
+        sums.iter_mut().for_each(|sum| *sum *= self.coefficient as f32);
+        (gradient, sums)
     }
 }
 
@@ -368,22 +384,20 @@ struct ValueLoss<'a> {
     critics: usize,
     /// A / C.
     each: usize,
+    /// B.
+    samples: usize,
     clip: Option<f32>,
     huber_delta: Option<f32>,
     /// c / B.
     scale: f32,
-    /// c.
-    coefficient: f32,
     /// `[C, A / C, B]`.
     output: &'a [f32],
     /// `[A, 2, B]`.
     columns: &'a [f32],
     /// Out: `[C, A / C, B]`.
     gradient: &'a mut [f32],
-    /// `[B]`, of the agent at hand.
+    /// Out: `[A, B]`.
     loss: &'a mut [f32],
-    /// Out: `[A]`.
-    sums: &'a mut [f32],
 }
 
 impl ValueLoss<'_> {
@@ -409,12 +423,11 @@ impl ValueLoss<'_> {
 impl Loop for ValueLoss<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let Self { critics, each, clip, huber_delta, scale, output, columns, .. } = self;
-        let (gradient, loss) = (self.gradient, self.loss);
-        let b = loss.len();
-        for (agent, sum_of_losses) in self.sums.iter_mut().enumerate() {
+        let Self { critics, each, samples: b, clip, huber_delta, scale, output, columns, .. } =
+            self;
+        for (agent, loss) in self.loss.chunks_exact_mut(b).enumerate() {
             let at = (agent % critics * each + agent / critics) * b;
-            let (value, gradient) = (&output[at..][..b], &mut gradient[at..][..b]);
+            let (value, gradient) = (&output[at..][..b], &mut self.gradient[at..][..b]);
             let (old, target) = columns[agent * 2 * b..][..2 * b].split_at(b);
             for i in 0..b {
                 let error = value[i] - target[i];
@@ -434,7 +447,6 @@ impl Loop for ValueLoss<'_> {
             if each > 1 {
                 gradient.iter_mut().for_each(|gradient| *gradient /= each as f32);
             }
-            *sum_of_losses = sum(loss) * self.coefficient;
         }
     }
 }

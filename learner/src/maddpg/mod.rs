@@ -175,8 +175,8 @@ impl Update for Maddpg {
         replay.insert(&self.dimensions, shards);
         let all = Actors::all(n);
         let mut networks = Networks {
-            actor: NetworkRows::new(actor, all).take(),
-            critic: NetworkRows::new(critic, all).take(),
+            actor: NetworkRows::new(actor, all).take(&mut self.actor),
+            critic: NetworkRows::new(critic, all).take(&mut self.critic),
             target_actor,
             target_critic,
         };

@@ -119,9 +119,8 @@ impl Group {
         sums: &mut Sums,
     ) -> Result<Vec<f64>, LearnerError> {
         let statistics = self.actor_gradient(network, batch);
-        let column = |index: usize| {
-            statistics.iter().skip(index).step_by(STATISTICS).map(|&x| f64::from(x))
-        };
+        let column =
+            |index: usize| statistics.iter().skip(index).step_by(STATISTICS).map(|&x| f64::from(x));
         let mut kl: Vec<f64> = column(1).collect();
         average_over_networks(&mut kl, network.spec.n_networks);
         if inputs.options.max_kl > 0.0 {

@@ -105,8 +105,7 @@ impl Group {
                 let _ = columns.select(1, 1).g_sub_(mean).g_div_(std);
             }
             let value = values_by_actor(&compute.forward(&x));
-            let (d_value, sum) =
-                options.critic_loss.gradient(&value, &CriticSamples(columns), len);
+            let (d_value, sum) = options.critic_loss.gradient(&value, &CriticSamples(columns), len);
             compute.backward(&x, &by_critic(&d_value, critics), gradient);
             let _ = total.g_add_(&sum);
         }

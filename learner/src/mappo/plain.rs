@@ -10,7 +10,7 @@ use super::gradients::MiniBatch;
 use super::group::Group;
 use super::samples::chunks;
 use crate::loss::{ActorPasses, CriticPasses, STATISTICS};
-use crate::memory::{Element, numbers, numbers_mut};
+use crate::memory::{Element, numbers, numbers_mut, sum_over_rows};
 use crate::number::Bf16;
 use crate::optimizer_step::{NetworkPart, NetworkPasses};
 
@@ -41,8 +41,10 @@ impl Group {
         let of_log_std = network.spec.get("log_std").columns();
         // SAFETY: parameters are filled, and nobody writes them while a gradient is computed.
         let flat: &[f32] = unsafe { numbers(&network.flat) };
-        let parameter: Vec<f32> =
-            (0..a).flat_map(|actor| &flat[actor % n * row..][of_log_std.clone()]).copied().collect();
+        let parameter: Vec<f32> = (0..a)
+            .flat_map(|actor| &flat[actor % n * row..][of_log_std.clone()])
+            .copied()
+            .collect();
         // SAFETY: filled when the group was made, and never written.
         let own: Option<&[f32]> = self.own.as_ref().map(|own| unsafe { numbers(own) });
         let chunk = self.plain.as_mut().expect("on a CPU");
@@ -64,19 +66,18 @@ impl Group {
             compute.backward(&x, d_output, gradient);
             total.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
         }
+        let each = |index: usize| {
+            let (actor, action) = (index / u, index % u);
+            let by_log_std = total[actor * (STATISTICS + u) + STATISTICS + action];
+            loss.finished(by_log_std, parameter[index], own.map(|own| own[index]))
+        };
+        let of_actors: Vec<f32> = (0..a * u).map(each).collect();
+        let of_networks = sum_over_rows(&of_actors, n * u);
         let mut gradient = gradient.shallow_clone();
         // SAFETY: made of zeros by the passes' owner; the tensors of the passes do not lie there, and nobody else has it now.
         let gradient: &mut [f32] = unsafe { numbers_mut(&mut gradient) };
-        for (network, gradient) in gradient.chunks_exact_mut(row).take(n).enumerate() {
-            for (action, sum) in gradient[of_log_std.clone()].iter_mut().enumerate() {
-                let of_actor = |actor: usize| {
-                    let index = actor * u + action;
-                    let by_log_std = total[actor * (STATISTICS + u) + STATISTICS + action];
-                    loss.finished(by_log_std, parameter[index], own.map(|own| own[index]))
-                };
-                *sum = (network..a).step_by(n).map(of_actor).fold(0.0, |sum, x| sum + x);
-            }
-        }
+        let slots = gradient.chunks_exact_mut(row).zip(of_networks.chunks_exact(u));
+        slots.for_each(|(row, sums)| row[of_log_std.clone()].copy_from_slice(sums));
         let of_actors = total.chunks_exact(STATISTICS + u);
         of_actors.flat_map(|sums| &sums[..STATISTICS]).map(|sum| sum / rows.len() as f32).collect()
     }

@@ -254,6 +254,26 @@ fn learn_together_and_alone(config: &Config) {
 }
 
 #[test]
+fn plain_gradients_have_the_bits_of_the_operations() {
+    let _alone = crate::alone();
+    for variant in VARIANTS {
+        for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
+            let config = config(variant);
+            let mut plain = Run::new(&config, arithmetic);
+            let mut operations = Run::new(&config, arithmetic);
+            for group in &mut operations.mappo.groups {
+                assert!(group.plain.take().is_some(), "on a CPU");
+            }
+            let reports = [plain.update(1), operations.update(1)];
+            let [ours, theirs] = [&plain.state, &operations.state];
+            assert_eq!(ours.actor.flat, theirs.actor.flat, "{variant:?}, {arithmetic:?}");
+            assert_eq!(ours.critic.flat, theirs.critic.flat, "{variant:?}, {arithmetic:?}");
+            assert_eq!(reports[0], reports[1], "{variant:?}, {arithmetic:?}");
+        }
+    }
+}
+
+#[test]
 fn a_shared_network_stays_one_network() {
     let _alone = crate::alone();
     let mut run = Run::new(&config(VARIANTS[1]), Arithmetic::F32);

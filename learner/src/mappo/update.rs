@@ -31,7 +31,7 @@ pub struct Mappo {
     dimensions: Dimensions,
     pub(super) layout: BlockLayout,
     options: Options,
-    groups: Vec<Group>,
+    pub(super) groups: Vec<Group>,
     /// How many groups are computed at once, and with how many of libtorch's threads each.
     threads: [usize; 2],
     work: Arc<AtomicU64>,
@@ -186,7 +186,8 @@ fn run_groups(
             let Some((group, (actor, critic), norm, outcome)) = next else { break };
             let trace = trace.as_deref_mut();
             let result = tch::no_grad(|| {
-                let (mut actor, mut critic) = (actor.take(), critic.take());
+                let mut actor = actor.take(&mut group.actor);
+                let mut critic = critic.take(&mut group.critic);
                 let result = group.update(inputs, &mut actor, &mut critic, norm, trace);
                 actor.put_back();
                 critic.put_back();
