@@ -112,8 +112,19 @@ pub(crate) unsafe fn numbers_mut<T: Element>(tensor: &mut Tensor) -> &mut [T] {
     unsafe { std::slice::from_raw_parts_mut(tensor.data_ptr().cast::<T>(), len) }
 }
 
-/// The sums over rows of `[R, C]`, one a column, in libtorch's order, which is not that of the rows where they are more than four.
+/// The sums over rows of `[R, C]`, one a column, in libtorch's order. Up to four rows it is theirs.
 pub(crate) fn sum_over_rows(numbers: &[f32], columns: usize) -> Vec<f32> {
+    if numbers.len() <= 4 * columns {
+        let mut sums = vec![0.0; columns];
+        for row in numbers.chunks_exact(columns) {
+            sums.iter_mut().zip(row).for_each(|(sum, x)| *sum += x);
+        }
+        return sums;
+    }
+    sum_over_rows_by_libtorch(numbers, columns)
+}
+
+fn sum_over_rows_by_libtorch(numbers: &[f32], columns: usize) -> Vec<f32> {
     let rows = Tensor::from_slice(numbers).view([-1, columns as i64]);
     Vec::try_from(rows.sum_dim_intlist(&[0i64][..], false, Kind::Float)).expect("f32")
 }
@@ -158,6 +169,18 @@ mod tests {
         let bytes = unsafe { bytes(&tensor) };
         assert_eq!(bytes, bytemuck::bytes_of(&[1.5f32, -2.0]));
         assert_eq!(bytes.as_ptr() as usize, tensor.data_ptr() as usize);
+    }
+
+    #[test]
+    fn few_rows_are_summed_as_libtorch_does() {
+        let numbers: Vec<f32> = (0..400).map(|i| (i as f32).sin()).collect();
+        for rows in 1..=4 {
+            for columns in [1, 2, 3, 7, 8, 33, 100] {
+                let numbers = &numbers[..rows * columns];
+                let theirs = sum_over_rows_by_libtorch(numbers, columns);
+                assert_eq!(sum_over_rows(numbers, columns), theirs, "{rows} × {columns}");
+            }
+        }
     }
 
     #[test]

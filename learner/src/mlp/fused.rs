@@ -386,19 +386,17 @@ fn backward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
             wide[i] = hidden[i].widen();
         }
         if let Some(head) = &mut head {
-            row.fill(0.0);
             for u in 0..outputs {
-                let d = head.output_gradient[at.output + u * samples];
-                let of_network = at.network * outputs + u;
-                let weight = &head.weight[of_network * h..][..h];
-                let weight_gradient = &mut head.weight_gradient[of_network * h..][..h];
-                head.bias_gradient[of_network] += d;
-                for i in 0..h {
-                    row[i] = mul_add::<FMA>(d, weight[i], row[i]);
-                }
-                for i in 0..h {
-                    weight_gradient[i] = mul_add::<FMA>(d, wide[i], weight_gradient[i]);
-                }
+                head.bias_gradient[at.network * outputs + u] +=
+                    head.output_gradient[at.output + u * samples];
+            }
+            // All outputs for some features, which stay in a register, and then the next ones.
+            let blocks = h / CHAINS * CHAINS;
+            for start in (0..blocks).step_by(CHAINS) {
+                back_through_head::<FMA, CHAINS>(sizes, &at, head, [wide, row], start);
+            }
+            for start in blocks..h {
+                back_through_head::<FMA, 1>(sizes, &at, head, [wide, row], start);
             }
         } else {
             for i in 0..h {
@@ -424,6 +422,35 @@ fn backward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
             }
         }
     }
+}
+
+/// The gradient by `W` features of the row `hidden` from those by the outputs, into `gradient`; adds the gradients by the weights.
+#[inline(always)]
+fn back_through_head<const FMA: bool, const W: usize>(
+    Sizes { samples, features: h, outputs, .. }: Sizes,
+    at: &Row,
+    head: &mut HeadBackward<'_>,
+    [hidden, gradient]: [&mut [f32]; 2],
+    start: usize,
+) {
+    let of = |slice: &[f32]| *slice[..W].as_array::<W>().expect("so many");
+    let hidden = of(&hidden[start..]);
+    let mut sums = [0.0; W];
+    for u in 0..outputs {
+        let d = head.output_gradient[at.output + u * samples];
+        let first = (at.network * outputs + u) * h + start;
+        let weight = of(&head.weight[first..]);
+        let weight_gradient = &mut head.weight_gradient[first..][..W];
+        let mut made = of(weight_gradient);
+        for i in 0..W {
+            sums[i] = mul_add::<FMA>(d, weight[i], sums[i]);
+        }
+        for i in 0..W {
+            made[i] = mul_add::<FMA>(d, hidden[i], made[i]);
+        }
+        weight_gradient.copy_from_slice(&made);
+    }
+    gradient[start..][..W].copy_from_slice(&sums);
 }
 
 #[cfg(test)]

@@ -153,7 +153,7 @@ impl Products {
         };
         let (networks, rows, units) = d.size3().expect("[N, R, H]");
         let [rows, units, width] = [rows, units, input.size()[2]].map(|size| size as usize);
-        let input_is_shared = networks > 1 && input.stride()[0] == 0;
+        let input_is_shared = is_shared(input);
         let [weight, _] = &stack.columns[layer];
         let mut gradient = step.gradient.shallow_clone();
         // SAFETY: the gradient is made of zeros by its owner, who lends it for this pass and reads it later. No other tensor
@@ -183,13 +183,25 @@ fn multiply_rows(native: Native, rows: &Tensor, right: &[Packed], product: &mut 
     // SAFETY: products are buffers of the stack, made of zeros. Layers may share one, of which nobody else has a slice now; it is not that of `rows`.
     let product: &mut [Bf16] = unsafe { numbers_mut(product) };
     let each = product.len() / right.len();
+    // What all networks share lies there once.
+    let shared = is_shared(rows).then(|| rows.get(0).contiguous());
     for (network, (right, product)) in right.iter().zip(product.chunks_exact_mut(each)).enumerate()
     {
         let mut copy = None;
         // SAFETY: filled before the pass began, and nobody writes until it has ended.
-        let left = Left::Rows(unsafe { matrix(rows, network, &mut copy) });
+        let left = Left::Rows(unsafe {
+            match &shared {
+                Some(shared) => numbers(shared),
+                None => matrix(rows, network, &mut copy),
+            }
+        });
         multiply(native, left, right, Out::Rounded(product));
     }
+}
+
+/// Whether the matrices of a batch are one in memory.
+fn is_shared(batch: &Tensor) -> bool {
+    batch.size()[0] > 1 && batch.stride()[0] == 0
 }
 
 /// A matrix of a batch `[N, R, C]`: in place, or copied if there are gaps.
