@@ -1,6 +1,6 @@
 //! Loops compiled for the processor at hand.
 //!
-//! The compiler turns plain loops over slices into vector instructions, if it may use them. [`run_for`] compiles a computation for three sets of
+//! The compiler turns plain loops over slices into vector instructions, if it may use them. [`run_for`] compiles a computation for four sets of
 //! processor features and calls the best one that the processor has. Results may differ between the sets in their last bits (fused multiply-add);
 //! the promise of equal bits holds for one processor type.
 
@@ -16,6 +16,9 @@
 /// alone, so that [`run_for`] need not ask again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Features {
+    /// AVX-512 with bfloat16.
+    #[cfg(target_arch = "x86_64")]
+    Avx512Bf16(Detected),
     #[cfg(target_arch = "x86_64")]
     Avx512(Detected),
     #[cfg(target_arch = "x86_64")]
@@ -39,7 +42,9 @@ impl Features {
             // AVX-512 stands for AVX2 and FMA, too, to the compiler; a virtual machine may leave them out.
             let avx2 = has!("avx2") && has!("fma");
             if avx512 && avx2 {
-                return Self::Avx512(Detected(()));
+                let bf16 = has!("avx512bf16");
+                let detected = Detected(());
+                return if bf16 { Self::Avx512Bf16(detected) } else { Self::Avx512(detected) };
             }
             if avx2 {
                 return Self::Avx2(Detected(()));
@@ -59,6 +64,12 @@ pub(crate) fn mul_add<const FMA: bool>(a: f32, b: f32, c: f32) -> f32 {
 #[inline(always)]
 pub(crate) fn run_for<L: Loop>(features: Features, job: L) {
     #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512bf16,fma")]
+    fn avx512_bf16<L: Loop>(job: L) {
+        // SAFETY: compiled for it.
+        unsafe { job.run_with_bf16() };
+    }
+    #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,fma")]
     fn avx512<L: Loop>(job: L) {
         job.run::<true>();
@@ -70,6 +81,9 @@ pub(crate) fn run_for<L: Loop>(features: Features, job: L) {
     }
     match features {
         // SAFETY: `detect` found the features, or there would be no `Detected`.
+        #[cfg(target_arch = "x86_64")]
+        Features::Avx512Bf16(Detected(())) => unsafe { avx512_bf16(job) },
+        // SAFETY: as above.
         #[cfg(target_arch = "x86_64")]
         Features::Avx512(Detected(())) => unsafe { avx512(job) },
         // SAFETY: as above.
@@ -83,4 +97,17 @@ pub(crate) fn run_for<L: Loop>(features: Features, job: L) {
 pub(crate) trait Loop {
     /// Computes, with fused multiply-adds if `FMA`.
     fn run<const FMA: bool>(self);
+
+    /// The same where the processor rounds to bfloat16, and the computation makes use of it.
+    ///
+    /// # Safety
+    /// Called from code that is compiled for AVX-512 with bfloat16.
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    unsafe fn run_with_bf16(self)
+    where
+        Self: Sized,
+    {
+        self.run::<true>();
+    }
 }

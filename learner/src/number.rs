@@ -8,6 +8,17 @@ pub(crate) trait Number: Copy {
     fn widen(self) -> f32;
     /// Rounded to nearest, ties to even.
     fn round(x: f32) -> Self;
+
+    /// Sixteen of them by the processor's own instruction, if there is one. Numbers below the normal ones become zero.
+    ///
+    /// # Safety
+    /// Called from code that is compiled for AVX-512 with bfloat16.
+    #[cfg(target_arch = "x86_64")]
+    #[expect(unsafe_code, reason = "an instruction of detected processor features")]
+    #[inline(always)]
+    unsafe fn round_each_natively(x: [f32; 16]) -> [Self; 16] {
+        x.map(Self::round)
+    }
 }
 
 impl Number for f32 {
@@ -36,6 +47,14 @@ impl Number for Bf16 {
         let bits = x.to_bits();
         // Half of the last place, less one if that is even; NaN stays NaN, because libtorch's has its upper bits set.
         Self((bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16) as u16)
+    }
+    #[cfg(target_arch = "x86_64")]
+    #[expect(unsafe_code, reason = "an instruction of detected processor features")]
+    #[inline(always)]
+    unsafe fn round_each_natively(x: [f32; 16]) -> [Self; 16] {
+        use std::arch::x86_64::{_mm512_cvtneps_pbh, _mm512_loadu_ps};
+        // SAFETY: the caller's promise. Both types are 32 bytes, of which any bits are sixteen numbers.
+        unsafe { std::mem::transmute(_mm512_cvtneps_pbh(_mm512_loadu_ps(x.as_ptr()))) }
     }
 }
 

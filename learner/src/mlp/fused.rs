@@ -248,14 +248,30 @@ struct RowKernel<'r, A, N> {
 impl<T: Number, N: Nonlinearity + Copy> Loop for RowKernel<'_, Forward<'_, T>, N> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        forward_rows::<T, N, FMA>(self.sizes, self.arrays, self.rows, self.unit);
+        forward_rows::<T, N, _, FMA>(self.sizes, self.arrays, self.rows, self.unit, Plain);
+    }
+    #[cfg(target_arch = "x86_64")]
+    #[expect(unsafe_code, reason = "the processor's own rounding")]
+    #[inline(always)]
+    unsafe fn run_with_bf16(self) {
+        // SAFETY: the caller's promise.
+        let natively = unsafe { Natively::new() };
+        forward_rows::<T, N, _, true>(self.sizes, self.arrays, self.rows, self.unit, natively);
     }
 }
 
 impl<T: Number, N: Nonlinearity + Copy> Loop for RowKernel<'_, Backward<'_, T>, N> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        backward_rows::<T, N, FMA>(self.sizes, self.arrays, self.rows, self.unit);
+        backward_rows::<T, N, _, FMA>(self.sizes, self.arrays, self.rows, self.unit, Plain);
+    }
+    #[cfg(target_arch = "x86_64")]
+    #[expect(unsafe_code, reason = "the processor's own rounding")]
+    #[inline(always)]
+    unsafe fn run_with_bf16(self) {
+        // SAFETY: the caller's promise.
+        let natively = unsafe { Natively::new() };
+        backward_rows::<T, N, _, true>(self.sizes, self.arrays, self.rows, self.unit, natively);
     }
 }
 
@@ -307,11 +323,12 @@ macro_rules! sum {
 }
 
 #[inline(always)]
-fn forward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
+fn forward_rows<T: Number, N: Nonlinearity + Copy, R: Rounding, const FMA: bool>(
     sizes: Sizes,
     arrays: Forward<'_, T>,
     rows: [&mut [f32]; 2],
     unit: N,
+    rounding: R,
 ) {
     let Sizes { samples, features: h, outputs, .. } = sizes;
     let Forward { product, bias, hidden, mut inverse_std, mut head } = arrays;
@@ -319,6 +336,7 @@ fn forward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
     let [row, _] = rows;
     let row = &mut row[..h];
     let per_feature = 1.0 / h as f32;
+    let blocks = h / CHAINS * CHAINS;
     for index in 0..sizes.rows() {
         let at = sizes.row(index);
         let bias = &bias[at.bias * h..][..h];
@@ -334,11 +352,26 @@ fn forward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
             let variance = sum!(x in row => |sum| mul_add::<FMA>(x, x, sum)) * per_feature;
             let inverse = 1.0 / (variance + LAYER_NORM_EPSILON as f32).sqrt();
             inverse_std[index] = inverse;
-            for i in 0..h {
+            for start in (0..blocks).step_by(CHAINS) {
+                let mut x = block(row, start);
+                for x in &mut x {
+                    *x *= inverse;
+                }
+                hidden[start..][..CHAINS].copy_from_slice(&rounding.each(x));
+            }
+            for i in blocks..h {
                 hidden[i] = T::round(row[i] * inverse);
             }
         } else {
-            for i in 0..h {
+            for start in (0..blocks).step_by(CHAINS) {
+                let (product, bias) = (block(product, start), block(bias, start));
+                let mut x = [0.0; CHAINS];
+                for i in 0..CHAINS {
+                    x[i] = unit.of::<FMA>(product[i].widen() + bias[i]);
+                }
+                hidden[start..][..CHAINS].copy_from_slice(&rounding.each(x));
+            }
+            for i in blocks..h {
                 hidden[i] = T::round(unit.of::<FMA>(product[i].widen() + bias[i]));
             }
         }
@@ -358,24 +391,34 @@ fn forward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
 
 /// With LayerNorm (d − mean(d) − ĥ · mean(d ⊙ ĥ)) / σ, else d, back through the units.
 #[inline(always)]
-fn backward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
+fn backward_rows<T: Number, N: Nonlinearity + Copy, R: Rounding, const FMA: bool>(
     sizes: Sizes,
     arrays: Backward<'_, T>,
     rows: [&mut [f32]; 2],
     unit: N,
+    rounding: R,
 ) {
     let Sizes { samples, features: h, outputs, .. } = sizes;
     let Backward { product, bias, hidden, inverse_std, gradient, bias_gradient, mut head } = arrays;
     let [row, wide] = rows;
     let (row, wide) = (&mut row[..h], &mut wide[..h]);
     let per_feature = 1.0 / h as f32;
+    let blocks = h / CHAINS * CHAINS;
     for index in 0..sizes.rows() {
         let at = sizes.row(index);
         let hidden = &hidden[index * h..][..h];
         let gradient = &mut gradient[index * h..][..h];
         let bias_gradient = &mut bias_gradient[at.bias * h..][..h];
         if head.is_none() && inverse_std.is_none() {
-            for i in 0..h {
+            for start in (0..blocks).step_by(CHAINS) {
+                let (x, d) = (block(hidden, start), block(gradient, start));
+                let mut back = [0.0; CHAINS];
+                for i in 0..CHAINS {
+                    back[i] = unit.back_from_result(x[i].widen(), d[i].widen());
+                }
+                put_gradient(back, rounding, bias_gradient, gradient, start);
+            }
+            for i in blocks..h {
                 let d = unit.back_from_result(hidden[i].widen(), gradient[i].widen());
                 bias_gradient[i] += d;
                 gradient[i] = T::round(d);
@@ -391,7 +434,6 @@ fn backward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
                     head.output_gradient[at.output + u * samples];
             }
             // All outputs for some features, which stay in a register, and then the next ones.
-            let blocks = h / CHAINS * CHAINS;
             for start in (0..blocks).step_by(CHAINS) {
                 back_through_head::<FMA, CHAINS>(sizes, &at, head, [wide, row], start);
             }
@@ -410,17 +452,85 @@ fn backward_rows<T: Number, N: Nonlinearity + Copy, const FMA: bool>(
             let (product, bias) = (&product[index * h..][..h], &bias[at.bias * h..][..h]);
             for i in 0..h {
                 let d = (row[i] - mul_add::<FMA>(wide[i], along, mean)) * inverse;
-                let d = unit.back::<FMA>(product[i].widen() + bias[i], d);
-                bias_gradient[i] += d;
-                gradient[i] = T::round(d);
+                row[i] = unit.back::<FMA>(product[i].widen() + bias[i], d);
             }
         } else {
             for i in 0..h {
-                let d = unit.back_from_result(wide[i], row[i]);
-                bias_gradient[i] += d;
-                gradient[i] = T::round(d);
+                row[i] = unit.back_from_result(wide[i], row[i]);
             }
         }
+        for start in (0..blocks).step_by(CHAINS) {
+            put_gradient(block(row, start), rounding, bias_gradient, gradient, start);
+        }
+        for i in blocks..h {
+            bias_gradient[i] += row[i];
+            gradient[i] = T::round(row[i]);
+        }
+    }
+}
+
+/// Sixteen numbers of a row, by value: what is written through a reference might be what is read, for all that the compiler knows.
+#[inline(always)]
+fn block<T: Copy>(row: &[T], start: usize) -> [T; CHAINS] {
+    *row[start..][..CHAINS].as_array().expect("so many")
+}
+
+/// Adds sixteen gradients by products to those by the bias, and rounds them.
+#[inline(always)]
+fn put_gradient<T: Number, R: Rounding>(
+    d: [f32; CHAINS],
+    rounding: R,
+    bias_gradient: &mut [f32],
+    gradient: &mut [T],
+    start: usize,
+) {
+    let mut sums = block(bias_gradient, start);
+    for (sum, d) in sums.iter_mut().zip(d) {
+        *sum += d;
+    }
+    bias_gradient[start..][..CHAINS].copy_from_slice(&sums);
+    gradient[start..][..CHAINS].copy_from_slice(&rounding.each(d));
+}
+
+/// How sixteen numbers are rounded.
+trait Rounding: Copy {
+    fn each<T: Number>(self, x: [f32; CHAINS]) -> [T; CHAINS];
+}
+
+/// In steps that every processor has.
+#[derive(Clone, Copy)]
+struct Plain;
+
+impl Rounding for Plain {
+    #[inline(always)]
+    fn each<T: Number>(self, x: [f32; CHAINS]) -> [T; CHAINS] {
+        x.map(T::round)
+    }
+}
+
+/// By an instruction of AVX-512 with bfloat16.
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy)]
+struct Natively(());
+
+#[cfg(target_arch = "x86_64")]
+#[expect(unsafe_code, reason = "the processor's own rounding")]
+impl Natively {
+    /// # Safety
+    /// It is only used by code that is compiled for AVX-512 with bfloat16.
+    #[inline(always)]
+    unsafe fn new() -> Self {
+        Self(())
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[expect(unsafe_code, reason = "the processor's own rounding")]
+impl Rounding for Natively {
+    #[inline(always)]
+    fn each<T: Number>(self, x: [f32; CHAINS]) -> [T; CHAINS] {
+        // SAFETY: who made it promised that.
+        unsafe { T::round_each_natively(x) }
     }
 }
 
