@@ -159,15 +159,15 @@ impl<S: Real> Posture<S> {
         self.tried = other.tried;
     }
 
-    /// What it is in lane `lane`, in all lanes.
+    /// What it is in lane `lane`, in all lanes of `chain`, which is the same arm.
     #[inline(always)]
-    pub(super) fn everywhere(&self, lane: usize) -> Self {
+    pub(super) fn everywhere<T: Real>(&self, lane: usize, chain: &Chain<T>) -> Posture<T> {
         let of = |x: S| everywhere(x, lane);
-        Self {
+        Posture {
             left: self.left.map(of),
             good: of(self.good),
             free: of(self.free),
-            chain: self.chain.clone(),
+            chain: chain.clone(),
             goal: self.goal.map(of),
             angles: self.angles.map(of),
             tried: of(self.tried),

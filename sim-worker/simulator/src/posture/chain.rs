@@ -47,10 +47,10 @@ pub(super) fn put_lane<S: Real>(these: &mut [S], to: usize, others: &[S], from: 
     }
 }
 
-/// Lane `lane` in all lanes.
+/// Lane `lane` in all lanes, of the same kind or another.
 #[inline(always)]
-pub(super) fn everywhere<S: Real>(x: S, lane: usize) -> S {
-    S::splat(x.lane(lane))
+pub(super) fn everywhere<S: Real, T: Real>(x: S, lane: usize) -> T {
+    T::splat(x.lane(lane))
 }
 
 /// Puts `these` in where the mask is set.

@@ -4,15 +4,15 @@
 //! judged together, a set with one way of each arm at a time, by a [rollout of the kinematics](KinematicRollout). An arm that has no way to its goal
 //! may go elsewhere, where that brings others to theirs.
 //!
-//! **A lane is a set.** The environments of a lane group choose one after another, each in all lanes. Sets are tried in rounds of [`LANES`]: all
+//! **A lane is a set.** The environments of a lane group choose one after another, each in all lanes of a register. Sets are tried in rounds of [`LANES`]: all
 //! of a round vary what was best before it. So the choice does not hang on how many lanes there are.
 
 use super::arm::{Following, Pace, Place, Posture};
-use super::chain::{Angles, Frame, everywhere, put_lane};
+use super::chain::{Angles, Chain, Frame, everywhere};
 use super::kinematic_rollout::{self, KinematicRollout};
 use super::search::{Question, STARTS, STOPPED, UNSOLVED, Way};
 use crate::model::Model;
-use crate::robot::MAX_ARMS;
+use crate::robot::{MAX_ARMS, Robot};
 use crate::scalar::{Kernel, LANES, Mask, Real};
 
 /// Rounds of sets that are tried.
@@ -24,10 +24,26 @@ const SETS: usize = ROUNDS * LANES;
 /// better, but hardly an arm leaves its goal for that.
 const FARTHER: f64 = 0.1;
 
+/// The robot in all lanes in which sets are tried.
+#[derive(Debug, Clone)]
+pub(super) struct Trials<T: Real> {
+    model: Model<T>,
+    chains: Vec<Chain<T>>,
+    pace: Pace<T>,
+}
+
+impl<T: Real> Trials<T> {
+    /// Arms go at `pace`, the same in all lanes.
+    pub(super) fn new<S: Real>(robot: &Robot, pace: &Pace<S>) -> Self {
+        let Pace { gain, period, limits } = pace;
+        let limits = limits.iter().map(|&limit| everywhere(limit, 0)).collect();
+        let pace = Pace { gain: *gain, period: *period, limits };
+        Self { model: Model::new(robot), chains: Chain::of(robot), pace }
+    }
+}
+
 /// The postures of a lane group that are yet to be chosen, in the lanes of `open`, an entry an arm.
 pub(super) struct Foresight<'a, S: Real> {
-    pub(super) model: &'a Model<S>,
-    pub(super) pace: &'a Pace<S>,
     pub(super) goals: &'a [[S; 6]],
     pub(super) place: &'a Place<'a, S>,
     pub(super) open: &'a [S::Mask],
@@ -44,25 +60,26 @@ pub(super) struct Foresight<'a, S: Real> {
 
 impl<S: Real> Foresight<'_, S> {
     /// Gives every arm the way with which most of them arrive, and of such ways the shortest, or where hands are persistent one with which the others come nearer.
-    pub(super) fn choose(self, arms: &mut [Posture<S>]) {
-        S::compiled(Choose { foresight: self, arms });
+    pub(super) fn choose<T: Real>(self, arms: &mut [Posture<S>], trials: &Trials<T>) {
+        S::compiled(Choose { foresight: self, arms, trials });
     }
 }
 
-struct Choose<'a, 'b, S: Real> {
+struct Choose<'a, 'b, S: Real, T: Real> {
     foresight: Foresight<'a, S>,
     arms: &'b mut [Posture<S>],
+    trials: &'b Trials<T>,
 }
 
-impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
+impl<S: Real, T: Real> Kernel<S> for Choose<'_, '_, S, T> {
     type Output = ();
     #[inline(always)]
     fn run(self) {
-        let Self { foresight, arms } = self;
-        let Foresight { model, pace, goals, place, open, .. } = foresight;
-        let Foresight { active, following, persistent, before, to_the_end, .. } = foresight;
-        let mut rollout = KinematicRollout::new(model, arms, (active, following), place);
-        let farther = S::splat(if persistent { FARTHER } else { 0.0 });
+        let Self { foresight, arms, trials: Trials { model, chains, pace } } = self;
+        let Foresight { goals, place, open, active, following, .. } = foresight;
+        let Foresight { persistent, before, to_the_end, .. } = foresight;
+        let mut rollout = KinematicRollout::<T>::new(model, chains, (active, following));
+        let farther = T::splat(if persistent { FARTHER } else { 0.0 });
         for lane in 0..S::LANES {
             let mut is_open = [false; MAX_ARMS];
             for (is_open, open) in is_open.iter_mut().zip(open) {
@@ -71,7 +88,7 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
             if is_open == [false; MAX_ARMS] {
                 continue;
             }
-            let q: Vec<S> = place.q.iter().map(|q| everywhere(*q, lane)).collect();
+            let q: Vec<T> = place.q.iter().map(|q| everywhere(*q, lane)).collect();
             let place = Place {
                 position: place.position.map(|x| everywhere(x, lane)),
                 quaternion: place.quaternion.map(|x| everywhere(x, lane)),
@@ -80,10 +97,12 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
             };
             let goals: Vec<_> =
                 goals.iter().map(|goal| goal.map(|x| everywhere(x, lane))).collect();
-            let alone: Vec<_> = arms.iter().map(|arm| arm.everywhere(lane)).collect();
-            let first_start = everywhere(before, lane) * S::splat((SETS * arms.len()) as f64);
+            let alone: Vec<_> =
+                arms.iter().zip(chains).map(|(arm, chain)| arm.everywhere(lane, chain)).collect();
+            let first_start =
+                everywhere::<S, T>(before, lane) * T::splat((SETS * arms.len()) as f64);
             let mut sets = Sets::new(&alone, &goals, &place, first_start);
-            for number in (0..SETS).step_by(S::LANES) {
+            for number in (0..SETS).step_by(T::LANES) {
                 if number % LANES == 0 {
                     sets.begin_round();
                 }
@@ -91,7 +110,7 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
                 rollout.begin(&alone, &sets.tried, &place);
                 // Costs only grow: a set that costs no less than the best is given up.
                 let best = if to_the_end { f64::INFINITY } else { sets.next_cost };
-                let limit = S::splat(best);
+                let limit = T::splat(best);
                 let mut hopeful = rollout.cost().lt(limit);
                 for _ in 0..kinematic_rollout::STEPS {
                     if !hopeful.any() {
@@ -108,7 +127,9 @@ impl<S: Real> Kernel<S> for Choose<'_, '_, S> {
             }
             for ((arm, best), is_open) in arms.iter_mut().zip(&sets.next).zip(is_open) {
                 if is_open {
-                    put_lane(&mut arm.angles, lane, &best.angles, 0);
+                    for (angle, best) in arm.angles.iter_mut().zip(best.angles) {
+                        angle.set_lane(lane, best.lane(0));
+                    }
                 }
             }
         }

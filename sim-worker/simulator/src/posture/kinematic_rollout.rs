@@ -3,6 +3,7 @@
 //! A control step of it costs a hundredth of one of the dynamics.
 
 use super::arm::{Following, Pace, Place, Posture};
+use super::chain::Chain;
 use super::follow::follow;
 use super::search::{Question, STOPPED, Way};
 use crate::collision::count_contacts;
@@ -43,17 +44,25 @@ impl<S: Real> KinematicRollout<S> {
     #[inline(always)]
     pub(super) fn new(
         model: &Model<S>,
-        arms: &[Posture<S>],
+        arms: &[Chain<S>],
         (active, following): ([bool; MAX_ARMS], Following),
-        place: &Place<'_, S>,
     ) -> Self {
+        let zeros = vec![S::zero(); model.n_joints()];
+        let at_zero = [S::zero(); 3];
         Self {
             workspace: Workspace::new(model),
-            joints: place.joints,
+            joints: model.joints,
             active,
             following,
-            arms: arms.to_vec(),
-            state: place.at_rest(),
+            arms: arms.iter().cloned().map(Posture::new).collect(),
+            state: State {
+                base_position: at_zero,
+                base_quaternion: [S::one(), S::zero(), S::zero(), S::zero()],
+                base_linear_velocity: at_zero,
+                base_angular_velocity: at_zero,
+                q: zeros.clone(),
+                qd: zeros,
+            },
             ways: S::zero(),
             touched: S::zero(),
         }

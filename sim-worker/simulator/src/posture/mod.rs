@@ -19,12 +19,12 @@ use self::arm::{Following, Place, equal};
 pub(crate) use self::arm::{Pace, Posture};
 use self::chain::Chain;
 use self::follow::follow;
-use self::foresight::Foresight;
+use self::foresight::{Foresight, Trials};
 pub(crate) use self::guidance::Guidance;
 use crate::collision::touching;
 use crate::model::Model;
 use crate::robot::{MAX_ARMS, Robot};
-use crate::scalar::{Kernel, Mask, Real};
+use crate::scalar::{Kernel, Mask, Real, registers_are_whole};
 use crate::spatial::{Vec3, quaternion_normalised};
 use crate::workspace::Workspace;
 
@@ -47,6 +47,8 @@ pub(crate) struct Postures<S: Real> {
     model: Arc<Model<S>>,
     workspace: Workspace<S>,
     pace: Pace<S>,
+    /// Where sets of ways are tried.
+    trials: Width<S>,
     /// Where the base was read to be when they last followed it: who looks twice sees the same.
     base: [S; 7],
     /// Where it is taken to be.
@@ -57,9 +59,21 @@ pub(crate) struct Postures<S: Real> {
     age: S,
 }
 
+/// In how many lanes sets of ways are tried: as many as there are environments, or as fill a register. The choice is the same.
+#[derive(Debug, Clone)]
+enum Width<S: Real> {
+    Lanes(Trials<S>),
+    Register(Trials<S::Register>),
+}
+
 impl<S: Real> Postures<S> {
     /// None yet.
     pub(crate) fn new(robot: &Robot, pace: Pace<S>, trust: f64) -> Self {
+        let trials = if S::LANES < S::Register::LANES && registers_are_whole() {
+            Width::Register(Trials::new(robot, &pace))
+        } else {
+            Width::Lanes(Trials::new(robot, &pace))
+        };
         let arms = Chain::of(robot).into_iter().map(Posture::new);
         let model = Model::new(robot);
         Self {
@@ -69,6 +83,7 @@ impl<S: Real> Postures<S> {
             workspace: Workspace::new(&model),
             model: Arc::new(model),
             pace,
+            trials,
             base: UNKNOWN.map(S::splat),
             believed: UNKNOWN.map(S::splat),
             trust: f64::from(trust as f32),
@@ -215,14 +230,12 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
         let reviewed = postures.review(new, rests, &place);
         let following = postures.following();
         if (asked | reviewed).any() {
-            let Postures { arms, active, persistent, model, pace, age, .. } = &mut *postures;
+            let Postures { arms, active, persistent, trials, age, .. } = &mut *postures;
             for (open, active) in open.iter_mut().zip(*active) {
                 *open = *open | (reviewed & S::Mask::splat(active));
             }
             let before = *age / S::splat(REVIEW);
             let foresight = Foresight {
-                model,
-                pace,
                 goals,
                 place: &place,
                 open: &open[..arms.len()],
@@ -232,7 +245,10 @@ impl<S: Real> Kernel<S> for Update<'_, S> {
                 before,
                 to_the_end: false,
             };
-            foresight.choose(arms);
+            match trials {
+                Width::Lanes(trials) => foresight.choose(arms, trials),
+                Width::Register(trials) => foresight.choose(arms, trials),
+            }
         }
         for still in &mut still {
             *still = *still & rests;

@@ -254,43 +254,44 @@ fn sets_that_are_given_up_are_not_missed() {
         let state = State::<S>::home(&robot);
         let place = Place::of(&state, robot.joints);
         let goals = evaluation_goals::<S>(&evaluated, first);
-        let Postures { arms: mut begun, active, model, pace, .. } = none_yet(&robot);
+        let Postures { arms: mut begun, active, pace, .. } = none_yet::<S>(&robot);
         for (index, (arm, goal)) in begun.iter_mut().zip(&goals).enumerate() {
             arm.begin(goal, &place, index);
         }
-        let choose = |to_the_end| {
+        let lanes = Trials::<S>::new(&robot, &pace);
+        let register = Trials::<S::Register>::new(&robot, &pace);
+        let choose = |to_the_end, wide| {
             let mut arms = begun.clone();
-            let (model, pace, goals, place) = (&model, &pace, &goals, &place);
+            let (goals, place) = (&goals, &place);
             let open = &[S::Mask::splat(true); 4];
             let (before, persistent, following) = (S::zero(), true, Following::CLOSE);
-            Foresight {
-                model,
-                pace,
-                goals,
-                place,
-                open,
-                active,
-                following,
-                persistent,
-                before,
-                to_the_end,
+            let foresight =
+                Foresight { goals, place, open, active, following, persistent, before, to_the_end };
+            if wide {
+                foresight.choose(&mut arms, &register);
+            } else {
+                foresight.choose(&mut arms, &lanes);
             }
-            .choose(&mut arms);
             arms
         };
         let angles = |arms: &[Posture<S>], lane: usize| {
             arms.iter().flat_map(|arm| arm.angles).map(|x| x.lane(lane)).collect::<Vec<_>>()
         };
-        let (chosen, to_the_end) = (choose(false), choose(true));
+        let (chosen, to_the_end) = (choose(false, false), choose(true, false));
+        let wide = choose(false, true);
         let mut others = 0;
         for lane in 0..S::LANES {
             let chosen = angles(&chosen, lane);
             assert_eq!(chosen, angles(&to_the_end, lane), "episode {}", first + lane);
+            assert_eq!(chosen, angles(&wide, lane), "episode {}, in a register", first + lane);
             others += usize::from(chosen != angles(&begun, lane));
         }
         others
     }
-    let others = crate::scalar::dispatch(Choices);
+    let backend = crate::scalar::Backend::detect();
+    let others = crate::scalar::dispatch_on(backend, Choices);
+    // With eight lanes in a register of sixteen, where there are.
+    assert_eq!(crate::scalar::dispatch_for(1, backend, Choices), others);
     assert!(others > 12, "only {others} choices differ from the nearest ways");
 }
 
@@ -318,12 +319,13 @@ fn choosing_anew_brings_goals_back_into_reach() {
                 }
                 let home = State::<S>::home(&robot);
                 let place = Place::of(&home, robot.joints);
+                let chains: Vec<_> = postures.arms.iter().map(|arm| arm.chain.clone()).collect();
                 let mut plant = KinematicRollout::new(
                     &postures.model,
-                    &postures.arms,
+                    &chains,
                     (postures.active, Following::CLOSE),
-                    &place,
                 );
+                plant.state = place.at_rest();
                 for _ in 0..60 {
                     if !self.reviewed {
                         postures.age = S::splat(REVIEW * (REVIEWS + 1.0));

@@ -42,8 +42,8 @@ mod single;
 
 pub(crate) use bf16::Fused;
 pub use bf16::{PairProducts, WeightPair, bias as bf16_bias, round as bf16_round};
-pub(crate) use lanes::pairs_are_slow;
 pub use lanes::{Backend, dispatch, dispatch_for, dispatch_on};
+pub(crate) use lanes::{pairs_are_slow, registers_are_whole};
 pub use real::{Kernel, LANES, LaneFn, Mask, PairKernel, Real, is_finite};
 
 #[cfg(test)]

@@ -65,10 +65,26 @@ impl Backend {
 /// product, and Intel's processors do a quarter as many of these instructions as fused multiply-adds (measured on family 6, models 167 and 207).
 #[cfg(target_arch = "x86_64")]
 pub(crate) fn pairs_are_slow() -> bool {
-    // The first register of leaf 0 holds the first letters of the maker's name.
-    let is_intel = std::arch::x86_64::__cpuid(0).ebx == u32::from_le_bytes(*b"Genu");
     let has_instruction = std::arch::is_x86_feature_detected!("avx512bf16");
-    Backend::detect() == Backend::Avx512 && (is_intel || !has_instruction)
+    Backend::detect() == Backend::Avx512 && (is_intel() || !has_instruction)
+}
+
+/// The first register of leaf 0 holds the first letters of the maker's name.
+#[cfg(target_arch = "x86_64")]
+fn is_intel() -> bool {
+    std::arch::x86_64::__cpuid(0).ebx == u32::from_le_bytes(*b"Genu")
+}
+
+/// Whether the processor works through a register of 512 bits as fast as through one of 256. Some of AMD's take it in two halves.
+#[cfg(target_arch = "x86_64")]
+pub(crate) fn registers_are_whole() -> bool {
+    Backend::detect() == Backend::Avx512 && is_intel()
+}
+
+/// Elsewhere all registers are of one size.
+#[cfg(not(target_arch = "x86_64"))]
+pub(crate) fn registers_are_whole() -> bool {
+    false
 }
 
 /// Elsewhere pairs lie side by side anyway.

@@ -13,6 +13,6 @@ mod operators;
 #[cfg(all(not(target_arch = "wasm32"), any(test, not(target_arch = "x86_64"))))]
 mod portable;
 
-pub(crate) use dispatch::pairs_are_slow;
 pub use dispatch::{Backend, dispatch, dispatch_for, dispatch_on};
+pub(crate) use dispatch::{pairs_are_slow, registers_are_whole};
 pub(super) use lone::run_scalar;
