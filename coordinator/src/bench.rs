@@ -93,9 +93,6 @@ pub struct BenchArgs {
     /// The Python that has the peers.
     #[arg(long, value_name = "FILE", default_value = ".venv-benches/bin/python")]
     pub python: PathBuf,
-    /// The machines of `scale`.
-    #[command(flatten)]
-    pub scale: ScaleArgs,
     /// Draw the curves of `growth` there, as SVG.
     #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
@@ -105,6 +102,9 @@ pub struct BenchArgs {
     /// Print as one JSON object.
     #[arg(long)]
     pub json: bool,
+    /// The machines of `scale`. Last, as their heading holds for all options after it.
+    #[command(flatten)]
+    pub scale: ScaleArgs,
 }
 
 /// Options of `octopus bench scale`.

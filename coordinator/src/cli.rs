@@ -13,16 +13,17 @@ const EXIT_CODES: &str = "\
 Exit codes:
   0    all went well
   1    something failed while running; the message says what. Or what was
-       compared is not the same
+       compared is not the same, or figures of `bench` contradict each other
   2    the command line is wrong
   3    a configuration, robot, actions or other input file is wrong
-  4    the machine lacks something: shared memory, descriptors, libtorch, a
-       device, a free port, programs of the same build as the run that it
-       joins, a certificate that this run accepts
+  4    the machine lacks something: shared memory, descriptors, stack, room in
+       a file, libtorch, a device, a free port, programs of the same build as
+       the run that it joins, a certificate that this run accepts, or a bucket
+       that can be reached
   5    a run directory, checkpoint or result exists already, is in use, is
        missing or is damaged
   6    the learner or a worker failed for good
-  130  stopped at once: by a second Ctrl-C where a run is going on, by the first
+  130  stopped short: by a second Ctrl-C where a run is going on, by the first
        one elsewhere
 
 Results go to standard output, progress and logs to standard error (RUST_LOG=info shows more). \

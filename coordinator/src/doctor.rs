@@ -61,7 +61,7 @@ pub fn run(args: DoctorArgs) -> anyhow::Result<()> {
         let columns = output::columns();
         let rows = checks.iter().map(|check| {
             let verdict = match check.verdict {
-                Verdict::Good => "ok",
+                Verdict::Good => "good",
                 Verdict::Warning => "warning",
                 Verdict::Failure => "FAILS",
             };

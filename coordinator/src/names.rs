@@ -83,7 +83,7 @@ impl Names for Preset {
     fn help(self) -> &'static str {
         match self {
             Self::Guided => {
-                "The paper's robot, tasks and measures with whatever learns them fastest: agents know a way to their goals"
+                "The paper's robot with whatever learns fastest: agents know a way to their goals"
             }
             Self::Tuned => "The same with policies that find everything themselves",
             Self::Paper => "The paper's text; where it is silent, the released code",
@@ -103,7 +103,9 @@ impl Names for AlgorithmName {
 
     fn help(self) -> &'static str {
         match self {
-            Self::Mappo => "An actor and a critic for each agent; critics see everything",
+            Self::Mappo => {
+                "An actor for each agent, or for all of one role; critics see everything"
+            }
             Self::Ippo => "Likewise, but each critic sees what its agent sees",
             Self::Ppo => "One actor and one critic for all agents together",
             Self::Maddpg => {

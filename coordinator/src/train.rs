@@ -38,7 +38,8 @@ Examples:
 Configuration is merged in layers, later ones win: the preset, --config, the flags above, --set. \
 Its groups are task, robot, env, network, algorithm, optimizer and run; the resolved whole is \
 written to RUN_DIR/config.toml. One Ctrl-C finishes the iteration, commits a checkpoint and ends \
-cleanly; a second one stops at once. `octopus resume RUN_DIR` goes on.";
+cleanly; a second one stops within three seconds, without a checkpoint, and a third at once. \
+`octopus resume RUN_DIR` goes on.";
 
 /// Options of `octopus train`.
 #[derive(Debug, Clone, Args)]

@@ -14,6 +14,9 @@
 //!   checkpoints/       one directory a checkpoint
 //!   failures/          blocks that could not be made, if there are any: environment and policy
 //!   promised.jsonl     digests of iterations that are being trained on again, until they are passed
+//!   budgets.json       over which budgets the schedules of its iterations ran
+//!   evaluation.json    the errors at the end, unless `--no-eval` leaves them out
+//!   http.token         the token of the run's HTTP service; only its user reads it
 //!   run.lock           held by the coordinator while the run is alive
 //! ```
 

@@ -101,7 +101,7 @@ impl<'a> Drive<'a> {
                 }
                 if heeded == 0 && self.is_training() {
                     output::note(
-                        "stopping: every trial finishes its iteration; Ctrl-C again stops at once",
+                        "stopping: every trial finishes its iteration; Ctrl-C again does not wait for it",
                     );
                 }
                 heeded = asked;

@@ -32,8 +32,8 @@ episodes with held-out goals, in units of the paper's accuracy: less is better. 
 configurations are compared by the mean over their seeds. Schedules run over the whole budget from \
 the beginning, so a trial that went on is the same, to the bit, as one that never paused.
 
-One Ctrl-C lets every trial finish its iteration and commit a checkpoint; a second one stops at \
-once. The same command goes on, also after a crash or a kill. Trials may be added to the file \
+One Ctrl-C lets every trial finish its iteration and commit a checkpoint; a second one stops \
+within three seconds. The same command goes on, also after a crash or a kill. Trials may be added to the file \
 meanwhile; what has begun may not change. In the end OUT has table.csv and report.html.";
 
 /// Options of `octopus sweep`.

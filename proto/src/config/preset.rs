@@ -8,7 +8,7 @@ use crate::ConfigError;
 /// The built-in configurations, in `deploy/presets`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Preset {
-    /// The paper's robot, tasks and measures with whatever learns them fastest: agents know joint angles that bring the hand to its
+    /// The paper's robot with whatever learns fastest: agents know joint angles that bring the hand to its
     /// goal, and act beside them.
     Guided,
     /// The same with policies that find everything themselves.

@@ -69,14 +69,14 @@ pub struct Reward {
     /// Whether an agent answers for contacts of its own arm alone, instead of the whole robot's.
     #[serde(default)]
     pub own_collisions: bool,
-    /// Share of the mean of its arm's two rewards in an agent's (trajectory); the rest is its own reward.
+    /// Share of the mean of its arm's two rewards in an agent's (arms that reach); the rest is its own reward.
     #[serde(default)]
     pub team_spirit: f64,
-    /// Agents of shoulder joints, who care for the hand's position (trajectory).
+    /// Agents of shoulder joints, who care for the hand's position (arms that reach).
     pub position: RewardWeights,
-    /// Agents of wrist joints, who care for the hand's orientation (trajectory).
+    /// Agents of wrist joints, who care for the hand's orientation (arms that reach).
     pub orientation: RewardWeights,
-    /// The one reward that all agents share (reorientation).
+    /// Agents of arms that turn the base. They have all terms but contacts in common.
     pub base: RewardWeights,
 }
 

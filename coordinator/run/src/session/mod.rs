@@ -418,7 +418,7 @@ impl<'a> Session<'a> {
         }
         let limit = self.spec.config.run.time_limit();
         let reason = if self.spec.stop.count() > 0 {
-            reporter.note("stopping after this iteration; Ctrl-C again stops at once");
+            reporter.note("stopping after this iteration; Ctrl-C again does not wait for it");
             StoppedBy::Signal
         } else if limit.is_some_and(|limit| self.started.elapsed() >= limit) {
             reporter.note("time limit reached, stopping after this iteration");
