@@ -91,8 +91,9 @@ mod tests {
     fn what_is_not_finite_has_no_finite_norm() {
         // The square of the last one is infinite in f32.
         for x in [f32::NAN, f32::INFINITY, 1e30] {
-            let row = Tensor::from_slice(&[1.0, x, 2.0]).view([1, 3]);
-            assert!(!squared_norms(&row, &[0..3])[0].is_finite());
+            let rows = Tensor::from_slice(&[1.0, x, 2.0, 1.0, 1.0, 1.0]).view([2, 3]);
+            let norms = squared_norms(&rows, &[0..3, 0..3]);
+            assert!(!norms[0].is_finite() && norms[1] == 3.0, "{norms:?}");
         }
     }
 }

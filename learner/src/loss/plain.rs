@@ -119,14 +119,14 @@ impl ActorLoss {
             let shared =
                 Shared { actions: u, samples: b, inverse_std: numbers(&inverse_std), own, columns };
             let (z, squares) = (numbers_mut(z), numbers_mut(squares));
-            run_for(Features::detect(), Standardise { shared, mean: numbers(mean), z, squares });
+            run_for(Features::detect(), StandardPass { shared, mean: numbers(mean), z, squares });
         }
         let _ = squares.sum_intlist_out(log_ratio, &[1i64][..], false, Kind::Float);
         // SAFETY: as above.
         unsafe {
             run_for(
                 Features::detect(),
-                LogRatio {
+                RatioPass {
                     actions: u,
                     samples: b,
                     own_constant: if own.is_some() { 0.0 } else { (HALF_LN_TAU * u as f64) as f32 },
@@ -143,7 +143,7 @@ impl ActorLoss {
                 Shared { actions: u, samples: b, inverse_std: numbers(&inverse_std), own, columns };
             run_for(
                 Features::detect(),
-                Terms {
+                TermsPass {
                     shared,
                     clip: [1.0 - self.clip, 1.0 + self.clip].map(|limit| limit as f32),
                     dual_clip: (self.dual_clip > 0.0).then_some(self.dual_clip as f32),
@@ -191,7 +191,7 @@ impl Shared<'_> {
 }
 
 /// z = (a − μ) / σ, and z².
-struct Standardise<'a> {
+struct StandardPass<'a> {
     shared: Shared<'a>,
     /// `[A, U, B]` each.
     mean: &'a [f32],
@@ -199,7 +199,7 @@ struct Standardise<'a> {
     squares: &'a mut [f32],
 }
 
-impl Loop for Standardise<'_> {
+impl Loop for StandardPass<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Shared { actions: u, samples: b, inverse_std, columns, .. } = self.shared;
@@ -218,7 +218,7 @@ impl Loop for Standardise<'_> {
 }
 
 /// The logarithm of the ratio of probabilities, from the sum of squares.
-struct LogRatio<'a> {
+struct RatioPass<'a> {
     actions: usize,
     samples: usize,
     /// U ½ ln 2π, unless `constant` has it.
@@ -231,7 +231,7 @@ struct LogRatio<'a> {
     log_ratio: &'a mut [f32],
 }
 
-impl Loop for LogRatio<'_> {
+impl Loop for RatioPass<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let (u, b) = (self.actions, self.samples);
@@ -246,7 +246,7 @@ impl Loop for LogRatio<'_> {
 }
 
 /// What is summed over samples, and the gradient by the means.
-struct Terms<'a> {
+struct TermsPass<'a> {
     shared: Shared<'a>,
     clip: [f32; 2],
     dual_clip: Option<f32>,
@@ -264,7 +264,7 @@ struct Terms<'a> {
     terms: &'a mut [f32],
 }
 
-impl Loop for Terms<'_> {
+impl Loop for TermsPass<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { shared, clip, dual_clip, scale, log_ratio, ratio, .. } = self;
@@ -355,7 +355,7 @@ impl CriticLoss {
         assert!(are_apart(&[&passes.gradient, output]), "outputs lie in memory of the passes");
         // SAFETY: outputs are the caller's, filled and apart from the gradient, which was made of zeros. libtorch does nothing until the pass has ended.
         let pass = unsafe {
-            ValueLoss {
+            ValuePass {
                 critics,
                 each,
                 samples: b,
@@ -373,13 +373,15 @@ impl CriticLoss {
         let _ = loss.sum_intlist_out(sums, &[1i64][..], false, Kind::Float);
         // SAFETY: as above.
         let sums: &mut [f32] = unsafe { numbers_mut(sums) };
-        sums.iter_mut().for_each(|sum| *sum *= self.coefficient as f32);
+        for sum in &mut *sums {
+            *sum *= self.coefficient as f32;
+        }
         (gradient, sums)
     }
 }
 
 /// The critics' losses and their gradients.
-struct ValueLoss<'a> {
+struct ValuePass<'a> {
     /// C.
     critics: usize,
     /// A / C.
@@ -400,7 +402,7 @@ struct ValueLoss<'a> {
     loss: &'a mut [f32],
 }
 
-impl ValueLoss<'_> {
+impl ValuePass<'_> {
     /// The loss's derivative by the error.
     #[inline(always)]
     fn slope(huber_delta: Option<f32>, error: f32) -> f32 {
@@ -410,17 +412,15 @@ impl ValueLoss<'_> {
     /// The loss of an error.
     #[inline(always)]
     fn penalty(huber_delta: Option<f32>, error: f32) -> f32 {
-        match huber_delta {
-            None => error * error * 0.5,
-            Some(_) => {
-                let inner = Self::slope(huber_delta, error);
-                inner * (error - inner * 0.5)
-            }
+        if huber_delta.is_none() {
+            return error * error * 0.5;
         }
+        let inner = Self::slope(huber_delta, error);
+        inner * (error - inner * 0.5)
     }
 }
 
-impl Loop for ValueLoss<'_> {
+impl Loop for ValuePass<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { critics, each, samples: b, clip, huber_delta, scale, output, columns, .. } =
@@ -440,12 +440,14 @@ impl Loop for ValueLoss<'_> {
                 let change = value[i] - old[i];
                 let small = clamp(change, [-clip, clip]);
                 let limited = Self::penalty(huber_delta, old[i] + small - target[i]);
-                let moves = (plain >= limited) | (small == change);
+                let moves = plain >= limited || small == change;
                 loss[i] = maximum(plain, limited);
                 gradient[i] = slope * f32::from(u8::from(moves)) * scale;
             }
             if each > 1 {
-                gradient.iter_mut().for_each(|gradient| *gradient /= each as f32);
+                for gradient in gradient {
+                    *gradient /= each as f32;
+                }
             }
         }
     }

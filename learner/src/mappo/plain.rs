@@ -101,8 +101,9 @@ impl Group {
                 let (mean, std): (&[f32], &[f32]) = unsafe { (numbers(mean), numbers(std)) };
                 let agents = chunk.columns.chunks_exact_mut(2 * part.len());
                 for ((columns, mean), std) in agents.zip(mean).zip(std) {
-                    let target = &mut columns[part.len()..];
-                    target.iter_mut().for_each(|target| *target = (*target - mean) / std);
+                    for target in &mut columns[part.len()..] {
+                        *target = (*target - mean) / std;
+                    }
                 }
             }
             let output = compute.forward(&x);
@@ -115,8 +116,7 @@ impl Group {
             compute.backward(&x, d_output, gradient);
             total.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
         }
-        total.iter_mut().for_each(|total| *total /= rows.len() as f32);
-        total
+        total.iter().map(|total| total / rows.len() as f32).collect()
     }
 }
 
