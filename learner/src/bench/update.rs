@@ -47,7 +47,7 @@ fn updates(
     seconds: f64,
 ) -> Result<Value, LearnerError> {
     let arithmetic = Arithmetic::of(config.run.precision)?;
-    let blocks = synthetic::blocks(dimensions, config.run.seed);
+    let blocks = synthetic::explored_blocks(&config.network, dimensions, config.run.seed);
     let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
     let mut state = TrainingState::initial(config, dimensions, arithmetic, device);
     let mut algorithm = Algorithm::new(config, dimensions, &state);
