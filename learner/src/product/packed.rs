@@ -112,20 +112,25 @@ impl Loop for Pack<'_> {
     fn run<const FMA: bool>(self) {
         let Self { matrix, rows, columns, pairs } = self;
         let (each, used) = (filled(rows), rows.div_ceil(2));
-        for (panel, pairs) in pairs.chunks_exact_mut(each.max(1)).enumerate() {
-            let first = panel * PANEL;
-            let width = PANEL.min(columns - first);
-            for (row, PairRow(out)) in pairs[..used].iter_mut().enumerate() {
-                let part = |row: usize| &matrix[row * columns + first..][..width];
-                let upper = part(2 * row);
-                let lower = if 2 * row + 1 < rows { part(2 * row + 1) } else { &[] };
-                if let ([upper], [lower]) = (upper.as_chunks().0, lower.as_chunks().0) {
-                    *out = whole_row(upper, lower);
-                } else {
-                    let lower = lower.iter().copied().chain(std::iter::repeat(Bf16(0)));
-                    for ((out, &upper), lower) in out.iter_mut().zip(upper).zip(lower) {
-                        *out = pair(upper, lower);
-                    }
+        for row in 0..used {
+            let upper = &matrix[2 * row * columns..][..columns];
+            let lower = if 2 * row + 1 < rows {
+                &matrix[(2 * row + 1) * columns..][..columns]
+            } else {
+                &[]
+            };
+            let ((uppers, upper), (lowers, lower)) = (upper.as_chunks(), lower.as_chunks());
+            for (panel, (upper, lower)) in uppers.iter().zip(lowers).enumerate() {
+                pairs[panel * each + row].0 = whole_row(upper, lower);
+            }
+            for panel in lowers.len()..uppers.len() {
+                pairs[panel * each + row].0 = whole_row(&uppers[panel], &[Bf16(0); PANEL]);
+            }
+            if !upper.is_empty() {
+                let lower = lower.iter().copied().chain(std::iter::repeat(Bf16(0)));
+                let PairRow(out) = &mut pairs[uppers.len() * each + row];
+                for ((out, &upper), lower) in out.iter_mut().zip(upper).zip(lower) {
+                    *out = pair(upper, lower);
                 }
             }
         }
