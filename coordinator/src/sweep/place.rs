@@ -107,10 +107,7 @@ impl Place {
         for run in &plan.runs {
             run.check()?;
         }
-        let trials = std::fs::read_dir(self.trials()).into_iter().flatten().flatten();
-        let mut begun: Vec<String> =
-            trials.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-        begun.sort();
+        let begun = self.begun();
         let is_planned = |name: &String| plan.study.trials.iter().any(|trial| trial.name == *name);
         if let Some(name) = begun.iter().find(|name| !is_planned(name)) {
             let message = format!(
@@ -131,6 +128,19 @@ impl Place {
             }
             _ => Err(refused(&page, "was not made by this command").into()),
         }
+    }
+
+    /// The names of the trials that have directories. Beside them lies what other programs keep there: a service its token, a
+    /// file manager its notes. No trial's name begins with a dot.
+    fn begun(&self) -> Vec<String> {
+        let entries = std::fs::read_dir(self.trials()).into_iter().flatten().flatten();
+        let mut begun: Vec<String> = entries
+            .filter(|entry| entry.path().is_dir())
+            .map(|entry| entry.file_name().to_string_lossy().into_owned())
+            .filter(|name| !name.starts_with('.'))
+            .collect();
+        begun.sort();
+        begun
     }
 
     fn changed(&self, now: &SweepFile, group: &str) -> ExitError {
@@ -201,4 +211,35 @@ fn lock(path: &Path, kind: FlockOperation) -> Result<File, ExitError> {
 
 fn refused(path: &Path, what: &str) -> ExitError {
     lab::reproduce::refused(path, what)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: &str = "iterations = 4\n[grid]\nalgorithm.gamma = [0.9, 0.95]";
+
+    /// A place in which a sweep has begun, and its plan.
+    fn begun(out: &Path) -> (Place, Plan) {
+        let place = Place::of(Path::new("rates.toml"), Some(out));
+        let file = SweepFile::parse(Path::new("rates.toml"), GRID.to_owned()).expect("valid");
+        let plan = Plan::new(file, &place.trials()).expect("valid");
+        drop(place.open(&plan, None).expect("nobody else is there"));
+        std::fs::create_dir(place.trials().join("gamma=0.9,seed=1")).expect("made");
+        (place, plan)
+    }
+
+    /// `octopus serve` keeps its token there.
+    #[test]
+    fn trials_are_directories_without_a_dot() {
+        let out = tempfile::tempdir().expect("tempdir");
+        let (place, plan) = begun(out.path());
+        std::fs::write(place.trials().join(".http.token"), "x").expect("written");
+        std::fs::write(place.trials().join("notes.txt"), "x").expect("written");
+        std::fs::create_dir(place.trials().join(".cache")).expect("made");
+        place.check(&plan).expect("no other trial");
+        std::fs::create_dir(place.trials().join("gamma=0.5,seed=1")).expect("made");
+        let told = place.check(&plan).expect_err("another trial").to_string();
+        assert!(told.contains("trial gamma=0.5,seed=1 of"), "{told}");
+    }
 }
