@@ -36,7 +36,7 @@ pub(super) fn check_place(out: &Path, force: bool) -> Result<(), ExitError> {
     let mark = regular_files::read_text(&out.join(MARK), regular_files::TEXT);
     let is_marked = mark.is_ok_and(|text| text == MARKED);
     let ours = |name: &str| is_marked || ![RUNS, POLICIES].contains(&name);
-    outputs::check_directory("--out", out, ours, force)
+    outputs::check_directory("--out", out, ours, Some(force))
 }
 
 /// Trains what is missing below `out`, and takes the best policies of it. Returns where they lie, and all runs.

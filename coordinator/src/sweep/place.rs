@@ -84,9 +84,9 @@ impl Place {
     /// Refuses a directory that something else was made in, and one of another sweep. Trials may be added to a sweep; what has
     /// begun may neither change nor be left out.
     pub(super) fn check(&self, plan: &Plan) -> anyhow::Result<()> {
-        let ours = [SWEEP, TRIALS, RECORDS, TABLE, PAGE, LOCK];
+        // By its file a directory is known for a sweep's; people lay notes and pictures beside it.
         let is_ours = self.0.join(SWEEP).is_file();
-        outputs::check_directory("--out", &self.0, |name| is_ours && ours.contains(&name), false)?;
+        outputs::check_directory("--out", &self.0, |_| is_ours, None)?;
         if !is_ours {
             return Ok(());
         }
@@ -241,5 +241,16 @@ mod tests {
         std::fs::create_dir(place.trials().join("gamma=0.5,seed=1")).expect("made");
         let told = place.check(&plan).expect_err("another trial").to_string();
         assert!(told.contains("trial gamma=0.5,seed=1 of"), "{told}");
+    }
+
+    #[test]
+    fn notes_beside_a_sweep_are_nothing_to_it() {
+        let out = tempfile::tempdir().expect("tempdir");
+        let (place, plan) = begun(out.path());
+        std::fs::write(out.path().join("notes.txt"), "x").expect("written");
+        place.check(&plan).expect("its own directory");
+        std::fs::remove_file(out.path().join(SWEEP)).expect("removed");
+        let told = place.check(&plan).expect_err("anybody's directory").to_string();
+        assert!(told.contains("holds \"notes.txt\"") && !told.contains("--force"), "{told}");
     }
 }

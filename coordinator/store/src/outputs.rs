@@ -109,12 +109,12 @@ pub fn check_outside(flag: &str, path: &Path) -> Result<(), ExitError> {
 }
 
 /// Refuses a directory that holds anything else than what `ours` names, or that is a run or a checkpoint or lies
-/// in one. `force` allows other things beside what a command makes.
+/// in one. `force` allows other things beside what a command makes; none if the command has no such flag.
 pub fn check_directory(
     flag: &str,
     path: &Path,
     ours: impl Fn(&str) -> bool,
-    force: bool,
+    force: Option<bool>,
 ) -> Result<(), ExitError> {
     let shown = path.display();
     if let Some(kind) = kind(path) {
@@ -129,13 +129,12 @@ pub fn check_directory(
         entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     others.retain(|name| !ours(name) && !is_temporary(name));
     others.sort();
-    match others.first() {
-        Some(other) if !force => Err(refused(format!(
-            "{flag} {shown}: holds {other:?}, which this command did not make; name another \
-             directory, or use --force"
-        ))),
-        _ => Ok(()),
-    }
+    let Some(other) = others.first().filter(|_| force != Some(true)) else { return Ok(()) };
+    let forced = if force.is_some() { ", or use --force" } else { "" };
+    Err(refused(format!(
+        "{flag} {shown}: holds {other:?}, which this command did not make; name another \
+         directory{forced}"
+    )))
 }
 
 /// Whether a name is that of a file that a kill left before it took its place.
@@ -351,7 +350,9 @@ mod tests {
     fn a_directory_with_other_things_is_taken_by_force_only() {
         let place = place();
         let ours = |name: &str| name == "report.html";
-        let check = |dir: &Path, force| check_directory("--out", dir, ours, force);
+        let check = |dir: &Path, force| check_directory("--out", dir, ours, Some(force));
+        let none = check_directory("--out", place.path(), ours, None).expect_err("not ours");
+        assert!(none.message.ends_with("; name another directory"), "{none}");
         let message = check(place.path(), false).expect_err("not ours").message;
         assert!(message.contains("holds \"empty\"") && message.contains("--force"), "{message}");
         assert!(check(place.path(), true).is_ok());

@@ -27,7 +27,7 @@ pub fn check_place(out: &Path, force: bool) -> Result<(), ExitError> {
     let mark = format!("content=\"{GENERATOR}\"");
     check_page(&out.join(PAGE), |text| text.contains(&mark))?;
     check_page(&out.join(episodes::FILE), episodes::is_ours)?;
-    outputs::check_directory("--out", out, is_ours, force)
+    outputs::check_directory("--out", out, is_ours, Some(force))
 }
 
 /// The learning curves that lie beside policies, if there are any.
