@@ -91,8 +91,21 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
             .collect(),
     };
     let Some(first) = failed.first() else { return Ok(()) };
+    let records = place.records(&plan);
+    let is_damaged = |trial: &&&TrialOutcome| {
+        let named = plan.study.trials.iter().zip(&records).find(|(own, _)| own.name == trial.name);
+        named.is_some_and(|(_, record)| record.damaged)
+    };
+    // Others are tried again; this one waits for somebody.
+    let damaged = failed.iter().find(is_damaged);
+    let then = match damaged {
+        None => "; the same command tries them again",
+        Some(_) if plan.file.halving.is_some() => "; until then no rung is decided that it is at",
+        Some(_) => "",
+    };
+    let first = damaged.unwrap_or(first);
     let message = format!(
-        "{} of {} failed; {}: {}; the same command tries them again",
+        "{} of {} failed; {}: {}{then}",
         failed.len(),
         output::counted(trials as u64, "trial"),
         first.name,

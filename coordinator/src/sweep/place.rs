@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use lab::sweep::page::GENERATOR;
 use lab::sweep::record::Record;
 use proto::{ExitCode, ExitError};
+use run::errors;
 use rustix::fs::{FlockOperation, flock};
 use store::regular_files::{self, Links};
 use store::{files, outputs, owned_files};
@@ -104,8 +105,11 @@ impl Place {
         if then.evaluation != now.evaluation {
             return Err(self.changed(now, "[evaluation]").into());
         }
-        for run in &plan.runs {
-            run.check()?;
+        for (run, trial) in plan.runs.iter().zip(&plan.study.trials) {
+            run.check().map_err(|error| {
+                let message = format!("trial {}: {}", trial.name, errors::told(&error));
+                ExitError::new(errors::exit_code(&error), message)
+            })?;
         }
         let begun = self.begun();
         let is_planned = |name: &String| plan.study.trials.iter().any(|trial| trial.name == *name);

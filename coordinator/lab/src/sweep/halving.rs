@@ -14,6 +14,8 @@ pub struct Standing {
     pub scores: Vec<Option<f64>>,
     /// Whether it has failed.
     pub failed: bool,
+    /// Whether its scores cannot be told, for a file of it is damaged. It has not lost by that.
+    pub damaged: bool,
 }
 
 /// What a trial does next.
@@ -48,6 +50,11 @@ pub fn next(trials: &[Standing], reduction: f64) -> Vec<Next> {
             *next = match trial.scores[rung] {
                 Some(_) if rung + 1 == rungs => Next::Done,
                 Some(_) => Next::Wait(rung),
+                None if trial.damaged => {
+                    // Who goes on would be another one once the file is put back.
+                    is_decided = false;
+                    Next::Failed(rung)
+                }
                 None if trial.failed => Next::Failed(rung),
                 None => {
                     is_decided = false;
@@ -116,6 +123,7 @@ mod tests {
             configuration: index / 2,
             scores: scores.to_vec(),
             failed: false,
+            damaged: false,
         };
         scores.iter().enumerate().map(of).collect()
     }
@@ -146,6 +154,7 @@ mod tests {
                 configuration: of,
                 scores: vec![scores(0, of), if of == 2 { scores(1, of) } else { None }, None],
                 failed: false,
+                damaged: false,
             })
             .collect();
         let expected = [Next::Stopped(0), Next::Rung(1), Next::Wait(1), Next::Stopped(0)];
@@ -197,10 +206,27 @@ mod tests {
 
     #[test]
     fn without_rungs_all_go_to_the_end() {
-        let trial = |score| Standing { configuration: 0, scores: vec![score], failed: false };
+        let trial = |score| Standing {
+            configuration: 0,
+            scores: vec![score],
+            failed: false,
+            damaged: false,
+        };
         let all = [trial(None), trial(Some(1.0)), trial(Some(f64::INFINITY))];
         assert_eq!(next(&all, 2.0), [Next::Rung(0), Next::Done, Next::Done]);
         assert_eq!(next(&[], 2.0), []);
         assert_eq!([kept(4, 2.0), kept(5, 2.0), kept(1, 4.0), kept(9, 3.0)], [2, 3, 1, 3]);
+    }
+
+    /// Else a rung would be decided without a trial whose file is put back later.
+    #[test]
+    fn nobody_goes_on_while_scores_cannot_be_told() {
+        let mut all = trials(&[at_first(1.0), at_first(2.0), at_first(3.0), NEW]);
+        all[3].damaged = true;
+        all[3].failed = true;
+        let expected = [Next::Wait(0), Next::Wait(0), Next::Wait(0), Next::Failed(0)];
+        assert_eq!(next(&all, 2.0), expected);
+        all[3].damaged = false;
+        assert_eq!(next(&all, 2.0)[0], Next::Rung(1), "it has lost");
     }
 }

@@ -21,7 +21,8 @@ pub struct Record {
     pub failure: Option<String>,
     /// Processor time of its processes (s), of the sessions whose end was seen.
     pub cpu_s: f64,
-    /// Whether nothing can be told, for a file of it or of its run is damaged. It counts as failed, and is left as it is.
+    /// Whether nothing can be told, for a file of it or of its run is damaged. It counts as failed, is left as it is, and no
+    /// rung is decided without it.
     #[serde(skip)]
     pub damaged: bool,
 }

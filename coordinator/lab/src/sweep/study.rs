@@ -50,6 +50,7 @@ impl Study {
                 .map(|iteration| records[index].at(*iteration).map(|scored| scored.score))
                 .collect(),
             failed: has_failed(index),
+            damaged: records[index].damaged,
         };
         let standings: Vec<Standing> = self.trials.iter().enumerate().map(standing).collect();
         next(&standings, self.reduction)
