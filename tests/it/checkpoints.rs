@@ -276,6 +276,14 @@ fn a_checkpoint_travels_as_one_file() {
     assert_eq!((&run.metrics()[6]["digest"], &last["iteration"]), (&last["digest"], &6.into()));
 
     refused(&["export", &format!("{dir}:6"), "--out", &at("no/such/dir.tar")], 1, &["dir.tar"]);
+    let full = std::fs::File::options().write(true).open("/dev/full").expect("it is there");
+    let output = Command::new(program("octopus"))
+        .args(["checkpoints", "export", &dir, "--out", "-"])
+        .stdout(full)
+        .output()
+        .expect("it starts");
+    assert_eq!(output.status.code(), Some(1), "the checkpoint is whole");
+    assert!(stderr(&output).contains("standard output cannot be written"), "{}", stderr(&output));
 }
 
 #[test]

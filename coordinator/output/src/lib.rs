@@ -55,7 +55,12 @@ pub fn json_bytes(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {
 /// terminal that is closed.
 pub fn write(bytes: &[u8]) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
-    match stdout.write_all(bytes).and_then(|()| stdout.flush()) {
+    written(stdout.write_all(bytes).and_then(|()| stdout.flush()))
+}
+
+/// What writing to standard output has come to, see [`write`].
+pub fn written(result: std::io::Result<()>) -> anyhow::Result<()> {
+    match result {
         Err(error) if error.kind() != ErrorKind::BrokenPipe && !is_closed_terminal(&error) => {
             Err(error).context("standard output cannot be written")
         }
@@ -71,4 +76,19 @@ fn is_closed_terminal(error: &std::io::Error) -> bool {
             .is_ok_and(|stat| FileType::from_raw_mode(stat.st_mode) == FileType::CharacterDevice)
     };
     error.raw_os_error() == Some(Errno::IO.raw_os_error()) && is_device()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Error;
+
+    use super::*;
+
+    #[test]
+    fn a_reader_that_has_seen_enough_is_no_error() {
+        assert!(written(Ok(())).is_ok());
+        assert!(written(Err(Error::from(ErrorKind::BrokenPipe))).is_ok());
+        let full = written(Err(Errno::NOSPC.into())).expect_err("a full disk");
+        assert!(full.to_string().starts_with("standard output cannot be written"), "{full}");
+    }
 }

@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 use std::path::Path;
 
-use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
 use store::checkpoint::{CheckpointError, CheckpointStore, Name};
 use store::outputs::Output;
@@ -44,14 +43,24 @@ pub(super) fn export(args: &ExportArgs) -> anyhow::Result<()> {
     let found = Found::of(&args.checkpoint)?;
     let (store, name) = (&found.store, &found.name);
     if args.out == Path::new("-") {
-        let mut stdout = BufWriter::new(std::io::stdout().lock());
-        store.export(name, &mut stdout)?;
-        return stdout.flush().context("standard output cannot be written");
+        return output::written(pack(store, name, &mut BufWriter::new(std::io::stdout().lock()))?);
     }
     let output = Output { flag: "--out", path: &args.out, mark: b"", force: args.force };
     output.check(&[("CHECKPOINT", &store.dir(name))])?;
     write(store, name, &args.out)?;
     report(&found.entry()?, args.json, &format!("exported to {}", args.out.display()))
+}
+
+/// Packs a checkpoint into `writer`; what that says to it stands apart from what is wrong with the checkpoint.
+fn pack(
+    store: &CheckpointStore,
+    name: &Name,
+    writer: &mut dyn Write,
+) -> Result<std::io::Result<()>, CheckpointError> {
+    match store.export(name, writer) {
+        Err(CheckpointError::Io { action: "export", source, .. }) => Ok(Err(source)),
+        packed => packed.map(Ok),
+    }
 }
 
 /// Writes the archive beside its place first: a reader finds a whole one or none.
@@ -61,13 +70,7 @@ fn write(store: &CheckpointStore, name: &Name, out: &Path) -> anyhow::Result<()>
         ExitError::new(ExitCode::Failure, message)
     };
     let pack = |writer: &mut dyn Write| -> anyhow::Result<()> {
-        match store.export(name, writer) {
-            // It names what is packed, not where.
-            Err(CheckpointError::Io { action: "export", source, .. }) => {
-                Err(failed(&source).into())
-            }
-            packed => Ok(packed?),
-        }
+        Ok(pack(store, name, writer)?.map_err(|error| failed(&error))?)
     };
     if std::fs::metadata(out).is_ok_and(|there| !there.is_file()) {
         // `/dev/stdout`, a pipe: written to as it is.
