@@ -11,7 +11,8 @@ Examples:
   octopus urdf --robot my-robot.toml --out my-robot.urdf
 
 Frames have the names of a recording of `octopus record`, so a viewer that has both moves the \
-robot. Masses and limits are the robot's; capsules are drawn as cylinders with balls at their ends.";
+robot. Masses and limits are the robot's; capsules are drawn as cylinders with balls at their ends. Joints have the zero of \
+the robot file, which is not home: `octopus robot import --home` takes the angles that they have there.";
 
 /// Options of `octopus urdf`.
 #[derive(Debug, Clone, Args)]

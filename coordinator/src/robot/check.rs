@@ -83,5 +83,28 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
         ("goals".to_owned(), format!("{reached} of {} can be reached", hands.len())),
     ];
     let lines: Vec<String> = rows.iter().map(|(what, value)| format!("{what:10}{value}")).collect();
-    output::line(&lines.join("\n"))
+    output::line(&lines.join("\n"))?;
+    if let Some(remark) = remark(reached, hands.len()) {
+        output::note(remark);
+    }
+    Ok(())
+}
+
+/// What may be wrong where most goals are out of reach. They are drawn around where hands are at home.
+fn remark(reached: usize, goals: usize) -> Option<&'static str> {
+    (2 * reached < goals).then_some(
+        "note: most goals are out of reach; they lie around the hands at home, so a home with bent arms may \
+         bring more (`home` of each arm, `octopus robot import --home`), and arms with fewer than six joints reach few",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_that_reaches_few_goals_is_remarked() {
+        assert!(remark(59, 120).is_some_and(|remark| remark.contains("home")));
+        assert_eq!(remark(60, 120), None);
+    }
 }

@@ -15,13 +15,14 @@ const EXAMPLES: &str = "\
 Examples:
   octopus robot import satellite.urdf --out satellite.toml
   octopus robot import satellite.urdf --hand gripper --out satellite.toml
+  octopus robot import satellite.urdf --home elbow=1.57,wrist_1=-1.57 --out satellite.toml
   octopus robot check satellite.toml
   octopus train --robot satellite.toml
 
 The root link is the base, which floats. Every chain of two to seven joints that turn, revolute or \
 continuous, is an arm; arms that are built alike are of one type. What is fixed to a link belongs to it. The \
-URDF's zero is the home pose; joint angles of the robot file count from the zero of its \
-Denavit-Hartenberg rows. Joints turn without end: position limits are dropped. What is left out or added is said, and stands in \
+URDF's zero is the home pose unless --home says another; arms that are stretched there reach few goals. Joint angles of \
+the robot file count from the zero of its Denavit-Hartenberg rows. Joints turn without end: position limits are dropped. What is left out or added is said, and stands in \
 the file as comments.";
 
 /// Options of `octopus robot import`.
@@ -37,6 +38,9 @@ pub struct ImportArgs {
     /// The link at each arm's end that is its hand, or how its name ends [default: the last link].
     #[arg(long, value_name = "LINK", allow_hyphen_values = true)]
     pub hand: Option<String>,
+    /// Angles at home (rad), as the URDF counts them, of joints by their names or how these end [default: 0].
+    #[arg(long, value_name = "JOINT=RAD,…", value_delimiter = ',', value_parser = angle)]
+    pub home: Vec<(String, f64)>,
     /// Where the base is at home: its height (m) in the world.
     #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = height, default_value_t = 4.0)]
     pub height: f64,
@@ -48,6 +52,15 @@ pub struct ImportArgs {
 fn height(text: &str) -> Result<f64, String> {
     let height = amount(text).ok().filter(|height| *height <= FARTHEST_HOME);
     height.ok_or_else(|| format!("wants a height from 0 to {FARTHEST_HOME} m"))
+}
+
+/// A joint and its angle.
+fn angle(text: &str) -> Result<(String, f64), String> {
+    let angle = text.rsplit_once('=').and_then(|(joint, angle)| {
+        let angle = angle.parse::<f64>().ok().filter(|angle| angle.is_finite())?;
+        (!joint.is_empty()).then(|| (joint.to_owned(), angle))
+    });
+    angle.ok_or_else(|| "wants JOINT=RAD, such as elbow=1.57".to_owned())
 }
 
 /// What such a file begins with.
@@ -66,8 +79,15 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let text = regular_files::read_text(&args.urdf, regular_files::TEXT)
         .map_err(|error| refused(&error))?;
     let home = [0.0, 0.0, args.height];
-    let imported =
-        ::urdf::import(&text, args.hand.as_deref(), home).map_err(|error| refused(&error))?;
+    let mut imported = ::urdf::import(&text, args.hand.as_deref(), home)
+        .and_then(|imported| imported.at_home(&args.home))
+        .map_err(|error| refused(&error))?;
+    if args.home.is_empty() {
+        imported.notes.push(
+            "all joints are at home where the URDF has them at zero; --home says other angles"
+                .to_owned(),
+        );
+    }
     let name = args.urdf.file_name().unwrap_or_default().to_string_lossy();
     let mut file = format!(
         "{} from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
@@ -98,6 +118,14 @@ mod tests {
         assert_eq!((height("0"), height("100")), (Ok(0.0), Ok(100.0)));
         for wrong in ["5000", "-1", "nan", "x"] {
             assert!(height(wrong).is_err_and(|wanted| wanted.contains("0 to 100 m")), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn homes_are_joints_with_angles() {
+        assert_eq!(angle("elbow=-1.57"), Ok(("elbow".to_owned(), -1.57)));
+        for wrong in ["elbow", "=1", "elbow=", "elbow=nan", "elbow=inf"] {
+            assert!(angle(wrong).is_err_and(|wanted| wanted.contains("elbow=1.57")), "{wrong}");
         }
     }
 }

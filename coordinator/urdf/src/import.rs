@@ -1,5 +1,6 @@
 //! The whole way: from a text to a description, and what was lost on it.
 
+use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use nalgebra::Isometry3;
@@ -34,9 +35,43 @@ pub struct Imported {
     pub notes: Vec<String>,
     /// Where links of the URDF went: a key of the robot's file, and the link that it was made of.
     origins: Vec<(String, String)>,
+    /// What the URDF calls the joints of each arm.
+    joints: Vec<Vec<String>>,
 }
 
 impl Imported {
+    /// Turns joints away from the URDF's zero, which is home without this: each by an angle of the URDF (rad), under its name or the end
+    /// of it. A whole name counts before its end, and a longer end before a shorter one.
+    ///
+    /// # Errors
+    /// If a name is that of no joint, or is there twice.
+    pub fn at_home(mut self, angles: &[(String, f64)]) -> Result<Self, UrdfError> {
+        let ends: Vec<&str> = angles.iter().map(|(end, _)| end.as_str()).collect();
+        if let Some((_, twice)) =
+            ends.iter().enumerate().find(|(at, end)| ends[..*at].contains(end))
+        {
+            return Err(UrdfError::robot(
+                format!("joint `{twice}` has two angles at home"),
+                "give each one angle",
+            ));
+        }
+        let names: Vec<&str> = self.joints.iter().flatten().map(String::as_str).collect();
+        if let Some(end) = ends.iter().find(|end| !names.iter().any(|name| name.ends_with(*end))) {
+            let found = format!("no joint of an arm has a name that ends in `{end}`");
+            return Err(UrdfError::robot(found, format!("there are {}", shown(&names))));
+        }
+        for (arm, joints) in self.description.arms.iter_mut().zip(&self.joints) {
+            for (home, name) in arm.home.iter_mut().zip(joints) {
+                let own = angles.iter().filter(|(end, _)| name.ends_with(end.as_str()));
+                if let Some((_, angle)) = own.max_by_key(|(end, _)| end.len()) {
+                    // In (−π, π], as the zeros are.
+                    *home = PI - (PI - (*home + angle)).rem_euclid(TAU);
+                }
+            }
+        }
+        Ok(self)
+    }
+
     /// Checks and completes the robot; `path` is that of the URDF. What is wrong is said with the URDF's link.
     ///
     /// # Errors
@@ -161,7 +196,9 @@ pub fn import(
         arm_types,
         arms,
     };
-    Ok(Imported { description, notes: notes.sentences(), origins })
+    let of = |arm: &Arm<'_>| arm.joints.iter().map(|axis| axis.joint.name.clone()).collect();
+    let joints = tree.arms.iter().map(of).collect();
+    Ok(Imported { description, notes: notes.sentences(), origins, joints })
 }
 
 fn no_mount() -> MountDescription {

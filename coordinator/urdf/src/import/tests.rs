@@ -272,3 +272,43 @@ fn axes_that_are_almost_parallel_are_parallel() {
         );
     }
 }
+
+/// Our own URDF has the zero of the rows; the robot has another home.
+#[test]
+fn a_home_is_given_in_angles_of_the_urdf() {
+    let robot = Robot::builtin("paper").expect("built in");
+    let zeros: Vec<Vec<f64>> =
+        read(&robot).description.arms.into_iter().map(|arm| arm.home).collect();
+    let home = |angles: &[(&str, f64)]| {
+        let angles: Vec<(String, f64)> =
+            angles.iter().map(|(end, angle)| ((*end).to_owned(), *angle)).collect();
+        read(&robot).at_home(&angles)
+    };
+    let angles = [
+        ("upper_arm", -1.57),
+        ("wrist_1", -1.57),
+        ("_y_shoulder", 9.0),
+        ("plus_y_shoulder", 3.14),
+        ("_y_wrist_3", 3.14),
+        ("minus_y_shoulder", 0.0),
+        ("minus_y_wrist_3", 0.0),
+        ("minus_z_shoulder", 3.14),
+        ("minus_z_wrist_3", 3.14),
+    ];
+    let imported = home(&angles).expect("all there").description;
+    for ((arm, own), zeros) in imported.arms.iter().zip(&robot.arms).zip(&zeros) {
+        for ((home, own), zero) in arm.home.iter().zip(&own.home).zip(zeros) {
+            let turns = (home - zero - own) / std::f64::consts::TAU;
+            assert!((turns - turns.round()).abs() < 1e-12, "{home} is not {zero} and {own}");
+            assert!(home.abs() <= std::f64::consts::PI, "{home}");
+        }
+    }
+    assert_eq!(home(&[]).expect("the zero").description.arms[0].home, zeros[0]);
+    for (angles, words) in [
+        (&[("elbow", 1.0)][..], "no joint of an arm has a name that ends in `elbow`"),
+        (&[("wrist_1", 1.0), ("wrist_1", 2.0)][..], "two angles"),
+    ] {
+        let message = home(angles).expect_err("no such home").to_string();
+        assert!(message.contains(words), "{message}");
+    }
+}
