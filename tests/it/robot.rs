@@ -204,8 +204,12 @@ fn what_an_import_leaves_out_is_said_and_stands_in_the_file() {
         assert!(said.contains(words) && file.contains(words), "{words}: {said}\n{file}");
     }
     assert!(file.starts_with("# Made by `octopus robot import` from r.urdf"), "{file}");
-    // What it made itself it may write over, and nothing else.
-    assert!(octopus(&["robot", "import", &at("r.urdf"), "--out", &at("r.toml")]).status.success());
+    // What it made is completed by hand, and written over by force only.
+    let again = ["robot", "import", &at("r.urdf"), "--out", &at("r.toml")];
+    let refused = octopus(&again);
+    assert_eq!(refused.status.code(), Some(5), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("is there already; --force writes over it"));
+    assert!(octopus(&[&again[..], &["--force"]].concat()).status.success());
     let over = octopus(&["robot", "import", &at("r.urdf"), "--out", &at("r.urdf")]);
     assert_eq!(over.status.code(), Some(2), "{}", stderr(&over));
     std::fs::write(at("broken.urdf"), "<robot name=\"x\"><link/></robot>").expect("written");

@@ -63,13 +63,11 @@ fn angle(text: &str) -> Result<(String, f64), String> {
     angle.ok_or_else(|| "wants JOINT=RAD, such as elbow=1.57".to_owned())
 }
 
-/// What such a file begins with.
-const MARK: &[u8] = b"# Made by `octopus robot import`";
-
 /// Reads, says what was lost, writes.
 pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     if let Some(path) = &args.out {
-        Output { flag: "--out", path, mark: MARK, force: args.force }
+        // No mark: what was imported is completed by hand.
+        Output { flag: "--out", path, mark: b"", force: args.force }
             .check_or_stdout(&[("FILE.urdf", &args.urdf)])?;
     }
     let shown = args.urdf.display();
@@ -90,8 +88,7 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     }
     let name = args.urdf.file_name().unwrap_or_default().to_string_lossy();
     let mut file = format!(
-        "{} from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
-        String::from_utf8_lossy(MARK),
+        "# Made by `octopus robot import` from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
         output::printable::printable(&name)
     );
     for note in &imported.notes {
@@ -127,5 +124,24 @@ mod tests {
         for wrong in ["elbow", "=1", "elbow=", "elbow=nan", "elbow=inf"] {
             assert!(angle(wrong).is_err_and(|wanted| wanted.contains("elbow=1.57")), "{wrong}");
         }
+    }
+
+    /// People complete it.
+    #[test]
+    fn a_robot_that_was_made_before_is_kept() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let [urdf, out] = ["r.urdf", "r.toml"].map(|name| dir.path().join(name));
+        std::fs::write(&urdf, "<robot/>").expect("written");
+        std::fs::write(&out, "# Made by `octopus robot import` from r.urdf.\n").expect("written");
+        let args = ImportArgs {
+            urdf,
+            out: Some(out),
+            hand: None,
+            home: Vec::new(),
+            height: 4.0,
+            force: false,
+        };
+        let told = run(&args).expect_err("it is there").to_string();
+        assert!(told.contains("is there already; --force writes over it"), "{told}");
     }
 }
