@@ -98,7 +98,7 @@ pub(crate) fn conclude(ended: &Ended, ending: Ending) -> anyhow::Result<()> {
     }
     output::line(&format!("checkpoint  {}", outcome.checkpoint.display()))?;
     if outcome.stopped_by != StoppedBy::Budget {
-        output::line(&format!("go on with  octopus resume {}", run_dir.path().display()))?;
+        output::line(&format!("go on with  octopus resume {}", output::quoted(run_dir.path())))?;
     }
     kept
 }
@@ -108,7 +108,7 @@ fn keep(run_dir: &RunDir, evaluation: &Summary) -> anyhow::Result<()> {
     let path = evaluation_path(run_dir);
     let text = serde_json::to_vec_pretty(evaluation).context("the evaluation has no JSON form")?;
     files::replace(&path, &text).map_err(|error| {
-        let (run, path) = (run_dir.path().display(), path.display());
+        let (run, path) = (output::quoted(run_dir.path()), output::quoted(&path));
         let then = format!("`octopus eval {run} --json > {path}` evaluates it again");
         errors::name_what_follows_room(error.into(), &then)
     })
@@ -123,7 +123,7 @@ fn evaluate(checkpoint: Checkpoint, stop: &StopRequests) -> anyhow::Result<Summa
     while !evaluation.is_finished() {
         if stop.count() > asked {
             let message =
-                format!("evaluation stopped; `octopus eval {}` repeats it", dir.display());
+                format!("evaluation stopped; `octopus eval {}` repeats it", output::quoted(&dir));
             return Err(ExitError::new(ExitCode::Interrupted, message).into());
         }
         std::thread::sleep(Duration::from_millis(10));

@@ -164,9 +164,10 @@ impl HostArgs {
             examine::check(&dir, LEARNER, SystemTime::now())?;
             if examine::hosts(&dir)?.is_empty() {
                 output::note(&format!(
-                    "note: {0}: has no certificate of a host yet; `octopus certificates {0} --host NAME` \
+                    "note: {}: has no certificate of a host yet; `octopus certificates {} --host NAME` \
                      makes one, also while the run goes on",
-                    dir.path().display()
+                    dir.path().display(),
+                    output::quoted(dir.path())
                 ));
             }
         }

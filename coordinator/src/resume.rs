@@ -284,9 +284,10 @@ fn check_no_checkpoint(run_dir: &RunDir) -> Result<(), ExitError> {
         return Ok(());
     }
     let message = format!(
-        "{0}: is a checkpoint, not a run directory; `octopus eval {0}` measures it, and \
+        "{}: is a checkpoint, not a run directory; `octopus eval {}` measures it, and \
          `octopus resume` wants the directory of the run that it comes from",
-        dir.display()
+        dir.display(),
+        output::quoted(dir)
     );
     Err(ExitError::new(ExitCode::RunDirectory, message))
 }

@@ -213,7 +213,8 @@ fn show(status: &RunStatus) -> String {
         lines.push(show_live(live));
     }
     if status.state == "stopped" {
-        lines.push(format!("{:14}octopus resume {}", "go on with", status.run_dir.display()));
+        let run = output::quoted(&status.run_dir);
+        lines.push(format!("{:14}octopus resume {run}", "go on with"));
     }
     lines.join("\n")
 }

@@ -3,9 +3,11 @@
 //!
 //! * [`counted`], [`grouped`], [`size`], [`age`]: numbers and times as a person reads them;
 //! * [`mod@table`]: tables that fit the terminal;
+//! * [`quoted`]: words of commands that are shown to be copied;
 //! * [`printable`](mod@printable): nothing that is shown tells a terminal what to do.
 
 pub mod printable;
+mod quoted;
 pub mod table;
 mod words;
 mod wrap;
@@ -17,6 +19,7 @@ use rustix::fs::{FileType, fstat};
 use rustix::io::Errno;
 use serde::Serialize;
 
+pub use self::quoted::quoted;
 pub use self::table::{COLUMNS, columns, table, table_within};
 pub use self::words::{age, counted, grouped, size};
 pub use self::wrap::{wrap, wrap_within};

@@ -39,8 +39,8 @@ pub fn exit_code(error: &anyhow::Error) -> ExitCode {
 
 /// Adds to an error of a run that there was no room what makes the run go on. All that is committed is whole.
 pub fn name_what_goes_on(error: anyhow::Error, run_dir: &RunDir) -> anyhow::Error {
-    let shown = run_dir.path().display();
-    name_what_follows_room(error, &format!("`octopus resume {shown}` goes on"))
+    let run = output::quoted(run_dir.path());
+    name_what_follows_room(error, &format!("`octopus resume {run}` goes on"))
 }
 
 /// Adds to an error that there was no room what does the rest when there is.
@@ -98,7 +98,8 @@ mod tests {
         assert_eq!(exit_code(&of(Errno::NOSPC)), ExitCode::RunDirectory);
         assert!(!told(&of(Errno::ACCESS)).contains("resume"));
         let plain = anyhow::Error::from(std::io::Error::from(Errno::DQUOT));
-        let error = name_what_goes_on(plain, &RunDir::new("runs/a"));
+        let error = name_what_goes_on(plain, &RunDir::new("my runs/a"));
         assert_eq!(exit_code(&error), ExitCode::RunDirectory);
+        assert!(told(&error).contains("`octopus resume 'my runs/a'` goes on"), "{error}");
     }
 }

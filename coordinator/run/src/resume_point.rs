@@ -110,8 +110,8 @@ impl Search {
                      or make the same run again: `octopus train --config {}`; `octopus checkpoints \
                      verify {}` says what is whole",
                     reasons.join("; "),
-                    config.display(),
-                    run_dir.path().display(),
+                    output::quoted(&config),
+                    output::quoted(run_dir.path()),
                 );
                 return Err(ExitError::new(ExitCode::RunDirectory, message));
             }

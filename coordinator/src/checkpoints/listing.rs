@@ -30,8 +30,9 @@ pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
             0 => format!("no checkpoints in {root}"),
             runs => format!(
                 "no checkpoints in {root}, but {}; name one of them, as in \
-                 `octopus checkpoints list {root}/RUN`",
-                counted(runs as u64, "run")
+                 `octopus checkpoints list {}`",
+                counted(runs as u64, "run"),
+                output::quoted(store.root().join("RUN"))
             ),
         });
     }

@@ -19,7 +19,8 @@ pub(super) fn commit(args: &CommitArgs) -> anyhow::Result<()> {
         Some(name) => format!("{shown}: committed {name}"),
         None => format!(
             "{shown}: will be committed after the iteration that is being trained on, which is a \
-             long one; `octopus checkpoints list {shown}` shows it then"
+             long one; `octopus checkpoints list {}` shows it then",
+            output::quoted(&args.run_dir)
         ),
     })
 }

@@ -22,16 +22,7 @@ pub fn path_option(flag: &str, path: &Path) -> OsString {
     option
 }
 
-/// Words as a shell takes them: those with other characters than plain ones in quotes.
+/// Words as a shell takes them.
 pub fn typed(words: &[OsString]) -> String {
-    let words = words.iter().map(|word| {
-        let word = word.to_string_lossy();
-        let plain = |c: char| c.is_alphanumeric() || "-_=./,:+".contains(c);
-        if word.chars().all(plain) {
-            word.into_owned()
-        } else {
-            format!("'{}'", word.replace('\'', "'\\''"))
-        }
-    });
-    words.collect::<Vec<_>>().join(" ")
+    words.iter().map(output::quoted).collect::<Vec<_>>().join(" ")
 }

@@ -76,9 +76,9 @@ pub fn finish(
         None => "not all checkpoints are".to_owned(),
     };
     let not = if left.is_some() { " not" } else { "" };
-    let (address, shown) = (&config.run.checkpoints, run_dir.path().display());
+    let (address, run) = (&config.run.checkpoints, output::quoted(run_dir.path()));
     Some(format!(
-        "note: {what}{not} in {address}; `octopus status {shown}` says why, `octopus resume {shown}` sends \
+        "note: {what}{not} in {address}; `octopus status {run}` says why, `octopus resume {run}` sends \
          what is missing"
     ))
 }

@@ -25,8 +25,9 @@ pub fn check_vacant(path: &Path) -> Result<(), ExitError> {
         }
         Ok(true) => Ok(()),
         Ok(false) if RunDir::new(path).config().is_file() => refuse(format!(
-            "{shown}: holds a run already; go on with it by `octopus resume {shown}`, or choose \
-             another --run-dir"
+            "{shown}: holds a run already; go on with it by `octopus resume {}`, or choose \
+             another --run-dir",
+            output::quoted(path)
         )),
         Ok(false) => refuse(format!("{shown}: is not empty; choose another --run-dir")),
     }

@@ -98,7 +98,7 @@ pub fn run_session(start: Start, mut lock: RunLock, quiet: bool) -> anyhow::Resu
             .with_context(|| format!("{}: cannot be written", run_dir.lock().display()))?;
         if !quiet && service::page::is_built() {
             // Without the token: what a training prints may lie where others read it.
-            let (place, address) = (run_dir.path().display(), service.address());
+            let (place, address) = (output::quoted(run_dir.path()), service.address());
             reporter.note(&format!(
                 "`octopus view {place}` prints the address that shows it in a browser, at http://{address}/"
             ));

@@ -62,8 +62,9 @@ pub enum CheckpointError {
     },
     /// It is pinned, so it is not removed.
     #[error(
-        "{path}: is pinned; `octopus checkpoints unpin {path}` lets it go",
-        path = path.display()
+        "{path}: is pinned; `octopus checkpoints unpin {typed}` lets it go",
+        path = path.display(),
+        typed = output::quoted(path)
     )]
     Pinned {
         /// The checkpoint.

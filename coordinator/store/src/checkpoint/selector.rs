@@ -182,7 +182,7 @@ pub fn store_to_be(path: &Path) -> Result<CheckpointStore, CheckpointError> {
     if path.join(MANIFEST).exists() {
         let what = format!(
             "is a checkpoint, not a directory of them; `octopus checkpoints show {}` shows it",
-            path.display()
+            output::quoted(path)
         );
         return Err(CheckpointError::NotFound { path: path.to_owned(), what });
     }
@@ -229,7 +229,7 @@ fn explain(store: &CheckpointStore, error: CheckpointError) -> CheckpointError {
 
 /// How a run without a checkpoint gets one.
 fn none_of_run(run: &RunDir) -> String {
-    let shown = run.path().display();
+    let shown = output::quoted(run.path());
     if matches!(RunLock::holder(&run.lock()), Ok(Some(_))) {
         format!(
             "holds no checkpoint yet; `octopus checkpoints commit {shown}` has the run commit one now"
