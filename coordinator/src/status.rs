@@ -23,6 +23,7 @@ use service::live::{
 use store::checkpoint::{CheckpointStore, Name};
 use store::jsonl;
 use store::lock::RunLock;
+use store::recorded::Recorded;
 
 use crate::values::duration;
 
@@ -76,6 +77,8 @@ pub struct RunStatus {
     pub bucket: Option<BucketStatus>,
     /// Where the training has diverged, unless it has recovered.
     pub divergence: Option<Diverged>,
+    /// What of its files is damaged or missing, so that it may not go on.
+    pub damage: Option<String>,
     /// Its processes and stages, while it runs and its HTTP service answers.
     pub live: Option<LiveStatus>,
     /// Why there is no `live`, although the run goes on.
@@ -115,6 +118,9 @@ impl RunStatus {
 
     /// Says on standard error what is missing and why.
     fn complain(&self) {
+        if let Some(damage) = &self.damage {
+            output::note(&format!("note: {damage}"));
+        }
         if let Some(reason) = &self.live_error {
             output::note(&format!("note: processes, shards and stages are not known: {reason}"));
         }
@@ -212,7 +218,7 @@ fn show(status: &RunStatus) -> String {
     if let Some(live) = &status.live {
         lines.push(show_live(live));
     }
-    if status.state == "stopped" {
+    if status.state == "stopped" && status.damage.is_none() {
         let run = output::quoted(&status.run_dir);
         lines.push(format!("{:14}octopus resume {run}", "go on with"));
     }
@@ -355,7 +361,9 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
     if runs.is_empty() {
         return output::line(&format!("no runs in {RUNS}/; `octopus train` starts one"));
     }
-    output::line(&listed(&runs, output::columns()))
+    output::line(&listed(&runs, output::columns()))?;
+    runs.iter().for_each(RunStatus::complain);
+    Ok(())
 }
 
 /// Runs as a table.
@@ -382,15 +390,16 @@ fn listed(runs: &[RunStatus], columns: usize) -> String {
 pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let run_dir = store::run_files::run_directory(path)?;
     let config = store::run_files::read_config(&run_dir)?;
+    // What was imported or copied is nothing that the run has done. Looked at before the metrics, which reach every one.
+    let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
+    let checkpoint = own.into_iter().next();
+    let committed = checkpoint.as_deref().map_or(0, iteration_of);
     let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
     let holder = RunLock::holder(&run_dir.lock())?;
     let planned_iterations = config.planned_iterations();
-    // What was imported or copied is nothing that the run has done.
-    let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
-    let checkpoint = own.into_iter().next();
     // A run that was killed between its last line and its last checkpoint has that still to make.
-    let done = iterations.min(checkpoint.as_deref().map_or(0, iteration_of));
+    let done = iterations.min(committed);
     let state = match &holder {
         Some(_) => "running",
         None if done >= planned_iterations => "finished",
@@ -407,9 +416,23 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         checkpoint,
         bucket: run::start::bucket::status(&config, &run_dir)?,
         divergence: Divergence::recorded(&run_dir)?.found().cloned(),
+        damage: damage(&run_dir, committed),
         live: None,
         live_error: None,
     })
+}
+
+/// What the metrics of a run lack that has committed a checkpoint of this iteration.
+fn damage(run_dir: &RunDir, committed: u64) -> Option<String> {
+    match Recorded::read(run_dir) {
+        Err(error) => Some(error.message),
+        Ok(recorded) if recorded.iterations() < committed => Some(format!(
+            "{}: holds {} of {committed} iterations that are committed; put it back from a copy",
+            recorded.path().display(),
+            recorded.iterations(),
+        )),
+        Ok(_) => None,
+    }
 }
 
 /// The iteration that a checkpoint of a run is named for.
@@ -447,6 +470,7 @@ mod tests {
             planned_iterations: 12_345,
             bucket: None,
             divergence: None,
+            damage: None,
             last: Some(serde_json::json!({ "env_steps": 99_999_999, "return_mean": -1234.56 })),
             checkpoint: None,
             live: None,
@@ -477,6 +501,30 @@ mod tests {
         {
             std::fs::create_dir_all(run_dir.checkpoints().join(name)).expect("writable");
             assert_eq!(state(), expected, "{name}");
+        }
+    }
+
+    /// It would be refused.
+    #[test]
+    fn a_run_without_its_metrics_is_not_told_to_go_on() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let run_dir = RunDir::new(dir.path());
+        let config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+        std::fs::write(run_dir.config(), config.to_toml()).expect("writable");
+        std::fs::create_dir_all(run_dir.checkpoints().join("iteration-00000001")).expect("made");
+        let digest = "0".repeat(32);
+        let whole = format!("{{\"iteration\":0,\"digest\":\"{digest}\"}}\n");
+        for (text, damage) in [
+            (&*whole, None),
+            ("garbage", Some("holds 0 of 1 iterations")),
+            ("{}\n", Some("line 1: is of iteration null")),
+        ] {
+            std::fs::write(run_dir.metrics_jsonl(), text).expect("writable");
+            let status = inspect(dir.path()).expect("a run");
+            let said = status.damage.as_deref();
+            assert!(said.is_some() == damage.is_some(), "{said:?}");
+            assert!(damage.is_none_or(|words| said.is_some_and(|said| said.contains(words))));
+            assert_eq!(show(&status).contains("octopus resume"), damage.is_none());
         }
     }
 }
