@@ -1,13 +1,14 @@
 //! `octopus status`: how a run is doing.
 
-use std::io::IsTerminal as _;
+use std::io::{ErrorKind, IsTerminal as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
-use output::grouped;
+use output::{counted, grouped};
 use proto::config::TaskName;
 use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
 use run::errors;
 use run::preflight::mib;
 use run::report::Diverged;
@@ -22,7 +23,7 @@ use service::live::{
 };
 use store::checkpoint::{CheckpointStore, Name};
 use store::jsonl;
-use store::lock::RunLock;
+use store::lock::{LockError, RunLock};
 use store::recorded::Recorded;
 
 use crate::values::duration;
@@ -59,7 +60,8 @@ pub struct StatusArgs {
 pub struct RunStatus {
     /// Its directory.
     pub run_dir: PathBuf,
-    /// `running`, `finished`, or `stopped` before its budget was used up.
+    /// `running`, `finished`, or `stopped` before its budget was used up; `unknown` if its lock may not be read and it is not
+    /// finished.
     pub state: &'static str,
     /// Process of its coordinator, while it runs.
     pub pid: Option<u32>,
@@ -79,6 +81,8 @@ pub struct RunStatus {
     pub divergence: Option<Diverged>,
     /// What of its files is damaged or missing, so that it may not go on.
     pub damage: Option<String>,
+    /// Why it is not known whether it goes on: another user's lock can be neither read nor tried.
+    pub lock_error: Option<String>,
     /// Its processes and stages, while it runs and its HTTP service answers.
     pub live: Option<LiveStatus>,
     /// Why there is no `live`, although the run goes on.
@@ -120,6 +124,9 @@ impl RunStatus {
     fn complain(&self) {
         if let Some(damage) = &self.damage {
             output::note(&format!("note: {damage}"));
+        }
+        if let Some(reason) = &self.lock_error {
+            output::note(&format!("note: whether it goes on is not known: {reason}"));
         }
         if let Some(reason) = &self.live_error {
             output::note(&format!("note: processes, shards and stages are not known: {reason}"));
@@ -339,10 +346,15 @@ fn describe(status: &RunStatus) -> String {
 fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
     let mut directories: Vec<PathBuf> = match std::fs::read_dir(RUNS) {
         Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.path())).collect(),
+        Err(error) if is_forbidden(&error) => {
+            let message = format!("{RUNS}: cannot be read: {error}");
+            return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+        }
         Err(_) => Vec::new(),
     };
     directories.retain(|path| RunDir::new(path).config().is_file());
     directories.sort();
+    let found = directories.len();
     let mut runs = Vec::new();
     for path in directories {
         match inspect(&path) {
@@ -357,6 +369,12 @@ fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
             status.complain();
         }
         return output::json(&runs);
+    }
+    if runs.is_empty() && found > 0 {
+        return output::line(&format!(
+            "none of {} in {RUNS}/ can be read",
+            counted(found as u64, "run")
+        ));
     }
     if runs.is_empty() {
         return output::line(&format!("no runs in {RUNS}/; `octopus train` starts one"));
@@ -396,13 +414,19 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let committed = checkpoint.as_deref().map_or(0, iteration_of);
     let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
-    let holder = RunLock::holder(&run_dir.lock())?;
+    let (holder, lock_error) = match RunLock::holder(&run_dir.lock()) {
+        Err(LockError::Unreadable { path, source }) if is_forbidden(&source) => {
+            (None, Some(LockError::Unreadable { path, source }.to_string()))
+        }
+        holder => (holder?, None),
+    };
     let planned_iterations = config.planned_iterations();
     // A run that was killed between its last line and its last checkpoint has that still to make.
     let done = iterations.min(committed);
     let state = match &holder {
         Some(_) => "running",
         None if done >= planned_iterations => "finished",
+        None if lock_error.is_some() => "unknown",
         None => "stopped",
     };
     Ok(RunStatus {
@@ -417,9 +441,14 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         bucket: run::start::bucket::status(&config, &run_dir)?,
         divergence: Divergence::recorded(&run_dir)?.found().cloned(),
         damage: damage(&run_dir, committed),
+        lock_error,
         live: None,
         live_error: None,
     })
+}
+
+fn is_forbidden(error: &std::io::Error) -> bool {
+    error.kind() == ErrorKind::PermissionDenied
 }
 
 /// What the metrics of a run lack that has committed a checkpoint of this iteration.
@@ -471,6 +500,7 @@ mod tests {
             bucket: None,
             divergence: None,
             damage: None,
+            lock_error: None,
             last: Some(serde_json::json!({ "env_steps": 99_999_999, "return_mean": -1234.56 })),
             checkpoint: None,
             live: None,
