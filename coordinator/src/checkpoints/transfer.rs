@@ -1,10 +1,15 @@
 //! `import` and `export`.
 
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufReader, BufWriter, Read, Write};
+use std::os::fd::AsFd as _;
 use std::path::Path;
 
+use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
+use run::signals::StopRequests;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 use store::checkpoint::{CheckpointError, CheckpointStore, Name};
 use store::outputs::Output;
 use store::{files, regular_files};
@@ -17,16 +22,22 @@ use crate::checkpoints::options::{ExportArgs, ImportArgs};
 pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
     from_bucket::refuse(&args.store)?;
     let store = store_to_fill("--store", &args.store, Some(args.force))?;
-    let name = args.name.clone();
-    let imported = if args.archive == Path::new("-") {
-        store.import(std::io::stdin().lock(), name)
+    let stop = StopRequests::new();
+    stop.listen_and_insist("stopped at once").context("signals cannot be caught")?;
+    let file = if args.archive == Path::new("-") {
+        File::from(std::io::stdin().as_fd().try_clone_to_owned().context("no standard input")?)
     } else {
-        let file = regular_files::open(&args.archive).map_err(|error| {
+        regular_files::open(&args.archive).map_err(|error| {
             let message = format!("{}: cannot be read: {error}", args.archive.display());
             ExitError::new(ExitCode::BadInput, message)
-        })?;
-        store.import(BufReader::new(file), name)
+        })?
     };
+    let archive = BufReader::new(UntilStopped { file, stop: &stop });
+    let imported = store.import(archive, args.name.clone());
+    if imported.is_err() && stop.count() > 0 {
+        let message = format!("stopped; nothing of {} is in the store", args.archive.display());
+        return Err(ExitError::new(ExitCode::Interrupted, message).into());
+    }
     let entry = imported.map_err(|error| match error {
         // The archive is the input file here; nothing of the store is damaged.
         CheckpointError::Archive { .. } => {
@@ -36,6 +47,27 @@ pub(super) fn import(args: &ImportArgs) -> anyhow::Result<()> {
         other => refused(ExitCode::BadInput)(other),
     })?;
     report(&entry, args.json, "imported")
+}
+
+/// Reads until somebody asks to stop: that is an error like any other then, after which what was unpacked is removed.
+struct UntilStopped<'a> {
+    file: File,
+    stop: &'a StopRequests,
+}
+
+/// How often to look whether somebody has, where a pipe has nothing to read.
+const TICK: Timespec = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
+
+impl Read for UntilStopped<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        while self.stop.count() == 0 {
+            match poll(&mut [PollFd::new(&self.file, PollFlags::IN)], Some(&TICK)) {
+                Ok(0) | Err(Errno::INTR) => {}
+                _ => return self.file.read(buffer),
+            }
+        }
+        Err(std::io::Error::other("stopped"))
+    }
 }
 
 /// Packs a checkpoint into an archive.
@@ -90,4 +122,28 @@ fn write(store: &CheckpointStore, name: &Name, out: &Path) -> anyhow::Result<()>
         let _ = std::fs::remove_file(&temporary);
     }
     written
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A writer that says nothing would be waited for, for ever.
+    #[test]
+    fn reading_a_pipe_ends_when_somebody_asks() {
+        let (reader, writer) = std::io::pipe().expect("a pipe");
+        (&writer).write_all(b"x").expect("it has room");
+        let stop = StopRequests::new();
+        let mut archive =
+            UntilStopped { file: File::from(std::os::fd::OwnedFd::from(reader)), stop: &stop };
+        let mut byte = [0; 2];
+        assert_eq!(archive.read(&mut byte).expect("there is one"), 1);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                std::thread::sleep(std::time::Duration::from_millis(120));
+                stop.ask();
+            });
+            assert_eq!(archive.read(&mut byte).expect_err("stopped").to_string(), "stopped");
+        });
+    }
 }

@@ -191,10 +191,11 @@ pub fn store_to_be(path: &Path) -> Result<CheckpointStore, CheckpointError> {
     Ok(CheckpointStore::new(if is_run { run.checkpoints() } else { path.to_owned() }))
 }
 
-/// How many run directories lie in `path`.
+/// How many run directories lie in `path`. What stores are still writing is hidden, and none.
 pub fn runs_in(path: &Path) -> usize {
     let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
     entries
+        .filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."))
         .map(|entry| entry.path())
         .filter(|path| RunDir::new(path).config().is_file() && !path.join(MANIFEST).exists())
         .count()

@@ -153,9 +153,11 @@ fn a_checkpoint_is_no_store() {
         let error = error.expect_err("a checkpoint").to_string();
         assert!(error.contains("is a checkpoint") && error.contains("show"), "{error}");
     }
-    std::fs::write(dir.path().join("config.toml"), "").expect("write");
-    assert_eq!(
-        (runs_in(dir.path().parent().expect("it has one")) > 0, runs_in(dir.path())),
-        (true, 0)
-    );
+    let runs = dir.path().join("runs");
+    // The second as an import leaves it that was killed.
+    for run in ["a", ".writing-import-1-0-0"] {
+        std::fs::create_dir_all(runs.join(run)).expect("made");
+        std::fs::write(runs.join(run).join("config.toml"), "").expect("write");
+    }
+    assert_eq!((runs_in(&runs), runs_in(dir.path())), (1, 0));
 }
