@@ -140,7 +140,9 @@ fn introduction(config: &Config, run_dir: &RunDir, resume_from: Option<u64>) -> 
     let task = config.task.name.as_str();
     let planned = config.planned_iterations();
     let what = match resume_from {
-        Some(iteration) => format!("{task}: iterations {iteration} to {planned}"),
+        // Counted from 1, as the lines below it are.
+        Some(done) if done + 1 == planned => format!("{task}: iteration {planned}"),
+        Some(done) => format!("{task}: iterations {} to {planned}", done + 1),
         None => format!("{task}: {}", output::counted(planned, "iteration")),
     };
     let workers = config.run.workers;
@@ -201,5 +203,20 @@ mod tests {
         let five = note("run.workers=5").expect("one is idle");
         assert!(five.contains("4 shards, so that 1 of the 5 workers"), "{five}");
         assert_eq!(note("run.workers=4"), None);
+    }
+
+    /// The progress shows `iteration 2/3` for the first that is made after one is done.
+    #[test]
+    fn a_session_that_goes_on_says_what_it_makes() {
+        let mut config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+        config.run.env_steps = 3 * config.steps_per_iteration();
+        let said = |done| introduction(&config, &RunDir::new("runs/a"), done);
+        assert!(said(None).starts_with("trajectory: 3 iterations of "), "{}", said(None));
+        assert!(
+            said(Some(1)).starts_with("trajectory: iterations 2 to 3 of "),
+            "{}",
+            said(Some(1))
+        );
+        assert!(said(Some(2)).starts_with("trajectory: iteration 3 of "), "{}", said(Some(2)));
     }
 }
