@@ -301,6 +301,11 @@ fn check_outputs(args: &PlanArgs) -> Result<(), ExitError> {
     let mut places = Vec::new();
     for (flag, path, mark) in named {
         let Some(path) = path else { continue };
+        match flag {
+            "--picture" => outputs::check_ending(flag, path, "svg")?,
+            "--recording" => outputs::check_ending(flag, path, "mcap")?,
+            _ => {}
+        }
         let output = Output { flag, path, mark, force: args.force };
         if flag == "--out" { output.check_or_stdout(&inputs) } else { output.check(&inputs) }?;
         places.push((flag, path.as_path()));

@@ -37,7 +37,7 @@ pub struct PlotArgs {
     #[arg(long, allow_negative_numbers = true, value_enum, default_value_t = Named(Over::EnvSteps))]
     pub over: Named<Over>,
     /// Where the picture goes; another picture that is there is replaced.
-    #[arg(long, value_name = "FILE", default_value = "learning-curves.svg")]
+    #[arg(long, value_name = "FILE.svg", default_value = "learning-curves.svg")]
     pub out: PathBuf,
     /// Keep the curves in one small file, too, which can be given in the place of the runs.
     #[arg(long, value_name = "FILE")]
@@ -95,6 +95,7 @@ fn check_outputs(args: &PlotArgs) -> Result<(), ExitError> {
         args.runs.iter().map(|run| ("RUN_DIR|CURVES", run.as_path())).collect();
     let PlotArgs { out, save, force, .. } = args;
     Output { flag: "--out", path: out, mark: b"<svg", force: *force }.check(&inputs)?;
+    outputs::check_ending("--out", out, "svg")?;
     let Some(save) = save else { return Ok(()) };
     Output { flag: "--save", path: save, mark: b"{\"curves\":", force: *force }.check(&inputs)?;
     outputs::check_distinct(&[("--out", out), ("--save", save)])

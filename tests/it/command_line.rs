@@ -92,9 +92,10 @@ fn an_input_is_never_an_output_by_a_way_round_either() {
     refused(&block, 5, &["which is a checkpoint"]);
     assert!(std::fs::read(&policy).expect("there") == before, "the policy is as it was");
 
-    let twice = ["plot", dir, "--out", &at("a"), "--save", &at("./a")];
+    let twice = ["plot", dir, "--out", &at("a.svg"), "--save", &at("./a.svg")];
     refused(&twice, 2, &["is what --out writes"]);
-    assert!(!Path::new(&at("a")).exists());
+    assert!(!Path::new(&at("a.svg")).exists());
+    refused(&["plot", dir, "--out", &at("a.png")], 2, &["a.png: wants a name that ends in .svg"]);
 
     let robot = at("rollout_by_envs.svg");
     let text = include_str!("../../sim-worker/simulator/robots/two-arm.toml");

@@ -98,6 +98,18 @@ impl Output<'_> {
     }
 }
 
+/// Refuses a file name that promises another format than the one that is written.
+pub fn check_ending(flag: &str, path: &Path, ending: &str) -> Result<(), ExitError> {
+    let there = path.extension().unwrap_or_default();
+    // Terminals and pipes have none.
+    let is_place = path.metadata().is_ok_and(|there| !there.is_file() && !there.is_dir());
+    if is_place || there.eq_ignore_ascii_case(ending) {
+        return Ok(());
+    }
+    let message = format!("{flag} {}: wants a name that ends in .{ending}", path.display());
+    Err(ExitError::new(ExitCode::Usage, message))
+}
+
 /// Refuses a place for a new directory inside a run or a checkpoint.
 pub fn check_outside(flag: &str, path: &Path) -> Result<(), ExitError> {
     let Some((owner, kind)) = owner(path) else { return Ok(()) };
@@ -367,5 +379,17 @@ mod tests {
         std::fs::write(own.join(".noise.json.7.tmp"), "x").expect("written");
         assert!(check(&own, false).is_ok());
         assert!(check(&place.path().join("in.csv"), true).is_err(), "no directory");
+    }
+
+    #[test]
+    fn names_end_as_what_is_written() {
+        for fit in ["a.svg", "a.SVG", "/dev/null"] {
+            assert!(check_ending("--out", Path::new(fit), "svg").is_ok(), "{fit}");
+        }
+        for wrong in ["a.png", "a", "svg", "a.svg.gz"] {
+            let error = check_ending("--out", Path::new(wrong), "svg").expect_err(wrong);
+            assert_eq!(error.code, ExitCode::Usage);
+            assert!(error.message.ends_with("wants a name that ends in .svg"), "{error}");
+        }
     }
 }
