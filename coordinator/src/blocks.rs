@@ -6,12 +6,13 @@ use std::sync::Arc;
 
 use export::{Block, BlockAddress};
 use proto::config::Config;
-use proto::layout::ActorLayout;
+use proto::layout::{ActorLayout, Dimensions, TensorSpec};
 use proto::message::policy_version_for;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::session::failures;
 use simulator::policy::Policy;
+use simulator::robot::Robot;
 use simulator::rollout::{RolloutError, RolloutSpec, World, rollout};
 use store::checkpoint::{Checkpoint, CheckpointStore, Name, POLICY, Selector, read_policy};
 
@@ -56,6 +57,9 @@ impl BlockSource {
         check_address(address, &config, chosen.is_none())?;
         let version = policy_version_for(address.iteration, config.run.overlap);
         let layout = ActorLayout::new(&config, &world.dimensions);
+        if let Some(checkpoint) = chosen {
+            check_fits(checkpoint, &layout)?;
+        }
         let path = match &chosen {
             Some(checkpoint) => checkpoint.dir.join(POLICY),
             None => find_policy(address, &run_dir, &config, version)?,
@@ -75,6 +79,27 @@ impl BlockSource {
         rollout(&self.world, &spec, &mut numbers, &mut |_| {})?;
         Ok(Block { world: Arc::clone(&self.world), address: self.address, numbers })
     }
+}
+
+/// Refuses a policy whose network is none that the run's agents have.
+fn check_fits(checkpoint: &Checkpoint, wanted: &ActorLayout) -> anyhow::Result<()> {
+    let robot = Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir)?;
+    let own = Dimensions::new(&checkpoint.config, robot.joints);
+    let own = ActorLayout::new(&checkpoint.config, &own);
+    let own_of = |name: &str| own.tensors.iter().find(|tensor| tensor.name == name);
+    let fits =
+        |tensor: &&TensorSpec| own_of(&tensor.name).is_some_and(|own| own.shape == tensor.shape);
+    let Some(lacks) = wanted.tensors.iter().find(|tensor| !fits(tensor)) else { return Ok(()) };
+    let is =
+        own_of(&lacks.name).map_or_else(|| "none".to_owned(), |own| format!("{:?}", own.shape));
+    let message = format!(
+        "--policy {}: does not fit the run's network: `{}` is {is}, there {:?}; name one of a run with the same \
+         network, observations and number of arms",
+        checkpoint.dir.display(),
+        lacks.name,
+        lacks.shape
+    );
+    Err(ExitError::new(ExitCode::BadInput, message).into())
 }
 
 /// Refuses a block that the run never makes. With a policy of one's own, any seed will do.
@@ -181,5 +206,27 @@ mod tests {
         assert_eq!(of(&[5, 10, 20], 0), [5, 10], "iteration 20 would be the 21st of 20");
         assert_eq!(of(&[0, 5, 10], 1), [0, 1, 6, 11]);
         assert!(of(&[], 1).is_empty());
+    }
+
+    /// It was said to be damaged, or longer than what is read.
+    #[test]
+    fn a_policy_of_another_network_does_not_fit() {
+        let policies = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/policies");
+        let policy = open_policy(&policies.join("trajectory")).expect("it is there");
+        let dir = tempfile::tempdir().expect("tempdir");
+        let run_dir = RunDir::new(dir.path());
+        std::fs::write(run_dir.robot(), &policy.robot_toml).expect("written");
+        let open = |config: &Config| {
+            std::fs::write(run_dir.config(), config.to_toml()).expect("written");
+            let address = BlockAddress { seed: 2, iteration: 0, shard: 0 };
+            BlockSource::open(dir.path(), address, Some(&policy)).map(drop)
+        };
+        open(&policy.config).expect("its own network");
+        let mut config = policy.config.clone();
+        config.network.hidden = vec![8];
+        let error = open(&config).expect_err("another network");
+        assert_eq!(run::errors::exit_code(&error), ExitCode::BadInput);
+        let told = error.to_string();
+        assert!(told.contains("does not fit the run's network: `hidden.0.weight` is ["), "{told}");
     }
 }
