@@ -1,5 +1,6 @@
 //! `octopus serve`: checkpoints of a directory over HTTP, without a run.
 
+use std::fs::DirEntry;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -194,6 +195,15 @@ struct Served {
 
 fn served(args: &ServeArgs) -> anyhow::Result<Served> {
     if let Some(dir) = &args.runs {
+        if RunDir::new(dir).config().is_file() {
+            let message = format!(
+                "--runs {}: is a run itself, not a directory of them; `octopus view {run}` shows it, and `octopus \
+                 serve --store {run}` serves its checkpoints",
+                dir.display(),
+                run = output::quoted(dir)
+            );
+            return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+        }
         let count = runs_in(dir)?;
         let store = no_store(dir);
         return Ok(Served {
@@ -221,14 +231,15 @@ fn served(args: &ServeArgs) -> anyhow::Result<Served> {
     Ok(Served { store, root, runs: None, holds: ("checkpoint", count), replica: None })
 }
 
-/// How many runs a directory holds.
+/// How many runs a directory holds. What is hidden is none.
 pub(crate) fn runs_in(dir: &Path) -> anyhow::Result<usize> {
     let entries = std::fs::read_dir(dir).map_err(|error| {
         let message = format!("{}: cannot be read: {error}", dir.display());
         ExitError::new(ExitCode::RunDirectory, message)
     })?;
-    let runs = entries.flatten().filter(|entry| RunDir::new(entry.path()).config().is_file());
-    Ok(runs.count())
+    let is_shown = |entry: &DirEntry| !entry.file_name().as_encoded_bytes().starts_with(b".");
+    let runs = entries.flatten().filter(is_shown);
+    Ok(runs.filter(|entry| RunDir::new(entry.path()).config().is_file()).count())
 }
 
 /// A directory of runs has no checkpoints of its own.
@@ -251,4 +262,33 @@ fn store(path: &Path, create: bool) -> anyhow::Result<CheckpointStore> {
     std::fs::create_dir_all(store.root())
         .map_err(|error| failure(&format!("cannot be made: {error}")))?;
     Ok(store)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: ServeArgs,
+    }
+
+    #[test]
+    fn hidden_directories_are_no_runs_and_a_run_is_no_directory_of_them() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        for run in ["a", ".b"] {
+            std::fs::create_dir(dir.path().join(run)).expect("made");
+            std::fs::write(RunDir::new(dir.path().join(run)).config(), "").expect("written");
+        }
+        let served = |dir: &Path| {
+            let runs = format!("--runs={}", dir.display());
+            served(&Line::try_parse_from(["serve", &runs]).expect("valid").args)
+        };
+        assert_eq!(served(dir.path()).expect("runs").holds, ("run", 1));
+        let told = served(&dir.path().join("a")).map(|_| ()).expect_err("a run").to_string();
+        assert!(told.contains("is a run itself") && told.contains("octopus view"), "{told}");
+    }
 }
