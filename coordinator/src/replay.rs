@@ -21,8 +21,8 @@ Examples:
 
 The file says where the robot began and what was commanded. That is played again in this \
 program's simulator, and every number after every control step is held against the file, bit by \
-bit: the robot's state of a recording; observations, states of critics, rewards and ends of \
-episodes of a block.
+bit: the robot's state of a recording, whose messages for viewers must have their checksums; \
+observations, states of critics, rewards and ends of episodes of a block.
 
 Exit code: 0 if all bits are the same, 1 if one differs, 3 if the file is none of these.";
 
@@ -80,9 +80,10 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
 
 fn text(report: &Report) -> String {
     let Report { kind, replay: Replay { steps, numbers, first }, .. } = report;
+    let of = if *kind == "recording" { " of the robot's states" } else { "" };
     let steps = output::counted(*steps as u64, "control step");
     match first {
-        None => format!("{kind}: the same, all {} numbers of {steps}", grouped(*numbers)),
+        None => format!("{kind}: the same, all {} numbers{of} in {steps}", grouped(*numbers)),
         Some(first) => format!(
             "{kind}: differs after control step {} of {steps}, first in\n  {}\n  recorded  {}\n  replayed  {}",
             first.step, first.what, first.recorded, first.replayed

@@ -40,6 +40,9 @@ use moments::{Frame, Moment, base_goal, body_names, hand_goal, moments};
 use origin::ABOUT;
 pub use origin::RecordedEpisode;
 
+/// How many topics a file has.
+const TOPICS: usize = 6;
+
 /// A motion that was made to be kept.
 #[derive(Debug)]
 pub struct Recording {
@@ -157,7 +160,7 @@ impl Recording {
     }
 
     /// One message of each topic, in their order.
-    fn messages(&self, step: usize, time: u64, moment: &Moment) -> [Vec<u8>; 6] {
+    fn messages(&self, step: usize, time: u64, moment: &Moment) -> [Vec<u8>; TOPICS] {
         let (seconds, nanos) = ((time / 1_000_000_000) as i64, (time % 1_000_000_000) as i32);
         let timestamp = Some(Timestamp { seconds, nanos });
         let names = body_names(&self.commanded.robot);

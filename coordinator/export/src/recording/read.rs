@@ -2,15 +2,18 @@
 
 use std::borrow::Cow;
 
-use mcap::read::attachment;
+use mcap::read::{Options, attachment};
+use mcap::{McapResult, MessageStream};
 
+use super::TOPICS;
 use super::commanded::{MOTION, MotionFile, ROBOT, Recorded};
 
 /// Longest attachment that is read (bytes).
 const LONGEST: u64 = 256 << 20;
 
 impl Recorded {
-    /// The motion that an MCAP file of [`Recording`](super::Recording) keeps.
+    /// The motion that an MCAP file of [`Recording`](super::Recording) keeps, if its messages, which viewers draw, are there and have
+    /// their checksums.
     ///
     /// # Errors
     /// What is wrong with the file.
@@ -33,6 +36,18 @@ impl Recorded {
             Ok(Cow::into_owned(read.data))
         };
         let robot = String::from_utf8(part(ROBOT)?).map_err(|_| format!("{ROBOT} is no text"))?;
-        MotionFile::read(&part(MOTION)?, &robot)
+        let recorded = MotionFile::read(&part(MOTION)?, &robot)?;
+        let messages = messages(file).map_err(|error| format!("its messages: {error}"))?;
+        let expected = TOPICS * (recorded.states.len() + 1);
+        if messages != expected {
+            return Err(format!("it has {messages} messages, expected {expected}"));
+        }
+        Ok(recorded)
     }
+}
+
+/// How many messages a file has. All are read.
+fn messages(file: &[u8]) -> McapResult<usize> {
+    let messages = MessageStream::new_with_options(file, Options::ValidateChunkCrcs.into())?;
+    messages.map(|message| message.map(|_| 1)).sum()
 }

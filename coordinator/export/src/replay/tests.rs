@@ -219,3 +219,20 @@ fn files_that_are_none_are_refused_with_what_is_wrong() {
     assert!(other("\"format\":\"1\"", "\"format\":\"7\"").contains("format \"7\", expected 1"));
     assert!(other("n_envs = 12", "n_envs = 16").contains("expected F32 of"));
 }
+
+/// The states stand in an attachment; what viewers draw stands beside it.
+#[test]
+fn a_recording_whose_messages_are_damaged_is_none() {
+    let file = recording(TaskName::Trajectory);
+    let name = b"plus_y_upper_arm";
+    let places: Vec<usize> =
+        (0..file.len() - name.len()).filter(|at| file[*at..].starts_with(name)).collect();
+    // Those before are in the robot's files.
+    for at in [places[places.len() - 1], places[places.len() - 20]] {
+        let mut damaged = file.clone();
+        damaged[at + 30] ^= 1;
+        let error = Recorded::read(&damaged).expect_err("a message is another one");
+        assert!(error.contains("its messages"), "{error}");
+    }
+    Recorded::read(&file).expect("whole");
+}
