@@ -12,12 +12,18 @@ mod place;
 mod plan;
 mod slots;
 
+use std::collections::BTreeSet;
+
 use anyhow::Context as _;
 use lab::experiments::command_line::{option, path_option, typed};
 use lab::sweep::outcome::{Outcome, TrialOutcome};
 use lab::sweep::page;
 use output::grouped;
+use proto::layout::Dimensions;
 use proto::{ExitCode, ExitError};
+use run::precision;
+use run::preflight::{self, Remedy, Verdict};
+use run::robots::load_robot_of;
 use run::signals::StopRequests;
 use run::supervisor::Programs;
 use serde_json::json;
@@ -29,6 +35,7 @@ pub use self::options::SweepArgs;
 use self::place::Place;
 use self::plan::Plan;
 use self::slots::Slots;
+use crate::planned_run::PlannedRun;
 
 /// What a second request to stop says if something in this process does not end.
 const ABANDONED: &str = "stopped at once; the same command goes on from the last checkpoints";
@@ -41,6 +48,7 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
     let trials = plan.study.trials.len();
     let jobs = args.jobs.or(plan.file.jobs);
     if args.dry_run {
+        check_machine(&plan)?;
         let slots = Slots::new(jobs, plan.processors, trials)?;
         return show(&plan, &slots, args.json);
     }
@@ -56,6 +64,7 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
     }
     // What no trial could do without.
     Programs::find()?;
+    check_disk(&plan)?;
     let name = only.map(|only| plan.study.trials[only].name.as_str());
     let held = place.open(&plan, name)?;
     let slots = match only {
@@ -112,6 +121,44 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
         first.failure.as_deref().unwrap_or_default()
     );
     Err(ExitError::new(ExitCode::Failure, message).into())
+}
+
+/// What helps trials that their disk does not carry.
+const REMEDY: Remedy = Remedy {
+    elsewhere: "choose another --out",
+    less: Some("set run.checkpoints_kept = 1 in [set]"),
+    flags: &[],
+};
+
+/// Refuses a disk that has no room for the first trial that is still to begin.
+fn check_disk(plan: &Plan) -> anyhow::Result<()> {
+    let is_new = |run: &&PlannedRun| matches!(run.has_begun(), Ok(false));
+    let Some(run) = plan.runs.iter().find(is_new) else { return Ok(()) };
+    let config = run.config()?;
+    let dimensions = Dimensions::new(&config, load_robot_of(&config)?.joints);
+    let disk = preflight::disk(&run.dir, &config, &dimensions, 0, &REMEDY);
+    if disk.verdict == Verdict::Failure {
+        return Err(ExitError::new(ExitCode::RunDirectory, disk.sentence()).into());
+    }
+    Ok(())
+}
+
+/// Refuses what this machine cannot train, as `octopus train --dry-run` does: one trial for each device that is asked for.
+fn check_machine(plan: &Plan) -> anyhow::Result<()> {
+    let programs = Programs::find()?;
+    let mut devices = BTreeSet::new();
+    for (run, trial) in plan.runs.iter().zip(&plan.study.trials) {
+        let config = precision::resolve(run.config()?);
+        if !devices.insert(config.run.device.clone()) {
+            continue;
+        }
+        let robot = load_robot_of(&config)?;
+        let (run_dir, learner) = (run.run_dir(), &programs.learner);
+        preflight::check_machine(&config, &robot, &run_dir, learner, None, &REMEDY).map_err(
+            |error| ExitError::new(error.code, format!("trial {}: {error}", trial.name)),
+        )?;
+    }
+    Ok(())
 }
 
 /// What has come of it so far. Who failed when last tried counts as failed.
