@@ -9,6 +9,7 @@ use proto::config::Preset;
 use proto::{ExitCode, ExitError};
 
 use crate::names::{Named, Names};
+use crate::planned_run::options;
 use crate::values::{above_zero, amount, assignment, measuring_time, whole, workers};
 
 const EXAMPLES: &str = "\
@@ -112,7 +113,7 @@ pub struct BenchArgs {
 #[command(next_help_heading = "Options of scale")]
 pub struct ScaleArgs {
     /// Numbers of hosts.
-    #[arg(long, value_name = "N,…", value_delimiter = ',', allow_hyphen_values = true, value_parser = whole::<u32>(0, 10_000), default_values_t = [1, 2, 4, 8, 16, 32, 100, 300, 1000])]
+    #[arg(long, value_name = "N,…", value_delimiter = ',', allow_hyphen_values = true, value_parser = whole::<u32>(1, 10_000), default_values_t = [1, 2, 4, 8, 16, 32, 100, 300, 1000])]
     pub hosts: Vec<u32>,
     /// Workers of each host.
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u32>(1, 1024), default_value_t = 8)]
@@ -135,6 +136,21 @@ pub struct ScaleArgs {
 }
 
 impl ScaleArgs {
+    /// A flag whose value is another than the one that it has by itself.
+    fn given(&self) -> anyhow::Result<Option<&'static str>> {
+        let plain: Self = options(["octopus bench".to_owned()])?;
+        let flags = [
+            ("--hosts", self.hosts != plain.hosts),
+            ("--host-workers", self.host_workers != plain.host_workers),
+            ("--local-workers", self.local_workers != plain.local_workers),
+            ("--learners", self.learners != plain.learners),
+            ("--gbit", self.gbit != plain.gbit),
+            ("--delay", self.delay != plain.delay),
+            ("--gateways", self.gateways != plain.gateways),
+        ];
+        Ok(flags.into_iter().find_map(|(flag, is_given)| is_given.then_some(flag)))
+    }
+
     fn scale(&self) -> Scale {
         Scale {
             hosts: self.hosts.clone(),
@@ -198,7 +214,13 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let growth = args.subject.0 == Subject::Growth;
     let in_python = args.subject.0 == Subject::Python;
     let scale = args.subject.0 == Subject::Scale;
+    let of_scale = args.scale.given()?;
     for (given, flag, cure) in [
+        (
+            !scale && of_scale.is_some(),
+            of_scale.unwrap_or_default(),
+            "it is for `octopus bench scale`",
+        ),
         ((growth || in_python || scale) && args.peer, "--peer", "leave it out"),
         (!growth && args.pictures.is_some(), "--pictures", "it is for `octopus bench growth`"),
     ] {
@@ -242,6 +264,20 @@ mod option_tests {
         assert_eq!((args.seconds, args.workers), (5.0, 2));
         assert!(!args.peer && !args.json && args.sets.is_empty());
         assert_eq!(args.python, PathBuf::from(".venv-benches/bin/python"));
+    }
+
+    #[test]
+    fn machines_of_scale_are_for_scale_alone() {
+        for flag in ["--hosts=3", "--gbit=1", "--gateways 1 2"] {
+            let args = parse(&format!("octopus bench physics {flag}")).expect("valid");
+            let told = run(&args).expect_err(flag).to_string();
+            assert!(told.contains("it is for `octopus bench scale`"), "{told}");
+        }
+        assert_eq!(
+            parse("octopus bench physics").expect("valid").scale.given().expect("valid"),
+            None
+        );
+        assert!(parse("octopus bench scale --hosts 0").is_err(), "there would be nothing to show");
     }
 
     #[test]
