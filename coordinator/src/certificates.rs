@@ -62,6 +62,10 @@ struct Shown {
 
 /// Makes what is wanted and shows all that is there.
 pub fn run(args: &CertificatesArgs) -> anyhow::Result<()> {
+    if args.dir.exists() && !args.dir.is_dir() {
+        let message = format!("{}: is no directory; name another one", args.dir.display());
+        return Err(ExitError::new(ExitCode::RunDirectory, message).into());
+    }
     let dir = CertificateDir::new(&args.dir);
     let CertificatesArgs { hosts, learner, days, .. } = args.clone();
     let made = issue(&dir, &Wanted { hosts, learner, days }, SystemTime::now())?;
@@ -98,4 +102,20 @@ pub(crate) fn wanted(dir: Option<&PathBuf>, endpoint: &str) -> Result<Certificat
         );
         ExitError::new(ExitCode::Usage, message)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_no_directory_of_certificates() {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        let dir = file.path().to_owned();
+        let args =
+            CertificatesArgs { dir, hosts: Vec::new(), learner: Vec::new(), days: 1, json: false };
+        let error = run(&args).expect_err("a file").downcast::<ExitError>().expect("ours");
+        assert_eq!(error.code, ExitCode::RunDirectory);
+        assert!(error.message.contains("is no directory"), "{error}");
+    }
 }

@@ -110,7 +110,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
 
 /// The sub-step must fit the control period a whole number of times.
 fn check_steps(args: &SimulateArgs) -> Result<(), ExitError> {
-    let bad = |message: String| Err(ExitError::new(ExitCode::BadInput, message));
+    let bad = |message: String| Err(ExitError::new(ExitCode::Usage, message));
     let SimulateArgs { control_period, substep, .. } = *args;
     if !(1e-4..=10.0).contains(&control_period) {
         return bad(format!(

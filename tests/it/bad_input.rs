@@ -91,7 +91,7 @@ fn run_directories_that_are_taken() {
     train(dir.path(), &["--iterations=1"], 5, &["run", "not empty"]);
     let kept = std::fs::read_to_string(dir.path().join("run/thesis.tex"));
     assert_eq!(kept.expect("still there"), "precious");
-    let words = ["/no/such/run: is no run directory: it has no config.toml", "octopus status"];
+    let words = ["/no/such/run: does not exist", "octopus status"];
     for args in [
         &["resume", "/no/such/run"][..],
         &["status", "/no/such/run"],

@@ -348,6 +348,6 @@ fn reproductions_that_cannot_be() {
     let few = ["--policies", scratch.path().to_str().expect("UTF-8"), "--steps=80"];
     refused(&[&few[..], &out].concat(), 2, &["--steps 80 ends before"]);
     let wrong = ["--runs=/no/such"];
-    refused(&[&wrong[..], &one[..2], &out].concat(), 5, &["/no/such", "is no run directory"]);
+    refused(&[&wrong[..], &one[..2], &out].concat(), 5, &["/no/such", "does not exist"]);
     assert!(!Path::new(out[1]).exists(), "nothing is left of what was refused");
 }

@@ -33,6 +33,7 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
     for from in &args.arms {
         parts.push(Part { arms: from.arms.clone(), checkpoint: from.checkpoint.open()? });
     }
+    Composition::check_arms(&parts).map_err(refused(ExitCode::Usage))?;
     let composition = Composition::new(&parts).map_err(refused(ExitCode::BadInput))?;
     if !composition.notes.is_empty() {
         let first = parts[0].checkpoint.dir.display();
@@ -42,7 +43,8 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
         ));
     }
     let provenance = serde_json::to_value(Provenance::gather())?;
+    // It refuses names only.
     let entry =
-        store.compose(&name, &composition, &provenance).map_err(refused(ExitCode::BadInput))?;
+        store.compose(&name, &composition, &provenance).map_err(refused(ExitCode::Usage))?;
     report(&entry, args.json, &format!("composed of {}", counted(parts.len() as u64, "checkpoint")))
 }

@@ -20,10 +20,11 @@ pub fn run_directory(path: &Path) -> Result<RunDir, ExitError> {
         let message = format!("{}: cannot be read: {error}", config.display());
         return Err(ExitError::new(ExitCode::RunDirectory, message));
     }
-    let message = format!(
-        "{}: is no run directory: it has no config.toml; `octopus status` lists the runs",
-        path.display()
-    );
+    let what = match path.try_exists() {
+        Ok(false) => "does not exist",
+        _ => "is no run directory: it has no config.toml",
+    };
+    let message = format!("{}: {what}; `octopus status` lists the runs", path.display());
     Err(ExitError::new(ExitCode::RunDirectory, message))
 }
 
@@ -55,4 +56,17 @@ pub fn read_robot(run_dir: &RunDir) -> anyhow::Result<(Robot, String)> {
 fn damaged(error: &dyn std::fmt::Display) -> ExitError {
     let message = format!("{error}; put the file back from a copy: every checkpoint holds one");
     ExitError::new(ExitCode::RunDirectory, message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_run_says_whether_it_is_there() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let said = |path: &Path| run_directory(path).expect_err("no run").message;
+        assert!(said(dir.path()).contains("is no run directory: it has no config.toml; `octopus"));
+        assert!(said(&dir.path().join("none")).contains("none: does not exist; `octopus status`"));
+    }
 }

@@ -49,28 +49,15 @@ pub struct Composition {
 }
 
 impl Composition {
-    /// Takes the agents of each part's arms. Every arm must be given once; the parts must have the
-    /// same robot, and be alike in everything that a policy depends on.
-    pub fn new(parts: &[Part]) -> Result<Self, CheckpointError> {
+    /// Refuses parts that do not give every arm once; returns the robot that the arms are of, the first part's.
+    pub fn check_arms(parts: &[Part]) -> Result<Robot, CheckpointError> {
         let refuse = |reason: String| Err(CheckpointError::Refused { reason });
-        let Some(first) = parts.first() else {
+        let Some(Part { checkpoint, .. }) = parts.first() else {
             return refuse("a composition has at least one part".to_owned());
         };
-        let first_checkpoint = &first.checkpoint;
-        let robot_path = first_checkpoint.dir.join(ROBOT);
-        let robot = Robot::from_toml(&first_checkpoint.robot_toml, &robot_path)
-            .map_err(|error| CheckpointError::damaged(&robot_path, error.to_string()))?;
-        let dimensions = Dimensions::new(&first_checkpoint.config, robot.joints);
-        if dimensions.n_actors != dimensions.n_agents {
-            return refuse(format!(
-                "{} has one actor for all arms (algorithm.name = {}), which cannot be taken apart",
-                first.describe(),
-                first_checkpoint.config.algorithm.name.as_str()
-            ));
-        }
-        for part in &parts[1..] {
-            compatible(first, part)?;
-        }
+        let path = checkpoint.dir.join(ROBOT);
+        let robot = Robot::from_toml(&checkpoint.robot_toml, &path)
+            .map_err(|error| CheckpointError::damaged(&path, error.to_string()))?;
         let mut owners: Vec<Option<&Part>> = vec![None; robot.n_arms];
         for part in parts {
             for &arm in &part.arms {
@@ -94,7 +81,27 @@ impl Composition {
             let missing = missing.join(", ");
             return refuse(format!("no part has arm {missing}; give every arm once"));
         }
+        Ok(robot)
+    }
 
+    /// Takes the agents of each part's arms. Every arm must be given once; the parts must have the
+    /// same robot, and be alike in everything that a policy depends on.
+    pub fn new(parts: &[Part]) -> Result<Self, CheckpointError> {
+        let refuse = |reason: String| Err(CheckpointError::Refused { reason });
+        let robot = Self::check_arms(parts)?;
+        let first = &parts[0];
+        let first_checkpoint = &first.checkpoint;
+        let dimensions = Dimensions::new(&first_checkpoint.config, robot.joints);
+        if dimensions.n_actors != dimensions.n_agents {
+            return refuse(format!(
+                "{} has one actor for all arms (algorithm.name = {}), which cannot be taken apart",
+                first.describe(),
+                first_checkpoint.config.algorithm.name.as_str()
+            ));
+        }
+        for part in &parts[1..] {
+            compatible(first, part)?;
+        }
         let config = first_checkpoint.config.clone();
         let layout = ActorLayout::new(&config, &dimensions);
         let mut flat = vec![0.0; layout.len];
