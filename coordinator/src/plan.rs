@@ -155,7 +155,7 @@ fn goal(text: &str) -> Result<Goal, String> {
 }
 
 fn within(text: &str) -> Result<Within, String> {
-    let wanted = "wants a distance and an angle, such as 5mm,10mrad or 1cm,0.5deg";
+    let wanted = "wants a distance and an angle, such as 5mm,10mrad or 1cm,0.5deg, from 0.001mm to 10m and from 0.001mrad to 10rad";
     let amount = |text: &str, units: &[(&str, f64)]| {
         let (unit, number) = units.iter().find_map(|(unit, factor)| {
             Some((*factor, text.trim().strip_suffix(unit)?.trim().parse::<f64>().ok()?))
@@ -334,6 +334,8 @@ mod tests {
         for wrong in ["5mm", "5,10", "5mm,10mm", "0mm,1mrad", "-1mm,1mrad", "nanmm,1rad", ""] {
             assert!(within(wrong).is_err(), "{wrong}");
         }
+        let small = within("1e-30mm,1e-30mrad").map(|_| ()).expect_err("smaller than any");
+        assert!(small.contains("from 0.001mm to 10m"), "{small}");
         assert!(rate("0").is_err() && rate("nan").is_err());
         assert_eq!(rate("0.8"), Ok(0.8));
     }
