@@ -22,6 +22,7 @@ use run::errors;
 use rustix::fs::{FlockOperation, flock};
 use store::regular_files::{self, Links};
 use store::{files, outputs, owned_files};
+use toml::Value;
 
 use super::file::SweepFile;
 use super::plan::Plan;
@@ -168,7 +169,7 @@ impl Place {
         create(&self.0)?;
         // The file may be such a copy itself.
         let text = plan.file.text.strip_prefix(MARK).unwrap_or(&plan.file.text);
-        let copy = [MARK, text].concat();
+        let copy = [MARK, &standing_anywhere(text, &plan.file)].concat();
         let own = self.0.join(SWEEP);
         if !own.exists() {
             // Before all else: by it the rest is known to be ours, also after a kill.
@@ -196,6 +197,30 @@ impl Place {
             |trial: &lab::sweep::study::Trial| Record::of(&self.record(&trial.name), &trial.run);
         plan.study.trials.iter().map(read).collect()
     }
+}
+
+/// The text of a sweep's file with its `config`, which is looked for beside it, by its whole path, so that the copy is a sweep, too.
+fn standing_anywhere(text: &str, file: &SweepFile) -> String {
+    let whole = file.config.as_ref().and_then(|config| config.canonicalize().ok());
+    let Some(whole) = whole.as_ref().and_then(|whole| whole.to_str()) else {
+        return text.to_owned();
+    };
+    let is_key = |line: &str| {
+        let rest = line.trim_start().strip_prefix("config");
+        rest.is_some_and(|rest| rest.trim_start().starts_with('='))
+    };
+    // Keys of the file itself stand before all tables.
+    let mut is_over = false;
+    let lines = text.split_inclusive('\n').map(|line| {
+        if is_over || line.trim_start().starts_with('[') {
+            is_over = true;
+            return line.to_owned();
+        }
+        is_over = is_key(line);
+        let end = if line.ends_with('\n') { "\n" } else { "" };
+        if is_over { format!("config = {}{end}", Value::from(whole)) } else { line.to_owned() }
+    });
+    lines.collect()
 }
 
 /// Locks a file; the kernel lets go of it when the process ends.
@@ -256,5 +281,30 @@ mod tests {
         std::fs::remove_file(out.path().join(SWEEP)).expect("removed");
         let told = place.check(&plan).expect_err("anybody's directory").to_string();
         assert!(told.contains("holds \"notes.txt\"") && !told.contains("--force"), "{told}");
+    }
+
+    #[test]
+    fn the_copy_of_a_sweep_is_one_itself() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let config = dir.path().join("cfg.toml");
+        std::fs::write(&config, "").expect("written");
+        let path = dir.path().join("rates.toml");
+        let text = "seeds = [1]\n config = \"cfg.toml\" # mine\n[set]\nconfig = 1\n";
+        let config_of = |path: &Path, text: &str| {
+            let text = text.replace("[set]\nconfig = 1\n", "");
+            SweepFile::parse(path, text).expect("valid").config.expect("one")
+        };
+        let file = SweepFile {
+            config: Some(config.clone()),
+            ..SweepFile::parse(&path, String::new()).expect("valid")
+        };
+        let copy = standing_anywhere(text, &file);
+        assert!(
+            copy.starts_with("seeds = [1]\n") && copy.ends_with("\n[set]\nconfig = 1\n"),
+            "{copy}"
+        );
+        let whole = config.canonicalize().expect("there");
+        assert_eq!(config_of(Path::new("elsewhere/sweep.toml"), &copy), whole);
+        assert_eq!(standing_anywhere("seeds = [1]", &file), "seeds = [1]");
     }
 }
