@@ -7,6 +7,7 @@ use export::{HeldOut, HeldOutError, Origin, Source};
 use lab::evaluation::Summary;
 use lab::threads::Threads;
 use lab::trained::{Trained, open_checkpoint};
+use output::counted;
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
 use simulator::evaluate::{EvaluationOptions, evaluate};
@@ -92,12 +93,12 @@ pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
         format!("{error} {mean:.4} {unit} (p90 {p90:.4})")
     });
     output::line(&format!(
-        "{}: policy {}, {} on `{}`\n{} held-out episodes: {}\n\n{}",
+        "{}: policy {}, {} on `{}`\n{}: {}\n\n{}",
         out.display(),
         origin.digest,
         trained.task().as_str(),
         trained.world.robot.name,
-        held_out.episodes,
+        counted(held_out.episodes as u64, "held-out episode"),
         errors.collect::<Vec<_>>().join(", "),
         output::table(
             ["file", "size"],

@@ -166,8 +166,12 @@ fn describe(shown: &Shown, columns: usize, with_tensors: bool) -> String {
         let errors: Vec<String> =
             score.errors.iter().map(|(name, error)| error_in_words(name, *error)).collect();
         lines.push(format!(
-            "{:12}{:.6} over {} episodes of {} steps, seed {}",
-            "score", score.value, score.episodes, score.steps, score.seed
+            "{:12}{:.6} over {} of {} steps, seed {}",
+            "score",
+            score.value,
+            counted(score.episodes, "episode"),
+            score.steps,
+            score.seed
         ));
         lines.extend(errors.iter().map(|error| format!("{:12}{error}", "")));
     }
