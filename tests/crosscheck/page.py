@@ -295,12 +295,16 @@ def served(chromium, address):
         page.quiet()
 
         stranger = opened.new_context().new_page()
-        stranger.goto(address.split("#")[0])
-        stranger.wait_for_selector(".sign-in", timeout=WAIT)
-        stranger.fill(".sign-in input", "0123456789abcdef0123")
-        stranger.click(".sign-in button")
-        stranger.wait_for_selector("text=does not know this token", timeout=WAIT)
-        check(stranger.evaluate("typeof spaceoctopus") == "undefined", "a wrong token opens a room")
+        # The second fits into no header.
+        for wrong in ("0123456789abcdef0123", "щупальце-щупальце"):
+            stranger.goto("about:blank")
+            stranger.goto(address.split("#")[0])
+            stranger.wait_for_selector(".sign-in", timeout=WAIT)
+            stranger.fill(".sign-in input", wrong)
+            stranger.click(".sign-in button")
+            stranger.wait_for_selector("text=does not know this token", timeout=WAIT)
+            check(stranger.evaluate("typeof spaceoctopus") == "undefined", "a wrong token opens a room")
+            check(stranger.evaluate("sessionStorage.length") == 0, "a wrong token is kept")
         # Whoever then knows it is let in.
         stranger.fill(".sign-in input", address.rpartition("token=")[2])
         stranger.click(".sign-in button")

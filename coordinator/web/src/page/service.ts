@@ -1,6 +1,6 @@
 // The HTTP service of the run, with the token.
 
-import { token } from "./token";
+import { forgetToken, mayBeKnown, token } from "./token";
 
 /** The service refuses; its own words. */
 export class Refusal extends Error {
@@ -15,9 +15,16 @@ export class Refusal extends Error {
 export async function ask(path: string, init: RequestInit = {}): Promise<Response> {
     const headers = new Headers(init.headers);
     const shown = token();
-    if (shown !== undefined) headers.set("authorization", `Bearer ${shown}`);
+    if (shown !== undefined) {
+        if (!mayBeKnown(shown)) {
+            forgetToken(shown);
+            throw new Refusal(401, "the token is wrong");
+        }
+        headers.set("authorization", `Bearer ${shown}`);
+    }
     const response = await fetch(path, { ...init, headers, credentials: "omit", cache: "no-cache" });
     if (response.ok) return response;
+    if (response.status === 401 && shown !== undefined) forgetToken(shown);
     let message = `${response.status} ${response.statusText}`;
     try {
         message = ((await response.json()) as { error: string }).error;

@@ -21,3 +21,13 @@ export function token(): string | undefined {
 export function keepToken(text: string): void {
     sessionStorage.setItem(KEY, text.trim());
 }
+
+/** Forgets a token that the service does not know, unless there is another by now. */
+export function forgetToken(shown: string): void {
+    if (token() === shown) sessionStorage.removeItem(KEY);
+}
+
+/** Whether a service may know it: no other fits into a header. */
+export function mayBeKnown(token: string): boolean {
+    return /^[\x21-\x7e]+$/.test(token);
+}
