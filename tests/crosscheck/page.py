@@ -229,6 +229,7 @@ def links(context, page, address):
     again.tab.evaluate("(fragment) => { location.hash = fragment; }", damaged)
     again.tab.wait_for_selector(".notice.error:has-text('this link is damaged')")
     check(again.room("timeline.events.length") == events, "a damaged link ends what plays")
+    files(again)
     # What the simulator refuses ends in an episode that goes on.
     wrong = {"policies": [], "script": {"start": {}, "steps": 4, "events": [{"step": 2, "event": {"arm": {"arm": 9, "control": "hold"}}}]}}
     check(again.tab.evaluate("(recording) => spaceoctopus.replay(recording)", wrong) is False, "an arm too many is played")
@@ -239,6 +240,21 @@ def links(context, page, address):
     check(cameras == again.room("timeline.description.n_arms") + 2, "the camera has %d choices" % cameras)
     again.quiet()
     again.tab.close()
+
+
+def files(page):
+    """What the command line reads the page plays; what it cannot play it says."""
+    open_file = lambda script: page.tab.set_input_files(
+        "input[type=file]", {"name": "episode.json", "mimeType": "application/json", "buffer": json.dumps(script).encode()}
+    )
+    noise = {"position": 0.001, "angle": 0.001, "velocity": 0.0, "rate": 0.0}
+    for seed, more in ((41, {}), (42, {"events": [{"step": 1, "event": {"sensors": noise}}]})):
+        open_file({"start": {"seed": seed}, "steps": 3, **more})
+        page.wait("timeline.start.seed === %d && timeline.head >= 3 && timeline.events.length === %d" % (seed, len(more)))
+    for script, words in (({"steps": 9001}, "9000 at most"), ({"start": {"seed": 2**53}, "steps": 3}, "write it as a text")):
+        open_file(script)
+        page.tab.wait_for_selector(".notice.error:has-text('%s')" % words)
+        check(page.room("timeline.start.seed") == 42, "a recording that is refused plays")
 
 
 def one_file(chromium, path):

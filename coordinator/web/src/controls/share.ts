@@ -1,11 +1,10 @@
 // What a person did, as a link or a file that plays the same again.
 
+import { LONGEST } from "../simulation/timeline";
 import type { Event, Script } from "../simulation/types";
 
-/** Most control steps that are played, as on the command line: those of a day and a half. */
-const MOST_STEPS = 1_000_000;
 /** What may happen, but for `clear_effects`, which holds nothing. */
-const EVENTS = new Set(["hand_goal", "base_goal", "arm", "effect", "base_mass", "delay"]);
+const EVENTS = new Set(["hand_goal", "base_goal", "arm", "effect", "base_mass", "delay", "sensors"]);
 
 /** An episode and the policies of its slots, in order. */
 export interface Recording {
@@ -36,12 +35,12 @@ export async function fromFragment(text: string): Promise<Recording> {
 /** Reads a recording, of which everything may be wrong. What an event holds is for the simulator to judge, which knows the robot. */
 export function parse(text: string): Recording {
     const value = fields(json(text));
-    const { start, steps, events } = fields(value["script"] ?? value);
-    if (typeof steps === "number" && steps > MOST_STEPS) throw new Error(`the recording has ${steps} control steps; at most ${MOST_STEPS} are played`);
-    return {
-        policies: list(value["policies"] ?? []).map(tookPart),
-        script: { start: fields(start ?? {}), steps: count(steps), events: list(events).map(happened) },
-    };
+    const script = fields(value["script"] ?? value);
+    const [start, steps, events] = [fields(script["start"] ?? {}), count(script["steps"]), list(script["events"] ?? [])];
+    if (steps > LONGEST) throw new Error(`the recording has ${steps} control steps; this page plays ${LONGEST} at most, an hour of the robot's time`);
+    // Another number than the file's would have been read.
+    if (typeof start["seed"] === "number" && !Number.isSafeInteger(start["seed"])) throw new Error('the recording\'s seed is no number that a browser holds; write it as a text, as in "seed": "18446744073709551615"');
+    return { policies: list(value["policies"] ?? []).map(tookPart), script: { start, steps, events: events.map(happened) } };
 }
 
 function json(text: string): unknown {

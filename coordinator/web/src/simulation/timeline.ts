@@ -3,8 +3,8 @@
 import type { Simulation } from "./simulation";
 import { type Control, type Description, type Event, type Frame, isEffect, type PolicyFiles, type Script, type Start } from "./types";
 
-/** Steps after which an episode pauses: an hour of the robot's time. */
-const LONGEST = 9000;
+/** Steps after which an episode pauses, and most that are played again: an hour of the robot's time. */
+export const LONGEST = 9000;
 /** Control steps that are taken at most before the page looks again. */
 const AT_ONCE = 4;
 

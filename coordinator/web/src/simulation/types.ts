@@ -20,7 +20,8 @@ export type Event =
     | { effect: { effect: Effect; steps?: number | null } }
     | "clear_effects"
     | { base_mass: { mass: number } }
-    | { delay: { steps: number } };
+    | { delay: { steps: number } }
+    | { sensors: { position: number; angle: number; velocity: number; rate: number } };
 
 /** Whether an event acts over time. What it does to the moment before which it happens is nothing. */
 export function isEffect(event: Event): boolean {
