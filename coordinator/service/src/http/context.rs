@@ -78,10 +78,18 @@ impl Context {
         Self { runs, ..self }
     }
 
-    /// That of one of several runs, for looking only; it stops when this one does.
+    /// That of one of several runs, for looking only; it stops when this one does. What clients may do at a time is
+    /// bounded for all runs together: they have one pool of threads.
     pub(super) fn of_one_run(&self, store: CheckpointStore) -> Self {
         let own = Self::new(store, None, self.tokens.clone(), self.limits.clone(), true);
-        Self { stopping: self.stopping.clone(), watchers: Arc::clone(&self.watchers), ..own }
+        Self {
+            changes: Arc::clone(&self.changes),
+            uploads: Arc::clone(&self.uploads),
+            archives: Arc::clone(&self.archives),
+            watchers: Arc::clone(&self.watchers),
+            stopping: self.stopping.clone(),
+            ..own
+        }
     }
 
     /// Does something with the store on a thread that may wait for the disk.

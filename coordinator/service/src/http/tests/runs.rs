@@ -8,7 +8,7 @@ use store::checkpoint::CheckpointStore;
 use tempfile::TempDir;
 
 use super::{Bench, TOKEN, commit, config};
-use crate::http::context::Context;
+use crate::http::context::{Context, Shared};
 use crate::http::limits::Limits;
 use crate::http::router::router;
 use crate::http::run_directory::Runs;
@@ -16,6 +16,11 @@ use crate::http::token::Token;
 
 /// Two runs, and something else.
 fn bench() -> Bench {
+    bench_with(Limits::default()).0
+}
+
+/// Likewise, with other bounds, and what all requests share.
+fn bench_with(limits: Limits) -> (Bench, Shared) {
     let dir = TempDir::new().expect("tempdir");
     for (name, iterations) in [("one", &[1, 2][..]), ("two", &[3])] {
         let run = RunDir::new(dir.path().join(name));
@@ -30,9 +35,9 @@ fn bench() -> Bench {
     std::fs::create_dir(dir.path().join("else")).expect("writes");
     let store = CheckpointStore::new(dir.path().join("checkpoints"));
     let tokens = vec![Token::parse(TOKEN, "test").expect("valid")];
-    let context = Context::new(store.clone(), None, tokens, Limits::default(), true);
-    let context = context.of_runs(Some(Runs::new(dir.path().to_owned())));
-    Bench { dir, store, router: router(Arc::new(context)) }
+    let context = Context::new(store.clone(), None, tokens, limits, true);
+    let context = Arc::new(context.of_runs(Some(Runs::new(dir.path().to_owned()))));
+    (Bench { dir, store, router: router(Arc::clone(&context)) }, context)
 }
 
 #[tokio::test]
@@ -70,6 +75,20 @@ async fn a_name_may_be_escaped() {
     }
     let wrong = bench.ask("GET /runs/gamma%FF/v1/metrics").await;
     assert_eq!(wrong.status, StatusCode::BAD_REQUEST, "no text");
+}
+
+/// They have one pool of threads, which slow downloads of several runs would fill.
+#[tokio::test]
+async fn all_runs_together_send_as_many_archives_as_one() {
+    let (bench, context) = bench_with(Limits { archives: 1, ..Limits::default() });
+    let archives =
+        ["one", "two"].map(|run| format!("GET /runs/{run}/v1/checkpoints/latest/archive"));
+    let place = Arc::clone(&context.archives).try_acquire_owned().expect("free");
+    for line in &archives {
+        assert_eq!(bench.ask(line).await.status, StatusCode::SERVICE_UNAVAILABLE, "{line}");
+    }
+    drop(place);
+    assert_eq!(bench.ask(&archives[1]).await.status, StatusCode::OK);
 }
 
 /// How the page of a run is answered here, where it may not be built.
