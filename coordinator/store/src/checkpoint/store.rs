@@ -11,7 +11,7 @@ use super::manifest::Manifest;
 use super::name::Name;
 use super::opening::is_directory;
 use super::read::{self, Checkpoint};
-use super::reserved::{BEST, LATEST};
+use super::reserved::{BEST, LATEST, PROMOTED};
 use super::{CheckpointError, catalogue};
 
 /// The checkpoints of a run, or any directory of checkpoints.
@@ -54,7 +54,7 @@ impl CheckpointStore {
         let refuse = |why: String| {
             Err(CheckpointError::refused(format!("`{name}` {why}; choose another name")))
         };
-        if [BEST, LATEST].contains(&text) {
+        if [BEST, LATEST, PROMOTED].contains(&text) {
             return refuse("always selects another checkpoint".to_owned());
         }
         if text.bytes().all(|byte| byte.is_ascii_digit()) {

@@ -163,7 +163,7 @@ async fn words_that_always_mean_something_else_are_no_names() {
 async fn a_name_that_means_something_else_is_refused_before_the_body_is_read() {
     let bench = Bench::new(&[1]);
     bench.store.tag(&Name::of_iteration(1), "mine").expect("tags");
-    for name in ["best", "latest", "17", "catalogue.sqlite", "mine"] {
+    for name in ["best", "latest", "promoted", "17", "catalogue.sqlite", "mine"] {
         let answer = bench.send(&format!("PUT /v1/checkpoints/{name}"), &[], "no archive").await;
         assert_eq!(answer.status, StatusCode::UNPROCESSABLE_ENTITY, "{name}: {answer:?}");
         assert!(answer.error().contains("choose another name"), "{}", answer.error());

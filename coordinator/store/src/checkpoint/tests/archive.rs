@@ -164,6 +164,7 @@ fn a_name_that_means_something_else_is_given_to_no_checkpoint() {
     for (reserved, word) in [
         ("best", "always selects"),
         ("latest", "always selects"),
+        ("promoted", "always selects"),
         ("0", "look like an iteration"),
         ("0017", "look like an iteration"),
         ("catalogue.sqlite", "catalogue"),
