@@ -10,7 +10,7 @@ use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse as _, Response};
 use store::checkpoint::CheckpointError;
 
-use super::bodies::pipe;
+use super::bodies::{pipe, unknown};
 use super::checkpoints;
 use super::context::Shared;
 use super::document::Bytes;
@@ -48,7 +48,7 @@ pub(super) async fn download(
     let disposition = format!("attachment; filename=\"{}.tar\"", entry.name);
     let headers = [(CONTENT_TYPE, TAR.to_owned()), (CONTENT_DISPOSITION, disposition)];
     if method == Method::HEAD {
-        return Ok((passed_over, headers).into_response());
+        return Ok((passed_over, headers, unknown()).into_response());
     }
     let place = Arc::clone(&context.archives).try_acquire_owned().map_err(|_| {
         Problem::busy("too many archives are being downloaded; try again in a moment")

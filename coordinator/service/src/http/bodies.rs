@@ -8,7 +8,8 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 
-use axum::body::Bytes;
+use axum::body::{self, Bytes};
+use futures_util::stream;
 use http_body::{Body, Frame, SizeHint};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -72,6 +73,11 @@ impl Body for FileBody {
     fn size_hint(&self) -> SizeHint {
         SizeHint::with_exact(self.rest.end - self.rest.start)
     }
+}
+
+/// The body that answers a HEAD whose content has a length that is not known: an empty one would have one.
+pub(super) fn unknown() -> body::Body {
+    body::Body::from_stream(stream::empty::<io::Result<Bytes>>())
 }
 
 #[derive(Debug)]

@@ -72,7 +72,7 @@ pub(super) async fn download(
         return Err(Problem::new(StatusCode::NOT_FOUND, message));
     };
     let etag = format!("\"{blake3}\"");
-    let selection = ranges::select(&headers, &etag, len)?;
+    let selection = ranges::select(&method, &headers, &etag, len)?;
     // The same name may once hold another checkpoint, so caches ask each time.
     let common = [
         (ETAG, etag),

@@ -5,15 +5,16 @@
 
 use axum::extract::Request;
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH,
-    REFERRER_POLICY, VARY,
+    CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, REFERRER_POLICY,
+    VARY,
 };
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 
 use super::document::Bytes;
 use super::params::Params;
 use super::problem::{ErrorBody, Problem};
+use super::ranges;
 use crate::page;
 
 /// Scripts, styles and requests of this service only; WebAssembly may be compiled. Nothing is embedded, here or
@@ -28,8 +29,8 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
     (status = 304, description = "The client has it"),
     (status = 404, description = "The page has not been built", body = ErrorBody),
 ))]
-pub(super) async fn home(method: Method, headers: HeaderMap) -> Result<Response, Problem> {
-    at("/", &method, &headers)
+pub(super) async fn home(headers: HeaderMap) -> Result<Response, Problem> {
+    at("/", &headers)
 }
 
 /// A file of the page. Needs no token.
@@ -49,21 +50,19 @@ pub(super) async fn file(
     let asset = page::asset(&name).ok_or_else(|| {
         Problem::new(StatusCode::NOT_FOUND, "the page has no such file; it begins at `/`")
     })?;
-    Ok(send(asset, request.method(), request.headers()))
+    Ok(send(asset, request.headers()))
 }
 
 /// What is at a path of the page.
-pub(super) fn at(path: &str, method: &Method, headers: &HeaderMap) -> Result<Response, Problem> {
+pub(super) fn at(path: &str, headers: &HeaderMap) -> Result<Response, Problem> {
     let name = path.strip_prefix("/page/").unwrap_or("index.html");
     let asset =
         page::asset(name).ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, page::MISSING))?;
-    Ok(send(asset, method, headers))
+    Ok(send(asset, headers))
 }
 
-fn send(asset: &'static page::Asset, method: &Method, headers: &HeaderMap) -> Response {
-    let has = headers.get_all(IF_NONE_MATCH).iter().any(|value| {
-        value.to_str().is_ok_and(|tags| tags.split(',').any(|tag| tag.trim() == asset.etag))
-    });
+/// The answer to a HEAD is the same: the router takes the content out of it, and says how long it is.
+fn send(asset: &'static page::Asset, headers: &HeaderMap) -> Response {
     // Another program may listen at this address next time, so a browser asks each time.
     let common = [
         (ETAG, HeaderValue::from_static(&asset.etag)),
@@ -72,13 +71,12 @@ fn send(asset: &'static page::Asset, method: &Method, headers: &HeaderMap) -> Re
         (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
         (REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
     ];
-    if has {
+    if ranges::is_known(headers, &asset.etag) {
         return (StatusCode::NOT_MODIFIED, common).into_response();
     }
     let described = [
         (CONTENT_TYPE, HeaderValue::from_static(asset.kind)),
         (CONTENT_ENCODING, HeaderValue::from_static("gzip")),
     ];
-    let body = if method == Method::HEAD { &[][..] } else { &asset.gzip };
-    (common, described, body).into_response()
+    (common, described, &asset.gzip[..]).into_response()
 }

@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use axum::http::header::{CONTENT_RANGE, IF_MATCH, IF_NONE_MATCH, IF_RANGE, RANGE};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 
 use super::problem::Problem;
 
@@ -23,13 +23,22 @@ pub(super) enum Selection {
 }
 
 /// Decides what of a file of `len` bytes and strong entity tag `etag` the client wants.
-pub(super) fn select(headers: &HeaderMap, etag: &str, len: u64) -> Result<Selection, Problem> {
+pub(super) fn select(
+    method: &Method,
+    headers: &HeaderMap,
+    etag: &str,
+    len: u64,
+) -> Result<Selection, Problem> {
     if headers.contains_key(IF_MATCH) && !lists(headers, &IF_MATCH, etag) {
         let message = format!("the file is {etag} and not what If-Match names");
         return Err(Problem::new(StatusCode::PRECONDITION_FAILED, message));
     }
-    if lists(headers, &IF_NONE_MATCH, etag) {
+    if is_known(headers, etag) {
         return Ok(Selection::NotModified);
+    }
+    // Of GET alone: to a HEAD the whole file is described.
+    if method != Method::GET {
+        return Ok(Selection::Whole);
     }
     // A date in If-Range never matches: files here are known by content, not by age.
     let same = headers.get(IF_RANGE).is_none_or(|tag| tag.as_bytes() == etag.as_bytes());
@@ -38,6 +47,11 @@ pub(super) fn select(headers: &HeaderMap, etag: &str, len: u64) -> Result<Select
         (Some(range), None) if same => part(range, len),
         _ => Ok(Selection::Whole),
     }
+}
+
+/// Whether the client has what the entity tag `etag` names.
+pub(super) fn is_known(headers: &HeaderMap, etag: &str) -> bool {
+    lists(headers, &IF_NONE_MATCH, etag)
 }
 
 /// Whether a list of entity tags holds `etag`, or is the star that stands for all.
@@ -111,11 +125,12 @@ mod tests {
 
     #[test]
     fn conditions_decide_before_ranges() {
-        let select = |fields: &[(HeaderName, &'static str)]| {
+        let asked = |method, fields: &[(HeaderName, &'static str)]| {
             let headers =
                 fields.iter().map(|(name, value)| (name.clone(), HeaderValue::from_static(value)));
-            select(&headers.collect(), "\"ab\"", 100).map_err(|problem| problem.status)
+            select(&method, &headers.collect(), "\"ab\"", 100).map_err(|problem| problem.status)
         };
+        let select = |fields: &[(HeaderName, &'static str)]| asked(Method::GET, fields);
         let part = Ok(Selection::Part(0..1));
         assert_eq!(select(&[]), Ok(Selection::Whole));
         assert_eq!(select(&[(IF_NONE_MATCH, "\"ab\"")]), Ok(Selection::NotModified));
@@ -126,5 +141,8 @@ mod tests {
         assert_eq!(select(&[(IF_MATCH, "\"ab\""), (RANGE, "bytes=0-0")]), part);
         assert_eq!(select(&[(IF_RANGE, "\"ab\""), (RANGE, "bytes=0-0")]), part);
         assert_eq!(select(&[(IF_RANGE, "\"x\""), (RANGE, "bytes=0-0")]), Ok(Selection::Whole));
+        for range in ["bytes=0-0", "bytes=100-"] {
+            assert_eq!(asked(Method::HEAD, &[(RANGE, range)]), Ok(Selection::Whole), "{range}");
+        }
     }
 }

@@ -3,14 +3,16 @@
 use std::sync::Arc;
 
 use axum::extract::{Request, State};
+use axum::http::header::CONTENT_LENGTH;
 use axum::http::uri::PathAndQuery;
-use axum::http::{StatusCode, Uri};
+use axum::http::{Method, StatusCode, Uri};
 use axum::response::{IntoResponse as _, Response};
 use axum::{Extension, Json, Router};
 use serde::Deserialize;
 use store::checkpoint::CheckpointStore;
 use tower::ServiceExt as _;
 
+use super::bodies::unknown;
 use super::context::{Context, Shared, blocking};
 use super::page;
 use super::params::Params;
@@ -52,7 +54,7 @@ pub(super) async fn one(
     let path = inner(request.uri()).ok_or_else(|| absent(&name))?;
     if crate::page::is_at(path.path()) {
         // Without the token nothing is said of the run, not even whether there is one.
-        return page::at(path.path(), request.method(), request.headers());
+        return page::at(path.path(), request.headers());
     }
     let runs = runs_of(&context)?;
     let run = runs.run(&name).ok_or_else(|| absent(&name))?;
@@ -60,11 +62,17 @@ pub(super) async fn one(
         let store = CheckpointStore::new(run.checkpoints());
         serve(Arc::new(context.of_one_run(store)))
     });
+    let is_head = request.method() == Method::HEAD;
     let mut request = request;
     *request.uri_mut() = Uri::from(path);
     // The variable parts of the outer path are none of the inner one.
     request.extensions_mut().clear();
-    Ok(service.oneshot(request).await.into_response())
+    let mut response = service.oneshot(request).await.into_response();
+    // Its router has taken the content out, and ours would take what is left for all of it.
+    if is_head && !response.headers().contains_key(CONTENT_LENGTH) {
+        *response.body_mut() = unknown();
+    }
+    Ok(response)
 }
 
 /// Of the variable parts of a path the name of the run, decoded: trials of a sweep have `=` and `,` in theirs, which

@@ -82,8 +82,13 @@ async fn a_head_says_all_but_the_content() {
     assert_eq!(answer.status, StatusCode::OK);
     assert_eq!(answer.header("content-length"), state(&bench).len().to_string());
     assert!(answer.body.is_empty());
+    for range in ["bytes=0-9", "bytes=999999999-"] {
+        let part = bench.send(&format!("HEAD {PATH}"), &[("range", range)], "").await;
+        assert_eq!((part.status, &part.headers), (answer.status, &answer.headers), "{range}");
+    }
     let answer = bench.ask("HEAD /v1/checkpoints/latest/archive").await;
     assert_eq!(answer.status, StatusCode::OK);
+    assert_eq!(answer.header("content-length"), "", "not known before it is made");
     assert!(answer.body.is_empty());
 }
 

@@ -34,9 +34,15 @@ async fn the_page_needs_no_token_and_may_do_little() {
         assert!(policy.contains("frame-ancestors 'none'"), "{policy}");
         assert_eq!(answer.header("x-content-type-options"), "nosniff");
 
-        let again = [STRANGER, ("if-none-match", answer.header("etag"))];
-        let answer = bench.send(&line, &again, "").await;
-        assert_eq!((answer.status, answer.body.len()), (StatusCode::NOT_MODIFIED, 0), "{line}");
+        let head = bench.send(&line.replace("GET", "HEAD"), &[STRANGER], "").await;
+        assert_eq!((head.status, head.body.len()), (StatusCode::OK, 0), "{line}");
+        assert_eq!(head.header("content-length"), answer.body.len().to_string(), "{line}");
+
+        let etag = answer.header("etag");
+        for known in [etag, &format!("\"x\", W/{etag}"), "*"] {
+            let answer = bench.send(&line, &[STRANGER, ("if-none-match", known)], "").await;
+            assert_eq!((answer.status, answer.body.len()), (StatusCode::NOT_MODIFIED, 0), "{line}");
+        }
     }
     for line in
         ["GET /page/", "GET /page/no.js", "GET /page/../v1/checkpoints", "POST /v1/checkpoints"]

@@ -59,6 +59,10 @@ async fn each_run_has_a_service_of_its_own_below_its_name() {
     let file = bench.ask("GET /runs/one/v1/checkpoints/latest/files/robot.toml").await;
     assert_eq!(file.status, StatusCode::OK);
     assert_eq!(bench.ask("GET /runs/one/health").await.json()["serves"], "run");
+    let head = bench.ask("HEAD /runs/one/v1/checkpoints/latest/files/robot.toml").await;
+    assert_eq!(head.header("content-length"), file.body.len().to_string());
+    let head = bench.ask("HEAD /runs/one/v1/checkpoints/latest/archive").await;
+    assert_eq!(head.header("content-length"), "", "not known before it is made");
 }
 
 #[tokio::test]
