@@ -15,8 +15,10 @@ use super::access;
 
 const DESCRIPTION: &str = "\
 Checkpoints of multi-arm space robots' training, and the run that makes them if the service stands \
-beside one (`octopus train`); `octopus serve` serves a directory of checkpoints alone, and then the \
-routes of the tag `run` answer 404.
+beside one (`octopus train`). `octopus serve` stands beside none: `/v1/status`, `/v1/workers` and POST \
+of `/v1/checkpoints` answer 404 then, and so do `/v1/metrics` and `/v1/evaluations` where the checkpoints \
+are not those of a run. `octopus serve --runs` serves all runs of a directory, in `/v1/runs` and below \
+`/runs/`.
 
 Where a route reads, NAME is a checkpoint's own name, a tag, `latest` (the newest whole one from \
 which training can go on) or `best` (the one with the lowest score). Where a route changes \
@@ -40,7 +42,7 @@ which only the service's user can read; or the one that the service was started 
     servers((url = "/", description = "This service")),
     tags(
         (name = "checkpoints", description = "Committed training states"),
-        (name = "run", description = "The live run beside the service"),
+        (name = "run", description = "Runs: what they do and have recorded"),
         (name = "service", description = "The service itself"),
     ),
     security(("token" = [])),

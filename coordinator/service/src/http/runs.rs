@@ -34,7 +34,8 @@ pub(super) async fn list(State(context): State<Shared>) -> Result<Json<RunList>,
     Ok(Json(list.unwrap_or(RunList { runs: Vec::new() })))
 }
 
-/// The service of one run, with all paths of this document below its own.
+/// The service of one run, which stands beside no live one, with all paths of this document below its own. All but the page
+/// need the token, `health` too: strangers are not told which runs there are.
 #[utoipa::path(get, path = "/runs/{run}/{path}", tag = "run", operation_id = "of_one_run",
     params(
         ("run" = String, Path, description = "Name of the run"),
