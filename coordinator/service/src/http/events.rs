@@ -63,7 +63,8 @@ struct Watcher {
     context: Shared,
     files: Files,
     happened: u64,
-    checkpoints: Option<Vec<u8>>,
+    /// How the store looked when it was last listed, and the list.
+    checkpoints: Option<(Vec<u8>, CheckpointList)>,
     waiting: VecDeque<Event>,
     looks: Interval,
     stopping: watch::Receiver<bool>,
@@ -151,13 +152,16 @@ impl Watcher {
     async fn list(&mut self) -> Result<Option<Event>, Problem> {
         let root = self.context.store.root().to_owned();
         let now = blocking(move || fingerprint(&root)).await?;
-        if self.checkpoints.as_ref() == Some(&now) {
+        if self.checkpoints.as_ref().is_some_and(|(before, _)| *before == now) {
             return Ok(None);
         }
         let survey = self.context.with_store(CheckpointStore::survey).await?;
-        self.checkpoints = Some(now);
         let list = CheckpointList { checkpoints: survey.entries, damaged: survey.damaged };
-        Ok(Some(event("checkpoints", &list)))
+        // Files may be written anew with what was in them.
+        let is_new = self.checkpoints.as_ref().is_none_or(|(_, before)| *before != list);
+        let event = is_new.then(|| event("checkpoints", &list));
+        self.checkpoints = Some((now, list));
+        Ok(event)
     }
 }
 

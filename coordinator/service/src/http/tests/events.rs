@@ -113,6 +113,22 @@ async fn whoever_was_away_is_sent_the_rest() {
     );
 }
 
+/// A copy of a bucket is written anew every few seconds.
+#[tokio::test]
+async fn a_list_is_sent_when_it_is_another() {
+    let bench = Bench::with(&[1], Some(LiveRun::new()), Limits::default());
+    let mut heard = Heard::open(&bench, "/v1/events").await;
+    heard.next("checkpoints").await;
+    std::fs::write(bench.store.root().join("stray"), "").expect("writes");
+    // Of the look under way, and of one that has seen that.
+    for _ in 0..3 {
+        heard.next("status").await;
+    }
+    commit(&bench.store, 2);
+    let list = heard.next("checkpoints").await;
+    assert_eq!(list["checkpoints"].as_array().expect("a list").len(), 2);
+}
+
 #[tokio::test]
 async fn so_many_may_look_and_a_place_is_free_again() {
     let limits = Limits { watchers: 2, ..Limits::default() };
