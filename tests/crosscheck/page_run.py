@@ -241,6 +241,7 @@ def rest(chromium, address):
         page.tab.wait_for_selector(".checkpoints tr")
         page.hears("f.metrics.lines.length > 3")
         page.until(lambda: page.painted(".growth .curve canvas") > 500, "the curve of the return is drawn")
+        page.until(lambda: "at rest" in page.tab.inner_text(".tiles"), "the run is at rest")
         check(not page.tab.is_visible("button:has-text('Commit now')"), "who may only look is offered to commit")
         for what in ("Pin", "Tag"):
             check(page.tab.locator("button[aria-label^=%s]" % what).count() == 0, "who may only look is offered to %s" % what)

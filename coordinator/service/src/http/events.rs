@@ -32,7 +32,7 @@ const ALIVE: Duration = Duration::from_secs(10);
 
 /// All that happens, as server-sent events. `status`, `happened`: of the live run; `metrics`, `evaluations`: lines that
 /// were recorded, from a place to the next (`from` 0: all before is void); `logs`: lines of the processes' logs;
-/// `checkpoints`: the list, when it has changed.
+/// `trains`: whether the run whose checkpoints these are goes on; `checkpoints`: the list, when it has changed.
 #[utoipa::path(get, path = "/v1/events", tag = "run",
     params(
         ("metrics" = Option<u64>, Query, description = "Where lines of the metrics begin (bytes): the last `next`"),
@@ -75,6 +75,7 @@ struct Watcher {
 #[derive(Default)]
 struct Files {
     run: Option<RunDir>,
+    trains: Option<bool>,
     metrics: u64,
     evaluations: u64,
     logs: LogTails,
@@ -170,6 +171,10 @@ impl Files {
     fn read(mut self) -> (Self, Vec<Event>) {
         let mut events = Vec::new();
         if let Some(run) = &self.run {
+            let trains = recorded::trains(run);
+            if self.trains.replace(trains) != Some(trains) {
+                events.push(event("trains", &trains));
+            }
             events.extend(lines("metrics", &run.metrics_jsonl(), &mut self.metrics));
             events.extend(lines("evaluations", &run.evaluations(), &mut self.evaluations));
             let new: Vec<LogLine> = self.logs.read(&run.logs());

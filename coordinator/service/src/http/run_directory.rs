@@ -8,9 +8,10 @@ use std::sync::{Mutex, PoisonError};
 use axum::Router;
 use proto::run_dir::RunDir;
 use serde::{Deserialize, Serialize};
-use store::lock::RunLock;
 use store::{regular_files, run_files};
 use utoipa::ToSchema;
+
+use super::recorded;
 
 /// How much of the metrics' end is read for the last line (bytes).
 const END: u64 = 64 * 1024;
@@ -84,7 +85,7 @@ fn glance(name: String, run: &RunDir) -> anyhow::Result<RunAtAGlance> {
     let config = run_files::read_config(run)?;
     Ok(RunAtAGlance {
         name,
-        live: matches!(RunLock::holder(&run.lock()), Ok(Some(_))),
+        live: recorded::trains(run),
         planned_iterations: config.planned_iterations(),
         last: last_line(&run.metrics_jsonl()).unwrap_or_default(),
         config: serde_json::to_value(&config)?,

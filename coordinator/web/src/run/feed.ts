@@ -6,7 +6,7 @@ import type { CheckpointEntry } from "../page/source";
 import type { Evaluation, Happening, LiveStatus, LogLine, Metrics } from "./status";
 
 /** What can change. */
-export type Topic = "status" | "happened" | "metrics" | "evaluations" | "logs" | "checkpoints" | "heard";
+export type Topic = "status" | "happened" | "metrics" | "evaluations" | "logs" | "trains" | "checkpoints" | "heard";
 
 /** Most that is kept to be shown. */
 const HAPPENINGS = 6000;
@@ -43,6 +43,8 @@ export class Feed {
     now = { run: 0, page: 0 };
     logs: LogLine[] = [];
     checkpoints: CheckpointEntry[] | undefined;
+    /** Whether the run goes on, which a service says that does not stand beside it, too. */
+    trains: boolean | undefined;
     heard = true;
     private readonly listeners: { topic: Topic; run(): void }[] = [];
     private readonly stream: EventStream;
@@ -75,6 +77,7 @@ export class Feed {
             this.logs = [];
         } else {
             this.status = undefined;
+            this.trains = undefined;
         }
         if (this.heard === on) return;
         this.heard = on;
@@ -103,6 +106,9 @@ export class Feed {
                 break;
             case "logs":
                 this.logs.push(...(data as LogLine[]));
+                break;
+            case "trains":
+                this.trains = data as boolean;
                 break;
             case "checkpoints":
                 this.checkpoints = (data as { checkpoints: CheckpointEntry[] }).checkpoints;

@@ -42,7 +42,7 @@ export class RunRoom {
         this.workers.append(h("h2", {}, "Processes"), this.processes);
         const left = h("div", { class: "side" }, this.timeLine.element, this.growth.element);
         this.element.append(this.lost, this.tiles, left, h("div", { class: "side" }, this.workers, this.checkpoints.element, blocks.element, this.logs.element));
-        feed.on(["status", "metrics", "heard"], () => this.showStatus());
+        feed.on(["status", "trains", "metrics", "heard"], () => this.showStatus());
         feed.on(["metrics", "evaluations"], () => this.draw());
         feed.on(["checkpoints", "heard"], () => this.checkpoints.show(feed.checkpoints ?? [], feed.status !== undefined));
         feed.on(["checkpoints", "metrics"], () => this.showBlocks());
@@ -81,13 +81,13 @@ export class RunRoom {
     }
 
     private showStatus(): void {
-        const { status: live, heard, metrics } = this.feed;
+        const { status: live, heard, trains, metrics } = this.feed;
         this.lost.hidden = heard;
         const last = metrics.lines.at(-1);
         const tile = (name: string, value: string): HTMLElement => h("div", { class: "tile" }, h("span", {}, name), h("b", {}, value));
         this.workers.hidden = live === undefined;
         if (live === undefined) {
-            const state = heard ? "at rest" : "not heard";
+            const state = !heard ? "not heard" : trains === undefined ? "–" : trains ? "trains" : "at rest";
             this.tiles.replaceChildren(tile("State", state), tile("Iterations", grouped((last?.iteration ?? -1) + 1)), tile("Env-steps", grouped(last?.env_steps ?? 0)));
             this.deaths = 0;
             return;

@@ -8,6 +8,7 @@ use axum::response::Response;
 use futures_util::StreamExt as _;
 use proto::run_dir::RunDir;
 use serde_json::Value;
+use store::lock::RunLock;
 use tower::ServiceExt as _;
 
 use super::{Bench, TOKEN, commit, config};
@@ -127,6 +128,20 @@ async fn a_list_is_sent_when_it_is_another() {
     commit(&bench.store, 2);
     let list = heard.next("checkpoints").await;
     assert_eq!(list["checkpoints"].as_array().expect("a list").len(), 2);
+}
+
+/// Beside no live run nothing else says so.
+#[tokio::test]
+async fn whether_the_run_goes_on_is_told() {
+    let bench = Bench::new(&[1]);
+    let run = RunDir::new(bench.dir.path());
+    std::fs::write(run.config(), config().to_toml()).expect("writes");
+    let mut heard = Heard::open(&bench, "/v1/events").await;
+    assert_eq!(heard.next("trains").await, false);
+    let lock = RunLock::acquire(&run.lock(), "a-domain").expect("free");
+    assert_eq!(heard.next("trains").await, true);
+    drop(lock);
+    assert_eq!(heard.next("trains").await, false);
 }
 
 #[tokio::test]
