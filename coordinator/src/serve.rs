@@ -156,7 +156,7 @@ impl Follower {
             let mut trouble = None;
             while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(FOLLOW) {
                 let now = match replica.refresh() {
-                    Ok(damaged) => damaged.first().map(ToString::to_string),
+                    Ok(damaged) => damaged.into_iter().next(),
                     Err(error) => Some(error.to_string()),
                 };
                 // Once each.

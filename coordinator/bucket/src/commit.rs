@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use futures_util::StreamExt as _;
+use futures_util::TryStreamExt as _;
+use object_store::ObjectMeta;
 use proto::run_dir::RunDir;
 use store::checkpoint::{CheckpointError, FileEntry, Manifest, Name};
 
@@ -103,16 +104,18 @@ impl Bucket {
 
     /// All objects of a checkpoint, below the prefix.
     async fn objects_of(&self, name: &Name) -> Result<Vec<String>, BucketError> {
+        let found = self.metas_of(name).await?;
+        let names = found.iter().filter_map(|meta| meta.location.filename());
+        Ok(names.map(|object| format!("{}/{object}", folder(name))).collect())
+    }
+
+    /// What the bucket says of them, in the order of their names; it says something else of content that was replaced.
+    pub(crate) async fn metas_of(&self, name: &Name) -> Result<Vec<ObjectMeta>, BucketError> {
         let at = folder(name);
-        let path = self.path(&at);
-        let mut found = Vec::new();
-        let mut objects = self.objects.list(Some(&path));
-        while let Some(meta) = objects.next().await {
-            let meta = meta.map_err(|error| BucketError::of(self.shown(&at), &error))?;
-            if let Some(object) = meta.location.filename() {
-                found.push(format!("{at}/{object}"));
-            }
-        }
+        let found: Result<Vec<ObjectMeta>, _> =
+            self.objects.list(Some(&self.path(&at))).try_collect().await;
+        let mut found = found.map_err(|error| BucketError::of(self.shown(&at), &error))?;
+        found.sort_by(|a, b| a.location.cmp(&b.location));
         Ok(found)
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 
+use object_store::ObjectMeta;
 use proto::Digest;
 use store::checkpoint::{CheckpointStore, DamagedEntry, LATEST, Name, Selector, Survey};
 use tempfile::TempDir;
@@ -11,6 +12,7 @@ use crate::bucket::Bucket;
 use crate::error::BucketError;
 use crate::fetch::{file_error, summarise};
 use crate::listing::{Listed, Listing};
+use crate::record::{LABELS, Record};
 
 /// A store in a directory that goes away with it. At first it holds manifests and labels alone.
 #[derive(Debug)]
@@ -19,6 +21,15 @@ pub struct Replica {
     dir: TempDir,
     listing: Listing,
     whole: BTreeMap<Name, Digest>,
+    refused: BTreeMap<Name, Refused>,
+}
+
+/// A checkpoint that was not whole, as it was then: it is not brought again before it is another.
+#[derive(Debug)]
+struct Refused {
+    record: Record,
+    objects: Vec<ObjectMeta>,
+    reason: String,
 }
 
 impl Replica {
@@ -33,7 +44,8 @@ impl Replica {
         for listed in &listing.checkpoints {
             summarise(listed, dir.path())?;
         }
-        let replica = Self { bucket, dir, listing, whole: BTreeMap::new() };
+        let replica =
+            Self { bucket, dir, listing, whole: BTreeMap::new(), refused: BTreeMap::new() };
         replica.index()?;
         Ok(replica)
     }
@@ -101,31 +113,46 @@ impl Replica {
     }
 
     /// Brings all files of all checkpoints; returns why some are not here.
-    pub fn fetch_all(&mut self) -> Result<Vec<BucketError>, BucketError> {
-        let names = self
-            .listing
-            .checkpoints
-            .iter()
-            .filter(|listed| self.whole.get(&listed.name) != Some(&listed.manifest().digest));
-        let names: Vec<Name> = names.map(|listed| listed.name.clone()).collect();
-        let mut failures = Vec::new();
-        for name in names {
-            match self.fetch(&name) {
-                Ok(()) => {}
+    pub fn fetch_all(&mut self) -> Result<Vec<String>, BucketError> {
+        let missing =
+            self.listing.checkpoints.iter().filter(|listed| !self.is_whole(listed)).cloned();
+        let missing: Vec<Listed> = missing.collect();
+        let mut reasons = Vec::new();
+        for listed in missing {
+            let name = &listed.name;
+            // Before its files are read: what is mended meanwhile is another one.
+            let mut objects = self.bucket.wait(self.bucket.metas_of(name))?;
+            // What users say of it makes it no other.
+            objects.retain(|object| object.location.filename() != Some(LABELS));
+            let before = self.refused.get(name);
+            if let Some(before) = before
+                && (&before.record, &before.objects) == (&listed.record, &objects)
+            {
+                reasons.push(before.reason.clone());
+                continue;
+            }
+            match self.fetch(name) {
+                Ok(()) => {
+                    self.refused.remove(name);
+                }
                 Err(error @ (BucketError::Damaged { .. } | BucketError::Local(_))) => {
                     // What is listed and not whole is not shown.
                     let _ = fs::remove_dir_all(self.dir.path().join(name.as_str()));
-                    failures.push(error);
+                    self.whole.remove(name);
+                    let reason = error.to_string();
+                    reasons.push(reason.clone());
+                    let refused = Refused { record: listed.record, objects, reason };
+                    self.refused.insert(listed.name, refused);
                 }
                 Err(error) => return Err(error),
             }
         }
         self.index()?;
-        Ok(failures)
+        Ok(reasons)
     }
 
     /// Looks at the bucket again, and brings what is new or was changed; what is gone there goes.
-    pub fn refresh(&mut self) -> Result<Vec<BucketError>, BucketError> {
+    pub fn refresh(&mut self) -> Result<Vec<String>, BucketError> {
         let listing = self.bucket.list()?;
         let gone =
             self.listing.checkpoints.iter().filter(|before| {
@@ -135,14 +162,18 @@ impl Replica {
             let dir = self.dir.path().join(before.name.as_str());
             let _ = fs::remove_dir_all(&dir);
             self.whole.remove(&before.name);
+            self.refused.remove(&before.name);
         }
-        for listed in &listing.checkpoints {
-            if self.whole.get(&listed.name) == Some(&listed.manifest().digest) {
-                summarise(listed, self.dir.path())?;
-            }
+        for listed in listing.checkpoints.iter().filter(|listed| self.is_whole(listed)) {
+            summarise(listed, self.dir.path())?;
         }
         self.listing = listing;
         self.fetch_all()
+    }
+
+    /// Whether all files of it are here.
+    fn is_whole(&self, listed: &Listed) -> bool {
+        self.whole.get(&listed.name) == Some(&listed.manifest().digest)
     }
 
     fn listed(&self, name: &Name) -> Result<&Listed, BucketError> {
@@ -167,5 +198,69 @@ pub(crate) fn nothing(bucket: &Bucket) -> BucketError {
     BucketError::NotFound {
         place: bucket.address().to_owned(),
         what: "holds no checkpoint from which training can go on; is the prefix right?".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use store::checkpoint::{CONFIG, FORMAT, FileEntry, Manifest, POLICY, ROBOT};
+
+    use super::*;
+    use crate::record;
+
+    /// A bucket in a directory with one checkpoint, whose files hold their names.
+    fn bucket() -> (TempDir, Bucket, Name) {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let bucket = Bucket::open(&format!("file://{}", dir.path().display())).expect("opens");
+        let name = Name::of_iteration(1);
+        let entry = |file: &str| FileEntry {
+            len: file.len() as u64,
+            blake3: blake3::hash(file.as_bytes()).to_hex().to_string(),
+        };
+        let manifest = Manifest {
+            format: FORMAT,
+            iteration: 1,
+            env_steps: 1,
+            digest: Digest::default(),
+            created_unix_s: 0,
+            provenance: serde_json::Value::Null,
+            files: [POLICY, CONFIG, ROBOT].map(|file| (file.to_owned(), entry(file))).into(),
+            origins: Vec::new(),
+        };
+        for (file, entry) in &manifest.files {
+            put(&bucket, &below(&name, file, entry), file);
+        }
+        let record = Record::new(manifest, BTreeMap::new());
+        let key = format!("{}/{}", record::folder(&name), record::MANIFEST);
+        bucket.wait(bucket.write_named(&key, record.to_json())).expect("written");
+        (dir, bucket, name)
+    }
+
+    fn below(name: &Name, file: &str, entry: &FileEntry) -> String {
+        format!("{}/{}", record::folder(name), record::object(file, entry))
+    }
+
+    fn put(bucket: &Bucket, below: &str, text: &str) {
+        bucket.wait(bucket.write_named(below, text.into())).expect("written");
+    }
+
+    /// It would be brought every ten seconds for ever.
+    #[test]
+    fn a_damaged_checkpoint_is_brought_again_only_when_it_was_changed() {
+        let (_dir, bucket, name) = bucket();
+        let entry = bucket.list().expect("listed").checkpoints[0].manifest().files[POLICY].clone();
+        let policy = below(&name, POLICY, &entry);
+        put(&bucket, &policy, "damaged");
+        let mut replica = Replica::new(bucket.address()).expect("a replica");
+        let first = replica.fetch_all().expect("reads");
+        assert!(first[0].contains(POLICY), "{first:?}");
+        // A mark that a second attempt would remove.
+        let mark = replica.dir.path().join(name.as_str());
+        fs::create_dir(&mark).expect("writes");
+        assert_eq!(replica.refresh().expect("reads"), first, "it is still said");
+        assert!(mark.exists(), "it was brought again");
+        put(&bucket, &policy, POLICY);
+        assert_eq!(replica.refresh().expect("reads"), [""; 0]);
+        assert_eq!(replica.store().entries().expect("lists").len(), 1);
     }
 }
