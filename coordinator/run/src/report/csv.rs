@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use proto::{ExitCode, ExitError};
-use store::{files, regular_files};
+use serde_json::Value;
+use store::{files, jsonl, regular_files};
 
 use super::line::Line;
 
@@ -15,7 +16,8 @@ use super::line::Line;
 pub struct CsvTable {
     path: PathBuf,
     file: File,
-    has_header: bool,
+    /// The first line, if there is one.
+    header: Option<String>,
 }
 
 impl CsvTable {
@@ -38,29 +40,41 @@ impl CsvTable {
             iteration.is_some_and(|k| k < keep)
         });
         let text: String = header.into_iter().chain(kept).collect();
-        files::replace(path, text.as_bytes())?;
-        let file = OpenOptions::new()
-            .append(true)
-            .open(path)
-            .with_context(|| format!("{}: cannot be opened", path.display()))?;
-        Ok(Self { path: path.to_owned(), file, has_header: !text.is_empty() })
+        let file = replaced(path, &text)?;
+        let header = header.map(|header| header.trim_end().to_owned());
+        Ok(Self { path: path.to_owned(), file, header })
     }
 
     /// Appends a row, before the first one the header.
     pub fn append(&mut self, line: &Line) -> anyhow::Result<()> {
         let cells = line.cells();
-        let mut text = String::new();
-        if !self.has_header {
-            let names: Vec<_> = cells.iter().map(|(name, _)| name.as_ref()).collect();
-            text = names.join(",") + "\n";
-            self.has_header = true;
+        let names: Vec<_> = cells.iter().map(|(name, _)| name.as_ref()).collect();
+        let header = names.join(",");
+        if self.header.as_ref() != Some(&header) {
+            self.begin(header, &names, line.iteration)?;
         }
         let values: Vec<_> = cells.iter().map(|(_, cell)| cell.to_string()).collect();
-        text += &values.join(",");
-        text.push('\n');
+        let text = values.join(",") + "\n";
         self.file
             .write_all(text.as_bytes())
             .with_context(|| format!("{}: cannot be written", self.path.display()))
+    }
+
+    /// Begins the table with these columns. Where another program has written others, its rows get these, from the lines
+    /// of `metrics.jsonl` before the iteration `until`.
+    fn begin(&mut self, header: String, names: &[&str], until: u64) -> anyhow::Result<()> {
+        let mut text = format!("{header}\n");
+        if self.header.is_some() {
+            for (_, line) in jsonl::read(&self.path.with_extension("jsonl"))? {
+                if line["iteration"].as_u64().is_some_and(|iteration| iteration < until) {
+                    let values: Vec<_> = names.iter().map(|name| cell(&line, name)).collect();
+                    text += &(values.join(",") + "\n");
+                }
+            }
+        }
+        self.file = replaced(&self.path, &text)?;
+        self.header = Some(header);
+        Ok(())
     }
 
     /// Makes the rows durable.
@@ -68,5 +82,25 @@ impl CsvTable {
         self.file
             .sync_all()
             .with_context(|| format!("{}: cannot be made durable", self.path.display()))
+    }
+}
+
+/// The file, with this text, for appending.
+fn replaced(path: &Path, text: &str) -> anyhow::Result<File> {
+    files::replace(path, text.as_bytes())?;
+    let file = OpenOptions::new().append(true).open(path);
+    file.with_context(|| format!("{}: cannot be opened", path.display()))
+}
+
+/// What a line of `metrics.jsonl` holds under a dotted name; nothing where it has no such number.
+fn cell(line: &Value, name: &str) -> String {
+    let found = name.split('.').try_fold(line, |value, part| match value {
+        Value::Array(items) => items.get(part.parse::<usize>().ok()?),
+        value => value.get(part),
+    });
+    match found {
+        Some(Value::String(text)) => text.clone(),
+        Some(Value::Number(number)) => number.to_string(),
+        _ => String::new(),
     }
 }

@@ -108,6 +108,34 @@ fn a_resumed_run_drops_what_its_checkpoint_does_not_hold() {
 }
 
 #[test]
+fn a_table_with_other_columns_gets_those_of_this_program() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let run_dir = RunDir::new(dir.path());
+    session(&run_dir, None, 0..3);
+    let table = || fs::read_to_string(run_dir.metrics_csv()).expect("readable");
+    let rows = |text: &str| -> Vec<Vec<String>> {
+        text.lines().map(|row| row.split(',').map(str::to_owned).collect()).collect()
+    };
+    let before = rows(&table());
+    // Of a program that had no second column.
+    let older: Vec<String> =
+        before.iter().map(|row| [&row[..1], &row[2..]].concat().join(",") + "\n").collect();
+    fs::write(run_dir.metrics_csv(), older.concat()).expect("writable");
+    session(&run_dir, Some(2), 2..4);
+    let after = rows(&table());
+    assert_eq!(after.len(), 5);
+    assert_eq!(after[0], before[0]);
+    // JSON writes some numbers in another form.
+    let same = |a: &String, b: &String| {
+        a == b || a.parse::<f64>().is_ok_and(|a| b.parse::<f64>() == Ok(a))
+    };
+    for (before, after) in before.iter().zip(&after).skip(1).take(2) {
+        let differs = before.iter().zip(after).position(|(a, b)| !same(a, b));
+        assert_eq!((differs, before.len()), (None, after.len()), "{before:?} {after:?}");
+    }
+}
+
+#[test]
 fn a_disk_that_stands_still_holds_no_iteration_up_and_loses_none() {
     let dir = tempfile::tempdir().expect("tempdir");
     let run_dir = RunDir::new(dir.path());
