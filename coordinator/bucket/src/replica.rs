@@ -114,6 +114,11 @@ impl Replica {
 
     /// Brings all files of all checkpoints; returns why some are not here.
     pub fn fetch_all(&mut self) -> Result<Vec<String>, BucketError> {
+        self.bring(true)
+    }
+
+    /// Brings what is missing, and sees to the index where that or something before it, `changed`, makes another of it.
+    fn bring(&mut self, mut changed: bool) -> Result<Vec<String>, BucketError> {
         let missing =
             self.listing.checkpoints.iter().filter(|listed| !self.is_whole(listed)).cloned();
         let missing: Vec<Listed> = missing.collect();
@@ -131,6 +136,7 @@ impl Replica {
                 reasons.push(before.reason.clone());
                 continue;
             }
+            changed = true;
             match self.fetch(name) {
                 Ok(()) => {
                     self.refused.remove(name);
@@ -147,7 +153,9 @@ impl Replica {
                 Err(error) => return Err(error),
             }
         }
-        self.index()?;
+        if changed {
+            self.index()?;
+        }
         Ok(reasons)
     }
 
@@ -164,11 +172,14 @@ impl Replica {
             self.whole.remove(&before.name);
             self.refused.remove(&before.name);
         }
-        for listed in listing.checkpoints.iter().filter(|listed| self.is_whole(listed)) {
+        let other = |listed: &&Listed| !self.listing.checkpoints.contains(listed);
+        let whole = listing.checkpoints.iter().filter(|listed| self.is_whole(listed));
+        for listed in whole.filter(other) {
             summarise(listed, self.dir.path())?;
         }
+        let changed = listing.checkpoints != self.listing.checkpoints;
         self.listing = listing;
-        self.fetch_all()
+        self.bring(changed)
     }
 
     /// Whether all files of it are here.
@@ -203,7 +214,7 @@ pub(crate) fn nothing(bucket: &Bucket) -> BucketError {
 
 #[cfg(test)]
 mod tests {
-    use store::checkpoint::{CONFIG, FORMAT, FileEntry, Manifest, POLICY, ROBOT};
+    use store::checkpoint::{CONFIG, FORMAT, FileEntry, MANIFEST, Manifest, POLICY, ROBOT};
 
     use super::*;
     use crate::record;
@@ -262,5 +273,23 @@ mod tests {
         put(&bucket, &policy, POLICY);
         assert_eq!(replica.refresh().expect("reads"), [""; 0]);
         assert_eq!(replica.store().entries().expect("lists").len(), 1);
+    }
+
+    #[test]
+    fn what_has_not_changed_is_not_written_again() {
+        let (_dir, bucket, name) = bucket();
+        let mut replica = Replica::new(bucket.address()).expect("a replica");
+        assert_eq!(replica.fetch_all().expect("reads"), [""; 0]);
+        let catalogue = replica.dir.path().join("catalogue.sqlite");
+        let manifest = replica.dir.path().join(name.as_str()).join(MANIFEST);
+        for file in [&catalogue, &manifest] {
+            fs::remove_file(file).expect("is there");
+        }
+        assert_eq!(replica.refresh().expect("reads"), [""; 0]);
+        assert!(!catalogue.exists() && !manifest.exists(), "they are written again");
+        put(&bucket, &format!("{}/{LABELS}", record::folder(&name)), "{\"pinned\":true}");
+        replica.refresh().expect("reads");
+        let entries = replica.store().entries().expect("lists");
+        assert!(entries[0].labels.pinned && catalogue.exists());
     }
 }
