@@ -9,7 +9,7 @@ use simulator::rollout::World;
 use simulator::stepping::{self, ARRAYS, Begin, GoalKind, Rows, StepError};
 
 use crate::errors::{guarded, runtime, value};
-use crate::numbers::{single, zeros};
+use crate::numbers::{single, whole, whole_or_none, zeros};
 use crate::robot::Robot;
 use crate::threads::{Threads, available};
 use crate::{config, robot};
@@ -55,12 +55,12 @@ impl Batch {
     #[pyo3(signature = (n_envs, config = None, *, task = None, set = Vec::new(), robot = None, threads = None))]
     fn new(
         py: Python<'_>,
-        n_envs: usize,
+        #[pyo3(from_py_with = whole)] n_envs: usize,
         config: Option<Bound<'_, PyAny>>,
         task: Option<&str>,
         set: Vec<String>,
         robot: Option<Bound<'_, PyAny>>,
-        threads: Option<usize>,
+        #[pyo3(from_py_with = whole_or_none)] threads: Option<usize>,
     ) -> PyResult<Self> {
         guarded(|| {
             if !(1..=MOST_ENVS).contains(&n_envs) {
@@ -112,9 +112,9 @@ impl Batch {
     fn reset(
         &self,
         py: Python<'_>,
-        seed: Option<u64>,
-        iteration: Option<u32>,
-        first: Option<u32>,
+        #[pyo3(from_py_with = whole_or_none)] seed: Option<u64>,
+        #[pyo3(from_py_with = whole_or_none)] iteration: Option<u32>,
+        #[pyo3(from_py_with = whole_or_none)] first: Option<u32>,
         goals: Option<&str>,
     ) -> PyResult<()> {
         guarded(|| {

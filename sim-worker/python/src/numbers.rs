@@ -1,13 +1,36 @@
 //! Arrays of Python's in and out.
 
 use numpy::{PyArrayDyn, PyArrayMethods as _, PyUntypedArray, PyUntypedArrayMethods as _};
-use pyo3::exceptions::PyTypeError;
+use pyo3::conversion::FromPyObjectOwned;
+use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::IntoPyDict as _;
 
 use simulator::robot::Joints;
 
 use crate::errors::value;
+
+/// A whole number. One that its type cannot hold is refused as others out of range are, and not as Python does, by an `OverflowError`.
+///
+/// # Errors
+/// `TypeError` for what is no whole number, `ValueError` for one out of range.
+pub(crate) fn whole<'py, T: FromPyObjectOwned<'py>>(given: &Bound<'py, PyAny>) -> PyResult<T> {
+    given.extract::<T>().map_err(|error| {
+        let error: PyErr = error.into();
+        if !error.is_instance_of::<PyOverflowError>(given.py()) {
+            return error;
+        }
+        let most = u64::MAX >> (64 - 8 * size_of::<T>());
+        value(format!("{given} is out of range, expected 0 to {most}"))
+    })
+}
+
+/// Likewise, where none may be given.
+pub(crate) fn whole_or_none<'py, T: FromPyObjectOwned<'py>>(
+    given: &Bound<'py, PyAny>,
+) -> PyResult<Option<T>> {
+    if given.is_none() { Ok(None) } else { whole(given).map(Some) }
+}
 
 /// `given` as contiguous single precision of this shape: itself where it is that already.
 ///

@@ -12,7 +12,7 @@ use simulator::rollout::World;
 use simulator::stepping::act;
 
 use crate::errors::{guarded, runtime, value};
-use crate::numbers::{array, by_arm, double, has_shape, single, zeros};
+use crate::numbers::{array, by_arm, double, has_shape, single, whole, zeros};
 use crate::robot::Robot;
 use crate::threads::{Threads, available};
 use crate::{checkpoint, config, robot};
@@ -111,9 +111,9 @@ impl Policy {
     fn evaluate<'py>(
         &self,
         py: Python<'py>,
-        episodes: usize,
-        steps: usize,
-        seed: u64,
+        #[pyo3(from_py_with = whole)] episodes: usize,
+        #[pyo3(from_py_with = whole)] steps: usize,
+        #[pyo3(from_py_with = whole)] seed: u64,
     ) -> PyResult<Bound<'py, PyAny>> {
         guarded(|| {
             within("episodes", episodes, MOST_EPISODES)?;
@@ -137,9 +137,9 @@ impl Policy {
     fn play<'py>(
         &self,
         py: Python<'py>,
-        episode: u32,
-        steps: usize,
-        seed: u64,
+        #[pyo3(from_py_with = whole)] episode: u32,
+        #[pyo3(from_py_with = whole)] steps: usize,
+        #[pyo3(from_py_with = whole)] seed: u64,
         hand_goal: Option<Bound<'py, PyAny>>,
         base_goal: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {

@@ -79,8 +79,8 @@ class VectorEnv(gymnasium.vector.VectorEnv):
             raise ValueError("options %s are not known: env, iteration and goals are" % ", ".join(map(repr, options)))
         if mask is not None and not np.all(mask):
             raise ValueError("reset_mask leaves environments out, but episodes begin and end together")
-        super().reset(seed=seed)
         self._batch.reset(seed, **begin)
+        super().reset(seed=seed)
         return self._observations(), {}
 
     def step(self, actions):
