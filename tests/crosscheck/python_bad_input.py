@@ -217,6 +217,9 @@ refused(ValueError, "shape (8, 61)", policy.act, np.zeros((8, 61)))
 refused(ValueError, "environment 1, agent 0: observation 3 is NaN", policy.act, np.where(np.arange(2 * 8 * 62).reshape(2, 8, 62) == 8 * 62 + 3, np.nan, 0))
 refused(TypeError, "real numbers", policy.act, np.zeros((8, 62), complex))
 assert policy.act(np.zeros((0, 8, 62))).shape == (0, 8, 3)
+seen = np.random.default_rng(1).normal(size=(2, 8, 62)).astype(np.float32)
+for observation in (seen, seen[0]):
+    assert np.array_equal(policy.act(observation.tolist()), policy.act(observation))
 refused(ValueError, "steps is 0", policy.evaluate, 1, 0)
 refused(ValueError, "episodes is", policy.evaluate, 10**7)
 for wrong in ((-1,), (1, -1), (1 << 64,)):

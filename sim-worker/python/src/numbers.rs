@@ -41,10 +41,17 @@ pub(crate) fn single<'py>(
     what: &str,
     shape: &[usize],
 ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
-    let array = real(given, what, "float32")?;
-    let array = array.cast_into::<PyArrayDyn<f32>>()?;
+    let array = single_of_any_shape(given, what)?;
     has_shape(&array, what, shape)?;
     Ok(array)
+}
+
+/// `given` as contiguous single precision of any shape.
+pub(crate) fn single_of_any_shape<'py>(
+    given: &Bound<'py, PyAny>,
+    what: &str,
+) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    Ok(real(given, what, "float32")?.cast_into::<PyArrayDyn<f32>>()?)
 }
 
 /// Refuses an array of another shape.

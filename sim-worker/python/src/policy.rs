@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use numpy::{PyArrayDyn, PyArrayMethods as _};
+use numpy::{PyArrayDyn, PyArrayMethods as _, PyUntypedArrayMethods as _};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use simulator::evaluate::Evaluation;
@@ -12,7 +12,7 @@ use simulator::rollout::World;
 use simulator::stepping::act;
 
 use crate::errors::{guarded, runtime, value};
-use crate::numbers::{array, by_arm, double, has_shape, single, whole, zeros};
+use crate::numbers::{array, by_arm, double, has_shape, single_of_any_shape, whole, zeros};
 use crate::robot::Robot;
 use crate::threads::{Threads, available};
 use crate::{checkpoint, config, robot};
@@ -78,14 +78,16 @@ impl Policy {
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         guarded(|| {
             let sizes = &self.world.dimensions;
-            let given =
-                observation.getattr("shape").and_then(|shape| shape.extract::<Vec<usize>>());
-            let leading = given.ok().filter(|shape| shape.len() == 3).map(|shape| shape[0]);
+            let observation = single_of_any_shape(observation, "observation")?;
+            let leading = match observation.shape() {
+                [n, _, _] => Some(*n),
+                _ => None,
+            };
             let seen = [sizes.n_agents, sizes.observation];
             let done = [sizes.n_agents, sizes.n_actions];
             let shape =
                 |n: Option<usize>, rest: [usize; 2]| n.into_iter().chain(rest).collect::<Vec<_>>();
-            let observation = single(observation, "observation", &shape(leading, seen))?;
+            has_shape(&observation, "observation", &shape(leading, seen))?;
             let observation = observation.try_readonly()?;
             let observation = observation.as_slice()?;
             let actions = zeros(py, &shape(leading, done))?;
