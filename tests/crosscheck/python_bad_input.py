@@ -231,6 +231,15 @@ refused(ValueError, "hand_goal has shape (3,), expected (4, 6)", policy.play, 0,
 refused(ValueError, "hand_goal has shape (6, 4), expected (4, 6)", policy.play, 0, 1, hand_goal=np.zeros((6, 4)))
 refused(ValueError, "hand_goal[2] holds inf", policy.play, 0, 1, hand_goal=np.where(np.arange(24).reshape(4, 6) == 13, np.inf, 0))
 refused(ValueError, "base_goal has shape (2,), expected (3,)", policy.play, 0, 1, base_goal=[1, 2])
+postures, twin = spaceoctopus.Postures("guided"), spaceoctopus.Postures("guided")
+known = [np.zeros(3), np.array([1, 0, 0, 0]), np.zeros((4, 6)), np.full((4, 6), 0.1)]
+assert np.array_equal(postures.update(*known), twin.update(*known))
+for index, what in enumerate(("base_position", "base_attitude", "joint_angles", "goals")):
+    for number in (1e20, 1.1e6, -1e300, np.nan):
+        wrong = [given.astype(float) for given in known]
+        wrong[index].flat[0] = number
+        refused(ValueError, what + " has the number", postures.update, *wrong)
+assert np.array_equal(postures.update(*known), twin.update(*known)), "what was refused changed something"
 refused(ValueError, "expected [steps, 24]", spaceoctopus.simulate, np.zeros((5, 23)))
 refused(ValueError, "step 3, joint 4: the action is NaN", spaceoctopus.simulate, np.where(np.arange(120).reshape(5, 24) == 76, np.nan, 0))
 refused(ValueError, "does not divide", spaceoctopus.simulate, np.zeros((5, 24)), substep=0.3)

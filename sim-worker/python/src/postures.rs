@@ -51,6 +51,8 @@ impl Postures {
     /// Looks once a control step: the base's position [3] (m) and attitude [4] (unit quaternion, w first), joint angles [arms, J] (rad; J are the joints of the longest arm), goals of the
     /// hands [arms, 6] (m, and Euler angles x-y-z in rad; world). Returns [arms, 2 + J]: whether each posture brings the hand to its goal (1 or 0),
     /// whether it is free of stops (1 or 0), what is left to each joint (rad).
+    ///
+    /// `ValueError` for another shape, an attitude that is no unit quaternion, or a number beyond a million: then nothing has changed.
     fn update<'py>(
         &self,
         py: Python<'py>,
@@ -104,11 +106,16 @@ impl Postures {
     }
 }
 
-/// Finite numbers of this shape.
+/// Largest number that is taken, as by an exported controller: squares of larger ones overflow, and what was computed from them stays.
+const LARGEST: f32 = 1e6;
+
+/// Numbers of this shape that are none beyond [`LARGEST`].
 fn numbers(given: &Bound<'_, PyAny>, what: &str, shape: &[usize]) -> PyResult<Vec<f32>> {
     let numbers = single(given, what, shape)?.try_readonly()?.as_slice()?.to_vec();
-    match numbers.iter().find(|x| !x.is_finite()) {
-        Some(x) => Err(value(format!("{what} has the number {x}, expected finite ones"))),
+    match numbers.iter().find(|x| !(-LARGEST..=LARGEST).contains(*x)) {
+        Some(x) => {
+            Err(value(format!("{what} has the number {x}, expected {} to {LARGEST}", -LARGEST)))
+        }
         None => Ok(numbers),
     }
 }
