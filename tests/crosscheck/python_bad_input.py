@@ -340,6 +340,10 @@ timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
 timer.start()
 refused(KeyboardInterrupt, "", lambda: [policy.evaluate(400, 200) for _ in range(1000)])
 timer.join()
+timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+timer.start()
+refused(KeyboardInterrupt, "", spaceoctopus.simulate, np.zeros((1_000_000, 24), np.float32))
+timer.join()
 
 # --- forks ------------------------------------------------------------------------------------------------------
 warnings.filterwarnings("ignore", category=DeprecationWarning, message=".*multi-threaded.*")

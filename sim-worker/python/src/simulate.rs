@@ -1,14 +1,22 @@
 //! Open loop: commands in, a trajectory out.
 
+use std::sync::{Mutex, PoisonError};
+
 use numpy::{PyArrayMethods as _, PyUntypedArrayMethods as _};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use simulator::simulate::{Precision, simulate as integrate};
+use simulator::executor::Executor as _;
+use simulator::simulate::{Precision, SimulationRow, simulate_from};
+use simulator::state::State;
 use simulator::step::{Integrator, StepOptions};
 
 use crate::errors::{guarded, runtime, value};
 use crate::numbers::{array, by_arm, double};
 use crate::robot;
+use crate::threads::Threads;
+
+/// Substeps between two looks for signals, but at least a control step: some milliseconds.
+const PIECE: usize = 256;
 
 /// Simulates a robot from home under joint velocity commands [T, joints] (rad/s, arm after arm), as `octopus simulate` does.
 ///
@@ -17,7 +25,7 @@ use crate::robot;
 /// [T, arms, J] (rad, rad/s; J are the joints of the longest arm), "hands" [T, arms, 3] (m, world), "contacts" [T] (touching pairs).
 ///
 /// `precision` is "f32", as training runs it, or "f64"; `integrator` "rk3", "rk4" or "euler"; `substep` and `control_period` are in seconds.
-/// `ValueError` says what is wrong with an argument, `RuntimeError` that the simulation blew up.
+/// `ValueError` says what is wrong with an argument, `RuntimeError` that the simulation blew up. Ctrl-C ends it.
 #[pyfunction]
 #[pyo3(signature = (actions, robot = None, *, precision = "f32", integrator = "rk3", substep = 0.016, control_period = 0.4, contacts = true))]
 #[expect(clippy::too_many_arguments, reason = "those of the command line")]
@@ -69,11 +77,27 @@ pub(crate) fn simulate<'py>(
             )));
         }
         let options = StepOptions { control_period, substep, integrator, contacts };
+        let precision = if single { Precision::F32 } else { Precision::F64 };
+        // The caller's alone: each piece begins where the one before it ends.
+        let threads = Threads::new(1);
         let rows = py.detach(|| {
-            let rows: Vec<Vec<f64>> = numbers.chunks_exact(n_joints).map(<[f64]>::to_vec).collect();
-            let precision = if single { Precision::F32 } else { Precision::F64 };
-            integrate(&robot, &rows, precision, &options)
+            let actions: Vec<Vec<f64>> =
+                numbers.chunks_exact(n_joints).map(<[f64]>::to_vec).collect();
+            let substeps = (control_period / substep).round() as usize;
+            let pieces: Vec<&[Vec<f64>]> = actions.chunks((PIECE / substeps).max(1)).collect();
+            let rows: Mutex<Vec<SimulationRow>> = Mutex::new(Vec::with_capacity(actions.len()));
+            threads.run(pieces.len(), &|index| {
+                let mut rows = rows.lock().unwrap_or_else(PoisonError::into_inner);
+                let start =
+                    rows.last().map_or_else(|| State::home(&robot), |row| row.state.clone());
+                for row in simulate_from(&robot, &start, pieces[index], precision, &options) {
+                    let t = (rows.len() + 1) as f64 * control_period;
+                    rows.push(SimulationRow { t, ..row });
+                }
+            });
+            rows.into_inner().unwrap_or_else(PoisonError::into_inner)
         });
+        threads.interrupted()?;
         if let Some(index) = rows.iter().position(|row| !row.state.is_finite()) {
             return Err(runtime(format!(
                 "the simulation blew up in step {index}: a number is not finite; a smaller substep may help"
@@ -85,7 +109,7 @@ pub(crate) fn simulate<'py>(
             dict.set_item(name, array(py, numbers, shape)?)
         };
         put("t", rows.iter().map(|row| row.t).collect(), &[n])?;
-        let of = |part: fn(&simulator::simulate::SimulationRow) -> &[f64]| {
+        let of = |part: fn(&SimulationRow) -> &[f64]| {
             rows.iter().flat_map(part).copied().collect::<Vec<f64>>()
         };
         put("base_position", of(|row| &row.state.base_position), &[n, 3])?;
