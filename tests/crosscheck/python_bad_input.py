@@ -195,17 +195,46 @@ with tempfile.TemporaryDirectory() as folder:
 
     # As a run keeps them.
     run = folder / "run"
-    for iteration, score in ((1, 0.5), (2, 0.2), (12, 0.4)):
+
+    def keep(iteration, score, **labels):
         place = run / "checkpoints" / ("iteration-%08d" % iteration)
         shutil.copytree(POLICY, place)
-        (place / "labels.json").write_text(json.dumps({"score": {"value": score, "episodes": 1, "steps": 1, "seed": 0}, "tags": ["t%d" % iteration]}))
+        # What is in it nobody reads here, but its hash is looked at.
+        state = place / "state.safetensors"
+        shutil.copy(place / "robot.toml", state)
+        files = json.loads((place / "manifest.json").read_text())["files"]
+        manifest(iteration=iteration, digest="%032x" % iteration, files={**files, state.name: files["robot.toml"]})(place)
+        labels = {"score": {"value": score, "episodes": 1, "steps": 1, "seed": 0}, "tags": ["t%d" % iteration], **labels}
+        (place / "labels.json").write_text(json.dumps(labels))
+        return state
+
+    states = {iteration: keep(iteration, score) for iteration, score in ((1, 0.5), (2, 0.2), (12, 0.4))}
     (run / "config.toml").write_text((POLICY / "config.toml").read_text())
-    flip_here = run / "checkpoints" / "iteration-00000099"
-    shutil.copytree(POLICY, flip_here)
-    (flip_here / "robot.toml").write_text("")
+    # Training cannot go on from it.
+    shutil.copytree(POLICY, run / "checkpoints" / "iteration-00000099")
     for given, expected in (("", 12), (":latest", 12), (":best", 2), (":1", 1), (":t2", 2), (":iteration-00000012", 12)):
         assert load(str(run) + given).path.name == "iteration-%08d" % expected, given
-    refused(ValueError, "holds no checkpoint `7`; it has iteration-00000012", load, str(run) + ":7")
+    refused(ValueError, "holds no checkpoint `7`; it has iteration-00000099", load, str(run) + ":7")
+
+    def newest(*damaged):
+        """The iteration that `RUN` means, and that newer ones are said to be damaged."""
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            found = load(run).iteration
+        assert all("iteration-%08d" % iteration in str(one.message) for iteration, one in zip(damaged, told, strict=True)), told
+        return found
+
+    # What the run has not come to itself is not its newest, unless there is no other; what is damaged is passed over.
+    keep(50, 0.1, imported=True)
+    assert newest() == 12, "it is imported"
+    (run / "metrics.jsonl").write_text("".join('{"iteration": %d, "digest": "%032x"}\n' % (n, n + 1) for n in range(12)))
+    keep(60, 0.1)
+    assert newest() == 12, "nothing is recorded of it"
+    states[12].write_bytes(states[12].read_bytes().swapcase())
+    assert newest(12) == 2
+    states[2].unlink()
+    (states[1].parent / "manifest.json").write_text("")
+    assert newest(12, 2, 1) == 60
     policy = load(POLICY)
     assert policy.iteration == 188
 

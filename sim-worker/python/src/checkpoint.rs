@@ -3,7 +3,7 @@
 //! | text | checkpoint |
 //! |---|---|
 //! | a checkpoint's directory | that one |
-//! | `RUN`, `RUN:latest` | the newest of the run's own |
+//! | `RUN`, `RUN:latest` | the newest of the run's own that is whole |
 //! | `RUN:best` | the one with the lowest score |
 //! | `RUN:50`, `RUN:NAME`, `RUN:TAG` | the one after 50 iterations, of that name, with that tag |
 //!
@@ -12,6 +12,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use proto::Digest;
 use proto::config::Config;
 use proto::layout::{ActorLayout, Dimensions};
 use serde::Deserialize;
@@ -25,6 +26,11 @@ const FORMAT: u32 = 1;
 /// Longest text file that is read, and longest policy (bytes).
 const MAX_TEXT: u64 = 1 << 20;
 const MAX_POLICY: u64 = 1 << 30;
+/// Longest metrics and longest file of a checkpoint (bytes).
+const MAX_METRICS: u64 = 1 << 30;
+const MAX_FILE: u64 = 1 << 36;
+/// What training goes on from.
+const STATE: &str = "state.safetensors";
 
 /// What a checkpoint's policy is.
 pub(crate) struct Checkpoint {
@@ -42,6 +48,7 @@ struct Manifest {
     format: u32,
     iteration: u64,
     env_steps: u64,
+    digest: Digest,
     files: BTreeMap<String, Entry>,
 }
 
@@ -57,6 +64,8 @@ struct Labels {
     tags: Vec<String>,
     #[serde(default)]
     score: Option<Score>,
+    #[serde(default)]
+    imported: bool,
 }
 
 #[derive(Deserialize)]
@@ -64,26 +73,102 @@ struct Score {
     value: f64,
 }
 
-/// The checkpoint that a text names.
-pub(crate) fn load(given: &Path) -> Result<Checkpoint, String> {
-    let dir = locate(given)?;
+/// The checkpoint that a text names, and what is wrong with newer ones that are passed over.
+pub(crate) fn load(given: &Path) -> Result<(Checkpoint, Vec<String>), String> {
+    match locate(given)? {
+        Located::One(dir) => Ok((open(&dir)?, Vec::new())),
+        Located::NewestOf { run, store } => newest(&run, &store),
+    }
+}
+
+/// As `octopus eval` does: the newest of the run's own from which training can go on and that is whole; one that the run has not come to
+/// itself only where there is no other.
+fn newest(run: &Path, store: &Path) -> Result<(Checkpoint, Vec<String>), String> {
+    let mut found: Vec<PathBuf> =
+        directories(store).filter(|dir| iteration(dir).is_some()).collect();
+    found.sort_by_key(|dir| std::cmp::Reverse(iteration(dir)));
+    let recorded = recorded(store);
+    let (foreign, own): (Vec<_>, Vec<_>) = found
+        .into_iter()
+        .partition(|dir| recorded.as_ref().is_some_and(|run| is_foreign(dir, run)));
+    let mut passed_over = Vec::new();
+    for dir in own.into_iter().chain(foreign) {
+        let manifest = manifest(&dir);
+        if manifest.as_ref().is_ok_and(|manifest| !manifest.files.contains_key(STATE)) {
+            continue;
+        }
+        match manifest.and_then(|manifest| check(&dir, &manifest)).and_then(|()| open(&dir)) {
+            Ok(checkpoint) => return Ok((checkpoint, passed_over)),
+            Err(_) if !dir.exists() => {}
+            Err(error) => passed_over.push(error),
+        }
+    }
+    Err(if passed_over.is_empty() { nothing(run, store, "latest") } else { passed_over.remove(0) })
+}
+
+/// Digests of the iterations of the run that the store belongs to; none if it belongs to none. They are empty where they cannot be read.
+fn recorded(store: &Path) -> Option<Vec<Digest>> {
+    let run = store.parent().filter(|run| {
+        store.file_name().is_some_and(|name| name == "checkpoints")
+            && run.join("config.toml").is_file()
+    })?;
+    let bytes = read(&run.join("metrics.jsonl"), MAX_METRICS).unwrap_or_default();
+    let whole = bytes.split_inclusive(|byte| *byte == b'\n').filter(|line| line.ends_with(b"\n"));
+    let values = whole.map_while(|line| serde_json::from_slice::<serde_json::Value>(line).ok());
+    let digests = values.enumerate().map(|(index, line)| {
+        (line["iteration"] == index).then(|| line["digest"].as_str()?.parse().ok()).flatten()
+    });
+    Some(digests.collect::<Option<_>>().unwrap_or_default())
+}
+
+/// Whether a run that has recorded these digests has not come to the checkpoint itself. Where nothing is recorded, or its manifest cannot be
+/// read, what was imported is foreign.
+fn is_foreign(dir: &Path, recorded: &[Digest]) -> bool {
+    match manifest(dir) {
+        Ok(Manifest { iteration, digest, .. }) if iteration > 0 && !recorded.is_empty() => {
+            let last = usize::try_from(iteration - 1).ok();
+            last.and_then(|last| recorded.get(last)) != Some(&digest)
+        }
+        _ => labels(dir).imported,
+    }
+}
+
+/// Holds every file that the manifest lists against its hash.
+fn check(dir: &Path, manifest: &Manifest) -> Result<(), String> {
+    for name in manifest.files.keys() {
+        content(dir, manifest, name, MAX_FILE)?;
+    }
+    Ok(())
+}
+
+/// A file of a checkpoint, as its manifest says.
+fn content(
+    dir: &Path,
+    manifest: &Manifest,
+    name: &str,
+    limit: u64,
+) -> Result<(PathBuf, Vec<u8>), String> {
     let shown = |path: &Path, error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
-    let manifest = manifest(&dir)?;
-    let content = |name: &str, limit: u64| {
-        let path = dir.join(name);
-        let entry = manifest.files.get(name);
-        let entry =
-            entry.ok_or_else(|| shown(&dir.join(MANIFEST), &format!("does not list {name}")))?;
-        let bytes = read(&path, limit).map_err(|error| shown(&path, &error))?;
-        if bytes.len() as u64 != entry.len {
-            let reason = format!("{} bytes, the manifest says {}", bytes.len(), entry.len);
-            return Err(shown(&path, &reason));
-        }
-        if blake3::hash(&bytes).to_hex().as_str() != entry.blake3 {
-            return Err(shown(&path, &"content differs from its BLAKE3 hash"));
-        }
-        Ok((path, bytes))
-    };
+    let path = dir.join(name);
+    let entry = manifest.files.get(name);
+    let entry =
+        entry.ok_or_else(|| shown(&dir.join(MANIFEST), &format!("does not list {name}")))?;
+    let bytes = read(&path, limit).map_err(|error| shown(&path, &error))?;
+    if bytes.len() as u64 != entry.len {
+        let reason = format!("{} bytes, the manifest says {}", bytes.len(), entry.len);
+        return Err(shown(&path, &reason));
+    }
+    if blake3::hash(&bytes).to_hex().as_str() != entry.blake3 {
+        return Err(shown(&path, &"content differs from its BLAKE3 hash"));
+    }
+    Ok((path, bytes))
+}
+
+/// The checkpoint in a directory.
+fn open(dir: &Path) -> Result<Checkpoint, String> {
+    let shown = |path: &Path, error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+    let manifest = manifest(dir)?;
+    let content = |name: &str, limit: u64| content(dir, &manifest, name, limit);
     let text = |name: &str| {
         let (path, bytes) = content(name, MAX_TEXT)?;
         let text = String::from_utf8(bytes).map_err(|_| shown(&path, &"is no UTF-8 text"))?;
@@ -98,7 +183,7 @@ pub(crate) fn load(given: &Path) -> Result<Checkpoint, String> {
     let layout = ActorLayout::new(&config, &Dimensions::new(&config, robot.joints));
     let parameters = file::read(&bytes, &layout).map_err(|error| shown(&path, &error))?;
     let Manifest { iteration, env_steps, .. } = manifest;
-    Ok(Checkpoint { dir, iteration, env_steps, config, robot, parameters })
+    Ok(Checkpoint { dir: dir.to_owned(), iteration, env_steps, config, robot, parameters })
 }
 
 fn manifest(dir: &Path) -> Result<Manifest, String> {
@@ -113,10 +198,17 @@ fn manifest(dir: &Path) -> Result<Manifest, String> {
     Ok(manifest)
 }
 
-/// The checkpoint's directory.
-fn locate(given: &Path) -> Result<PathBuf, String> {
+/// What a text names.
+enum Located {
+    /// A checkpoint's directory.
+    One(PathBuf),
+    /// The newest of a run's store.
+    NewestOf { run: PathBuf, store: PathBuf },
+}
+
+fn locate(given: &Path) -> Result<Located, String> {
     if given.join(MANIFEST).is_file() {
-        return Ok(given.to_owned());
+        return Ok(Located::One(given.to_owned()));
     }
     let apart = given.to_str().filter(|_| !given.exists()).and_then(|text| text.rsplit_once(':'));
     let (run, choice) = apart.map_or((given, "latest"), |(run, choice)| (Path::new(run), choice));
@@ -127,13 +219,12 @@ fn locate(given: &Path) -> Result<PathBuf, String> {
     }
     let store =
         if run.join("config.toml").is_file() { run.join("checkpoints") } else { run.to_owned() };
-    let mut found = checkpoints(&store);
-    if found.is_empty() {
-        return Err(format!("{shown}: holds no checkpoint; give a run, a checkpoint, or RUN:NAME"));
+    if choice == "latest" {
+        return Ok(Located::NewestOf { run: run.to_owned(), store });
     }
+    let found = checkpoints(&store);
     let own = |dir: &PathBuf| iteration(dir).map(|iteration| (iteration, dir.clone()));
     let chosen = match choice {
-        "latest" => found.iter().filter_map(own).max(),
         "best" => {
             let scored = found.iter().filter_map(own).filter_map(|(iteration, dir)| {
                 let value = labels(&dir).score?.value;
@@ -155,11 +246,19 @@ fn locate(given: &Path) -> Result<PathBuf, String> {
             numbered.or_else(named).or_else(tagged)
         }
     };
-    chosen.map(|(_, dir)| dir).ok_or_else(|| {
-        found.sort();
-        let names: Vec<&str> = found.iter().rev().take(12).map(|dir| name(dir)).collect();
-        format!("{shown}: holds no checkpoint `{choice}`; it has {}", names.join(", "))
-    })
+    chosen.map(|(_, dir)| Located::One(dir)).ok_or_else(|| nothing(run, &store, choice))
+}
+
+/// Says that there is no such checkpoint, and which there are.
+fn nothing(run: &Path, store: &Path, choice: &str) -> String {
+    let shown = run.display();
+    let mut found = checkpoints(store);
+    if found.is_empty() {
+        return format!("{shown}: holds no checkpoint; give a run, a checkpoint, or RUN:NAME");
+    }
+    found.sort();
+    let names: Vec<&str> = found.iter().rev().take(12).map(|dir| name(dir)).collect();
+    format!("{shown}: holds no checkpoint `{choice}`; it has {}", names.join(", "))
 }
 
 fn name(dir: &Path) -> &str {
@@ -173,8 +272,15 @@ fn iteration(dir: &Path) -> Option<u64> {
 
 /// All checkpoints that look whole.
 fn checkpoints(store: &Path) -> Vec<PathBuf> {
+    directories(store).filter(|dir| looks_whole(dir)).collect()
+}
+
+/// Directories of a store. A link is none: what it leads to is not the store's.
+fn directories(store: &Path) -> impl Iterator<Item = PathBuf> {
     let entries = std::fs::read_dir(store).into_iter().flatten().flatten();
-    entries.map(|entry| entry.path()).filter(|dir| looks_whole(dir)).collect()
+    entries
+        .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()))
+        .map(|entry| entry.path())
 }
 
 /// Whether all listed files are there with the right length; hashes nothing.

@@ -1,8 +1,10 @@
 //! Policies: they act, and play episodes.
 
+use std::ffi::CString;
 use std::path::PathBuf;
 
 use numpy::{PyArrayDyn, PyArrayMethods as _, PyUntypedArrayMethods as _};
+use pyo3::exceptions::PyRuntimeWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use simulator::evaluate::Evaluation;
@@ -41,14 +43,15 @@ pub(crate) struct Policy {
 impl Policy {
     /// The policy of a checkpoint: its directory, a run (its newest), RUN:best, RUN:ITERATION, RUN:NAME or RUN:TAG.
     ///
-    /// `robot` puts it on another robot with as many arms. Files are held against the manifest's hashes. `ValueError` says what is wrong.
+    /// `robot` puts it on another robot with as many arms. Files are held against the manifest's hashes. `ValueError` says what is wrong. The
+    /// newest of a run is that of `octopus eval`: its own, and whole; a `RuntimeWarning` names damaged ones that are newer.
     #[staticmethod]
     #[pyo3(signature = (path, *, robot = None))]
     fn load(py: Python<'_>, path: PathBuf, robot: Option<Bound<'_, PyAny>>) -> PyResult<Self> {
         guarded(|| {
             let robot = robot.map(|robot| robot::of_argument(Some(&robot), "")).transpose()?;
             let loaded = py.detach(|| {
-                let found = checkpoint::load(&path)?;
+                let (found, passed_over) = checkpoint::load(&path)?;
                 let shown = found.dir.display();
                 let robot = robot.unwrap_or_else(|| found.robot.clone());
                 if robot.joints != found.robot.joints {
@@ -61,9 +64,15 @@ impl Policy {
                 let actors = world.policy(&found.parameters);
                 let actors = actors.map_err(|error| format!("{shown}: {error}"))?;
                 let checkpoint::Checkpoint { dir, iteration, env_steps, .. } = found;
-                Ok(Self { world, actors, path: dir, iteration, env_steps })
+                Ok((Self { world, actors, path: dir, iteration, env_steps }, passed_over))
             });
-            loaded.map_err(value)
+            let (policy, passed_over) = loaded.map_err(value)?;
+            for error in passed_over {
+                let message = format!("a damaged checkpoint is passed over: {error}");
+                let category = py.get_type::<PyRuntimeWarning>();
+                PyErr::warn(py, &category, &CString::new(message)?, 1)?;
+            }
+            Ok(policy)
         })
     }
 
