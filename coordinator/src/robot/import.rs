@@ -87,13 +87,7 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
         );
     }
     let name = args.urdf.file_name().unwrap_or_default().to_string_lossy();
-    let mut file = format!(
-        "# Made by `octopus robot import` from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
-        output::printable::printable(&name)
-    );
-    for note in &imported.notes {
-        writeln!(file, "# * {}", output::printable::printable(note))?;
-    }
+    let mut file = head(&name, &imported.notes);
     let robot = imported.robot(&args.urdf)?;
     file.push('\n');
     file.push_str(&robot.to_toml());
@@ -106,9 +100,32 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
     }
 }
 
+/// What the file begins with: comments, each on a line of its own whatever stands in names.
+fn head(name: &str, notes: &[String]) -> String {
+    let in_a_line = |text: &str| output::printable::printable(text).replace('\n', "\\n");
+    let mut head = format!(
+        "{} from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
+        String::from_utf8_lossy(MARK),
+        in_a_line(name)
+    );
+    for note in notes {
+        let _ = writeln!(head, "# * {}", in_a_line(note));
+    }
+    head
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_with_line_breaks_end_no_comment() {
+        let notes = ["link `a\nb\r[base]` has no mass".to_owned()];
+        let head = head("a\nmass = 1\n.urdf", &notes);
+        assert_eq!(head.lines().count(), 3, "{head}");
+        assert!(head.lines().all(|line| line.starts_with('#')), "{head}");
+        assert!(head.contains("a\\nmass"), "{head}");
+    }
 
     #[test]
     fn heights_are_those_that_a_robot_may_have() {
