@@ -312,7 +312,9 @@ impl Session<'_> {
     pub(super) fn hear_committer(&mut self, reporter: &mut Reporter) -> Result<(), ExitError> {
         for result in self.snapshots.results() {
             match result {
-                Committed::Checkpoint { iteration, elapsed, .. } => {
+                Committed::Checkpoint { iteration, dir, elapsed } => {
+                    // What stands there now is what the run has trained again.
+                    self.refused.remove(&dir);
                     self.monitor.commits += 1;
                     self.monitor.stages.commit_s += elapsed.as_secs_f64();
                     let name = Name::of_iteration(iteration).to_string();

@@ -57,7 +57,7 @@ enum Occupant {
     Same,
     /// Another one, whole, and what is another than in the one that arrives.
     Other(String),
-    /// A checkpoint that cannot be read.
+    /// A checkpoint that cannot be read, or that says to be the same with other tensors.
     Damaged,
     /// What never was a checkpoint.
     Stranger,
@@ -67,7 +67,8 @@ impl CheckpointStore {
     /// Commits a snapshot: every file is written and synced, the manifest last, then the directory
     /// is renamed to its final name and the rename is synced. Returns the checkpoint's directory.
     ///
-    /// The same iteration committed twice is the same state; the one that is there stays.
+    /// The same iteration committed twice is the same state; the one that is there stays, if its files
+    /// are the same. A snapshot whose tensors have another digest than it says is refused.
     pub fn commit(
         &self,
         snapshot: &Snapshot,
@@ -93,15 +94,22 @@ impl CheckpointStore {
         score: Option<Score>,
     ) -> Result<Placement, CheckpointError> {
         let name = Name::of_iteration(snapshot.iteration);
-        let (state, policy) =
-            tensors::split(&snapshot.bytes).map_err(|reason| CheckpointError::Damaged {
-                path: self.dir(&name),
-                reason: format!("the learner's snapshot is no training state: {reason}"),
-            })?;
+        let damaged = |reason| CheckpointError::damaged(&self.dir(&name), reason);
+        let parts = tensors::split(&snapshot.bytes).map_err(|reason| {
+            damaged(format!("the learner's snapshot is no training state: {reason}"))
+        })?;
+        // A learner would refuse to go on from it, and until then older ones would have to go.
+        if parts.digest != snapshot.digest {
+            return Err(damaged(format!(
+                "the learner's snapshot holds digest {}, and its learner says {}: it was damaged on \
+                 its way",
+                parts.digest, snapshot.digest
+            )));
+        }
         let config_toml = config.to_toml();
         let contents: [(&str, &[u8]); 4] = [
-            (STATE, &state),
-            (POLICY, &policy),
+            (STATE, &parts.state),
+            (POLICY, &parts.policy),
             (CONFIG, config_toml.as_bytes()),
             (ROBOT, robot_toml.as_bytes()),
         ];
@@ -242,10 +250,7 @@ impl CheckpointStore {
                 Err(_) => Occupant::Nobody,
                 Ok(there) if !there.is_dir() => Occupant::Stranger,
                 Ok(_) => match read::load(&target) {
-                    Ok(there) => match difference(name, &there.manifest, arriving) {
-                        None => Occupant::Same,
-                        Some(difference) => Occupant::Other(difference),
-                    },
+                    Ok(there) => compare(name, &there.manifest, arriving),
                     Err(error) if error.is_absence() => {
                         let own = name.iteration().is_some() || target.join(MANIFEST).exists();
                         if own { Occupant::Damaged } else { Occupant::Stranger }
@@ -262,15 +267,22 @@ impl CheckpointStore {
     }
 }
 
-/// What makes the checkpoint that has the name another one than the one that arrives.
+/// What the checkpoint that has the name is to the one that arrives, whose digest was found to be that of its tensors.
 ///
-/// A run's iteration is told by its digest: budgets, for one, may differ after a resumption. Under other names the
-/// same tensors may stand with what other runs did.
-fn difference(name: &Name, there: &Manifest, arriving: &Manifest) -> Option<String> {
+/// A run's iteration is told by its digest: budgets, for one, may differ after a resumption. What has that digest
+/// and other tensors was damaged before its files were hashed. Under other names the same tensors may stand with
+/// what other runs did.
+fn compare(name: &Name, there: &Manifest, arriving: &Manifest) -> Occupant {
     if there.digest != arriving.digest {
-        return Some(format!("digest {} instead of {}", there.digest, arriving.digest));
+        return Occupant::Other(format!("digest {} instead of {}", there.digest, arriving.digest));
     }
-    let texts = if name.iteration().is_some() { &[][..] } else { &[CONFIG, ROBOT] };
-    let other = texts.iter().find(|file| there.files.get(**file) != arriving.files.get(**file))?;
-    Some(format!("the same tensors but another {other}"))
+    let differs = |file: &&&str| there.files.get(**file) != arriving.files.get(**file);
+    if name.iteration().is_some() {
+        let other = [STATE, POLICY].iter().find(differs);
+        return if other.is_some() { Occupant::Damaged } else { Occupant::Same };
+    }
+    match [CONFIG, ROBOT].iter().find(differs) {
+        Some(file) => Occupant::Other(format!("the same tensors but another {file}")),
+        None => Occupant::Same,
+    }
 }

@@ -18,8 +18,18 @@ pub(super) const MAX_HEADER: u64 = 4 << 20;
 /// Bytes of a tensor that are in memory at a time.
 const PIECE: usize = 1 << 20;
 
+/// A snapshot in parts.
+pub(super) struct Parts {
+    /// The file of the training state.
+    pub(super) state: Vec<u8>,
+    /// The file of the actors.
+    pub(super) policy: Vec<u8>,
+    /// The digest of the state's tensors as they are here.
+    pub(super) digest: Digest,
+}
+
 /// Splits a snapshot into the training state and the actors.
-pub(super) fn split(bytes: &[u8]) -> Result<(Vec<u8>, Vec<u8>), String> {
+pub(super) fn split(bytes: &[u8]) -> Result<Parts, String> {
     let tensors = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
     let mut policy: Vec<(String, TensorView<'_>)> = Vec::new();
@@ -36,17 +46,24 @@ pub(super) fn split(bytes: &[u8]) -> Result<(Vec<u8>, Vec<u8>), String> {
     let write = |tensors, metadata| {
         safetensors::serialize(tensors, metadata).map_err(|error| error.to_string())
     };
-    Ok((write(state, metadata.metadata().clone())?, write(policy, None)?))
+    let digest = digest_of(&state);
+    let state = write(state, metadata.metadata().clone())?;
+    Ok(Parts { state, policy: write(policy, None)?, digest })
 }
 
 /// The digest of all tensors of a policy file, which is that of a checkpoint without a training
 /// state.
 pub(super) fn digest(file: &SafeTensors<'_>) -> Digest {
-    let mut tensors = file.tensors();
-    tensors.sort_by(|(a, _), (b, _)| a.cmp(b));
+    digest_of(&file.tensors())
+}
+
+/// The digest of tensors in the order of their names, as the learner computes it for its state.
+fn digest_of(tensors: &[(String, TensorView<'_>)]) -> Digest {
+    let mut sorted: Vec<_> = tensors.iter().collect();
+    sorted.sort_by(|(a, _), (b, _)| a.cmp(b));
     let mut builder = DigestBuilder::new();
-    for (name, view) in tensors {
-        builder.field(&name, view.data());
+    for (name, view) in sorted {
+        builder.field(name, view.data());
     }
     builder.finish()
 }

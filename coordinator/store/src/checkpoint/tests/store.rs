@@ -187,6 +187,43 @@ fn the_same_iteration_twice_stays_and_another_state_replaces_it() {
     assert_eq!(aside.len(), 1, "the old one is not lost: {aside:?}");
 }
 
+/// A learner refuses such a state, and the run trains its iteration again.
+#[test]
+fn a_state_that_is_not_what_its_manifest_says_makes_room_for_the_one_that_is() {
+    let (_dir, store) = store_with(&[5]);
+    store.tag(&nth(5), "mine").expect("tags");
+    let dir = store.dir(&nth(5));
+    let whole = std::fs::read(dir.join(STATE)).expect("read");
+    let mut bytes = whole.clone();
+    *bytes.last_mut().expect("not empty") ^= 1;
+    std::fs::write(dir.join(STATE), &bytes).expect("write");
+    let mut manifest = Manifest::read(&dir).expect("reads");
+    let entry = manifest.files.get_mut(STATE).expect("listed");
+    entry.blake3 = blake3::hash(&bytes).to_hex().to_string();
+    std::fs::write(dir.join(MANIFEST), manifest.to_json()).expect("write");
+    store.load(&dir).expect("every file is as it was committed");
+
+    commit(&store, 5);
+    assert_eq!(std::fs::read(dir.join(STATE)).expect("read"), whole);
+    assert!(store.entry(&nth(5)).expect("there").labels.has_tag("mine"), "it is the same one");
+    assert_eq!(store.verify(&nth(5)).expect("there").problems, [""; 0]);
+}
+
+#[test]
+fn a_snapshot_that_is_not_of_its_digest_is_not_committed() {
+    let (_dir, store) = store_with(&[5]);
+    let mut snapshot = snapshot_of(&config(), 6, 0.0);
+    *snapshot.bytes.last_mut().expect("not empty") ^= 1;
+    let damaged = |snapshot: &Snapshot| {
+        let robot = robot().to_toml();
+        store.commit(snapshot, &config(), &robot, &serde_json::json!({})).map(drop)
+    };
+    let error = damaged(&snapshot).expect_err("other tensors").to_string();
+    assert!(error.contains("iteration-00000006") && error.contains("holds digest"), "{error}");
+    assert_eq!(store.latest().expect("the one before").manifest.iteration, 5);
+    assert_eq!(contents(store.root()), ["iteration-00000005"], "nothing is left of it");
+}
+
 #[test]
 fn pieces_of_a_dead_learner_do_not_mix_with_its_successors() {
     let mut assembly = Assembly::new();
