@@ -152,6 +152,30 @@ fn processes_that_hang_are_replaced_and_change_no_bit() {
     assert_nothing_left(&domain);
 }
 
+/// It made other blocks than the one before it, and the run ended well with other bits.
+#[test]
+fn a_process_that_finds_its_files_changed_ends_the_run() {
+    let expected = calm("1", "0", "60");
+    for (file, program, code) in [("config.toml", "sim-worker", 5), ("robot.toml", "learner", 3)] {
+        let mut run = Run::train(&["--workers=1", "--overlap=0", "--iterations=60"]);
+        let domain = run.domain_when_there();
+        run.wait_for_iterations(3);
+        let path = run.path().join(file);
+        let before = std::fs::read_to_string(&path).expect("readable");
+        std::fs::write(&path, format!("{before}# a word of mine\n")).expect("writable");
+        kill(run.children(program)[0], Signal::KILL);
+        assert_eq!(run.wait(), Some(code), "{}", run.log());
+        let said = format!("{file}: ");
+        assert!(run.log().contains(&said), "{}", run.log());
+        assert!(run.log().contains("changed since the session of the run began"), "{}", run.log());
+        assert_nothing_left(&domain);
+        std::fs::write(&path, before).expect("writable");
+        run.resume(&["--workers=1"]);
+        run.succeed();
+        assert_eq!(run.digests(), expected, "{file}");
+    }
+}
+
 #[test]
 fn scaling_a_live_run_changes_no_bit() {
     let expected = calm("2", "1", "60");

@@ -6,6 +6,7 @@
 //! * [`run_files`]: the configuration and the robot of a run, read back;
 //! * [`provenance`]: which program and machine made something;
 //! * [`files`]: files that are whole or absent; [`outputs`]: what a command may write over;
+//! * [`stamp`]: whether a file is still the one that was looked at before;
 //! * [`regular_files`], [`owned_files`]: files that others may have put there, read with care.
 
 pub mod budgets;
@@ -19,4 +20,4 @@ pub mod provenance;
 pub mod recorded;
 pub mod regular_files;
 pub mod run_files;
-mod stamp;
+pub mod stamp;

@@ -5,7 +5,7 @@ use std::os::unix::fs::MetadataExt as _;
 
 /// What changes when somebody writes to a file or puts another in its place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Stamp {
+pub struct Stamp {
     device: u64,
     inode: u64,
     len: u64,
@@ -15,7 +15,7 @@ pub(crate) struct Stamp {
 
 impl Stamp {
     /// The stamp of one file.
-    pub(crate) fn of(there: &Metadata) -> Self {
+    pub fn of(there: &Metadata) -> Self {
         Self {
             device: there.dev(),
             inode: there.ino(),

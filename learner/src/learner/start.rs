@@ -3,7 +3,7 @@
 use proto::agents::Joints;
 use std::path::{Path, PathBuf};
 
-use process::input;
+use process::{input, originals};
 use proto::ExitError;
 use proto::config::Config;
 use proto::layout::Dimensions;
@@ -96,15 +96,15 @@ fn read_state(path: &Path) -> Result<Vec<u8>, LearnerError> {
 
 /// Reads configuration and robot of a run. Of the robot the learner needs the number of joints of each arm only.
 pub fn load(run_dir: &RunDir) -> Result<(Config, Dimensions), LearnerError> {
-    let text = |path: PathBuf| -> Result<(String, String), LearnerError> {
-        match input::read_text(&path) {
+    let named = |path: PathBuf, text| -> Result<(String, String), LearnerError> {
+        match text {
             Ok(text) => Ok((text, path.display().to_string())),
             Err(source) => Err(LearnerError::File { path, source }),
         }
     };
-    let (config, origin) = text(run_dir.config())?;
+    let (config, origin) = named(run_dir.config(), originals::config(run_dir))?;
     let config = Config::from_resolved_toml(&config, &origin)?;
-    let (robot, origin) = text(run_dir.robot())?;
+    let (robot, origin) = named(run_dir.robot(), originals::robot(run_dir))?;
     let robot: toml::Table = robot
         .parse()
         .map_err(|error| LearnerError::Robot(format!("{origin}: not valid TOML: {error}")))?;

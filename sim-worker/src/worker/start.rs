@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use process::originals;
 use proto::config::Config;
 use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
@@ -31,20 +32,17 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
 
 /// Reads configuration and robot of a run.
 pub fn load(run_dir: &RunDir) -> Result<World, ExitError> {
-    let read = |path: PathBuf| {
-        process::input::read_text(&path).map(|text| (text, path.display().to_string())).map_err(
-            |error| {
-                ExitError::new(
-                    ExitCode::RunDirectory,
-                    format!("{}: cannot be read: {error}", path.display()),
-                )
-            },
-        )
+    let named = |path: PathBuf, text: std::io::Result<String>| {
+        let origin = path.display().to_string();
+        text.map_err(|error| {
+            ExitError::new(ExitCode::RunDirectory, format!("{origin}: cannot be read: {error}"))
+        })
+        .map(|text| (text, origin))
     };
     let bad = |error: &dyn std::fmt::Display| ExitError::new(ExitCode::BadInput, error.to_string());
-    let (text, origin) = read(run_dir.config())?;
+    let (text, origin) = named(run_dir.config(), originals::config(run_dir))?;
     let config = Config::from_resolved_toml(&text, &origin).map_err(|error| bad(&error))?;
-    let (text, origin) = read(run_dir.robot())?;
+    let (text, origin) = named(run_dir.robot(), originals::robot(run_dir))?;
     let robot = Robot::from_toml(&text, Path::new(&origin)).map_err(|error| bad(&error))?;
     Ok(World::new(&config, &robot))
 }

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::path::PathBuf;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
+use process::originals;
 use proto::config::Config;
 use proto::gateway::wire::{Answer, Build, Hello, Welcome};
 use proto::run_dir::RunDir;
@@ -39,16 +40,16 @@ impl Reception {
             let message = format!("{}: cannot be read: {error}", path.display());
             ExitError::new(ExitCode::RunDirectory, message)
         };
-        let read =
-            |path: PathBuf| process::input::read_text(&path).map_err(|error| unread(path, &error));
-        let config_text = read(run_dir.config())?;
+        let config_text =
+            originals::config(&run_dir).map_err(|error| unread(run_dir.config(), &error))?;
         let config =
             Config::from_resolved_toml(&config_text, &run_dir.config().display().to_string())
                 .map_err(|error| ExitError::new(ExitCode::BadInput, error.to_string()))?;
         let build = File::open(&arguments.sim_worker)
             .and_then(Build::of)
             .map_err(|error| unread(arguments.sim_worker.clone(), &error))?;
-        let robot_text = read(run_dir.robot())?;
+        let robot_text =
+            originals::robot(&run_dir).map_err(|error| unread(run_dir.robot(), &error))?;
         // No other hub has had the same domain, process and time.
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
         let seed = format!("{}-{}-{now}", arguments.domain, std::process::id());

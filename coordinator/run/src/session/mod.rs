@@ -41,6 +41,7 @@ use proto::{Digest, ExitCode, ExitError};
 use service::live::LiveRun;
 use simulator::robot::Robot;
 use store::checkpoint::{Checkpoint, CheckpointStore, LockTimeout};
+use store::run_files;
 
 use self::accounting::StepAccounts;
 use self::audit_list::Audits;
@@ -133,6 +134,7 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<RunResult, Exi
         &spec.config.run,
         sizes.max_workers,
     )?;
+    check_texts(spec)?;
     if let Some(gateway) = &spec.gateway {
         supervisor.open_to_hosts(gateway.clone(), spec.robot.joints);
     }
@@ -149,6 +151,26 @@ pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<RunResult, Exi
     spec.live.close();
     supervisor.close();
     result
+}
+
+/// Refuses a run directory in which something else stands by now than this session was made from.
+fn check_texts(spec: &SessionSpec) -> Result<(), ExitError> {
+    let damaged =
+        |error: anyhow::Error| ExitError::new(ExitCode::RunDirectory, format!("{error:#}"));
+    let (config, robot) = (
+        run_files::read_config(&spec.run_dir).map_err(damaged)?,
+        run_files::read_robot(&spec.run_dir).map_err(damaged)?.0,
+    );
+    let changed = if config != spec.config {
+        spec.run_dir.config()
+    } else if robot.to_toml() != spec.robot.to_toml() {
+        spec.run_dir.robot()
+    } else {
+        return Ok(());
+    };
+    let message =
+        format!("{}: was changed while the run started; start it again", changed.display());
+    Err(ExitError::new(ExitCode::RunDirectory, message))
 }
 
 /// The state of a run's loop.

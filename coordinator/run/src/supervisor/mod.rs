@@ -11,6 +11,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use channels::Domain;
+use process::originals::Originals;
 use proto::config::Run;
 use proto::message::WorkerId;
 use proto::run_dir::RunDir;
@@ -20,6 +21,7 @@ use store::regular_files::{self, Links};
 
 use self::deaths::{MAX_CRASHES, MAX_KILLS};
 use self::gateway::Gateway;
+use self::programs::StartedPrograms;
 use crate::janitor::Janitor;
 use crate::{environment, signal_isolation};
 
@@ -60,6 +62,9 @@ struct WorkerSlot {
 #[derive(Debug)]
 pub struct Supervisor {
     programs: Programs,
+    /// What nobody may change while the run goes on.
+    started: StartedPrograms,
+    originals: Originals,
     run_dir: RunDir,
     domain: Domain,
     /// Settings of the learner's numerical libraries.
@@ -85,7 +90,7 @@ pub struct Supervisor {
 const LEAVE_DEADLINE: Duration = Duration::from_secs(30);
 
 impl Supervisor {
-    /// No children yet but the janitor.
+    /// No children yet but the janitor. They must find configuration and robot in `run_dir` as they are now.
     pub fn new(
         programs: Programs,
         run_dir: RunDir,
@@ -93,11 +98,15 @@ impl Supervisor {
         run: &Run,
         max_workers: usize,
     ) -> Result<Self, ExitError> {
+        let originals = Originals::read(&run_dir)
+            .map_err(|error| ExitError::new(ExitCode::RunDirectory, error.to_string()))?;
         let janitor = Janitor::start(&domain).map_err(|error| {
             ExitError::new(ExitCode::Environment, format!("cannot start the janitor: {error}"))
         })?;
         Ok(Self {
             programs,
+            started: StartedPrograms::default(),
+            originals,
             run_dir,
             domain,
             threads: run.learner_threads,
@@ -192,6 +201,8 @@ impl Supervisor {
                 let message = format!("{}: cannot be written: {error}", path.display());
                 ExitError::new(ExitCode::RunDirectory, message)
             })?;
+        self.started.check(Path::new(command.get_program()))?;
+        self.originals.tell(&mut command);
         let copy = file.try_clone().map_err(|error| fail("cannot share the log file", &error))?;
         command
             .arg("--run-dir")
