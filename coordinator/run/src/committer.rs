@@ -69,7 +69,7 @@ pub enum Committed {
         /// Why.
         error: anyhow::Error,
     },
-    /// A newer snapshot came before the disk was ready for this one.
+    /// A newer snapshot came before this one could be sent or the disk was ready for it.
     GivenUp {
         /// Its iteration.
         iteration: u64,

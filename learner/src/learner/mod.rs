@@ -5,6 +5,7 @@
 
 mod iteration;
 mod learner_loop;
+mod outbox;
 mod ports;
 mod process;
 mod start;

@@ -1,6 +1,5 @@
 //! The ports of a learner, and what comes and goes through them.
 
-use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use channels::{
@@ -9,9 +8,10 @@ use channels::{
 };
 use proto::Digest;
 use proto::config::Config;
-use proto::layout::{BlockHeader, Dimensions, PolicyHeader, SnapshotHeader};
+use proto::layout::{BlockHeader, Dimensions, PolicyHeader};
 use proto::message::{HEARTBEAT, Order, Progress};
 
+use super::outbox::Outbox;
 use crate::LearnerError;
 use crate::inbox::{Inbox, Receipt};
 
@@ -21,10 +21,8 @@ const PIECE_DEADLINE: Duration = Duration::from_millis(1);
 /// Ports and what has come in through them. iceoryx2's ports stay on one thread.
 pub(super) struct Ports {
     pub(super) inbox: Inbox<ArraySample<BlockHeader>>,
-    /// Snapshots on their way, oldest first.
-    pub(super) outbox: VecDeque<Outgoing>,
-    /// Memory of a snapshot that has been sent, for the next one.
-    pub(super) spare: Vec<u8>,
+    /// Snapshots on their way.
+    pub(super) outbox: Outbox,
     heartbeat: Instant,
     pub(super) wants_snapshot: bool,
     pub(super) wants_stop: bool,
@@ -38,12 +36,6 @@ pub(super) struct Ports {
     _channels: Channels,
 }
 
-/// A snapshot of which the pieces before `header.offset` have been sent.
-pub(super) struct Outgoing {
-    pub(super) header: SnapshotHeader,
-    pub(super) bytes: Vec<u8>,
-}
-
 impl Ports {
     pub(super) fn open(
         domain: &str,
@@ -55,8 +47,7 @@ impl Ports {
         let channels = Channels::open(&domain, ChannelSizes::new(config, dimensions))?;
         Ok(Self {
             inbox: Inbox::new(config, dimensions, iteration),
-            outbox: VecDeque::new(),
-            spare: Vec::new(),
+            outbox: Outbox::default(),
             heartbeat: Instant::now(),
             wants_snapshot: false,
             wants_stop: false,
@@ -96,7 +87,8 @@ impl Ports {
             let received = Progress::BlockReceived { iteration, shard, worker, duplicate, digest };
             self.progress.send(&received)?;
         }
-        self.send_piece()
+        let Self { outbox, snapshot, .. } = self;
+        Ok(outbox.send(|header, bytes| snapshot.send(header, bytes))?)
     }
 
     /// Says once in a while that the process is alive.
@@ -104,18 +96,6 @@ impl Ports {
         if self.heartbeat.elapsed() >= HEARTBEAT {
             self.heartbeat = Instant::now();
             self.progress.send(&Progress::Heartbeat)?;
-        }
-        Ok(())
-    }
-
-    /// Sends the next piece of the oldest snapshot, if there is room for it.
-    fn send_piece(&mut self) -> Result<(), LearnerError> {
-        let Some(Outgoing { header, bytes }) = self.outbox.front_mut() else { return Ok(()) };
-        header.offset = self.snapshot.send(*header, bytes)?;
-        if header.offset >= bytes.len() as u64
-            && let Some(sent) = self.outbox.pop_front()
-        {
-            self.spare = sent.bytes;
         }
         Ok(())
     }

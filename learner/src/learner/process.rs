@@ -4,7 +4,7 @@ use proto::Digest;
 use proto::config::{Run, TaskName};
 use proto::layout::{Dimensions, SnapshotHeader};
 
-use super::ports::{Outgoing, Ports};
+use super::ports::Ports;
 use crate::algorithm::Algorithm;
 use crate::state::TrainingState;
 use crate::state::image::Image;
@@ -30,17 +30,12 @@ impl Learner {
     /// Copies the state; its pieces are sent while training goes on. Whoever asks again while it is on
     /// its way gets this one.
     pub(super) fn take_snapshot(&mut self) {
-        let state = &self.trainer.state;
-        if self.ports.outbox.back().is_some_and(|last| last.header.iteration == state.iteration) {
-            return;
-        }
+        let Self { trainer: Trainer { state, .. }, ports, image, digest, .. } = self;
         let header = SnapshotHeader {
             iteration: state.iteration,
-            digest: self.digest.0,
+            digest: digest.0,
             ..SnapshotHeader::default()
         };
-        let mut bytes = std::mem::take(&mut self.ports.spare);
-        self.image.write(state, &mut bytes);
-        self.ports.outbox.push_back(Outgoing { header, bytes });
+        ports.outbox.put(header, |bytes| image.write(state, bytes));
     }
 }

@@ -12,6 +12,7 @@ use proto::run_dir::RunDir;
 use tch::Device;
 
 use super::learner_loop::serve;
+use super::outbox::Outbox;
 use super::ports::Ports;
 use super::process::{Learner, Trainer};
 use crate::LearnerError;
@@ -66,8 +67,8 @@ pub fn run(arguments: &Arguments) -> Result<(), ExitError> {
         }
     };
     let mut ports = Ports::open(&arguments.domain, &config, &dimensions, state.iteration)?;
-    let image;
-    (image, ports.spare) = Image::new(&state);
+    let (image, spare) = Image::new(&state);
+    ports.outbox = Outbox::new(spare);
     let mut learner = Learner {
         ports,
         image,

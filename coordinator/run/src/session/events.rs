@@ -341,8 +341,8 @@ impl Session<'_> {
                     "warning: the score of checkpoint {iteration} was not written: {error}"
                 )),
                 Committed::GivenUp { iteration } => reporter.note(&format!(
-                    "warning: checkpoint {iteration} not committed: the disk was still busy with \
-                     the one before when the next one came"
+                    "warning: checkpoint {iteration} not committed: the one before was still on its \
+                     way to the disk when the next one came"
                 )),
             }
         }

@@ -6,8 +6,8 @@
 //!
 //! **Snapshots travel in pieces** of 4 MiB instead of one sample: shared memory stays small, and the size of a
 //! training state is no channel constant. **A disk that is slower than the training costs checkpoints, not
-//! memory.** While one snapshot is written, the newest other one waits, and the best; what they displace is
-//! reported.
+//! memory.** While one snapshot is written, the newest other one waits, and the best; so do one on its way from
+//! the learner, and the newest other one there. What they displace is reported.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -68,6 +68,10 @@ pub(super) struct Snapshots {
     askers: Vec<(u64, Asker)>,
     /// Iterations of the newest committed checkpoint, and its directory.
     committed: Option<(u64, PathBuf)>,
+    /// Iterations of the newest snapshot that has arrived.
+    arrived: u64,
+    /// Iterations of planned checkpoints that the learner gave up, because the snapshot before was still on its way.
+    given_up: Vec<u64>,
     /// When a snapshot was last handed over for a commit, and its iterations.
     handed_over: (Instant, u64),
 }
@@ -99,12 +103,15 @@ impl Snapshots {
             next_wish: None,
             askers: Vec::new(),
             committed: None,
+            arrived: 0,
+            given_up: Vec::new(),
             handed_over: (Instant::now(), 0),
         }
     }
 
     /// The learner starts from this checkpoint.
     pub(super) fn begin_from(&mut self, checkpoint: Option<(u64, PathBuf)>) {
+        self.arrived = checkpoint.as_ref().map_or(0, |(iteration, _)| *iteration);
         self.committed = checkpoint;
     }
 
@@ -227,6 +234,10 @@ impl Snapshots {
             let next = self.next_wish.take().filter(|&next| next > iteration);
             self.wish = next.map_or(RequestedCheckpoint::None, RequestedCheckpoint::Untold);
         }
+        // They come in order, so what was planned in between does not come any more.
+        let between = self.arrived.saturating_add(1)..iteration;
+        self.given_up.extend(between.filter(|&passed| self.run.plans_checkpoint(passed)));
+        self.arrived = iteration;
         let snapshot = Arc::new(snapshot);
         if commits {
             self.handed_over = (Instant::now(), iteration);
@@ -271,7 +282,10 @@ impl Snapshots {
 
     /// What has been written since the last call.
     pub(super) fn results(&mut self) -> Vec<Committed> {
-        let results = self.committer.results();
+        let given_up = self.given_up.drain(..);
+        let mut results: Vec<_> =
+            given_up.map(|iteration| Committed::GivenUp { iteration }).collect();
+        results.extend(self.committer.results());
         for result in &results {
             match result {
                 Committed::Checkpoint { iteration, dir, .. } => {

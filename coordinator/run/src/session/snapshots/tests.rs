@@ -143,6 +143,24 @@ fn a_slow_disk_costs_checkpoints_but_no_memory() {
 }
 
 #[test]
+fn planned_checkpoints_that_never_came_are_told() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=2", "run.evaluate_every=0"]);
+    fixture.snapshots.begin_from(Some((2, fixture.store.dir(&Name::of_iteration(2)))));
+    for iteration in [4, 9, 10] {
+        fixture.arrives(iteration);
+    }
+    let given_up = |results: Vec<Committed>| -> Vec<u64> {
+        let of = |result| match result {
+            Committed::GivenUp { iteration } => Some(iteration),
+            _ => None,
+        };
+        results.into_iter().filter_map(of).collect()
+    };
+    assert_eq!(given_up(fixture.settle()), [6, 8]);
+    assert_eq!(given_up(fixture.settle()), [0; 0]);
+}
+
+#[test]
 fn a_commit_that_fails_is_told_to_whoever_asked_and_leaves_the_best_as_it_is() {
     let mut fixture = Fixture::new(&["run.checkpoint_every=0"]);
     // A file where the store's directory would be.
