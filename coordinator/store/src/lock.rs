@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 
 use crate::owned_files::{self, Others};
@@ -102,7 +103,7 @@ impl RunLock {
                 Links::Refuse,
             )
             .map_err(io)?;
-            if flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
+            if !try_lock(&file, FlockOperation::NonBlockingLockExclusive).map_err(io)? {
                 if Instant::now() > patience {
                     let pid = read(&mut file).map(|holder| holder.pid);
                     return Err(LockError::Held { path: path.to_owned(), pid });
@@ -157,13 +158,30 @@ impl RunLock {
 
 /// The lock file at `path` if it is held.
 fn look(path: &Path) -> Result<Option<File>, LockError> {
+    let unreadable = |source| LockError::Unreadable { path: path.to_owned(), source };
     match regular_files::open_with(path, File::options().read(true), Links::Refuse) {
         Ok(file) => {
-            let free = flock(&file, FlockOperation::NonBlockingLockShared).is_ok();
+            let free =
+                try_lock(&file, FlockOperation::NonBlockingLockShared).map_err(unreadable)?;
             Ok((!free).then_some(file))
         }
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(LockError::Unreadable { path: path.to_owned(), source }),
+        Err(source) => Err(unreadable(source)),
+    }
+}
+
+/// Locks a file unless somebody has it; whether it did. A file system that knows no locks, or has no more, is
+/// an error, and no run.
+fn try_lock(file: &File, operation: FlockOperation) -> std::io::Result<bool> {
+    is_taken(flock(file, operation))
+}
+
+/// Whether the kernel's answer says that the lock is ours now.
+fn is_taken(answer: Result<(), Errno>) -> std::io::Result<bool> {
+    match answer {
+        Ok(()) => Ok(true),
+        Err(Errno::WOULDBLOCK) => Ok(false),
+        Err(error) => Err(error.into()),
     }
 }
 
@@ -240,6 +258,18 @@ mod tests {
             let _lock = RunLock::acquire(&path, "octopus-0-9abcdef0").expect("takes its place");
             RunLock::own_holder(&path).expect("own").expect("held");
             assert_eq!(mode(), 0o600);
+        }
+    }
+
+    #[test]
+    fn a_file_system_without_locks_is_no_run_that_goes_on() {
+        assert_eq!(is_taken(Ok(())).ok(), Some(true));
+        assert_eq!(is_taken(Err(Errno::WOULDBLOCK)).ok(), Some(false));
+        for errno in [Errno::NOLCK, Errno::OPNOTSUPP, Errno::STALE] {
+            assert_eq!(
+                is_taken(Err(errno)).map_err(|error| error.kind()),
+                Err(std::io::Error::from(errno).kind())
+            );
         }
     }
 
