@@ -9,7 +9,9 @@ use proto::run_dir::RunDir;
 use proto::{ConfigError, ExitCode, ExitError};
 use run::preflight::{self, Remedy};
 use run::start::bucket;
-use run::start::directory::{RUNS, check_new, claim, create, default_name, record};
+use run::start::directory::{
+    RUNS, check_new, check_still_new, claim, create, default_name, record,
+};
 use run::start::service::RunService;
 use run::start::session::{Ended, Start, run_session};
 use run::supervisor::{GatewaySpec, Programs};
@@ -166,6 +168,7 @@ pub(super) fn train(args: &TrainArgs) -> anyhow::Result<Ended> {
     create(&run_dir)?;
     let domain = Domain::fresh();
     let lock = RunLock::acquire(&run_dir.lock(), domain.as_str())?;
+    check_still_new(&run_dir)?;
     let provenance = Provenance::gather();
     files::replace(&run_dir.robot(), robot.to_toml().as_bytes())?;
     files::replace(&run_dir.config(), config.to_toml().as_bytes())?;

@@ -33,6 +33,16 @@ pub fn check_vacant(path: &Path) -> Result<(), ExitError> {
     }
 }
 
+/// Refuses the directory of a new run, which this process has locked, if another run has come into it since
+/// [`check_new`]: it may also have ended since.
+pub fn check_still_new(run_dir: &RunDir) -> Result<(), ExitError> {
+    let path = run_dir.path();
+    if holds_only_what_a_start_leaves(path, true).unwrap_or(false) {
+        return Ok(());
+    }
+    check_vacant(path)
+}
+
 /// Refuses a new run's directory with anything in it but what a start has left that was killed before it wrote the
 /// configuration: nobody could go on from that.
 pub fn check_new(path: &Path) -> Result<(), ExitError> {
@@ -48,7 +58,10 @@ fn is_left_by_a_start(path: &Path) -> std::io::Result<bool> {
         return Ok(false);
     }
     // A robot without a lock beside it is somebody's own.
-    let was_locked = run_dir.lock().is_file();
+    holds_only_what_a_start_leaves(path, run_dir.lock().is_file())
+}
+
+fn holds_only_what_a_start_leaves(path: &Path, was_locked: bool) -> std::io::Result<bool> {
     for entry in std::fs::read_dir(path)? {
         let entry = entry?;
         let (name, kind) = (entry.file_name(), entry.file_type()?);
@@ -204,6 +217,24 @@ mod tests {
         write("config.toml").expect("writable");
         let error = check().expect_err("a run").to_string();
         assert!(error.contains("octopus resume"), "{error}");
+    }
+
+    /// The second one wrote its configuration over that of the first.
+    #[test]
+    fn a_run_that_came_into_the_directory_meanwhile_is_left_alone() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let run_dir = RunDir::new(dir.path().join("run"));
+        check_new(run_dir.path()).expect("nothing is there");
+        create(&run_dir).expect("writable");
+        let lock = RunLock::acquire(&run_dir.lock(), "octopus-0-12345678").expect("free");
+        check_still_new(&run_dir).expect("nobody else came");
+        std::fs::write(run_dir.robot(), "a part").expect("writable");
+        check_still_new(&run_dir).expect("a start that was killed");
+        std::fs::write(run_dir.config(), "").expect("writable");
+        let error = check_still_new(&run_dir).expect_err("a run");
+        assert_eq!(error.code, ExitCode::RunDirectory);
+        assert!(error.message.contains("holds a run already"), "{error}");
+        drop(lock);
     }
 
     #[test]
