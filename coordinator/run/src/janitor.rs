@@ -17,6 +17,10 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{environment, signal_isolation};
 
+/// How long a janitor may take to go home. One that somebody has stopped holds nobody up: it goes when it is
+/// continued.
+const GOODBYE: Duration = Duration::from_secs(2);
+
 /// The coordinator's side.
 #[derive(Debug)]
 pub struct Janitor {
@@ -54,7 +58,10 @@ impl Janitor {
         if let Some(mut pipe) = self.pipe.take() {
             let _ = writeln!(pipe, "done");
         }
-        let _ = self.process.wait();
+        let patience = Instant::now() + GOODBYE;
+        while matches!(self.process.try_wait(), Ok(None)) && Instant::now() < patience {
+            std::thread::sleep(Duration::from_millis(5));
+        }
     }
 }
 
@@ -86,4 +93,25 @@ pub fn run(domain: &Domain, input: impl BufRead) -> std::io::Result<()> {
 fn belongs(pid: Pid, domain: &Domain) -> bool {
     std::fs::read(format!("/proc/{}/cmdline", pid.as_raw_nonzero()))
         .is_ok_and(|line| String::from_utf8_lossy(&line).contains(domain.as_str()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// It was waited for without end, and nothing of the run was left but that.
+    #[test]
+    fn a_janitor_that_was_stopped_holds_nobody_up() {
+        let mut process =
+            Command::new("sleep").arg("60").stdin(Stdio::piped()).spawn().expect("starts");
+        let (pid, pipe) = (Pid::from_child(&process), process.stdin.take());
+        kill_process(pid, Signal::STOP).expect("own child");
+        let begun = Instant::now();
+        Janitor { process, pipe }.dismiss();
+        let waited = begun.elapsed();
+        kill_process(pid, Signal::KILL).expect("it is still there");
+        rustix::process::waitpid(Some(pid), rustix::process::WaitOptions::empty())
+            .expect("own child");
+        assert!(waited >= GOODBYE, "{waited:?}");
+    }
 }
