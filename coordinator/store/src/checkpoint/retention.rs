@@ -8,6 +8,7 @@ use super::error::CheckpointError;
 use super::guard::{Guard, REMOVED, sweep, unique};
 use super::labels::Labels;
 use super::name::Name;
+use super::ownership::Ownership;
 use super::read::{self, looks_whole};
 use super::reserved::BEST;
 use super::store::CheckpointStore;
@@ -18,7 +19,7 @@ use crate::lock::RunLock;
 /// users to remove.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Retention {
-    /// The newest whole ones; at least one stays.
+    /// The newest whole ones from which the run could go on; at least one stays.
     pub latest: usize,
     /// Those whose iteration is a multiple of this; 0 is none.
     pub every: u64,
@@ -27,9 +28,9 @@ pub struct Retention {
 }
 
 impl Retention {
-    /// Names of the run's own checkpoints that go; `is_whole` says of which all files are there.
-    pub fn doomed(self, survey: &Survey, is_whole: impl Fn(&Entry) -> bool) -> Vec<Name> {
-        self.doomed_up_to(u64::MAX, survey, is_whole)
+    /// Names of the run's own checkpoints that go; `counts` says which there are to go on from.
+    pub fn doomed(self, survey: &Survey, counts: impl Fn(&Entry) -> bool) -> Vec<Name> {
+        self.doomed_up_to(u64::MAX, survey, counts)
     }
 
     /// The same for a run that is at `iteration`: what lies beyond it was passed over, and neither counts nor goes.
@@ -37,14 +38,14 @@ impl Retention {
         self,
         iteration: u64,
         survey: &Survey,
-        is_whole: impl Fn(&Entry) -> bool,
+        counts: impl Fn(&Entry) -> bool,
     ) -> Vec<Name> {
         let own = || {
             let entries = survey.entries.iter();
             entries.filter(|entry| entry.name.iteration().is_some() && !entry.labels.imported)
         };
         let mut whole: Vec<u64> = own()
-            .filter(|entry| entry.kind == Kind::Training && is_whole(entry))
+            .filter(|entry| entry.kind == Kind::Training && counts(entry))
             .filter_map(|entry| entry.name.iteration())
             .filter(|&of_entry| of_entry <= iteration)
             .collect();
@@ -91,7 +92,7 @@ impl CheckpointStore {
         }
         let guard = self.guard()?;
         let survey = self.survey()?;
-        let doomed = retention.doomed_up_to(iteration, &survey, |entry| looks_whole(&entry.dir));
+        let doomed = retention.doomed_up_to(iteration, &survey, self.counts());
         for name in &doomed {
             self.put_away(&guard, name)?;
         }
@@ -107,7 +108,17 @@ impl CheckpointStore {
 
     /// What [`Self::retain`] would remove.
     pub fn doomed(&self, retention: &Retention) -> Result<Vec<Name>, CheckpointError> {
-        Ok(retention.doomed(&self.survey()?, |entry| looks_whole(&entry.dir)))
+        Ok(retention.doomed(&self.survey()?, self.counts()))
+    }
+
+    /// Tells of which checkpoints all files are there and whether the run could go on from them: what was
+    /// copied into its directory is none that may push out its own.
+    fn counts(&self) -> impl Fn(&Entry) -> bool {
+        let ownership = Ownership::of(self);
+        move |entry| {
+            looks_whole(&entry.dir)
+                && !ownership.is_foreign(&entry.dir, Some((entry.iteration, entry.digest)))
+        }
     }
 
     /// Removes a checkpoint, damaged or not; refuses a pinned one, and the one from which the run

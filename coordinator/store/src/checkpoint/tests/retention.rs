@@ -78,6 +78,24 @@ fn what_a_run_could_not_go_on_from_does_not_push_out_what_it_commits() {
     assert_eq!(store.retain(&keep(2, 0, false)).expect("retains"), [190, 196, 200].map(nth));
 }
 
+/// A checkpoint of another run, copied into the store by hand, was taken for the newest of its own.
+#[test]
+fn what_the_run_has_not_come_to_does_not_push_out_its_own() {
+    let (dir, store) = store_with(&[1, 2, 3]);
+    let run = proto::run_dir::RunDir::new(dir.path());
+    std::fs::write(run.config(), config().to_toml()).expect("write");
+    let line = |iteration: u64| {
+        let digest = snapshot_of(&config(), iteration + 1, 0.0).digest;
+        format!("{{\"iteration\":{iteration},\"digest\":\"{digest}\"}}\n")
+    };
+    std::fs::write(run.metrics_jsonl(), (0..6).map(line).collect::<String>()).expect("write");
+    commit_of(&store, &config(), &snapshot_of(&config(), 5, 9.0));
+    assert_eq!(store.retain(&keep(1, 0, true)).expect("retains"), [1, 2].map(nth));
+    commit(&store, 6);
+    assert_eq!(store.retain(&keep(2, 0, true)).expect("retains"), []);
+    assert_eq!(iterations(&store), [3, 5, 6]);
+}
+
 #[test]
 fn nothing_is_removed_while_none_is_whole() {
     let (_dir, store) = store_with(&[1, 2]);
