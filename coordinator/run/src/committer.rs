@@ -323,10 +323,13 @@ impl Writer {
             self.milestone_at = newest.or(times(false).reduce(f64::min)).or(Some(now));
             return Ok(());
         };
+        // One that lies ahead was written by a clock that was wrong, and would be waited for.
+        let mut last = last.min(now);
         if now - last >= every {
             self.store.set_milestone(&Name::of_iteration(iteration), true)?;
-            self.milestone_at = Some(now);
+            last = now;
         }
+        self.milestone_at = Some(last);
         Ok(())
     }
 
@@ -335,5 +338,55 @@ impl Writer {
         let retention =
             Retention { latest: run.checkpoints_kept, every: run.keep_every, best: true };
         self.store.retain_up_to(iteration, &retention).map(|_| ())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::config::{Layers, Preset};
+    use simulator::robot::Robot;
+    use store::checkpoint::MANIFEST;
+    use store::checkpoint::fixtures::snapshot_of;
+
+    use super::*;
+
+    /// No other was marked until the clock came to that time.
+    #[test]
+    fn a_milestone_of_a_clock_that_was_wrong_is_not_waited_for() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let settings =
+            ["network.hidden=[4]", "network.critic_hidden=[4]", "run.milestone_every_s=0.001"];
+        let layers =
+            settings.iter().try_fold(Layers::new(Preset::Tuned, None), |l, set| l.set(set));
+        let config = layers.and_then(|layers| layers.resolve()).expect("valid");
+        let store = CheckpointStore::new(dir.path().join("checkpoints"));
+        let (outbox, _inbox) = channel();
+        let mut writer = Writer {
+            store: store.clone(),
+            robot_toml: Robot::builtin("paper").expect("built in").to_toml(),
+            provenance: serde_json::json!({}),
+            outbox,
+            milestone_at: None,
+            config: config.clone(),
+        };
+        let commit = |iteration| {
+            let (snapshot, robot) = (snapshot_of(&config, iteration, 0.0), &writer.robot_toml);
+            store.commit(&snapshot, &config, robot, &writer.provenance).expect("commits")
+        };
+        let manifest = commit(1).join(MANIFEST);
+        commit(2);
+        let text = std::fs::read_to_string(&manifest).expect("readable");
+        let mut json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        json["created_unix_s"] = serde_json::json!(1_u64 << 40);
+        std::fs::write(&manifest, json.to_string()).expect("writable");
+        store.set_milestone(&Name::of_iteration(1), true).expect("marks");
+        let mut mark = || {
+            std::thread::sleep(Duration::from_millis(2));
+            writer.mark_milestone(2).expect("marks");
+            store.entry(&Name::of_iteration(2)).expect("there").labels.milestone
+        };
+        assert!(!mark(), "it looks when the last one was");
+        assert!(!mark(), "its stretch begins now");
+        assert!(mark());
     }
 }
