@@ -6,7 +6,7 @@
 //! decisions about shards are the [`Scheduler`]'s, all handling of processes the [`Supervisor`]'s;
 //! commits are written by a [committer](crate::committer) thread, so the loop never waits for a disk.
 //!
-//! What processes say is taken in by `hearing`, what becomes of the dead stands in `recovery`, of
+//! What processes say is taken in by `events`, what becomes of the dead stands in `recovery`, of
 //! blocks that cannot be made in [`failures`]; others reach a live run through `control`.
 
 pub mod failures;

@@ -13,8 +13,8 @@
 //! **After the learner's death everything starts anew from the last checkpoint**, workers too. They hold orders
 //! and policies of a future that is undone; a worker starts in 30 ms, and one way back is simpler to trust than
 //! two. **Death by a signal from outside is no evidence** against the block at hand; a crash, an exit code or a
-//! hang is. So any number of kills is survived, and a block that kills its worker by itself is found at the third
-//! time.
+//! hang is. So many kills are survived, fifty in a row without a block or a newer iteration in between, and a block
+//! that kills its worker by itself is found at the third time.
 
 use std::time::Duration;
 

@@ -25,7 +25,7 @@
 //! | `opening` | how files of a store are opened: no link is followed |
 //! | `labelling`, `retention` | pins, tags, scores; what stays and what goes |
 //! | `catalogue` | the index |
-//! | `checked` | which files were found whole |
+//! | `hash_cache` | which files were found whole |
 //! | `archive` | a checkpoint as one file |
 //! | `state_layout` | what a training state must hold |
 //! | `commit` | a snapshot becomes a checkpoint, whole or not at all |

@@ -2,7 +2,7 @@
 //!
 //! Whoever imports or copies a checkpoint gives it such a name, too. The newest by name would then be what is
 //! evaluated, served and shown as what the run has come to, while `octopus resume` passes it over (see
-//! `base` of the crate `run`).
+//! `resume_point` of the crate `run`).
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -83,7 +83,7 @@ impl CheckpointStore {
     /// damaged one is reported through the log and passed over, and so is one that the run has not come
     /// to itself, unless there is no other; if all are damaged, that is an error, never a silent start
     /// from nothing.
-    /// Whether a run may go on from it is for the run to say, see `base` of the crate `run`.
+    /// Whether a run may go on from it is for the run to say, see `resume_point` of the crate `run`.
     pub fn latest(&self) -> Result<Checkpoint, CheckpointError> {
         let mut passed_over = Vec::new();
         for dir in self.by_ownership()?.into_iter().flatten() {
