@@ -28,6 +28,7 @@ pub use self::dev_shm::{MAKE_ROOM, scale, shared_memory, shared_memory_is_full};
 pub use self::hardware::{arithmetic, memory, processors};
 pub use self::learner::{device, gpu, libtorch};
 pub use self::limits::{descriptors, file_size, memory_maps};
+pub(crate) use self::run_directory::checkpoint_size;
 pub use self::run_directory::{Remedy, disk};
 use crate::supervisor::GatewaySpec;
 

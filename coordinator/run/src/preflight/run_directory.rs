@@ -67,7 +67,7 @@ pub fn disk(
 
 /// Size of a checkpoint, about (bytes): actors and critics of the same size, parameters and two moments
 /// of each, the actors apart, and a replay.
-pub(super) fn checkpoint_size(config: &Config, dimensions: &Dimensions) -> u64 {
+pub(crate) fn checkpoint_size(config: &Config, dimensions: &Dimensions) -> u64 {
     let policy = ChannelSizes::new(config, dimensions).policy_len as u64;
     4 * policy * 7 + replay_bytes(config, dimensions)
 }

@@ -53,6 +53,7 @@ use self::order_queue::OrderQueue;
 use self::reserved_memory::ReservedMemory;
 use self::snapshots::Snapshots;
 use self::stall_allowance::{LoopClock, STANDSTILL};
+use crate::preflight::checkpoint_size;
 use crate::report::Reporter;
 use crate::scheduler::Scheduler;
 use crate::signals::StopRequests;
@@ -201,6 +202,8 @@ struct Session<'a> {
     audits: Audits,
     /// When the learner was last heard, or was started.
     learner_heard: Instant,
+    /// Size of its training state, about (bytes).
+    state_size: u64,
     /// Workers that are ready before the learner is.
     early: Vec<(WorkerId, u32)>,
     /// Where the learner was started from, in iterations.
@@ -269,6 +272,7 @@ impl<'a> Session<'a> {
             hosts: Hosts::default(),
             audits: Audits::default(),
             learner_heard: now,
+            state_size: checkpoint_size(config, dimensions),
             early: Vec::new(),
             origin: 0,
             base: None,

@@ -31,6 +31,16 @@ use crate::supervisor::{Cause, Death, Supervisor, log_tail};
 /// for one that has been heard.
 const START_DEADLINE: Duration = Duration::from_secs(10);
 
+/// Bytes of its training state that a learner gets through in a second at least while it starts: it reads, restores,
+/// copies and hashes them before it can say a word.
+const START_RATE: u64 = 10_000_000;
+
+/// How long a learner with a state of so many bytes may take until it is ready, where one that is ready may be silent for
+/// `deadline`.
+pub(super) fn learner_start_deadline(deadline: Duration, state: u64) -> Duration {
+    deadline.max(START_DEADLINE) + Duration::from_secs(state / START_RATE)
+}
+
 impl Session<'_> {
     /// Reaps the dead, opens their shards again and starts successors.
     pub(super) fn replace_the_dead(
@@ -265,12 +275,32 @@ impl Session<'_> {
             }
         }
         self.check_gateway(deadline, start_deadline, supervisor, reporter);
-        let deadline = if self.scheduler.is_some() { deadline } else { start_deadline };
+        let deadline = match self.scheduler {
+            Some(_) => deadline,
+            None => learner_start_deadline(deadline, self.state_size),
+        };
         if now.saturating_duration_since(self.learner_heard) > deadline {
             let seconds = deadline.as_secs_f64();
-            reporter.note(&format!("the learner has been silent for {seconds} s and is replaced"));
+            reporter.note(&format!(
+                "the learner has been silent for {seconds} s and is replaced; where it only needs \
+                 longer, a larger run.order_deadline_s lets it"
+            ));
             self.learner_heard = now;
             supervisor.kill_learner();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A learner with a large replay was killed as it started, and so were all that took its place.
+    #[test]
+    fn a_large_state_has_time_to_be_read() {
+        let minute = Duration::from_mins(1);
+        assert_eq!(learner_start_deadline(Duration::from_secs(2), 400_000), START_DEADLINE);
+        assert_eq!(learner_start_deadline(minute, 400_000), minute);
+        assert_eq!(learner_start_deadline(minute, 6_000_000_000), 11 * minute);
     }
 }
