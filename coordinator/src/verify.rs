@@ -29,7 +29,7 @@ process, stops and resumes. Keys of the configuration that only say how many pro
 the run stops and which checkpoints are kept are reported as harmless.
 
 What is not promised: the same bits from another processor type, another build (version, commit, \
-debug or release), more threads than networks (run.learner_threads), or a GPU. Where \
+debug or release), another C library, more threads than networks (run.learner_threads), or a GPU. Where \
 two runs differ in one of these, equal digests are luck and different ones no defect; the report \
 names every such difference.
 

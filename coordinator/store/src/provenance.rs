@@ -43,8 +43,9 @@ pub struct Provenance {
 
 /// Stands in every run: what equal digests depend on.
 const PROMISE: &str = "digests are equal for the same configuration, seed, build (version, commit, \
-    build) and processor type (processor, vector_extensions), whatever the number of workers, kills \
-    and resumes; other processors, builds, learner threads, precisions and GPUs may round differently";
+    build), C library and processor type (processor, vector_extensions), whatever the number of \
+    workers, kills and resumes; other processors, builds, C libraries, learner threads, precisions and \
+    GPUs may round differently";
 
 /// The commit of this program.
 static COMMIT: OnceLock<&str> = OnceLock::new();
