@@ -13,6 +13,9 @@ fn calm(workers: &str, overlap: &str, iterations: &str) -> Vec<String> {
         &format!("--iterations={iterations}"),
     ]);
     run.succeed();
+    for line in run.metrics() {
+        assert_eq!(line["accounting"]["lost"], 0, "nobody died: {line}");
+    }
     run.digests()
 }
 
