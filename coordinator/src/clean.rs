@@ -1,7 +1,8 @@
 //! `octopus clean`: removes what killed runs left in shared memory.
 //!
-//! A domain is dead when no process of this machine names it on its command line (as workers,
-//! learner and janitor do) and none maps its memory. What lies there under its name then belongs to
+//! A domain is dead when no coordinator holds its lock, which also one in another container does that
+//! shares `/dev/shm` and no processes, and no process of this machine names it on its command line (as
+//! workers, learner and janitor do) or maps its memory. What lies there under its name then belongs to
 //! nobody.
 
 use anyhow::Context as _;
@@ -70,7 +71,9 @@ pub fn leftovers() -> std::io::Result<Vec<Domain>> {
         return Ok(domains);
     }
     let traces = traces()?;
-    let alive = |domain: &Domain| traces.iter().any(|trace| trace.contains(domain.as_str()));
+    let alive = |domain: &Domain| {
+        domain.is_held() || traces.iter().any(|trace| trace.contains(domain.as_str()))
+    };
     Ok(domains.into_iter().filter(|domain| !alive(domain)).collect())
 }
 

@@ -1,13 +1,15 @@
 //! The name under which a run's shared resources live.
 
 use std::collections::BTreeSet;
-use std::fs::DirEntry;
+use std::fs::{DirEntry, File};
 use std::io::ErrorKind;
-use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _};
+use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FileName, Path as IpcPath, SemanticString};
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
 
 use crate::error::ChannelError;
 use crate::place::SHARED_MEMORY;
@@ -15,6 +17,9 @@ use crate::segment::MARGIN;
 
 /// Mode of a directory that only its owner can look into.
 const PRIVATE: u32 = 0o700;
+
+/// The file that the coordinator holds locked as long as it lives.
+const HELD: &str = "held";
 
 /// Names the directory in shared memory with all segments, sockets and files of one run.
 ///
@@ -109,6 +114,27 @@ impl Domain {
             there.uid(),
             there.mode() & 0o777,
         )))
+    }
+
+    /// Locks [`Self::root`] until what is returned is dropped or this process ends. Where that cannot be, whoever looks
+    /// for leftovers has processes to go by.
+    pub(crate) fn hold(&self) -> Option<File> {
+        let mut options = File::options();
+        options.write(true).create(true).truncate(false).mode(0o600);
+        let file = options.open(self.root().join(HELD)).ok()?;
+        flock(&file, FlockOperation::NonBlockingLockExclusive).ok()?;
+        Some(file)
+    }
+
+    /// Whether a coordinator lives whose domain this is, also one in another container that has the same shared memory:
+    /// its processes are not to be seen from here, its lock is.
+    pub fn is_held(&self) -> bool {
+        match File::open(self.root().join(HELD)) {
+            Ok(file) => {
+                flock(&file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK)
+            }
+            Err(_) => false,
+        }
     }
 
     fn refuse(&self, reason: String) -> ChannelError {

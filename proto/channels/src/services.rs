@@ -1,5 +1,6 @@
 //! The services of a run, as each process sees them.
 
+use std::fs::File;
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
@@ -39,6 +40,8 @@ pub struct Channels {
     sizes: ChannelSizes,
     // Dropped last: services must not outlive their node.
     node: Node<Ipc>,
+    /// The coordinator's lock of the domain.
+    _held: Option<File>,
 }
 
 /// Whether services are made or found.
@@ -72,10 +75,16 @@ impl Channels {
 
     fn new(domain: &Domain, sizes: ChannelSizes, access: Access) -> Result<Self, ChannelError> {
         set_log_level(LogLevel::Fatal);
-        match access {
-            Access::Create => domain.make_root()?,
-            Access::Open => domain.check_root()?,
-        }
+        let held = match access {
+            Access::Create => {
+                domain.make_root()?;
+                domain.hold()
+            }
+            Access::Open => {
+                domain.check_root()?;
+                None
+            }
+        };
         let node = NodeBuilder::new()
             .config(&domain.config(access == Access::Create))
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -187,6 +196,7 @@ impl Channels {
             wake_workers: wake(Role::Workers)?,
             sizes,
             node,
+            _held: held,
         })
     }
 

@@ -484,3 +484,14 @@ fn opening_what_nobody_made_says_so() {
     assert!(Domain::parse("octopus-0-../../etc").is_err());
     assert_eq!(Domain::parse(domain.0.as_str()).expect("own name"), domain.0);
 }
+
+/// `octopus clean` in another container saw no process of a run, and removed its memory.
+#[test]
+fn a_domain_is_held_as_long_as_its_coordinator_lives() {
+    let domain = TestDomain::new();
+    assert!(!domain.0.is_held());
+    let channels = Channels::create(&domain.0, SIZES).expect("create");
+    assert!(domain.0.is_held());
+    drop(channels);
+    assert!(!domain.0.is_held());
+}
