@@ -13,7 +13,7 @@ use proto::{ExitCode, ExitError};
 use run::preflight::{self, Remedy};
 use run::report::promised::Promised;
 use run::start::bucket as start_bucket;
-use run::start::directory::{RUNS, check_vacant, record};
+use run::start::directory::{RUNS, check_vacant, last_session, record};
 use run::start::session::{Ended, Start, run_session};
 use run::supervisor::Programs;
 use run::{errors, precision, report, resume_point};
@@ -213,6 +213,13 @@ fn go_on(args: &ResumeArgs, run_dir: RunDir) -> anyhow::Result<Resumed> {
     )?;
     let service = args.http.open(&run_dir)?;
     let provenance = Provenance::gather();
+    if let Some(changes) =
+        last_session(&run_dir)?.and_then(|before| provenance.changes_since(&before))
+    {
+        output::note(&format!(
+            "note: this session may compute other bits than the last one: {changes}"
+        ));
+    }
     if budgets.last().is_none() {
         // A run from before they were written down.
         let then = resume.as_ref().map_or(&before, |checkpoint| &checkpoint.config);

@@ -57,6 +57,22 @@ pub fn built_from(commit: &'static str) {
 }
 
 impl Provenance {
+    /// What has changed since the session `before` of that which equal digests depend on, in words; nothing if nothing has.
+    pub fn changes_since(&self, before: &Self) -> Option<String> {
+        let vectors = |of: &Self| of.vector_extensions.join(" ");
+        let fields = [
+            ("version", self.version.to_string(), before.version.to_string()),
+            ("commit", self.commit.to_string(), before.commit.to_string()),
+            ("build", self.build.to_string(), before.build.to_string()),
+            ("processor", self.processor.clone(), before.processor.clone()),
+            ("vector extensions", vectors(self), vectors(before)),
+        ];
+        let changed = fields.iter().filter(|(_, now, then)| now != then);
+        let said: Vec<_> =
+            changed.map(|(field, now, then)| format!("{field} {now}, before {then}")).collect();
+        (!said.is_empty()).then(|| said.join("; "))
+    }
+
     /// Looks around.
     pub fn gather() -> Self {
         let names = rustix::system::uname();
@@ -158,6 +174,20 @@ impl std::fmt::Display for Utc {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn another_processor_or_build_is_told_and_another_machine_is_not() {
+        let before = Provenance::gather();
+        let elsewhere = Provenance { host: "elsewhere".to_owned(), ..before.clone() };
+        assert_eq!(elsewhere.changes_since(&before), None);
+        let now =
+            Provenance { commit: "abc".into(), processor: "another".to_owned(), ..before.clone() };
+        let expected = format!(
+            "commit abc, before {}; processor another, before {}",
+            before.commit, before.processor
+        );
+        assert_eq!(now.changes_since(&before), Some(expected));
+    }
 
     #[test]
     fn dates_around_leap_days() {

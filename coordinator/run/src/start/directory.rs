@@ -143,6 +143,12 @@ pub fn record(
     Ok(())
 }
 
+/// The session that a run had last, as far as this version can read it.
+pub fn last_session(run_dir: &RunDir) -> Result<Option<Provenance>, ExitError> {
+    let last = sessions(&run_dir.provenance())?.pop();
+    Ok(last.and_then(|last| serde_json::from_value(last).ok()))
+}
+
 /// The sessions that a run has had.
 ///
 /// # Errors
@@ -183,6 +189,22 @@ mod tests {
         }
         std::fs::write(&path, "{\"sessions\": [{\"host\": \"a\"}]}").expect("writable");
         assert_eq!(sessions(&path).expect("one"), [json!({ "host": "a" })]);
+    }
+
+    #[test]
+    fn the_last_session_is_read_as_it_was_recorded() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let run_dir = RunDir::new(dir.path());
+        assert_eq!(last_session(&run_dir).expect("none"), None);
+        let now = Provenance::gather();
+        let before = Provenance { host: "before".to_owned(), ..now.clone() };
+        for session in [&before, &now] {
+            record(&run_dir, session, &["run.workers".to_owned()]).expect("writable");
+        }
+        assert_eq!(last_session(&run_dir).expect("readable"), Some(now));
+        let earlier = r#"{"sessions": [{"host": "a"}]}"#;
+        std::fs::write(run_dir.provenance(), earlier).expect("writable");
+        assert_eq!(last_session(&run_dir).expect("readable"), None);
     }
 
     #[test]
