@@ -104,8 +104,7 @@ pub(super) fn run(args: &ImportArgs) -> anyhow::Result<()> {
 fn head(name: &str, notes: &[String]) -> String {
     let in_a_line = |text: &str| output::printable::printable(text).replace('\n', "\\n");
     let mut head = format!(
-        "{} from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
-        String::from_utf8_lossy(MARK),
+        "# Made by `octopus robot import` from {}.\n# Units: m, kg, kg m\u{b2}, rad, N m; fixed rotations in degrees.\n",
         in_a_line(name)
     );
     for note in notes {
