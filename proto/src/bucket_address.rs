@@ -55,6 +55,16 @@ pub fn problem(text: &str) -> Option<String> {
     None
 }
 
+/// The text without what could be a secret in an address: all before an `@`, all behind a `?`. For messages, which end in logs.
+pub fn hidden(text: &str) -> String {
+    let Some((before, rest)) = text.split_once("://") else { return text.to_owned() };
+    let rest =
+        rest.rsplit_once('@').map_or_else(|| rest.to_owned(), |(_, place)| format!("***@{place}"));
+    let rest =
+        rest.split_once('?').map_or_else(|| rest.clone(), |(place, _)| format!("{place}?***"));
+    format!("{before}://{rest}")
+}
+
 /// How an address is written, for whoever has written another.
 pub fn examples() -> String {
     let examples: Vec<String> = SCHEMES.iter().map(|(_, example)| format!("`{example}`")).collect();
@@ -90,6 +100,19 @@ mod tests {
             "file:///",
         ] {
             assert!(problem(wrong).is_some(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn secrets_of_addresses_are_not_shown() {
+        for (text, shown) in [
+            ("s3://key:secret@bucket/a", "s3://***@bucket/a"),
+            ("--set x=s3://k:a@b@c/d", "--set x=s3://***@c/d"),
+            ("s3://bucket/a?X-Amz-Signature=1", "s3://bucket/a?***"),
+            ("s3://bucket/a", "s3://bucket/a"),
+            ("me@home", "me@home"),
+        ] {
+            assert_eq!(hidden(text), shown);
         }
     }
 }

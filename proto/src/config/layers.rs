@@ -12,8 +12,8 @@ use super::preset::Preset;
 use super::resolved::Config;
 use super::tables::{found, hint, parse, wanted};
 use super::typed::typed;
-use crate::ConfigError;
 use crate::tasks::TaskName;
+use crate::{ConfigError, bucket_address};
 
 /// A configuration in the making. Later layers win.
 #[derive(Debug, Clone)]
@@ -36,9 +36,10 @@ impl Layers {
         Ok(self)
     }
 
-    /// Adds one `key=value`; the value is TOML, and a bare word is taken as a string.
+    /// Adds one `key=value`; the value is TOML, and a bare word is taken as a string. Where the key wants one, so is whatever is no
+    /// TOML and does not begin as a string of it.
     pub fn set(mut self, assignment: &str) -> Result<Self, ConfigError> {
-        let origin = format!("--set {assignment}");
+        let origin = format!("--set {}", bucket_address::hidden(assignment));
         let Some((key, value)) = assignment.split_once('=') else {
             return Err(ConfigError::Syntax {
                 origin,
@@ -52,8 +53,12 @@ impl Layers {
             Err(_) if value.chars().all(|c| c.is_alphanumeric() || "_-./:".contains(c)) => {
                 Value::String(value.to_owned())
             }
+            Err(_) if !value.starts_with(['"', '\'']) && self.is_text(key)? => {
+                Value::String(value.to_owned())
+            }
+            // The parser's words show the line, which nobody has written.
             Err(error) => {
-                return Err(ConfigError::Syntax { origin, message: error.to_string() });
+                return Err(ConfigError::Syntax { origin, message: error.message().to_owned() });
             }
         };
         let nested = key
@@ -64,6 +69,14 @@ impl Layers {
         };
         self.overlays.push((origin, table));
         Ok(self)
+    }
+
+    /// Whether a key wants a string.
+    fn is_text(&self, key: &str) -> Result<bool, ConfigError> {
+        let (base, _) = self.preset.tables()?;
+        let base = Value::Table(base);
+        let slot = key.split('.').try_fold(&base, |table, part| table.get(part));
+        Ok(slot.is_some_and(Value::is_str))
     }
 
     /// Merges all layers and checks the result.
@@ -120,7 +133,7 @@ impl Layers {
                 origin: origin.clone(),
                 key: "task.name".to_owned(),
                 expected: TaskName::listed(),
-                found: value.to_string(),
+                found: bucket_address::hidden(&value.to_string()),
             }),
         }
     }

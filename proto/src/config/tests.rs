@@ -307,3 +307,29 @@ fn a_deadline_that_healthy_processes_would_miss_is_refused_with_the_least_one() 
     let least = resolve(&["run.order_deadline_s=1.5"]).expect("long enough");
     assert_eq!(least.run.order_deadline_s, 1.5);
 }
+
+/// A shell takes the quotes that TOML wants, and addresses and paths have more than plain letters.
+#[test]
+fn a_key_that_wants_text_takes_what_is_no_toml() {
+    for text in ["file:///a,b", "file:///a+b%20", "file:///it's", "file:///[x]"] {
+        let config = resolve(&[&format!("run.checkpoints={text}")]).expect(text);
+        assert_eq!(config.run.checkpoints, text);
+    }
+    let config = resolve(&["robot.description=my robot #2.toml"]).expect("a name");
+    assert_eq!(config.robot.description, "my robot #2.toml");
+    let quoted = resolve(&["run.checkpoints=\"file:///a,b\""]).expect("TOML");
+    assert_eq!(quoted.run.checkpoints, "file:///a,b");
+    for wrong in ["algorithm.gamma=a,b", "run.checkpoints=\"file:///a", "no.such=a,b"] {
+        let message = message(&[wrong]);
+        assert!(message.starts_with(&format!("--set {wrong}: not valid TOML")), "{message}");
+        assert!(!message.contains("value ="), "{message}");
+    }
+}
+
+#[test]
+fn secrets_in_addresses_are_not_repeated() {
+    for key in ["run.checkpoints", "run.workers", "no.such", "task.name"] {
+        let message = message(&[&format!("{key}=s3://user:secret@bucket/x")]);
+        assert!(!message.contains("secret"), "{message}");
+    }
+}
