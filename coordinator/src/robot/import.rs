@@ -15,7 +15,7 @@ const EXAMPLES: &str = "\
 Examples:
   octopus robot import satellite.urdf --out satellite.toml
   octopus robot import satellite.urdf --hand gripper --out satellite.toml
-  octopus robot import satellite.urdf --home elbow=1.57,wrist_1=-1.57 --out satellite.toml
+  octopus robot import satellite.urdf --home elbow=1.57 --out satellite.toml
   octopus robot check satellite.toml
   octopus train --robot satellite.toml
 
@@ -39,7 +39,7 @@ pub struct ImportArgs {
     #[arg(long, value_name = "LINK", allow_hyphen_values = true)]
     pub hand: Option<String>,
     /// Angles at home (rad), as the URDF counts them, of joints by their names or how these end [default: 0].
-    #[arg(long, value_name = "JOINT=RAD,…", value_delimiter = ',', value_parser = angle)]
+    #[arg(long, value_name = "JOINT=RAD,…", value_delimiter = ',', allow_hyphen_values = true, value_parser = angle)]
     pub home: Vec<(String, f64)>,
     /// Where the base is at home: its height (m) in the world.
     #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = height, default_value_t = 4.0)]
