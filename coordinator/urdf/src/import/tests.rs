@@ -275,6 +275,7 @@ fn axes_that_are_almost_parallel_are_parallel() {
 
 /// Our own URDF has the zero of the rows; the robot has another home.
 #[test]
+#[expect(clippy::approx_constant, reason = "the angles of the robot's file")]
 fn a_home_is_given_in_angles_of_the_urdf() {
     let robot = Robot::builtin("paper").expect("built in");
     let zeros: Vec<Vec<f64>> =
