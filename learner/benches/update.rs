@@ -20,7 +20,7 @@ fn update(criterion: &mut Criterion) {
         .and_then(|layers| layers.resolve())
         .expect("valid");
     let dimensions = Dimensions::new(&config, Joints::of_sixes(4));
-    let blocks = synthetic::blocks(&dimensions, 1);
+    let blocks = synthetic::explored_blocks(&config.network, &dimensions, 1);
     let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
     let mut group = criterion.benchmark_group("update");
     group.throughput(Throughput::Elements(config.steps_per_iteration())).sample_size(10);

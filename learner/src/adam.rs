@@ -156,9 +156,9 @@ fn step_in_passes(
     assert!(are_apart(&[flat, m, v, g]), "parameters, moments and gradient share memory");
     let len = flat.size()[1] as usize;
     let [mut flat, mut m, mut v] = [flat, m, v].map(Tensor::shallow_clone);
-    // SAFETY: parameters, moments and gradient are filled and apart. Nobody else uses these parts of
-    // their storages meanwhile: an update has the training state to itself, and of groups of actors that
-    // are updated at the same time each has rows of its own.
+    // SAFETY: parameters, moments and gradient are filled and apart. Nobody else uses these rows
+    // meanwhile: an update has the training state to itself, and of groups of actors that are updated at the same
+    // time each has rows of its own.
     let (flat, m, v, g): (&mut [f32], &mut [f32], &mut [f32], &[f32]) =
         unsafe { (numbers_mut(&mut flat), numbers_mut(&mut m), numbers_mut(&mut v), numbers(g)) };
     for (row, columns, rates, factor) in rows {

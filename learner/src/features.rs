@@ -98,7 +98,7 @@ pub(crate) trait Loop {
     /// Computes, with fused multiply-adds if `FMA`.
     fn run<const FMA: bool>(self);
 
-    /// The same where the processor rounds to bfloat16, and the computation makes use of it.
+    /// The same with the processor's rounding to bfloat16, where a computation has a use for it.
     ///
     /// # Safety
     /// Called from code that is compiled for AVX-512 with bfloat16.

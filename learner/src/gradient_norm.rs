@@ -10,7 +10,7 @@ use crate::memory::numbers;
 /// Interleaved chains of a sum.
 const CHAINS: usize = 16;
 
-/// Σ x² over columns of each of the first rows of `[A, P]`, in f32, summed in f64: one number for each of `columns`. Adam squares in f32, so what overflows
+/// For each of `columns` the squared norm of these columns of the row of that number of `[A, P]`, summed in f64. Adam squares in f32, so what overflows
 /// there is infinite here, too. On a CPU each row is read once and nothing is written.
 #[expect(unsafe_code, reason = "only here is it known that nobody writes meanwhile")]
 pub(crate) fn squared_norms(rows: &Tensor, columns: &[Range<i64>]) -> Vec<f32> {
@@ -18,7 +18,7 @@ pub(crate) fn squared_norms(rows: &Tensor, columns: &[Range<i64>]) -> Vec<f32> {
         return by_operations(rows, columns);
     }
     let len = rows.size()[1] as usize;
-    // SAFETY: gradients are filled where they are learned before their norm is asked for, and who asks has them to itself.
+    // SAFETY: gradients are made of zeros, and filled where they are learned before their norm is asked for; who asks has them to itself.
     let rows: &[f32] = unsafe { numbers(rows) };
     let features = Features::detect();
     let norm = |(row, columns): (&[f32], &Range<i64>)| {

@@ -112,7 +112,7 @@ pub(crate) unsafe fn numbers_mut<T: Element>(tensor: &mut Tensor) -> &mut [T] {
     unsafe { std::slice::from_raw_parts_mut(tensor.data_ptr().cast::<T>(), len) }
 }
 
-/// The sums over rows of `[R, C]`, one a column, in libtorch's order. Up to four rows it is theirs.
+/// The sums over rows of `[R, C]`, one a column, in libtorch's order. Up to four rows that is one after the other.
 pub(crate) fn sum_over_rows(numbers: &[f32], columns: usize) -> Vec<f32> {
     if numbers.len() <= 4 * columns {
         let mut sums = vec![0.0; columns];

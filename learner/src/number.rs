@@ -9,7 +9,7 @@ pub(crate) trait Number: Copy {
     /// Rounded to nearest, ties to even.
     fn round(x: f32) -> Self;
 
-    /// Sixteen of them by the processor's own instruction, if there is one. Numbers below the normal ones become zero.
+    /// Sixteen of them by the processor's own instruction, if there is one for this kind: numbers below the normal ones become zero there.
     ///
     /// # Safety
     /// Called from code that is compiled for AVX-512 with bfloat16.

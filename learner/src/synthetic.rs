@@ -9,19 +9,26 @@ use proto::rng::{Address, Purpose};
 /// Of a log-probability: mean and deviation.
 const LOG_PROB: [f32; 2] = [-4.3, 0.1];
 
-/// As [`blocks`], but with actions as untrained actors explore, and their log-probabilities but for some noise: an update moves such actors no farther than it does in a
-/// training.
+/// As [`blocks`], but with actions as untrained actors explore, and their log-probabilities but for some noise: a first update moves
+/// such actors no farther than it does in a training.
 pub fn explored_blocks(network: &Network, dimensions: &Dimensions, seed: u64) -> Vec<Vec<f32>> {
     let layout = BlockLayout::new(dimensions);
     let (actions, samples) = (dimensions.n_actions, dimensions.n_steps * dimensions.n_envs);
+    let flags = dimensions.actions_with_joint();
     let mut blocks = blocks(dimensions, seed);
     for block in &mut blocks {
         for index in 0..layout.log_prob.len() {
             let log_std = network.initial_log_std_of(index / samples);
             let noise = block[layout.log_prob.start + index] - LOG_PROB[0];
             let mut log_prob = f64::from(noise);
-            for action in &mut block[layout.action.start + index * actions..][..actions] {
-                log_prob -= 0.5 * f64::from(*action).powi(2) + log_std + 0.5 * TAU.ln();
+            let taken = &mut block[layout.action.start + index * actions..][..actions];
+            for (number, action) in taken.iter_mut().enumerate() {
+                let moves = flags
+                    .as_ref()
+                    .is_none_or(|flags| flags[index / samples * actions + number] > 0.0);
+                if moves {
+                    log_prob -= 0.5 * f64::from(*action).powi(2) + log_std + 0.5 * TAU.ln();
+                }
                 *action *= log_std.exp() as f32;
             }
             block[layout.log_prob.start + index] = log_prob as f32;

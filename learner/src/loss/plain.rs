@@ -65,6 +65,18 @@ impl ActorPasses {
 }
 
 impl ActorLoss {
+    /// [`ActorLoss::finish_log_std`] of one action.
+    pub(crate) fn finish_one_log_std(
+        &self,
+        gradient: f32,
+        parameter: f32,
+        own: Option<f32>,
+    ) -> f32 {
+        let above = f32::from(u8::from(parameter >= self.min_log_std as f32));
+        let gradient = (gradient - self.entropy_coefficient as f32) * above;
+        own.map_or(gradient, |own| gradient * own)
+    }
+
     /// [`ActorLoss::gradient`] in passes: the gradient `[A, U, B]` by the networks' outputs, and `[A, 3 + U]` sums over samples: the statistics, and the gradient
     /// by the logarithm of the deviation. `parameter` and `own` are `[A, U]`, `columns` `[A, U + 2, B]`.
     #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
@@ -122,14 +134,14 @@ impl ActorLoss {
             run_for(Features::detect(), StandardPass { shared, mean: numbers(mean), z, squares });
         }
         let _ = squares.sum_intlist_out(log_ratio, &[1i64][..], false, Kind::Float);
-        // SAFETY: as above.
+        // SAFETY: as above; what the passes made is in tensors of its own.
         unsafe {
             run_for(
                 Features::detect(),
                 RatioPass {
                     actions: u,
                     samples: b,
-                    own_constant: if own.is_some() { 0.0 } else { (HALF_LN_TAU * u as f64) as f32 },
+                    half_ln_tau: if own.is_some() { 0.0 } else { (HALF_LN_TAU * u as f64) as f32 },
                     constant: numbers(&constant),
                     columns,
                     log_ratio: numbers_mut(log_ratio),
@@ -137,7 +149,7 @@ impl ActorLoss {
             );
         }
         let _ = log_ratio.exp_out(ratio);
-        // SAFETY: as above.
+        // SAFETY: as above; what the passes made is in tensors of its own.
         unsafe {
             let shared =
                 Shared { actions: u, samples: b, inverse_std: numbers(&inverse_std), own, columns };
@@ -160,7 +172,7 @@ impl ActorLoss {
         if self.squash_mean {
             let _ = Tensor::tanh_backward_grad_input(gradient, z, mean);
         }
-        // SAFETY: as above.
+        // SAFETY: as above; what the passes made is in tensors of its own.
         let sums: &mut [f32] = unsafe { numbers_mut(sums) };
         for surrogate in sums.iter_mut().step_by(STATISTICS + u) {
             *surrogate *= -self.multiplier as f32;
@@ -169,7 +181,7 @@ impl ActorLoss {
     }
 }
 
-/// What both passes over the actors' samples read.
+/// What passes over the actors' samples read.
 #[derive(Clone, Copy)]
 struct Shared<'a> {
     actions: usize,
@@ -183,7 +195,7 @@ struct Shared<'a> {
 }
 
 impl Shared<'_> {
-    /// The factor of an action of an actor that counts.
+    /// One where an action moves a joint, zero where it moves nothing.
     #[inline(always)]
     fn own(&self, index: usize) -> f32 {
         self.own.map_or(1.0, |own| own[index])
@@ -221,9 +233,9 @@ impl Loop for StandardPass<'_> {
 struct RatioPass<'a> {
     actions: usize,
     samples: usize,
-    /// U ½ ln 2π, unless `constant` has it.
-    own_constant: f32,
-    /// `[A]`: Σ ln σ.
+    /// U ½ ln 2π, or zero where `constant` has it.
+    half_ln_tau: f32,
+    /// `[A]`: Σ ln σ, where some actions move nothing with ½ ln 2π of each that does.
     constant: &'a [f32],
     /// `[A, U + 2, B]`.
     columns: &'a [f32],
@@ -236,7 +248,7 @@ impl Loop for RatioPass<'_> {
     fn run<const FMA: bool>(self) {
         let (u, b) = (self.actions, self.samples);
         for (agent, log_ratio) in self.log_ratio.chunks_exact_mut(b).enumerate() {
-            let constant = self.constant[agent] + self.own_constant;
+            let constant = self.constant[agent] + self.half_ln_tau;
             let old = &self.columns[(agent * (u + 2) + u) * b..][..b];
             for i in 0..b {
                 log_ratio[i] = log_ratio[i] * -0.5 - constant - old[i];
@@ -371,7 +383,7 @@ impl CriticLoss {
         run_for(Features::detect(), pass);
         let CriticPasses { gradient, loss, sums } = passes;
         let _ = loss.sum_intlist_out(sums, &[1i64][..], false, Kind::Float);
-        // SAFETY: as above.
+        // SAFETY: as above; what the passes made is in tensors of its own.
         let sums: &mut [f32] = unsafe { numbers_mut(sums) };
         for sum in &mut *sums {
             *sum *= self.coefficient as f32;

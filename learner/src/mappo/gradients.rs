@@ -14,7 +14,7 @@ use crate::optimizer_step::{NetworkPart, NetworkPasses};
 pub(super) struct MiniBatch<'a> {
     pub(super) options: &'a Options,
     pub(super) samples: &'a Samples,
-    /// Numbers of the samples.
+    /// Which samples: at least one.
     pub(super) rows: &'a [i64],
     /// Those of the returns, if they are normalised: mean and deviation, `[A, 1]` each.
     pub(super) moments: Option<&'a (Tensor, Tensor)>,
@@ -29,6 +29,10 @@ impl Group {
         network: &NetworkPart,
         batch: &MiniBatch<'_>,
     ) -> Vec<f32> {
+        debug_assert!(
+            !batch.rows.is_empty(),
+            "configurations have no more mini-batches than samples"
+        );
         self.actor.compute.load(&network.flat);
         let statistics = if self.plain.is_some() {
             self.plain_actor_gradient(network, batch)

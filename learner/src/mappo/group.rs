@@ -8,7 +8,7 @@ use proto::layout::{BlockLayout, Dimensions};
 use tch::{Device, Kind, Tensor};
 
 use super::options::Options;
-use super::plain::Chunk;
+use super::plain::Room;
 use crate::actors::Actors;
 use crate::optimizer_step::NetworkPasses;
 use crate::report::UpdateReport;
@@ -24,7 +24,7 @@ pub(super) struct Group {
     /// `[A, U]`: one where an action moves a joint, zero elsewhere; nothing where all do.
     pub(super) own: Option<Tensor>,
     /// Room for what is computed in plain Rust; nothing where libtorch computes everything.
-    pub(super) plain: Option<Chunk>,
+    pub(super) plain: Option<Room>,
     pub(super) chunk_samples: i64,
     pub(super) device: Device,
     pub(super) kind: Kind,

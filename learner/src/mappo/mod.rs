@@ -14,7 +14,7 @@
 //! of its own, whose parameters, moments and gradients stay in a core's cache for the whole update;
 //! threads take one group after another. What an actor learns does not depend on who computes it, nor
 //! on the number of threads, up to one a group. The actors of a shared network are one group; within a
-//! group all actors go through each operation together, and libtorch spreads the operations over the
+//! group all actors go through each operation together, and libtorch spreads its operations, above all the products, over the
 //! threads that have no group of their own. On a GPU all networks are one group. For one number of threads the result is always the same to the
 //! bit.
 //!
@@ -24,8 +24,8 @@
 //! product of theirs, and it is paid the sum of their rewards. That is settled where samples are
 //! gathered; nothing after it knows of agents.
 //!
-//! **Two ways.** Gradients of a mini-batch go operation by operation through libtorch on a GPU (`gradients.rs`). On a CPU, where an operation costs more than what it computes, samples are
-//! gathered and losses taken in plain Rust (`plain.rs`), with the same bits.
+//! **Two ways.** Gradients of a mini-batch go operation by operation through libtorch on a GPU (`gradients.rs`). On a CPU, where an
+//! operation costs more than what it computes, samples are gathered and losses taken in plain Rust (`plain.rs`), with the same bits.
 //!
 //! **Copies.** The first operation that reads a block is the normalisation (of observations) or the
 //! packing of what the loss needs into one row a sample; blocks are not copied before.

@@ -14,11 +14,11 @@ use crate::memory::{Element, numbers, numbers_mut, sum_over_rows};
 use crate::number::Bf16;
 use crate::optimizer_step::{NetworkPart, NetworkPasses};
 
-/// Room for a chunk.
+/// Room for what is computed of a chunk.
 #[derive(Debug, Default)]
-pub(super) struct Chunk {
-    /// What networks see, gathered.
-    seen: Option<Tensor>,
+pub(super) struct Room {
+    /// What actors see, and what critics do, gathered.
+    seen: [Option<Tensor>; 2],
     /// `[A, U + 2, B]` or `[A, 2, B]`: what losses need of the samples.
     columns: Vec<f32>,
     actor: ActorPasses,
@@ -47,20 +47,20 @@ impl Group {
             .collect();
         // SAFETY: filled when the group was made, and never written.
         let own: Option<&[f32]> = self.own.as_ref().map(|own| unsafe { numbers(own) });
-        let chunk = self.plain.as_mut().expect("on a CPU");
+        let room = self.plain.as_mut().expect("on a CPU");
         let NetworkPasses { compute, gradient, .. } = &mut self.actor;
         let mut total = vec![0.0; a * (STATISTICS + u)];
         for range in chunks(rows.len() as i64, self.chunk_samples) {
             let part = &rows[range.start as usize..range.end as usize];
-            let x = compute.by_network(gather(&samples.observation, part, &mut chunk.seen));
-            gather_columns(&samples.actor, part, &mut chunk.columns);
+            let x = compute.by_network(gather(&samples.observation, part, &mut room.seen[0]));
+            gather_columns(&samples.actor, part, &mut room.columns);
             let output = compute.forward(&x);
             let (d_output, sums) = loss.gradient_in_passes(
-                &mut chunk.actor,
+                &mut room.actor,
                 &output,
                 &parameter,
                 own,
-                &chunk.columns,
+                &room.columns,
                 rows.len(),
             );
             compute.backward(&x, d_output, gradient);
@@ -69,12 +69,12 @@ impl Group {
         let each = |index: usize| {
             let (actor, action) = (index / u, index % u);
             let by_log_std = total[actor * (STATISTICS + u) + STATISTICS + action];
-            loss.finished(by_log_std, parameter[index], own.map(|own| own[index]))
+            loss.finish_one_log_std(by_log_std, parameter[index], own.map(|own| own[index]))
         };
         let of_actors: Vec<f32> = (0..a * u).map(each).collect();
         let of_networks = sum_over_rows(&of_actors, n * u);
         let mut gradient = gradient.shallow_clone();
-        // SAFETY: made of zeros by the passes' owner; the tensors of the passes do not lie there, and nobody else has it now.
+        // SAFETY: made of zeros by the passes' owner; no tensor of the passes lies there, and who records it does not read it meanwhile.
         let gradient: &mut [f32] = unsafe { numbers_mut(&mut gradient) };
         let slots = gradient.chunks_exact_mut(row).zip(of_networks.chunks_exact(u));
         slots.for_each(|(row, sums)| row[of_log_std.clone()].copy_from_slice(sums));
@@ -86,20 +86,20 @@ impl Group {
     #[expect(unsafe_code, reason = "only here is it known that nobody writes meanwhile")]
     pub(super) fn plain_critic_gradient(&mut self, batch: &MiniBatch<'_>) -> Vec<f32> {
         let MiniBatch { options, samples, rows, moments, .. } = *batch;
-        let chunk = self.plain.as_mut().expect("on a CPU");
+        let room = self.plain.as_mut().expect("on a CPU");
         let NetworkPasses { compute, gradient, .. } = &mut self.critic;
         let mut total = vec![0.0; self.actors.len];
         for range in chunks(rows.len() as i64, self.chunk_samples) {
             let part = &rows[range.start as usize..range.end as usize];
             let x = match &samples.state {
-                Some(state) => compute.for_all(gather(state, part, &mut chunk.seen)),
-                None => compute.by_network(gather(&samples.observation, part, &mut chunk.seen)),
+                Some(state) => compute.for_all(gather(state, part, &mut room.seen[1])),
+                None => compute.by_network(gather(&samples.observation, part, &mut room.seen[1])),
             };
-            gather_columns(&samples.critic, part, &mut chunk.columns);
+            gather_columns(&samples.critic, part, &mut room.columns);
             if let Some((mean, std)) = moments {
                 // SAFETY: made by the update for itself, and not written after.
                 let (mean, std): (&[f32], &[f32]) = unsafe { (numbers(mean), numbers(std)) };
-                let agents = chunk.columns.chunks_exact_mut(2 * part.len());
+                let agents = room.columns.chunks_exact_mut(2 * part.len());
                 for ((columns, mean), std) in agents.zip(mean).zip(std) {
                     for target in &mut columns[part.len()..] {
                         *target = (*target - mean) / std;
@@ -108,9 +108,9 @@ impl Group {
             }
             let output = compute.forward(&x);
             let (d_output, sums) = options.critic_loss.gradient_in_a_pass(
-                &mut chunk.critic,
+                &mut room.critic,
                 &output,
-                &chunk.columns,
+                &room.columns,
                 rows.len(),
             );
             compute.backward(&x, d_output, gradient);

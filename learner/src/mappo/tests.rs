@@ -256,19 +256,43 @@ fn learn_together_and_alone(config: &Config) {
 #[test]
 fn plain_gradients_have_the_bits_of_the_operations() {
     let _alone = crate::alone();
-    for variant in VARIANTS {
-        for arithmetic in [Arithmetic::F32, Arithmetic::Bf16] {
+    let two = Joints::of_sixes(2);
+    let uneven = Joints::new(&[7, 6]);
+    let networks_of_eight: &[&str] = &["network.parameter_sharing=all"];
+    let cases = VARIANTS.iter().map(|variant| (*variant, two));
+    let cases = cases.chain([
+        (VARIANTS[0], uneven),
+        (VARIANTS[3], uneven),
+        (VARIANTS[8], uneven),
+        (networks_of_eight, Joints::of_sixes(4)),
+    ]);
+    for (variant, joints) in cases {
+        for (arithmetic, in_one_group) in
+            [(Arithmetic::F32, false), (Arithmetic::Bf16, false), (Arithmetic::F32, true)]
+        {
             let config = config(variant);
-            let mut plain = Run::new(&config, arithmetic);
-            let mut operations = Run::new(&config, arithmetic);
-            for group in &mut operations.mappo.groups {
-                assert!(group.plain.take().is_some(), "on a CPU");
-            }
-            let reports = [plain.update(1), operations.update(1)];
-            let [ours, theirs] = [&plain.state, &operations.state];
-            assert_eq!(ours.actor.flat, theirs.actor.flat, "{variant:?}, {arithmetic:?}");
-            assert_eq!(ours.critic.flat, theirs.critic.flat, "{variant:?}, {arithmetic:?}");
-            assert_eq!(reports[0], reports[1], "{variant:?}, {arithmetic:?}");
+            let dimensions = Dimensions::new(&config, joints);
+            let updated = |by_operations: bool| {
+                let mut state =
+                    TrainingState::initial(&config, &dimensions, arithmetic, Device::Cpu);
+                let new = if in_one_group { Mappo::in_one_group } else { Mappo::new };
+                let mut mappo = new(&config, &dimensions, &state);
+                for group in &mut mappo.groups {
+                    // Of ten to fourteen samples three chunks or four, not all of one size.
+                    group.chunk_samples = 4;
+                    assert!(group.plain.is_some(), "on a CPU");
+                    if by_operations {
+                        group.plain = None;
+                    }
+                }
+                let blocks = blocks(&dimensions, 1);
+                let shards: Vec<&[f32]> = blocks.iter().map(Vec::as_slice).collect();
+                let report = mappo.update(&mut state, &shards).expect("finite");
+                let learned = [state.actor, state.critic];
+                (learned.map(|NetworkState { flat, adam, .. }| [flat, adam.m, adam.v]), report)
+            };
+            let (ours, theirs) = (updated(false), updated(true));
+            assert!(ours == theirs, "{variant:?}, {arithmetic:?}, in one group: {in_one_group}");
         }
     }
 }

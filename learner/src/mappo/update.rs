@@ -10,7 +10,7 @@ use tch::{Device, Tensor};
 use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
 use super::options::Options;
-use super::plain::Chunk;
+use super::plain::Room;
 use crate::LearnerError;
 use crate::actors::Actors;
 use crate::input_norm::InputNorm;
@@ -78,7 +78,7 @@ impl Mappo {
                     actor: passes(&state.actor, &actors),
                     critic: passes(&state.critic, &critics),
                     critics,
-                    plain: (device == Device::Cpu).then(Chunk::default),
+                    plain: (device == Device::Cpu).then(Room::default),
                     chunk_samples: if device.is_cuda() { i64::MAX } else { CHUNK_SAMPLES },
                     actors,
                     device,

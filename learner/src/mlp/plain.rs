@@ -21,7 +21,7 @@ pub(super) struct PlainPasses {
     chunk: ChunkGradient,
 }
 
-/// What a chunk adds to gradients that rows add up to, of the layer at hand.
+/// Gradients of the layer at hand that are sums over a chunk's rows.
 #[derive(Debug, Default)]
 struct ChunkGradient {
     /// `[A, H]` or `[N, H]`.
@@ -119,9 +119,9 @@ impl PlainPasses {
             );
             let sizes = sizes(stack, layer, rows);
             // SAFETY: `d_output` is filled by the caller and apart from what is written. Every other
-            // tensor here was made of zeros by the stack and has a storage of its own: `active`, `standard` and
-            // `gradient` are three buffers. No handle of what is written has
-            // left it, and libtorch does nothing until the pass has ended.
+            // tensor here was made of zeros by the stack, or by the pass forward, and has a storage of its own: `active`,
+            // `standard` and `gradient` are three buffers. No handle of what is written has left the stack, and libtorch does
+            // nothing until the pass has ended.
             let arrays = unsafe {
                 Backward {
                     product: numbers(&product),

@@ -26,8 +26,10 @@ pub(super) fn pair_columns(
     let panel = &mut panel[..rows / 2];
     match features {
         // SAFETY: `Features::detect` found it, or nobody could have made this value.
-        Features::Avx512(_) => unsafe { pair_columns_compiled(columns, rows, panel, half) },
-        _ => 0,
+        Features::Avx512(_) | Features::Avx512Bf16(_) => unsafe {
+            pair_columns_compiled(columns, rows, panel, half)
+        },
+        Features::Avx2(_) | Features::Any => 0,
     }
 }
 
@@ -92,5 +94,26 @@ pub(super) unsafe fn transposed(rows: [__m512i; TILE]) -> [__m512i; TILE] {
             columns[12 + j] = _mm512_shuffle_i32x4::<0xdd>(odd[0], odd[1]);
         }
         columns
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whole_blocks_go_through_registers_where_there_is_avx_512() {
+        let rows = 75;
+        let columns: Vec<Bf16> = (0..TILE * rows).map(|i| Bf16(i as u16)).collect();
+        let mut panel = vec![PairRow([0; 2 * TILE]); rows.div_ceil(2)];
+        let done = pair_columns(Features::detect(), &columns, rows, &mut panel, 1);
+        let expected = if std::arch::is_x86_feature_detected!("avx512bw") { 32 } else { 0 };
+        assert_eq!(done, expected);
+        for (row, pairs) in panel[..done].iter().enumerate() {
+            for (column, &pair) in pairs.0[TILE..].iter().enumerate() {
+                let number = |row: usize| (column * rows + row) as u32;
+                assert_eq!(pair, number(2 * row) | number(2 * row + 1) << 16);
+            }
+        }
     }
 }

@@ -149,7 +149,7 @@ impl<S: Real> Posture<S> {
         Self { left, good: zero, free: zero, chain, goal, angles, tried: zero }
     }
 
-    /// Begins anew as the other one with these angles; both have the same goal.
+    /// Begins anew as the other one with these angles; nobody looks at its goal.
     #[inline(always)]
     pub(super) fn restart_from(&mut self, other: &Self, angles: &Angles<S>) {
         self.angles = *angles;

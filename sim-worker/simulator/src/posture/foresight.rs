@@ -4,7 +4,7 @@
 //! judged together, a set with one way of each arm at a time, by a [rollout of the kinematics](KinematicRollout). An arm that has no way to its goal
 //! may go elsewhere, where that brings others to theirs.
 //!
-//! **A lane is a set.** The environments of a lane group choose one after another, each in all lanes of a register. Sets are tried in rounds of [`LANES`]: all
+//! **A lane is a set.** The environments of a lane group choose one after another, each in all lanes, or in all lanes of a register. Sets are tried in rounds of [`LANES`]: all
 //! of a round vary what was best before it. So the choice does not hang on how many lanes there are.
 
 use super::arm::{Following, Pace, Place, Posture};

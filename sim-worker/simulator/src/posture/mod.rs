@@ -62,17 +62,17 @@ pub(crate) struct Postures<S: Real> {
 /// In how many lanes sets of ways are tried: as many as there are environments, or as fill a register. The choice is the same.
 #[derive(Debug, Clone)]
 enum Width<S: Real> {
-    Lanes(Trials<S>),
-    Register(Trials<S::Register>),
+    Lanes(Arc<Trials<S>>),
+    Register(Arc<Trials<S::Register>>),
 }
 
 impl<S: Real> Postures<S> {
     /// None yet.
     pub(crate) fn new(robot: &Robot, pace: Pace<S>, trust: f64) -> Self {
         let trials = if S::LANES < S::Register::LANES && registers_are_whole() {
-            Width::Register(Trials::new(robot, &pace))
+            Width::Register(Arc::new(Trials::new(robot, &pace)))
         } else {
-            Width::Lanes(Trials::new(robot, &pace))
+            Width::Lanes(Arc::new(Trials::new(robot, &pace)))
         };
         let arms = Chain::of(robot).into_iter().map(Posture::new);
         let model = Model::new(robot);

@@ -69,13 +69,19 @@ pub(crate) fn pairs_are_slow() -> bool {
     Backend::detect() == Backend::Avx512 && (is_intel() || !has_instruction)
 }
 
+/// Elsewhere pairs lie side by side anyway.
+#[cfg(not(target_arch = "x86_64"))]
+pub(crate) fn pairs_are_slow() -> bool {
+    false
+}
+
 /// The first register of leaf 0 holds the first letters of the maker's name.
 #[cfg(target_arch = "x86_64")]
 fn is_intel() -> bool {
     std::arch::x86_64::__cpuid(0).ebx == u32::from_le_bytes(*b"Genu")
 }
 
-/// Whether the processor works through a register of 512 bits as fast as through one of 256. Some of AMD's take it in two halves.
+/// Whether the processor works through a register of 512 bits as fast as through one of 256: only Intel's were measured. Some of AMD's take it in two halves.
 #[cfg(target_arch = "x86_64")]
 pub(crate) fn registers_are_whole() -> bool {
     Backend::detect() == Backend::Avx512 && is_intel()
@@ -84,12 +90,6 @@ pub(crate) fn registers_are_whole() -> bool {
 /// Elsewhere all registers are of one size.
 #[cfg(not(target_arch = "x86_64"))]
 pub(crate) fn registers_are_whole() -> bool {
-    false
-}
-
-/// Elsewhere pairs lie side by side anyway.
-#[cfg(not(target_arch = "x86_64"))]
-pub(crate) fn pairs_are_slow() -> bool {
     false
 }
 
