@@ -5,7 +5,7 @@
 
 use tch::{Device, Kind, Tensor};
 
-use super::{ActorLoss, CriticLoss, HALF_LN_TAU};
+use super::operations::{ActorLoss, CriticLoss, HALF_LN_TAU};
 use crate::features::{Features, Loop, run_for};
 use crate::memory::{are_apart, numbers, numbers_mut};
 

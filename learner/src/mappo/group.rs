@@ -8,7 +8,7 @@ use proto::layout::{BlockLayout, Dimensions};
 use tch::{Device, Kind, Tensor};
 
 use super::options::Options;
-use super::plain::Room;
+use super::room::Room;
 use crate::actors::Actors;
 use crate::optimizer_step::NetworkPasses;
 use crate::report::UpdateReport;

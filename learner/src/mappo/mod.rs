@@ -39,6 +39,7 @@ mod gradients;
 mod group;
 mod options;
 mod plain;
+mod room;
 mod samples;
 mod trace;
 mod update;

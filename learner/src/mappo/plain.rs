@@ -9,21 +9,10 @@ use tch::{Kind, Tensor};
 use super::gradients::MiniBatch;
 use super::group::Group;
 use super::samples::chunks;
-use crate::loss::{ActorPasses, CriticPasses, STATISTICS};
+use crate::loss::STATISTICS;
 use crate::memory::{Element, numbers, numbers_mut, sum_over_rows};
 use crate::number::Bf16;
 use crate::optimizer_step::{NetworkPart, NetworkPasses};
-
-/// Room for what is computed of a chunk.
-#[derive(Debug, Default)]
-pub(super) struct Room {
-    /// What actors see, and what critics do, gathered.
-    seen: [Option<Tensor>; 2],
-    /// `[A, U + 2, B]` or `[A, 2, B]`: what losses need of the samples.
-    columns: Vec<f32>,
-    actor: ActorPasses,
-    critic: CriticPasses,
-}
 
 impl Group {
     /// [`Group::actor_gradient`] on a CPU.

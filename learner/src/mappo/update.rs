@@ -10,7 +10,7 @@ use tch::{Device, Tensor};
 use super::MappoTrace;
 use super::group::{Group, GroupUpdate, IterationInputs};
 use super::options::Options;
-use super::plain::Room;
+use super::room::Room;
 use crate::LearnerError;
 use crate::actors::Actors;
 use crate::input_norm::InputNorm;

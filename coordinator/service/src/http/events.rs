@@ -24,6 +24,7 @@ use super::context::{Shared, blocking};
 use super::log_lines::{LogLine, LogTails};
 use super::problem::{ErrorBody, Problem};
 use super::recorded::{self, piece};
+use super::run_directory::trains;
 
 /// Time between two looks.
 const LOOK: Duration = Duration::from_millis(500);
@@ -171,7 +172,7 @@ impl Files {
     fn read(mut self) -> (Self, Vec<Event>) {
         let mut events = Vec::new();
         if let Some(run) = &self.run {
-            let trains = recorded::trains(run);
+            let trains = trains(run);
             if self.trains.replace(trains) != Some(trains) {
                 events.push(event("trains", &trains));
             }

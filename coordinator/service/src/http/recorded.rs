@@ -8,7 +8,6 @@ use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderName, HeaderValue, StatusCode, Uri};
 use axum::response::{IntoResponse as _, Response};
 use proto::run_dir::RunDir;
-use store::lock::RunLock;
 use store::regular_files;
 
 use super::context::{Context, Shared, blocking};
@@ -80,11 +79,6 @@ async fn send(
 pub(super) fn run_of(context: &Context) -> Option<RunDir> {
     let run = RunDir::new(context.store.root().parent()?);
     (run.checkpoints() == context.store.root() && run.config().is_file()).then_some(run)
-}
-
-/// Whether the run goes on.
-pub(super) fn trains(run: &RunDir) -> bool {
-    matches!(RunLock::holder(&run.lock()), Ok(Some(_)))
 }
 
 /// The number of bytes that a query gives by a name; none is the beginning.

@@ -8,13 +8,17 @@ use std::sync::{Mutex, PoisonError};
 use axum::Router;
 use proto::run_dir::RunDir;
 use serde::{Deserialize, Serialize};
+use store::lock::RunLock;
 use store::{regular_files, run_files};
 use utoipa::ToSchema;
 
-use super::recorded;
-
 /// How much of the metrics' end is read for the last line (bytes).
 const END: u64 = 64 * 1024;
+
+/// Whether the run goes on.
+pub(super) fn trains(run: &RunDir) -> bool {
+    matches!(RunLock::holder(&run.lock()), Ok(Some(_)))
+}
 
 /// One of several runs at a glance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -85,7 +89,7 @@ fn glance(name: String, run: &RunDir) -> anyhow::Result<RunAtAGlance> {
     let config = run_files::read_config(run)?;
     Ok(RunAtAGlance {
         name,
-        live: recorded::trains(run),
+        live: trains(run),
         planned_iterations: config.planned_iterations(),
         last: last_line(&run.metrics_jsonl()).unwrap_or_default(),
         config: serde_json::to_value(&config)?,
