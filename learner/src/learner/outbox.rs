@@ -1,21 +1,27 @@
-//! Snapshots that wait to be sent: the one on its way, and the newest other one.
+//! Snapshots that wait to be sent: the one on its way, and the newest others, as far as there is memory for them.
 //!
 //! A coordinator that stands still takes nothing, and a state may take longer to send than iterations take to
-//! train. Then what lies between is given up, as it is where a disk is slower than the training: a snapshot
-//! that is committed later serves whoever asked for an earlier one.
+//! train. Then the oldest that wait are given up, as they are where a disk is slower than the training: a snapshot
+//! that is committed later serves whoever asked for an earlier one. **Small states wait in numbers:** a training that
+//! is done in a moment loses none of them on a machine that is busy with something else.
+
+use std::collections::VecDeque;
 
 use proto::layout::SnapshotHeader;
 
 /// Pieces that are sent in one go, as many as the channel holds: blocks that arrive wait meanwhile.
 const PIECES: usize = 4;
 
+/// What waits takes no more memory than this together (bytes), unless one alone does.
+const MAX_WAITING: usize = 256 << 20;
+
 /// Snapshots on their way.
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
     sending: Option<Outgoing>,
-    /// The newest, if that is another one.
-    waiting: Option<Outgoing>,
-    /// Memory of a snapshot that has been sent, for the next one.
+    /// Others, the oldest first.
+    waiting: VecDeque<Outgoing>,
+    /// Memory of a snapshot that has been sent or given up, for the next one.
     spare: Vec<u8>,
 }
 
@@ -40,24 +46,34 @@ impl Outbox {
     /// Puts in a snapshot, which `write` copies into memory that is used again. One of that iteration that is on
     /// its way already is the same.
     pub(super) fn put(&mut self, header: SnapshotHeader, write: impl FnOnce(&mut Vec<u8>)) {
-        let newest = self.waiting.as_ref().or(self.sending.as_ref());
+        let newest = self.waiting.back().or(self.sending.as_ref());
         if newest.is_some_and(|newest| newest.header.iteration == header.iteration) {
             return;
         }
-        let mut bytes = match self.waiting.take() {
-            Some(Outgoing { header, bytes }) => {
-                let iteration = header.iteration;
-                tracing::warn!(
-                    iteration,
-                    "a snapshot was given up: the one before is not sent yet"
-                );
-                bytes
-            }
-            None => std::mem::take(&mut self.spare),
-        };
+        self.make_room();
+        let mut bytes = std::mem::take(&mut self.spare);
         write(&mut bytes);
-        let place = if self.sending.is_none() { &mut self.sending } else { &mut self.waiting };
-        *place = Some(Outgoing { header, bytes });
+        let snapshot = Outgoing { header, bytes };
+        if self.sending.is_none() {
+            self.sending = Some(snapshot);
+        } else {
+            self.waiting.push_back(snapshot);
+        }
+    }
+
+    /// Gives up the oldest that wait, until there is memory for one more.
+    fn make_room(&mut self) {
+        // All states of a training are as long as each other.
+        let next = self.sending.as_ref().map_or(0, |sending| sending.bytes.len());
+        let mut waiting: usize = self.waiting.iter().map(|waiting| waiting.bytes.len()).sum();
+        while waiting + next > MAX_WAITING
+            && let Some(Outgoing { header, bytes }) = self.waiting.pop_front()
+        {
+            let iteration = header.iteration;
+            tracing::warn!(iteration, "a snapshot was given up: those before are not sent yet");
+            waiting -= bytes.len();
+            self.spare = bytes;
+        }
     }
 
     /// Sends the next pieces as long as there is room for them. `send` returns the offset of the piece after
@@ -75,7 +91,7 @@ impl Outbox {
             header.offset = next;
             if next >= bytes.len() as u64 {
                 self.spare = std::mem::take(bytes);
-                self.sending = self.waiting.take();
+                self.sending = self.waiting.pop_front();
             }
         }
         Ok(())
@@ -92,7 +108,7 @@ mod tests {
         let header = SnapshotHeader { iteration, ..SnapshotHeader::default() };
         outbox.put(header, |bytes| {
             bytes.clear();
-            bytes.extend_from_slice(&[iteration.to_le_bytes()[0]; 5]);
+            bytes.extend_from_slice(&[iteration.to_le_bytes()[0]; 3]);
         });
     }
 
@@ -111,9 +127,9 @@ mod tests {
         taken
     }
 
-    /// Every snapshot that was taken was kept until it was sent, however many there were.
+    /// A short training on a busy machine lost checkpoints that were planned.
     #[test]
-    fn a_receiver_that_stands_still_costs_snapshots_and_no_memory() {
+    fn small_snapshots_wait_for_each_other() {
         let mut outbox = Outbox::new(Vec::new());
         put(&mut outbox, 1);
         assert_eq!(send(&mut outbox, 2), [1, 1]);
@@ -121,13 +137,39 @@ mod tests {
             put(&mut outbox, iteration);
         }
         assert_eq!(send(&mut outbox, 0), [0; 0]);
-        // What is on its way is sent to its end, and then the newest.
-        assert_eq!(send(&mut outbox, 9), [1, 1, 1, 4]);
+        let mut taken = Vec::new();
+        while !outbox.is_empty() {
+            taken.extend(send(&mut outbox, 9));
+        }
+        assert_eq!(taken, [1, 2, 2, 2, 3, 3, 3, 4, 4, 4]);
         put(&mut outbox, 4);
-        assert_eq!(send(&mut outbox, 9), [4, 4, 4, 4]);
+        assert_eq!(send(&mut outbox, 9), [4, 4, 4]);
         assert!(outbox.is_empty());
-        put(&mut outbox, 5);
-        assert!(!outbox.is_empty());
-        assert_eq!(send(&mut outbox, 9), [5, 5, 5, 5]);
+    }
+
+    /// Every snapshot that was taken was kept until it was sent, however long they were.
+    #[test]
+    fn a_receiver_that_stands_still_costs_snapshots_and_no_memory() {
+        let kept = |len: usize| {
+            let mut outbox = Outbox::new(Vec::new());
+            for iteration in 1..=4 {
+                let header = SnapshotHeader { iteration, ..SnapshotHeader::default() };
+                // Memory that is never touched.
+                outbox.put(header, |bytes| *bytes = vec![0; len]);
+            }
+            let mut taken = Vec::new();
+            while !outbox.is_empty() {
+                let sent = outbox.send(|header, bytes| {
+                    taken.push(header.iteration);
+                    Ok::<_, Infallible>(bytes.len() as u64)
+                });
+                sent.expect("never fails");
+            }
+            taken
+        };
+        // What is on its way is sent to its end, and then the newest.
+        assert_eq!(kept(MAX_WAITING / 2), [1, 3, 4]);
+        assert_eq!(kept(MAX_WAITING / 2 + 1), [1, 4]);
+        assert_eq!(kept(MAX_WAITING + 1), [1, 4]);
     }
 }
