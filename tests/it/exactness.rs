@@ -159,7 +159,10 @@ fn processes_that_hang_are_replaced_and_change_no_bit() {
 #[test]
 fn a_process_that_finds_its_files_changed_ends_the_run() {
     let expected = calm("1", "0", "60");
-    for (file, program, code) in [("config.toml", "sim-worker", 5), ("robot.toml", "learner", 3)] {
+    // Of a learner and a worker that both start, whoever refuses first decides how the run ends.
+    let cases: [(_, _, &[i32]); 2] =
+        [("config.toml", "sim-worker", &[5]), ("robot.toml", "learner", &[3, 5])];
+    for (file, program, codes) in cases {
         let mut run = Run::train(&["--workers=1", "--overlap=0", "--iterations=60"]);
         let domain = run.domain_when_there();
         run.wait_for_iterations(3);
@@ -167,7 +170,8 @@ fn a_process_that_finds_its_files_changed_ends_the_run() {
         let before = std::fs::read_to_string(&path).expect("readable");
         std::fs::write(&path, format!("{before}# a word of mine\n")).expect("writable");
         kill(run.children(program)[0], Signal::KILL);
-        assert_eq!(run.wait(), Some(code), "{}", run.log());
+        let code = run.wait();
+        assert!(code.is_some_and(|code| codes.contains(&code)), "{code:?}: {}", run.log());
         let said = format!("{file}: ");
         assert!(run.log().contains(&said), "{}", run.log());
         assert!(run.log().contains("changed since the session of the run began"), "{}", run.log());
