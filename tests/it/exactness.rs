@@ -169,6 +169,16 @@ fn a_process_that_finds_its_files_changed_ends_the_run() {
         let path = run.path().join(file);
         let before = std::fs::read_to_string(&path).expect("readable");
         std::fs::write(&path, format!("{before}# a word of mine\n")).expect("writable");
+        // Who asks for another worker is told, and the run goes on.
+        let directory = run.path();
+        let refused = octopus(&["scale", directory.to_str().expect("UTF-8"), "2"]);
+        assert!(!refused.status.success());
+        assert!(
+            stderr(&refused).contains(&format!("{file}: it was changed")),
+            "{}",
+            stderr(&refused)
+        );
+        assert!(!run.log().contains("was changed"), "{}", run.log());
         kill(run.children(program)[0], Signal::KILL);
         let code = run.wait();
         assert!(code.is_some_and(|code| codes.contains(&code)), "{code:?}: {}", run.log());

@@ -35,6 +35,16 @@ impl Originals {
         Ok(Self { config: hash(&run_dir.config())?, robot: hash(&run_dir.robot())? })
     }
 
+    /// Refuses a run whose texts are others by now; an error names the file.
+    pub fn check(&self, run_dir: &RunDir) -> Result<()> {
+        for (path, hash) in [(run_dir.config(), &self.config), (run_dir.robot(), &self.robot)] {
+            original(&path, Some(hash)).map_err(|error| {
+                Error::new(error.kind(), format!("{}: {error}", path.display()))
+            })?;
+        }
+        Ok(())
+    }
+
     /// Tells a child.
     pub fn tell(&self, child: &mut Command) {
         child.env(CONFIG, &self.config).env(ROBOT, &self.robot);
@@ -81,9 +91,10 @@ mod tests {
         let originals = Originals::read(&run_dir);
         let read = |expected: Option<&str>| original(&run_dir.config(), expected);
         let told = originals.as_ref().ok().map(|originals| originals.config.as_str());
-        let before = read(told);
+        let check = || originals.as_ref().map(|originals| originals.check(&run_dir));
+        let (before, same) = (read(told), check());
         std::fs::write(run_dir.config(), "action_scale = 0.4").expect("writable");
-        let (after, by_hand) = (read(told), read(None));
+        let (after, by_hand, other) = (read(told), read(None), check());
         let mut child = Command::new("learner");
         originals.as_ref().expect("both are there").tell(&mut child);
         let variables = child.get_envs().count();
@@ -92,6 +103,9 @@ mod tests {
         let incomplete = incomplete.expect_err("there is no robot").to_string();
         assert!(incomplete.contains("robot.toml"), "{incomplete}");
         assert_eq!(before.expect("as it was"), "action_scale = 0.3");
+        same.expect("both are there").expect("as they were");
+        let other = other.expect("both were there").expect_err("changed").to_string();
+        assert!(other.contains("config.toml: it was changed"), "{other}");
         assert!(after.expect_err("changed").to_string().contains("was changed"));
         assert_eq!(by_hand.expect("nothing to compare with"), "action_scale = 0.4");
         assert_eq!(variables, 2);

@@ -22,7 +22,7 @@ impl Session<'_> {
             match command {
                 Command::Scale { workers, reply } => {
                     let before = self.workers;
-                    let answer = match self.may_scale(workers) {
+                    let answer = match self.may_scale(workers, supervisor) {
                         Ok(()) => {
                             self.workers = workers;
                             for (worker, incarnation) in supervisor.scale(workers)? {
@@ -65,7 +65,7 @@ impl Session<'_> {
         Ok(())
     }
 
-    fn may_scale(&self, workers: usize) -> Result<(), String> {
+    fn may_scale(&self, workers: usize, supervisor: &mut Supervisor) -> Result<(), String> {
         let most = self.channels.sizes().max_workers;
         let least = self.min_workers();
         if !(least..=most).contains(&workers) {
@@ -74,7 +74,14 @@ impl Session<'_> {
                  resumed with more can have twice as many as that"
             ));
         }
-        preflight::scale(self.channels.sizes(), self.workers, workers)
+        preflight::scale(self.channels.sizes(), self.workers, workers)?;
+        if workers > self.workers {
+            // Who asks is told, and the run goes on with what it has.
+            supervisor
+                .may_add_workers()
+                .map_err(|error| format!("{workers} workers: {}", error.message))?;
+        }
+        Ok(())
     }
 
     /// Notes how many workers a host is to have; returns how many it was to have before.

@@ -167,6 +167,19 @@ impl Supervisor {
         Ok(asked)
     }
 
+    /// Refuses new workers that would be others than those before: [`Self::scale`] ends the run for one.
+    pub fn may_add_workers(&mut self) -> Result<(), ExitError> {
+        let program = &self.programs.sim_worker;
+        program.metadata().map_err(|error| {
+            let message = format!("cannot start {}: {error}", program.display());
+            ExitError::new(ExitCode::Environment, message)
+        })?;
+        self.started.check(program)?;
+        self.originals
+            .check(&self.run_dir)
+            .map_err(|error| ExitError::new(ExitCode::RunDirectory, error.to_string()))
+    }
+
     /// Workers that run or will run again, in order.
     fn staying(&self) -> impl Iterator<Item = WorkerId> {
         let stays = |slot: &WorkerSlot| !matches!(slot.state, WorkerState::Leaving { .. });
