@@ -22,6 +22,8 @@ impl Supervisor {
     /// Starts the gateway, if the run has one; see [`Supervisor::start_learner`] for the thread to call it from.
     pub fn start_gateway(&mut self) -> Result<(), ExitError> {
         let Some(gateway) = &mut self.gateway else { return Ok(()) };
+        // It tells hosts the build that they must have.
+        self.started.check(&self.programs.sim_worker)?;
         let incarnation = gateway.started;
         gateway.started += 1;
         let mut command = Command::new(&gateway.spec.program);
