@@ -33,11 +33,23 @@ impl Heard {
     /// The data of the next event of this name; others are passed over.
     async fn next(&mut self, name: &str) -> Value {
         loop {
+            let (event, data) = self.any().await;
+            if event == name {
+                return data;
+            }
+        }
+    }
+
+    /// The next event: its name and data.
+    async fn any(&mut self) -> (String, Value) {
+        loop {
             while let Some((event, rest)) = self.text.split_once("\n\n") {
                 let (event, rest) = (event.to_owned(), rest.to_owned());
                 self.text = rest;
-                if let Some(data) = event.strip_prefix(&format!("event: {name}\ndata: ")) {
-                    return serde_json::from_str(data).expect("JSON");
+                // What keeps a stream alive is none.
+                let event = event.strip_prefix("event: ");
+                if let Some((name, data)) = event.and_then(|event| event.split_once("\ndata: ")) {
+                    return (name.to_owned(), serde_json::from_str(data).expect("JSON"));
                 }
             }
             let piece = tokio::time::timeout(Duration::from_mins(1), self.body.next()).await;
@@ -122,8 +134,11 @@ async fn a_list_is_sent_when_it_is_another() {
     heard.next("checkpoints").await;
     std::fs::write(bench.store.root().join("stray"), "").expect("writes");
     // Of the look under way, and of one that has seen that.
-    for _ in 0..3 {
-        heard.next("status").await;
+    let mut looks = 0;
+    while looks < 3 {
+        let (event, _) = heard.any().await;
+        assert_ne!(event, "checkpoints", "the same list once more");
+        looks += usize::from(event == "status");
     }
     commit(&bench.store, 2);
     let list = heard.next("checkpoints").await;
