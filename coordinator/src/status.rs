@@ -60,7 +60,7 @@ pub struct StatusArgs {
 pub struct RunStatus {
     /// Its directory.
     pub run_dir: PathBuf,
-    /// `running`, `finished`, or `stopped` before its budget was used up; `unknown` if its lock may not be read and it is not
+    /// `running`, `finished`, or `stopped` before its budget was used up; `unknown` if its lock cannot be read and it is not
     /// finished.
     pub state: &'static str,
     /// Process of its coordinator, while it runs.
@@ -81,7 +81,7 @@ pub struct RunStatus {
     pub divergence: Option<Diverged>,
     /// What of its files is damaged or missing, so that it may not go on.
     pub damage: Option<String>,
-    /// Why it is not known whether it goes on: another user's lock can be neither read nor tried.
+    /// Why it is not known whether it goes on: its lock can be neither read nor tried.
     pub lock_error: Option<String>,
     /// Its processes and stages, while it runs and its HTTP service answers.
     pub live: Option<LiveStatus>,
@@ -415,9 +415,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
     let (holder, lock_error) = match RunLock::holder(&run_dir.lock()) {
-        Err(LockError::Unreadable { path, source }) if is_forbidden(&source) => {
-            (None, Some(LockError::Unreadable { path, source }.to_string()))
-        }
+        Err(error @ LockError::Unreadable { .. }) => (None, Some(error.to_string())),
         holder => (holder?, None),
     };
     let planned_iterations = config.planned_iterations();
@@ -532,6 +530,19 @@ mod tests {
             std::fs::create_dir_all(run_dir.checkpoints().join(name)).expect("writable");
             assert_eq!(state(), expected, "{name}");
         }
+    }
+
+    /// Every reason but that of rights ended the list of all runs.
+    #[test]
+    fn a_run_whose_lock_cannot_be_read_is_shown_all_the_same() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let run_dir = RunDir::new(dir.path());
+        let config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+        std::fs::write(run_dir.config(), config.to_toml()).expect("writable");
+        std::fs::create_dir(run_dir.lock()).expect("made");
+        let status = inspect(dir.path()).expect("a run");
+        assert_eq!(status.state, "unknown");
+        assert!(status.lock_error.is_some_and(|reason| reason.contains("run.lock")));
     }
 
     /// It would be refused.
