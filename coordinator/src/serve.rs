@@ -195,7 +195,9 @@ struct Served {
 
 fn served(args: &ServeArgs) -> anyhow::Result<Served> {
     if let Some(dir) = &args.runs {
-        if RunDir::new(dir).config().is_file() {
+        let there = RunDir::new(dir);
+        // Somebody's own configuration may lie beside runs.
+        if there.config().is_file() && there.robot().is_file() {
             let message = format!(
                 "--runs {}: is a run itself, not a directory of them; `octopus view {run}` shows it, and `octopus \
                  serve --store {run}` serves its checkpoints",
@@ -288,6 +290,9 @@ mod tests {
             served(&Line::try_parse_from(["serve", &runs]).expect("valid").args)
         };
         assert_eq!(served(dir.path()).expect("runs").holds, ("run", 1));
+        std::fs::write(RunDir::new(dir.path()).config(), "").expect("written");
+        assert_eq!(served(dir.path()).expect("runs").holds, ("run", 1));
+        std::fs::write(RunDir::new(dir.path().join("a")).robot(), "").expect("written");
         let told = served(&dir.path().join("a")).map(|_| ()).expect_err("a run").to_string();
         assert!(told.contains("is a run itself") && told.contains("octopus view"), "{told}");
     }
