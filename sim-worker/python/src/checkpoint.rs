@@ -19,7 +19,7 @@ use serde::Deserialize;
 use simulator::policy::file;
 use simulator::robot::Robot;
 
-use crate::config::read;
+use crate::config::{hash, read};
 
 const MANIFEST: &str = "manifest.json";
 const FORMAT: u32 = 1;
@@ -56,6 +56,19 @@ struct Manifest {
 struct Entry {
     len: u64,
     blake3: String,
+}
+
+impl Entry {
+    /// Why a file of this length and hash is not the one that is meant.
+    fn admits(&self, len: u64, hash: &blake3::Hash) -> Result<(), String> {
+        if len != self.len {
+            return Err(format!("{len} bytes, the manifest says {}", self.len));
+        }
+        if hash.to_hex().as_str() != self.blake3 {
+            return Err("content differs from its BLAKE3 hash".to_owned());
+        }
+        Ok(())
+    }
 }
 
 #[derive(Deserialize, Default)]
@@ -135,8 +148,12 @@ fn is_foreign(dir: &Path, recorded: &[Digest]) -> bool {
 
 /// Holds every file that the manifest lists against its hash.
 fn check(dir: &Path, manifest: &Manifest) -> Result<(), String> {
-    for name in manifest.files.keys() {
-        content(dir, manifest, name, MAX_FILE)?;
+    for (name, entry) in &manifest.files {
+        let path = dir.join(name);
+        let shown = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
+        // A state may be longer than memory.
+        let (len, hash) = hash(&path, MAX_FILE).map_err(|error| shown(&error))?;
+        entry.admits(len, &hash).map_err(|reason| shown(&reason))?;
     }
     Ok(())
 }
@@ -154,13 +171,8 @@ fn content(
     let entry =
         entry.ok_or_else(|| shown(&dir.join(MANIFEST), &format!("does not list {name}")))?;
     let bytes = read(&path, limit).map_err(|error| shown(&path, &error))?;
-    if bytes.len() as u64 != entry.len {
-        let reason = format!("{} bytes, the manifest says {}", bytes.len(), entry.len);
-        return Err(shown(&path, &reason));
-    }
-    if blake3::hash(&bytes).to_hex().as_str() != entry.blake3 {
-        return Err(shown(&path, &"content differs from its BLAKE3 hash"));
-    }
+    let admitted = entry.admits(bytes.len() as u64, &blake3::hash(&bytes));
+    admitted.map_err(|reason| shown(&path, &reason))?;
     Ok((path, bytes))
 }
 

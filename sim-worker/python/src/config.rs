@@ -178,6 +178,20 @@ pub(crate) fn read_text(path: &Path) -> std::io::Result<String> {
 
 /// A regular file's bytes, `limit` at most.
 pub(crate) fn read(path: &Path, limit: u64) -> std::io::Result<Vec<u8>> {
+    check(path, limit)?;
+    std::fs::read(path)
+}
+
+/// The length and hash of a regular file, `limit` bytes at most, which is never in memory as a whole.
+pub(crate) fn hash(path: &Path, limit: u64) -> std::io::Result<(u64, blake3::Hash)> {
+    check(path, limit)?;
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(std::fs::File::open(path)?)?;
+    Ok((hasher.count(), hasher.finalize()))
+}
+
+/// Refuses what is no regular file of `limit` bytes at most.
+fn check(path: &Path, limit: u64) -> std::io::Result<()> {
     // Asked first: opening a named pipe would wait for whoever writes to it.
     let there = std::fs::metadata(path)?;
     if !there.is_file() {
@@ -186,5 +200,5 @@ pub(crate) fn read(path: &Path, limit: u64) -> std::io::Result<Vec<u8>> {
     if there.len() > limit {
         return Err(std::io::Error::other(format!("has more than {limit} bytes")));
     }
-    std::fs::read(path)
+    Ok(())
 }
