@@ -22,6 +22,8 @@ pub struct Replica {
     listing: Listing,
     whole: BTreeMap<Name, Digest>,
     refused: BTreeMap<Name, Refused>,
+    /// Whether the index is of what was here before.
+    stale: bool,
 }
 
 /// A checkpoint that was not whole, as it was then: it is not brought again before it is another.
@@ -44,8 +46,8 @@ impl Replica {
         for listed in &listing.checkpoints {
             summarise(listed, dir.path())?;
         }
-        let replica =
-            Self { bucket, dir, listing, whole: BTreeMap::new(), refused: BTreeMap::new() };
+        let (whole, refused) = (BTreeMap::new(), BTreeMap::new());
+        let replica = Self { bucket, dir, listing, whole, refused, stale: false };
         replica.index()?;
         Ok(replica)
     }
@@ -114,11 +116,12 @@ impl Replica {
 
     /// Brings all files of all checkpoints; returns why some are not here.
     pub fn fetch_all(&mut self) -> Result<Vec<String>, BucketError> {
-        self.bring(true)
+        self.stale = true;
+        self.bring()
     }
 
-    /// Brings what is missing, and sees to the index where that or something before it, `changed`, makes another of it.
-    fn bring(&mut self, mut changed: bool) -> Result<Vec<String>, BucketError> {
+    /// Brings what is missing, and sees to the index where that or something before it makes another of it.
+    fn bring(&mut self) -> Result<Vec<String>, BucketError> {
         let missing =
             self.listing.checkpoints.iter().filter(|listed| !self.is_whole(listed)).cloned();
         let missing: Vec<Listed> = missing.collect();
@@ -136,7 +139,8 @@ impl Replica {
                 reasons.push(before.reason.clone());
                 continue;
             }
-            changed = true;
+            // Also for the next time, if this one fails.
+            self.stale = true;
             match self.fetch(name) {
                 Ok(()) => {
                     self.refused.remove(name);
@@ -153,8 +157,9 @@ impl Replica {
                 Err(error) => return Err(error),
             }
         }
-        if changed {
+        if self.stale {
             self.index()?;
+            self.stale = false;
         }
         Ok(reasons)
     }
@@ -177,9 +182,9 @@ impl Replica {
         for listed in whole.filter(other) {
             summarise(listed, self.dir.path())?;
         }
-        let changed = listing.checkpoints != self.listing.checkpoints;
+        self.stale |= listing.checkpoints != self.listing.checkpoints;
         self.listing = listing;
-        self.bring(changed)
+        self.bring()
     }
 
     /// Whether all files of it are here.
@@ -288,7 +293,11 @@ mod tests {
         assert_eq!(replica.refresh().expect("reads"), [""; 0]);
         assert!(!catalogue.exists() && !manifest.exists(), "they are written again");
         put(&bucket, &format!("{}/{LABELS}", record::folder(&name)), "{\"pinned\":true}");
-        replica.refresh().expect("reads");
+        // Something is in the way once.
+        fs::create_dir(&catalogue).expect("made");
+        replica.refresh().expect_err("no file can be written there");
+        fs::remove_dir(&catalogue).expect("removed");
+        assert_eq!(replica.refresh().expect("reads"), [""; 0]);
         let entries = replica.store().entries().expect("lists");
         assert!(entries[0].labels.pinned && catalogue.exists());
     }
