@@ -100,8 +100,8 @@ impl Output<'_> {
 
 /// Refuses a file name that promises another format than the one that is written.
 pub fn check_ending(flag: &str, path: &Path, ending: &str) -> Result<(), ExitError> {
-    let there = path.extension().unwrap_or_default();
-    // Terminals and pipes have none.
+    // What has no ending promises nothing, as `/dev/stdout`, also where that is a file.
+    let Some(there) = path.extension() else { return Ok(()) };
     let is_place = path.metadata().is_ok_and(|there| !there.is_file() && !there.is_dir());
     if is_place || there.eq_ignore_ascii_case(ending) {
         return Ok(());
@@ -383,10 +383,10 @@ mod tests {
 
     #[test]
     fn names_end_as_what_is_written() {
-        for fit in ["a.svg", "a.SVG", "/dev/null"] {
+        for fit in ["a.svg", "a.SVG", "a", "svg", "/dev/null", "/dev/stdout"] {
             assert!(check_ending("--out", Path::new(fit), "svg").is_ok(), "{fit}");
         }
-        for wrong in ["a.png", "a", "svg", "a.svg.gz"] {
+        for wrong in ["a.png", "a.", "a.svg.gz"] {
             let error = check_ending("--out", Path::new(wrong), "svg").expect_err(wrong);
             assert_eq!(error.code, ExitCode::Usage);
             assert!(error.message.ends_with("wants a name that ends in .svg"), "{error}");
