@@ -35,7 +35,7 @@ pub enum LockError {
          `octopus status {dir}` shows how it is doing",
         path = path.display(),
         who = pid.map_or_else(String::new, |pid| format!(" (process {pid})")),
-        dir = path.parent().unwrap_or(path).display()
+        dir = output::quoted(path.parent().unwrap_or(path))
     )]
     Held {
         /// The lock file.

@@ -121,7 +121,7 @@ impl Failures {
                  times: {message}\nwhat is known about it: {}\nmake it alone: octopus rollout {} \
                  --address {seed}/{iteration}/{shard}",
                 dir.display(),
-                self.run_dir.path().display(),
+                output::quoted(self.run_dir.path()),
             ),
         ))
     }

@@ -136,7 +136,7 @@ impl Session<'_> {
         if is_hopeless || self.learner_deaths.are_too_many() {
             // What has never come up does not do so for being asked again.
             let cure = if !is_hopeless && self.find_base().is_ok_and(|(base, _)| base.is_some()) {
-                let run_dir = self.spec.run_dir.path().display();
+                let run_dir = output::quoted(self.spec.run_dir.path());
                 format!("\n`octopus resume {run_dir}` goes on from the last checkpoint")
             } else {
                 String::new()
@@ -245,7 +245,7 @@ impl Session<'_> {
             "the learner died ({cause}) while the run was stopping; {} done, and {kept}; `octopus resume \
              {}` trains what is missing again",
             output::counted(self.reported, "iteration"),
-            self.spec.run_dir.path().display()
+            output::quoted(self.spec.run_dir.path())
         );
         ExitError::new(cause.exit_code(), message)
     }
