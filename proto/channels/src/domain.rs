@@ -5,6 +5,7 @@ use std::fs::{DirEntry, File};
 use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FileName, Path as IpcPath, SemanticString};
@@ -20,6 +21,10 @@ const PRIVATE: u32 = 0o700;
 
 /// The file that the coordinator holds locked as long as it lives.
 const HELD: &str = "held";
+
+/// How long that lock is tried for: nobody else keeps it, but who only looks, as [`Domain::is_held`] does, has it for a
+/// moment.
+const GLANCE: Duration = Duration::from_secs(1);
 
 /// Names the directory in shared memory with all segments, sockets and files of one run.
 ///
@@ -122,8 +127,16 @@ impl Domain {
         let mut options = File::options();
         options.write(true).create(true).truncate(false).mode(0o600);
         let file = options.open(self.root().join(HELD)).ok()?;
-        flock(&file, FlockOperation::NonBlockingLockExclusive).ok()?;
-        Some(file)
+        let patience = Instant::now() + GLANCE;
+        loop {
+            match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => return Some(file),
+                Err(Errno::WOULDBLOCK) if Instant::now() <= patience => {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                Err(_) => return None,
+            }
+        }
     }
 
     /// Whether a coordinator lives whose domain this is, also one in another container that has the same shared memory:

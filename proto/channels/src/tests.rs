@@ -495,3 +495,19 @@ fn a_domain_is_held_as_long_as_its_coordinator_lives() {
     drop(channels);
     assert!(!domain.0.is_held());
 }
+
+/// A run that began just then was never held.
+#[test]
+fn a_domain_is_held_also_where_somebody_looked_when_it_was_made() {
+    let domain = TestDomain::new();
+    domain.0.make_root().expect("made");
+    let look = std::fs::File::create(domain.0.root().join("held")).expect("made");
+    look.lock_shared().expect("free");
+    let looker = std::thread::spawn(move || {
+        std::thread::sleep(Duration::from_millis(20));
+        drop(look);
+    });
+    let _channels = Channels::create(&domain.0, SIZES).expect("create");
+    looker.join().expect("no panic");
+    assert!(domain.0.is_held());
+}
