@@ -477,8 +477,8 @@ fn sweeps_that_cannot_be() {
     refused(&octopus(&["sweep", "/no/such.toml"]), 3, &["/no/such.toml: cannot be read"]);
 
     // As `octopus train --dry-run`.
-    sweep.write("iterations = 1\n[set]\nrun.device = \"cuda:77\"");
-    refused(&sweep.call(&["--dry-run"]), 4, &["trial default,seed=1: ", "cuda:77"]);
+    sweep.write("iterations = 1\n[grid]\nrun.device = [\"cuda:77\"]");
+    refused(&sweep.call(&["--dry-run"]), 4, &["trial device=cuda:77,seed=1: ", "cuda:77"]);
     assert!(!sweep.out().exists());
 
     // A directory of others is left as it is.
