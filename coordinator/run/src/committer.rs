@@ -1,5 +1,6 @@
 //! Writes checkpoints on a thread of its own: the run's loop never waits for a disk.
 
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -76,10 +77,14 @@ pub enum Committed {
     },
 }
 
+/// Memory of snapshots that wait (bytes).
+const MAX_WAITING: usize = 256 << 20;
+
 /// The thread. Dropping it waits for the work under way.
 ///
-/// While one snapshot is being written, only the newest other one waits, and the newest of those
-/// with a score: a disk that is slower than the training costs checkpoints, not memory.
+/// While one snapshot is being written, others wait as far as there is memory for them, and the newest of those
+/// with a score: a disk that is slower than the training costs checkpoints, not memory. Small states wait in
+/// numbers, so that a short training on a busy machine loses none.
 #[derive(Debug)]
 pub struct Committer {
     jobs: Option<Sender<CommitRequest>>,
@@ -88,8 +93,11 @@ pub struct Committer {
     thread: Option<JoinHandle<()>>,
     /// Whether the thread has a snapshot.
     writing: bool,
-    waiting: Option<Waiting>,
+    /// The oldest first.
+    waiting: VecDeque<Waiting>,
     waiting_best: Option<Waiting>,
+    /// What waits takes no more memory than this together (bytes), unless one alone does.
+    pub(crate) room: usize,
     results: Vec<Committed>,
 }
 
@@ -134,8 +142,9 @@ impl Committer {
             inbox,
             thread: Some(thread),
             writing: false,
-            waiting: None,
+            waiting: VecDeque::new(),
             waiting_best: None,
+            room: MAX_WAITING,
             results: Vec::new(),
         }
     }
@@ -143,13 +152,23 @@ impl Committer {
     /// Has a snapshot committed, as the best so far if it has a score. One that is committed
     /// already only gets its score.
     pub fn commit(&mut self, snapshot: Arc<Snapshot>, score: Option<Score>) {
-        let place = match score {
-            Some(_) => &mut self.waiting_best,
-            None => &mut self.waiting,
-        };
         let iteration = snapshot.iteration;
-        let older = place.replace(Waiting { snapshot, score });
-        if let Some(older) = older.filter(|older| older.snapshot.iteration != iteration) {
+        let is_scored = score.is_some();
+        let waiting = Waiting { snapshot, score };
+        let mut given_up = Vec::new();
+        if is_scored {
+            given_up.extend(self.waiting_best.replace(waiting));
+        } else {
+            self.waiting.retain(|older| older.snapshot.iteration != iteration);
+            self.waiting.push_back(waiting);
+            let size = |waiting: &VecDeque<Waiting>| -> usize {
+                waiting.iter().map(|waiting| waiting.snapshot.bytes.len()).sum()
+            };
+            while self.waiting.len() > 1 && size(&self.waiting) > self.room {
+                given_up.extend(self.waiting.pop_front());
+            }
+        }
+        for older in given_up.into_iter().filter(|older| older.snapshot.iteration != iteration) {
             self.results.push(Committed::GivenUp { iteration: older.snapshot.iteration });
         }
         self.hand_over();
@@ -157,15 +176,16 @@ impl Committer {
 
     /// Has a score written to the checkpoint of `iteration`, if that is still there.
     pub fn score(&mut self, iteration: u64, score: Score) {
-        match &mut self.waiting {
-            Some(waiting) if waiting.snapshot.iteration == iteration => waiting.score = Some(score),
-            _ => self.send(CommitRequest::Score(iteration, score)),
+        let waits = |waiting: &&mut Waiting| waiting.snapshot.iteration == iteration;
+        match self.waiting.iter_mut().find(waits) {
+            Some(waiting) => waiting.score = Some(score),
+            None => self.send(CommitRequest::Score(iteration, score)),
         }
     }
 
     /// Whether a snapshot is being written or waits to be.
     pub fn is_busy(&self) -> bool {
-        self.writing || self.waiting.is_some() || self.waiting_best.is_some()
+        self.writing || !self.waiting.is_empty() || self.waiting_best.is_some()
     }
 
     /// What has been done since the last call, in order.
@@ -208,13 +228,14 @@ impl Committer {
         if self.writing {
             return;
         }
-        let iteration = |waiting: &Option<Waiting>| {
-            waiting.as_ref().map_or(u64::MAX, |waiting| waiting.snapshot.iteration)
+        let iteration = |waiting: Option<&Waiting>| {
+            waiting.map_or(u64::MAX, |waiting| waiting.snapshot.iteration)
         };
-        let first = if iteration(&self.waiting_best) < iteration(&self.waiting) {
+        let best = self.waiting_best.as_ref();
+        let first = if iteration(best) < iteration(self.waiting.front()) {
             self.waiting_best.take()
         } else {
-            self.waiting.take()
+            self.waiting.pop_front()
         };
         if let Some(next) = first {
             self.writing = true;

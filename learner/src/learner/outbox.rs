@@ -92,6 +92,8 @@ impl Outbox {
             if next >= bytes.len() as u64 {
                 self.spare = std::mem::take(bytes);
                 self.sending = self.waiting.pop_front();
+                // The next one in its turn: a disk takes them one after another.
+                break;
             }
         }
         Ok(())

@@ -126,6 +126,7 @@ fn the_best_is_kept_although_a_newer_one_was_committed_meanwhile() {
 #[test]
 fn a_slow_disk_costs_checkpoints_but_no_memory() {
     let mut fixture = Fixture::new(&["run.checkpoint_every=1", "run.evaluate_every=0"]);
+    fixture.snapshots.committer.room = 0;
     // Nobody looks what is done, so the first counts as being written.
     for iteration in 1..=5 {
         fixture.arrives(iteration);
@@ -140,6 +141,19 @@ fn a_slow_disk_costs_checkpoints_but_no_memory() {
         }
     }
     assert_eq!((given_up, committed), (vec![2, 3, 4], vec![1, 5]));
+}
+
+#[test]
+fn small_snapshots_wait_for_a_slow_disk() {
+    let mut fixture = Fixture::new(&["run.checkpoint_every=1", "run.evaluate_every=0"]);
+    for iteration in 1..=5 {
+        fixture.arrives(iteration);
+    }
+    let of = |result| match result {
+        Committed::Checkpoint { iteration, .. } => iteration,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(fixture.settle().into_iter().map(of).collect::<Vec<_>>(), [1, 2, 3, 4, 5]);
 }
 
 #[test]
