@@ -478,7 +478,7 @@ fn sweeps_that_cannot_be() {
 
     // As `octopus train --dry-run`.
     sweep.write("iterations = 1\n[grid]\nrun.device = [\"cuda:77\"]");
-    refused(&sweep.call(&["--dry-run"]), 4, &["trial device=cuda:77,seed=1: ", "cuda:77"]);
+    refused(&sweep.call(&["--dry-run"]), 4, &["trial device=cuda-77,seed=1", "cuda:77"]);
     assert!(!sweep.out().exists());
 
     // A directory of others is left as it is.
