@@ -61,7 +61,7 @@ pub fn write(bytes: &[u8]) -> anyhow::Result<()> {
     written(stdout.write_all(bytes).and_then(|()| stdout.flush()))
 }
 
-/// What writing to standard output has come to, see [`write`].
+/// What writing to standard output has come to, see [`write()`].
 pub fn written(result: std::io::Result<()>) -> anyhow::Result<()> {
     match result {
         Err(error) if error.kind() != ErrorKind::BrokenPipe && !is_closed_terminal(&error) => {
