@@ -7,7 +7,7 @@
 //! needs anyway. All losses are means over a mini-batch, for each agent by itself; chunks of a
 //! mini-batch add up, so every function takes the size of the whole.
 //!
-//! **Two implementations.** On a CPU a loss is a few passes over the samples in plain Rust (`plain.rs`). On a GPU it goes
+//! **Two implementations.** On a CPU a loss is a few passes over the samples in plain Rust (`actor_passes.rs`, `critic_pass.rs`). On a GPU it goes
 //! operation by operation of libtorch (`operations.rs`), which is also the twin that tests the other: the bits are the same.
 //!
 //! Letters: `A` agents, `U` actions of an agent, `B` samples of a chunk.
@@ -15,8 +15,11 @@
 //! Agents have as many actions as the one with most joints. `own`, `[A, U]`, is one where an action moves a joint and zero where it moves nothing: what such an
 //! action is has no probability and no gradient. Nothing is given where all actions move a joint.
 
+mod actor_passes;
+mod critic_pass;
+mod limits;
 mod operations;
-mod plain;
 
+pub(crate) use actor_passes::{ActorRoom, STATISTICS};
+pub(crate) use critic_pass::CriticRoom;
 pub use operations::{ActorGradient, ActorLoss, ActorSamples, CriticLoss, CriticSamples};
-pub(crate) use plain::{ActorPasses, CriticPasses, STATISTICS};

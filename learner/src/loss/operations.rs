@@ -240,11 +240,23 @@ mod tests {
     use tch::Device;
 
     use super::*;
-    use crate::loss::{ActorPasses, CriticPasses};
+    use crate::loss::{ActorRoom, CriticRoom};
 
     fn random(seed: i64, shape: &[i64]) -> Tensor {
         tch::manual_seed(seed);
         Tensor::randn(shape, (Kind::Double, Device::Cpu))
+    }
+
+    /// With a floor below which some deviations lie.
+    fn options(squash_mean: bool, dual_clip: f64) -> ActorLoss {
+        ActorLoss {
+            clip: 0.2,
+            dual_clip,
+            multiplier: 3.0,
+            entropy_coefficient: 0.05,
+            squash_mean,
+            min_log_std: -0.5,
+        }
     }
 
     /// The loss as its definition says, for libtorch to differentiate.
@@ -279,14 +291,7 @@ mod tests {
         for (squash_mean, dual_clip, own) in
             [(true, 0.0, None), (false, 1.3, None), (true, 0.0, Some(&own))]
         {
-            let loss = ActorLoss {
-                clip: 0.2,
-                dual_clip,
-                multiplier: 3.0,
-                entropy_coefficient: 0.05,
-                squash_mean,
-                min_log_std: -0.5,
-            };
+            let loss = options(squash_mean, dual_clip);
             let (a, u, b) = (2, 3, 50);
             let output = random(1, &[a, u, b]).set_requires_grad(true);
             // One deviation lies below its floor.
@@ -363,7 +368,7 @@ mod tests {
     #[test]
     fn passes_over_actors_samples_give_the_bits_of_the_operations() {
         let draw = |seed, shape: &[i64]| random(seed, shape).to_kind(Kind::Float);
-        let mut passes = ActorPasses::default();
+        let mut room = ActorRoom::default();
         for (u, b, squash_mean, dual_clip, with_own) in [
             (3, 200, true, 0.0, false),
             (3, 200, false, 1.3, false),
@@ -372,14 +377,7 @@ mod tests {
             (48, 33, true, 1.3, true),
             (1, 1, false, 0.0, false),
         ] {
-            let loss = ActorLoss {
-                clip: 0.2,
-                dual_clip,
-                multiplier: 3.0,
-                entropy_coefficient: 0.05,
-                squash_mean,
-                min_log_std: -0.5,
-            };
+            let loss = options(squash_mean, dual_clip);
             let parameter = draw(5, &[2, u]) * 0.5;
             let own = with_own.then(|| draw(7, &[2, u]).gt(-0.5).to_kind(Kind::Float));
             // Densities of about the actions' own: ratios on both sides of the limits.
@@ -393,7 +391,7 @@ mod tests {
             }
             let output = draw(1, &[2, u, b]);
             let (gradient, sums) = loss.gradient_in_passes(
-                &mut passes,
+                &mut room,
                 &output,
                 &f32s(&parameter),
                 own.as_ref().map(f32s).as_deref(),
@@ -412,7 +410,7 @@ mod tests {
     #[test]
     fn a_pass_over_critics_samples_gives_the_bits_of_the_operations() {
         let draw = |seed, shape: &[i64]| random(seed, shape).to_kind(Kind::Float);
-        let mut passes = CriticPasses::default();
+        let mut room = CriticRoom::default();
         for (clip, huber_delta) in [(0.2, 0.7), (0.2, 0.0), (0.0, 0.7), (0.0, 0.0)] {
             for (critics, each, b) in [(2, 1, 200), (1, 4, 33), (2, 3, 1)] {
                 let loss = CriticLoss { clip, huber_delta, coefficient: 0.5 };
@@ -425,7 +423,7 @@ mod tests {
                     }
                 }
                 let (gradient, sums) =
-                    loss.gradient_in_a_pass(&mut passes, &output, &f32s(&samples), 300);
+                    loss.gradient_in_a_pass(&mut room, &output, &f32s(&samples), 300);
                 let theirs = loss.gradient(&value, &CriticSamples(samples), 300);
                 let by_output = theirs.0.view([each, critics, b]).transpose(0, 1) / each as f64;
                 assert!(bits(&f32s(gradient)) == bits(&f32s(&by_output)), "clip {clip}");

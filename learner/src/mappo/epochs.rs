@@ -57,6 +57,7 @@ impl Group {
             for mini_batch in 0..options.mini_batches {
                 let bound = |i: usize| i * m / options.mini_batches;
                 let rows = &order[bound(mini_batch)..bound(mini_batch + 1)];
+                debug_assert!(!rows.is_empty(), "there are more mini-batches than samples");
                 let batch = MiniBatch {
                     options,
                     samples: &samples,

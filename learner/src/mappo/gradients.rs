@@ -29,10 +29,6 @@ impl Group {
         network: &NetworkPart,
         batch: &MiniBatch<'_>,
     ) -> Vec<f32> {
-        debug_assert!(
-            !batch.rows.is_empty(),
-            "configurations have no more mini-batches than samples"
-        );
         self.actor.compute.load(&network.flat);
         let statistics = if self.plain.is_some() {
             self.plain_actor_gradient(network, batch)

@@ -2,7 +2,7 @@
 
 use tch::Tensor;
 
-use crate::loss::{ActorPasses, CriticPasses};
+use crate::loss::{ActorRoom, CriticRoom};
 
 /// Room for what is computed of a chunk.
 #[derive(Debug, Default)]
@@ -11,6 +11,6 @@ pub(super) struct Room {
     pub(super) seen: [Option<Tensor>; 2],
     /// `[A, U + 2, B]` or `[A, 2, B]`: what losses need of the samples.
     pub(super) columns: Vec<f32>,
-    pub(super) actor: ActorPasses,
-    pub(super) critic: CriticPasses,
+    pub(super) actor: ActorRoom,
+    pub(super) critic: CriticRoom,
 }

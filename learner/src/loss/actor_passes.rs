@@ -1,11 +1,12 @@
-//! The losses on a CPU: passes over the samples in plain Rust.
+//! The actors' loss on a CPU: passes over the samples in plain Rust.
 //!
 //! Each number is made by the operations of the twin, in their order and each rounded, so the bits are the same. What libtorch has ways of its own for stays
 //! libtorch's: exponentials, tanh and its derivative, and sums.
 
 use tch::{Device, Kind, Tensor};
 
-use super::operations::{ActorLoss, CriticLoss, HALF_LN_TAU};
+use super::limits::{clamp, maximum, minimum};
+use super::operations::{ActorLoss, HALF_LN_TAU};
 use crate::features::{Features, Loop, run_for};
 use crate::memory::{are_apart, numbers, numbers_mut};
 
@@ -14,7 +15,7 @@ pub(crate) const STATISTICS: usize = 3;
 
 /// Room for the actors' loss of a chunk.
 #[derive(Debug)]
-pub(crate) struct ActorPasses {
+pub(crate) struct ActorRoom {
     /// A, U, B.
     size: [usize; 3],
     /// `[2, A, U]`: reciprocal deviations, and what an action adds to a density's constant.
@@ -34,13 +35,13 @@ pub(crate) struct ActorPasses {
     by_log_prob: Vec<f32>,
 }
 
-impl Default for ActorPasses {
+impl Default for ActorRoom {
     fn default() -> Self {
         Self::new([0; 3])
     }
 }
 
-impl ActorPasses {
+impl ActorRoom {
     fn new(size: [usize; 3]) -> Self {
         let [a, u, b] = size;
         let tensor = |shape: &[usize]| {
@@ -82,7 +83,7 @@ impl ActorLoss {
     #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     pub(crate) fn gradient_in_passes<'p>(
         &self,
-        passes: &'p mut ActorPasses,
+        room: &'p mut ActorRoom,
         output: &Tensor,
         parameter: &[f32],
         own: Option<&[f32]>,
@@ -92,10 +93,10 @@ impl ActorLoss {
         let (a, u, b) = output.size3().expect("[A, U, B]");
         let size @ [a, u, b] = [a, u, b].map(|size| size as usize);
         assert_eq!((parameter.len(), columns.len()), (a * u, a * (u + 2) * b), "other samples");
-        if passes.size != size {
-            *passes = ActorPasses::new(size);
+        if room.size != size {
+            *room = ActorRoom::new(size);
         }
-        let ActorPasses {
+        let ActorRoom {
             deviations,
             mean,
             z,
@@ -107,9 +108,9 @@ impl ActorLoss {
             sums,
             by_log_prob,
             ..
-        } = passes;
+        } = room;
         let row = &[-1i64][..];
-        // SAFETY: made of zeros by the passes, which lend them to nobody else; libtorch does nothing until they are written.
+        // SAFETY: made of zeros with the room, which lends them to nobody else; libtorch does nothing until they are written.
         let (negative, constants) = unsafe { numbers_mut(deviations) }.split_at_mut(a * u);
         let floor = self.min_log_std as f32;
         for (index, &parameter) in parameter.iter().enumerate() {
@@ -125,34 +126,31 @@ impl ActorLoss {
             let _ = output.tanh_out(mean);
         }
         let mean = if self.squash_mean { &*mean } else { output };
-        assert!(are_apart(&[z, squares, log_ratio, mean]), "outputs lie in memory of the passes");
-        // SAFETY: outputs are the caller's, filled and apart from the passes' tensors, which were made of zeros. libtorch does nothing until the pass has ended.
+        assert!(are_apart(&[z, squares, log_ratio, mean]), "outputs lie in the room");
+        // SAFETY: filled above; nobody writes there until the next chunk.
+        let inverse_std = unsafe { numbers(&inverse_std) };
+        let shared = Shared { actions: u, samples: b, inverse_std, own, columns };
+        // SAFETY: outputs are the caller's, filled and apart from the room's tensors, which were made of zeros. libtorch does nothing until the pass has ended.
         unsafe {
-            let shared =
-                Shared { actions: u, samples: b, inverse_std: numbers(&inverse_std), own, columns };
             let (z, squares) = (numbers_mut(z), numbers_mut(squares));
             run_for(Features::detect(), StandardPass { shared, mean: numbers(mean), z, squares });
         }
         let _ = squares.sum_intlist_out(log_ratio, &[1i64][..], false, Kind::Float);
-        // SAFETY: as above; what the passes made is in tensors of its own.
+        // SAFETY: as above; what stands in the room is in tensors of its own.
         unsafe {
             run_for(
                 Features::detect(),
                 RatioPass {
-                    actions: u,
-                    samples: b,
+                    shared,
                     half_ln_tau: if own.is_some() { 0.0 } else { (HALF_LN_TAU * u as f64) as f32 },
                     constant: numbers(&constant),
-                    columns,
                     log_ratio: numbers_mut(log_ratio),
                 },
             );
         }
         let _ = log_ratio.exp_out(ratio);
-        // SAFETY: as above; what the passes made is in tensors of its own.
+        // SAFETY: as above; what stands in the room is in tensors of its own.
         unsafe {
-            let shared =
-                Shared { actions: u, samples: b, inverse_std: numbers(&inverse_std), own, columns };
             run_for(
                 Features::detect(),
                 TermsPass {
@@ -172,7 +170,7 @@ impl ActorLoss {
         if self.squash_mean {
             let _ = Tensor::tanh_backward_grad_input(gradient, z, mean);
         }
-        // SAFETY: as above; what the passes made is in tensors of its own.
+        // SAFETY: as above; what stands in the room is in tensors of its own.
         let sums: &mut [f32] = unsafe { numbers_mut(sums) };
         for surrogate in sums.iter_mut().step_by(STATISTICS + u) {
             *surrogate *= -self.multiplier as f32;
@@ -231,14 +229,11 @@ impl Loop for StandardPass<'_> {
 
 /// The logarithm of the ratio of probabilities, from the sum of squares.
 struct RatioPass<'a> {
-    actions: usize,
-    samples: usize,
+    shared: Shared<'a>,
     /// U ½ ln 2π, or zero where `constant` has it.
     half_ln_tau: f32,
     /// `[A]`: Σ ln σ, where some actions move nothing with ½ ln 2π of each that does.
     constant: &'a [f32],
-    /// `[A, U + 2, B]`.
-    columns: &'a [f32],
     /// `[A, B]`.
     log_ratio: &'a mut [f32],
 }
@@ -246,10 +241,10 @@ struct RatioPass<'a> {
 impl Loop for RatioPass<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        let (u, b) = (self.actions, self.samples);
+        let Shared { actions: u, samples: b, columns, .. } = self.shared;
         for (agent, log_ratio) in self.log_ratio.chunks_exact_mut(b).enumerate() {
             let constant = self.constant[agent] + self.half_ln_tau;
-            let old = &self.columns[(agent * (u + 2) + u) * b..][..b];
+            let old = &columns[(agent * (u + 2) + u) * b..][..b];
             for i in 0..b {
                 log_ratio[i] = log_ratio[i] * -0.5 - constant - old[i];
             }
@@ -317,171 +312,4 @@ impl Loop for TermsPass<'_> {
             }
         }
     }
-}
-
-/// Room for the critics' loss of a chunk.
-#[derive(Debug)]
-pub(crate) struct CriticPasses {
-    /// As the outputs: `[C, A / C, B]`.
-    gradient: Tensor,
-    /// `[A, B]` and `[A]`: losses, and their sums over samples.
-    loss: Tensor,
-    sums: Tensor,
-}
-
-impl Default for CriticPasses {
-    fn default() -> Self {
-        Self::new([0; 3])
-    }
-}
-
-impl CriticPasses {
-    fn new([critics, each, b]: [i64; 3]) -> Self {
-        let zeros = |shape: &[i64]| Tensor::zeros(shape, (Kind::Float, Device::Cpu));
-        Self {
-            gradient: zeros(&[critics, each, b]),
-            loss: zeros(&[critics * each, b]),
-            sums: zeros(&[critics * each]),
-        }
-    }
-}
-
-impl CriticLoss {
-    /// [`CriticLoss::gradient`] in a pass: the gradient by the outputs `[C, A / C, B]` of the mean loss over a critic's agents, and the sum of the losses
-    /// over samples of each agent. Critic c is that of the agents c, c + C, c + 2C … `columns` is `[A, 2, B]`.
-    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
-    pub(crate) fn gradient_in_a_pass<'p>(
-        &self,
-        passes: &'p mut CriticPasses,
-        output: &Tensor,
-        columns: &[f32],
-        batch: usize,
-    ) -> (&'p Tensor, &'p [f32]) {
-        let (critics, each, b) = output.size3().expect("[C, A / C, B]");
-        let size = [critics, each, b];
-        let [critics, each, b] = size.map(|size| size as usize);
-        assert_eq!(columns.len(), critics * each * 2 * b, "other samples");
-        if passes.gradient.size() != size {
-            *passes = CriticPasses::new(size);
-        }
-        assert!(are_apart(&[&passes.gradient, output]), "outputs lie in memory of the passes");
-        // SAFETY: outputs are the caller's, filled and apart from the gradient, which was made of zeros. libtorch does nothing until the pass has ended.
-        let pass = unsafe {
-            ValuePass {
-                critics,
-                each,
-                samples: b,
-                clip: (self.clip != 0.0).then_some(self.clip as f32),
-                huber_delta: (self.huber_delta != 0.0).then_some(self.huber_delta as f32),
-                scale: (self.coefficient / batch as f64) as f32,
-                output: numbers(output),
-                columns,
-                gradient: numbers_mut(&mut passes.gradient),
-                loss: numbers_mut(&mut passes.loss),
-            }
-        };
-        run_for(Features::detect(), pass);
-        let CriticPasses { gradient, loss, sums } = passes;
-        let _ = loss.sum_intlist_out(sums, &[1i64][..], false, Kind::Float);
-        // SAFETY: as above; what the passes made is in tensors of its own.
-        let sums: &mut [f32] = unsafe { numbers_mut(sums) };
-        for sum in &mut *sums {
-            *sum *= self.coefficient as f32;
-        }
-        (gradient, sums)
-    }
-}
-
-/// The critics' losses and their gradients.
-struct ValuePass<'a> {
-    /// C.
-    critics: usize,
-    /// A / C.
-    each: usize,
-    /// B.
-    samples: usize,
-    clip: Option<f32>,
-    huber_delta: Option<f32>,
-    /// c / B.
-    scale: f32,
-    /// `[C, A / C, B]`.
-    output: &'a [f32],
-    /// `[A, 2, B]`.
-    columns: &'a [f32],
-    /// Out: `[C, A / C, B]`.
-    gradient: &'a mut [f32],
-    /// Out: `[A, B]`.
-    loss: &'a mut [f32],
-}
-
-impl ValuePass<'_> {
-    /// The loss's derivative by the error.
-    #[inline(always)]
-    fn slope(huber_delta: Option<f32>, error: f32) -> f32 {
-        huber_delta.map_or(error, |delta| clamp(error, [-delta, delta]))
-    }
-
-    /// The loss of an error.
-    #[inline(always)]
-    fn penalty(huber_delta: Option<f32>, error: f32) -> f32 {
-        if huber_delta.is_none() {
-            return error * error * 0.5;
-        }
-        let inner = Self::slope(huber_delta, error);
-        inner * (error - inner * 0.5)
-    }
-}
-
-impl Loop for ValuePass<'_> {
-    #[inline(always)]
-    fn run<const FMA: bool>(self) {
-        let Self { critics, each, samples: b, clip, huber_delta, scale, output, columns, .. } =
-            self;
-        for (agent, loss) in self.loss.chunks_exact_mut(b).enumerate() {
-            let at = (agent % critics * each + agent / critics) * b;
-            let (value, gradient) = (&output[at..][..b], &mut self.gradient[at..][..b]);
-            let (old, target) = columns[agent * 2 * b..][..2 * b].split_at(b);
-            for i in 0..b {
-                let error = value[i] - target[i];
-                let plain = Self::penalty(huber_delta, error);
-                let slope = Self::slope(huber_delta, error);
-                let Some(clip) = clip else {
-                    (loss[i], gradient[i]) = (plain, slope * scale);
-                    continue;
-                };
-                let change = value[i] - old[i];
-                let small = clamp(change, [-clip, clip]);
-                let limited = Self::penalty(huber_delta, old[i] + small - target[i]);
-                let moves = plain >= limited || small == change;
-                loss[i] = maximum(plain, limited);
-                gradient[i] = slope * f32::from(u8::from(moves)) * scale;
-            }
-            if each > 1 {
-                for gradient in gradient {
-                    *gradient /= each as f32;
-                }
-            }
-        }
-    }
-}
-
-/// `x` between two limits; NaN stays.
-#[inline(always)]
-fn clamp(x: f32, [low, high]: [f32; 2]) -> f32 {
-    let x = if x < low { low } else { x };
-    if x > high { high } else { x }
-}
-
-/// The smaller of two numbers; NaN if one is.
-#[inline(always)]
-fn minimum(a: f32, b: f32) -> f32 {
-    let least = if a < b { a } else { b };
-    if a.is_nan() { a } else { least }
-}
-
-/// The larger of two numbers; NaN if one is.
-#[inline(always)]
-fn maximum(a: f32, b: f32) -> f32 {
-    let most = if a > b { a } else { b };
-    if a.is_nan() { a } else { most }
 }
