@@ -2,6 +2,9 @@
 
 use crate::features::{Features, Loop, run_for};
 
+/// Numbers that are rounded at once: as many f32 as a register of 512 bits holds.
+pub(crate) const BLOCK: usize = 16;
+
 /// A number as activations are kept.
 pub(crate) trait Number: Copy {
     /// Widened exactly.
@@ -16,7 +19,7 @@ pub(crate) trait Number: Copy {
     #[cfg(target_arch = "x86_64")]
     #[expect(unsafe_code, reason = "an instruction of detected processor features")]
     #[inline(always)]
-    unsafe fn round_each_natively(x: [f32; 16]) -> [Self; 16] {
+    unsafe fn round_each_natively(x: [f32; BLOCK]) -> [Self; BLOCK] {
         x.map(Self::round)
     }
 }
@@ -51,7 +54,7 @@ impl Number for Bf16 {
     #[cfg(target_arch = "x86_64")]
     #[expect(unsafe_code, reason = "an instruction of detected processor features")]
     #[inline(always)]
-    unsafe fn round_each_natively(x: [f32; 16]) -> [Self; 16] {
+    unsafe fn round_each_natively(x: [f32; BLOCK]) -> [Self; BLOCK] {
         use std::arch::x86_64::{_mm512_cvtneps_pbh, _mm512_loadu_ps};
         // SAFETY: the caller's promise. Both types are 32 bytes, of which any bits are sixteen numbers.
         unsafe { std::mem::transmute(_mm512_cvtneps_pbh(_mm512_loadu_ps(x.as_ptr()))) }

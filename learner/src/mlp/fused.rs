@@ -9,12 +9,16 @@
 //! Letters as in [`super`]: `N` networks, `K` actors of each, `A = K·N`, `B` samples, `R = B·K` rows, `H` features, `U` outputs of the head. All
 //! arrays are row-major.
 
+#[cfg(target_arch = "x86_64")]
+use super::rounding::Natively;
+use super::rounding::{Plain, Rounding};
+use super::unit::{Elu, Nonlinearity, Relu, Unit};
 use crate::features::{Features, Loop, mul_add, run_for};
 use crate::layer_norm::LAYER_NORM_EPSILON;
-use crate::number::Number;
+use crate::number::{BLOCK, Number};
 
 /// Interleaved chains of a sum.
-const CHAINS: usize = 16;
+const CHAINS: usize = BLOCK;
 
 /// What a hidden layer makes of its product, `[N, R, H]` each, and reciprocal deviations `[N, R]`.
 #[derive(Debug)]
@@ -112,92 +116,6 @@ impl Sizes {
     }
 }
 
-/// What a hidden unit makes of its input.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Unit {
-    /// max(x, 0).
-    Relu,
-    /// x above zero, eˣ − 1 below [Clevert, Unterthiner and Hochreiter 2016].
-    Elu,
-}
-
-/// [`Unit`] as the passes are compiled for it.
-trait Nonlinearity {
-    fn of<const FMA: bool>(self, x: f32) -> f32;
-    /// The gradient by x from that by what became of it.
-    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32;
-    /// The same where x is not at hand, but `y`, what became of it.
-    fn back_from_result(self, y: f32, d: f32) -> f32;
-}
-
-#[derive(Clone, Copy)]
-struct Relu;
-
-impl Nonlinearity for Relu {
-    #[inline(always)]
-    fn of<const FMA: bool>(self, x: f32) -> f32 {
-        if x > 0.0 { x } else { 0.0 }
-    }
-    #[inline(always)]
-    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32 {
-        if x > 0.0 { d } else { 0.0 }
-    }
-    #[inline(always)]
-    fn back_from_result(self, y: f32, d: f32) -> f32 {
-        if y > 0.0 { d } else { 0.0 }
-    }
-}
-
-#[derive(Clone, Copy)]
-struct Elu;
-
-impl Nonlinearity for Elu {
-    #[inline(always)]
-    fn of<const FMA: bool>(self, x: f32) -> f32 {
-        let below = exp_of_negative::<FMA>(x) - 1.0;
-        if x > 0.0 { x } else { below }
-    }
-    #[inline(always)]
-    fn back<const FMA: bool>(self, x: f32, d: f32) -> f32 {
-        let below = d * exp_of_negative::<FMA>(x);
-        if x > 0.0 { d } else { below }
-    }
-    /// eˣ is y + 1, without another exponential.
-    #[inline(always)]
-    fn back_from_result(self, y: f32, d: f32) -> f32 {
-        let below = d * (y + 1.0);
-        if y > 0.0 { d } else { below }
-    }
-}
-
-/// eˣ for x ≤ 0, within 2⁻²³; 1 above. NaN gives NaN.
-///
-/// x = n ln 2 + r with |r| ≤ ½ ln 2, and the Taylor series of eʳ to r⁷, whose rest is below 2⁻²⁷, by Estrin's scheme: half as many steps wait for one
-/// another as in Horner's.
-#[inline(always)]
-fn exp_of_negative<const FMA: bool>(x: f32) -> f32 {
-    /// 1.5 · 2²³: sums with it have no digits behind the point.
-    const ROUND: f32 = 12_582_912.0;
-    // ln 2 in two parts, the first of so few digits that n times it is exact.
-    const LN_2_HIGH: f32 = 0.693_359_4;
-    const LN_2_LOW: f32 = -2.121_944_4e-4;
-    // Below, eˣ is no normal number.
-    let x = if x > 0.0 { 0.0 } else { x };
-    let x = if x < -87.0 { -87.0 } else { x };
-    let n = mul_add::<FMA>(x, std::f32::consts::LOG2_E, ROUND) - ROUND;
-    let r = mul_add::<FMA>(n, -LN_2_LOW, mul_add::<FMA>(n, -LN_2_HIGH, x));
-    let r2 = r * r;
-    let to_1 = r + 1.0;
-    let to_3 = mul_add::<FMA>(r, 1.0 / 6.0, 0.5);
-    let to_5 = mul_add::<FMA>(r, 1.0 / 120.0, 1.0 / 24.0);
-    let to_7 = mul_add::<FMA>(r, 1.0 / 5040.0, 1.0 / 720.0);
-    let (low, high) = (mul_add::<FMA>(to_3, r2, to_1), mul_add::<FMA>(to_7, r2, to_5));
-    let sum = mul_add::<FMA>(high, r2 * r2, low);
-    // 2ⁿ, −126 ≤ n ≤ 0, by its exponent; whole numbers below 2²³ stand in the lower bits of a sum with ROUND.
-    let exponent = (n + ROUND).to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127);
-    sum * f32::from_bits(exponent << 23)
-}
-
 /// Scratch memory of the passes: one row's features, twice.
 #[derive(Debug)]
 pub(crate) struct RowPasses {
@@ -245,33 +163,39 @@ struct RowKernel<'r, A, N> {
     unit: N,
 }
 
-impl<T: Number, N: Nonlinearity + Copy> Loop for RowKernel<'_, Forward<'_, T>, N> {
+/// A pass, with a way to round what it puts.
+trait Pass {
+    fn run<R: Rounding, const FMA: bool>(self, rounding: R);
+}
+
+impl<T: Number, N: Nonlinearity + Copy> Pass for RowKernel<'_, Forward<'_, T>, N> {
     #[inline(always)]
-    fn run<const FMA: bool>(self) {
-        forward_rows::<T, N, _, FMA>(self.sizes, self.arrays, self.rows, self.unit, Plain);
-    }
-    #[cfg(target_arch = "x86_64")]
-    #[expect(unsafe_code, reason = "the processor's own rounding")]
-    #[inline(always)]
-    unsafe fn run_with_bf16(self) {
-        // SAFETY: the caller's promise.
-        let natively = unsafe { Natively::new() };
-        forward_rows::<T, N, _, true>(self.sizes, self.arrays, self.rows, self.unit, natively);
+    fn run<R: Rounding, const FMA: bool>(self, rounding: R) {
+        forward_rows::<T, N, R, FMA>(self.sizes, self.arrays, self.rows, self.unit, rounding);
     }
 }
 
-impl<T: Number, N: Nonlinearity + Copy> Loop for RowKernel<'_, Backward<'_, T>, N> {
+impl<T: Number, N: Nonlinearity + Copy> Pass for RowKernel<'_, Backward<'_, T>, N> {
+    #[inline(always)]
+    fn run<R: Rounding, const FMA: bool>(self, rounding: R) {
+        backward_rows::<T, N, R, FMA>(self.sizes, self.arrays, self.rows, self.unit, rounding);
+    }
+}
+
+impl<A, N> Loop for RowKernel<'_, A, N>
+where
+    Self: Pass,
+{
     #[inline(always)]
     fn run<const FMA: bool>(self) {
-        backward_rows::<T, N, _, FMA>(self.sizes, self.arrays, self.rows, self.unit, Plain);
+        Pass::run::<_, FMA>(self, Plain);
     }
     #[cfg(target_arch = "x86_64")]
     #[expect(unsafe_code, reason = "the processor's own rounding")]
     #[inline(always)]
     unsafe fn run_with_bf16(self) {
         // SAFETY: the caller's promise.
-        let natively = unsafe { Natively::new() };
-        backward_rows::<T, N, _, true>(self.sizes, self.arrays, self.rows, self.unit, natively);
+        Pass::run::<_, true>(self, unsafe { Natively::new() });
     }
 }
 
@@ -492,48 +416,6 @@ fn put_gradient<T: Number, R: Rounding>(
     gradient[start..][..CHAINS].copy_from_slice(&rounding.each(d));
 }
 
-/// How sixteen numbers are rounded.
-trait Rounding: Copy {
-    fn each<T: Number>(self, x: [f32; CHAINS]) -> [T; CHAINS];
-}
-
-/// In steps that every processor has.
-#[derive(Clone, Copy)]
-struct Plain;
-
-impl Rounding for Plain {
-    #[inline(always)]
-    fn each<T: Number>(self, x: [f32; CHAINS]) -> [T; CHAINS] {
-        x.map(T::round)
-    }
-}
-
-/// By an instruction of AVX-512 with bfloat16.
-#[cfg(target_arch = "x86_64")]
-#[derive(Clone, Copy)]
-struct Natively(());
-
-#[cfg(target_arch = "x86_64")]
-#[expect(unsafe_code, reason = "the processor's own rounding")]
-impl Natively {
-    /// # Safety
-    /// It is only used by code that is compiled for AVX-512 with bfloat16.
-    #[inline(always)]
-    unsafe fn new() -> Self {
-        Self(())
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-#[expect(unsafe_code, reason = "the processor's own rounding")]
-impl Rounding for Natively {
-    #[inline(always)]
-    fn each<T: Number>(self, x: [f32; CHAINS]) -> [T; CHAINS] {
-        // SAFETY: who made it promised that.
-        unsafe { T::round_each_natively(x) }
-    }
-}
-
 /// The gradient by `W` features of the row `hidden` from those by the outputs, into `gradient`; adds the gradients by the weights.
 #[inline(always)]
 fn back_through_head<const FMA: bool, const W: usize>(
@@ -561,24 +443,4 @@ fn back_through_head<const FMA: bool, const W: usize>(
         weight_gradient.copy_from_slice(&made);
     }
     gradient[start..][..W].copy_from_slice(&sums);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_exponential_is_that_of_the_standard_library() {
-        for i in 0..87_000 {
-            let x = -(i as f32) * 1e-3;
-            let exact = f64::from(x).exp();
-            for found in [exp_of_negative::<true>(x), exp_of_negative::<false>(x)] {
-                let error = (f64::from(found) / exact - 1.0).abs();
-                assert!(error < 2.0 * f64::from(f32::EPSILON), "{x}: {found}, {exact}");
-            }
-        }
-        assert_eq!(exp_of_negative::<true>(3.0), 1.0);
-        assert!(exp_of_negative::<true>(-1e9) < 1e-37);
-        assert!(exp_of_negative::<true>(f32::NAN).is_nan());
-    }
 }

@@ -31,8 +31,10 @@ mod fused;
 mod passes;
 mod plain;
 mod products;
+mod rounding;
 mod stack;
 mod torch;
+mod unit;
 
 pub use compute::{Compute, Threads};
 

@@ -3,10 +3,11 @@
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
 
-use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes, Unit};
+use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Sizes};
 use super::passes::{Passes, StepGradient};
 use super::products::Products;
 use super::stack::Stack;
+use super::unit::Unit;
 use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::number::{Bf16, Number};
 use crate::product::Native;
