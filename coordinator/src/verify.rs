@@ -31,7 +31,7 @@ the run stops and which checkpoints are kept are reported as harmless.
 What is not promised: the same bits from another processor type, another build (version, commit, \
 debug or release), another C library, more threads than networks (run.learner_threads), or a GPU. Where \
 two runs differ in one of these, equal digests are luck and different ones no defect; the report \
-names every such difference.
+names every such difference but that of C libraries.
 
 A replay begins at the newest checkpoint of iteration K or earlier, or from nothing if there is \
 none, with the configuration that RUN holds now, in a temporary directory that is removed \

@@ -7,6 +7,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use channels::WAITING_SNAPSHOTS;
 use proto::config::Config;
 use store::checkpoint::{
     CheckpointError, CheckpointStore, Name, Placement, Retention, Score, Snapshot,
@@ -77,9 +78,6 @@ pub enum Committed {
     },
 }
 
-/// Memory of snapshots that wait (bytes).
-const MAX_WAITING: usize = 256 << 20;
-
 /// The thread. Dropping it waits for the work under way.
 ///
 /// While one snapshot is being written, others wait as far as there is memory for them, and the newest of those
@@ -144,7 +142,7 @@ impl Committer {
             writing: false,
             waiting: VecDeque::new(),
             waiting_best: None,
-            room: MAX_WAITING,
+            room: WAITING_SNAPSHOTS,
             results: Vec::new(),
         }
     }

@@ -7,6 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// What was true when a session of a run began; `provenance.json` holds one for each session, and
 /// every checkpoint that of its own.
@@ -47,6 +48,10 @@ const PROMISE: &str = "digests are equal for the same configuration, seed, build
     workers, kills and resumes; other processors, builds, C libraries, learner threads, precisions and \
     GPUs may round differently";
 
+/// The fields of [`Provenance`] that tell of it.
+pub const PROMISED_FOR: [&str; 5] =
+    ["version", "commit", "build", "processor", "vector_extensions"];
+
 /// The commit of this program.
 static COMMIT: OnceLock<&str> = OnceLock::new();
 
@@ -59,17 +64,21 @@ pub fn built_from(commit: &'static str) {
 impl Provenance {
     /// What has changed since the session `before` of that which equal digests depend on, in words; nothing if nothing has.
     pub fn changes_since(&self, before: &Self) -> Option<String> {
-        let vectors = |of: &Self| of.vector_extensions.join(" ");
-        let fields = [
-            ("version", self.version.to_string(), before.version.to_string()),
-            ("commit", self.commit.to_string(), before.commit.to_string()),
-            ("build", self.build.to_string(), before.build.to_string()),
-            ("processor", self.processor.clone(), before.processor.clone()),
-            ("vector extensions", vectors(self), vectors(before)),
-        ];
-        let changed = fields.iter().filter(|(_, now, then)| now != then);
-        let said: Vec<_> =
-            changed.map(|(field, now, then)| format!("{field} {now}, before {then}")).collect();
+        let [now, then] = [self, before].map(|session| serde_json::json!(session));
+        let shown = |value: &Value| match value {
+            Value::String(text) => text.clone(),
+            Value::Array(values) => {
+                values.iter().filter_map(Value::as_str).collect::<Vec<_>>().join(" ")
+            }
+            other => other.to_string(),
+        };
+        let changed = PROMISED_FOR.iter().filter(|field| now[**field] != then[**field]);
+        let said: Vec<_> = changed
+            .map(|field| {
+                let (name, now, then) = (field.replace('_', " "), &now[*field], &then[*field]);
+                format!("{name} {}, before {}", shown(now), shown(then))
+            })
+            .collect();
         (!said.is_empty()).then(|| said.join("; "))
     }
 

@@ -1,4 +1,4 @@
-//! Snapshots that wait to be sent: the one on its way, and the newest others, as far as there is memory for them.
+//! Snapshots that wait to be sent: the one on its way, and others as far as there is memory for them.
 //!
 //! A coordinator that stands still takes nothing, and a state may take longer to send than iterations take to
 //! train. Then the oldest that wait are given up, as they are where a disk is slower than the training: a snapshot
@@ -7,13 +7,8 @@
 
 use std::collections::VecDeque;
 
+use channels::{PIECE_BUFFER, WAITING_SNAPSHOTS};
 use proto::layout::SnapshotHeader;
-
-/// Pieces that are sent in one go, as many as the channel holds: blocks that arrive wait meanwhile.
-const PIECES: usize = 4;
-
-/// What waits takes no more memory than this together (bytes), unless one alone does.
-const MAX_WAITING: usize = 256 << 20;
 
 /// Snapshots on their way.
 #[derive(Debug, Default)]
@@ -66,7 +61,7 @@ impl Outbox {
         // All states of a training are as long as each other.
         let next = self.sending.as_ref().map_or(0, |sending| sending.bytes.len());
         let mut waiting: usize = self.waiting.iter().map(|waiting| waiting.bytes.len()).sum();
-        while waiting + next > MAX_WAITING
+        while waiting + next > WAITING_SNAPSHOTS
             && let Some(Outgoing { header, bytes }) = self.waiting.pop_front()
         {
             let iteration = header.iteration;
@@ -82,7 +77,8 @@ impl Outbox {
         &mut self,
         mut send: impl FnMut(SnapshotHeader, &[u8]) -> Result<u64, E>,
     ) -> Result<(), E> {
-        for _ in 0..PIECES {
+        // Blocks that arrive wait meanwhile.
+        for _ in 0..PIECE_BUFFER {
             let Some(Outgoing { header, bytes }) = &mut self.sending else { break };
             let next = send(*header, bytes)?;
             if next == header.offset {
@@ -170,8 +166,8 @@ mod tests {
             taken
         };
         // What is on its way is sent to its end, and then the newest.
-        assert_eq!(kept(MAX_WAITING / 2), [1, 3, 4]);
-        assert_eq!(kept(MAX_WAITING / 2 + 1), [1, 4]);
-        assert_eq!(kept(MAX_WAITING + 1), [1, 4]);
+        assert_eq!(kept(WAITING_SNAPSHOTS / 2), [1, 3, 4]);
+        assert_eq!(kept(WAITING_SNAPSHOTS / 2 + 1), [1, 4]);
+        assert_eq!(kept(WAITING_SNAPSHOTS + 1), [1, 4]);
     }
 }

@@ -43,7 +43,9 @@ pub use messages::{MessageReceiver, MessageSender, Missed, OrderSender};
 pub use pieces::{PieceReceiver, PieceSample, PieceSender};
 pub use place::SHARED_MEMORY;
 pub use services::Channels;
-pub use sizes::{ChannelSizes, ORDERS_PER_WORKER, PIECE_LEN, STATUS_LEN};
+pub use sizes::{
+    ChannelSizes, ORDERS_PER_WORKER, PIECE_BUFFER, PIECE_LEN, STATUS_LEN, WAITING_SNAPSHOTS,
+};
 
 #[cfg(doc)]
 use proto::message::{Order, Progress, Status};

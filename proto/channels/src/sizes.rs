@@ -7,6 +7,10 @@ use crate::segment::MARGIN;
 
 /// Longest piece of a snapshot (bytes).
 pub const PIECE_LEN: usize = 4 << 20;
+/// Pieces of a snapshot that may wait.
+pub const PIECE_BUFFER: usize = 4;
+/// Memory that whole snapshots which wait may take (bytes), before they are sent and before they are written.
+pub const WAITING_SNAPSHOTS: usize = 256 << 20;
 
 /// Fixed sizes of a run's channels. Created once, equal in every process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,8 +53,6 @@ pub(crate) const POLICY_BORROWED: usize = 3;
 /// Services, connections and what must stay free (bytes): an allowance, which a test compares with what
 /// is taken.
 const MANAGEMENT: u64 = (3 << 20) + MARGIN;
-/// Pieces of a snapshot that may wait.
-pub(crate) const PIECE_BUFFER: usize = 4;
 
 impl ChannelSizes {
     /// The sizes for a configuration on a robot with `dimensions`.

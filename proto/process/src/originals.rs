@@ -9,6 +9,7 @@ use std::path::Path;
 use std::process::Command;
 
 use proto::run_dir::RunDir;
+use proto::{ExitCode, ExitError};
 
 use crate::input;
 
@@ -25,22 +26,19 @@ pub struct Originals {
 
 impl Originals {
     /// Of the run in `run_dir`, as they are now; an error names the file.
-    pub fn read(run_dir: &RunDir) -> Result<Self> {
+    pub fn read(run_dir: &RunDir) -> std::result::Result<Self, ExitError> {
         let hash = |path: &Path| {
-            input::read_text(path).map(|text| hash(&text)).map_err(|error| {
-                let message = format!("{}: cannot be read: {error}", path.display());
-                Error::new(error.kind(), message)
-            })
+            input::read_text(path)
+                .map(|text| hash(&text))
+                .map_err(|error| refusal(path, &format!("cannot be read: {error}")))
         };
         Ok(Self { config: hash(&run_dir.config())?, robot: hash(&run_dir.robot())? })
     }
 
     /// Refuses a run whose texts are others by now; an error names the file.
-    pub fn check(&self, run_dir: &RunDir) -> Result<()> {
+    pub fn check(&self, run_dir: &RunDir) -> std::result::Result<(), ExitError> {
         for (path, hash) in [(run_dir.config(), &self.config), (run_dir.robot(), &self.robot)] {
-            original(&path, Some(hash)).map_err(|error| {
-                Error::new(error.kind(), format!("{}: {error}", path.display()))
-            })?;
+            original(&path, Some(hash)).map_err(|error| refusal(&path, &error.to_string()))?;
         }
         Ok(())
     }
@@ -59,6 +57,10 @@ pub fn config(run_dir: &RunDir) -> Result<String> {
 /// The same of its robot.
 pub fn robot(run_dir: &RunDir) -> Result<String> {
     original(&run_dir.robot(), std::env::var(ROBOT).ok().as_deref())
+}
+
+fn refusal(path: &Path, reason: &str) -> ExitError {
+    ExitError::new(ExitCode::RunDirectory, format!("{}: {reason}", path.display()))
 }
 
 /// The text of a file that had the hash `expected`; whoever was started by hand was told of none.

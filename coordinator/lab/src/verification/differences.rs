@@ -7,11 +7,9 @@ use serde::Serialize;
 use serde_json::Value;
 use store::budgets::Budget;
 use store::checkpoint::flatten;
+use store::provenance::PROMISED_FOR;
 
 use super::record::Record;
-
-/// What the promise does not extend over, as `provenance.json` names it.
-const EXCLUDED: &[&str] = &["version", "commit", "build", "processor", "vector_extensions"];
 
 /// A key of the configuration with two values; `robot.toml` stands for the robot's whole text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -107,8 +105,8 @@ pub(super) fn of_provenance(a: &[Value], b: &[Value]) -> Vec<ProvenanceDifferenc
     let values = |sessions: &[Value], field: &str| -> BTreeSet<String> {
         sessions.iter().map(|session| shown(&session[field])).collect()
     };
-    EXCLUDED
-        .iter()
+    PROMISED_FOR
+        .into_iter()
         .map(|field| ProvenanceDifference { field, a: values(a, field), b: values(b, field) })
         .filter(|difference| difference.a.union(&difference.b).count() > 1)
         .collect()

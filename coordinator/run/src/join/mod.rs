@@ -17,6 +17,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use channels::{ChannelSizes, Channels, Domain};
+use process::originals::Originals;
 use proto::config::Config;
 use proto::gateway::Place;
 use proto::layout::Dimensions;
@@ -97,8 +98,9 @@ fn membership(
     let domain = Domain::fresh();
     let sizes = ChannelSizes::new(&config, &dimensions);
     let programs = spec.programs.clone();
-    let mut supervisor =
-        Supervisor::new(programs, run_dir, domain.clone(), &config.run, sizes.max_workers)?;
+    let originals = Originals::read(&run_dir)?;
+    let (own, most) = (domain.clone(), sizes.max_workers);
+    let mut supervisor = Supervisor::new(programs, run_dir, own, &config.run, most, originals)?;
     note(&format!(
         "host {host} of the run at {}, with {}",
         spec.endpoint,

@@ -33,6 +33,7 @@ use std::time::{Duration, Instant};
 use channels::{
     BellListener, ChannelSizes, Channels, Domain, MessageReceiver, PieceReceiver, Role,
 };
+use process::originals::Originals;
 use proto::config::Config;
 use proto::layout::Dimensions;
 use proto::message::{Order, Progress, Status, WorkerId};
@@ -128,14 +129,17 @@ const EXIT_DEADLINE: Duration = Duration::from_secs(5);
 pub fn run(spec: &SessionSpec, reporter: &mut Reporter) -> Result<RunResult, ExitError> {
     let dimensions = Dimensions::new(&spec.config, spec.robot.joints);
     let sizes = ChannelSizes::new(&spec.config, &dimensions);
+    // What is compared is read after what children are told of: they never get what was not compared.
+    let originals = Originals::read(&spec.run_dir)?;
+    check_texts(spec)?;
     let mut supervisor = Supervisor::new(
         spec.programs.clone(),
         spec.run_dir.clone(),
         spec.domain.clone(),
         &spec.config.run,
         sizes.max_workers,
+        originals,
     )?;
-    check_texts(spec)?;
     if let Some(gateway) = &spec.gateway {
         supervisor.open_to_hosts(gateway.clone(), spec.robot.joints);
     }

@@ -21,7 +21,7 @@ use store::regular_files::{self, Links};
 
 use self::deaths::{MAX_CRASHES, MAX_KILLS};
 use self::gateway::Gateway;
-use self::programs::StartedPrograms;
+use self::started_programs::StartedPrograms;
 use crate::janitor::Janitor;
 use crate::{environment, signal_isolation};
 
@@ -31,6 +31,7 @@ mod gateway;
 mod gateway_child;
 mod process_view;
 mod programs;
+mod started_programs;
 
 pub use self::cause::{Cause, child_exit_code, log_tail, log_tail_from};
 pub use self::deaths::{Death, Deaths};
@@ -90,16 +91,15 @@ pub struct Supervisor {
 const LEAVE_DEADLINE: Duration = Duration::from_secs(30);
 
 impl Supervisor {
-    /// No children yet but the janitor. They must find configuration and robot in `run_dir` as they are now.
+    /// No children yet but the janitor. They must find configuration and robot in `run_dir` as `originals` are.
     pub fn new(
         programs: Programs,
         run_dir: RunDir,
         domain: Domain,
         run: &Run,
         max_workers: usize,
+        originals: Originals,
     ) -> Result<Self, ExitError> {
-        let originals = Originals::read(&run_dir)
-            .map_err(|error| ExitError::new(ExitCode::RunDirectory, error.to_string()))?;
         let janitor = Janitor::start(&domain).map_err(|error| {
             ExitError::new(ExitCode::Environment, format!("cannot start the janitor: {error}"))
         })?;
@@ -175,9 +175,7 @@ impl Supervisor {
             ExitError::new(ExitCode::Environment, message)
         })?;
         self.started.check(program)?;
-        self.originals
-            .check(&self.run_dir)
-            .map_err(|error| ExitError::new(ExitCode::RunDirectory, error.to_string()))
+        self.originals.check(&self.run_dir)
     }
 
     /// Workers that run or will run again, in order.

@@ -8,6 +8,7 @@ use axum::response::Response;
 use serde::{Deserialize, Serialize};
 use store::checkpoint::{
     Checked, CheckpointError, CheckpointStore, DamagedEntry, Entry, Kind, LATEST, Manifest, Name,
+    Ownership,
 };
 use utoipa::ToSchema;
 
@@ -248,7 +249,7 @@ fn latest(store: &CheckpointStore, checked: &Checked) -> Result<Choice, Checkpoi
         whole.map(|entry| (entry.name.clone(), Ok(entry))).chain(damaged).collect();
     own.retain(|(name, _)| name.iteration().is_some());
     own.sort_by_key(|(name, _)| name.iteration());
-    let ownership = checked.ownership(store);
+    let ownership = Ownership::of(store);
     let (foreign, own): (Vec<_>, Vec<_>) = own.into_iter().rev().partition(|(name, entry)| {
         let manifest = entry.as_ref().ok().map(|entry| (entry.iteration, entry.digest));
         ownership.is_foreign(&store.dir(name), manifest)

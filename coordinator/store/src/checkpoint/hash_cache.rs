@@ -9,10 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use super::error::CheckpointError;
 use super::manifest::{FileEntry, Manifest};
 use super::opening;
-use super::ownership::Ownership;
 use super::read::{Checkpoint, check_open, small_files};
-use super::store::CheckpointStore;
-use crate::recorded::Followed;
 use crate::stamp::Stamp;
 
 /// Files beyond which those are forgotten that are gone.
@@ -33,8 +30,6 @@ struct CheckResult {
 pub struct Checked {
     /// A lock for each file, so that two who ask for one at the same time hash it once.
     files: Mutex<BTreeMap<PathBuf, Arc<Mutex<Option<CheckResult>>>>>,
-    /// What the run of the store has recorded, which is read once, too.
-    recorded: Followed,
 }
 
 impl Checked {
@@ -77,11 +72,6 @@ impl Checked {
         self.check(dir)?;
         let (config, robot_toml) = small_files(dir)?;
         Ok(Checkpoint { dir: dir.to_owned(), manifest: Manifest::read(dir)?, config, robot_toml })
-    }
-
-    /// What tells the own checkpoints of the run that `store` belongs to from others.
-    pub fn ownership(&self, store: &CheckpointStore) -> Ownership {
-        Ownership::new(store, |run| self.recorded.read(run))
     }
 
     fn slot(&self, path: &Path) -> Arc<Mutex<Option<CheckResult>>> {

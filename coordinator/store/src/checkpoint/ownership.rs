@@ -7,8 +7,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use proto::run_dir::RunDir;
-use proto::{Digest, ExitError};
+use proto::Digest;
 
 use super::error::CheckpointError;
 use super::labels::Labels;
@@ -28,16 +27,8 @@ pub struct Ownership {
 impl Ownership {
     /// Of the run that the store belongs to, if it belongs to one.
     pub fn of(store: &CheckpointStore) -> Self {
-        Self::new(store, |run| Recorded::read(run).map(Arc::new))
-    }
-
-    /// The same, with what `read` says that the run has recorded.
-    pub(super) fn new(
-        store: &CheckpointStore,
-        read: impl Fn(&RunDir) -> Result<Arc<Recorded>, ExitError>,
-    ) -> Self {
         let run = store.run();
-        let recorded = run.as_ref().and_then(|run| read(run).ok());
+        let recorded = run.as_ref().and_then(|run| store.recorded.read(run).ok());
         let recorded = recorded.filter(|recorded| recorded.iterations() > 0);
         Self { of_a_run: run.is_some(), recorded }
     }

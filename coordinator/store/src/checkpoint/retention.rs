@@ -91,6 +91,7 @@ impl CheckpointStore {
             return Ok(Vec::new());
         }
         let guard = self.guard()?;
+        // Before what is recorded is read: a checkpoint of a later iteration would be taken for foreign.
         let survey = self.survey()?;
         let doomed = retention.doomed_up_to(iteration, &survey, self.counts());
         for name in &doomed {

@@ -1,6 +1,7 @@
 //! A directory of checkpoints.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::disk::Disk;
@@ -13,6 +14,7 @@ use super::opening::is_directory;
 use super::read::{self, Checkpoint};
 use super::reserved::{BEST, LATEST, PROMOTED};
 use super::{CheckpointError, catalogue};
+use crate::recorded::Followed;
 
 /// The checkpoints of a run, or any directory of checkpoints.
 ///
@@ -22,12 +24,14 @@ use super::{CheckpointError, catalogue};
 pub struct CheckpointStore {
     pub(super) root: PathBuf,
     pub(super) disk: Disk,
+    /// What the run of the store has recorded: read once, however often it is asked for.
+    pub(super) recorded: Arc<Followed>,
 }
 
 impl CheckpointStore {
     /// A store in `root`, which is made with the first commit.
     pub fn new(root: impl Into<PathBuf>) -> Self {
-        Self { root: root.into(), disk: Disk::default() }
+        Self { root: root.into(), disk: Disk::default(), recorded: Arc::default() }
     }
 
     /// The same store, for somebody who waits for its lock as long as `patience` says.

@@ -6,9 +6,8 @@
 //!
 //! **Snapshots travel in pieces** of 4 MiB instead of one sample: shared memory stays small, and the size of a
 //! training state is no channel constant. **A disk that is slower than the training costs checkpoints, not
-//! memory.** While one snapshot is written, the newest other one waits, and the best; so do one on its way from
-//! the learner, and the newest others there, as far as memory is set apart for them. Planned checkpoints that they
-//! displace are reported.
+//! memory.** While one snapshot is on its way from the learner, others wait there, and while one is written, others
+//! wait here, each as far as [`channels::WAITING_SNAPSHOTS`] goes. Planned checkpoints that they displace are reported.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
