@@ -283,8 +283,11 @@ fn everything_is_trained_once() {
     std::fs::remove_dir_all(&last).expect("removed");
     let said = reproduce();
     assert_eq!(said.matches("run ").count(), 1, "{said}");
+    assert!(said.contains("run 1 of 8"), "{said}");
     // A slow disk may have cost the checkpoint before it, and then it goes on from an earlier one.
-    assert!(said.contains("run 1 of 8") && said.contains(" to 3 of 128 env-steps"), "{said}");
+    let goes_on = ["iteration 3", "iterations 2 to 3", "iterations 1 to 3"];
+    let goes_on = goes_on.map(|what| format!("trajectory: {what} of 128 env-steps"));
+    assert!(goes_on.iter().any(|what| said.contains(what)), "{said}");
     assert_eq!(digest(&last), before);
     assert_eq!(manifest("trajectory"), policy);
 }
