@@ -120,17 +120,23 @@ impl RunStatus {
         }
     }
 
-    /// Says on standard error what is missing and why.
+    /// What is missing and why.
+    fn complaints(&self) -> Vec<String> {
+        let told = [
+            self.damage.as_ref().map(|damage| format!("note: {damage}")),
+            self.lock_error
+                .as_ref()
+                .map(|reason| format!("note: whether it goes on is not known: {reason}")),
+            self.live_error.as_ref().map(|reason| {
+                format!("note: processes, shards and stages are not known: {reason}")
+            }),
+        ];
+        told.into_iter().flatten().collect()
+    }
+
+    /// Says it on standard error.
     fn complain(&self) {
-        if let Some(damage) = &self.damage {
-            output::note(&format!("note: {damage}"));
-        }
-        if let Some(reason) = &self.lock_error {
-            output::note(&format!("note: whether it goes on is not known: {reason}"));
-        }
-        if let Some(reason) = &self.live_error {
-            output::note(&format!("note: processes, shards and stages are not known: {reason}"));
-        }
+        self.complaints().iter().for_each(|told| output::note(told));
     }
 }
 
@@ -155,7 +161,7 @@ pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
         return Ok(());
     };
     let clear = std::io::stdout().is_terminal() && !args.json;
-    let mut complained = None;
+    let mut complained = Vec::new();
     loop {
         let status = look()?;
         if args.json {
@@ -168,9 +174,10 @@ pub fn run(args: &StatusArgs) -> anyhow::Result<()> {
             output::line(&format!("{}{}", show(&status), if clear { "" } else { "\n" }))?;
         }
         // Once, unless it is cleared away with the rest.
-        if clear || complained != status.live_error {
+        let complaints = status.complaints();
+        if clear || complained != complaints {
             status.complain();
-            complained.clone_from(&status.live_error);
+            complained = complaints;
         }
         if status.state != "running" {
             return Ok(());

@@ -6,6 +6,7 @@ use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use proto::config::{Layers, Preset};
 use run::signals::StopRequests;
 use rustix::process::Signal;
 use serde_json::Value;
@@ -379,5 +380,21 @@ fn what_learners_write_is_what_is_expected() {
         run.succeed();
         let verified = octopus(&["checkpoints", "verify", text(&run.path())]);
         assert!(verified.status.success(), "{more:?}: {}", stderr(&verified));
+    }
+}
+
+/// Notes were compared by one of their three reasons, and the others never said.
+#[test]
+fn status_says_what_is_damaged_also_into_a_pipe_while_it_watches() {
+    let dir = tempfile::tempdir().expect("tempdir");
+    let config = Layers::new(Preset::Tuned, None).resolve().expect("valid");
+    std::fs::write(dir.path().join("config.toml"), config.to_toml()).expect("writable");
+    std::fs::create_dir_all(checkpoint(dir.path(), 1)).expect("made");
+    // It is at rest, so that it is shown once.
+    for more in [&["--watch"][..], &["--watch", "--json"]] {
+        let output = octopus(&[&["status", text(dir.path())], more].concat());
+        let said = stderr(&output);
+        assert!(output.status.success(), "{said}");
+        assert_eq!(said.matches("holds 0 of 1 iterations").count(), 1, "{said}");
     }
 }
