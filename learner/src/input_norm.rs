@@ -13,6 +13,8 @@ use proto::config::{InputNorm as InputNormKind, Network};
 use tch::Tensor;
 
 use crate::layer_norm::standardise_input;
+use crate::limits::clamp;
+use crate::number::Number;
 
 /// Added to the variance, so that a feature that never moves does not divide by zero.
 const EPSILON: f64 = 1e-6;
@@ -28,6 +30,40 @@ impl Normalisation {
     /// Of `network`'s actors and critics.
     pub(crate) fn new(network: &Network) -> Self {
         Self { kind: network.input_norm, clip: network.input_clip }
+    }
+
+    /// Whether an input is a matter of its own number alone, or of all inputs of a sample.
+    pub(crate) fn is_of_each_number(self) -> bool {
+        self.kind != InputNormKind::LayerNorm
+    }
+
+    /// The inputs `x` as networks see them, rounded, where [`Self::is_of_each_number`]; with the bits of [`Self::normalise`]. `moments` are mean and inverse
+    /// deviation in force, one an input.
+    ///
+    /// # Panics
+    /// As [`Self::normalise`], or if this is not for each number.
+    #[inline(always)]
+    pub(crate) fn normalise_each<T: Number>(
+        self,
+        x: &[f32],
+        moments: Option<[&[f32]; 2]>,
+        out: &mut [T],
+    ) {
+        match self.kind {
+            InputNormKind::None => {
+                out.iter_mut().zip(x).for_each(|(out, &x)| *out = T::round(x));
+            }
+            InputNormKind::LayerNorm => unreachable!("all inputs of a sample together"),
+            InputNormKind::Running => {
+                let [mean, inverse_std] = moments.expect("running moments");
+                let clip = self.clip as f32;
+                for (((out, x), mean), inverse_std) in
+                    out.iter_mut().zip(x).zip(mean).zip(inverse_std)
+                {
+                    *out = T::round(clamp((x - mean) * inverse_std, [-clip, clip]));
+                }
+            }
+        }
     }
 
     /// `x` `[…, features]` as networks see it. `moments` are mean and inverse deviation in force, in a

@@ -55,6 +55,7 @@ pub mod inbox;
 pub mod input_norm;
 mod layer_norm;
 pub mod learner;
+mod limits;
 pub mod loss;
 pub mod maddpg;
 pub mod mappo;

@@ -5,9 +5,9 @@
 
 use tch::{Device, Kind, Tensor};
 
-use super::limits::{clamp, maximum, minimum};
 use super::operations::{ActorLoss, HALF_LN_TAU};
 use crate::features::{Features, Loop, run_for};
+use crate::limits::{clamp, maximum, minimum};
 use crate::memory::{are_apart, numbers, numbers_mut};
 
 /// Of each agent what is summed over samples, before the gradients by deviations: surrogate, divergence, whether the ratio is clipped.

@@ -2,9 +2,9 @@
 
 use tch::{Device, Kind, Tensor};
 
-use super::limits::{clamp, maximum};
 use super::operations::CriticLoss;
 use crate::features::{Features, Loop, run_for};
+use crate::limits::{clamp, maximum};
 use crate::memory::{are_apart, numbers, numbers_mut};
 
 /// Room for the critics' loss of a chunk.

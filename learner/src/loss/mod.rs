@@ -17,7 +17,6 @@
 
 mod actor_passes;
 mod critic_pass;
-mod limits;
 mod operations;
 
 pub(crate) use actor_passes::{ActorRoom, STATISTICS};

@@ -24,8 +24,8 @@
 //! product of theirs, and it is paid the sum of their rewards. That is settled where samples are
 //! gathered; nothing after it knows of agents.
 //!
-//! **Two ways.** Gradients of a mini-batch go operation by operation through libtorch on a GPU (`gradients.rs`). On a CPU, where an
-//! operation costs more than what it computes, samples are gathered and losses taken in plain Rust (`plain.rs`), with the same bits.
+//! **Two ways.** On a GPU inputs and the gradients of a mini-batch go operation by operation through libtorch (`gradients.rs`). On a CPU, where an operation
+//! costs more than what it computes, inputs are normalised (`inputs.rs`), samples gathered and losses taken (`plain.rs`) in plain Rust, with the same bits.
 //!
 //! **Copies.** The first operation that reads a block is the normalisation (of observations) or the
 //! packing of what the loss needs into one row a sample; blocks are not copied before.
@@ -37,6 +37,7 @@
 mod epochs;
 mod gradients;
 mod group;
+mod inputs;
 mod options;
 mod plain;
 mod room;

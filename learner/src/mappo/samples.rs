@@ -10,6 +10,7 @@ use tch::{Kind, Tensor};
 
 use super::MappoTrace;
 use super::group::{Group, IterationInputs};
+use super::inputs::Inputs;
 use crate::actors::Actors;
 use crate::gae::standardise;
 use crate::memory::view;
@@ -41,35 +42,43 @@ impl Group {
         trace: Option<&mut MappoTrace>,
     ) -> Samples {
         let Dimensions { n_agents, n_steps, n_envs, observation, state, .. } = *job.dimensions;
-        let (input, g) = (job.dimensions.actor_input(), job.dimensions.agents_per_actor());
-        let (t, n, s) = (n_steps as i64, n_envs as i64, state as i64);
-        let (o, own, g) = (input as i64, observation as i64, g as i64);
+        let agents = job.dimensions.agents_per_actor();
+        let (t, n, g) = (n_steps as i64, n_envs as i64, agents as i64);
         let e = n * job.shards.len() as i64;
         let (a, u, m) = (self.actors.len as i64, job.dimensions.actor_output() as i64, t * e);
         let joints = job.dimensions.n_actions as i64;
         let float = (Kind::Float, self.device);
         let options = job.options;
 
-        let observations = Tensor::empty([(t + 1) * e, a * o], (self.kind, self.device));
-        let states = (!options.own_critic_state)
-            .then(|| Tensor::empty([(t + 1) * e, s], (self.kind, self.device)));
+        let seen = Inputs {
+            actors: self.actors,
+            size: [agents, n_steps + 1, n_envs, observation],
+            normalisation: options.normalisation,
+            moments: job.observation_norm.as_ref(),
+        };
+        let known = Inputs {
+            actors: Actors::all(1),
+            size: [1, n_steps + 1, n_envs, state],
+            moments: job.state_norm.as_ref(),
+            ..seen
+        };
+        let room = |inputs: &Inputs<'_>| inputs.rows(e as usize, (self.kind, self.device));
+        let mut observations = room(&seen);
+        let mut states = (!options.own_critic_state).then(|| room(&known));
+        let in_passes = self.plain.is_some() && options.normalisation.is_of_each_number();
+        let put = |inputs: &Inputs<'_>, block: &[f32], first: usize, rows: &mut Tensor| {
+            if in_passes {
+                inputs.put(block, first, rows);
+            } else {
+                inputs.put_by_operations(block, first, rows);
+            }
+        };
         let actor = Tensor::empty([m, a * (u + 2)], float);
         let critic_rows = Tensor::empty([m, a * 2], float);
         let agent_reward = Tensor::empty([a, g, t, e], float);
         let terminated = Tensor::empty([t, e], float);
         let truncated = Tensor::empty([t, e], float);
 
-        let moments_of = |norm: &Option<(Vec<f32>, Vec<f32>)>, rows: Actors, width: usize| {
-            norm.as_ref().map(|(mean, inverse_std)| {
-                let part = |values: &[f32]| {
-                    let all = Tensor::from_slice(values).view([-1, 1, 1, width as i64]);
-                    rows.rows(&all).to_device(self.device)
-                };
-                (part(mean), part(inverse_std))
-            })
-        };
-        let observation_norm = moments_of(&job.observation_norm, self.actors, input);
-        let state_norm = moments_of(&job.state_norm, Actors::all(1), state);
         let actor_columns = actor.view([t, e, a, u + 2]);
         for (index, shard) in job.shards.iter().enumerate() {
             let in_place = |range: &Range<usize>, shape: &[i64]| {
@@ -82,18 +91,9 @@ impl Group {
                 self.actors.rows(&in_place(range, &shape))
             };
             let first = index as i64 * n;
-            // With one agent an actor, bringing G beside the features moves nothing.
-            let seen = of_actors(&job.layout.observation, &[t + 1, n, own]);
-            let seen = seen.to_device(self.device).permute([0, 2, 3, 1, 4]);
-            let seen = seen.reshape([a, t + 1, n, o]);
-            let x = options.normalisation.normalise(&seen, observation_norm.as_ref());
-            let mut slot = observations.view([t + 1, e, a, o]).narrow(1, first, n);
-            slot.copy_(&x.permute([1, 2, 0, 3]));
-            if let Some(states) = &states {
-                let x = in_place(&job.layout.state, &[1, t + 1, n, s]).to_device(self.device);
-                let x = options.normalisation.normalise(&x, state_norm.as_ref());
-                let mut slot = states.view([t + 1, e, s]).narrow(1, first, n);
-                slot.copy_(&x.squeeze_dim(0));
+            put(&seen, &shard[job.layout.observation.clone()], index * n_envs, &mut observations);
+            if let Some(states) = &mut states {
+                put(&known, &shard[job.layout.state.clone()], index * n_envs, states);
             }
             let part = actor_columns.narrow(1, first, n);
             let action = of_actors(&job.layout.action, &[t, n, joints]);
