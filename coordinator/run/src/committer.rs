@@ -18,6 +18,8 @@ use store::checkpoint::{
 enum CommitRequest {
     Commit(Waiting),
     Score(u64, Score),
+    /// As `Score`, of a snapshot that was not handed over with it: without a checkpoint it is given up.
+    Displaced(u64, Score),
     /// Nothing; the answer says that everything before is done.
     Report(Sender<()>),
 }
@@ -127,7 +129,14 @@ impl Committer {
                         // Nobody listens only while the run is being given up.
                         let _ = writer.outbox.send(None);
                     }
-                    CommitRequest::Score(iteration, score) => writer.score(iteration, score),
+                    CommitRequest::Score(iteration, score) => {
+                        writer.score(iteration, score);
+                    }
+                    CommitRequest::Displaced(iteration, score) => {
+                        if !writer.score(iteration, score) {
+                            writer.tell(Committed::GivenUp { iteration });
+                        }
+                    }
                     CommitRequest::Report(done) => {
                         // Whoever asked may have gone.
                         let _ = done.send(());
@@ -151,34 +160,47 @@ impl Committer {
     /// already only gets its score.
     pub fn commit(&mut self, snapshot: Arc<Snapshot>, score: Option<Score>) {
         let iteration = snapshot.iteration;
-        let is_scored = score.is_some();
-        let waiting = Waiting { snapshot, score };
-        let mut given_up = Vec::new();
-        if is_scored {
-            given_up.extend(self.waiting_best.replace(waiting));
+        if let Some(score) = score {
+            let newer = Waiting { snapshot, score: Some(score) };
+            let older = self.waiting_best.replace(newer);
+            self.displace(older.filter(|older| older.snapshot.iteration != iteration));
         } else {
             self.waiting.retain(|older| older.snapshot.iteration != iteration);
-            self.waiting.push_back(waiting);
-            let size = |waiting: &VecDeque<Waiting>| -> usize {
-                waiting.iter().map(|waiting| waiting.snapshot.bytes.len()).sum()
-            };
-            while self.waiting.len() > 1 && size(&self.waiting) > self.room {
-                given_up.extend(self.waiting.pop_front());
+            self.waiting.push_back(Waiting { snapshot, score: None });
+            while self.waiting.len() > 1 && self.waiting_bytes() > self.room {
+                let oldest = self.waiting.pop_front().expect("there are several");
+                let iteration = oldest.snapshot.iteration;
+                self.results.push(Committed::GivenUp { iteration });
             }
-        }
-        for older in given_up.into_iter().filter(|older| older.snapshot.iteration != iteration) {
-            self.results.push(Committed::GivenUp { iteration: older.snapshot.iteration });
         }
         self.hand_over();
     }
 
+    fn waiting_bytes(&self) -> usize {
+        self.waiting.iter().map(|waiting| waiting.snapshot.bytes.len()).sum()
+    }
+
+    /// A better one has come before the disk was ready for this best. It may wait, or be there, as one of the others.
+    fn displace(&mut self, older: Option<Waiting>) {
+        let Some(Waiting { snapshot, score: Some(score) }) = older else { return };
+        let iteration = snapshot.iteration;
+        match self.waits(iteration) {
+            Some(waiting) => waiting.score = Some(score),
+            None => self.send(CommitRequest::Displaced(iteration, score)),
+        }
+    }
+
     /// Has a score written to the checkpoint of `iteration`, if that is still there.
     pub fn score(&mut self, iteration: u64, score: Score) {
-        let waits = |waiting: &&mut Waiting| waiting.snapshot.iteration == iteration;
-        match self.waiting.iter_mut().find(waits) {
+        match self.waits(iteration) {
             Some(waiting) => waiting.score = Some(score),
             None => self.send(CommitRequest::Score(iteration, score)),
         }
+    }
+
+    /// The snapshot of `iteration`, if it waits without being the best.
+    fn waits(&mut self, iteration: u64) -> Option<&mut Waiting> {
+        self.waiting.iter_mut().find(|waiting| waiting.snapshot.iteration == iteration)
     }
 
     /// Whether a snapshot is being written or waits to be.
@@ -303,12 +325,14 @@ impl Writer {
         }
     }
 
-    fn score(&self, iteration: u64, score: Score) {
-        let dir = self.store.dir(&Name::of_iteration(iteration));
+    /// Records the score of a checkpoint, if it is there.
+    fn score(&self, iteration: u64, score: Score) -> bool {
         // Not the best, so it may have been tidied up meanwhile.
-        if dir.exists() {
+        let is_there = self.store.dir(&Name::of_iteration(iteration)).exists();
+        if is_there {
             self.tell(self.record(iteration, score));
         }
+        is_there
     }
 
     fn record(&self, iteration: u64, score: Score) -> Committed {
@@ -364,20 +388,71 @@ impl Writer {
 mod tests {
     use proto::config::{Layers, Preset};
     use simulator::robot::Robot;
-    use store::checkpoint::MANIFEST;
     use store::checkpoint::fixtures::snapshot_of;
+    use store::checkpoint::{Entry, MANIFEST};
 
     use super::*;
+
+    fn config() -> Config {
+        let settings =
+            ["network.hidden=[4]", "network.critic_hidden=[4]", "run.milestone_every_s=0.001"];
+        let layers =
+            settings.iter().try_fold(Layers::new(Preset::Tuned, None), |l, set| l.set(set));
+        layers.and_then(|layers| layers.resolve()).expect("valid")
+    }
+
+    /// One was told to be lost although it was there, and its score was lost.
+    #[test]
+    fn a_best_that_waits_as_one_of_the_others_keeps_its_score_when_a_better_one_comes() {
+        let dir = tempfile::tempdir().expect("tempdir");
+        let config = config();
+        let store = CheckpointStore::new(dir.path().join("checkpoints"));
+        let robot = Robot::builtin("paper").expect("built in").to_toml();
+        let (release, held) = channel::<()>();
+        // The disk is slow until this test lets it go on, and never again.
+        let record = move || {
+            let _ = held.recv();
+            Ok(())
+        };
+        let mut committer =
+            Committer::start(store.clone(), config.clone(), robot, serde_json::json!({}), record);
+        let scored = |value: f64| Score {
+            value,
+            errors: std::collections::BTreeMap::default(),
+            episodes: 1,
+            steps: 1,
+            seed: 1,
+        };
+        let snapshots: Vec<_> =
+            (1..=4).map(|iteration| Arc::new(snapshot_of(&config, iteration, 0.0))).collect();
+        // The first is being written, two more wait, and the fourth is not asked for but as the best.
+        for snapshot in &snapshots[..3] {
+            committer.commit(Arc::clone(snapshot), None);
+        }
+        for (index, value) in [(0, 4.0), (1, 3.0), (3, 2.0), (2, 1.0)] {
+            committer.commit(Arc::clone(&snapshots[index]), Some(scored(value)));
+        }
+        drop(release);
+        committer.settle();
+        let given_up: Vec<u64> = committer
+            .results()
+            .into_iter()
+            .filter_map(|result| match result {
+                Committed::GivenUp { iteration } => Some(iteration),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(given_up, [4], "it was the best alone");
+        let value = |entry: &Entry| (entry.iteration, entry.labels.score.as_ref().map(|s| s.value));
+        let found: Vec<_> = store.entries().expect("lists").iter().map(value).collect();
+        assert_eq!(found, [(1, Some(4.0)), (2, Some(3.0)), (3, Some(1.0))]);
+    }
 
     /// No other was marked until the clock came to that time.
     #[test]
     fn a_milestone_of_a_clock_that_was_wrong_is_not_waited_for() {
         let dir = tempfile::tempdir().expect("tempdir");
-        let settings =
-            ["network.hidden=[4]", "network.critic_hidden=[4]", "run.milestone_every_s=0.001"];
-        let layers =
-            settings.iter().try_fold(Layers::new(Preset::Tuned, None), |l, set| l.set(set));
-        let config = layers.and_then(|layers| layers.resolve()).expect("valid");
+        let config = config();
         let store = CheckpointStore::new(dir.path().join("checkpoints"));
         let (outbox, _inbox) = channel();
         let mut writer = Writer {
