@@ -80,6 +80,11 @@ impl BucketError {
         matches!(self, Self::Refused(_) | Self::Foreign { .. } | Self::TakenOver { .. })
     }
 
+    /// Whether files of a checkpoint here are in the way, and not the bucket.
+    pub(crate) fn is_local(&self) -> bool {
+        matches!(self, Self::Local(_) | Self::File(_))
+    }
+
     pub(crate) fn of(place: String, error: &object_store::Error) -> Self {
         Self::Away { place, reason: told(error) }
     }

@@ -18,7 +18,7 @@ use store::checkpoint::{CATALOGUE, CheckpointStore, Entry, Name};
 use crate::bucket::Bucket;
 use crate::error::BucketError;
 use crate::owner::Lease;
-use crate::sent::{Sent, is_sent};
+use crate::sent::{Sent, own};
 
 /// How often the store is looked at.
 const LOOK: Duration = Duration::from_secs(1);
@@ -142,14 +142,13 @@ impl Sending {
 
     /// Checkpoints that are not in the bucket.
     fn left(&self) -> usize {
-        self.store.survey().map_or(0, |survey| self.sent.waiting(&survey.entries).len())
+        own(&self.store).map_or(0, |own| self.sent.waiting(&own).len())
     }
 
     /// Says how far it is. A store that cannot be read shows elsewhere.
     fn tell(&self) {
-        if let Ok(survey) = self.store.survey() {
-            let waiting = self.sent.waiting(&survey.entries);
-            (self.listener)(&waiting, self.sent.trouble.as_deref());
+        if let Ok(own) = own(&self.store) {
+            (self.listener)(&self.sent.waiting(&own), self.sent.trouble.as_deref());
         }
     }
 
@@ -180,15 +179,19 @@ impl Sending {
         }
     }
 
-    /// Sends the newest checkpoint that is not in the bucket, until there is none, and labels that have changed.
+    /// Sends the newest checkpoint that is not in the bucket, until there is none, and labels that have changed. One whose own files are in the way is
+    /// passed over; the first such error is returned at the end.
     fn send_all(&mut self) -> Result<(), BucketError> {
+        let mut passed_over = Vec::new();
+        let mut first_error = None;
         loop {
-            let entries = self.store.survey()?.entries;
+            let entries = own(&self.store)?;
             self.sent.keep(&entries);
             let waiting = self.sent.waiting(&entries);
             (self.listener)(&waiting, self.sent.trouble.as_deref());
-            let Some(name) = waiting.into_iter().next() else {
-                return self.send_labels(&entries);
+            let Some(name) = waiting.into_iter().find(|name| !passed_over.contains(name)) else {
+                self.send_labels(&entries)?;
+                return first_error.map_or(Ok(()), Err);
             };
             self.claim()?;
             let dir = self.store.dir(&name);
@@ -198,6 +201,11 @@ impl Sending {
                 Ok(()) => {}
                 // Retention was faster.
                 Err(_) if !dir.exists() => continue,
+                Err(error) if error.is_local() => {
+                    passed_over.push(name);
+                    first_error.get_or_insert(error);
+                    continue;
+                }
                 Err(error) => return Err(error),
             }
             let Some(entry) = entries.iter().find(|entry| entry.name == name) else { continue };
@@ -208,9 +216,9 @@ impl Sending {
     }
 
     fn send_labels(&mut self, entries: &[Entry]) -> Result<(), BucketError> {
-        for entry in entries.iter().filter(|entry| is_sent(entry)) {
+        for entry in entries {
             let before = self.sent.labels(&entry.name).cloned().unwrap_or_default();
-            if before == entry.labels {
+            if !self.sent.has(entry) || before == entry.labels {
                 continue;
             }
             self.claim()?;
@@ -236,12 +244,15 @@ impl Sending {
         let known = self.sent.trouble.as_ref() == Some(&told);
         self.given_up = error.is_final();
         if !known {
-            let then = if self.given_up {
-                "none is sent any more; the run goes on, and keeps its checkpoints here"
+            let (what, then) = if self.given_up {
+                let then = "none is sent any more; the run goes on, and keeps its checkpoints here";
+                ("checkpoints are not sent", then)
+            } else if error.is_local() {
+                ("not all checkpoints are sent", "the others are, and the run goes on")
             } else {
-                "the run goes on, and sends them when that is over"
+                ("checkpoints are not sent", "the run goes on, and sends them when that is over")
             };
-            tracing::warn!("checkpoints are not sent to the bucket: {told}; {then}");
+            tracing::warn!("{what} to the bucket: {told}; {then}");
             self.sent.trouble = Some(told);
             self.remember();
             self.tell();

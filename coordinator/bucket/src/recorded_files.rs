@@ -1,6 +1,7 @@
 //! What a run has recorded up to a checkpoint: without it the checkpoint is nobody's, and no run goes on from it.
 
 use std::io::{Read as _, Write as _};
+use std::path::Path;
 
 use flate2::Compression;
 use flate2::read::GzDecoder;
@@ -50,6 +51,14 @@ pub(crate) fn of(run_dir: &RunDir, iterations: u64) -> Result<Vec<(String, Vec<u
         files.push((format!("{name}{SUFFIX}"), compressed(&bytes)));
     }
     Ok(files)
+}
+
+/// Removes those of a run directory, where they belong to a checkpoint that is not taken.
+pub(crate) fn remove(run: &Path) {
+    for name in FILES {
+        // What is not there need not go.
+        let _ = std::fs::remove_file(run.join(name));
+    }
 }
 
 /// Without a time in it: the same bytes give the same.

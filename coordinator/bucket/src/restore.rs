@@ -8,13 +8,15 @@ use std::fs;
 use std::path::Path;
 
 use proto::run_dir::RunDir;
-use store::checkpoint::{CheckpointStore, Name};
+use store::checkpoint::{CheckpointStore, Manifest, Name};
 use store::files;
+use store::recorded::Recorded;
 
 use crate::bucket::Bucket;
 use crate::error::BucketError;
 use crate::fetch::{file_error, write};
 use crate::listing::Listed;
+use crate::recorded_files;
 use crate::replica::nothing;
 use crate::sent::Sent;
 
@@ -52,9 +54,11 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         fs::create_dir_all(&root).map_err(|error| file_error(&root, &error))?;
         let mut base = None;
         for listed in own {
-            let fetched = bucket
-                .fetch(listed, &root)
-                .and_then(|dir| bucket.fetch_recorded(listed, &scratch).map(|()| dir));
+            let fetched = bucket.fetch(listed, &root).and_then(|dir| {
+                bucket.fetch_recorded(listed, &scratch)?;
+                check_owner(bucket, listed, &run)?;
+                Ok(dir)
+            });
             match fetched {
                 Ok(dir) => {
                     base = Some((listed, dir));
@@ -62,6 +66,7 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
                 }
                 Err(error @ (BucketError::Damaged { .. } | BucketError::Local(_))) => {
                     let _ = fs::remove_dir_all(root.join(listed.name.as_str()));
+                    recorded_files::remove(&scratch);
                     passed_over.push(error);
                 }
                 Err(error) => return Err(error),
@@ -102,6 +107,20 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         let _ = fs::remove_dir_all(&scratch);
     }
     made
+}
+
+/// Refuses a checkpoint that its run has not come to: it was copied beside its own, and no run goes on from it.
+fn check_owner(bucket: &Bucket, listed: &Listed, run: &RunDir) -> Result<(), BucketError> {
+    let Manifest { iteration, digest, .. } = *listed.manifest();
+    let place = || bucket.place(&listed.name).display().to_string();
+    let recorded = Recorded::read(run).map_err(|_| {
+        BucketError::damaged(place(), "what its run had recorded by then cannot be understood")
+    })?;
+    let expected = recorded.digest_after(iteration);
+    if recorded.iterations() == 0 || iteration == 0 || expected == Some(digest) {
+        return Ok(());
+    }
+    Err(BucketError::damaged(place(), "is no checkpoint that its run has made: it was copied here"))
 }
 
 /// The checkpoint with the lowest score, unless it is `base` itself or newer.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use proto::Digest;
 use proto::run_dir::RunDir;
 use serde::{Deserialize, Serialize};
-use store::checkpoint::{Entry, Labels, Name};
+use store::checkpoint::{CheckpointError, CheckpointStore, Entry, Labels, Name, Ownership};
 use store::{files, regular_files};
 
 use crate::error::BucketError;
@@ -112,16 +112,26 @@ impl Sent {
         self.checkpoints.get(name).map(|copy| &copy.labels)
     }
 
-    /// Names of the checkpoints that are still to be sent, the newest first.
-    pub fn waiting(&self, there: &[Entry]) -> Vec<Name> {
-        let mut waiting: Vec<&Entry> =
-            there.iter().filter(|entry| is_sent(entry) && !self.has(entry)).collect();
+    /// Names of those of `own` that are still to be sent, the newest first.
+    pub fn waiting(&self, own: &[Entry]) -> Vec<Name> {
+        let mut waiting: Vec<&Entry> = own.iter().filter(|entry| !self.has(entry)).collect();
         waiting.sort_by_key(|entry| std::cmp::Reverse(entry.iteration));
         waiting.into_iter().map(|entry| entry.name.clone()).collect()
     }
 }
 
-/// Whether a checkpoint of the store goes into the bucket: those that the run has made.
-pub(crate) fn is_sent(entry: &Entry) -> bool {
-    entry.name.iteration().is_some() && !entry.labels.imported
+/// The checkpoints of a run's store that go into the bucket: those that the run has come to.
+///
+/// One that was copied into the store is somebody else's, whatever its name: no run goes on from it, here or elsewhere.
+pub fn own(store: &CheckpointStore) -> Result<Vec<Entry>, CheckpointError> {
+    // Before what is recorded is read: a checkpoint of a later iteration would be taken for foreign.
+    let mut entries = store.survey()?.entries;
+    let ownership = Ownership::of(store);
+    entries.retain(|entry| {
+        let manifest = Some((entry.iteration, entry.digest));
+        entry.name.iteration().is_some()
+            && !entry.labels.imported
+            && !ownership.is_foreign(&entry.dir, manifest)
+    });
+    Ok(entries)
 }

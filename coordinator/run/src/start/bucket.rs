@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bucket::mirror::Mirror;
-use bucket::sent::Sent;
+use bucket::sent::{self, Sent};
 use bucket::{Bucket, BucketError};
 use output::counted;
 use proto::ExitError;
@@ -41,10 +41,10 @@ pub fn start(
 /// What of a run is in its bucket, if it has one: as the run has written it down; asks nobody.
 pub fn status(config: &Config, run_dir: &RunDir) -> anyhow::Result<Option<BucketStatus>> {
     let Some(address) = address(config) else { return Ok(None) };
-    let entries = CheckpointStore::new(run_dir.checkpoints()).survey()?.entries;
+    let own = sent::own(&CheckpointStore::new(run_dir.checkpoints()))?;
     let sent = Sent::read(run_dir).map_err(BucketError::exit)?;
     let sent = sent.filter(|sent| sent.address == address).unwrap_or_else(|| Sent::none(address));
-    Ok(Some(shown(address, &sent.waiting(&entries), sent.trouble.as_deref())))
+    Ok(Some(shown(address, &sent.waiting(&own), sent.trouble.as_deref())))
 }
 
 /// The bucket's address, if there is one.
@@ -78,7 +78,6 @@ pub fn finish(
     let not = if left.is_some() { " not" } else { "" };
     let (address, run) = (&config.run.checkpoints, output::quoted(run_dir.path()));
     Some(format!(
-        "note: {what}{not} in {address}; `octopus status {run}` says why, `octopus resume {run}` sends \
-         what is missing"
+        "note: {what}{not} in {address}; `octopus status {run}` says why, `octopus resume {run}` tries again"
     ))
 }
