@@ -62,7 +62,8 @@ struct Shown {
 
 /// Makes what is wanted and shows all that is there.
 pub fn run(args: &CertificatesArgs) -> anyhow::Result<()> {
-    if args.dir.exists() && !args.dir.is_dir() {
+    // A link that leads nowhere is there, too.
+    if args.dir.symlink_metadata().is_ok() && !args.dir.is_dir() {
         let message = format!("{}: is no directory; name another one", args.dir.display());
         return Err(ExitError::new(ExitCode::RunDirectory, message).into());
     }
