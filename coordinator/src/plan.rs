@@ -80,7 +80,7 @@ pub struct PlanArgs {
     /// Fastest joint rate (rad/s). Trained policies may turn joints two to three times as fast.
     #[arg(long, value_name = "RATE", default_value_t = 0.8, allow_hyphen_values = true, value_parser = rate)]
     pub fastest: f64,
-    /// When to give up.
+    /// When to give up. The first 32 candidates are always played.
     #[arg(long, value_name = "TIME", default_value = "1s", allow_hyphen_values = true, value_parser = duration)]
     pub time_limit: Duration,
     /// Tells the detours of one search from those of another; with --held-out, seed of the goals.

@@ -31,8 +31,8 @@ pub struct HeldOut {
     pub goals: usize,
     /// Of these, how many have a plan.
     pub planned: usize,
-    /// How many were missed because of kinematics, contacts, motion.
-    pub missed: [usize; 3],
+    /// How many were missed because of kinematics, reach, contacts, motion.
+    pub missed: [usize; 4],
     /// Episode and arm of the missed, both counted from 0.
     pub missed_goals: Vec<(u32, usize)>,
     /// Half of the plans were found within (s); none where no goal can be reached.
@@ -72,7 +72,7 @@ pub fn held_out(
         })
         .collect();
     progress.begin("plans", goals.len() as u64);
-    let (mut planned, mut missed, mut missed_goals) = (0, [0; 3], Vec::new());
+    let (mut planned, mut missed, mut missed_goals) = (0, [0; 4], Vec::new());
     let (mut seconds, mut arrived, mut candidates) = (Vec::new(), Vec::new(), 0);
     for &(env, arm) in &goals {
         let purpose = Purpose::EvaluationGoal;
@@ -94,8 +94,9 @@ pub fn held_out(
                 missed_goals.push((env, arm));
                 missed[match obstacle {
                     Obstacle::Kinematics { .. } => 0,
-                    Obstacle::Contact => 1,
-                    Obstacle::Motion => 2,
+                    Obstacle::Reach { .. } => 1,
+                    Obstacle::Contact => 2,
+                    Obstacle::Motion => 3,
                 }] += 1;
             }
         }
@@ -138,7 +139,7 @@ impl HeldOut {
         };
         let seconds = |value| or_dash(value, 2, " s");
         let share = 100.0 * self.planned as f64 / self.goals.max(1) as f64;
-        let [kinematics, contact, motion] = self.missed;
+        let [kinematics, reach, contact, motion] = self.missed;
         let rows = [
             ["goals that can be reached".to_owned(), output::grouped(self.goals as u64)],
             [
@@ -147,7 +148,9 @@ impl HeldOut {
             ],
             [
                 "without".to_owned(),
-                format!("kinematics {kinematics}, contact {contact}, motion {motion}"),
+                format!(
+                    "kinematics {kinematics}, reach {reach}, contact {contact}, motion {motion}"
+                ),
             ],
             [
                 "planning".to_owned(),
@@ -223,7 +226,7 @@ position = [0.0, 0.0, 0.0]
         assert!(text.contains("no goal of 1 episode can be reached"), "{text}");
         // Goals without a plan have no time of arrival.
         let unplanned =
-            HeldOut { goals: 1, missed: [1, 0, 0], planning_s_p50: Some(0.25), ..found };
+            HeldOut { goals: 1, missed: [1, 0, 0, 0], planning_s_p50: Some(0.25), ..found };
         let text = unplanned.table();
         assert!(text.contains("median 0.25 s") && !text.contains("NaN"), "{text}");
     }

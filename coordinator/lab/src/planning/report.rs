@@ -71,6 +71,7 @@ impl Report {
             reached: plan.obstacle.is_none(),
             obstacle: plan.obstacle.map(|obstacle| match obstacle {
                 Obstacle::Kinematics { .. } => "kinematics",
+                Obstacle::Reach { .. } => "reach",
                 Obstacle::Contact => "contact",
                 Obstacle::Motion => "motion",
             }),
@@ -150,8 +151,13 @@ pub fn sentence(question: &Question, answer: &Answer) -> Option<String> {
     );
     let reason = match obstacle {
         Obstacle::Kinematics { arm } => format!(
-            "no joint angles bring hand {} to its pose, nor so near that the base could make up for it; the \
-             arm is too short for it, or its wrist would be inside of its own first joint",
+            "no joint angles bring hand {} to its pose, nor near it; the arm is too short for it, or its \
+             wrist would be inside of its own first joint",
+            arm + 1
+        ),
+        Obstacle::Reach { arm } => format!(
+            "hand {} does not reach its pose with the base where it is, and no candidate has moved the base \
+             far enough; more time (--time-limit) may find one that does",
             arm + 1
         ),
         Obstacle::Contact => {

@@ -35,8 +35,13 @@ const UNTOUCHED: f64 = 1e-5;
 /// Why no plan was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Obstacle {
-    /// No joint angles put the hand of this arm at its pose, nor near enough for the base to make up for it.
+    /// No joint angles put the hand of this arm at its pose, nor near it: nothing was tried.
     Kinematics {
+        /// The arm.
+        arm: usize,
+    },
+    /// This arm does not reach its pose with the base where it was at the start, and no candidate has moved the base far enough.
+    Reach {
         /// The arm.
         arm: usize,
     },
@@ -120,7 +125,7 @@ pub fn plan(
     }
     let obstacle = match candidates.arm_out_of_reach(robot) {
         _ if best.has_arrived => Obstacle::Contact,
-        Some(arm) => Obstacle::Kinematics { arm },
+        Some(arm) => Obstacle::Reach { arm },
         None => Obstacle::Motion,
     };
     let (played, proposal) = best.played.expect("a wave was played");
