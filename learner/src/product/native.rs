@@ -1,5 +1,8 @@
 //! What the processor multiplies bfloat16 with.
 
+#[cfg(target_arch = "x86_64")]
+use crate::features::Features;
+
 /// What it has: nobody but [`Native::detect`] can make one. Without AVX-512 it has nothing, and nobody can make one at all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Native {
@@ -46,12 +49,7 @@ impl Native {
 
     #[cfg(target_arch = "x86_64")]
     fn pairs() -> Option<Self> {
-        use std::arch::is_x86_feature_detected as has;
-        let has_pairs = has!("avx512f")
-            && has!("avx512bw")
-            && has!("avx512dq")
-            && has!("avx512vl")
-            && has!("avx512bf16");
+        let has_pairs = matches!(Features::detect(), Features::Avx512Bf16(_));
         has_pairs.then_some(Self::Pairs(Pairs(())))
     }
 
