@@ -34,7 +34,7 @@ pub fn shared_memory(
     let budget = ChannelSizes::new(config, dimensions).shared_memory(senders);
     let needed: u64 = budget.iter().map(|(_, bytes)| bytes).sum();
     if needed <= free {
-        let found = format!("{} free of {} needed", mib(free), mib(needed));
+        let found = format!("{} free, {} needed", mib(free), mib(needed));
         return Check::good(NAME, found);
     }
     let parts: Vec<_> =

@@ -18,7 +18,10 @@ pub fn libtorch(learner: &Path) -> Check {
             let version = version.lines().collect::<Vec<_>>().join(", ");
             Check::good(NAME, format!("{version} ({})", learner.display()))
         }
-        Err(found) => Check::failure(NAME, found, CURE),
+        Err(found) => {
+            let (found, cure) = found.rsplit_once("; ").unwrap_or((&found, CURE));
+            Check::failure(NAME, found, cure)
+        }
     }
 }
 
@@ -83,7 +86,7 @@ fn gpus(driver: &Path) -> Vec<String> {
     models
 }
 
-/// What the learner prints if it is started with `args`, or why it prints nothing.
+/// What the learner prints if it is started with `args`, or why it prints nothing, and after a semicolon what helps if that is known.
 fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
     const PATIENCE: Duration = Duration::from_mins(1);
     let mut command = Command::new(learner);
@@ -107,7 +110,7 @@ fn answer(learner: &Path, args: &[&str]) -> Result<String, String> {
                 let _ = child.kill();
                 let _ = child.wait();
                 return Err(format!(
-                    "{} {} does not answer within {} s",
+                    "{} {} does not answer within {} s; this machine may be busy, try again later",
                     learner.display(),
                     args.join(" "),
                     PATIENCE.as_secs()

@@ -61,7 +61,7 @@ pub fn disk(
                 None => format!("make room, or {}", remedy.elsewhere),
             },
         ),
-        Ok(free) => Check::good(NAME, format!("{} free of {} needed", mib(free), mib(needed))),
+        Ok(free) => Check::good(NAME, format!("{} free, {} needed", mib(free), mib(needed))),
     }
 }
 
