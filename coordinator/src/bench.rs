@@ -113,7 +113,7 @@ pub struct BenchArgs {
 #[command(next_help_heading = "Options of scale")]
 pub struct ScaleArgs {
     /// Numbers of hosts.
-    #[arg(long, value_name = "N,…", value_delimiter = ',', allow_hyphen_values = true, value_parser = whole::<u32>(1, 10_000), default_values_t = [1, 2, 4, 8, 16, 32, 100, 300, 1000])]
+    #[arg(long, value_name = "N,…", value_delimiter = ',', allow_hyphen_values = true, value_parser = whole::<u32>(1, 10_000), default_value = "1,2,4,8,16,32,100,300,1000")]
     pub hosts: Vec<u32>,
     /// Workers of each host.
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u32>(1, 1024), default_value_t = 8)]
@@ -122,7 +122,7 @@ pub struct ScaleArgs {
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u32>(0, 1024), default_value_t = 0)]
     pub local_workers: u32,
     /// Numbers of learners, each a machine with its share of the agents.
-    #[arg(long, value_name = "N,…", value_delimiter = ',', allow_hyphen_values = true, value_parser = whole::<u32>(1, 8), default_values_t = [1, 2, 4, 8])]
+    #[arg(long, value_name = "N,…", value_delimiter = ',', allow_hyphen_values = true, value_parser = whole::<u32>(1, 8), default_value = "1,2,4,8")]
     pub learners: Vec<u32>,
     /// What the link of a machine carries, each way (Gbit/s).
     #[arg(long, value_name = "GBIT", allow_hyphen_values = true, value_parser = above_zero, default_value_t = 10.0)]
@@ -131,7 +131,7 @@ pub struct ScaleArgs {
     #[arg(long, value_name = "MS", allow_hyphen_values = true, value_parser = amount, default_value_t = 0.1)]
     pub delay: f64,
     /// What gateways take at the learner and at a host: ms of a core for a MB of blocks.
-    #[arg(long, value_name = "MS", num_args = 2, value_names = ["HUB", "HOST"], allow_negative_numbers = true, value_parser = amount, default_values_t = [1.8, 2.8])]
+    #[arg(long, value_name = "MS", num_args = 2, value_names = ["LEARNER", "HOST"], allow_negative_numbers = true, value_parser = amount, default_values_t = [1.8, 2.8])]
     pub gateways: Vec<f64>,
 }
 

@@ -49,7 +49,7 @@ pub enum Command {
     Sweep(sweep::SweepArgs),
     /// Measure a policy on goals it never saw.
     Eval(eval::EvalArgs),
-    /// Repeat the paper's experiments.
+    /// Repeat one of the paper's experiments.
     Experiment(experiment::ExperimentArgs),
     /// Repeat all of the paper's experiments and make a page of them.
     Reproduce(reproduce::ReproduceArgs),

@@ -170,7 +170,7 @@ pub struct CommonArgs {
     /// Seed of goals and noise.
     #[arg(long, value_name = "S", default_value_t = 0, allow_hyphen_values = true, value_parser = whole::<u64>(0, u64::MAX))]
     pub seed: u64,
-    /// Print the result as JSON, with all courses.
+    /// Print the result as JSON, with the errors after every control step.
     #[arg(long)]
     pub json: bool,
 }

@@ -230,7 +230,7 @@ fn show(plan: &Plan, slots: &Slots, json: bool) -> anyhow::Result<()> {
     let apart = if slots.are_apart() { "each on its own" } else { "together on all" };
     output::line(&format!(
         "{}\n\n{} of {}; {} env-steps if all go to the end{halving}\n{} at a time, {apart} \
-         processors; one has work for {}",
+         processors; one keeps {} busy",
         output::table(header, rows),
         output::counted(study.trials.len() as u64, "trial"),
         output::counted(study.configurations.len() as u64, "configuration"),
