@@ -6,7 +6,7 @@
 //! them in place, so nothing is copied and nothing here is unsafe.
 //!
 //! **Threads** live for one call, so that nothing is left to a process that forks. They hold no lock of Python's meanwhile. The caller's
-//! own thread takes part, and looks for signals between two chunks of work (`threads`).
+//! own thread takes part, and looks for signals between two chunks of work (`threads`, `signals`).
 //!
 //! **Errors.** What is wrong with what was given is a `ValueError` or `TypeError` with the words of the command line; what is wrong with
 //! when it was called a `RuntimeError`. No panic crosses the border (`errors::guarded`).
@@ -23,6 +23,7 @@ mod numbers;
 mod policy;
 mod postures;
 mod robot;
+mod signals;
 mod simulate;
 mod threads;
 

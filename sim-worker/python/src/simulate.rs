@@ -1,11 +1,8 @@
 //! Open loop: commands in, a trajectory out.
 
-use std::sync::{Mutex, PoisonError};
-
 use numpy::{PyArrayMethods as _, PyUntypedArrayMethods as _};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use simulator::executor::Executor as _;
 use simulator::simulate::{Precision, SimulationRow, simulate_from};
 use simulator::state::State;
 use simulator::step::{Integrator, StepOptions};
@@ -13,7 +10,7 @@ use simulator::step::{Integrator, StepOptions};
 use crate::errors::{guarded, runtime, value};
 use crate::numbers::{array, by_arm, double};
 use crate::robot;
-use crate::threads::Threads;
+use crate::signals::Looks;
 
 /// Substeps between two looks for signals, but at least a control step: some milliseconds.
 const PIECE: usize = 256;
@@ -78,26 +75,23 @@ pub(crate) fn simulate<'py>(
         }
         let options = StepOptions { control_period, substep, integrator, contacts };
         let precision = if single { Precision::F32 } else { Precision::F64 };
-        // The caller's alone: each piece begins where the one before it ends.
-        let threads = Threads::new(1);
         let rows = py.detach(|| {
             let actions: Vec<Vec<f64>> =
                 numbers.chunks_exact(n_joints).map(<[f64]>::to_vec).collect();
             let substeps = (control_period / substep).round() as usize;
-            let pieces: Vec<&[Vec<f64>]> = actions.chunks((PIECE / substeps).max(1)).collect();
-            let rows: Mutex<Vec<SimulationRow>> = Mutex::new(Vec::with_capacity(actions.len()));
-            threads.run(pieces.len(), &|index| {
-                let mut rows = rows.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut rows: Vec<SimulationRow> = Vec::with_capacity(actions.len());
+            let mut looks = Looks::begin();
+            for piece in actions.chunks((PIECE / substeps).max(1)) {
                 let start =
                     rows.last().map_or_else(|| State::home(&robot), |row| row.state.clone());
-                for row in simulate_from(&robot, &start, pieces[index], precision, &options) {
+                for row in simulate_from(&robot, &start, piece, precision, &options) {
                     let t = (rows.len() + 1) as f64 * control_period;
                     rows.push(SimulationRow { t, ..row });
                 }
-            });
-            rows.into_inner().unwrap_or_else(PoisonError::into_inner)
-        });
-        threads.interrupted()?;
+                looks.look()?;
+            }
+            Ok::<_, PyErr>(rows)
+        })?;
         if let Some(index) = rows.iter().position(|row| !row.state.is_finite()) {
             return Err(runtime(format!(
                 "the simulation blew up in step {index}: a number is not finite; a smaller substep may help"

@@ -4,13 +4,11 @@ use std::num::NonZero;
 use std::panic::resume_unwind;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::{Duration, Instant};
 
-use pyo3::{PyErr, PyResult, Python};
+use pyo3::{PyErr, PyResult};
 use simulator::executor::Executor;
 
-/// How often the caller's thread looks for signals: often for a person, seldom for the work.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+use crate::signals::Looks;
 
 /// How many processors this process may use.
 pub(crate) fn available() -> usize {
@@ -36,23 +34,6 @@ impl Threads {
         let raised = self.raised.into_inner().expect("no thread panics while it holds the lock");
         raised.map_or(Ok(()), Err)
     }
-
-    /// Whether to go on.
-    fn look(&self, last: &mut Instant) {
-        if last.elapsed() < LOOK_EVERY {
-            return;
-        }
-        *last = Instant::now();
-        #[expect(
-            clippy::redundant_closure_for_method_calls,
-            reason = "the method's own lifetime is not general enough"
-        )]
-        let looked = Python::attach(|py| py.check_signals());
-        if let Err(error) = looked {
-            *self.raised.lock().expect("no thread panics while it holds the lock") = Some(error);
-            self.stop.store(true, Ordering::Relaxed);
-        }
-    }
 }
 
 impl Executor for Threads {
@@ -68,11 +49,18 @@ impl Executor for Threads {
                 after();
             }
         };
-        let mut last = Instant::now();
+        let mut looks = Looks::begin();
+        let mut look = || {
+            if let Err(error) = looks.look() {
+                *self.raised.lock().expect("no thread panics while it holds the lock") =
+                    Some(error);
+                self.stop.store(true, Ordering::Relaxed);
+            }
+        };
         std::thread::scope(|scope| {
             let others = 1..self.n.min(n_tasks);
             let others: Vec<_> = others.map(|_| scope.spawn(|| work(&mut || {}))).collect();
-            work(&mut || self.look(&mut last));
+            work(&mut look);
             for other in others {
                 if let Err(panic) = other.join() {
                     resume_unwind(panic);
