@@ -56,7 +56,7 @@ pub fn problem(text: &str) -> Option<String> {
 }
 
 /// The text without what could be a secret in an address: all before an `@`, all behind a `?`. For messages, which end in logs.
-pub fn hidden(text: &str) -> String {
+pub(crate) fn hidden(text: &str) -> String {
     let Some((before, rest)) = text.split_once("://") else { return text.to_owned() };
     let rest =
         rest.rsplit_once('@').map_or_else(|| rest.to_owned(), |(_, place)| format!("***@{place}"));

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-/// What can be wrong with a configuration.
+use crate::bucket_address::hidden;
+
+/// What can be wrong with a configuration. What could be a secret in an address is not shown.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
@@ -15,7 +17,7 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// The text is no TOML.
-    #[error("{origin}: not valid TOML: {message}")]
+    #[error("{origin}: not valid TOML: {message}", origin = hidden(origin))]
     Syntax {
         /// The file, or the flag as it was written.
         origin: String,
@@ -23,7 +25,7 @@ pub enum ConfigError {
         message: String,
     },
     /// A key that does not exist.
-    #[error("{origin}: unknown key `{key}`{hint}")]
+    #[error("{origin}: unknown key `{key}`{hint}", origin = hidden(origin))]
     UnknownKey {
         /// The file, or the flag as it was written.
         origin: String,
@@ -33,7 +35,7 @@ pub enum ConfigError {
         hint: String,
     },
     /// A key that every configuration has.
-    #[error("{origin}: key `{key}` is missing")]
+    #[error("{origin}: key `{key}` is missing", origin = hidden(origin))]
     Missing {
         /// The file, or the flag as it was written.
         origin: String,
@@ -41,7 +43,11 @@ pub enum ConfigError {
         key: String,
     },
     /// A value that the key cannot have.
-    #[error("{origin}: key `{key}` wants {expected}, got {found}")]
+    #[error(
+        "{origin}: key `{key}` wants {expected}, got {found}",
+        origin = hidden(origin),
+        found = hidden(found)
+    )]
     WrongType {
         /// The file, or the flag as it was written.
         origin: String,
@@ -53,7 +59,7 @@ pub enum ConfigError {
         found: String,
     },
     /// A value out of its range, or two that do not fit each other.
-    #[error("key `{key}`: {problem}; {cure}")]
+    #[error("key `{key}`: {problem}; {cure}", problem = hidden(problem))]
     Invalid {
         /// The dotted key.
         key: &'static str,

@@ -12,8 +12,8 @@ use super::preset::Preset;
 use super::resolved::Config;
 use super::tables::{found, hint, parse, wanted};
 use super::typed::typed;
+use crate::ConfigError;
 use crate::tasks::TaskName;
-use crate::{ConfigError, bucket_address};
 
 /// A configuration in the making. Later layers win.
 #[derive(Debug, Clone)]
@@ -39,7 +39,7 @@ impl Layers {
     /// Adds one `key=value`; the value is TOML, and a bare word is taken as a string. Where the key wants one, so is whatever is no
     /// TOML and does not begin as a string of it.
     pub fn set(mut self, assignment: &str) -> Result<Self, ConfigError> {
-        let origin = format!("--set {}", bucket_address::hidden(assignment));
+        let origin = format!("--set {assignment}");
         let Some((key, value)) = assignment.split_once('=') else {
             return Err(ConfigError::Syntax {
                 origin,
@@ -133,7 +133,7 @@ impl Layers {
                 origin: origin.clone(),
                 key: "task.name".to_owned(),
                 expected: TaskName::listed(),
-                found: bucket_address::hidden(&value.to_string()),
+                found: value.to_string(),
             }),
         }
     }

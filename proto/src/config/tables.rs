@@ -2,7 +2,7 @@
 
 use toml::{Table, Value};
 
-use crate::{ConfigError, bucket_address};
+use crate::ConfigError;
 
 /// The table that `text` from `origin` holds.
 ///
@@ -48,7 +48,7 @@ pub(super) fn found(value: &Value) -> String {
         Value::Table(_) => "the table",
         Value::Datetime(_) => "the time",
     };
-    format!("{kind} {}", bucket_address::hidden(&value.to_string()))
+    format!("{kind} {value}")
 }
 
 /// The end of a message about an unknown name: the nearest known one, or all of them.

@@ -328,7 +328,7 @@ fn a_key_that_wants_text_takes_what_is_no_toml() {
 
 #[test]
 fn secrets_in_addresses_are_not_repeated() {
-    for key in ["run.checkpoints", "run.workers", "no.such", "task.name"] {
+    for key in ["run.checkpoints", "run.device", "run.workers", "no.such", "task.name", "for"] {
         let message = message(&[&format!("{key}=s3://user:secret@bucket/x")]);
         assert!(!message.contains("secret"), "{message}");
     }
