@@ -17,7 +17,11 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// The text is no TOML.
-    #[error("{origin}: not valid TOML: {message}", origin = hidden(origin))]
+    #[error(
+        "{origin}: not valid TOML: {message}",
+        origin = hidden(origin),
+        message = hidden(message)
+    )]
     Syntax {
         /// The file, or the flag as it was written.
         origin: String,

@@ -48,11 +48,16 @@ impl Layers {
         };
         let (key, value) = (key.trim(), value.trim());
         let wrapped = format!("value = {value}");
+        let is_number = value.bytes().all(|byte| byte.is_ascii_digit());
+        let is_word = value.chars().all(|c| c.is_alphanumeric() || "_-./:".contains(c));
         let parsed = match wrapped.parse::<Table>() {
-            Ok(table) => table["value"].clone(),
-            Err(_) if value.chars().all(|c| c.is_alphanumeric() || "_-./:".contains(c)) => {
-                Value::String(value.to_owned())
+            Ok(table) if table.len() == 1 => table["value"].clone(),
+            Ok(_) => {
+                let message = "holds more than one key; give each its own --set".to_owned();
+                return Err(ConfigError::Syntax { origin, message });
             }
+            // A number that TOML has not, because it is too large, is no word.
+            Err(_) if is_word && !is_number => Value::String(value.to_owned()),
             Err(_) if !value.starts_with(['"', '\'']) && self.is_text(key)? => {
                 Value::String(value.to_owned())
             }
@@ -71,12 +76,12 @@ impl Layers {
         Ok(self)
     }
 
-    /// Whether a key wants a string.
+    /// Whether a key wants a string; one that there is not is found out when layers are merged.
     fn is_text(&self, key: &str) -> Result<bool, ConfigError> {
         let (base, _) = self.preset.tables()?;
         let base = Value::Table(base);
         let slot = key.split('.').try_fold(&base, |table, part| table.get(part));
-        Ok(slot.is_some_and(Value::is_str))
+        Ok(slot.is_none_or(Value::is_str))
     }
 
     /// Merges all layers and checks the result.

@@ -319,11 +319,31 @@ fn a_key_that_wants_text_takes_what_is_no_toml() {
     assert_eq!(config.robot.description, "my robot #2.toml");
     let quoted = resolve(&["run.checkpoints=\"file:///a,b\""]).expect("TOML");
     assert_eq!(quoted.run.checkpoints, "file:///a,b");
-    for wrong in ["algorithm.gamma=a,b", "run.checkpoints=\"file:///a", "no.such=a,b"] {
+    for wrong in ["algorithm.gamma=a,b", "run.checkpoints=\"file:///a"] {
         let message = message(&[wrong]);
         assert!(message.starts_with(&format!("--set {wrong}: not valid TOML")), "{message}");
         assert!(!message.contains("value ="), "{message}");
     }
+    // Of what is misspelt the key is wrong.
+    let message = message(&["run.chekpoints=file:///a,b"]);
+    assert!(message.contains("unknown key `run.chekpoints`; did you mean"), "{message}");
+}
+
+/// What stood in further lines was dropped.
+#[test]
+fn an_assignment_is_of_one_key() {
+    for wrong in ["algorithm.gamma=0.9\nalgorithm.clip=0.1", "run.seed=1\nfoo=2"] {
+        let message = message(&[wrong]);
+        assert!(message.contains("holds more than one key"), "{message}");
+    }
+    let lines = resolve(&["network.hidden=[64,\n64]"]).expect("one value");
+    assert_eq!(lines.network.hidden, [64, 64]);
+}
+
+#[test]
+fn a_whole_number_beyond_those_of_toml_is_called_too_large() {
+    let message = message(&["run.seed=9223372036854775808"]);
+    assert!(message.contains("too large") && !message.contains("string"), "{message}");
 }
 
 #[test]
@@ -332,4 +352,8 @@ fn secrets_in_addresses_are_not_repeated() {
         let message = message(&[&format!("{key}=s3://user:secret@bucket/x")]);
         assert!(!message.contains("secret"), "{message}");
     }
+    let file = "[run]\ncheckpoints = s3://user:secret@bucket/x";
+    let error = Layers::new(Preset::Tuned, None).text(file, "my.toml").expect_err("no quotes");
+    let message = error.to_string();
+    assert!(message.contains("line 2") && !message.contains("secret"), "{message}");
 }
