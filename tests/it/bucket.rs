@@ -544,3 +544,64 @@ fn what_was_changed_in_a_bucket_is_found_and_passed_over() {
     assert_eq!(metrics.lines().count(), 12);
     assert_eq!(names(1, &address).len(), 3);
 }
+
+/// A copied checkpoint was sent as the run's own, and a damaged one kept all older ones and all labels back.
+#[test]
+fn neither_a_copied_nor_a_damaged_checkpoint_is_in_the_way_of_the_others() {
+    let place = tempfile::tempdir().expect("tempdir");
+    let address = format!("file://{}/bucket/a", place.path().display());
+    let in_the_way = place.path().join("bucket");
+    std::fs::write(&in_the_way, "no directory").expect("written");
+    let mut run = Run::new();
+    let set = format!("--set=run.checkpoints={address}");
+    run.start_training(&["--workers=1", "--iterations=12", &set]);
+    run.succeed();
+    assert!(run.log().contains("3 checkpoints are not in"), "{}", run.log());
+
+    let own = |iteration: u64| run.path().join(format!("checkpoints/iteration-{iteration:08}"));
+    copy(&own(12), &own(13), "iteration", &serde_json::json!(13));
+    let state = own(10).join("state.safetensors");
+    let mut bytes = std::fs::read(&state).expect("read");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&state, bytes).expect("written");
+    let pinned = format!("{}:12", run.path().display());
+    expect(&octopus(&["checkpoints", "pin", &pinned]), 0, &["pin"]);
+    std::fs::remove_file(&in_the_way).expect("removed");
+    run.resume(&[]);
+    run.succeed();
+    let log = run.log();
+    assert!(log.contains("not all checkpoints are sent to the bucket"), "{log}");
+    assert!(log.contains("one checkpoint is not in"), "{log}");
+    assert_eq!(status(&run)["waiting"], serde_json::json!(["iteration-00000010"]));
+    assert_eq!(names(1, &address), ["iteration-00000005", "iteration-00000012"]);
+    let list = at(1, 0, &["checkpoints", "list", &address]);
+    assert!(list.contains("pinned"), "{list}");
+
+    // As buckets hold it that were written before copies were told from others.
+    let sent = |iteration: u64| in_the_way.join(format!("a/checkpoints/iteration-{iteration:08}"));
+    copy(&sent(12), &sent(13), "manifest", &{
+        let record = std::fs::read_to_string(sent(12).join("manifest.json")).expect("a record");
+        let mut record: Value = serde_json::from_str(&record).expect("JSON");
+        record["manifest"]["iteration"] = serde_json::json!(13);
+        record["manifest"].take()
+    });
+    let dir = place.path().join("again").display().to_string();
+    let output = octopus(&["resume", &address, "--run-dir", &dir]);
+    let said = expect(&output, 0, &["resume"]);
+    assert!(said.contains("is no checkpoint that its run has made"), "{said}");
+    assert!(said.contains("iteration-00000012"), "{said}");
+}
+
+/// Copies a checkpoint, and changes a key of its manifest.
+fn copy(from: &Path, to: &Path, key: &str, value: &Value) {
+    std::fs::create_dir(to).expect("made");
+    for file in std::fs::read_dir(from).expect("there").flatten() {
+        std::fs::copy(file.path(), to.join(file.file_name())).expect("copied");
+    }
+    let manifest = to.join("manifest.json");
+    let text = std::fs::read_to_string(&manifest).expect("a manifest");
+    let mut json: Value = serde_json::from_str(&text).expect("JSON");
+    json[key] = value.clone();
+    std::fs::write(&manifest, json.to_string()).expect("written");
+}
