@@ -2,7 +2,7 @@
 
 use output::counted;
 use proto::{ExitCode, ExitError};
-use store::checkpoint::{Composition, Name, Part};
+use store::checkpoint::{Composition, Name, Part, Parts};
 use store::provenance::Provenance;
 
 use super::common::{refused, report, store_to_fill};
@@ -33,10 +33,10 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
     for from in &args.arms {
         parts.push(Part { arms: from.arms.clone(), checkpoint: from.checkpoint.open()? });
     }
-    Composition::check_arms(&parts).map_err(refused(ExitCode::Usage))?;
+    let parts = Parts::new(parts).map_err(refused(ExitCode::Usage))?;
     let composition = Composition::new(&parts).map_err(refused(ExitCode::BadInput))?;
     if !composition.notes.is_empty() {
-        let first = parts[0].checkpoint.dir.display();
+        let first = parts.parts()[0].checkpoint.dir.display();
         output::note(&format!(
             "note: the parts differ in {}; {first} decides",
             composition.notes.join(", ")
@@ -46,5 +46,9 @@ pub(super) fn compose(args: &ComposeArgs) -> anyhow::Result<()> {
     // It refuses names only.
     let entry =
         store.compose(&name, &composition, &provenance).map_err(refused(ExitCode::Usage))?;
-    report(&entry, args.json, &format!("composed of {}", counted(parts.len() as u64, "checkpoint")))
+    report(
+        &entry,
+        args.json,
+        &format!("composed of {}", counted(args.arms.len() as u64, "checkpoint")),
+    )
 }

@@ -15,7 +15,9 @@ use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::signals;
 use simulator::robot::Robot;
-use store::checkpoint::{BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part};
+use store::checkpoint::{
+    BEST, Checkpoint, CheckpointStore, Composition, Manifest, Name, Part, Parts,
+};
 use store::provenance::Provenance;
 use store::{files, outputs, regular_files};
 
@@ -204,7 +206,7 @@ fn take_best(task: TaskName, runs: &[Run], policies: &Path) -> anyhow::Result<()
     }
     let robot = Robot::from_toml(&checkpoint.robot_toml, &checkpoint.dir.join("robot.toml"))?;
     let part = Part { arms: (0..robot.n_arms).collect(), checkpoint };
-    let composition = Composition::new(&[part])?;
+    let composition = Composition::new(&Parts::new(vec![part])?)?;
     store.compose(&name, &composition, &serde_json::to_value(Provenance::gather())?)?;
     Ok(())
 }

@@ -6,34 +6,15 @@ use proto::config::{Config, InputNorm, JointAngles, Observation};
 use proto::layout::{AGENTS_PER_ARM, ActorLayout, Dimensions};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
-use simulator::robot::Robot;
 
 use super::commit::Clash;
 use super::entry::Entry;
 use super::file_names::{CONFIG, FORMAT, POLICY, ROBOT};
 use super::manifest::{Manifest, Origin};
 use super::name::Name;
-use super::read::Checkpoint;
+use super::parts::{Part, Parts};
 use super::store::{CheckpointStore, now};
 use super::{CheckpointError, tensors};
-
-/// Arms that come from one checkpoint.
-#[derive(Debug, Clone)]
-pub struct Part {
-    /// The arms, counted from 0; arm i moves with agents 2i and 2i + 1, there and in the composition.
-    pub arms: Vec<usize>,
-    /// Where they come from.
-    pub checkpoint: Checkpoint,
-}
-
-impl Part {
-    /// The part in messages, with arms counted from 1 as users do.
-    fn describe(&self) -> String {
-        let arms: Vec<String> = self.arms.iter().map(|arm| (arm + 1).to_string()).collect();
-        let plural = if arms.len() == 1 { "arm" } else { "arms" };
-        format!("{plural} {} ({})", arms.join(","), self.checkpoint.dir.display())
-    }
-}
 
 /// A policy set that is not committed yet.
 #[derive(Debug, Clone)]
@@ -49,46 +30,11 @@ pub struct Composition {
 }
 
 impl Composition {
-    /// Refuses parts that do not give every arm once; returns the robot that the arms are of, the first part's.
-    pub fn check_arms(parts: &[Part]) -> Result<Robot, CheckpointError> {
+    /// Takes the agents of each part's arms. The parts must have the same robot, and be alike in everything that a policy
+    /// depends on.
+    pub fn new(parts: &Parts) -> Result<Self, CheckpointError> {
         let refuse = |reason: String| Err(CheckpointError::Refused { reason });
-        let Some(Part { checkpoint, .. }) = parts.first() else {
-            return refuse("a composition has at least one part".to_owned());
-        };
-        let path = checkpoint.dir.join(ROBOT);
-        let robot = Robot::from_toml(&checkpoint.robot_toml, &path)
-            .map_err(|error| CheckpointError::damaged(&path, error.to_string()))?;
-        let mut owners: Vec<Option<&Part>> = vec![None; robot.n_arms];
-        for part in parts {
-            for &arm in &part.arms {
-                let (number, n_arms) = (arm + 1, robot.n_arms);
-                match owners.get_mut(arm) {
-                    None => {
-                        return refuse(format!("there is no arm {number}: the robot has {n_arms}"));
-                    }
-                    Some(Some(_)) => return refuse(format!("arm {number} is given twice")),
-                    Some(slot) => *slot = Some(part),
-                }
-            }
-        }
-        let missing: Vec<String> = owners
-            .iter()
-            .enumerate()
-            .filter(|(_, owner)| owner.is_none())
-            .map(|(arm, _)| (arm + 1).to_string())
-            .collect();
-        if !missing.is_empty() {
-            let missing = missing.join(", ");
-            return refuse(format!("no part has arm {missing}; give every arm once"));
-        }
-        Ok(robot)
-    }
-
-    /// Takes the agents of each part's arms. Every arm must be given once; the parts must have the
-    /// same robot, and be alike in everything that a policy depends on.
-    pub fn new(parts: &[Part]) -> Result<Self, CheckpointError> {
-        let refuse = |reason: String| Err(CheckpointError::Refused { reason });
-        let robot = Self::check_arms(parts)?;
+        let (parts, robot) = (parts.parts(), parts.robot());
         let first = &parts[0];
         let first_checkpoint = &first.checkpoint;
         let dimensions = Dimensions::new(&first_checkpoint.config, robot.joints);

@@ -30,7 +30,7 @@
 //! | `state_layout` | what a training state must hold |
 //! | `commit` | a snapshot becomes a checkpoint, whole or not at all |
 //! | `verify`, `compare` | the thorough check; two checkpoints side by side |
-//! | `compose` | one policy set from several checkpoints |
+//! | `parts`, `compose` | arms of several checkpoints; one policy set from them |
 //! | `selector` | how users name a checkpoint |
 
 mod archive;
@@ -53,6 +53,7 @@ mod manifest;
 mod name;
 mod opening;
 mod ownership;
+mod parts;
 mod read;
 mod reserved;
 mod retention;
@@ -69,7 +70,7 @@ pub use commit::Placement;
 pub use compare::{
     Difference, KeyDifference, TensorDifference, compare, compare_policies, flatten,
 };
-pub use compose::{Composition, Part};
+pub use compose::Composition;
 pub use entry::{DamagedEntry, Entry, Kind, Survey};
 pub use error::{CheckpointError, newest};
 pub use file_names::{CONFIG, FORMAT, LABELS, MANIFEST, POLICY, ROBOT, STATE};
@@ -80,6 +81,7 @@ pub use lock_timeout::LockTimeout;
 pub use manifest::{FileEntry, Manifest, Origin};
 pub use name::{ITERATION, Name, NameError};
 pub use ownership::Ownership;
+pub use parts::{Part, Parts};
 pub use read::{Checkpoint, read_policy};
 pub use reserved::{BEST, LATEST};
 pub use retention::Retention;

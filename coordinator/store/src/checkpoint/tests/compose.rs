@@ -15,8 +15,12 @@ fn part(arms: &[usize], checkpoint: &Checkpoint) -> Part {
     Part { arms: arms.to_vec(), checkpoint: checkpoint.clone() }
 }
 
+fn compose(parts: &[Part]) -> Result<Composition, CheckpointError> {
+    Composition::new(&Parts::new(parts.to_vec())?)
+}
+
 fn refused(parts: &[Part]) -> String {
-    Composition::new(parts).expect_err("they do not fit").to_string()
+    compose(parts).expect_err("they do not fit").to_string()
 }
 
 #[test]
@@ -24,7 +28,7 @@ fn every_arm_keeps_its_own_rows_and_its_origin() {
     let dir = tempfile::tempdir().expect("tempdir");
     let (a, b) = (trained(&dir, "a", &[], 0.0), trained(&dir, "b", &["run.seed=9"], 5000.0));
     let parts = [part(&[2, 0], &a), part(&[1, 3], &b)];
-    let composition = Composition::new(&parts).expect("they fit");
+    let composition = compose(&parts).expect("they fit");
     assert!(composition.notes.is_empty(), "{:?}", composition.notes);
     let store = CheckpointStore::new(dir.path().join("shared"));
     let provenance = serde_json::json!({});
@@ -72,7 +76,7 @@ fn every_arm_keeps_its_own_rows_and_its_origin() {
     assert!(store.latest().is_err());
     let again = store.compose(&name("mixed"), &composition, &provenance).expect("the same again");
     assert_eq!(again, entry);
-    let other = Composition::new(&[part(&[0, 1, 2, 3], &a)]).expect("fits");
+    let other = compose(&[part(&[0, 1, 2, 3], &a)]).expect("fits");
     let error = store.compose(&name("mixed"), &other, &provenance).expect_err("another");
     assert!(matches!(error, CheckpointError::Conflict { .. }), "{error}");
     assert!(store.compose(&nth(1), &composition, &provenance).is_err(), "a run's name");
@@ -160,7 +164,7 @@ fn what_only_matters_for_training_is_noted() {
     let a = trained(&dir, "a", &[], 0.0);
     let b = trained(&dir, "b", &["task.episode_steps=77", "algorithm.gamma=0.5"], 0.0);
     let parts = [part(&[0, 1], &a), part(&[2, 3], &b)];
-    let composition = Composition::new(&parts).expect("they fit");
+    let composition = compose(&parts).expect("they fit");
     assert_eq!(composition.notes, ["task.episode_steps"]);
 }
 
@@ -171,7 +175,7 @@ fn the_same_tensors_under_another_configuration_are_another_composition() {
         trained(&dir, "a", &["task.episode_steps=66"], 0.0),
         trained(&dir, "b", &["task.episode_steps=77"], 5000.0),
     );
-    let of = |parts: &[Part]| Composition::new(parts).expect("they fit");
+    let of = |parts: &[Part]| compose(parts).expect("they fit");
     let (one, other) = (part(&[0, 1], &a), part(&[2, 3], &b));
     let first = of(&[one.clone(), other.clone()]);
     let second = of(&[other, one]);
