@@ -2,6 +2,7 @@
 
 use std::io::{ErrorKind, IsTerminal as _};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
@@ -21,7 +22,7 @@ use service::http::Token;
 use service::live::{
     Best, BucketStatus, HostStatus, LiveStatus, ProcessStatus, RefusedHost, Role, Stages,
 };
-use store::checkpoint::{CheckpointStore, Name};
+use store::checkpoint::{CheckpointStore, Name, Ownership};
 use store::jsonl;
 use store::lock::{LockError, RunLock};
 use store::recorded::Recorded;
@@ -415,11 +416,17 @@ fn listed(runs: &[RunStatus], columns: usize) -> String {
 pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let run_dir = store::run_files::run_directory(path)?;
     let config = store::run_files::read_config(&run_dir)?;
-    // What was imported or copied is nothing that the run has done. Looked at before the metrics, which reach every one.
-    let [own, _] = CheckpointStore::new(run_dir.checkpoints()).by_ownership()?;
+    // Looked at before the metrics, which reach every one.
+    let checkpoints = CheckpointStore::new(run_dir.checkpoints()).list()?;
+    let metrics = run_dir.metrics_jsonl();
+    let mut lines = jsonl::read(&metrics)?;
+    let divergence = Divergence::of_lines(&lines).found().cloned();
+    let recorded = Recorded::of_lines(metrics, &lines).map(Arc::new);
+    // What was imported or copied is nothing that the run has done.
+    let [own, _] = Ownership::of_run(recorded.as_ref().ok().cloned()).part(checkpoints);
     let checkpoint = own.into_iter().next();
     let committed = checkpoint.as_deref().map_or(0, iteration_of);
-    let last = jsonl::read(&run_dir.metrics_jsonl())?.pop().map(|(_, line)| line);
+    let last = lines.pop().map(|(_, line)| line);
     let iterations = last.as_ref().and_then(|line| line["iteration"].as_u64()).map_or(0, |k| k + 1);
     let (holder, lock_error) = match RunLock::holder(&run_dir.lock()) {
         // The system's reasons are no damage: rights, or file systems without locks.
@@ -447,8 +454,8 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         last,
         checkpoint,
         bucket: run::start::bucket::status(&config, &run_dir)?,
-        divergence: Divergence::recorded(&run_dir)?.found().cloned(),
-        damage: damage(&run_dir, committed),
+        divergence,
+        damage: damage(recorded, committed),
         lock_error,
         live: None,
         live_error: None,
@@ -460,8 +467,8 @@ fn is_forbidden(error: &std::io::Error) -> bool {
 }
 
 /// What the metrics of a run lack that has committed a checkpoint of this iteration.
-fn damage(run_dir: &RunDir, committed: u64) -> Option<String> {
-    match Recorded::read(run_dir) {
+fn damage(recorded: Result<Arc<Recorded>, ExitError>, committed: u64) -> Option<String> {
+    match recorded {
         Err(error) => Some(error.message),
         Ok(recorded) if recorded.iterations() < committed => Some(format!(
             "{}: holds {} of {committed} iterations that are committed; put it back from a copy",

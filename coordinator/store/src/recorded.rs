@@ -38,36 +38,49 @@ impl Recorded {
         Ok(recorded)
     }
 
+    /// What the lines say that were [read](jsonl::read) from `path`, the metrics of a run.
+    pub fn of_lines(path: PathBuf, lines: &[(String, Value)]) -> Result<Self, ExitError> {
+        let mut recorded = Self { path, digests: Vec::new() };
+        lines.iter().try_for_each(|(_, line)| recorded.push(line))?;
+        Ok(recorded)
+    }
+
     /// Takes the lines in that `bytes` begin with; returns how many bytes these are.
     fn take(&mut self, bytes: &[u8]) -> Result<usize, ExitError> {
         let mut taken = 0;
         for (text, line) in jsonl::parse(bytes) {
-            let index = self.digests.len();
-            let refuse = |what: String| {
-                ExitError::new(
-                    ExitCode::RunDirectory,
-                    format!(
-                        "{}: line {}: {what}: lines count 0, 1, 2, …, and each has its digest; put \
-                         the file back from a copy, or remove this line and all after it, and \
-                         `octopus resume` goes on from the last checkpoint that the others reach",
-                        self.path.display(),
-                        index + 1
-                    ),
-                )
-            };
-            if line["iteration"] != index {
-                let is = &line["iteration"];
-                return Err(refuse(format!("is of iteration {is}, expected {index}")));
-            }
-            let digest = line["digest"].as_str().and_then(|digest| digest.parse().ok());
-            let digest = digest.ok_or_else(|| match &line["digest"] {
-                Value::Null => refuse("has no digest".to_owned()),
-                is => refuse(format!("has the digest {is}, which is none")),
-            })?;
-            self.digests.push(digest);
+            self.push(&line)?;
             taken += text.len() + 1;
         }
         Ok(taken)
+    }
+
+    /// Takes the next line in.
+    fn push(&mut self, line: &Value) -> Result<(), ExitError> {
+        let index = self.digests.len();
+        let refuse = |what: String| {
+            ExitError::new(
+                ExitCode::RunDirectory,
+                format!(
+                    "{}: line {}: {what}: lines count 0, 1, 2, …, and each has its digest; put \
+                     the file back from a copy, or remove this line and all after it, and \
+                     `octopus resume` goes on from the last checkpoint that the others reach",
+                    self.path.display(),
+                    index + 1
+                ),
+            )
+        };
+        if line["iteration"] != index {
+            let is = &line["iteration"];
+            return Err(refuse(format!("is of iteration {is}, expected {index}")));
+        }
+        let digest = line["digest"].as_str().and_then(|digest| digest.parse().ok());
+        let digest = digest.ok_or_else(|| match &line["digest"] {
+            Value::Null => refuse("has no digest".to_owned()),
+            is => refuse(format!("has the digest {is}, which is none")),
+        })?;
+        self.digests.push(digest);
+        Ok(())
     }
 
     /// Where it was read.

@@ -113,8 +113,12 @@ pub struct Divergence {
 impl Divergence {
     /// As the metrics of a run tell.
     pub fn recorded(run_dir: &RunDir) -> anyhow::Result<Self> {
-        let lines = jsonl::read(&run_dir.metrics_jsonl())?;
-        Ok(Self::of(lines.iter().filter_map(|(_, line)| Sample::of_json(line))))
+        Ok(Self::of_lines(&jsonl::read(&run_dir.metrics_jsonl())?))
+    }
+
+    /// As these lines of its metrics tell.
+    pub fn of_lines(lines: &[(String, Value)]) -> Self {
+        Self::of(lines.iter().filter_map(|(_, line)| Sample::of_json(line)))
     }
 
     fn of(samples: impl IntoIterator<Item = Sample>) -> Self {

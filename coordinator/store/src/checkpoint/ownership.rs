@@ -27,10 +27,16 @@ pub struct Ownership {
 impl Ownership {
     /// Of the run that the store belongs to, if it belongs to one.
     pub fn of(store: &CheckpointStore) -> Self {
-        let run = store.run();
-        let recorded = run.as_ref().and_then(|run| store.recorded.read(run).ok());
+        match store.run() {
+            Some(run) => Self::of_run(store.recorded.read(&run).ok()),
+            None => Self { of_a_run: false, recorded: None },
+        }
+    }
+
+    /// Of a run that has recorded this, if it can be read.
+    pub fn of_run(recorded: Option<Arc<Recorded>>) -> Self {
         let recorded = recorded.filter(|recorded| recorded.iterations() > 0);
-        Self { of_a_run: run.is_some(), recorded }
+        Self { of_a_run: true, recorded }
     }
 
     /// Whether the run has not come to the checkpoint in `dir`: its digest is another than the recorded
@@ -47,20 +53,25 @@ impl Ownership {
             _ => Labels::read(dir).imported,
         }
     }
+
+    /// Takes the directories of a [list](CheckpointStore::list) apart: the run's own, newest first, and those of such names
+    /// that are not the run's. Nothing is hashed.
+    pub fn part(&self, dirs: Vec<PathBuf>) -> [Vec<PathBuf>; 2] {
+        let is_foreign = |dir: &PathBuf| {
+            let manifest = Manifest::read(dir).ok();
+            self.is_foreign(dir, manifest.map(|manifest| (manifest.iteration, manifest.digest)))
+        };
+        let (foreign, own) = dirs.into_iter().rev().partition(is_foreign);
+        [own, foreign]
+    }
 }
 
 impl CheckpointStore {
     /// Directories of the run's own checkpoints, newest first, and then of those of such names that are
     /// not the run's. Nothing is hashed.
     pub fn by_ownership(&self) -> Result<[Vec<PathBuf>; 2], CheckpointError> {
+        // Before the metrics, which reach every one.
         let dirs = self.list()?;
-        let ownership = Ownership::of(self);
-        let is_foreign = |dir: &PathBuf| {
-            let manifest = Manifest::read(dir).ok();
-            ownership
-                .is_foreign(dir, manifest.map(|manifest| (manifest.iteration, manifest.digest)))
-        };
-        let (foreign, own) = dirs.into_iter().rev().partition(is_foreign);
-        Ok([own, foreign])
+        Ok(Ownership::of(self).part(dirs))
     }
 }
