@@ -18,6 +18,7 @@ use anyhow::Context as _;
 use lab::experiments::command_line::{option, path_option, typed};
 use lab::sweep::outcome::{Outcome, TrialOutcome};
 use lab::sweep::page;
+use lab::sweep::record::Record;
 use output::grouped;
 use proto::layout::Dimensions;
 use proto::{ExitCode, ExitError};
@@ -53,7 +54,7 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
         return show(&plan, &slots, args.json);
     }
     if args.table {
-        return print(args, &place, &outcome(&plan, &place));
+        return print(args, &place, &outcome(&plan, &place.records(&plan)));
     }
     let only = args.trial.map(|trial| trial - 1);
     if let Some(only) = only
@@ -74,7 +75,8 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
     let stop = StopRequests::new();
     stop.listen_and_insist(ABANDONED).context("signals cannot be caught")?;
     let ended = Drive::new(&plan, &place, slots, only).run(&stop)?;
-    let outcome = outcome(&plan, &place);
+    let records = place.records(&plan);
+    let outcome = outcome(&plan, &records);
     if only.is_none() {
         // Whatever there is is worth a look.
         files::replace(&place.table(), &outcome.csv()?)?;
@@ -100,7 +102,6 @@ pub fn run(args: &SweepArgs) -> anyhow::Result<()> {
             .collect(),
     };
     let Some(first) = failed.first() else { return Ok(()) };
-    let records = place.records(&plan);
     let is_damaged = |trial: &&&TrialOutcome| {
         let named = plan.study.trials.iter().zip(&records).find(|(own, _)| own.name == trial.name);
         named.is_some_and(|(_, record)| record.damaged)
@@ -162,9 +163,8 @@ fn check_machine(plan: &Plan) -> anyhow::Result<()> {
 }
 
 /// What has come of it so far. Who failed when last tried counts as failed.
-fn outcome(plan: &Plan, place: &Place) -> Outcome {
-    let records = place.records(plan);
-    Outcome::of(&plan.study, &records, |trial| records[trial].failure.is_some())
+fn outcome(plan: &Plan, records: &[Record]) -> Outcome {
+    Outcome::of(&plan.study, records, |trial| records[trial].failure.is_some())
 }
 
 fn print(args: &SweepArgs, place: &Place, outcome: &Outcome) -> anyhow::Result<()> {

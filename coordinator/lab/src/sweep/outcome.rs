@@ -1,6 +1,6 @@
 //! What has come of a sweep: numbers of its trials and configurations, and their tables.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use output::grouped;
 use proto::config::TaskName;
@@ -379,20 +379,12 @@ pub(super) fn minutes(seconds: f64) -> String {
     format!("{:.1}", seconds / 60.0)
 }
 
-/// What a run has recorded, and the time of all its sessions (s).
+/// What a run has recorded, and the time of all its sessions (s), by its last recorded iteration.
 fn read(run_dir: &RunDir) -> anyhow::Result<(Recorded, f64)> {
-    Ok((Recorded::read(run_dir)?, wall_s(run_dir)?))
-}
-
-/// Time of all sessions of a run (s), by its last recorded iteration.
-fn wall_s(run_dir: &RunDir) -> anyhow::Result<f64> {
-    let path = run_dir.metrics_jsonl();
-    let last = if is_there(&path) { jsonl::read(&path)?.pop() } else { None };
-    Ok(last.and_then(|(_, line)| line["wall_s"].as_f64()).unwrap_or(0.0))
-}
-
-fn is_there(path: &Path) -> bool {
-    path.is_file()
+    let metrics = run_dir.metrics_jsonl();
+    let lines = jsonl::read(&metrics)?;
+    let wall_s = lines.last().and_then(|(_, line)| line["wall_s"].as_f64());
+    Ok((Recorded::of_lines(metrics, &lines)?, wall_s.unwrap_or(0.0)))
 }
 
 #[cfg(test)]
