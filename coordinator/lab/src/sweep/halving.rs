@@ -12,10 +12,19 @@ pub struct Standing {
     pub configuration: usize,
     /// Its score at each rung, and last at the end of the budget; the smaller, the better.
     pub scores: Vec<Option<f64>>,
-    /// Whether it has failed.
-    pub failed: bool,
-    /// Whether its scores cannot be told, for a file of it is damaged. It has not lost by that.
-    pub damaged: bool,
+    /// Whether it can go on.
+    pub condition: Condition,
+}
+
+/// Whether a trial can go on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Condition {
+    /// It can.
+    Fit,
+    /// It has failed.
+    Failed,
+    /// Its scores cannot be told, for a file of it is damaged. It has not lost by that.
+    Damaged,
 }
 
 /// What a trial does next.
@@ -47,16 +56,16 @@ pub fn next(trials: &[Standing], reduction: f64) -> Vec<Next> {
             if !alive.contains(&trial.configuration) {
                 continue;
             }
-            *next = match trial.scores[rung] {
-                Some(_) if rung + 1 == rungs => Next::Done,
-                Some(_) => Next::Wait(rung),
-                None if trial.damaged => {
+            *next = match (trial.scores[rung], trial.condition) {
+                (Some(_), _) if rung + 1 == rungs => Next::Done,
+                (Some(_), _) => Next::Wait(rung),
+                (None, Condition::Damaged) => {
                     // Who goes on would be another one once the file is put back.
                     is_decided = false;
                     Next::Failed(rung)
                 }
-                None if trial.failed => Next::Failed(rung),
-                None => {
+                (None, Condition::Failed) => Next::Failed(rung),
+                (None, Condition::Fit) => {
                     is_decided = false;
                     Next::Rung(rung)
                 }
@@ -122,8 +131,7 @@ mod tests {
         let of = |(index, scores): (usize, &[Option<f64>; 3])| Standing {
             configuration: index / 2,
             scores: scores.to_vec(),
-            failed: false,
-            damaged: false,
+            condition: Condition::Fit,
         };
         scores.iter().enumerate().map(of).collect()
     }
@@ -153,8 +161,7 @@ mod tests {
             .map(|of| Standing {
                 configuration: of,
                 scores: vec![scores(0, of), if of == 2 { scores(1, of) } else { None }, None],
-                failed: false,
-                damaged: false,
+                condition: Condition::Fit,
             })
             .collect();
         let expected = [Next::Stopped(0), Next::Rung(1), Next::Wait(1), Next::Stopped(0)];
@@ -171,7 +178,7 @@ mod tests {
     #[test]
     fn who_has_failed_does_not_go_on_and_holds_nobody_up() {
         let mut all = trials(&[at_first(1.0), NEW, at_first(2.0), at_first(2.0)]);
-        all[1].failed = true;
+        all[1].condition = Condition::Failed;
         let expected = [Next::AnotherFailed(0), Next::Failed(0), Next::Rung(1), Next::Rung(1)];
         assert_eq!(next(&all, 2.0), expected);
         // Also where that leaves nobody, or less than there is room for.
@@ -200,18 +207,14 @@ mod tests {
         assert_eq!(next(&all, 2.0), after);
         // The other seed of a configuration fails, when it is trained once more.
         let mut seeds = trials(&[whole, NEW]);
-        seeds[1].failed = true;
+        seeds[1].condition = Condition::Failed;
         assert_eq!(next(&seeds, 2.0), [Next::Done, Next::Failed(0)]);
     }
 
     #[test]
     fn without_rungs_all_go_to_the_end() {
-        let trial = |score| Standing {
-            configuration: 0,
-            scores: vec![score],
-            failed: false,
-            damaged: false,
-        };
+        let trial =
+            |score| Standing { configuration: 0, scores: vec![score], condition: Condition::Fit };
         let all = [trial(None), trial(Some(1.0)), trial(Some(f64::INFINITY))];
         assert_eq!(next(&all, 2.0), [Next::Rung(0), Next::Done, Next::Done]);
         assert_eq!(next(&[], 2.0), []);
@@ -222,11 +225,10 @@ mod tests {
     #[test]
     fn nobody_goes_on_while_scores_cannot_be_told() {
         let mut all = trials(&[at_first(1.0), at_first(2.0), at_first(3.0), NEW]);
-        all[3].damaged = true;
-        all[3].failed = true;
+        all[3].condition = Condition::Damaged;
         let expected = [Next::Wait(0), Next::Wait(0), Next::Wait(0), Next::Failed(0)];
         assert_eq!(next(&all, 2.0), expected);
-        all[3].damaged = false;
+        all[3].condition = Condition::Failed;
         assert_eq!(next(&all, 2.0)[0], Next::Rung(1), "it has lost");
     }
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use proto::config::TaskName;
 
-use super::halving::{Next, Standing, next};
+use super::halving::{Condition, Next, Standing, next};
 use super::record::Record;
 
 /// A sweep.
@@ -49,8 +49,13 @@ impl Study {
                 .iter()
                 .map(|iteration| records[index].at(*iteration).map(|scored| scored.score))
                 .collect(),
-            failed: has_failed(index),
-            damaged: records[index].damaged,
+            condition: if records[index].damaged {
+                Condition::Damaged
+            } else if has_failed(index) {
+                Condition::Failed
+            } else {
+                Condition::Fit
+            },
         };
         let standings: Vec<Standing> = self.trials.iter().enumerate().map(standing).collect();
         next(&standings, self.reduction)
