@@ -51,7 +51,7 @@ impl CsvTable {
         let names: Vec<_> = cells.iter().map(|(name, _)| name.as_ref()).collect();
         let header = names.join(",");
         if self.header.as_ref() != Some(&header) {
-            self.begin(header, &names, line.iteration)?;
+            self.begin(header, line.iteration)?;
         }
         let values: Vec<_> = cells.iter().map(|(_, cell)| cell.to_string()).collect();
         let text = values.join(",") + "\n";
@@ -62,12 +62,12 @@ impl CsvTable {
 
     /// Begins the table with these columns. Where another program has written others, its rows get these, from the lines
     /// of `metrics.jsonl` before the iteration `until`.
-    fn begin(&mut self, header: String, names: &[&str], until: u64) -> anyhow::Result<()> {
+    fn begin(&mut self, header: String, until: u64) -> anyhow::Result<()> {
         let mut text = format!("{header}\n");
         if self.header.is_some() {
             for (_, line) in jsonl::read(&self.path.with_extension("jsonl"))? {
                 if line["iteration"].as_u64().is_some_and(|iteration| iteration < until) {
-                    let values: Vec<_> = names.iter().map(|name| cell(&line, name)).collect();
+                    let values: Vec<_> = header.split(',').map(|name| cell(&line, name)).collect();
                     text += &(values.join(",") + "\n");
                 }
             }
