@@ -1,7 +1,6 @@
 //! Downloads of whole checkpoints as tar archives.
 
 use std::io;
-use std::sync::Arc;
 
 use axum::body::Body;
 use axum::extract::State;
@@ -50,9 +49,7 @@ pub(super) async fn download(
     if method == Method::HEAD {
         return Ok((passed_over, headers, unknown()).into_response());
     }
-    let place = Arc::clone(&context.archives).try_acquire_owned().map_err(|_| {
-        Problem::busy("too many archives are being downloaded; try again in a moment")
-    })?;
+    let place = context.places.archives.take()?;
     let store = context.store.clone();
     let (mut writer, body) = pipe();
     tokio::task::spawn_blocking(move || {

@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use axum::http::StatusCode;
 use store::checkpoint::{Checked, CheckpointError, CheckpointStore, LockTimeout};
-use tokio::sync::{Mutex, Semaphore, watch};
+use tokio::sync::{Mutex, watch};
 
 use super::limits::Limits;
+use super::places::Places;
 use super::problem::Problem;
 use super::requests::Requests;
 use super::run_directory::Runs;
@@ -33,14 +34,8 @@ pub(super) struct Context {
     pub(super) checked: Arc<Checked>,
     /// Counts requests.
     pub(super) requests: Requests,
-    /// Bounds changes of the store.
-    changes: Arc<Semaphore>,
-    /// Bounds uploads.
-    pub(super) uploads: Arc<Semaphore>,
-    /// Bounds archives on their way out.
-    pub(super) archives: Arc<Semaphore>,
-    /// Bounds pages that are told what happens.
-    pub(super) watchers: Arc<Semaphore>,
+    /// Bounds what clients do at a time.
+    pub(super) places: Places,
     /// Becomes true when the service stops, which ends what has no end of its own.
     pub(super) stopping: watch::Sender<bool>,
     /// Held while an upload is taken into the store: two of one name meet there, not on the way.
@@ -62,10 +57,7 @@ impl Context {
             tokens,
             checked: Arc::default(),
             requests: Requests::default(),
-            changes: Arc::new(Semaphore::new(limits.changes)),
-            uploads: Arc::new(Semaphore::new(limits.uploads)),
-            archives: Arc::new(Semaphore::new(limits.archives)),
-            watchers: Arc::new(Semaphore::new(limits.watchers)),
+            places: Places::new(&limits),
             stopping: watch::Sender::new(false),
             import: Mutex::new(()),
             limits,
@@ -78,18 +70,10 @@ impl Context {
         Self { runs, ..self }
     }
 
-    /// That of one of several runs, for looking only; it stops when this one does. What clients may do at a time is
-    /// bounded for all runs together: they have one pool of threads.
+    /// That of one of several runs, for looking only; it stops when this one does, and shares its places.
     pub(super) fn of_one_run(&self, store: CheckpointStore) -> Self {
         let own = Self::new(store, None, self.tokens.clone(), self.limits.clone(), true);
-        Self {
-            changes: Arc::clone(&self.changes),
-            uploads: Arc::clone(&self.uploads),
-            archives: Arc::clone(&self.archives),
-            watchers: Arc::clone(&self.watchers),
-            stopping: self.stopping.clone(),
-            ..own
-        }
+        Self { places: self.places.clone(), stopping: self.stopping.clone(), ..own }
     }
 
     /// Does something with the store on a thread that may wait for the disk.
@@ -110,15 +94,12 @@ impl Context {
         self.with_store(move |store| work(store, &checked)).await
     }
 
-    /// Likewise, for what changes the store. Whoever has its lock makes changes wait, and each of
-    /// them a thread; so there are few at a time, and reads always find one.
+    /// Likewise, for what changes the store.
     pub(super) async fn changing<T: Send + 'static>(
         &self,
         work: impl FnOnce(&CheckpointStore, &Checked) -> Result<T, CheckpointError> + Send + 'static,
     ) -> Result<T, Problem> {
-        let place = Arc::clone(&self.changes).try_acquire_owned().map_err(|_| {
-            Problem::busy("too many changes at once wait for the store; try again in a moment")
-        })?;
+        let place = self.places.changes.take()?;
         self.with_checked(move |store, checked| {
             // Until it is done, also if the client has gone meanwhile.
             let _place = place;

@@ -1,7 +1,5 @@
 //! What differs between two checkpoints.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::extract::State;
 use store::checkpoint::{Difference, compare_policies};
@@ -32,9 +30,7 @@ pub(super) async fn show(
     Params((name, other)): Params<(String, String)>,
 ) -> Result<Json<Difference>, Problem> {
     // Each reads whole policies, as an archive does.
-    let place = Arc::clone(&context.archives).try_acquire_owned().map_err(|_| {
-        Problem::busy("too many archives are being downloaded; try again in a moment")
-    })?;
+    let place = context.places.archives.take()?;
     let difference = context
         .with_checked(move |store, checked| {
             let _place = place;

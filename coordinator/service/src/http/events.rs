@@ -92,9 +92,7 @@ struct Happened {
 
 impl Watcher {
     fn new(context: Shared, metrics: u64, evaluations: u64) -> Result<Self, Problem> {
-        let place = context.watchers.clone().try_acquire_owned().map_err(|_| {
-            Problem::busy("too many pages look at once; close one, or try again in a moment")
-        })?;
+        let place = context.places.watchers.take()?;
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let files =

@@ -26,9 +26,9 @@
 //! ```
 //!
 //! A [`Service`] owns one thread, on which a runtime serves all connections; work on disks goes to
-//! threads of that runtime's pool. Whoever may ask is decided in `access`, how long and
-//! how much a client may take in `connections`, `pace` and `intake`. Every failure is a `Problem`,
-//! JSON with a status code.
+//! threads of that runtime's pool. Whoever may ask is decided in `access`, how long and how much a client
+//! may take in `connections`, `minimum_rate`, `request_body` and `places`. Every failure is a `Problem`, JSON
+//! with a status code.
 //!
 //! A run's service takes a free port and writes it into `run.lock`, where `octopus status` and `octopus scale`
 //! find it.
@@ -53,6 +53,7 @@ mod minimum_rate;
 mod own_token;
 mod page;
 mod params;
+mod places;
 mod problem;
 mod ranges;
 mod recorded;

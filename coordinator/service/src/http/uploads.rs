@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io::BufReader;
 use std::io::Seek as _;
 use std::path::Path;
-use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Request, State};
@@ -84,9 +83,7 @@ async fn receive(
     let wanted = name.clone();
     context.with_store(move |store| store.check_free(&wanted)).await?;
     intake.check_announced()?;
-    let place = Arc::clone(&context.uploads)
-        .try_acquire_owned()
-        .map_err(|_| Problem::busy("too many uploads at once; try again in a moment"))?;
+    let place = context.places.uploads.take()?;
     let root = context.store.root().to_owned();
     // The archive, and what is in it.
     check_room(context, intake.announced().unwrap_or(0).saturating_mul(2)).await?;

@@ -87,7 +87,7 @@ async fn all_runs_together_send_as_many_archives_as_one() {
     let (bench, context) = bench_with(Limits { archives: 1, ..Limits::default() });
     let archives =
         ["one", "two"].map(|run| format!("GET /runs/{run}/v1/checkpoints/latest/archive"));
-    let place = Arc::clone(&context.archives).try_acquire_owned().expect("free");
+    let place = context.places.archives.take().expect("free");
     for line in &archives {
         assert_eq!(bench.ask(line).await.status, StatusCode::SERVICE_UNAVAILABLE, "{line}");
     }
