@@ -1,6 +1,5 @@
 //! `octopus serve`: checkpoints of a directory over HTTP, without a run.
 
-use std::fs::DirEntry;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -20,6 +19,7 @@ use service::http::{
     Limits, OwnToken, STORE_TOKEN_FILE, Service, ServiceSpec, TOKEN_VARIABLE, Token,
 };
 use store::checkpoint::CheckpointStore;
+use store::runs::runs_in;
 
 use crate::checkpoints::common::store_to_fill;
 use crate::checkpoints::from_bucket;
@@ -206,13 +206,16 @@ fn served(args: &ServeArgs) -> anyhow::Result<Served> {
             );
             return Err(ExitError::new(ExitCode::RunDirectory, message).into());
         }
-        let count = runs_in(dir)?;
+        let runs = runs_in(dir).map_err(|error| {
+            let message = format!("{}: cannot be read: {error}", dir.display());
+            ExitError::new(ExitCode::RunDirectory, message)
+        })?;
         let store = no_store(dir);
         return Ok(Served {
             store,
             root: dir.clone(),
             runs: Some(dir.clone()),
-            holds: ("run", count),
+            holds: ("run", runs.len()),
             replica: None,
         });
     }
@@ -231,17 +234,6 @@ fn served(args: &ServeArgs) -> anyhow::Result<Served> {
     let root = store.root().to_owned();
     let count = store.survey()?.entries.len();
     Ok(Served { store, root, runs: None, holds: ("checkpoint", count), replica: None })
-}
-
-/// How many runs a directory holds. What is hidden is none.
-pub(crate) fn runs_in(dir: &Path) -> anyhow::Result<usize> {
-    let entries = std::fs::read_dir(dir).map_err(|error| {
-        let message = format!("{}: cannot be read: {error}", dir.display());
-        ExitError::new(ExitCode::RunDirectory, message)
-    })?;
-    let is_shown = |entry: &DirEntry| !entry.file_name().as_encoded_bytes().starts_with(b".");
-    let runs = entries.flatten().filter(is_shown);
-    Ok(runs.filter(|entry| RunDir::new(entry.path()).config().is_file()).count())
 }
 
 /// A directory of runs has no checkpoints of its own.

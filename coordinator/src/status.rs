@@ -8,7 +8,6 @@ use std::time::Duration;
 use clap::Args;
 use output::{counted, grouped};
 use proto::config::TaskName;
-use proto::run_dir::RunDir;
 use proto::{ExitCode, ExitError};
 use run::errors;
 use run::preflight::mib;
@@ -26,6 +25,7 @@ use store::checkpoint::{CheckpointStore, Name, Ownership};
 use store::jsonl;
 use store::lock::{LockError, RunLock};
 use store::recorded::Recorded;
+use store::runs::runs_in;
 
 use crate::values::duration;
 
@@ -352,20 +352,17 @@ fn describe(status: &RunStatus) -> String {
 
 /// Shows every run in `runs/`.
 fn list(json: bool, key: &Key<'_>) -> anyhow::Result<()> {
-    let mut directories: Vec<PathBuf> = match std::fs::read_dir(RUNS) {
-        Ok(entries) => entries.filter_map(|entry| Some(entry.ok()?.path())).collect(),
+    let directories = match runs_in(Path::new(RUNS)) {
         Err(error) if is_forbidden(&error) => {
             let message = format!("{RUNS}: cannot be read: {error}");
             return Err(ExitError::new(ExitCode::RunDirectory, message).into());
         }
-        Err(_) => Vec::new(),
+        directories => directories.unwrap_or_default(),
     };
-    directories.retain(|path| RunDir::new(path).config().is_file());
-    directories.sort();
     let found = directories.len();
     let mut runs = Vec::new();
-    for path in directories {
-        match inspect(&path) {
+    for run_dir in directories {
+        match inspect(run_dir.path()) {
             Ok(status) => runs.push(status),
             // One damaged run does not hide the others.
             Err(error) => output::note(&format!("note: {}", errors::told(&error))),
@@ -488,6 +485,7 @@ fn iteration_of(dir: &Path) -> u64 {
 #[cfg(test)]
 mod tests {
     use proto::config::{Layers, Preset};
+    use proto::run_dir::RunDir;
 
     use super::*;
 

@@ -22,10 +22,11 @@ use service::page::{self, Enclosed};
 use store::checkpoint::{CONFIG, Checkpoint, CheckpointStore, MANIFEST, Selector};
 use store::lock::RunLock;
 use store::outputs::{Input, Output};
+use store::runs::runs_in;
 use store::{files, owned_files};
 
 use self::episode::Episode;
-use crate::serve::{no_store, runs_in};
+use crate::serve::no_store;
 use crate::values::address;
 
 const VIEW_EXAMPLES: &str = "\
@@ -187,7 +188,7 @@ fn serve(
 fn is_of_runs(path: &Path) -> bool {
     let holds = |name| path.join(name).exists();
     let is_one = holds(CONFIG) || holds(MANIFEST);
-    path.is_dir() && !is_one && runs_in(path).is_ok_and(|count| count > 0)
+    path.is_dir() && !is_one && runs_in(path).is_ok_and(|runs| !runs.is_empty())
 }
 
 fn tell(args: &ViewArgs, address: &str) -> anyhow::Result<()> {
@@ -247,11 +248,10 @@ fn name_for(checkpoint: &Checkpoint, before: &[String]) -> String {
 
 /// The run in `runs/` that was changed last.
 fn newest_run() -> anyhow::Result<PathBuf> {
-    let entries = std::fs::read_dir(RUNS).into_iter().flatten().flatten();
-    let runs = entries.filter(|entry| RunDir::new(entry.path()).config().is_file());
-    let dated = runs.filter_map(|entry| {
-        let lock = RunDir::new(entry.path()).lock();
-        Some((lock.metadata().and_then(|there| there.modified()).ok()?, entry.path()))
+    let runs = runs_in(Path::new(RUNS)).unwrap_or_default();
+    let dated = runs.iter().filter_map(|run| {
+        let changed = run.lock().metadata().and_then(|there| there.modified());
+        Some((changed.ok()?, run.path().to_owned()))
     });
     dated.max().map(|(_, path)| path).ok_or_else(|| {
         let message =

@@ -5,10 +5,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use output::{age, counted, grouped, size};
 use proto::{ExitCode, ExitError};
 use serde::Serialize;
-use store::checkpoint::{
-    Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, runs_in, shapes, store_at,
-};
+use store::checkpoint::{Entry, Kind, Labels, Manifest, POLICY, STATE, Survey, shapes, store_at};
 use store::provenance::Utc;
+use store::runs::runs_in;
 
 use crate::checkpoints::from_bucket::{self, Found};
 use crate::checkpoints::options::{ListArgs, ShowArgs};
@@ -26,7 +25,7 @@ pub(super) fn list(args: &ListArgs) -> anyhow::Result<()> {
     store.heal_catalogue();
     if survey.is_empty() && !args.json {
         let root = store.root().display();
-        return output::line(&match runs_in(store.root()) {
+        return output::line(&match runs_in(store.root()).map_or(0, |runs| runs.len()) {
             0 => format!("no checkpoints in {root}"),
             runs => format!(
                 "no checkpoints in {root}, but {}; name one of them, as in \

@@ -3,7 +3,7 @@
 //! * [`checkpoint`]: the store of checkpoints, its catalogue, archives, comparisons and checks;
 //! * [`lock`]: one coordinator a run directory;
 //! * [`recorded`], [`budgets`], [`jsonl`]: what a run wrote about its iterations;
-//! * [`run_files`]: the configuration and the robot of a run, read back;
+//! * [`run_files`]: the configuration and the robot of a run, read back; [`runs`]: which runs there are;
 //! * [`provenance`]: which program and machine made something;
 //! * [`files`]: files that are whole or absent; [`outputs`]: what a command may write over;
 //! * [`stamp`]: whether a file is still the one that was looked at before;
@@ -20,4 +20,5 @@ pub mod provenance;
 pub mod recorded;
 pub mod regular_files;
 pub mod run_files;
+pub mod runs;
 pub mod stamp;

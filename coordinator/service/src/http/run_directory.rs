@@ -9,6 +9,7 @@ use axum::Router;
 use proto::run_dir::RunDir;
 use serde::{Deserialize, Serialize};
 use store::lock::RunLock;
+use store::runs::runs_in;
 use store::{regular_files, run_files};
 use utoipa::ToSchema;
 
@@ -71,13 +72,10 @@ impl Runs {
 
     /// All of them at a glance.
     pub(super) fn list(&self) -> RunList {
-        let entries = std::fs::read_dir(&self.dir).into_iter().flatten().flatten();
-        let mut names: Vec<String> =
-            entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
-        names.sort();
-        let runs = names.into_iter().filter_map(|name| {
-            let run = self.run(&name)?;
-            glance(name, &run)
+        let found = runs_in(&self.dir).unwrap_or_default();
+        let runs = found.iter().filter_map(|run| {
+            let name = run.path().file_name()?.to_str()?;
+            glance(name.to_owned(), run)
                 .inspect_err(|error| tracing::debug!(%error, "a run is left out of the list"))
                 .ok()
         });

@@ -85,7 +85,7 @@ pub use parts::{Part, Parts};
 pub use read::{Checkpoint, read_policy};
 pub use reserved::{BEST, LATEST};
 pub use retention::Retention;
-pub use selector::{Selector, runs_in, store_at, store_to_be};
+pub use selector::{Selector, store_at, store_to_be};
 pub use state_layout::{STATE_FORMAT, StateLayout, StateTensor};
 pub use store::CheckpointStore;
 pub use tensors::shapes;

@@ -27,6 +27,7 @@ use super::read::Checkpoint;
 use super::reserved::{BEST, LATEST};
 use super::store::CheckpointStore;
 use crate::lock::RunLock;
+use crate::runs::runs_in;
 
 /// What a user wrote to name a checkpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -191,16 +192,6 @@ pub fn store_to_be(path: &Path) -> Result<CheckpointStore, CheckpointError> {
     Ok(CheckpointStore::new(if is_run { run.checkpoints() } else { path.to_owned() }))
 }
 
-/// How many run directories lie in `path`. What stores are still writing is hidden, and none.
-pub fn runs_in(path: &Path) -> usize {
-    let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
-    entries
-        .filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."))
-        .map(|entry| entry.path())
-        .filter(|path| RunDir::new(path).config().is_file() && !path.join(MANIFEST).exists())
-        .count()
-}
-
 /// Name of the newest checkpoint from which training can go on.
 fn newest(store: &CheckpointStore) -> Result<Name, CheckpointError> {
     let checkpoint = store.latest().map_err(|error| explain(store, error))?;
@@ -213,7 +204,7 @@ fn explain(store: &CheckpointStore, error: CheckpointError) -> CheckpointError {
     match error {
         CheckpointError::NotFound { path, .. } => {
             let what = match inventory(store).as_str() {
-                "" if runs_in(&path) > 0 => {
+                "" if runs_in(&path).is_ok_and(|runs| !runs.is_empty()) => {
                     "holds runs, not checkpoints; name one of them".to_owned()
                 }
                 "" => match store.run() {
