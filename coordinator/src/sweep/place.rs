@@ -20,9 +20,11 @@ use lab::sweep::record::Record;
 use proto::{ExitCode, ExitError};
 use run::errors;
 use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
+use serde::Deserialize;
 use store::regular_files::{self, Links};
 use store::{files, outputs, owned_files};
-use toml::Value;
+use toml::{Spanned, Value};
 
 use super::file::SweepFile;
 use super::plan::Plan;
@@ -201,26 +203,18 @@ impl Place {
 
 /// The text of a sweep's file with its `config`, which is looked for beside it, by its whole path, so that the copy is a sweep, too.
 fn standing_anywhere(text: &str, file: &SweepFile) -> String {
+    #[derive(Deserialize)]
+    struct Own {
+        config: Option<Spanned<String>>,
+    }
     let whole = file.config.as_ref().and_then(|config| config.canonicalize().ok());
-    let Some(whole) = whole.as_ref().and_then(|whole| whole.to_str()) else {
-        return text.to_owned();
-    };
-    let is_key = |line: &str| {
-        let rest = line.trim_start().strip_prefix("config");
-        rest.is_some_and(|rest| rest.trim_start().starts_with('='))
-    };
-    // Keys of the file itself stand before all tables.
-    let mut is_over = false;
-    let lines = text.split_inclusive('\n').map(|line| {
-        if is_over || line.trim_start().starts_with('[') {
-            is_over = true;
-            return line.to_owned();
-        }
-        is_over = is_key(line);
-        let end = if line.ends_with('\n') { "\n" } else { "" };
-        if is_over { format!("config = {}{end}", Value::from(whole)) } else { line.to_owned() }
-    });
-    lines.collect()
+    let written = toml::from_str::<Own>(text).ok().and_then(|own| own.config);
+    let mut text = text.to_owned();
+    if let (Some(whole), Some(written)) = (whole.as_ref().and_then(|whole| whole.to_str()), written)
+    {
+        text.replace_range(written.span(), &Value::from(whole).to_string());
+    }
+    text
 }
 
 /// Locks a file; the kernel lets go of it when the process ends.
@@ -231,9 +225,14 @@ fn lock(path: &Path, kind: FlockOperation) -> Result<File, ExitError> {
     let mut options = File::options();
     options.write(true).create(true).truncate(false).mode(owned_files::MODE);
     let file = regular_files::open_with(path, &mut options, Links::Refuse)
-        .map_err(|error| fail(format!("cannot be written: {error}")))?;
-    flock(&file, kind).map_err(|_| {
-        fail("a sweep is under way here; wait for its end, or stop it first".to_owned())
+        .map_err(|error| fail(format!("cannot be written: {error}; name another --out")))?;
+    flock(&file, kind).map_err(|error| match error {
+        Errno::WOULDBLOCK => {
+            fail("a sweep is under way here; wait for its end, or stop it first".to_owned())
+        }
+        error => {
+            fail(format!("cannot be locked: {error}; name an --out on a disk that knows locks"))
+        }
     })?;
     Ok(file)
 }
@@ -300,7 +299,7 @@ mod tests {
         };
         let copy = standing_anywhere(text, &file);
         assert!(
-            copy.starts_with("seeds = [1]\n") && copy.ends_with("\n[set]\nconfig = 1\n"),
+            copy.starts_with("seeds = [1]\n") && copy.ends_with(" # mine\n[set]\nconfig = 1\n"),
             "{copy}"
         );
         let whole = config.canonicalize().expect("there");
