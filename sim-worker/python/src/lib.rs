@@ -18,7 +18,11 @@
 mod batch;
 mod checkpoint;
 mod config;
+mod directories;
 mod errors;
+mod labels;
+mod manifest;
+mod newest;
 mod numbers;
 mod policy;
 mod postures;
