@@ -326,6 +326,8 @@ fn unit(name: &str, value: &Value, meaning: &str) -> &'static str {
     }
     let said = [
         ("(rad/s)", "rad/s"),
+        ("(m/s)", "m/s"),
+        ("(N m)", "N m"),
         ("(rad)", "rad"),
         ("(s)", "s"),
         ("(m)", "m"),
