@@ -6,6 +6,7 @@
 //!
 //! A checkpoint that the store's retention removes before it was sent is not sent any more; its successors are.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -64,6 +65,7 @@ impl Mirror {
             seen: None,
             pause: Duration::ZERO,
             next: None,
+            set_aside: BTreeMap::new(),
             listener,
         };
         sender.tell();
@@ -118,6 +120,8 @@ struct Sending {
     pause: Duration,
     /// When to try again, after a failure.
     next: Option<Instant>,
+    /// Checkpoints whose own files were in the way, and when each may be tried again.
+    set_aside: BTreeMap<Name, Instant>,
     listener: Listener,
 }
 
@@ -129,6 +133,7 @@ impl Sending {
                     // Once more, however long ago the last attempt was.
                     self.next = None;
                     self.seen = None;
+                    self.set_aside.clear();
                     self.look();
                     // Nobody waits any more if that took too long.
                     let _ = reply.send(self.left());
@@ -161,37 +166,43 @@ impl Sending {
         if self.seen.as_ref() == Some(&seen) {
             return;
         }
-        match self.send_all() {
-            Ok(()) => {
-                self.seen = Some(seen);
-                self.pause = Duration::ZERO;
-                self.next = None;
-                if self.sent.trouble.take().is_some() {
-                    self.remember();
-                    self.tell();
-                    tracing::warn!(
-                        "{}: all checkpoints are in the bucket again",
-                        self.bucket.address()
-                    );
-                }
+        let passed_over = match self.send_all() {
+            Ok(passed_over) => passed_over,
+            Err(error) => {
+                self.trouble(&error);
+                self.pause = (2 * self.pause).clamp(FIRST_PAUSE, LONGEST_PAUSE);
+                self.next = Some(Instant::now() + self.pause);
+                return;
             }
-            Err(error) => self.trouble(&error),
+        };
+        self.seen = Some(seen);
+        self.pause = Duration::ZERO;
+        self.next = None;
+        if let Some(error) = passed_over {
+            self.pass_over(&error);
+        } else if self.set_aside.is_empty() && self.sent.trouble.take().is_some() {
+            self.remember();
+            self.tell();
+            tracing::warn!("{}: all checkpoints are in the bucket again", self.bucket.address());
         }
     }
 
     /// Sends the newest checkpoint that is not in the bucket, until there is none, and labels that have changed. One whose own files are in the way is
-    /// passed over; the first such error is returned at the end.
-    fn send_all(&mut self) -> Result<(), BucketError> {
-        let mut passed_over = Vec::new();
+    /// set aside for a while; the first such error is returned at the end.
+    fn send_all(&mut self) -> Result<Option<BucketError>, BucketError> {
         let mut first_error = None;
+        let now = Instant::now();
+        self.set_aside.retain(|_, until| now < *until);
         loop {
             let entries = own(&self.store)?;
             self.sent.keep(&entries);
+            self.set_aside.retain(|name, _| entries.iter().any(|entry| entry.name == *name));
             let waiting = self.sent.waiting(&entries);
             (self.listener)(&waiting, self.sent.trouble.as_deref());
-            let Some(name) = waiting.into_iter().find(|name| !passed_over.contains(name)) else {
+            let is_due = |name: &Name| !self.set_aside.contains_key(name);
+            let Some(name) = waiting.into_iter().find(is_due) else {
                 self.send_labels(&entries)?;
-                return first_error.map_or(Ok(()), Err);
+                return Ok(first_error);
             };
             self.claim()?;
             let dir = self.store.dir(&name);
@@ -202,7 +213,7 @@ impl Sending {
                 // Retention was faster.
                 Err(_) if !dir.exists() => continue,
                 Err(error) if error.is_local() => {
-                    passed_over.push(name);
+                    self.set_aside.insert(name, Instant::now() + LONGEST_PAUSE);
                     first_error.get_or_insert(error);
                     continue;
                 }
@@ -238,27 +249,31 @@ impl Sending {
         Ok(())
     }
 
-    /// Says what is wrong, once, and when to try again.
+    /// Says what is wrong, once.
     fn trouble(&mut self, error: &BucketError) {
-        let told = error.to_string();
-        let known = self.sent.trouble.as_ref() == Some(&told);
         self.given_up = error.is_final();
-        if !known {
-            let (what, then) = if self.given_up {
-                let then = "none is sent any more; the run goes on, and keeps its checkpoints here";
-                ("checkpoints are not sent", then)
-            } else if error.is_local() {
-                ("not all checkpoints are sent", "the others are, and the run goes on")
-            } else {
-                ("checkpoints are not sent", "the run goes on, and sends them when that is over")
-            };
+        let then = if self.given_up {
+            "none is sent any more; the run goes on, and keeps its checkpoints here"
+        } else {
+            "the run goes on, and sends them when that is over"
+        };
+        self.warn("checkpoints are not sent", error, then);
+    }
+
+    /// Says which checkpoint cannot be sent as it is here, once.
+    fn pass_over(&mut self, error: &BucketError) {
+        let then = "it is passed over until it can be, and the run goes on";
+        self.warn("not all checkpoints are sent", error, then);
+    }
+
+    fn warn(&mut self, what: &str, error: &BucketError, then: &str) {
+        let told = error.to_string();
+        if self.sent.trouble.as_ref() != Some(&told) {
             tracing::warn!("{what} to the bucket: {told}; {then}");
             self.sent.trouble = Some(told);
             self.remember();
             self.tell();
         }
-        self.pause = (2 * self.pause).clamp(FIRST_PAUSE, LONGEST_PAUSE);
-        self.next = Some(Instant::now() + self.pause);
     }
 
     /// What is lost of this is sent once more, or found there.

@@ -85,10 +85,10 @@ impl Replica {
     pub fn locate(&self, selector: &Selector) -> Result<Name, BucketError> {
         let newest = selector.choice().is_none_or(|choice| choice.as_str() == LATEST);
         if newest {
-            let own = self.listing.checkpoints.iter().filter(|listed| {
+            let resumable = self.listing.checkpoints.iter().filter(|listed| {
                 listed.name.iteration().is_some() && listed.manifest().has_state()
             });
-            return own
+            return resumable
                 .max_by_key(|listed| listed.name.iteration())
                 .map_or_else(|| Err(nothing(&self.bucket)), |listed| Ok(listed.name.clone()));
         }

@@ -1,6 +1,6 @@
 //! A run directory made from nothing but the bucket.
 //!
-//! It has what a resume asks for: the newest checkpoint that is whole, the best one, the configuration, the robot, the
+//! It has what a resume asks for: the newest checkpoint that is whole and the run's own, the best one, the configuration, the robot, the
 //! budgets, and the digests of all iterations so far. So the run goes on to the bits that it would have come to. What
 //! is missing is for people to look at: logs, TensorBoard's files, the table of metrics begin with the resume.
 
@@ -25,7 +25,7 @@ use crate::sent::Sent;
 pub struct Restored {
     /// The checkpoint to go on from.
     pub name: Name,
-    /// Newer ones that are not whole, and why.
+    /// Newer ones that are not whole, or not the run's own, and why.
     pub passed_over: Vec<BucketError>,
     /// Bytes of checkpoints that were brought.
     pub bytes: u64,
@@ -56,12 +56,11 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         for listed in own {
             let fetched = bucket.fetch(listed, &root).and_then(|dir| {
                 bucket.fetch_recorded(listed, &scratch)?;
-                check_owner(bucket, listed, &run)?;
-                Ok(dir)
+                Ok((dir, recorded_with(bucket, listed, &run)?))
             });
             match fetched {
-                Ok(dir) => {
-                    base = Some((listed, dir));
+                Ok((dir, recorded)) => {
+                    base = Some((listed, dir, recorded));
                     break;
                 }
                 Err(error @ (BucketError::Damaged { .. } | BucketError::Local(_))) => {
@@ -72,7 +71,7 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
                 Err(error) => return Err(error),
             }
         }
-        let Some((base, dir)) = base else { return Err(passed_over.remove(0)) };
+        let Some((base, dir, recorded)) = base else { return Err(passed_over.remove(0)) };
         let mut bytes = base.manifest().bytes();
         let mut sent = Sent::new(bucket.address(), &owner.run);
         sent.add(base.name.clone(), base.manifest().digest, &base.labels);
@@ -83,7 +82,7 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         write(&run.config(), config.to_toml().as_bytes())?;
         write(&run.robot(), base_files.robot_toml.as_bytes())?;
         // So that a worse one does not become the best.
-        if let Some(best) = best(&listing.checkpoints, base) {
+        if let Some(best) = best(&listing.checkpoints, base, &recorded) {
             match bucket.fetch(best, &root) {
                 Ok(_) => {
                     sent.add(best.name.clone(), best.manifest().digest, &best.labels);
@@ -109,24 +108,30 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
     made
 }
 
-/// Refuses a checkpoint that its run has not come to: it was copied beside its own, and no run goes on from it.
-fn check_owner(bucket: &Bucket, listed: &Listed, run: &RunDir) -> Result<(), BucketError> {
-    let Manifest { iteration, digest, .. } = *listed.manifest();
+/// What the run had recorded up to a checkpoint. Refuses one that its run has not come to: it was copied beside its own, and no run goes on from it.
+fn recorded_with(bucket: &Bucket, listed: &Listed, run: &RunDir) -> Result<Recorded, BucketError> {
     let place = || bucket.place(&listed.name).display().to_string();
     let recorded = Recorded::read(run).map_err(|_| {
         BucketError::damaged(place(), "what its run had recorded by then cannot be understood")
     })?;
-    let expected = recorded.digest_after(iteration);
-    if recorded.iterations() == 0 || iteration == 0 || expected == Some(digest) {
-        return Ok(());
+    if is_own(listed, &recorded) {
+        return Ok(recorded);
     }
     Err(BucketError::damaged(place(), "is no checkpoint that its run has made: it was copied here"))
 }
 
-/// The checkpoint with the lowest score, unless it is `base` itself or newer.
-fn best<'a>(all: &'a [Listed], base: &Listed) -> Option<&'a Listed> {
+/// Whether the run has come to a checkpoint, if that is recorded.
+fn is_own(listed: &Listed, recorded: &Recorded) -> bool {
+    let Manifest { iteration, digest, .. } = *listed.manifest();
+    let is_told = recorded.iterations() > 0 && iteration > 0;
+    !is_told || recorded.digest_after(iteration) == Some(digest)
+}
+
+/// The run's own checkpoint with the lowest score, unless it is `base` itself or newer.
+fn best<'a>(all: &'a [Listed], base: &Listed, recorded: &Recorded) -> Option<&'a Listed> {
     let value = |listed: &Listed| Some(listed.labels.score.as_ref()?.value);
     let scored = all.iter().filter(|listed| value(listed).is_some_and(f64::is_finite));
+    let scored = scored.filter(|listed| is_own(listed, recorded));
     let earlier = scored.filter(|listed| {
         listed.name.iteration().is_some() && listed.name.iteration() <= base.name.iteration()
     });
