@@ -1,20 +1,26 @@
 //! The runs that lie in a directory.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use proto::run_dir::RunDir;
 
 use crate::checkpoint::MANIFEST;
 
-/// The run directories in `dir`, by name. What is hidden is none: stores hide what they are still writing. A checkpoint has a
+/// Whether `path` is a run directory among others. What is hidden is none: stores hide what they are still writing. A checkpoint has a
 /// configuration, too, and is none.
+pub fn is_run(path: &Path) -> bool {
+    let is_shown = |name: &OsStr| !name.as_encoded_bytes().starts_with(b".");
+    path.file_name().is_some_and(is_shown)
+        && RunDir::new(path).config().is_file()
+        && !path.join(MANIFEST).exists()
+}
+
+/// The run directories in `dir`, by name.
 pub fn runs_in(dir: &Path) -> std::io::Result<Vec<RunDir>> {
-    let is_shown = |path: &PathBuf| {
-        path.file_name().is_some_and(|name| !name.as_encoded_bytes().starts_with(b"."))
-    };
     let entries = std::fs::read_dir(dir)?.flatten();
-    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).filter(is_shown).collect();
-    paths.retain(|path| RunDir::new(path).config().is_file() && !path.join(MANIFEST).exists());
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+    paths.retain(|path| is_run(path));
     paths.sort();
     Ok(paths.into_iter().map(RunDir::new).collect())
 }

@@ -9,7 +9,7 @@ use axum::Router;
 use proto::run_dir::RunDir;
 use serde::{Deserialize, Serialize};
 use store::lock::RunLock;
-use store::runs::runs_in;
+use store::runs::{is_run, runs_in};
 use store::{regular_files, run_files};
 use utoipa::ToSchema;
 
@@ -59,9 +59,9 @@ impl Runs {
 
     /// The directory of a run, if there is one of that name.
     pub(super) fn run(&self, name: &str) -> Option<RunDir> {
-        let plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0']);
-        let run = RunDir::new(self.dir.join(name));
-        (plain && run.config().is_file()).then_some(run)
+        let is_plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\0']);
+        let path = self.dir.join(name);
+        (is_plain && is_run(&path)).then(|| RunDir::new(path))
     }
 
     /// The service of a run, which is made when it is first asked for.

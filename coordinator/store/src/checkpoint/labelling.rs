@@ -6,6 +6,7 @@ use super::guard::Guard;
 use super::labels::{Labels, MAX_TAGS, Score};
 use super::manifest::Manifest;
 use super::name::Name;
+use super::ownership::Ownership;
 use super::reserved::{BEST, LATEST};
 use super::store::CheckpointStore;
 
@@ -98,13 +99,14 @@ impl CheckpointStore {
 
     /// The run's own checkpoint with the lowest score; of equal ones the earliest.
     pub fn best(&self) -> Result<Option<Entry>, CheckpointError> {
-        Ok(best_of(self.entries()?))
+        let entries = self.entries()?;
+        Ok(best_of(entries, &Ownership::of(self)))
     }
 
     /// Puts the tag `best` where the scores say and nowhere else.
     pub(super) fn settle_best(&self, _: &Guard) -> Result<(), CheckpointError> {
         let survey = self.survey()?;
-        let best = best_of(survey.entries.clone());
+        let best = best_of(survey.entries.clone(), &Ownership::of(self));
         let tag: Name = BEST.parse()?;
         if let Some(best) = &best
             && !best.labels.has_tag(BEST)
@@ -173,11 +175,15 @@ impl CheckpointStore {
     }
 }
 
-fn best_of(entries: Vec<Entry>) -> Option<Entry> {
+/// What was copied into a store brings its score, and is not what the run has come to.
+fn best_of(entries: Vec<Entry>, ownership: &Ownership) -> Option<Entry> {
     let score = |entry: &Entry| entry.labels.score.as_ref().map(|score| score.value);
     entries
         .into_iter()
-        .filter(|entry| entry.name.iteration().is_some())
+        .filter(|entry| {
+            let manifest = Some((entry.iteration, entry.digest));
+            entry.name.iteration().is_some() && !ownership.is_foreign(&entry.dir, manifest)
+        })
         .filter_map(|entry| Some((score(&entry).filter(|value| value.is_finite())?, entry)))
         .min_by(|(a, left), (b, right)| a.total_cmp(b).then(left.iteration.cmp(&right.iteration)))
         .map(|(_, entry)| entry)
