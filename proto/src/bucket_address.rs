@@ -55,12 +55,13 @@ pub fn problem(text: &str) -> Option<String> {
     None
 }
 
-/// The text without what could be a secret in an address, one a line: all before an `@`, all behind a `?`. For messages, which end in logs.
-pub(crate) fn hidden(text: &str) -> String {
-    text.split('\n').map(hidden_in_line).collect::<Vec<_>>().join("\n")
+/// The same of lines of which each may have an address.
+pub(crate) fn hidden_in_lines(text: &str) -> String {
+    text.split('\n').map(hidden).collect::<Vec<_>>().join("\n")
 }
 
-fn hidden_in_line(text: &str) -> String {
+/// The text without what could be a secret in an address: all before an `@`, all behind a `?`. For messages, which end in logs.
+pub(crate) fn hidden(text: &str) -> String {
     let Some((before, rest)) = text.split_once("://") else { return text.to_owned() };
     let rest =
         rest.rsplit_once('@').map_or_else(|| rest.to_owned(), |(_, place)| format!("***@{place}"));
@@ -115,9 +116,11 @@ mod tests {
             ("s3://bucket/a?X-Amz-Signature=1", "s3://bucket/a?***"),
             ("s3://bucket/a", "s3://bucket/a"),
             ("me@home", "me@home"),
-            ("a = s3://k:s@b/c\nb = \"me@home\"", "a = s3://***@b/c\nb = \"me@home\""),
+            ("s3://k:s\nt@b/c", "s3://***@b/c"),
         ] {
             assert_eq!(hidden(text), shown);
         }
+        let lines = "a = s3://k:s@b/c\nb = \"me@home\"";
+        assert_eq!(hidden_in_lines(lines), "a = s3://***@b/c\nb = \"me@home\"");
     }
 }

@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use crate::bucket_address::hidden;
+use crate::bucket_address::{hidden, hidden_in_lines};
 
 /// What can be wrong with a configuration. What could be a secret in an address is not shown.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
     /// A file cannot be read.
-    #[error("{path}: cannot be read: {source}", path = path.display())]
+    #[error("{path}: cannot be read: {source}", path = hidden(&path.display().to_string()))]
     Read {
         /// The file.
         path: PathBuf,
@@ -20,7 +20,7 @@ pub enum ConfigError {
     #[error(
         "{origin}: not valid TOML: {message}",
         origin = hidden(origin),
-        message = hidden(message)
+        message = hidden_in_lines(message)
     )]
     Syntax {
         /// The file, or the flag as it was written.
@@ -29,7 +29,11 @@ pub enum ConfigError {
         message: String,
     },
     /// A key that does not exist.
-    #[error("{origin}: unknown key `{key}`{hint}", origin = hidden(origin))]
+    #[error(
+        "{origin}: unknown key `{key}`{hint}",
+        origin = hidden(origin),
+        key = hidden(key)
+    )]
     UnknownKey {
         /// The file, or the flag as it was written.
         origin: String,
@@ -39,7 +43,11 @@ pub enum ConfigError {
         hint: String,
     },
     /// A key that every configuration has.
-    #[error("{origin}: key `{key}` is missing", origin = hidden(origin))]
+    #[error(
+        "{origin}: key `{key}` is missing",
+        origin = hidden(origin),
+        key = hidden(key)
+    )]
     Missing {
         /// The file, or the flag as it was written.
         origin: String,
@@ -50,6 +58,7 @@ pub enum ConfigError {
     #[error(
         "{origin}: key `{key}` wants {expected}, got {found}",
         origin = hidden(origin),
+        key = hidden(key),
         found = hidden(found)
     )]
     WrongType {

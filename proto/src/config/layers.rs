@@ -48,7 +48,10 @@ impl Layers {
         };
         let (key, value) = (key.trim(), value.trim());
         let wrapped = format!("value = {value}");
-        let is_number = value.bytes().all(|byte| byte.is_ascii_digit());
+        // Of those that are no TOML: too large ones, and such as 007.
+        let is_number =
+            value.trim_start_matches(['+', '-']).starts_with(|c: char| c.is_ascii_digit())
+                && value.chars().all(|c| c.is_ascii_digit() || "+-_.eE".contains(c));
         let is_word = value.chars().all(|c| c.is_alphanumeric() || "_-./:".contains(c));
         let parsed = match wrapped.parse::<Table>() {
             Ok(table) if table.len() == 1 => table["value"].clone(),
@@ -56,10 +59,13 @@ impl Layers {
                 let message = "holds more than one key; give each its own --set".to_owned();
                 return Err(ConfigError::Syntax { origin, message });
             }
-            // A number that TOML has not, because it is too large, is no word.
             Err(_) if is_word && !is_number => Value::String(value.to_owned()),
             Err(_) if !value.starts_with(['"', '\'']) && self.is_text(key)? => {
                 Value::String(value.to_owned())
+            }
+            Err(_) if is_number => {
+                let message = format!("{value} is no number, or one that is too large");
+                return Err(ConfigError::Syntax { origin, message });
             }
             // The parser's words show the line, which nobody has written.
             Err(error) => {

@@ -342,13 +342,19 @@ fn an_assignment_is_of_one_key() {
 
 #[test]
 fn a_whole_number_beyond_those_of_toml_is_called_too_large() {
-    let message = message(&["run.seed=9223372036854775808"]);
-    assert!(message.contains("too large") && !message.contains("string"), "{message}");
+    let large = ["9223372036854775808", "99999999999999999999", "-9223372036854775809", "1e400"];
+    for value in large {
+        let message = message(&[&format!("run.seed={value}")]);
+        assert!(message.contains("too large") && !message.contains("string"), "{message}");
+    }
+    // What is nothing is no number.
+    assert!(message(&["run.workers="]).contains("wants a whole number"));
 }
 
 #[test]
 fn secrets_in_addresses_are_not_repeated() {
-    for key in ["run.checkpoints", "run.device", "run.workers", "no.such", "task.name", "for"] {
+    let keys = ["run.checkpoints", "run.device", "run.workers", "no.such", "task.name", "for"];
+    for key in keys.into_iter().chain(["s3://user:secret@bucket/x", "for.s3://user:secret@b"]) {
         let message = message(&[&format!("{key}=s3://user:secret@bucket/x")]);
         assert!(!message.contains("secret"), "{message}");
     }
