@@ -170,7 +170,11 @@ impl Committer {
             while self.waiting.len() > 1 && self.waiting_bytes() > self.room {
                 let oldest = self.waiting.pop_front().expect("there are several");
                 let iteration = oldest.snapshot.iteration;
-                self.results.push(Committed::GivenUp { iteration });
+                // Unless it waits as the best, too.
+                let best = self.waiting_best.as_ref().map(|best| best.snapshot.iteration);
+                if best != Some(iteration) {
+                    self.results.push(Committed::GivenUp { iteration });
+                }
             }
         }
         self.hand_over();

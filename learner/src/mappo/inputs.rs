@@ -1,6 +1,6 @@
 //! What networks see, from a block into the rows of samples: normalised, and rounded to the products' kind.
 //!
-//! In plain Rust each number is read and written once. On a GPU, and where an input is standardised by itself, it goes operation by operation of libtorch, which
+//! In plain Rust it is one pass over the numbers. On a GPU, and where an input is standardised by itself, it goes operation by operation of libtorch, which
 //! is also the twin that tests the other.
 //!
 //! Letters as in [`super`].

@@ -19,7 +19,7 @@ pub fn libtorch(learner: &Path) -> Check {
             Check::good(NAME, format!("{version} ({})", learner.display()))
         }
         Err(found) => {
-            let (found, cure) = found.rsplit_once("; ").unwrap_or((&found, CURE));
+            let (found, cure) = with_cure(&found, CURE);
             Check::failure(NAME, found, cure)
         }
     }
@@ -36,9 +36,7 @@ pub fn device(learner: &Path, name: &str) -> Check {
         Ok(nothing) if nothing.trim().is_empty() => return Check::good(NAME, name),
         Ok(reason) | Err(reason) => reason,
     };
-    // The learner says what helps after a semicolon, as all errors do.
-    let (found, cure) =
-        reason.trim().rsplit_once("; ").unwrap_or((reason.trim(), "run.device=cpu does without"));
+    let (found, cure) = with_cure(reason.trim(), "run.device=cpu does without");
     Check::failure(NAME, found, cure)
 }
 
@@ -65,9 +63,13 @@ pub fn gpu(learner: Option<&Path>, driver: &Path) -> Check {
     if models.is_empty() {
         return Check::good(NAME, format!("{shown}; the learner uses the processor"));
     }
-    let (why, cure) =
-        reason.rsplit_once("; ").unwrap_or((&reason, "`make setup DEVICE=cuda && make build`"));
+    let (why, cure) = with_cure(&reason, "`make setup DEVICE=cuda && make build`");
     Check::warning(NAME, format!("{shown}; the learner uses the processor: {why}"), cure)
+}
+
+/// A reason, and what helps: all errors say so after a semicolon, if that is known.
+fn with_cure<'a>(reason: &'a str, otherwise: &'a str) -> (&'a str, &'a str) {
+    reason.rsplit_once("; ").unwrap_or((reason, otherwise))
 }
 
 /// Models of the GPUs that NVIDIA's kernel module knows.

@@ -7,7 +7,7 @@
 //! **Snapshots travel in pieces** of 4 MiB instead of one sample: shared memory stays small, and the size of a
 //! training state is no channel constant. **A disk that is slower than the training costs checkpoints, not
 //! memory.** While one snapshot is on its way from the learner, others wait there, and while one is written, others
-//! wait here, each as far as [`channels::WAITING_SNAPSHOTS`] goes. Planned checkpoints that they displace are reported.
+//! wait here, each as far as [`channels::WAITING_SNAPSHOTS`] goes, and the newest best beside them. Planned checkpoints that they displace are reported.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
