@@ -155,6 +155,11 @@ pub fn sentence(question: &Question, answer: &Answer) -> Option<String> {
              wrist would be inside of its own first joint",
             arm + 1
         ),
+        Obstacle::Reach { arm } if question.hold_base => format!(
+            "hand {} does not reach its pose with the base where it is; without --hold-base a motion that moves \
+             the base may bring it there",
+            arm + 1
+        ),
         Obstacle::Reach { arm } => format!(
             "hand {} does not reach its pose with the base where it is, and no candidate has moved the base \
              far enough; more time (--time-limit) may find one that does",

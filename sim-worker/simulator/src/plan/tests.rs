@@ -113,6 +113,10 @@ fn what_cannot_be_reached_is_told_with_its_reason() {
     let found = asked(&robot, &question(&robot, 0, goal), &InOrder, 1);
     assert_eq!(found.obstacle, Some(Obstacle::Kinematics { arm: 0 }));
     assert!(found.misses[0].position > 2.0, "{:?}", found.misses);
+    // Hardly out of reach: a candidate that moves the base finds it later.
+    let goal = [0.34762, 1.29268, 4.18466, -0.02327, 0.29328, 0.14952];
+    let found = asked(&robot, &question(&robot, 0, goal), &InOrder, 1);
+    assert_eq!(found.obstacle, Some(Obstacle::Reach { arm: 0 }));
     // Inside of the base.
     let mut goal = moved(&robot, 0, [0.0; 6]);
     goal[1] -= 0.9;
