@@ -55,7 +55,10 @@ fn messages(file: &[u8]) -> Result<usize, String> {
         let Record::Chunk { header, data } = record.map_err(|error| error.to_string())? else {
             continue;
         };
-        if !header.compression.is_empty() || crc32fast::hash(&data) != header.uncompressed_crc {
+        let is_whole = header.compression.is_empty()
+            && header.uncompressed_size == data.len() as u64
+            && header.uncompressed_crc == crc32fast::hash(&data);
+        if !is_whole {
             return Err("a chunk of them is damaged, or compressed".to_owned());
         }
         messages += messages_in(&data).ok_or("a chunk of them is cut off")?;
