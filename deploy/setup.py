@@ -489,7 +489,8 @@ def set_up_libtorch(device, dry_run):
     wanted = wanted_device(device, present == stamp(lock_text, architecture, "cuda"))
     expected = stamp(lock_text, architecture, wanted)
     if present == expected:
-        note_choice(device)
+        if not dry_run:
+            note_choice(device)
         say("libtorch %s for %s is in place" % (lock["torch"], wanted))
         return
     if LIBTORCH.exists() and not (LIBTORCH / "stamp").exists():
@@ -745,7 +746,11 @@ def set_up_packages(packages, dry_run):
         platform.python_version(),
         folder,
     )
-    if read(folder / "stamp") == expected and (folder / "bin" / "python").exists():
+
+    def is_in_place():
+        return read(folder / "stamp") == expected and (folder / "bin" / "python").exists()
+
+    if is_in_place():
         say("%s is in place" % packages.name)
         return
     if dry_run:
@@ -756,7 +761,7 @@ def set_up_packages(packages, dry_run):
         check_platform()
         require(missing_compiler() + ([] if shutil.which("readelf") else ["readelf: install binutils"]))
     with locked(folder.name.lstrip(".")):
-        if read(folder / "stamp") == expected:
+        if is_in_place():
             say("%s is in place" % packages.name)
             return
         probe = subprocess.run([python, "-c", "import venv, ensurepip"], stderr=subprocess.DEVNULL)

@@ -79,6 +79,10 @@ def main():
     )
     # What was asked for and never told: the run is there, or is begun again.
     waiting = study.get_trials(states=(TrialState.RUNNING,))
+    # Stopped before it was known what to try.
+    for trial in [trial for trial in waiting if "sets" not in trial.user_attrs]:
+        study.tell(trial.number, state=TrialState.FAIL)
+        waiting.remove(trial)
     while len(study.get_trials(states=(TrialState.COMPLETE,))) < args.trials:
         if waiting:
             number, sets = waiting[0].number, waiting.pop(0).user_attrs["sets"]

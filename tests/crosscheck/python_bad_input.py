@@ -107,6 +107,10 @@ assert copy.deepcopy(robot).to_toml() == robot.to_toml()
 refused(TypeError, "", pickle.dumps, one)
 refused(TypeError, "", copy.deepcopy, one)
 
+with np.errstate(all="raise"):
+    tiny = batch()
+    tiny.step(np.full((3, 8, 3), 1e-50))
+
 # --- the moment of a call ---------------------------------------------------------------------------------------
 fresh = spaceoctopus.Batch(3, set=SHORT)
 assert fresh.steps is None
@@ -122,6 +126,8 @@ assert np.array_equal(shown, kept), "arrays outlive their batch"
 del one
 assert np.array_equal(shown, kept)
 
+for make in (spaceoctopus.ParallelEnv, spaceoctopus.VectorEnv, lambda **keywords: spaceoctopus.Batch(1, **keywords)):
+    refused(TypeError, "str", make, set=SHORT[0])
 env = spaceoctopus.ParallelEnv(set=SHORT)
 env.reset(seed=1)
 actions_by_name = {agent: np.zeros(3, np.float32) for agent in env.agents}
@@ -251,6 +257,7 @@ for observation in (seen, seen[0]):
     assert np.array_equal(policy.act(observation.tolist()), policy.act(observation))
 refused(ValueError, "steps is 0", policy.evaluate, 1, 0)
 refused(ValueError, "episodes is", policy.evaluate, 10**7)
+refused(ValueError, "episodes times steps is", policy.evaluate, 10**6, 10**5)
 for wrong in ((-1,), (1, -1), (1 << 64,)):
     refused(ValueError, "is out of range", policy.evaluate, *wrong)
 refused(ValueError, "-1 is out of range", policy.evaluate, 1, 1, seed=-1)

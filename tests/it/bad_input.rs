@@ -152,6 +152,9 @@ fn a_checkpoint_truncated_or_edited_by_hand() {
     std::fs::write(&state, &bytes[..bytes.len() / 2]).expect("truncate");
     let target = newest.to_str().expect("UTF-8");
     refused(&["eval", target, "--episodes=1"], 5, &["state.safetensors", "manifest says"]);
+    let held = ["1,000,000 episodes of 200 control steps", "50,000,000"];
+    let policies = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/policies/trajectory");
+    refused(&["eval", policies, "--episodes=1000000"], 2, &held);
     // The run as a whole falls back to the checkpoint before, loudly.
     let output = octopus(&["eval", path.to_str().expect("UTF-8"), "--episodes=1", "--steps=2"]);
     assert!(output.status.success(), "{}", stderr(&output));

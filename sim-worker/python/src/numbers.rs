@@ -92,8 +92,9 @@ fn real<'py>(given: &Bound<'py, PyAny>, what: &str, dtype: &str) -> PyResult<Bou
         )));
     }
     let keywords = [("dtype", dtype)].into_py_dict(given.py())?;
-    // Larger numbers than single precision has become infinite, and are refused as such: no need to warn.
-    let quiet = [("over", "ignore")].into_py_dict(given.py())?;
+    // Larger numbers than single precision has become infinite, and are refused as such; smaller ones become zero. Whatever a program wants to hear of its own
+    // numbers, it need not hear that.
+    let quiet = [("all", "ignore")].into_py_dict(given.py())?;
     let quiet = numpy.call_method("errstate", (), Some(&quiet))?;
     quiet.call_method0("__enter__")?;
     let converted = numpy.call_method("ascontiguousarray", (array,), Some(&keywords));

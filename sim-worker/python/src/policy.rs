@@ -8,7 +8,7 @@ use pyo3::exceptions::PyRuntimeWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use simulator::evaluate::Evaluation;
-use simulator::experiment::{FixedGoals, Player, Recording, Trial, play};
+use simulator::experiment::{FixedGoals, MOST_RECORDED, Player, Recording, Trial, play};
 use simulator::policy;
 use simulator::rollout::World;
 use simulator::stepping::act;
@@ -129,6 +129,7 @@ impl Policy {
         guarded(|| {
             within("episodes", episodes, MOST_EPISODES)?;
             within("steps", steps, MOST_STEPS)?;
+            within("episodes times steps", episodes * steps, MOST_RECORDED)?;
             let trial = Trial::new(Player::new(&self.world, &self.actors), seed, episodes, steps);
             let recording = played(py, &trial)?;
             let text =

@@ -26,7 +26,7 @@ class ParallelEnv(pettingzoo.ParallelEnv):
         if render_mode is not None:
             raise ValueError("render_mode is %r: there is none, `octopus film` draws episodes" % (render_mode,))
         self.render_mode = None
-        self._batch = Batch(1, config, task=task, set=list(set), robot=robot, threads=1)
+        self._batch = Batch(1, config, task=task, set=set if isinstance(set, str) else list(set), robot=robot, threads=1)
         self._names = ["%s_%s" % (arm, part) for arm in _arm_names(self._batch.robot) for part in ("shoulder", "wrist")]
         self.possible_agents = list(self._names)
         self.agents = []

@@ -42,7 +42,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         if observe not in ("agents", "state"):
             raise ValueError('observe is %r, expected "agents" or "state"' % (observe,))
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self._batch = Batch(num_envs, config, task=task, set=list(set), robot=robot, threads=threads)
+        self._batch = Batch(num_envs, config, task=task, set=set if isinstance(set, str) else list(set), robot=robot, threads=threads)
         if observe == "state" and self._batch.state.shape[1] == 0:
             self._batch.close()
             raise ValueError('observe is "state", but critics see what agents see (network.critic_state = "own")')

@@ -40,7 +40,7 @@ pub use motion::Motion;
 pub use noise::SensorNoise;
 pub(crate) use play::play_some;
 pub use play::{CHUNK, play};
-pub use recording::{Pose, Recording, TAIL_STEPS};
+pub use recording::{MOST_RECORDED, Pose, Recording, TAIL_STEPS};
 pub use skeleton::Skeleton;
 pub use trial::{Driver, Phase, Player, Trial};
 

@@ -10,6 +10,8 @@ use crate::scalar::Real;
 
 /// Control steps that the mean over an episode's tail takes.
 pub const TAIL_STEPS: usize = 20;
+/// Most control steps that evaluations record, those of all episodes together: 13 GB for the robot of the paper.
+pub const MOST_RECORDED: usize = 50_000_000;
 
 /// Where a robot stands: enough to draw it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
