@@ -11,7 +11,8 @@ export interface Key {
     run(key: string): void;
 }
 
-export function listen(keys: Key[]): { help(): void } {
+/** Keys act while `active` holds. */
+export function listen(keys: Key[], active: () => boolean): { help(): void } {
     const rows = keys.map(({ shown, what }) => h("tr", {}, h("td", {}, h("kbd", {}, shown)), h("td", {}, what)));
     const dialog = h(
         "dialog",
@@ -24,6 +25,7 @@ export function listen(keys: Key[]): { help(): void } {
     document.body.append(dialog);
     const help = (): void => (dialog.open ? dialog.close() : dialog.showModal());
     window.addEventListener("keydown", (event) => {
+        if (!active()) return;
         if (event.ctrlKey || event.metaKey || event.altKey || dialog.open) return;
         const at = event.target as HTMLElement | null;
         // What has the focus keeps the keys that it knows.

@@ -426,6 +426,6 @@ export class RobotRoom {
 
     /** Keys act while this room is shown. */
     listen(): { help(): void } {
-        return listen(this.keys());
+        return listen(this.keys(), () => !this.element.hidden);
     }
 }
