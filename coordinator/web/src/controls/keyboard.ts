@@ -30,8 +30,9 @@ export function listen(keys: Key[], active: () => boolean): { help(): void } {
         const at = event.target as HTMLElement | null;
         // What has the focus keeps the keys that it knows.
         if (at?.closest("input:not([type=range]):not([type=checkbox]), textarea, select") !== null) return;
-        if (event.key === " " && at?.closest("button") !== null) return;
+        if (event.key === " " && at?.closest("button, input[type=checkbox], summary") !== null) return;
         if (event.key.startsWith("Arrow") && at?.closest("input") !== null) return;
+        if ((event.key === "Home" || event.key === "End") && at?.closest("input[type=range]") !== null) return;
         if (event.key === "?") {
             help();
             return;
