@@ -201,12 +201,19 @@ export class RobotRoom {
         }
     }
 
-    /** Gives every arm that is moved by a policy to another one, while it plays. */
-    private async change(name: string): Promise<void> {
+    /** Gives every arm that is moved by a policy to another one, while it plays. False if that cannot be loaded, which is said. */
+    private async change(name: string): Promise<boolean> {
+        try {
+            await this.slot(name);
+        } catch (error) {
+            notice(error instanceof Error ? error.message : String(error), "error");
+            return false;
+        }
         for (let arm = 0; arm < this.timeline.description.n_arms; arm++) {
             if (this.arms.chosen(arm).startsWith(":")) await this.control(arm, { policy: name });
         }
         this.current = name;
+        return true;
     }
 
     private async slot(name: string): Promise<number> {
@@ -254,7 +261,8 @@ export class RobotRoom {
         this.catchingUp = true;
         try {
             for (let wanted = this.wanted(); wanted !== undefined && wanted !== this.current; wanted = this.wanted()) {
-                await this.change(wanted);
+                // Tried again when the service says the next time what it has.
+                if (!(await this.change(wanted))) return;
                 this.offer();
                 notice(`Now plays ${plain(wanted)}`);
             }
@@ -276,7 +284,7 @@ export class RobotRoom {
     }
 
     private panel(): HTMLElement {
-        this.title.onchange = () => void this.change(this.title.value);
+        this.title.onchange = () => void this.change(this.title.value).then(() => this.offer());
         this.episode.onchange = () => void this.again();
         const trails = h("input", { type: "checkbox", checked: true, onchange: () => (this.view.trailsShown = trails.checked) });
         this.camera.onchange = () => this.follow();
