@@ -201,8 +201,12 @@ export class RobotRoom {
         }
     }
 
-    /** Gives every arm that is moved by a policy to another one, while it plays. False if that cannot be loaded, which is said. */
+    /**
+     * Gives every arm that is moved by a policy to another one, while it plays; where nothing has begun, begins with it. False if it cannot be loaded, which
+     * is said.
+     */
     private async change(name: string): Promise<boolean> {
+        if (this.current === "") return this.play(name);
         try {
             await this.slot(name);
         } catch (error) {
@@ -279,7 +283,9 @@ export class RobotRoom {
 
     private offer(): void {
         const names = this.policies.map(({ name, tags }) => ({ name, text: plain(name) + (tags.length > 0 ? ` · ${tags.join(", ")}` : "") }));
-        this.title.replaceChildren(...names.map(({ name, text }) => h("option", { value: name, selected: name === this.current }, text)));
+        this.title.replaceChildren(...names.map(({ name, text }) => h("option", { value: name }, text)));
+        // None where none plays, so that each can be chosen.
+        this.title.value = this.current;
         if (this.timeline.frames.length > 0) this.arms.offer(this.policies);
     }
 
