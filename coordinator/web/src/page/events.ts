@@ -5,6 +5,8 @@ import { ask, Refusal } from "./service";
 /** How long to wait before the next attempt (ms), and how long at most. */
 const WAIT = 500;
 const LONGEST = 8000;
+/** How long a service that lives says nothing at most (ms): it shows every 10 s that it does. */
+const SILENT = 30_000;
 
 export interface Hearing {
     /** Where to go on: asked for anew with each attempt. */
@@ -64,7 +66,9 @@ export class EventStream {
         if (reader === undefined) return;
         let text = "";
         for (;;) {
-            const { done, value } = await reader.read();
+            // What is cancelled has come to its end.
+            const silent = setTimeout(() => void reader.cancel().catch(() => undefined), SILENT);
+            const { done, value } = await reader.read().finally(() => clearTimeout(silent));
             if (done) return;
             text += value;
             for (let end = text.indexOf("\n\n"); end >= 0; end = text.indexOf("\n\n")) {
