@@ -48,7 +48,7 @@ async function robot(source: Source, health: Health | undefined): Promise<void> 
     const { help } = room.listen();
     const tabs = h("nav", { class: "segmented", hidden: true });
     document.body.append(header(tabs, iconButton(ICONS.help, "Keys and pointer (?)", help)), room.element);
-    const feed = health === undefined ? undefined : new Feed((refusal) => notice(refusal.message, "error"));
+    const feed = health === undefined ? undefined : new Feed(refused);
     let run: RunRoom | undefined;
     if (feed !== undefined && health?.serves === "run") run = rooms(tabs, room, feed, new Blocks(feed, source, module), health.read_only);
     const { policy, play } = wanted();
@@ -114,16 +114,25 @@ function rooms(tabs: HTMLElement, robot: RobotRoom, feed: Feed, blocks: Blocks, 
 
 /** Asks for the token until the service takes it. */
 async function admitted(): Promise<void> {
-    for (let why = "This service asks for a token."; ; ) {
+    for (;;) {
         try {
             await json("v1/checkpoints");
             return;
         } catch (error) {
             if (!(error instanceof Refusal) || error.status !== 401) throw error;
-            if (error.message.includes("wrong")) why = "The service does not know this token.";
+            await refused(error);
         }
-        await askForToken(why);
     }
+}
+
+/** Asks for the token if the service wants another one, and is true then; says anything else. */
+async function refused(refusal: Refusal): Promise<boolean> {
+    if (refusal.status !== 401) {
+        notice(refusal.message, "error");
+        return false;
+    }
+    await askForToken(refusal.message.includes("wrong") ? "The service does not know this token." : "This service asks for a token.");
+    return true;
 }
 
 main().catch((error: unknown) => notice(error instanceof Error ? error.message : String(error), "error"));

@@ -3,8 +3,15 @@
 import { h } from "../page/dom";
 import { keepToken } from "../page/token";
 
-/** Resolves when the user has given a token. */
+let asked: Promise<void> | undefined;
+
+/** Resolves when the user has given a token. Who asks meanwhile waits for the same. */
 export function askForToken(why: string): Promise<void> {
+    asked ??= ask(why).finally(() => (asked = undefined));
+    return asked;
+}
+
+function ask(why: string): Promise<void> {
     return new Promise((resolve) => {
         const input = h("input", { type: "password", autocomplete: "off", required: true, placeholder: "token", aria: { label: "Token" } });
         const form = h(

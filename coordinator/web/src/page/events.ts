@@ -15,8 +15,8 @@ export interface Hearing {
     event(name: string, data: unknown): void;
     /** The service is heard, or is not. */
     heard(on: boolean): void;
-    /** The service refuses, and will not change its mind by itself. */
-    refused(refusal: Refusal): void;
+    /** The service refuses, and will not change its mind by itself. Whether to ask anew, once somebody has done something about it. */
+    refused(refusal: Refusal): Promise<boolean>;
 }
 
 /** Listens while the page is looked at, again and again: browsers open few streams to one service at a time. */
@@ -47,7 +47,7 @@ export class EventStream {
                 await this.once(control.signal);
             } catch (error) {
                 if (error instanceof Refusal && error.status < 500) {
-                    this.hearing.refused(error);
+                    if (await this.hearing.refused(error)) continue;
                     return;
                 }
             }

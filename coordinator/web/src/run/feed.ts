@@ -46,15 +46,20 @@ export class Feed {
     /** Whether the run goes on, which a service says that does not stand beside it, too. */
     trains: boolean | undefined;
     heard = true;
+    /** What the service has refused with, if it is not heard because of that. */
+    refusal: Refusal | undefined;
     private readonly listeners: { topic: Topic; run(): void }[] = [];
     private readonly stream: EventStream;
 
-    constructor(refused: (refusal: Refusal) => void) {
+    constructor(refused: (refusal: Refusal) => Promise<boolean>) {
         this.stream = new EventStream({
             path: () => `v1/events?metrics=${this.metrics.next}&evaluations=${this.evaluations.next}`,
             event: (name, data) => this.take(name, data),
             heard: (on) => this.hear(on),
-            refused,
+            refused: (refusal) => {
+                this.hear(false, refusal);
+                return refused(refusal);
+            },
         });
     }
 
@@ -70,7 +75,7 @@ export class Feed {
         for (const listener of this.listeners) if (listener.topic === topic) listener.run();
     }
 
-    private hear(on: boolean): void {
+    private hear(on: boolean, refusal?: Refusal): void {
         if (on) {
             // The service tells the end of these anew, and of a resumed run they are others.
             this.happened = [];
@@ -79,8 +84,9 @@ export class Feed {
             this.status = undefined;
             this.trains = undefined;
         }
-        if (this.heard === on) return;
+        if (this.heard === on && this.refusal === refusal) return;
         this.heard = on;
+        this.refusal = refusal;
         this.tell("heard");
     }
 

@@ -20,7 +20,7 @@ export class RunRoom {
     private readonly checkpoints: Checkpoints;
     private readonly timeLine: TimeLine;
     private readonly logs = new Logs();
-    private readonly lost = h("div", { class: "lost", role: "status", hidden: true }, "The service does not answer. This page tries again.");
+    private readonly lost = h("div", { class: "lost", role: "status", hidden: true });
     private readonly tiles = h("section", { class: "tiles card" });
     private readonly workers = h("section", { class: "card" });
     private readonly processes = h("div");
@@ -81,8 +81,9 @@ export class RunRoom {
     }
 
     private showStatus(): void {
-        const { status: live, heard, trains, metrics } = this.feed;
+        const { status: live, heard, refusal, trains, metrics } = this.feed;
         this.lost.hidden = heard;
+        this.lost.textContent = refusal === undefined ? "The service does not answer. This page tries again." : `The service refuses: ${refusal.message}`;
         const last = metrics.lines.at(-1);
         const tile = (name: string, value: string): HTMLElement => h("div", { class: "tile" }, h("span", {}, name), h("b", {}, value));
         this.workers.hidden = live === undefined;
