@@ -81,6 +81,8 @@ export class RunsRoom {
             const begun = Number(response.headers.get("octopus-from") ?? 0);
             const next = Number(response.headers.get("octopus-next") ?? 0);
             const text = await response.text();
+            // Who asked at the same time was answered first.
+            if ((this.places.get(name) ?? 0) !== from) return changed;
             // Cut off after a recovery: from the beginning.
             const lines = begun < from || from === 0 ? [] : (this.lines.get(name) ?? []);
             this.places.set(name, next);
