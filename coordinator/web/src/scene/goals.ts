@@ -48,7 +48,14 @@ export class Goals {
 
     robot(description: Description): void {
         this.select(undefined);
-        for (const mark of this.marks.values()) this.stage.scene.remove(mark);
+        for (const mark of this.marks.values()) {
+            this.stage.scene.remove(mark);
+            mark.traverse((object) => {
+                if (!(object instanceof THREE.Mesh)) return;
+                (object.geometry as THREE.BufferGeometry).dispose();
+                (object.material as THREE.Material).dispose();
+            });
+        }
         this.marks.clear();
         for (let arm = 0; arm < description.n_arms; arm++) this.add(arm, axes(0.2, 0.008, ofArm(arm)));
         const cube = axes(0.75, 0.008, "#8b95a5");

@@ -9,10 +9,14 @@ const LENGTH = 100;
 
 export class Trails {
     readonly group = new THREE.Group();
-    private lines: THREE.Line[] = [];
+    private lines: THREE.Line<THREE.BufferGeometry, THREE.LineBasicMaterial>[] = [];
 
     robot(arms: number): void {
         this.group.clear();
+        for (const { geometry, material } of this.lines) {
+            geometry.dispose();
+            material.dispose();
+        }
         this.lines = Array.from({ length: arms }, (_, arm) => {
             const geometry = new THREE.BufferGeometry();
             geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * (LENGTH + 2)), 3));
