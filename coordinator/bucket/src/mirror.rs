@@ -120,8 +120,8 @@ struct Sending {
     pause: Duration,
     /// When to try again, after a failure.
     next: Option<Instant>,
-    /// Checkpoints whose own files were in the way, and when each may be tried again.
-    set_aside: BTreeMap<Name, Instant>,
+    /// Checkpoints whose own files were in the way: when each may be tried again, and what is wrong with it.
+    set_aside: BTreeMap<Name, (Instant, String)>,
     listener: Listener,
 }
 
@@ -166,21 +166,19 @@ impl Sending {
         if self.seen.as_ref() == Some(&seen) {
             return;
         }
-        let passed_over = match self.send_all() {
-            Ok(passed_over) => passed_over,
-            Err(error) => {
-                self.trouble(&error);
-                self.pause = (2 * self.pause).clamp(FIRST_PAUSE, LONGEST_PAUSE);
-                self.next = Some(Instant::now() + self.pause);
-                return;
-            }
-        };
+        if let Err(error) = self.send_all() {
+            self.trouble(&error);
+            self.pause = (2 * self.pause).clamp(FIRST_PAUSE, LONGEST_PAUSE);
+            self.next = Some(Instant::now() + self.pause);
+            return;
+        }
         self.seen = Some(seen);
         self.pause = Duration::ZERO;
         self.next = None;
-        if let Some(error) = passed_over {
-            self.pass_over(&error);
-        } else if self.set_aside.is_empty() && self.sent.trouble.take().is_some() {
+        if let Some((_, (_, why))) = self.set_aside.last_key_value() {
+            let then = "it is passed over until it can be, and the run goes on";
+            self.warn("not all checkpoints are sent", why.clone(), then);
+        } else if self.sent.trouble.take().is_some() {
             self.remember();
             self.tell();
             tracing::warn!("{}: all checkpoints are in the bucket again", self.bucket.address());
@@ -188,11 +186,10 @@ impl Sending {
     }
 
     /// Sends the newest checkpoint that is not in the bucket, until there is none, and labels that have changed. One whose own files are in the way is
-    /// set aside for a while; the first such error is returned at the end.
-    fn send_all(&mut self) -> Result<Option<BucketError>, BucketError> {
-        let mut first_error = None;
+    /// set aside for a while.
+    fn send_all(&mut self) -> Result<(), BucketError> {
         let now = Instant::now();
-        self.set_aside.retain(|_, until| now < *until);
+        self.set_aside.retain(|_, (until, _)| now < *until);
         loop {
             let entries = own(&self.store)?;
             self.sent.keep(&entries);
@@ -201,8 +198,7 @@ impl Sending {
             (self.listener)(&waiting, self.sent.trouble.as_deref());
             let is_due = |name: &Name| !self.set_aside.contains_key(name);
             let Some(name) = waiting.into_iter().find(is_due) else {
-                self.send_labels(&entries)?;
-                return Ok(first_error);
+                return self.send_labels(&entries);
             };
             self.claim()?;
             let dir = self.store.dir(&name);
@@ -213,8 +209,8 @@ impl Sending {
                 // Retention was faster.
                 Err(_) if !dir.exists() => continue,
                 Err(error) if error.is_local() => {
-                    self.set_aside.insert(name, Instant::now() + LONGEST_PAUSE);
-                    first_error.get_or_insert(error);
+                    let until = Instant::now() + LONGEST_PAUSE;
+                    self.set_aside.insert(name, (until, error.to_string()));
                     continue;
                 }
                 Err(error) => return Err(error),
@@ -249,7 +245,7 @@ impl Sending {
         Ok(())
     }
 
-    /// Says what is wrong, once.
+    /// Says what is wrong with the bucket, once.
     fn trouble(&mut self, error: &BucketError) {
         self.given_up = error.is_final();
         let then = if self.given_up {
@@ -257,17 +253,10 @@ impl Sending {
         } else {
             "the run goes on, and sends them when that is over"
         };
-        self.warn("checkpoints are not sent", error, then);
+        self.warn("checkpoints are not sent", error.to_string(), then);
     }
 
-    /// Says which checkpoint cannot be sent as it is here, once.
-    fn pass_over(&mut self, error: &BucketError) {
-        let then = "it is passed over until it can be, and the run goes on";
-        self.warn("not all checkpoints are sent", error, then);
-    }
-
-    fn warn(&mut self, what: &str, error: &BucketError, then: &str) {
-        let told = error.to_string();
+    fn warn(&mut self, what: &str, told: String, then: &str) {
         if self.sent.trouble.as_ref() != Some(&told) {
             tracing::warn!("{what} to the bucket: {told}; {then}");
             self.sent.trouble = Some(told);
