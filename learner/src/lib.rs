@@ -53,6 +53,7 @@ pub mod gae;
 mod gradient_norm;
 pub mod inbox;
 pub mod input_norm;
+mod lanes;
 mod layer_norm;
 pub mod learner;
 mod limits;
@@ -70,6 +71,7 @@ mod product;
 pub mod report;
 pub mod state;
 pub mod synthetic;
+mod unit;
 mod update;
 pub mod value_norm;
 

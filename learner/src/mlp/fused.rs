@@ -12,10 +12,10 @@
 #[cfg(target_arch = "x86_64")]
 use super::rounding::Natively;
 use super::rounding::{Plain, Rounding};
-use super::unit::{Elu, Nonlinearity, Relu, Unit};
 use crate::features::{Features, Loop, mul_add, run_for};
 use crate::layer_norm::LAYER_NORM_EPSILON;
 use crate::number::{BLOCK, Number};
+use crate::unit::{Elu, Nonlinearity, Relu, Unit};
 
 /// Interleaved chains of a sum.
 const CHAINS: usize = BLOCK;
@@ -23,8 +23,8 @@ const CHAINS: usize = BLOCK;
 /// What a hidden layer makes of its product, `[N, R, H]` each, and reciprocal deviations `[N, R]`.
 #[derive(Debug)]
 pub(crate) struct Forward<'a, T> {
-    /// Products without bias.
-    pub(crate) product: &'a [T],
+    /// Products without bias; nothing if `hidden` holds the activations already.
+    pub(crate) product: Option<&'a [T]>,
     /// `[A, H]`, or `[N, H]` if actors have none of their own.
     pub(crate) bias: &'a [f32],
     /// Activations, standardised if there is a LayerNorm.
@@ -130,6 +130,11 @@ impl RowPasses {
         Self { features: Features::detect(), unit, rows: [Vec::new(), Vec::new()] }
     }
 
+    /// What hidden units make of their inputs.
+    pub(crate) fn unit(&self) -> Unit {
+        self.unit
+    }
+
     /// ĥ = standardise(unit(product + bias)), or without standardising, and the head's outputs if there is a head.
     pub(crate) fn forward<T: Number>(&mut self, sizes: Sizes, arrays: Forward<'_, T>) {
         let rows = self.rows.each_mut().map(|row| {
@@ -137,8 +142,12 @@ impl RowPasses {
             row.as_mut_slice()
         });
         match self.unit {
-            Unit::Relu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu }),
-            Unit::Elu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu }),
+            Unit::Relu => {
+                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu::new() });
+            }
+            Unit::Elu => {
+                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu::new() });
+            }
         }
     }
 
@@ -149,8 +158,12 @@ impl RowPasses {
             row.as_mut_slice()
         });
         match self.unit {
-            Unit::Relu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu }),
-            Unit::Elu => run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu }),
+            Unit::Relu => {
+                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Relu::new() });
+            }
+            Unit::Elu => {
+                run_for(self.features, RowKernel { sizes, arrays, rows, unit: Elu::new() });
+            }
         }
     }
 }
@@ -168,14 +181,14 @@ trait Pass {
     fn run<R: Rounding, const FMA: bool>(self, rounding: R);
 }
 
-impl<T: Number, N: Nonlinearity + Copy> Pass for RowKernel<'_, Forward<'_, T>, N> {
+impl<T: Number, N: Nonlinearity<f32>> Pass for RowKernel<'_, Forward<'_, T>, N> {
     #[inline(always)]
     fn run<R: Rounding, const FMA: bool>(self, rounding: R) {
         forward_rows::<T, N, R, FMA>(self.sizes, self.arrays, self.rows, self.unit, rounding);
     }
 }
 
-impl<T: Number, N: Nonlinearity + Copy> Pass for RowKernel<'_, Backward<'_, T>, N> {
+impl<T: Number, N: Nonlinearity<f32>> Pass for RowKernel<'_, Backward<'_, T>, N> {
     #[inline(always)]
     fn run<R: Rounding, const FMA: bool>(self, rounding: R) {
         backward_rows::<T, N, R, FMA>(self.sizes, self.arrays, self.rows, self.unit, rounding);
@@ -247,7 +260,7 @@ macro_rules! sum {
 }
 
 #[inline(always)]
-fn forward_rows<T: Number, N: Nonlinearity + Copy, R: Rounding, const FMA: bool>(
+fn forward_rows<T: Number, N: Nonlinearity<f32>, R: Rounding, const FMA: bool>(
     sizes: Sizes,
     arrays: Forward<'_, T>,
     rows: [&mut [f32]; 2],
@@ -256,7 +269,7 @@ fn forward_rows<T: Number, N: Nonlinearity + Copy, R: Rounding, const FMA: bool>
 ) {
     let Sizes { samples, features: h, outputs, .. } = sizes;
     let Forward { product, bias, hidden, mut inverse_std, mut head } = arrays;
-    let (product, hidden) = (&product[..sizes.rows() * h], &mut hidden[..sizes.rows() * h]);
+    let hidden = &mut hidden[..sizes.rows() * h];
     let [row, _] = rows;
     let row = &mut row[..h];
     let per_feature = 1.0 / h as f32;
@@ -264,8 +277,9 @@ fn forward_rows<T: Number, N: Nonlinearity + Copy, R: Rounding, const FMA: bool>
     for index in 0..sizes.rows() {
         let at = sizes.row(index);
         let bias = &bias[at.bias * h..][..h];
-        let (product, hidden) = (&product[index * h..][..h], &mut hidden[index * h..][..h]);
-        if let Some(inverse_std) = &mut inverse_std {
+        let hidden = &mut hidden[index * h..][..h];
+        let product = product.map(|product| &product[index * h..][..h]);
+        if let (Some(product), Some(inverse_std)) = (product, &mut inverse_std) {
             for i in 0..h {
                 row[i] = unit.of::<FMA>(product[i].widen() + bias[i]);
             }
@@ -286,7 +300,7 @@ fn forward_rows<T: Number, N: Nonlinearity + Copy, R: Rounding, const FMA: bool>
             for i in blocks..h {
                 hidden[i] = T::round(row[i] * inverse);
             }
-        } else {
+        } else if let Some(product) = product {
             for start in (0..blocks).step_by(CHAINS) {
                 let (product, bias) = (block(product, start), block(bias, start));
                 let mut x = [0.0; CHAINS];
@@ -315,7 +329,7 @@ fn forward_rows<T: Number, N: Nonlinearity + Copy, R: Rounding, const FMA: bool>
 
 /// With LayerNorm (d − mean(d) − ĥ · mean(d ⊙ ĥ)) / σ, else d, back through the units.
 #[inline(always)]
-fn backward_rows<T: Number, N: Nonlinearity + Copy, R: Rounding, const FMA: bool>(
+fn backward_rows<T: Number, N: Nonlinearity<f32>, R: Rounding, const FMA: bool>(
     sizes: Sizes,
     arrays: Backward<'_, T>,
     rows: [&mut [f32]; 2],

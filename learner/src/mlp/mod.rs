@@ -34,7 +34,6 @@ mod products;
 mod rounding;
 mod stack;
 mod torch;
-mod unit;
 
 pub use compute::{Compute, Threads};
 

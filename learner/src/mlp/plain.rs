@@ -1,4 +1,4 @@
-//! The passes on a CPU with ReLU or ELU: what stands between two products (`products.rs`) is one loop over the samples in plain Rust.
+//! The passes on a CPU with ReLU or ELU: what stands between two products (`products.rs`) is one loop over the samples in plain Rust, or a part of the products.
 
 use proto::config::Activation;
 use tch::{Device, Kind, Tensor};
@@ -7,10 +7,10 @@ use super::fused::{Backward, Forward, HeadBackward, HeadForward, RowPasses, Size
 use super::passes::{Passes, StepGradient};
 use super::products::Products;
 use super::stack::Stack;
-use super::unit::Unit;
 use crate::memory::{Element, are_apart, numbers, numbers_mut};
 use crate::number::{Bf16, Number};
 use crate::product::Native;
+use crate::unit::Unit;
 
 /// One loop over the samples a layer.
 #[derive(Debug)]
@@ -61,9 +61,20 @@ impl PlainPasses {
         let output = [spec.rows as i64, spec.output, rows / spec.rows_per_network()];
         let mut output = Tensor::zeros(output, float);
         let mut input = x.shallow_clone();
+        let through_units = self.products.go_through_units(stack);
         for layer in 0..layers {
             let (mut product, mut hidden) = (stack.active(layer), stack.standard(layer));
-            self.products.forward(stack, layer, &input, &mut product);
+            let is_last = layer + 1 == layers;
+            if through_units {
+                let units = (self.rows.unit(), self.bias[layer].as_slice());
+                self.products.activations(stack, layer, units, &input, &mut hidden);
+            } else {
+                self.products.forward(stack, layer, &input, &mut product);
+            }
+            if through_units && !is_last {
+                input = hidden;
+                continue;
+            }
             let deviations = [stack.networks(), rows];
             let mut inverse_std = stack.spec.layer_norm.then(|| Tensor::zeros(deviations, float));
             let sizes = sizes(stack, layer, rows);
@@ -72,11 +83,11 @@ impl PlainPasses {
             // has left it, and libtorch does nothing until the pass has ended.
             let arrays = unsafe {
                 Forward {
-                    product: numbers(&product),
+                    product: (!through_units).then(|| numbers(&product)),
                     bias: &self.bias[layer],
                     hidden: numbers_mut(&mut hidden),
                     inverse_std: inverse_std.as_mut().map(|tensor| numbers_mut(tensor)),
-                    head: (layer + 1 == layers).then(|| HeadForward {
+                    head: is_last.then(|| HeadForward {
                         weight: numbers(&stack.head),
                         bias: numbers(&stack.head_bias),
                         output: numbers_mut(&mut output),
@@ -91,7 +102,6 @@ impl PlainPasses {
     }
 
     /// [`Passes::backward`] with activations of `T`.
-    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
     fn backward_in<T: Number + Element>(
         &mut self,
         stack: &Stack,
@@ -99,57 +109,78 @@ impl PlainPasses {
         d_output: &Tensor,
         step: Option<StepGradient<'_>>,
     ) {
-        let (networks, rows, layers) =
-            (stack.spec.n_networks, x.size()[1], stack.spec.hidden.len());
-        let outputs = stack.spec.output as usize;
+        let layers = stack.spec.hidden.len();
         let d_output = d_output.contiguous();
+        let through_units = self.products.go_through_units(stack);
         for layer in (0..layers).rev() {
-            let width = stack.spec.hidden[layer] as usize;
             let mut d = stack.gradient(layer);
-            let (product, hidden) = (stack.active(layer), stack.standard(layer));
-            let ChunkGradient { bias, head, head_bias } = &mut self.chunk;
-            zeros(bias, stack.biases(layer) as usize * width);
-            let is_last = layer + 1 == layers;
-            if is_last {
-                zeros(head, networks * outputs * width);
-                zeros(head_bias, networks * outputs);
+            // Elsewhere the product of the layer above went back through this one's units.
+            if layer + 1 == layers || !through_units {
+                self.back_through_units::<T>(stack, layer, &mut d, &d_output);
             }
-            assert!(
-                are_apart(&[&d, &d_output]),
-                "the loss's gradient lies in a buffer of the passes"
-            );
-            let sizes = sizes(stack, layer, rows);
-            // SAFETY: `d_output` is filled by the caller and apart from what is written. Every other
-            // tensor here was made of zeros by the stack, or by the pass forward, and has a storage of its own: `active`,
-            // `standard` and `gradient` are three buffers. No handle of what is written has left the stack, and libtorch does
-            // nothing until the pass has ended.
-            let arrays = unsafe {
-                Backward {
-                    product: numbers(&product),
-                    bias: &self.bias[layer],
-                    hidden: numbers(&hidden),
-                    inverse_std: stack.buffers.inverse_std.get(layer).map(|tensor| numbers(tensor)),
-                    gradient: numbers_mut(&mut d),
-                    bias_gradient: bias,
-                    head: is_last.then(|| HeadBackward {
-                        weight: numbers(&stack.head),
-                        output_gradient: numbers(&d_output),
-                        weight_gradient: head,
-                        bias_gradient: head_bias,
-                    }),
-                }
-            };
-            self.rows.backward::<T>(sizes, arrays);
             if let Some(step) = step {
                 self.take(stack, layer, step);
                 let input = if layer == 0 { x.shallow_clone() } else { stack.standard(layer - 1) };
                 self.products.weight_gradient(stack, layer, [&input, &d], step);
             }
-            if layer > 0 {
-                let mut below = stack.gradient(layer - 1);
+            if layer == 0 {
+                break;
+            }
+            let mut below = stack.gradient(layer - 1);
+            if through_units {
+                let bias = &mut self.chunk.bias;
+                zeros(bias, self.bias[layer - 1].len());
+                let units = (self.rows.unit(), bias.as_mut_slice());
+                let factors = [&d, &stack.standard(layer - 1)];
+                self.products.gradient_below(stack, layer, units, factors, &mut below);
+            } else {
                 self.products.input_gradient(stack, layer, &d, &mut below);
             }
         }
+    }
+
+    /// Goes back through the units of a layer, and through the head if it is the last one: `d`, the gradient by the layer's activations, becomes
+    /// that by its products.
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
+    fn back_through_units<T: Number + Element>(
+        &mut self,
+        stack: &Stack,
+        layer: usize,
+        d: &mut Tensor,
+        d_output: &Tensor,
+    ) {
+        let (width, outputs) = (stack.spec.hidden[layer] as usize, stack.spec.output as usize);
+        let is_last = layer + 1 == stack.spec.hidden.len();
+        let (product, hidden) = (stack.active(layer), stack.standard(layer));
+        let ChunkGradient { bias, head, head_bias } = &mut self.chunk;
+        zeros(bias, self.bias[layer].len());
+        if is_last {
+            zeros(head, stack.spec.n_networks * outputs * width);
+            zeros(head_bias, stack.spec.n_networks * outputs);
+        }
+        assert!(are_apart(&[d, d_output]), "the loss's gradient lies in a buffer of the passes");
+        let sizes = sizes(stack, layer, d.size()[1]);
+        // SAFETY: `d_output` is filled by the caller and apart from what is written. Every other
+        // tensor here was made of zeros by the stack, or by the pass forward, and has a storage of its own: `active`,
+        // `standard` and `gradient` are three buffers. No handle of what is written has left the stack, and libtorch does
+        // nothing until the pass has ended.
+        let arrays = unsafe {
+            Backward {
+                product: numbers(&product),
+                bias: &self.bias[layer],
+                hidden: numbers(&hidden),
+                inverse_std: stack.buffers.inverse_std.get(layer).map(|tensor| numbers(tensor)),
+                gradient: numbers_mut(d),
+                bias_gradient: bias,
+                head: is_last.then(|| HeadBackward {
+                    weight: numbers(&stack.head),
+                    output_gradient: numbers(d_output),
+                    weight_gradient: head,
+                    bias_gradient: head_bias,
+                }),
+            }
+        };
+        self.rows.backward::<T>(sizes, arrays);
     }
 
     /// Takes what rows have added up to into the gradient of a step: the layer's biases, and the head if it is the last layer.

@@ -6,7 +6,8 @@ use super::passes::StepGradient;
 use super::stack::Stack;
 use crate::memory::{numbers, numbers_mut};
 use crate::number::{Bf16, round_all};
-use crate::product::{Left, Native, Out, Packed, multiply};
+use crate::product::{Activations, Biases, Gradients, Left, Native, Out, Packed, multiply};
+use crate::unit::Unit;
 
 /// What multiplies, and its memory.
 #[derive(Debug)]
@@ -113,7 +114,10 @@ impl Products {
         product: &mut Tensor,
     ) {
         match self.native {
-            Some(native) => multiply_rows(native, input, &self.weight[layer], product),
+            Some(native) => each_left(input, |network, left| {
+                let out = Out::Rounded(part(product, network, stack));
+                multiply(native, left, &self.weight[layer][network], out);
+            }),
             None => {
                 let _ = input.bmm_out(product, &stack.weight[layer]);
             }
@@ -129,11 +133,70 @@ impl Products {
         below: &mut Tensor,
     ) {
         match self.native {
-            Some(native) => multiply_rows(native, d, &self.transposed[layer], below),
+            Some(native) => each_left(d, |network, left| {
+                let out = Out::Rounded(part(below, network, stack));
+                multiply(native, left, &self.transposed[layer][network], out);
+            }),
             None => {
                 let _ = d.bmm_out(below, &stack.weight[layer].transpose(1, 2));
             }
         }
+    }
+
+    /// Whether products go through a layer's units at once, forward and back: ours do, if no standardisation needs what is before them.
+    pub(super) fn go_through_units(&self, stack: &Stack) -> bool {
+        self.native.is_some() && !stack.spec.layer_norm
+    }
+
+    /// What the layer's units make of `input` times its weights, into `hidden` `[N, R, H]`; `bias` are those of the layer.
+    ///
+    /// # Panics
+    /// Unless [`Self::go_through_units`].
+    pub(super) fn activations(
+        &self,
+        stack: &Stack,
+        layer: usize,
+        (unit, bias): (Unit, &[f32]),
+        input: &Tensor,
+        hidden: &mut Tensor,
+    ) {
+        let native = self.native.expect("products of our own");
+        each_left(input, |network, left| {
+            let out = part(hidden, network, stack);
+            let biases = biases(stack, layer, network);
+            let out = Out::Activations(Activations { unit, bias, biases, out });
+            multiply(native, left, &self.weight[layer][network], out);
+        });
+    }
+
+    /// From the gradient by the layer's product, `d` `[N, R, H]`, that by the product of the layer below, into `below`. `hidden` are the activations of
+    /// that layer; the gradient by its biases is added to `bias_gradient`.
+    ///
+    /// # Panics
+    /// Unless [`Self::go_through_units`].
+    #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
+    pub(super) fn gradient_below(
+        &self,
+        stack: &Stack,
+        layer: usize,
+        (unit, bias_gradient): (Unit, &mut [f32]),
+        [d, hidden]: [&Tensor; 2],
+        below: &mut Tensor,
+    ) {
+        let native = self.native.expect("products of our own");
+        // SAFETY: made by the pass forward, which has ended; nobody writes it before the next one.
+        let hidden: &[Bf16] = unsafe { numbers(hidden) };
+        let each = hidden.len() / stack.spec.n_networks;
+        each_left(d, |network, left| {
+            let out = Out::Gradients(Gradients {
+                unit,
+                hidden: &hidden[network * each..][..each],
+                bias_gradient,
+                biases: biases(stack, layer - 1, network),
+                out: part(below, network, stack),
+            });
+            multiply(native, left, &self.transposed[layer][network], out);
+        });
     }
 
     /// The gradient by the layer's weights, into `step`.
@@ -177,16 +240,33 @@ impl Products {
     }
 }
 
-/// Rows `[N, R, K]` times each network's right factor `[K, M]`, into `product` `[N, R, M]`.
+/// A network's part of an array `[N, R, H]`, to be written.
 #[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
-fn multiply_rows(native: Native, rows: &Tensor, right: &[Packed], product: &mut Tensor) {
-    // SAFETY: products are buffers of the stack, made of zeros. Layers may share one, of which nobody else has a slice now; it is not that of `rows`.
-    let product: &mut [Bf16] = unsafe { numbers_mut(product) };
-    let each = product.len() / right.len();
+fn part<'p>(array: &'p mut Tensor, network: usize, stack: &Stack) -> &'p mut [Bf16] {
+    // SAFETY: products and what comes of them are buffers of the stack, made of zeros. Layers may share one, of which nobody else has a slice now; it is not that of a
+    // product's factors.
+    let array: &mut [Bf16] = unsafe { numbers_mut(array) };
+    let each = array.len() / stack.spec.n_networks;
+    &mut array[network * each..][..each]
+}
+
+/// Where the biases of a network's rows stand among those of a layer.
+fn biases(stack: &Stack, layer: usize, network: usize) -> Biases {
+    let width = stack.spec.hidden[layer] as usize;
+    let own = stack.biases(layer) != stack.networks();
+    Biases {
+        first: network * width,
+        step: if own { stack.spec.n_networks * width } else { 0 },
+        actors: stack.spec.rows_per_network() as usize,
+    }
+}
+
+/// Does something with each network's rows of `[N, R, K]`.
+#[expect(unsafe_code, reason = "only here is it known which tensors share memory")]
+fn each_left(rows: &Tensor, mut with: impl FnMut(usize, Left<'_>)) {
     // What all networks share lies there once.
     let shared = is_shared(rows).then(|| rows.get(0).contiguous());
-    for (network, (right, product)) in right.iter().zip(product.chunks_exact_mut(each)).enumerate()
-    {
+    for network in 0..rows.size()[0] as usize {
         let mut copy = None;
         // SAFETY: filled before the pass began, and nobody writes until it has ended.
         let left = Left::Rows(unsafe {
@@ -195,7 +275,7 @@ fn multiply_rows(native: Native, rows: &Tensor, right: &[Packed], product: &mut 
                 None => matrix(rows, network, &mut copy),
             }
         });
-        multiply(native, left, right, Out::Rounded(product));
+        with(network, left);
     }
 }
 

@@ -1,6 +1,7 @@
 //! What products read and write.
 
 use super::packed::Packed;
+use super::units::{Activations, Gradients};
 use crate::number::Bf16;
 
 /// The left factor `[M, K]`.
@@ -21,6 +22,10 @@ pub(crate) enum Out<'a> {
     Widened(&'a mut [f32]),
     /// Rounded and widened, added to what is there.
     Added(&'a mut [f32]),
+    /// Through a layer's units.
+    Activations(Activations<'a>),
+    /// Back through a layer's units.
+    Gradients(Gradients<'a>),
 }
 
 impl Out<'_> {
@@ -29,6 +34,8 @@ impl Out<'_> {
         match self {
             Self::Rounded(out) => out.len(),
             Self::Widened(out) | Self::Added(out) => out.len(),
+            Self::Activations(units) => units.out.len(),
+            Self::Gradients(units) => units.out.len(),
         }
     }
 }

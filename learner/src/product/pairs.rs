@@ -13,7 +13,8 @@ use super::native::Pairs;
 use super::operands::{Left, Out};
 use super::packed::Packed;
 use super::panel::{PANEL, PairRow};
-use super::sums::{LANES, put};
+use super::registers::LANES;
+use super::sums::{Put, Rows, for_each_out};
 
 /// Rows of a tile.
 const TILE: usize = 8;
@@ -25,13 +26,13 @@ const BLOCK: usize = 64;
 type TileSums<const M: usize> = [[__m512; 2]; M];
 
 /// The product of `left` `[rows, K]` with `right` `[K, N]`. The sizes fit each other, and K is not zero.
-pub(super) fn multiply(_: Pairs, left: Left<'_>, right: &Packed, mut out: Out<'_>, rows: usize) {
+pub(super) fn multiply(_: Pairs, left: Left<'_>, right: &Packed, out: Out<'_>, rows: usize) {
     // SAFETY: there is no `Pairs` without these features.
-    unsafe { multiply_compiled(left, right, &mut out, rows) };
+    unsafe { for_each_out!(out, put => multiply_compiled(left, right, &mut put, rows)) };
 }
 
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512bf16")]
-fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: usize) {
+fn multiply_compiled<P: Put>(left: Left<'_>, right: &Packed, out: &mut P, rows: usize) {
     let (panels, inner) = (right.panels(), right.rows());
     for index in 0..panels * rows.div_ceil(BLOCK) {
         let (block, panel) = (index / panels, index % panels);
@@ -43,14 +44,14 @@ fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: us
             // SAFETY: this function is compiled for the features that all below it use.
             unsafe {
                 match rows - row {
-                    1 => tile::<1>(left, inner, pairs, out, at),
-                    2 => tile::<2>(left, inner, pairs, out, at),
-                    3 => tile::<3>(left, inner, pairs, out, at),
-                    4 => tile::<4>(left, inner, pairs, out, at),
-                    5 => tile::<5>(left, inner, pairs, out, at),
-                    6 => tile::<6>(left, inner, pairs, out, at),
-                    7 => tile::<7>(left, inner, pairs, out, at),
-                    _ => tile::<TILE>(left, inner, pairs, out, at),
+                    1 => tile::<1, P>(left, inner, pairs, out, at),
+                    2 => tile::<2, P>(left, inner, pairs, out, at),
+                    3 => tile::<3, P>(left, inner, pairs, out, at),
+                    4 => tile::<4, P>(left, inner, pairs, out, at),
+                    5 => tile::<5, P>(left, inner, pairs, out, at),
+                    6 => tile::<6, P>(left, inner, pairs, out, at),
+                    7 => tile::<7, P>(left, inner, pairs, out, at),
+                    _ => tile::<TILE, P>(left, inner, pairs, out, at),
                 }
             }
             row += TILE;
@@ -63,11 +64,11 @@ fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: us
 /// # Safety
 /// Called from code that is compiled for AVX-512 with bfloat16. M is at most [`TILE`].
 #[inline(always)]
-unsafe fn tile<const M: usize>(
+unsafe fn tile<const M: usize, P: Put>(
     left: Left<'_>,
     inner: usize,
     panel: &[PairRow],
-    out: &mut Out<'_>,
+    out: &mut P,
     [row, column, columns]: [usize; 3],
 ) {
     // SAFETY: the caller's promise is that of all below. The slices hold every address that is read: of M rows of K numbers those of K / 2 pairs, and of a panel its
@@ -94,13 +95,9 @@ unsafe fn tile<const M: usize>(
                 sums::<M>(first.cast(), [4, size_of::<PairRow>()], panel)
             }
         };
-        for (m, sums) in sums.into_iter().enumerate() {
-            for (half, sums) in sums.into_iter().enumerate() {
-                let column = column + half * LANES;
-                if column < columns {
-                    put(sums, out, (row + m) * columns + column, columns - column);
-                }
-            }
+        let mut next = out.begin(Rows { count: M, first: row, column, columns });
+        for sums in sums {
+            P::put(&mut next, sums);
         }
     }
 }

@@ -1,8 +1,10 @@
 use tch::{Device, Kind, Tensor};
 
-use super::{Left, Native, Out, Packed, multiply};
+use super::{Activations, Biases, Gradients, Left, Native, Out, Packed, multiply};
+use crate::features::Features;
 use crate::memory::numbers;
 use crate::number::{Bf16, Number};
+use crate::unit::{Elu, Nonlinearity as _, Relu, Unit};
 
 /// Numbers of order 1 that differ from place to place.
 fn matrix(seed: usize, len: usize) -> Vec<Bf16> {
@@ -95,6 +97,62 @@ fn products_are_those_of_libtorch() {
             multiply(native, Left::Rows(&a), &right, Out::Rounded(&mut ours));
             let differ = ours.iter().zip(theirs).filter(|(ours, theirs)| ours != theirs).count();
             assert!(differ * 100 <= m * n, "{native:?}, {m}×{k}×{n}: {differ} differ");
+        }
+    }
+}
+
+/// To the bit what units make of products that lie in memory, number by number, forward and back: whole tiles and panels and parts of them, with a
+/// bias for each of several actors and with one for all.
+#[test]
+fn products_through_units_are_those_of_products_in_memory() {
+    let mut right = Packed::default();
+    for ([m, k, n], unit) in SIZES.into_iter().flat_map(|s| [(s, Unit::Relu), (s, Unit::Elu)]) {
+        let (a, b) = (matrix(5, m * k), matrix(6, k * n));
+        right.pack(&b, k, n);
+        for (native, actors) in Native::all().into_iter().flat_map(|n| [(n, 1), (n, 3)]) {
+            // Of the second of two networks, whose actors' biases alternate.
+            let biases = Biases { first: n, step: if actors == 1 { 0 } else { 2 * n }, actors };
+            let bias: Vec<f32> =
+                matrix(7, 2 * actors * n).iter().map(|x| 3.0 * x.widen()).collect();
+            let mut product = vec![Bf16(0); m * n];
+            multiply(native, Left::Rows(&a), &right, Out::Rounded(&mut product));
+
+            let mut hidden = vec![Bf16(0); m * n];
+            let out = Activations { unit, bias: &bias, biases, out: &mut hidden };
+            multiply(native, Left::Rows(&a), &right, Out::Activations(out));
+            let at = |i: usize| biases.of(i / n) + i % n;
+            for i in 0..m * n {
+                let x = product[i].widen() + bias[at(i)];
+                let expected = Bf16::round(match (unit, Features::detect()) {
+                    (Unit::Relu, _) => Relu::new().of::<false>(x),
+                    (Unit::Elu, Features::Any) => Elu::new().of::<false>(x),
+                    (Unit::Elu, _) => Elu::new().of::<true>(x),
+                });
+                assert_eq!(hidden[i], expected, "{native:?}, {unit:?}, {m}×{k}×{n}: {x}");
+            }
+
+            let mut gradient = vec![Bf16(0); m * n];
+            let mut bias_gradient = bias.clone();
+            let out = Gradients {
+                unit,
+                hidden: &hidden,
+                bias_gradient: &mut bias_gradient,
+                biases,
+                out: &mut gradient,
+            };
+            multiply(native, Left::Rows(&a), &right, Out::Gradients(out));
+            let mut expected = bias.clone();
+            for i in 0..m * n {
+                let (y, d) = (hidden[i].widen(), product[i].widen());
+                let d = match unit {
+                    Unit::Relu => Relu::new().back_from_result(y, d),
+                    Unit::Elu => Elu::new().back_from_result(y, d),
+                };
+                expected[at(i)] += d;
+                assert_eq!(gradient[i], Bf16::round(d), "{native:?}, {unit:?}, {m}×{k}×{n}");
+            }
+            let differ = bias_gradient.iter().zip(&expected).filter(|(a, b)| a != b).count();
+            assert_eq!(differ, 0, "{native:?}, {unit:?}, {m}×{k}×{n}, {actors} actors");
         }
     }
 }

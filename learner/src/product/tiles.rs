@@ -13,13 +13,13 @@ use std::arch::x86_64::{
     _mm512_load_ps, _mm512_load_si512, _mm512_maskz_loadu_epi16, _mm512_setzero_si512,
     _mm512_store_si512,
 };
-use std::ops::Range;
 
 use super::native::Tiles;
 use super::operands::{Left, Out};
 use super::packed::Packed;
 use super::panel::{PANEL, PairRow, TILE};
-use super::sums::{self, LANES};
+use super::registers::LANES;
+use super::sums::{Put, Rows, for_each_out};
 use super::transposition::transposed;
 use crate::number::Bf16;
 
@@ -54,13 +54,13 @@ struct Block {
 }
 
 /// The product of `left` `[rows, K]` with `right` `[K, N]`. The sizes fit each other, and K is not zero.
-pub(super) fn multiply(_: Tiles, left: Left<'_>, right: &Packed, mut out: Out<'_>, rows: usize) {
+pub(super) fn multiply(_: Tiles, left: Left<'_>, right: &Packed, out: Out<'_>, rows: usize) {
     // SAFETY: there is no `Tiles` without these features, nor without the kernel's leave to use tiles.
-    unsafe { multiply_compiled(left, right, &mut out, rows) };
+    unsafe { for_each_out!(out, put => multiply_compiled(left, right, &mut put, rows)) };
 }
 
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512bf16")]
-fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: usize) {
+fn multiply_compiled<P: Put>(left: Left<'_>, right: &Packed, out: &mut P, rows: usize) {
     let (inner, columns) = (right.rows(), right.columns());
     let steps = inner.div_ceil(STEP);
     let mut copy = Vec::new();
@@ -90,59 +90,46 @@ fn multiply_compiled(left: Left<'_>, right: &Packed, out: &mut Out<'_>, rows: us
             for panel in 0..=right.panels() {
                 let [even, odd] = &mut sums;
                 let (made, before) = if panel % 2 == 0 { (even, &*odd) } else { (odd, &*even) };
-                let waiting = panel.checked_sub(1).map(|before| [row, before * PANEL, columns]);
-                let mut done = 0;
+                let (column, count) = match panel.checked_sub(1) {
+                    Some(before) => (before * PANEL, count),
+                    None => (0, 0),
+                };
+                let next = out.begin(Rows { count, first: row, column, columns });
+                let mut waiting = Waiting::<P> { sums: &before.0[..count], next };
                 if panel < right.panels() {
                     let pairs = right.filled_panel(panel);
                     debug_assert_eq!(pairs.len(), steps * TILE);
-                    done = match (waiting, &mut *out) {
-                        (Some([row, column, _]), Out::Rounded(out)) if count == BLOCK => {
-                            // A panel before another one is a whole one.
-                            let last = (BLOCK - 1) * columns + PANEL;
-                            let out = &mut out[row * columns + column..][..last];
-                            multiply_and_put(block, pairs, made, before, out, columns)
-                        }
-                        _ => {
-                            multiply_block(block, pairs, made);
-                            0
-                        }
-                    };
+                    multiply_block(block, pairs, made, &mut waiting);
                 }
-                if let Some(corner) = waiting {
-                    put_rows(before, out, corner, done..count);
-                }
+                waiting.put(BLOCK);
             }
         }
         restore(&found);
     }
 }
 
-/// Rounds the sums of some rows of a block, and puts them where the corner `[row, column]` of a product with so many columns is.
-///
-/// # Safety
-/// Called from code that is compiled for AVX-512 with bfloat16.
-#[inline(always)]
-unsafe fn put_rows(
-    sums: &Sums,
-    out: &mut Out<'_>,
-    [row, column, columns]: [usize; 3],
-    rows: Range<usize>,
-) {
-    let left = columns - column;
-    for m in rows {
-        let at = (row + m) * columns + column;
-        let [first, second] = sums.0[m].as_chunks::<LANES>().0 else { unreachable!("two halves") };
-        // SAFETY: the caller's promise; both halves begin cache lines.
-        unsafe {
-            let (first, second) = (_mm512_load_ps(first.as_ptr()), _mm512_load_ps(second.as_ptr()));
-            if left >= PANEL {
-                sums::put_both([first, second], out, at);
-            } else {
-                sums::put(first, out, at, left);
-                if left > LANES {
-                    sums::put(second, out, at + LANES, left - LANES);
-                }
+/// Sums of rows with a panel, which wait to be put.
+struct Waiting<'s, P: Put> {
+    sums: &'s [[f32; PANEL]],
+    next: P::Next,
+}
+
+impl<P: Put> Waiting<'_, P> {
+    /// Puts so many rows, if there are as many.
+    ///
+    /// # Safety
+    /// As for [`Put::put`], which is told of all these rows. Rows of sums begin cache lines.
+    #[inline(always)]
+    unsafe fn put(&mut self, count: usize) {
+        for _ in 0..count {
+            let Some((row, others)) = self.sums.split_first() else { return };
+            // SAFETY: the caller's promise.
+            unsafe {
+                let first = _mm512_load_ps(row.as_ptr());
+                let second = _mm512_load_ps(row.as_ptr().add(LANES));
+                P::put(&mut self.next, [first, second]);
             }
+            self.sums = others;
         }
     }
 }
@@ -258,214 +245,79 @@ unsafe fn restore(found: &Configuration) {
     }
 }
 
-/// Clears the tiles of sums.
-macro_rules! clear {
-    () => {
-        concat!("tilezero tmm0\n", "tilezero tmm1\n", "tilezero tmm2\n", "tilezero tmm3")
-    };
-}
+/// Products of tiles in a step, between which other sums are put.
+const PRODUCTS: usize = 4;
 
-/// Multiplies a step of the block with one of the panel.
-macro_rules! multiply {
-    () => {
-        concat!(
-            "tileloadd tmm4, [{first} + {row}*1]\n",
-            "tileloadd tmm6, [{panel} + {width}*1]\n",
-            "tileloadd tmm7, [{panel} + {width}*1 + 64]\n",
-            "tdpbf16ps tmm0, tmm4, tmm6\n",
-            "tileloadd tmm5, [{second} + {row}*1]\n",
-            "tdpbf16ps tmm1, tmm4, tmm7\n",
-            "tdpbf16ps tmm2, tmm5, tmm6\n",
-            "tdpbf16ps tmm3, tmm5, tmm7"
-        )
-    };
-}
-
-/// Goes on to the next step.
-macro_rules! go_on {
-    () => {
-        concat!("add {first}, {step}\n", "add {second}, {step}\n", "add {panel}, 2048")
-    };
-}
-
-/// Rounds a row of sums, whose halves lie so many bytes behind `before`, and puts it into `out`.
-macro_rules! put {
-    ($second:literal, $first:literal) => {
-        concat!(
-            "vmovaps {x}, [{before} + ",
-            $second,
-            "]\n",
-            "vcvtne2ps2bf16 {x}, {x}, [{before} + ",
-            $first,
-            "]\n",
-            "vmovdqu64 [{out}], {x}\n",
-            "add {out}, {columns}"
-        )
-    };
-}
-
-/// Stores the tiles of sums: two side by side, and two below them.
-macro_rules! store {
-    () => {
-        concat!(
-            "tilestored [{sums} + {width}*1], tmm0\n",
-            "tilestored [{sums} + {width}*1 + 64], tmm1\n",
-            "tilestored [{sums} + {width}*1 + 2048], tmm2\n",
-            "tilestored [{sums} + {width}*1 + 2112], tmm3"
-        )
-    };
-}
-
-/// The sums of a block with a panel.
+/// The sums of a block with a panel. Meanwhile `waiting` is put: tiles multiply by themselves, and leave the vector instructions to others.
+///
+/// The compiler has no use for tiles of its own, so that what is in one stays there from one instruction to the next.
 ///
 /// # Safety
-/// Tiles are configured. The block has as many steps as the panel, at least one.
-unsafe fn multiply_block(block: Block, panel: &[PairRow], sums: &mut Sums) {
-    let steps = panel.len() / TILE;
-    let (panel, sums) = (panel.as_ptr(), sums.0.as_mut_ptr());
-    // SAFETY: the caller's promise; `sums` are four tiles, side by side and one above the other.
-    unsafe {
-        asm!(
-            clear!(),
-            "2:",
-            multiply!(),
-            go_on!(),
-            "dec {steps}",
-            "jnz 2b",
-            store!(),
-            first = inout(reg) block.tiles[0] => _,
-            second = inout(reg) block.tiles[1] => _,
-            panel = inout(reg) panel => _,
-            steps = inout(reg) steps => _,
-            row = in(reg) block.row,
-            step = in(reg) block.step,
-            width = in(reg) size_of::<PairRow>(),
-            sums = in(reg) sums,
-            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
-            out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
-            options(nostack),
-        );
-    }
-}
-
-/// Steps in which a whole block is put, four rows in each.
-const PUTS: usize = BLOCK / 4;
-
-/// The same, and meanwhile rounds the sums `before` of a whole block and panel, and puts them into `out`, where rows are `columns` apart: that is done while
-/// tiles multiply. Says how many rows are put: few steps leave no time for all.
-///
-/// # Safety
-/// As for [`multiply_block`]; `out` has room for the block.
-#[target_feature(enable = "avx512f,avx512bf16")]
-unsafe fn multiply_and_put(
+/// Tiles are configured. The block has as many steps as the panel, at least one. Called from code that is compiled for AVX-512 with bfloat16.
+#[inline(always)]
+unsafe fn multiply_block<P: Put>(
     block: Block,
     panel: &[PairRow],
     sums: &mut Sums,
-    before: &Sums,
-    out: &mut [Bf16],
-    columns: usize,
-) -> usize {
+    waiting: &mut Waiting<'_, P>,
+) {
     let steps = panel.len() / TILE;
-    let puts = steps.min(PUTS);
-    let (panel, sums) = (panel.as_ptr(), sums.0.as_mut_ptr());
-    // SAFETY: the caller's promise; `sums` are four tiles, side by side and one above the other. `puts` steps read and write four rows each.
+    let rows = BLOCK.div_ceil(PRODUCTS * steps);
+    let [mut first, mut second] = block.tiles;
+    let width = size_of::<PairRow>();
+    // SAFETY: the caller's promise; `sums` are four tiles, side by side and one above the other.
     unsafe {
         asm!(
-            clear!(),
-            "2:",
-            "tileloadd tmm4, [{first} + {row}*1]",
-            "tileloadd tmm6, [{panel} + {width}*1]",
-            "tdpbf16ps tmm0, tmm4, tmm6",
-            put!(64, 0),
-            "tileloadd tmm7, [{panel} + {width}*1 + 64]",
-            "tdpbf16ps tmm1, tmm4, tmm7",
-            put!(192, 128),
-            "tileloadd tmm5, [{second} + {row}*1]",
-            "tdpbf16ps tmm2, tmm5, tmm6",
-            put!(320, 256),
-            "tdpbf16ps tmm3, tmm5, tmm7",
-            put!(448, 384),
-            "add {before}, 512",
-            go_on!(),
-            "dec {puts}",
-            "jnz 2b",
-            "test {steps}, {steps}",
-            "jz 4f",
-            "3:",
-            multiply!(),
-            go_on!(),
-            "dec {steps}",
-            "jnz 3b",
-            "4:",
-            store!(),
-            first = inout(reg) block.tiles[0] => _,
-            second = inout(reg) block.tiles[1] => _,
-            panel = inout(reg) panel => _,
-            puts = inout(reg) puts => _,
-            steps = inout(reg) steps - puts => _,
-            row = in(reg) block.row,
-            step = in(reg) block.step,
-            width = in(reg) size_of::<PairRow>(),
-            sums = in(reg) sums,
-            before = inout(reg) before.0.as_ptr() => _,
-            out = inout(reg) out.as_mut_ptr() => _,
-            columns = in(reg) columns * size_of::<Bf16>(),
-            x = out(zmm_reg) _,
+            "tilezero tmm0",
+            "tilezero tmm1",
+            "tilezero tmm2",
+            "tilezero tmm3",
             out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
-            out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
-            options(nostack),
+            options(nostack, nomem, preserves_flags),
         );
-    }
-    4 * puts
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Takes `rows` and `panel` over.
-    #[target_feature(enable = "avx512f,avx512bw")]
-    fn copy_both(
-        rows: &[Bf16],
-        inner: usize,
-        panel: &[PairRow],
-        by_row: &mut [Tile],
-        by_column: &mut [Tile],
-    ) {
-        // SAFETY: compiled for both features.
-        unsafe {
-            copy_rows(rows, inner, by_row);
-            transpose(panel, by_column);
+        for panel in panel.chunks_exact(TILE) {
+            let panel = panel.as_ptr();
+            asm!(
+                "tileloadd tmm4, [{first} + {row}*1]",
+                "tileloadd tmm6, [{panel} + {width}*1]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                first = in(reg) first, row = in(reg) block.row, panel = in(reg) panel, width = in(reg) width,
+                out("tmm0") _, out("tmm4") _, out("tmm6") _,
+                options(nostack, preserves_flags, readonly),
+            );
+            waiting.put(rows);
+            asm!(
+                "tileloadd tmm7, [{panel} + {width}*1 + 64]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                panel = in(reg) panel, width = in(reg) width,
+                out("tmm1") _, out("tmm7") _,
+                options(nostack, preserves_flags, readonly),
+            );
+            waiting.put(rows);
+            asm!(
+                "tileloadd tmm5, [{second} + {row}*1]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                second = in(reg) second, row = in(reg) block.row,
+                out("tmm2") _, out("tmm5") _,
+                options(nostack, preserves_flags, readonly),
+            );
+            waiting.put(rows);
+            asm!(
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                out("tmm3") _,
+                options(nostack, nomem, preserves_flags),
+            );
+            waiting.put(rows);
+            first = first.wrapping_add(block.step);
+            second = second.wrapping_add(block.step);
         }
-    }
-
-    /// What needs no tiles itself.
-    #[test]
-    fn blocks_are_copied_row_by_row_and_column_by_column() {
-        use std::arch::is_x86_feature_detected as has;
-        if !has!("avx512f") || !has!("avx512bw") {
-            return;
-        }
-        let inner = 37;
-        let number = |row: usize, k: usize| Bf16((row * inner + k + 1) as u16);
-        let rows: Vec<_> = (0..BLOCK * inner).map(|i| number(i / inner, i % inner)).collect();
-        let columns: Vec<_> = (0..BLOCK * inner).map(|i| number(i % BLOCK, i / BLOCK)).collect();
-        let mut packed = Packed::default();
-        packed.pack(&columns, inner, BLOCK);
-        let [mut by_row, mut by_column] = [(); 2].map(|()| vec![Tile::ZEROS; 4]);
-        // SAFETY: the processor has both features.
-        unsafe { copy_both(&rows, inner, packed.filled_panel(0), &mut by_row, &mut by_column) };
-        for row in 0..BLOCK {
-            for pair in 0..2 * TILE {
-                let expected = [0, 1].map(|i| {
-                    let k = 2 * pair + i;
-                    if k < inner { u32::from(number(row, k).0) } else { 0 }
-                });
-                let expected = expected[0] | expected[1] << 16;
-                let at = (2 * (pair / TILE) + row / TILE, row % TILE, pair % TILE);
-                assert_eq!(by_row[at.0].0[at.1][at.2], expected, "row {row}, pair {pair}");
-                assert_eq!(by_column[at.0].0[at.1][at.2], expected, "row {row}, pair {pair}");
-            }
-        }
+        asm!(
+            "tilestored [{sums} + {width}*1], tmm0",
+            "tilestored [{sums} + {width}*1 + 64], tmm1",
+            "tilestored [{sums} + {width}*1 + 2048], tmm2",
+            "tilestored [{sums} + {width}*1 + 2112], tmm3",
+            sums = in(reg) sums.0.as_mut_ptr(), width = in(reg) width,
+            options(nostack, preserves_flags),
+        );
     }
 }
