@@ -183,16 +183,46 @@ def click_curve(page, name):
     page.tab_named("Run")
 
 
+def commit(page):
+    """Has a policy committed and followed."""
+    before = page.room("room.current")
+    page.tab.evaluate("fetch('v1/checkpoints', { method: 'POST', headers: { authorization: 'Bearer ' + sessionStorage.token } }).then((r) => r.status)")
+    page.wait("room.current !== '%s'" % before)
+    # It plays for a while, with all arms.
+    page.wait("timeline.head > %d + 2 && !timeline.isPending" % page.room("timeline.head"))
+
+
+def lets_go(page):
+    """Policies that the run has not kept are let go of; where one played, another one goes on."""
+    for _ in range(6):
+        commit(page)
+    shown, held, offered = page.room("[room.slots.length, room.loaded.size, room.policies.length]")
+    # One may have gone with the last list, when it had just played.
+    check(held <= offered + 1 < shown, "of %d policies that were shown %d are held, %d can be chosen" % (shown, held, offered))
+    step = page.room("timeline.frames.findIndex((_, step) => timeline.settings(step).arms.some(({ policy }) => timeline.isRetired(policy)))")
+    check(step >= 0, "of %d policies that were shown all can play" % shown)
+    # Those that are gone are null.
+    arms = "timeline.settings(%d).arms.map(({ policy }) => timeline.isRetired(policy) ? null : policy)" % step
+    before = page.room(arms)
+    page.room("timeline.seek(%d)" % step)
+    page.room("timeline.happen('delay', { delay: { steps: 1 } })")
+    page.wait("timeline.head === %d && timeline.settings(%d).delay === 1" % (step, step))
+    after = page.room(arms)
+    check(None not in after, "who is gone moves an arm: %s" % after)
+    check(all(was in (None, now) for was, now in zip(before, after)), "arms of %s are moved by %s" % (before, after))
+    page.room("timeline.play(true)")
+    page.wait("timeline.head > %d + 2" % step)
+
+
 def follows(page):
     """The robot goes over to what is committed."""
     page.tab_named("Robot")
     page.wait("timeline.playing")
     page.tab.select_option("select[aria-label='When new policies come']", "newest")
-    before = page.room("room.current")
-    page.tab.evaluate("fetch('v1/checkpoints', { method: 'POST', headers: { authorization: 'Bearer ' + sessionStorage.token } }).then((r) => r.status)")
-    page.wait("room.current !== '%s'" % before)
+    commit(page)
     page.wait("room.current === feed.checkpoints.at(-1).name")
     check(page.room("timeline.playing"), "a new policy stops what is played")
+    lets_go(page)
     page.tab.select_option("select[aria-label='When new policies come']", "none")
     page.tab_named("Run")
 

@@ -29,7 +29,7 @@ use std::cell::RefCell;
 use simulation::Simulation;
 
 /// Version of the exported functions and of what they read and write.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 thread_local! {
     static INPUT: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
@@ -94,6 +94,13 @@ pub extern "C" fn policy(slot: i32, config_len: u32, robot_len: u32) -> i32 {
         let slot = usize::try_from(slot).ok();
         simulation.policy(slot, &input, config, robot).map(|slot| slot as u32)
     })
+}
+
+/// Lets go of the policy of `slot`, also in moments that are kept: that of `successor` has its places.
+/// Returns 0, or −1.
+#[cfg_attr(target_arch = "wasm32", unsafe(no_mangle))]
+pub extern "C" fn retire(slot: u32, successor: u32) -> i32 {
+    answer(|simulation| simulation.retire(slot as usize, successor as usize).map(|()| 0))
 }
 
 /// Begins an episode as the input's JSON says. Returns 0, or −1.

@@ -73,6 +73,11 @@ impl Simulation {
         Ok(0)
     }
 
+    pub(crate) fn retire(&mut self, slot: usize, successor: usize) -> Result<(), String> {
+        let Playing { episode, snapshots, .. } = self.playing()?;
+        episode.retire(slot, successor, snapshots).map_err(words)
+    }
+
     pub(crate) fn reset(&mut self, json: &[u8]) -> Result<(), String> {
         let start: Start = parsed(json, "the start")?;
         self.change(|playing| playing.episode.reset(start).map_err(words))

@@ -33,6 +33,8 @@ export class RobotRoom {
     private readonly curves: Curves;
     private readonly title = h("select", { class: "policy", aria: { label: "Policy" } });
     private catchingUp = false;
+    /** Episodes that are about to begin. */
+    private opening = 0;
     private readonly followed = h("select", { aria: { label: "When new policies come" } });
     private readonly camera = h("select", { aria: { label: "The camera follows" } });
     private readonly episode = h("input", { type: "number", min: "0", max: "99999", value: "0", aria: { label: "Episode" } });
@@ -159,6 +161,7 @@ export class RobotRoom {
 
     private async open(names: string[], start: Start, run: (files: PolicyFiles[]) => Promise<void>): Promise<boolean> {
         this.status.textContent = "";
+        this.opening += 1;
         try {
             const files = await Promise.all(names.map((name) => this.files(name)));
             const playing = this.timeline.playing;
@@ -179,6 +182,8 @@ export class RobotRoom {
         } catch (error) {
             notice(error instanceof Error ? error.message : String(error), "error");
             return false;
+        } finally {
+            this.opening -= 1;
         }
     }
 
@@ -221,11 +226,35 @@ export class RobotRoom {
     }
 
     private async slot(name: string): Promise<number> {
-        const there = this.slots.indexOf(name);
+        const there = this.seat(name);
         if (there >= 0) return there;
         const slot = await this.timeline.add(await this.files(name));
         this.slots[slot] = name;
         return slot;
+    }
+
+    /** The slot of a policy that is there, or −1. */
+    private seat(name: string): number {
+        return this.slots.findIndex((other, slot) => other === name && !this.timeline.isRetired(slot));
+    }
+
+    /**
+     * Lets go of policies that play nowhere and that nobody can choose any more: a page that stays open beside a training would keep all that it has
+     * followed, about 5 MB each.
+     */
+    private retire(): void {
+        // What is on its way may be about a policy that does not play yet. The next list comes.
+        if (this.opening > 0 || this.timeline.isPending) return;
+        const { head, cursor } = this.timeline;
+        const moments = [head, Math.floor(cursor + 1e-6)].flatMap((step) => this.timeline.settings(step).arms);
+        const playing = moments.flatMap((control) => (typeof control === "string" ? [] : [this.slots[control.policy]]));
+        const kept = new Set([this.current, ...playing, ...this.policies.map(({ name }) => name)]);
+        const successor = this.seat(this.current);
+        if (successor < 0) return;
+        this.slots.forEach((name, slot) => {
+            if (!kept.has(name) && !this.timeline.isRetired(slot)) this.timeline.retire(slot, successor);
+        });
+        for (const name of this.loaded.keys()) if (!kept.has(name)) this.loaded.delete(name);
     }
 
     private async files(name: string): Promise<PolicyFiles> {
@@ -256,6 +285,7 @@ export class RobotRoom {
             if (best !== undefined) await this.play(best);
             return;
         }
+        this.retire();
         await this.catchUp();
     }
 

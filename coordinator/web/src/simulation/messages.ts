@@ -8,6 +8,8 @@ export type Request =
     | { kind: "begin"; policies: PolicyFiles[]; start: Start }
     /** One more policy, for the episode that plays. */
     | { kind: "policy"; files: PolicyFiles }
+    /** Lets go of the policy of a slot; that of `successor` has its place. */
+    | { kind: "retire"; slot: number; successor: number }
     /** A block of the run that the policy is of, made again; whatever plays goes on. */
     | { kind: "block"; files: PolicyFiles; iteration: number; shard: number }
     /** Goes to the control step `from`, drops all later ones, lets events happen, and then takes `steps`. */

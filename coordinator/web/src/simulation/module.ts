@@ -7,6 +7,7 @@ interface Exports {
     version(): number;
     input(len: number): number;
     policy(slot: number, configLen: number, robotLen: number): number;
+    retire(slot: number, successor: number): number;
     reset(): number;
     event(): number;
     step(): number;
@@ -19,7 +20,7 @@ interface Exports {
     forget(n: number): void;
 }
 
-const VERSION = 2;
+const VERSION = 3;
 
 /** One simulation of one environment. */
 export class Simulator {
@@ -47,6 +48,11 @@ export class Simulator {
             this.description = JSON.parse(this.text()) as Description;
         }
         return slot;
+    }
+
+    /** Lets go of the policy of a slot, also in moments that are kept; that of `successor` has its place. */
+    retire(slot: number, successor: number): void {
+        this.check(this.x.retire(slot, successor));
     }
 
     /** The robot, once there is a policy. */

@@ -41,6 +41,11 @@ export class Simulation {
         return this.expect("loaded", await this.ask({ kind: "policy", files })).slot;
     }
 
+    /** Lets go of the policy of a slot; that of `successor` has its place. */
+    async retire(slot: number, successor: number): Promise<void> {
+        this.expect("done", await this.ask({ kind: "retire", slot, successor }));
+    }
+
     async advance(from: number, events: Event[], steps: number): Promise<{ frames: Frame[]; stepMs: number }> {
         return this.expect("frames", await this.ask({ kind: "advance", from, events, steps }));
     }

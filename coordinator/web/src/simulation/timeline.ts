@@ -36,6 +36,8 @@ export class Timeline {
     onCut: (step: number) => void = () => undefined;
     onError: (error: Error) => void = () => undefined;
 
+    /** Slots whose policies are gone, and the slot of the policy that has their place. */
+    private readonly retired = new Map<number, number>();
     private pending = new Map<string, Event>();
     private wanted = 0;
     private busy = false;
@@ -68,6 +70,7 @@ export class Timeline {
         this.frames = [frame];
         this.events = [];
         this.pending.clear();
+        this.retired.clear();
         this.cursor = 0;
         this.wanted = 0;
         this.busy = this.acting = false;
@@ -78,6 +81,16 @@ export class Timeline {
     /** Loads one more policy for the episode that plays; returns its slot. */
     add(files: PolicyFiles): Promise<number> {
         return this.simulation.policy(files);
+    }
+
+    /** Lets go of the policy of a slot. Whoever takes hold of a moment at which it played goes on with that of `successor`. */
+    retire(slot: number, successor: number): void {
+        this.retired.set(slot, successor);
+        void this.simulation.retire(slot, successor).catch((error: Error) => this.onError(error));
+    }
+
+    isRetired(slot: number): boolean {
+        return this.retired.has(slot);
     }
 
     /** Plays a script from its beginning to its end; policies must be loaded as it was recorded. */
@@ -186,7 +199,7 @@ export class Timeline {
     private work(): void {
         const ahead = Math.min(this.wanted - this.head, AT_ONCE);
         if (this.busy || (ahead <= 0 && this.pending.size === 0)) return;
-        const events = [...this.pending.values()];
+        const events = [...this.successions(), ...this.pending.values()];
         this.pending.clear();
         let steps = Math.max(ahead, 0);
         const lasting = steps > 0 ? this.lasting?.() : undefined;
@@ -216,6 +229,17 @@ export class Timeline {
                 this.onError(error);
             },
         );
+    }
+
+    /** Arms that a policy moved which is gone are given to its successor in so many words, so that the script says who plays. */
+    private successions(): Event[] {
+        if (this.retired.size === 0) return [];
+        return this.settings(this.head).arms.flatMap((control, arm) => {
+            if (typeof control === "string" || !this.retired.has(control.policy)) return [];
+            let { policy } = control;
+            for (let next = this.retired.get(policy); next !== undefined; next = this.retired.get(policy)) policy = next;
+            return [{ arm: { arm, control: { policy } } }];
+        });
     }
 
     private keep(from: number, events: Event[], frames: Frame[]): void {

@@ -32,6 +32,9 @@ async function handle(request: Request): Promise<Answer> {
         }
         case "policy":
             return { kind: "loaded", slot: opened().policy(request.files) };
+        case "retire":
+            opened().retire(request.slot, request.successor);
+            return { kind: "done" };
         case "block": {
             if (module === undefined) throw new Error("the simulator is not loaded");
             const it = await Simulator.start(module);

@@ -145,6 +145,54 @@ fn a_page_goes_back_in_time_and_on_again() {
 }
 
 #[test]
+fn a_policy_that_leaves_is_held_by_nothing() {
+    let mut simulation = loaded();
+    let more = |simulation: &mut Simulation, task: &str| {
+        let (input, config, robot) = files(task);
+        simulation.policy(None, &input, config, robot)
+    };
+    let give = |simulation: &mut Simulation, slot: usize| {
+        let event = format!(r#"{{"arm": {{"arm": 3, "control": {{"policy": {slot}}}}}}}"#);
+        simulation.event(event.as_bytes()).expect("it is there");
+    };
+    let on = |simulation: &mut Simulation| {
+        simulation.step().expect("a step");
+        array(simulation, "state")
+    };
+    let weak = |simulation: &mut Simulation, slot: usize| {
+        Arc::downgrade(&simulation.playing().expect("loaded").episode.members()[slot])
+    };
+    assert_eq!(more(&mut simulation, "reorientation"), Ok(1));
+    // At the beginning whoever is given an arm asks anew for goal postures.
+    simulation.step().expect("a step");
+    give(&mut simulation, 1);
+    assert_eq!(simulation.snapshot(), Ok(0));
+    let with = on(&mut simulation);
+    give(&mut simulation, 0);
+
+    let leaving = weak(&mut simulation, 1);
+    let error = simulation.retire(1, 2).expect_err("there are two");
+    assert!(error.contains("policy 2"), "{error}");
+    assert!(leaving.upgrade().is_some());
+    simulation.retire(1, 0).expect("both are there");
+    assert!(leaving.upgrade().is_none(), "a moment that is kept holds it");
+    simulation.restore(0).expect("it is kept");
+    let without = on(&mut simulation);
+    assert_ne!(without, with);
+    simulation.restore(0).expect("it is kept");
+    give(&mut simulation, 0);
+    assert_eq!(on(&mut simulation), without, "its successor plays");
+
+    // The successor, too, which has two places by now.
+    assert_eq!(more(&mut simulation, "trajectory"), Ok(2));
+    let leaving = weak(&mut simulation, 0);
+    simulation.retire(0, 2).expect("both are there");
+    assert!(leaving.upgrade().is_none(), "the place of another one holds it");
+    simulation.restore(0).expect("it is kept");
+    assert_eq!(on(&mut simulation), without, "the same policy under another number");
+}
+
+#[test]
 fn a_block_is_the_one_that_a_worker_makes() {
     let mut simulation = loaded();
     simulation.step().expect("a step");

@@ -182,6 +182,28 @@ impl Episode {
         Ok(at)
     }
 
+    /// The policy of index `at` leaves, also the moments that are `kept`, so that nothing holds it any more: the one of index `successor` has its places.
+    pub fn retire(
+        &mut self,
+        at: usize,
+        successor: usize,
+        kept: &mut [Snapshot],
+    ) -> Result<(), EventError> {
+        for policy in [at, successor] {
+            within("policy", policy, self.members.len())?;
+        }
+        let [leaving, successor] = [at, successor].map(|policy| Arc::clone(&self.members[policy]));
+        let moments = kept.iter_mut().map(|moment| &mut moment.members);
+        for members in std::iter::once(&mut self.members).chain(moments) {
+            // It may have the place of one that left before it.
+            for member in members.iter_mut().filter(|member| Arc::ptr_eq(member, &leaving)) {
+                *member = Arc::clone(&successor);
+            }
+        }
+        self.stepper.seat(&players(&self.members));
+        Ok(())
+    }
+
     /// Something happens from the next step on; after an error nothing has changed.
     pub fn apply(&mut self, event: &Event) -> Result<(), EventError> {
         let n_arms = self.robot.n_arms;
