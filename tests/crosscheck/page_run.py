@@ -319,6 +319,33 @@ def gone(chromium, address, seconds):
         return {"iterations": count}
 
 
+def stays_put(page):
+    """Who is in the list with the keyboard, or has marked something in it, keeps that while runs train, begin and go."""
+    answer = {"iteration": 1000, "without": None}
+
+    def later(route):
+        response = route.fetch()
+        found = [run for run in response.json()["runs"] if run["name"] != answer["without"]]
+        found[0]["last"]["iteration"] = answer["iteration"] - 1
+        route.fulfill(response=response, json={"runs": found})
+
+    page.tab.route("**/v1/runs", later)
+    page.tab.focus("input[aria-label='Draw b']")
+    page.tab.evaluate("getSelection().selectAllChildren(document.querySelector('.runs tr[data-name=b] .name'))")
+    names = lambda: page.tab.eval_on_selector_all(".runs tbody tr", "(all) => all.map((row) => row.dataset.name)")
+    before = names()
+    for iteration, without in ((1000, None), (2000, before[0]), (3000, None)):
+        answer.update(iteration=iteration, without=without)
+        words = "%d 000 / " % (iteration // 1000)
+        page.until(lambda: words in page.tab.locator(".runs tbody tr").first.inner_text(), words)
+        check(names() == [name for name in before if name != without], "the list is %s" % names())
+        focus = page.tab.evaluate("document.activeElement.getAttribute('aria-label')")
+        check(focus == "Draw b", "the keyboard is at %s" % focus)
+        marked = page.tab.evaluate("String(getSelection())")
+        check(marked == "b", "marked is '%s'" % marked)
+    page.tab.unroute("**/v1/runs")
+
+
 def runs(chromium, address):
     with browser(chromium) as opened:
         page = RunPage(opened.new_context(viewport={"width": 1200, "height": 800}), address)
@@ -328,6 +355,7 @@ def runs(chromium, address):
         legend = page.tab.locator(".legend li").all_inner_texts()
         check(len(legend) == 2 and "2 seeds" in legend[0] and all("gamma" in text for text in legend), "two families: %s" % legend)
         check(page.painted(".growth .curve canvas") > 500, "curves are drawn")
+        stays_put(page)
         page.tab.uncheck("input[aria-label='Draw gamma=0.5,seed=7']")
         page.until(lambda: page.tab.locator(".legend li").count() == 1, "one family is left")
         page.tab.click(".runs tr[data-name='gamma=0.5,seed=7'] a")

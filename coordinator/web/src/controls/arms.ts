@@ -1,6 +1,6 @@
 // What moves each arm, and how far its hand is from its goal.
 
-import { h } from "../page/dom";
+import { h, put } from "../page/dom";
 import type { PolicyEntry } from "../page/source";
 import { ofArm } from "../scene/colours";
 import type { Goal } from "../scene/goals";
@@ -64,12 +64,12 @@ export class Arms {
 
     show(frame: Frame, selected: Goal | undefined): void {
         this.rows.forEach(({ row, position, orientation }, arm) => {
-            put(position, 1000 * (frame.position_error[arm] ?? 0));
-            put(orientation, 1000 * (frame.orientation_error[arm] ?? 0));
+            put(position, rounded(1000 * (frame.position_error[arm] ?? 0)));
+            put(orientation, rounded(1000 * (frame.orientation_error[arm] ?? 0)));
             row.classList.toggle("selected", selected === arm);
         });
         if (this.base !== undefined) {
-            put(this.base.error, 1000 * (frame.base_error[0] ?? 0));
+            put(this.base.error, rounded(1000 * (frame.base_error[0] ?? 0)));
             this.base.row.classList.toggle("selected", selected === "base");
         }
     }
@@ -87,7 +87,6 @@ export function plain(name: string): string {
     return name.replace(/^iteration-0*(\d+)$/, "iteration $1").replaceAll("_", " ");
 }
 
-function put(cell: HTMLElement, value: number): void {
-    const text = value < 10 ? value.toFixed(1) : value.toFixed(0);
-    if (cell.textContent !== text) cell.textContent = text;
+function rounded(value: number): string {
+    return value < 10 ? value.toFixed(1) : value.toFixed(0);
 }

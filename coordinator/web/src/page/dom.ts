@@ -18,6 +18,11 @@ export function h<K extends keyof HTMLElementTagNameMap>(tag: K, props: Props<K>
     return element;
 }
 
+/** Writes a text where another one stands: what has not changed can stay marked. */
+export function put(element: HTMLElement, text: string): void {
+    if (element.textContent !== text) element.textContent = text;
+}
+
 const SVG = "http://www.w3.org/2000/svg";
 
 /** A picture of lines on a 16 by 16 grid. */

@@ -1,11 +1,11 @@
 // All runs of a directory: a list, and the curves of the chosen ones over each other.
 
-import { h, notice } from "../page/dom";
+import { h, notice, put } from "../page/dom";
 import { ask, json } from "../page/service";
 import { onTheme } from "../page/theme";
 import { grouped, type Metrics } from "../run/status";
 import { ofArm } from "../scene/colours";
-import { families, type Run } from "./alike";
+import { families, type Family, type Run } from "./alike";
 import { Overlay } from "./overlay";
 
 /** How often to look for more (ms). */
@@ -13,9 +13,18 @@ const LOOK = 3000;
 /** Chosen at the beginning. */
 const FIRST = 6;
 
+/** A row of the list. */
+interface Row {
+    element: HTMLElement;
+    show(run: Run): void;
+}
+
 export class RunsRoom {
     readonly element = h("main", { class: "runs-room" });
-    private readonly list = h("section", { class: "card runs" });
+    private readonly body = h("tbody");
+    private readonly rows = new Map<string, Row>();
+    private readonly table: HTMLElement;
+    private readonly none = h("p", { class: "faint", hidden: true }, "No runs here yet.");
     private readonly legend = h("ul", { class: "legend card" });
     private readonly overlay = new Overlay();
     private runs: Run[] = [];
@@ -24,7 +33,10 @@ export class RunsRoom {
     private readonly places = new Map<string, number>();
     /** What went wrong with a run, so that it is said once. */
     private readonly troubles = new Map<string, string>();
+    /** The runs that the list shows. */
     private shown = "";
+    /** What the legend says. */
+    private said = "";
 
     static async open(): Promise<RunsRoom> {
         const room = new RunsRoom();
@@ -33,7 +45,10 @@ export class RunsRoom {
     }
 
     private constructor() {
-        this.element.append(this.list, h("div", { class: "side" }, this.legend, this.overlay.element));
+        const head = h("tr", {}, h("th", {}, "run"), h("th", { class: "number" }, "iterations"), h("th", { class: "number" }, "return"), h("th", {}), h("th", {}));
+        this.table = h("table", { hidden: true }, h("thead", {}, head), this.body);
+        const list = h("section", { class: "card runs" }, h("h2", {}, "Runs"), this.none, this.table);
+        this.element.append(list, h("div", { class: "side" }, this.legend, this.overlay.element));
         onTheme(() => this.draw());
         // It has a width only when it stands in the page.
         requestAnimationFrame(() => this.draw());
@@ -54,7 +69,7 @@ export class RunsRoom {
         if (first) for (const { name } of this.runs.filter(({ last }) => last !== null).slice(-FIRST)) this.chosen.add(name);
         const grown = await Promise.all(this.runs.filter(({ name }) => this.chosen.has(name)).map(({ name }) => this.followed(name)));
         const text = JSON.stringify(this.runs);
-        if (text !== this.shown) this.rows();
+        if (text !== this.shown) this.list();
         if (text !== this.shown || grown.includes(true)) this.draw();
         this.shown = text;
     }
@@ -93,33 +108,65 @@ export class RunsRoom {
         }
     }
 
-    private rows(): void {
-        const row = (run: Run): HTMLElement => {
-            const box = h("input", { type: "checkbox", checked: this.chosen.has(run.name), aria: { label: `Draw ${run.name}` } });
-            box.onchange = () => {
-                if (box.checked) this.chosen.add(run.name);
-                else this.chosen.delete(run.name);
-                void (box.checked ? this.followed(run.name) : Promise.resolve(false)).then(() => this.draw());
-            };
-            const done = run.last === null ? 0 : run.last.iteration + 1;
-            return h(
-                "tr",
-                { data: { name: run.name } },
-                h("td", {}, h("label", { class: "check" }, box, h("span", { class: "name" }, run.name))),
-                h("td", { class: "number" }, `${grouped(done)} / ${grouped(run.planned_iterations)}`),
-                h("td", { class: "number" }, run.last === null ? "" : run.last.return_mean.toFixed(2)),
-                h("td", {}, run.live ? h("span", { class: "tag live" }, "trains") : undefined),
-                h("td", { class: "actions" }, h("a", { href: `runs/${encodeURIComponent(run.name)}/` }, "Open")),
-            );
+    /** Brings the list up to date. What stays in it stays in its place: an element that is made anew or moved loses the keyboard and what is marked in it. */
+    private list(): void {
+        const names = new Set(this.runs.map(({ name }) => name));
+        for (const [name, { element }] of this.rows) {
+            if (names.has(name)) continue;
+            element.remove();
+            this.rows.delete(name);
+        }
+        let next = this.body.firstElementChild;
+        for (const run of this.runs) {
+            const row = this.rows.get(run.name) ?? this.row(run.name);
+            row.show(run);
+            if (row.element === next) next = next.nextElementSibling;
+            else this.body.insertBefore(row.element, next);
+        }
+        this.none.hidden = this.runs.length > 0;
+        this.table.hidden = this.runs.length === 0;
+    }
+
+    private row(name: string): Row {
+        const box = h("input", { type: "checkbox", checked: this.chosen.has(name), aria: { label: `Draw ${name}` } });
+        box.onchange = () => {
+            if (box.checked) this.chosen.add(name);
+            else this.chosen.delete(name);
+            void (box.checked ? this.followed(name) : Promise.resolve(false)).then(() => this.draw());
         };
-        const head = h("tr", {}, h("th", {}, "run"), h("th", { class: "number" }, "iterations"), h("th", { class: "number" }, "return"), h("th", {}), h("th", {}));
-        const none = h("p", { class: "faint" }, "No runs here yet.");
-        this.list.replaceChildren(h("h2", {}, "Runs"), this.runs.length === 0 ? none : h("table", {}, h("thead", {}, head), h("tbody", {}, ...this.runs.map(row))));
+        const iterations = h("td", { class: "number" });
+        const mean = h("td", { class: "number" });
+        const live = h("span", { class: "tag live" }, "trains");
+        const element = h(
+            "tr",
+            { data: { name } },
+            h("td", {}, h("label", { class: "check" }, box, h("span", { class: "name" }, name))),
+            iterations,
+            mean,
+            h("td", {}, live),
+            h("td", { class: "actions" }, h("a", { href: `runs/${encodeURIComponent(name)}/` }, "Open")),
+        );
+        const show = (run: Run): void => {
+            const done = run.last === null ? 0 : run.last.iteration + 1;
+            put(iterations, `${grouped(done)} / ${grouped(run.planned_iterations)}`);
+            put(mean, run.last === null ? "" : run.last.return_mean.toFixed(2));
+            live.hidden = !run.live;
+        };
+        const row = { element, show };
+        this.rows.set(name, row);
+        return row;
     }
 
     private draw(): void {
         const all = families(this.runs.filter(({ name }) => this.chosen.has(name)));
+        const said = JSON.stringify(all.map(({ legend, runs }) => [legend, runs.map(({ name }) => name)]));
         this.legend.hidden = all.length === 0;
+        if (said !== this.said) this.explain(all);
+        this.said = said;
+        this.overlay.show(all, this.lines);
+    }
+
+    private explain(all: Family[]): void {
         this.legend.replaceChildren(
             ...all.map(({ legend, runs }, index) => {
                 const dot = h("span", { class: "dot" });
@@ -128,6 +175,5 @@ export class RunsRoom {
                 return h("li", { title: runs.map(({ name }) => name).join(", ") }, dot, h("span", {}, legend, h("span", { class: "faint" }, seeds)));
             }),
         );
-        this.overlay.show(all, this.lines);
     }
 }
