@@ -203,6 +203,7 @@ def play(context, address):
     found["newtons"] = push_base(page)
     found["replayed_steps"] = play_again(context, page, address)
     links(context, page, address)
+    own_mass(page)
     found["frames_per_s"] = page.tab.evaluate("Number(document.querySelector('.robot-room').dataset.framesPerSecond)")
     found["step_ms"] = page.tab.evaluate("Number(document.querySelector('.robot-room').dataset.stepMs)")
     page.quiet()
@@ -255,6 +256,24 @@ def files(page):
         open_file(script)
         page.tab.wait_for_selector(".notice.error:has-text('%s')" % words)
         check(page.room("timeline.start.seed") == 42, "a recording that is refused plays")
+
+
+def own_mass(page):
+    """A base whose mass was changed gets its own again, whatever that is."""
+    slider = page.tab.locator(".world .slider:has-text('Mass') input")
+    told = "timeline.settings(timeline.head).mass"
+    for own in (400, 423.7, 7.3, 1001 / 3):
+        # As if the robot that plays had such a base.
+        page.room("timeline.happen('mass', { base_mass: { mass: %r } })" % own)
+        page.wait("%s === %r && !timeline.isPending" % (told, own))
+        page.room("room.world.begin({ ...timeline.description, base_mass: %r })" % own)
+        slider.focus()
+        page.press("ArrowRight")
+        page.wait("%s > %r && !timeline.isPending" % (told, own))
+        heavier = page.room(told)
+        page.press("ArrowLeft")
+        page.wait("%s !== %r" % (told, heavier))
+        check(page.room(told) == own, "a base of %r kg has %r kg afterwards" % (own, page.room(told)))
 
 
 def one_file(chromium, path):

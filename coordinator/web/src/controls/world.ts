@@ -41,10 +41,13 @@ export class World {
     constructor(private readonly change: { mass(kilograms: number): void; delay(steps: number): void }) {}
 
     begin({ base_mass, control_period }: Description): void {
-        const kilograms = (mass: number): string => `${mass.toFixed(0)} kg`;
+        // Its own mass is a place of the slider, whatever it is: 35 steps up from the least.
+        const step = base_mass / 40;
+        const kilograms = (mass: number): string => `${mass.toFixed(step < 1 ? 1 : 0)} kg`;
         const milliseconds = (steps: number): string => (steps === 0 ? "none" : `${(1000 * steps * control_period).toFixed(0)} ms`);
-        const most = Math.ceil((2.5 * base_mass) / 100) * 100;
-        this.mass = slider("Mass of the base", [Math.round(base_mass / 8), most, 10], base_mass, kilograms, (mass) => this.change.mass(mass));
+        // What the browser has rounded on the way there would be another robot.
+        const exact = (mass: number): number => (Math.abs(mass - base_mass) < step / 2 ? base_mass : mass);
+        this.mass = slider("Mass of the base", [base_mass / 8, 2.5 * base_mass, step], base_mass, kilograms, (mass) => this.change.mass(exact(mass)));
         this.delay = slider("Delay of commands", [0, 5, 1], 0, milliseconds, (steps) => this.change.delay(steps));
         this.element.replaceChildren(this.mass.element, this.delay.element);
     }
