@@ -586,6 +586,16 @@ fn neither_a_copied_nor_a_damaged_checkpoint_is_in_the_way_of_the_others() {
         record["manifest"]["iteration"] = serde_json::json!(13);
         record["manifest"].take()
     });
+    // What a resume passes over is the newest of nothing, and pushes out no checkpoint of the run's own.
+    let shown = at(1, 0, &["checkpoints", "show", &address]);
+    assert!(
+        shown.contains("iteration-00000012") && !shown.contains("iteration-00000013"),
+        "{shown}"
+    );
+    at(1, 0, &["checkpoints", "unpin", &format!("{address}:12")]);
+    let prune = ["checkpoints", "prune", &address, "--keep-latest=1", "--dry-run", "--json"];
+    let pruned: Value = serde_json::from_str(&at(1, 0, &prune)).expect("JSON");
+    assert_eq!(pruned["removed"], serde_json::json!(["iteration-00000005"]));
     let dir = place.path().join("again").display().to_string();
     let output = octopus(&["resume", &address, "--run-dir", &dir]);
     let said = expect(&output, 0, &["resume"]);

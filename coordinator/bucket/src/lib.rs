@@ -27,6 +27,7 @@
 //! | [`restore`] | a run directory made from nothing but the bucket |
 //! | `bucket`, `objects` | a bucket, and how one object is read and written |
 //! | `owner` | who may write below a prefix |
+//! | `ownership` | which checkpoints are the run's own |
 //! | `commit`, `record`, `listing`, `labelling` | what is done with its checkpoints |
 
 mod bucket;
@@ -38,6 +39,7 @@ mod listing;
 pub mod mirror;
 mod objects;
 mod owner;
+mod ownership;
 mod record;
 mod recorded_files;
 pub mod replica;

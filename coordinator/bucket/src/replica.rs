@@ -1,17 +1,20 @@
 //! A local copy of what a bucket holds, for commands that read: everything that works on a store works on it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
 use object_store::ObjectMeta;
 use proto::Digest;
+use proto::run_dir::RunDir;
 use store::checkpoint::{CheckpointStore, DamagedEntry, LATEST, Name, Selector, Survey};
+use store::recorded::Recorded;
 use tempfile::TempDir;
 
 use crate::bucket::Bucket;
 use crate::error::BucketError;
 use crate::fetch::{file_error, summarise};
 use crate::listing::{Listed, Listing};
+use crate::ownership::{fetch_recorded_of_own, is_own, resumable};
 use crate::record::{LABELS, Record};
 
 /// A store in a directory that goes away with it. At first it holds manifests and labels alone.
@@ -81,16 +84,35 @@ impl Replica {
         Ok(survey)
     }
 
+    /// The newest checkpoint that a run would go on from, and what the run had recorded by then.
+    fn newest_own(&self) -> Result<Option<(&Listed, Recorded)>, BucketError> {
+        for listed in resumable(&self.listing) {
+            let scratch =
+                tempfile::tempdir().map_err(|error| file_error(&std::env::temp_dir(), &error))?;
+            let run = RunDir::new(scratch.path());
+            match fetch_recorded_of_own(&self.bucket, listed, &run) {
+                Ok(recorded) => return Ok(Some((listed, recorded))),
+                // A resume passes it over, too.
+                Err(BucketError::Damaged { .. } | BucketError::Local(_)) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Names of the checkpoints that the run has come to; the others were copied beside them.
+    pub fn own(&self) -> Result<BTreeSet<Name>, BucketError> {
+        let Some((_, recorded)) = self.newest_own()? else { return Ok(BTreeSet::new()) };
+        let own = self.listing.checkpoints.iter().filter(|listed| is_own(listed, &recorded));
+        Ok(own.map(|listed| listed.name.clone()).collect())
+    }
+
     /// The name of the checkpoint that a selector of this bucket means.
     pub fn locate(&self, selector: &Selector) -> Result<Name, BucketError> {
         let newest = selector.choice().is_none_or(|choice| choice.as_str() == LATEST);
         if newest {
-            let resumable = self.listing.checkpoints.iter().filter(|listed| {
-                listed.name.iteration().is_some() && listed.manifest().has_state()
-            });
-            return resumable
-                .max_by_key(|listed| listed.name.iteration())
-                .map_or_else(|| Err(nothing(&self.bucket)), |listed| Ok(listed.name.clone()));
+            let (listed, _) = self.newest_own()?.ok_or_else(|| nothing(&self.bucket))?;
+            return Ok(listed.name.clone());
         }
         let (_, name) = selector.elsewhere(self.dir.path()).locate().map_err(|error| {
             // Its own words, about the place that the user knows.
@@ -219,37 +241,51 @@ pub(crate) fn nothing(bucket: &Bucket) -> BucketError {
 
 #[cfg(test)]
 mod tests {
-    use store::checkpoint::{CONFIG, FORMAT, FileEntry, MANIFEST, Manifest, POLICY, ROBOT};
+    use store::checkpoint::{CONFIG, FORMAT, FileEntry, MANIFEST, Manifest, POLICY, ROBOT, STATE};
 
     use super::*;
-    use crate::record;
+    use crate::{record, recorded_files};
 
     /// A bucket in a directory with one checkpoint, whose files hold their names.
     fn bucket() -> (TempDir, Bucket, Name) {
         let dir = tempfile::tempdir().expect("tempdir");
         let bucket = Bucket::open(&format!("file://{}", dir.path().display())).expect("opens");
-        let name = Name::of_iteration(1);
-        let entry = |file: &str| FileEntry {
-            len: file.len() as u64,
-            blake3: blake3::hash(file.as_bytes()).to_hex().to_string(),
+        let name = send(&bucket, 1, &[POLICY, CONFIG, ROBOT], None);
+        (dir, bucket, name)
+    }
+
+    /// Puts a checkpoint there of a run that has recorded this.
+    fn send(bucket: &Bucket, iteration: u64, files: &[&str], run: Option<&RunDir>) -> Name {
+        let name = Name::of_iteration(iteration);
+        let entry = |bytes: &[u8]| FileEntry {
+            len: bytes.len() as u64,
+            blake3: blake3::hash(bytes).to_hex().to_string(),
         };
+        let files = files.iter().map(|file| ((*file).to_owned(), entry(file.as_bytes())));
         let manifest = Manifest {
             format: FORMAT,
-            iteration: 1,
+            iteration,
             env_steps: 1,
             digest: Digest::default(),
             created_unix_s: 0,
             provenance: serde_json::Value::Null,
-            files: [POLICY, CONFIG, ROBOT].map(|file| (file.to_owned(), entry(file))).into(),
+            files: files.collect(),
             origins: Vec::new(),
         };
         for (file, entry) in &manifest.files {
-            put(&bucket, &below(&name, file, entry), file);
+            put(bucket, &below(&name, file, entry), file);
         }
-        let record = Record::new(manifest, BTreeMap::new());
+        let mut recorded = BTreeMap::new();
+        for (file, bytes) in run.map_or(Vec::new(), |run| recorded_files::of(run, 1).expect("read"))
+        {
+            let entry = entry(&bytes);
+            bucket.wait(bucket.write_named(&below(&name, &file, &entry), bytes)).expect("written");
+            recorded.insert(file, entry);
+        }
+        let record = Record::new(manifest, recorded);
         let key = format!("{}/{}", record::folder(&name), record::MANIFEST);
         bucket.wait(bucket.write_named(&key, record.to_json())).expect("written");
-        (dir, bucket, name)
+        name
     }
 
     fn below(name: &Name, file: &str, entry: &FileEntry) -> String {
@@ -258,6 +294,26 @@ mod tests {
 
     fn put(bucket: &Bucket, below: &str, text: &str) {
         bucket.wait(bucket.write_named(below, text.into())).expect("written");
+    }
+
+    /// Of a bucket that an earlier version has written: a resume goes on from the first.
+    #[test]
+    fn what_was_copied_into_a_run_is_the_newest_of_nothing() {
+        let (_dir, bucket, _) = bucket();
+        let place = tempfile::tempdir().expect("tempdir");
+        let run = RunDir::new(place.path());
+        let line = format!("{{\"iteration\":0,\"digest\":\"{}\"}}\n", Digest::default());
+        std::fs::write(run.metrics_jsonl(), line).expect("written");
+        let [first, copied] = [1, 2]
+            .map(|iteration| send(&bucket, iteration, &[STATE, POLICY, CONFIG, ROBOT], Some(&run)));
+        let replica = Replica::new(bucket.address()).expect("a replica");
+        assert_eq!(replica.own().expect("read"), BTreeSet::from([first.clone()]));
+        let located = |choice: &str| {
+            let selector = format!("{}{choice}", bucket.address()).parse().expect("one");
+            replica.locate(&selector).expect("there")
+        };
+        assert_eq!([located(""), located(":latest")], [first.clone(), first]);
+        assert_eq!(located(":2"), copied, "by its name it is found");
     }
 
     /// It would be brought every ten seconds for ever.

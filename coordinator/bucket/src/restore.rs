@@ -8,7 +8,7 @@ use std::fs;
 use std::path::Path;
 
 use proto::run_dir::RunDir;
-use store::checkpoint::{CheckpointStore, Manifest, Name};
+use store::checkpoint::{CheckpointStore, Name};
 use store::files;
 use store::recorded::Recorded;
 
@@ -16,6 +16,7 @@ use crate::bucket::Bucket;
 use crate::error::BucketError;
 use crate::fetch::{file_error, write};
 use crate::listing::Listed;
+use crate::ownership::{fetch_recorded_of_own, is_own, resumable};
 use crate::recorded_files;
 use crate::replica::nothing;
 use crate::sent::Sent;
@@ -39,11 +40,8 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         BucketError::damaged(bucket.place(name).display().to_string(), reason.clone())
     }));
     let owner = bucket.wait(bucket.owner())?;
-    let resumable =
-        |listed: &&Listed| listed.name.iteration().is_some() && listed.manifest().has_state();
-    let mut own: Vec<&Listed> = listing.checkpoints.iter().filter(resumable).collect();
-    own.sort_by_key(|listed| std::cmp::Reverse(listed.name.iteration()));
-    let (Some(owner), false) = (owner, own.is_empty()) else {
+    let resumable = resumable(&listing);
+    let (Some(owner), false) = (owner, resumable.is_empty()) else {
         return Err(passed_over.into_iter().next().unwrap_or_else(|| nothing(bucket)));
     };
 
@@ -53,11 +51,10 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         let root = run.checkpoints();
         fs::create_dir_all(&root).map_err(|error| file_error(&root, &error))?;
         let mut base = None;
-        for listed in own {
-            let fetched = bucket.fetch(listed, &root).and_then(|dir| {
-                bucket.fetch_recorded(listed, &scratch)?;
-                Ok((dir, recorded_with(bucket, listed, &run)?))
-            });
+        for listed in resumable {
+            let fetched = bucket
+                .fetch(listed, &root)
+                .and_then(|dir| Ok((dir, fetch_recorded_of_own(bucket, listed, &run)?)));
             match fetched {
                 Ok((dir, recorded)) => {
                     base = Some((listed, dir, recorded));
@@ -106,25 +103,6 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         let _ = fs::remove_dir_all(&scratch);
     }
     made
-}
-
-/// What the run had recorded up to a checkpoint. Refuses one that its run has not come to: it was copied beside its own, and no run goes on from it.
-fn recorded_with(bucket: &Bucket, listed: &Listed, run: &RunDir) -> Result<Recorded, BucketError> {
-    let place = || bucket.place(&listed.name).display().to_string();
-    let recorded = Recorded::read(run).map_err(|_| {
-        BucketError::damaged(place(), "what its run had recorded by then cannot be understood")
-    })?;
-    if is_own(listed, &recorded) {
-        return Ok(recorded);
-    }
-    Err(BucketError::damaged(place(), "is no checkpoint that its run has made: it was copied here"))
-}
-
-/// Whether the run has come to a checkpoint, if that is recorded.
-fn is_own(listed: &Listed, recorded: &Recorded) -> bool {
-    let Manifest { iteration, digest, .. } = *listed.manifest();
-    let is_told = recorded.iterations() > 0 && iteration > 0;
-    !is_told || recorded.digest_after(iteration) == Some(digest)
 }
 
 /// The run's own checkpoint with the lowest score, unless it is `base` itself or newer.

@@ -86,7 +86,8 @@ pub(crate) fn prune(
     let mut removed = Vec::new();
     // A checkpoint of a bucket is whole, or there is none; what is damaged there is for people to look at.
     let survey = Survey { damaged: Vec::new(), ..replica.survey().map_err(BucketError::exit)? };
-    for name in retention.doomed(&survey, |_| true) {
+    let own = replica.own().map_err(BucketError::exit)?;
+    for name in retention.doomed(&survey, |entry| own.contains(&entry.name)) {
         let left = if dry_run { Ok(()) } else { replica.bucket().delete(&name) };
         match left {
             Ok(()) => removed.push(name),
