@@ -543,6 +543,8 @@ fn what_was_changed_in_a_bucket_is_found_and_passed_over() {
     }
     assert_eq!(metrics.lines().count(), 12);
     assert_eq!(names(1, &address).len(), 3);
+    // The run has made it again, and replaced it.
+    at(1, 0, &["checkpoints", "verify", &address]);
 }
 
 /// A copied checkpoint was sent as the run's own, and a damaged one kept all older ones and all labels back.

@@ -20,13 +20,14 @@ const TRIES: usize = 3;
 
 impl Bucket {
     /// Sends the checkpoint in `dir` of the run in `run_dir`, under a lease. One that is there with the same digest
-    /// stays as it is; one with another digest was made under another budget, and is replaced in one step.
+    /// stays as it is, unless it is known to be `damaged`; one with another digest was made under another budget.
+    /// Either is replaced in one step.
     pub(crate) async fn send(
         &self,
         lease: &Lease,
         name: &Name,
-        dir: &Path,
-        run_dir: &RunDir,
+        (dir, run_dir): (&Path, &RunDir),
+        damaged: bool,
     ) -> Result<(), BucketError> {
         self.check(lease).await?;
         let manifest = Manifest::read(dir)?;
@@ -35,10 +36,13 @@ impl Bucket {
         for _ in 0..TRIES {
             let before = self.read(&key).await?;
             let there = before.as_ref().and_then(|small| Record::parse(&small.bytes).ok());
-            if there.as_ref().is_some_and(|record| record.manifest.digest == manifest.digest) {
+            let is_same = |record: &Record| record.manifest.digest == manifest.digest;
+            if !damaged && there.as_ref().is_some_and(is_same) {
                 return Ok(());
             }
-            let run = self.send_files(&at, dir, &manifest, run_dir).await?;
+            // Files that are there were sent by an attempt before this one, or are what is to be replaced.
+            let begun = !damaged;
+            let run = self.send_files(&at, (dir, run_dir), &manifest, begun).await?;
             let record = Record::new(manifest.clone(), run);
             if self.write_after(&key, before.as_ref(), record.to_json()).await? == Written::Lost {
                 // Whoever was first may have sent the same.
@@ -56,12 +60,13 @@ impl Bucket {
     async fn send_files(
         &self,
         at: &str,
-        dir: &Path,
+        (dir, run_dir): (&Path, &RunDir),
         manifest: &Manifest,
-        run_dir: &RunDir,
+        begun: bool,
     ) -> Result<BTreeMap<String, FileEntry>, BucketError> {
         for (file, entry) in &manifest.files {
-            self.upload(&format!("{at}/{}", object(file, entry)), &dir.join(file), entry).await?;
+            let below = format!("{at}/{}", object(file, entry));
+            self.upload(&below, &dir.join(file), entry, begun).await?;
         }
         let mut run = BTreeMap::new();
         for (file, bytes) in recorded_files::of(run_dir, manifest.iteration)? {
@@ -117,5 +122,69 @@ impl Bucket {
         let mut found = found.map_err(|error| BucketError::of(self.shown(&at), &error))?;
         found.sort_by(|a, b| a.location.cmp(&b.location));
         Ok(found)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::Digest;
+    use store::checkpoint::{CONFIG, FORMAT, POLICY, ROBOT, STATE};
+
+    use super::*;
+
+    /// A run that is resumed from a bucket makes again what is damaged there.
+    #[test]
+    fn what_is_damaged_in_the_bucket_is_replaced_where_that_is_known() {
+        let place = tempfile::tempdir().expect("tempdir");
+        let [there, dir, run] = ["there", "dir", "run"].map(|part| place.path().join(part));
+        for path in [&there, &dir, &run] {
+            std::fs::create_dir(path).expect("made");
+        }
+        // So large that it is sent in parts.
+        let files =
+            [(STATE, 9 << 20), (POLICY, 10), (CONFIG, 10), (ROBOT, 10)].map(|(file, len)| {
+                let bytes = vec![b'a'; len];
+                std::fs::write(dir.join(file), &bytes).expect("written");
+                let blake3 = blake3::hash(&bytes).to_hex().to_string();
+                (file.to_owned(), FileEntry { len: len as u64, blake3 })
+            });
+        let manifest = Manifest {
+            format: FORMAT,
+            iteration: 1,
+            env_steps: 1,
+            digest: Digest::default(),
+            created_unix_s: 0,
+            provenance: serde_json::Value::Null,
+            files: files.into(),
+            origins: Vec::new(),
+        };
+        let text = serde_json::to_vec(&manifest).expect("JSON");
+        std::fs::write(dir.join(store::checkpoint::MANIFEST), text).expect("written");
+        let run = RunDir::new(run);
+        std::fs::write(run.metrics_jsonl(), "{}\n").expect("written");
+
+        let bucket = Bucket::open(&format!("file://{}", there.display())).expect("opens");
+        let (lease, name) = (Lease::new("a"), Name::of_iteration(1));
+        bucket.wait(bucket.claim(&lease)).expect("nobody's");
+        let send = |damaged| {
+            bucket.wait(bucket.send(&lease, &name, (&dir, &run), damaged)).expect("sent");
+        };
+        send(false);
+        let fetch = || {
+            let listed = bucket.list().expect("listed").checkpoints.remove(0);
+            let to = tempfile::tempdir().expect("tempdir");
+            bucket.fetch(&listed, to.path()).map(drop)
+        };
+        fetch().expect("whole");
+        let state = there.join(folder(&name)).join(object(STATE, &manifest.files[STATE]));
+        let mut bytes = std::fs::read(&state).expect("read");
+        bytes[7] ^= 1;
+        std::fs::write(&state, bytes).expect("written");
+        fetch().expect_err("one bit is another");
+        // Nobody reads it again for that.
+        send(false);
+        fetch().expect_err("it stays as it is");
+        send(true);
+        fetch().expect("it was replaced");
     }
 }

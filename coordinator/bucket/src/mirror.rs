@@ -202,8 +202,9 @@ impl Sending {
             };
             self.claim()?;
             let dir = self.store.dir(&name);
-            let (bucket, run_dir) = (&self.bucket, &self.run_dir);
-            let sent = bucket.wait(bucket.send(&self.lease, &name, &dir, run_dir));
+            let (bucket, places) = (&self.bucket, (&*dir, &self.run_dir));
+            let damaged = self.sent.is_damaged(&name);
+            let sent = bucket.wait(bucket.send(&self.lease, &name, places, damaged));
             match sent {
                 Ok(()) => {}
                 // Retention was faster.

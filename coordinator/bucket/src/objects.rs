@@ -96,17 +96,19 @@ impl Bucket {
         sent.map(drop).map_err(|error| BucketError::of(self.shown(below), &error))
     }
 
-    /// The same from a file, which must be as its entry says.
+    /// The same from a file, which must be as its entry says. What an attempt before this one has sent need not be sent
+    /// again, if one may have `begun`.
     pub(crate) async fn upload(
         &self,
         below: &str,
         file: &FilePath,
         entry: &FileEntry,
+        begun: bool,
     ) -> Result<(), BucketError> {
         let path = self.path(below);
         let fail = |error: &Error| BucketError::of(self.shown(below), error);
-        // What an attempt before this one has sent need not be sent again.
-        if entry.len > PART as u64
+        if begun
+            && entry.len > PART as u64
             && let Ok(there) = self.objects.head(&path).await
             && there.size == entry.len
         {

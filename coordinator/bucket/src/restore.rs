@@ -51,6 +51,7 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         let root = run.checkpoints();
         fs::create_dir_all(&root).map_err(|error| file_error(&root, &error))?;
         let mut base = None;
+        let mut sent = Sent::new(bucket.address(), &owner.run);
         for listed in resumable {
             let fetched = bucket
                 .fetch(listed, &root)
@@ -63,6 +64,7 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
                 Err(error @ (BucketError::Damaged { .. } | BucketError::Local(_))) => {
                     let _ = fs::remove_dir_all(root.join(listed.name.as_str()));
                     recorded_files::remove(&scratch);
+                    sent.add_damaged(listed.name.clone());
                     passed_over.push(error);
                 }
                 Err(error) => return Err(error),
@@ -70,7 +72,6 @@ pub fn restore(bucket: &Bucket, path: &Path) -> Result<Restored, BucketError> {
         }
         let Some((base, dir, recorded)) = base else { return Err(passed_over.remove(0)) };
         let mut bytes = base.manifest().bytes();
-        let mut sent = Sent::new(bucket.address(), &owner.run);
         sent.add(base.name.clone(), base.manifest().digest, &base.labels);
         let base_files = CheckpointStore::new(&root).load(&dir)?;
         let mut config = base_files.config;

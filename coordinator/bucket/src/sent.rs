@@ -2,7 +2,7 @@
 //!
 //! `octopus status` reads it without asking anybody, and a run that goes on sends what is not in it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use proto::Digest;
 use proto::run_dir::RunDir;
@@ -35,6 +35,9 @@ pub struct Sent {
     run: String,
     /// Local checkpoints that are in the bucket, too.
     checkpoints: BTreeMap<Name, Copy>,
+    /// Those that were found damaged there. The run makes them again and replaces them.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    damaged: BTreeSet<Name>,
     /// What keeps the others from being sent, if anything does.
     pub trouble: Option<String>,
 }
@@ -45,6 +48,7 @@ impl Sent {
             address: address.to_owned(),
             run: run.to_owned(),
             checkpoints: BTreeMap::new(),
+            damaged: BTreeSet::new(),
             trouble: None,
         }
     }
@@ -94,7 +98,18 @@ impl Sent {
     }
 
     pub(crate) fn add(&mut self, name: Name, digest: Digest, labels: &Labels) {
+        self.damaged.remove(&name);
         self.checkpoints.insert(name, Copy { digest, labels: labels.clone() });
+    }
+
+    /// Takes note that a checkpoint is in the bucket, but not as it was sent.
+    pub(crate) fn add_damaged(&mut self, name: Name) {
+        self.damaged.insert(name);
+    }
+
+    /// Whether a checkpoint was found damaged in the bucket, and has not been sent since.
+    pub(crate) fn is_damaged(&self, name: &Name) -> bool {
+        self.damaged.contains(name)
     }
 
     /// Forgets what is not there locally any more.
