@@ -13,6 +13,7 @@ use run::errors;
 use run::preflight::mib;
 use run::report::Diverged;
 use run::report::divergence::{CURE, Divergence};
+use run::start::bucket;
 use run::start::directory::RUNS;
 use serde::Serialize;
 use serde_json::Value;
@@ -414,13 +415,15 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
     let run_dir = store::run_files::run_directory(path)?;
     let config = store::run_files::read_config(&run_dir)?;
     // Looked at before the metrics, which reach every one.
-    let checkpoints = CheckpointStore::new(run_dir.checkpoints()).list()?;
+    let store = CheckpointStore::new(run_dir.checkpoints());
+    let (checkpoints, entries) = (store.list()?, bucket::entries(&config, &store)?);
     let metrics = run_dir.metrics_jsonl();
     let mut lines = jsonl::read(&metrics)?;
     let divergence = Divergence::of_lines(&lines).found().cloned();
     let recorded = Recorded::of_lines(metrics, &lines).map(Arc::new);
     // What was imported or copied is nothing that the run has done.
-    let [own, _] = Ownership::of_run(recorded.as_ref().ok().cloned()).part(checkpoints);
+    let ownership = Ownership::of_run(recorded.as_ref().ok().cloned());
+    let [own, _] = ownership.part(checkpoints);
     let checkpoint = own.into_iter().next();
     let committed = checkpoint.as_deref().map_or(0, iteration_of);
     let last = lines.pop().map(|(_, line)| line);
@@ -450,7 +453,7 @@ pub fn inspect(path: &Path) -> anyhow::Result<RunStatus> {
         planned_iterations,
         last,
         checkpoint,
-        bucket: run::start::bucket::status(&config, &run_dir)?,
+        bucket: bucket::status(&config, &run_dir, entries, &ownership)?,
         divergence,
         damage: damage(recorded, committed),
         lock_error,

@@ -140,13 +140,17 @@ impl Sent {
 /// One that was copied into the store is somebody else's, whatever its name: no run goes on from it, here or elsewhere.
 pub fn own(store: &CheckpointStore) -> Result<Vec<Entry>, CheckpointError> {
     // Before what is recorded is read: a checkpoint of a later iteration would be taken for foreign.
-    let mut entries = store.survey()?.entries;
-    let ownership = Ownership::of(store);
+    let entries = store.survey()?.entries;
+    Ok(own_of(entries, &Ownership::of(store)))
+}
+
+/// The same of checkpoints that were listed before what the run had recorded was read.
+pub fn own_of(mut entries: Vec<Entry>, ownership: &Ownership) -> Vec<Entry> {
     entries.retain(|entry| {
         let manifest = Some((entry.iteration, entry.digest));
         entry.name.iteration().is_some()
             && !entry.labels.imported
             && !ownership.is_foreign(&entry.dir, manifest)
     });
-    Ok(entries)
+    entries
 }
