@@ -28,6 +28,14 @@ pub enum ConfigError {
         /// The parser's words, with line and column.
         message: String,
     },
+    /// A flag that gives no key a value, or several keys.
+    #[error("{origin}: {message}", origin = hidden(origin))]
+    Assignment {
+        /// The flag as it was written.
+        origin: String,
+        /// What was expected, and what to do.
+        message: &'static str,
+    },
     /// A key that does not exist.
     #[error(
         "{origin}: unknown key `{key}`{hint}",

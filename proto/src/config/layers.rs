@@ -15,6 +15,10 @@ use super::typed::typed;
 use crate::ConfigError;
 use crate::tasks::TaskName;
 
+/// What is wrong with `--set` of several keys.
+const ONE_KEY: &str =
+    "gives values to several keys, expected one KEY=VALUE; write --set once for each key";
+
 /// A configuration in the making. Later layers win.
 #[derive(Debug, Clone)]
 pub struct Layers {
@@ -41,9 +45,9 @@ impl Layers {
     pub fn set(mut self, assignment: &str) -> Result<Self, ConfigError> {
         let origin = format!("--set {assignment}");
         let Some((key, value)) = assignment.split_once('=') else {
-            return Err(ConfigError::Syntax {
+            return Err(ConfigError::Assignment {
                 origin,
-                message: "wants key=value, such as algorithm.gamma=0.97".to_owned(),
+                message: "wants KEY=VALUE, such as algorithm.gamma=0.97",
             });
         };
         let (key, value) = (key.trim(), value.trim());
@@ -55,10 +59,7 @@ impl Layers {
         let is_word = value.chars().all(|c| c.is_alphanumeric() || "_-./:".contains(c));
         let parsed = match wrapped.parse::<Table>() {
             Ok(table) if table.len() == 1 => table["value"].clone(),
-            Ok(_) => {
-                let message = "holds more than one key; give each its own --set".to_owned();
-                return Err(ConfigError::Syntax { origin, message });
-            }
+            Ok(_) => return Err(ConfigError::Assignment { origin, message: ONE_KEY }),
             Err(_) if is_word && !is_number => Value::String(value.to_owned()),
             Err(_) if !value.starts_with(['"', '\'']) && self.is_text(key)? => {
                 Value::String(value.to_owned())
@@ -66,6 +67,9 @@ impl Layers {
             Err(_) if is_number => {
                 let message = format!("{value} is no number, or one that is too large");
                 return Err(ConfigError::Syntax { origin, message });
+            }
+            Err(_) if self.names_another_key(value)? => {
+                return Err(ConfigError::Assignment { origin, message: ONE_KEY });
             }
             // The parser's words show the line, which nobody has written.
             Err(error) => {
@@ -85,9 +89,16 @@ impl Layers {
     /// Whether a key wants a string; one that there is not is found out when layers are merged.
     fn is_text(&self, key: &str) -> Result<bool, ConfigError> {
         let (base, _) = self.preset.tables()?;
+        Ok(slot(&Value::Table(base), key).is_none_or(Value::is_str))
+    }
+
+    /// Whether a key that there is gets a value within what is written as the value of one.
+    fn names_another_key(&self, value: &str) -> Result<bool, ConfigError> {
+        let (base, _) = self.preset.tables()?;
         let base = Value::Table(base);
-        let slot = key.split('.').try_fold(&base, |table, part| table.get(part));
-        Ok(slot.is_none_or(Value::is_str))
+        let mut parts = value.split(|c: char| c.is_whitespace() || ",;".contains(c));
+        Ok(parts
+            .any(|part| part.split_once('=').is_some_and(|(key, _)| slot(&base, key).is_some())))
     }
 
     /// Merges all layers and checks the result.
@@ -148,6 +159,11 @@ impl Layers {
             }),
         }
     }
+}
+
+/// What a dotted key has in a table.
+fn slot<'a>(base: &'a Value, key: &str) -> Option<&'a Value> {
+    key.split('.').try_fold(base, |table, part| table.get(part))
 }
 
 /// What a layer's `[for.NAME]` tables change for the chosen task and algorithm, in this order.

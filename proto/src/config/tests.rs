@@ -332,9 +332,16 @@ fn a_key_that_wants_text_takes_what_is_no_toml() {
 /// What stood in further lines was dropped.
 #[test]
 fn an_assignment_is_of_one_key() {
-    for wrong in ["algorithm.gamma=0.9\nalgorithm.clip=0.1", "run.seed=1\nfoo=2"] {
+    for wrong in [
+        "algorithm.gamma=0.9\nalgorithm.clip=0.1",
+        "run.seed=1\nfoo=2",
+        "algorithm.gamma=0.9,algorithm.clip=0.1",
+        "run.seed=1 run.workers=2",
+        "network.hidden=[64,64]; run.seed=2",
+    ] {
         let message = message(&[wrong]);
-        assert!(message.contains("holds more than one key"), "{message}");
+        assert!(message.contains("expected one KEY=VALUE; write --set once"), "{message}");
+        assert!(!message.contains("TOML"), "{message}");
     }
     let lines = resolve(&["network.hidden=[64,\n64]"]).expect("one value");
     assert_eq!(lines.network.hidden, [64, 64]);
