@@ -168,7 +168,13 @@ fn a_process_that_finds_its_files_changed_ends_the_run() {
         run.wait_for_iterations(3);
         let path = run.path().join(file);
         let before = std::fs::read_to_string(&path).expect("readable");
-        std::fs::write(&path, format!("{before}# a word of mine\n")).expect("writable");
+        // Of the configuration a value, of the robot a word.
+        let changed = match file {
+            "config.toml" => before.replace("order_deadline_s = 60.0", "order_deadline_s = 61.0"),
+            _ => format!("{before}# a word of mine\n"),
+        };
+        assert_ne!(changed, before);
+        std::fs::write(&path, changed).expect("writable");
         // Who asks for another worker is told, and the run goes on.
         let directory = run.path();
         let refused = octopus(&["scale", directory.to_str().expect("UTF-8"), "2"]);
@@ -191,6 +197,23 @@ fn a_process_that_finds_its_files_changed_ends_the_run() {
         run.succeed();
         assert_eq!(run.digests(), expected, "{file}");
     }
+}
+
+/// It ended the run when the next process started.
+#[test]
+fn a_comment_in_the_configuration_of_a_live_run_changes_nothing() {
+    let expected = calm("1", "0", "60");
+    let mut run = Run::train(&["--workers=1", "--overlap=0", "--iterations=60"]);
+    run.wait_for_iterations(3);
+    let path = run.path().join("config.toml");
+    let before = std::fs::read_to_string(&path).expect("readable");
+    std::fs::write(&path, format!("# a word of mine\n{before}")).expect("writable");
+    for program in ["sim-worker", "learner"] {
+        kill(run.children(program)[0], Signal::KILL);
+    }
+    run.succeed();
+    assert!(run.log().contains("the learner died (signal 9)"), "{}", run.log());
+    assert_eq!(run.digests(), expected);
 }
 
 #[test]
