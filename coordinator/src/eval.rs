@@ -4,15 +4,14 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use lab::contender::Contender;
-use lab::evaluation::evaluate_on;
+use lab::evaluation::{check_recorded, evaluate_on};
 use lab::goals::{self, OwnGoals};
 use lab::identity::ControllerName;
 use lab::trained::{Trained, open_checkpoint};
 use output::grouped;
 use proto::config::TaskName;
-use proto::{ExitCode, ExitError};
 use simulator::evaluate::EvaluationOptions;
-use simulator::experiment::{EvaluationGoals, MOST_RECORDED};
+use simulator::experiment::EvaluationGoals;
 use simulator::step::StepOptions;
 use store::files;
 use store::outputs::{Input, Output};
@@ -105,15 +104,7 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
         None => args.episodes.unwrap_or(30),
     };
     let (seed, episodes, steps) = (args.seed, episodes as usize, args.steps as usize);
-    if episodes * steps > MOST_RECORDED {
-        let message = format!(
-            "{} of {} control steps are more than an evaluation holds: {} control steps in all",
-            output::counted(episodes as u64, "episode"),
-            grouped(steps as u64),
-            grouped(MOST_RECORDED as u64)
-        );
-        return Err(ExitError::new(ExitCode::Usage, message).into());
-    }
+    check_recorded(episodes, steps)?;
     if let Some(path) = &args.save_goals {
         let mut inputs: Vec<Input<'_>> = vec![("--robot", Path::new(&args.robot))];
         inputs.extend(args.path.as_deref().map(|path| ("RUN_DIR|CHECKPOINT", path)));

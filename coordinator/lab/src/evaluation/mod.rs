@@ -8,9 +8,11 @@ mod summary;
 mod table;
 mod verdict;
 
+use output::grouped;
+use proto::{ExitCode, ExitError};
 use run::report::progress::Parts;
 use simulator::evaluate::{self, EvaluationOptions};
-use simulator::experiment::{CHUNK, EvaluationGoals};
+use simulator::experiment::{CHUNK, EvaluationGoals, MOST_RECORDED};
 use store::checkpoint::Checkpoint;
 
 pub use self::errors::ErrorSummary;
@@ -45,6 +47,21 @@ pub fn evaluate_on(
     let goals = EvaluationGoals { seed: options.seed, given };
     let reach = Reach::of(&contender.world, &evaluation, goals, threads, &progress)?;
     Ok(Summary::new(contender.identity(), options.seed, own, evaluation, reach))
+}
+
+/// Refuses episodes whose control steps, all of which are recorded, take more memory than there is.
+pub fn check_recorded(episodes: usize, steps: usize) -> Result<(), ExitError> {
+    if episodes.saturating_mul(steps) <= MOST_RECORDED {
+        return Ok(());
+    }
+    let message = format!(
+        "{} of {} control steps are more than can be recorded: {} control steps in all; ask for fewer by \
+         --episodes or --steps",
+        output::counted(episodes as u64, "episode"),
+        grouped(steps as u64),
+        grouped(MOST_RECORDED as u64)
+    );
+    Err(ExitError::new(ExitCode::Usage, message))
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ use super::common::{Beside, Common};
 use super::name::Name;
 use super::report::{PlayedEpisode, Protocol, Report, RobotIdentity};
 use crate::contender::Contender;
-use crate::evaluation::Reach;
+use crate::evaluation::{Reach, check_recorded};
 use crate::goals::OwnGoals;
 use crate::identity::Identity;
 use crate::script::{self, TookPart};
@@ -140,6 +140,8 @@ impl Lab {
             }
             None => args.episodes.unwrap_or(episodes),
         };
+        // Of trials one is recorded at a time.
+        check_recorded(episodes as usize, args.steps as usize)?;
         Ok(Self {
             policies,
             beside: Vec::new(),
@@ -453,6 +455,21 @@ fn together(one: &Contender, other: &Contender) -> Result<(), ExitError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identity::ControllerName;
+
+    /// It ended without a word of what was wrong where memory was used up.
+    #[test]
+    fn more_than_can_be_recorded_is_refused() {
+        let opened = |episodes| {
+            let controller = Some(ControllerName::Jacobian);
+            let common = Common { controller, episodes, steps: 100_000, ..Common::default() };
+            Lab::new(&common, Needs::Any, 30)
+        };
+        opened(Some(500)).expect("as many as an evaluation may have");
+        let error = opened(Some(501)).expect_err("too many").to_string();
+        assert!(error.contains("501 episodes of 100,000 control steps"), "{error}");
+        assert!(error.contains("--episodes or --steps"), "{error}");
+    }
 
     #[test]
     fn policies_beside_others_have_names_of_their_own() {
