@@ -200,7 +200,7 @@ pub struct DisturbanceArgs {
     /// The control step that it begins with.
     #[arg(long, value_name = "N", default_value_t = 75, allow_hyphen_values = true, value_parser = whole::<usize>(1, 100_000))]
     pub at: usize,
-    /// Force on the hand (N).
+    /// Force on the hand (N). Not the --force of other commands: nothing is written over.
     #[arg(long, value_name = "N", default_value_t = 50.0, allow_hyphen_values = true, value_parser = amount)]
     pub force: f64,
     /// Torque on the base (N m).
@@ -424,7 +424,7 @@ fn print<E: Experiment>(experiment: &E, json: bool) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod option_tests {
-    use clap::Parser as _;
+    use clap::{CommandFactory as _, Parser as _};
 
     use super::*;
     use crate::cli::{Cli, Command};
@@ -448,6 +448,18 @@ mod option_tests {
         let Ok(ExperimentCommand::BaseMass(args)) = parse("base-mass") else { panic!("valid") };
         assert_eq!((args.masses.0.len(), args.masses.0[9]), (10, 1000.0));
         assert!(args.thresholds.0.contains(&0.05));
+    }
+
+    /// Every other `--force` of the program writes over files.
+    #[test]
+    fn help_tells_the_force_of_a_disturbance_from_that_of_other_commands() {
+        let cli = Cli::command();
+        let path = ["experiment", "disturbance"];
+        let command = path.iter().try_fold(&cli, |cli, name| cli.find_subcommand(name));
+        let mut options = command.expect("there").get_arguments();
+        let force = options.find(|option| option.get_long() == Some("force")).expect("there");
+        let help = force.get_help().expect("some").to_string();
+        assert!(help.contains("(N)") && help.contains("Not the --force of other commands"));
     }
 
     #[test]
